@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from gsvis.pvs.look import Look
 from gsvis.raycast import EllipsoidProxies, Tracer
-from gsvis.raycast.directions import trace_directions
+from gsvis.raycast.directions import seen_from_space
 from gsvis.render import view_weights
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
@@ -18,7 +18,7 @@ from gsvis.scene.navigable import NavigableSpace
 __all__ = ["KINDS", "Injected", "drawn_by", "inject", "seen_by"]
 
 KINDS = ("scene", "floaters", "fog", "interior")
-HAZE = 0.35  # optical depth that fog adds over a path as long as the scene is wide
+HAZE = 0.35  # optical depth, over a path as long as the scene is wide, of fog and at most of floaters
 TAU = 1.0 / 255.0
 CERTAIN = TAU / 4.0  # weight below which what is put in is hidden without doubt
 
@@ -36,13 +36,21 @@ class Injected:
     kinds: NDArray[np.uint8]
 
 
-def inject(g: Gaussians, space: NavigableSpace, share: float, seed: int) -> Injected:
+def inject(g: Gaussians, space: NavigableSpace, share: float, seed: int, *, crowded: bool = False) -> Injected:
     """Put floaters, fog and hidden Gaussians into a scene, together `share` of its number.
 
     Floaters are groups of 1 to 4 of 0.1% to 1% of the scene's width and opacities 0.1 to 0.95, at random places of
-    navigable space. Fog has 2% to 6% of the width and opacities 0.02 to 0.05, at such places too; as many as make a
+    navigable space; all smaller by one factor where they would take more light than fog may (`crowded` keeps them).
+    Fog has 2% to 6% of the width and opacities 0.02 to 0.05, at such places too; as many as make a
     path across the scene lose a third of its light, at most a third of all. Hidden ones lie behind surfaces, where 48
     eyes do not see them, nor any eye on 1,280 rays outward from each: seams of walls let light through.
+
+    Args:
+        g: The scene.
+        space: Its navigable space.
+        share: Gaussians to put in, over those of the scene.
+        seed: Seed of all choices.
+        crowded: Let floaters take any amount of light: 20 times what the scene's width lets through, in large scenes.
     """
     rng = np.random.default_rng([seed, 77])
     low, high = g.bounds(0.98)
@@ -63,7 +71,11 @@ def inject(g: Gaussians, space: NavigableSpace, share: float, seed: int) -> Inje
     groups = space.sample_viewpoints(rest, rng)[np.sort(rng.integers(0, max(rest // 2, 1), rest))]
     scales = side * 10.0 ** rng.uniform(-3.0, -2.0, (rest, 1)) * rng.uniform(0.3, 1.0, (rest, 3))
     places = groups + 0.002 * side * rng.normal(size=(rest, 3))
-    floaters = _make(rng, places, scales, rng.uniform(0.1, 0.95, rest), g)
+    dense = rng.uniform(0.1, 0.95, rest)
+    taken = float(np.sum(dense * 2.0 * np.pi * np.prod(np.sort(scales, axis=1)[:, 1:], axis=1))) * side / space.volume
+    if not crowded:
+        scales *= min(1.0, float(np.sqrt(HAZE / taken)))
+    floaters = _make(rng, places, scales, dense, g)
     kinds = np.repeat(np.arange(4, dtype=np.uint8), [len(g), rest, count, len(hidden)])
     return Injected(Gaussians.concatenate([g, floaters, fog, hidden]), kinds)
 
@@ -89,7 +101,7 @@ def _hidden(g: Gaussians, space: NavigableSpace, rng: np.random.Generator, side:
     eyes = space.sample_viewpoints(48, rng)
     solid = np.flatnonzero(g.opacities >= 0.5)
     low, high = g.bounds(0.98)
-    parts: list[Gaussians] = []
+    found: list[Gaussians] = []
     for _ in range(4):
         means = g.means[rng.choice(solid, 3 * count)].astype(np.float64)
         nearest = eyes[np.argmin(((means[:, None] - eyes[None, :16]) ** 2).sum(axis=2), axis=1)]
@@ -99,13 +111,24 @@ def _hidden(g: Gaussians, space: NavigableSpace, rng: np.random.Generator, side:
         places = places[np.all((places > low) & (places < high), axis=1)]
         scales = side * 10.0 ** rng.uniform(-3.2, -2.5, (len(places), 1)) * rng.uniform(0.3, 1.0, (len(places), 3))
         made = _make(rng, places, scales, rng.uniform(0.3, 0.95, len(places)), g)
-        both = Gaussians.concatenate([g, made])
-        left = len(g) + np.flatnonzero(~seen_by(both, eyes, floor=CERTAIN)[len(g) :])
-        tracer = Tracer(EllipsoidProxies.from_scene(both))
-        parts.append(both[left[~trace_directions(tracer, space, ids=left, rays_per_face=16).any(axis=1)]])
-        if sum(map(len, parts)) >= count:
+        found = [_still_hidden(g, Gaussians.concatenate([*found, made]), space, eyes)[:count]]
+        if len(found[0]) >= count:
             break
-    return Gaussians.concatenate(parts)[:count]
+    # Those left out may have hidden others.
+    return _still_hidden(g, found[0], space, eyes)
+
+
+def _still_hidden(g: Gaussians, made: Gaussians, space: NavigableSpace, eyes: NDArray[np.float64]) -> Gaussians:
+    """Return those of some Gaussians that no eye sees in a scene with them, when those that eyes see are left out."""
+    while len(made):
+        tracer = Tracer(EllipsoidProxies.from_scene(Gaussians.concatenate([g, made])))
+        hidden = ~seen_from_space(tracer, space, ids=len(g) + np.arange(len(made)), rays_per_face=16)
+        if hidden.all():  # looks are expensive: only when rays find no more
+            hidden = ~seen_by(Gaussians.concatenate([g, made]), eyes, floor=CERTAIN)[len(g) :]
+            if hidden.all():
+                break
+        made = made[hidden]
+    return made
 
 
 def _make(

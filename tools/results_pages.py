@@ -62,7 +62,7 @@ PAGES = {
         ),
     ),
     "install": Page("Installing and starting", ("install", "startup")),
-    "formats": Page("Files", ("load_ply", "load_packed")),
+    "formats": Page("Files", ("load_ply", "load_packed", "ksplat")),
     "visibility": Page(
         "What a view needs",
         (

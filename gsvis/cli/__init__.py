@@ -37,6 +37,7 @@ _ABOUT = """Ray-traced visibility for trained 3D Gaussian Splatting scenes, on t
   gsvis levels scene.ply -o levels           smaller levels that share Gaussians
   gsvis clean scene.ply -o clean.ply         without floaters and the unseen
   gsvis convert scene.ply small.spz --min-opacity 0.02
+  gsvis convert house.ply garden.ply -o both.html
   gsvis cut scene.ply -o walk.ply --path walk.csv   keep what a walk can see
   gsvis paint scene.ply -o seen.ply --by visibility
   gsvis prepare scene.ply -o scene.gsvis     a package that can be served
@@ -102,7 +103,7 @@ def parse(arguments: Sequence[str]) -> Command:
     import tyro
 
     from gsvis.cli.arguments import Command
-    from gsvis.cli.spelling import expand_home, misspelling
+    from gsvis.cli.spelling import expand_home, misspelling, paths_first
 
     wrong = misspelling(arguments)
     if wrong is not None:
@@ -111,7 +112,7 @@ def parse(arguments: Sequence[str]) -> Command:
         _without_options(Command) if arguments[:1] in (["-h"], ["--help"]) else Command,
         prog="gsvis",
         description=_ABOUT,
-        args=_axes_as_values(arguments),
+        args=_axes_as_values(paths_first(arguments)),
         config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
     )
     return expand_home(command)
@@ -124,7 +125,8 @@ def _without_options(commands: Any) -> Any:
     from operator import or_
     from typing import get_args
 
-    return reduce(or_, (make_dataclass(c.__name__, [], namespace={"__doc__": c.__doc__}) for c in get_args(commands)))
+    bare = (make_dataclass(c.__name__, [], namespace={"__doc__": c.__doc__.split("\n")[0]}) for c in get_args(commands))
+    return reduce(or_, bare)
 
 
 def _axes_as_values(arguments: Sequence[str]) -> list[str]:

@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
+from gsvis.cli.arguments_convert import Convert
 from gsvis.cli.arguments_edit import Clean, Cut, Paint
 from gsvis.cli.arguments_export import Export
 from gsvis.cli.arguments_package import Prepare, Unpack, Verify
@@ -19,7 +20,6 @@ from gsvis.cli.arguments_space import Space
 from gsvis.cli.arguments_view import View
 from gsvis.cli.arguments_where import Where
 from gsvis.cli.readers import (
-    BOX,
     BYTES,
     CELLS,
     COLOR,
@@ -34,7 +34,6 @@ from gsvis.cli.readers import (
     INDICES,
     MEAN_TERMS,
     NAMES,
-    OPACITY,
     PIXEL,
     PIXELS,
     PLAIN,
@@ -85,9 +84,11 @@ class Inspect:
     """Report what a scene holds and what looks wrong with it."""
 
     scene: Scene
-    """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
+    """File or folder (.ply, .splat, .ksplat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
     lod: Lod = None
     """Level of detail of a streamed scene; 0 is the finest."""
+    histograms: Flag = False
+    """Show how opacities, sizes, shapes, distances and SH are spread, too."""
     json: Flag = False
     """Print one JSON document instead of tables."""
     debug: Flag = False
@@ -99,7 +100,7 @@ class Analyze(Where):
     """Trace what views need and from where each Gaussian is visible; write a report."""
 
     scene: Scene
-    """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
+    """File or folder (.ply, .splat, .ksplat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
     out: Annotated[str, arg(aliases=["-o"], metavar="DIR", help_behavior_hint="(required)")]
     """Folder for report.html (all in one file), report.json and the pictures; made if missing."""
     lod: Lod = None
@@ -134,7 +135,7 @@ class Render(Where):
     """Draw a scene as cameras see it; list who contributes to a pixel."""
 
     scene: Scene
-    """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
+    """File or folder (.ply, .splat, .ksplat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
     out: Annotated[
         str | None, arg(aliases=["-o"], metavar="OUT", help_behavior_hint="(required without --contributors)")
     ] = None
@@ -196,39 +197,11 @@ class Render(Where):
 
 
 @dataclass(frozen=True)
-class Convert:
-    """Change a scene or its format; the suffix of OUT names the format."""
-
-    scene: Annotated[Positional[str], arg(metavar="IN", help_behavior_hint="")]
-    """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
-    output: Annotated[Positional[str], arg(metavar="OUT", help_behavior_hint="")]
-    """File to write. An existing file needs --overwrite."""
-    lod: Lod = None
-    """Level of detail of a streamed scene; 0 is the finest."""
-    crop: Annotated[tuple[float, ...] | None, BOX, hint("no crop")] = None
-    """Keep the Gaussians whose center lies in this box, in the frame of IN."""
-    min_opacity: Annotated[float, OPACITY] = 0.0
-    """Drop Gaussians fainter than this."""
-    max_sh_degree: Annotated[int, SH_DEGREE] = 3
-    """Drop spherical harmonics above this degree."""
-    up: Annotated[str | None, arg(metavar="FROM:TO", help_behavior_hint="(default: left as it is)")] = None
-    """Turn the scene so that axis FROM becomes TO, as in -y:+z."""
-    compact: Flag = False
-    """Round an SPZ as other encoders do: a quarter to two fifths smaller, several dB worse."""
-    overwrite: Flag = False
-    """Replace OUT if it exists."""
-    json: Flag = False
-    """Print one JSON document instead of a line."""
-    debug: Flag = False
-    """Show the traceback of an error."""
-
-
-@dataclass(frozen=True)
 class Pvs(Where):
     """Find what is visible from each cell of a scene; write it as a store."""
 
     scene: Scene
-    """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
+    """File or folder (.ply, .splat, .ksplat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
     out: Annotated[str, arg(aliases=["-o"], metavar="FILE", help_behavior_hint="(required)")]
     """The store to write, such as scene.pvs; an existing one is replaced when the new one is complete."""
     lod: Lod = None
@@ -308,7 +281,7 @@ class Color(Where):
     """Replace SH colors with a base color and a few terms that can be sent in pieces."""
 
     scene: Scene
-    """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
+    """File or folder (.ply, .splat, .ksplat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
     out: Annotated[str, arg(aliases=["-o"], metavar="FILE", help_behavior_hint="(required)")]
     """The Arrow file to write, such as scene.arrow: geometry, base colors and terms; replaced if it exists."""
     lod: Lod = None
@@ -358,7 +331,7 @@ class Train:
     source: Annotated[Positional[str], arg(metavar="IMAGES", help_behavior_hint="")]
     """Folder with a COLMAP model (undistorted) and its images, or with a transforms.json."""
     out: Annotated[str, arg(aliases=["-o"], metavar="FILE", help_behavior_hint="(required)")]
-    """The scene to write, .ply, .spz or .sog. Its record goes beside it: scene.train.json."""
+    """The scene to write, .ply, .spz, .sog or .ksplat. Its record goes beside it: scene.train.json."""
     images: Annotated[str | None, arg(metavar="DIR", help_behavior_hint="(default: images, beside the model)")] = None
     """Folder of the photographs."""
     size: Annotated[tuple[int, int] | None, SIZE, hint("that of the images")] = None
@@ -400,7 +373,7 @@ class Levels(Where):
     """Make lower levels of a scene that share most of their Gaussians with it."""
 
     scene: Scene
-    """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
+    """File or folder (.ply, .splat, .ksplat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
     out: Annotated[str, arg(aliases=["-o"], metavar="DIR", help_behavior_hint="(required)")]
     """Folder for low.ply, medium.ply, high.ply and levels.arrow, which lists what they share; made if missing."""
     lod: Lod = None

@@ -33,11 +33,11 @@ class Clean(Where):
     """Remove what no eye sees, fog, floaters and flyaways; without -o only tell."""
 
     scene: Scene
-    """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
+    """File or folder (.ply, .splat, .ksplat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
     out: Annotated[str | None, arg(aliases=["-o"], metavar="OUT", help_behavior_hint="(default: none; only tell)")] = (
         None
     )
-    """File to write, .ply, .spz or .sog."""
+    """File to write, .ply, .spz, .sog or .ksplat."""
     lod: Lod = None
     """Level of detail of a streamed scene; 0 is the finest."""
     report: Annotated[str | None, arg(metavar="DIR", help_behavior_hint="(default: no report)")] = None
@@ -77,9 +77,9 @@ class Cut(Where):
     """Keep only what eyes along a path, of cameras or in a box can see."""
 
     scene: Scene
-    """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
+    """File or folder (.ply, .splat, .ksplat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
     out: Annotated[str, arg(aliases=["-o"], metavar="FILE", help_behavior_hint="(required)")]
-    """The scene to write, .ply, .spz or .sog. An existing file needs --overwrite."""
+    """The scene to write, .ply, .spz, .sog or .ksplat. An existing file needs --overwrite."""
     lod: Lod = None
     """Level of detail of a streamed scene; 0 is the finest."""
     cameras: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: no cameras)")] = None
@@ -116,9 +116,9 @@ class Paint(Where):
     """Color a scene by how its Gaussians are seen, for any viewer."""
 
     scene: Scene
-    """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
+    """File or folder (.ply, .splat, .ksplat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
     out: Annotated[str, arg(aliases=["-o"], metavar="FILE", help_behavior_hint="(required)")]
-    """The scene to write, .ply, .spz or .sog. Its legend goes beside it: scene.legend.png. Existing files need
+    """The scene to write, .ply, .spz, .sog or .ksplat. Its legend goes beside it: scene.legend.png. Existing files need
     --overwrite."""
     by: Annotated[Literal["visibility", "directions", "weight", "importance", "cell"], PLAIN] = "visibility"
     """visibility: share of the eyes that see it; directions: of 80, from how many; weight: largest share of a pixel;

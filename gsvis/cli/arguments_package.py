@@ -40,7 +40,7 @@ class Prepare(Where):
     """Make a package of a scene that can be served: levels, visible sets, colors."""
 
     scene: Scene
-    """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, .pt, .ckpt, lod-meta.json, levels) or builtin:NAME."""
+    """File or folder (.ply, .splat, .ksplat, .spz, .sog, .pt, .ckpt, lod-meta.json, levels) or builtin:NAME."""
     out: Annotated[str, arg(aliases=["-o"], metavar="DIR", help_behavior_hint="(required)")]
     """Folder of the package, such as scene.gsvis; scene.gsvis.work beside it keeps work for the next run."""
     lod: Lod = None

@@ -18,7 +18,7 @@ class Space(Where):
     """Write where a visitor can be, and what stops one, for other programs."""
 
     scene: Scene
-    """File or folder (.ply, .compressed.ply, .splat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
+    """File or folder (.ply, .splat, .ksplat, .spz, .sog, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
     out: Annotated[str, arg(aliases=["-o"], metavar="OUT", help_behavior_hint="(required)")]
     """OUT.glb: two meshes, navigable and surface. OUT.voxel.json, with OUT.voxel.bin: solid voxels as SuperSplat and
     PlayCanvas read them, in their frame."""

@@ -1,66 +1,226 @@
-"""`gsvis convert`: write a scene in another format; cut, thin, simplify or rotate it."""
+"""`gsvis convert`: merge scenes, write them in another format; cut, thin, simplify or place them."""
 
 from __future__ import annotations
 
-from gsvis.cli.arguments import Convert
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.cli.arguments_convert import Convert
 from gsvis.cli.scene_out import check_scene_out
-from gsvis.cli.source import check_source, load_source
+from gsvis.cli.source import Source, check_source, is_builtin, is_levels, load_source, up_of
+from gsvis.cli.starts import find_starts
 from gsvis.cli.terminal import Status, print_json, show
-from gsvis.io.convert import AXES, convert_scene
-from gsvis.io.scenes import save_scene
+from gsvis.io.convert import AXES, convert_scene, merge_scenes, rotation_about_axes
+from gsvis.io.ksplat import save_ksplat
+from gsvis.io.scenes import check_scene, save_scene
 from gsvis.io.spz import save_spz
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.inspection import axis_vector
 
 __all__ = ["run_convert"]
 
+_PAGE = ".html"
+_KSPLAT_DEGREE = 2
+
 
 def run_convert(command: Convert) -> None:
-    """Convert a scene: read, convert, write, print the result.
+    """Convert scenes: read, merge, convert, write, print the result.
 
     Raises:
-        GsvisError: If the file cannot be read, or nothing is left of the scene.
+        GsvisError: If a file cannot be read, nothing is left of the scene, or a page is wanted and no viewer is built.
         ValueError: If an argument is wrong.
         FileNotFoundError: If there is no such file.
         OSError: If the result cannot be written.
     """
-    check_source(command.scene, command.lod)
+    scenes, out = _split_paths(command)
+    lods = _check_inputs(scenes, command.lod)
     up = _axes(command.up)
-    target = check_scene_out(command.output, command.scene, command.overwrite, name="OUT", source="IN")
-    if command.compact and target.suffix.lower() != ".spz":
-        raise ValueError(f"--compact: expected an OUT that ends in .spz with it, got {command.output!r}; leave it out")
-    crop = None if command.crop is None else (command.crop[:3], command.crop[3:])
+    given = scenes[0] if len(scenes) == 1 else scenes
+    target = check_scene_out(out, given, command.overwrite, name="OUT", source="IN", others=(_PAGE,))
+    _check_options(command, target)
     with Status() as status:
-        status("reading", 0, 1)
-        source = load_source(command.scene, command.lod)
-        status("reading", 1, 1)
-        status("writing", 0, 1)
-        before = source.gaussians
+        inputs, before, known_up = _read(scenes, lods, status)
+        degree = _degree(command, target, before, status)
+        crop = None if command.crop is None else (command.crop[:3], command.crop[3:])
         after = convert_scene(
-            before, crop=crop, min_opacity=command.min_opacity, max_sh_degree=command.max_sh_degree, up=up
+            before,
+            crop=crop,
+            min_opacity=command.min_opacity,
+            max_sh_degree=degree,
+            up=up,
+            scale=command.scale,
+            rotate=command.rotate or (0.0, 0.0, 0.0),
+            translate=command.translate or (0.0, 0.0, 0.0),
         )
-        if command.compact:
-            save_spz(after, target, compact=True)
+        if target.suffix.lower() == _PAGE:
+            upright = known_up if up is None else axis_vector(up[1])
+            turned = rotation_about_axes(command.rotate or (0.0, 0.0, 0.0)) @ upright
+            _write_page(target, " + ".join(each.name for each in inputs), after, turned, status)
         else:
-            save_scene(after, target)
-        status("writing", 1, 1)
+            status("writing", 0, 1)
+            _write(command, target, after)
+            status("writing", 1, 1)
     size = target.stat().st_size
     if command.json:
-        print_json(
-            {
-                "format": "gsvis-conversion",
-                "version": 1,
-                "in": command.scene,
-                "lod": source.lod,
-                "out": command.output,
-                "bytes": size,
-                "gaussians_in": len(before),
-                "gaussians_out": len(after),
-                "sh_degree_in": before.sh_degree,
-                "sh_degree_out": after.sh_degree,
-            }
-        )
+        print_json(_document(command, out, inputs, before, after) | {"bytes": size})
         return
     kept = f"{len(after):,} of {len(before):,} Gaussians" if len(after) < len(before) else f"{len(after):,} Gaussians"
-    show(f"{command.output}: {kept}, SH degree {after.sh_degree}, {size / 1e6:.2f} MB")
+    of = f" of {len(inputs)} scenes" if len(inputs) > 1 else ""
+    show(f"{out}: {kept}{of}, SH degree {after.sh_degree}, {size / 1e6:.2f} MB")
+
+
+@dataclass(frozen=True)
+class _Input:
+    """What is told of a scene that was read."""
+
+    path: str
+    name: str
+    lod: int | None
+    gaussians: int
+    sh_degree: int
+
+
+def _split_paths(command: Convert) -> tuple[tuple[str, ...], str]:
+    """Return the scenes to read and the file to write."""
+    paths = command.paths
+    for path in paths:
+        if _is_number(path) and not Path(path).exists():
+            raise ValueError(
+                f"IN: expected a scene, got {path}; --translate and --rotate take three numbers, --scale one"
+            )
+    if command.out is not None:
+        if not paths:
+            raise ValueError("IN: expected a scene to read, got none; gsvis convert IN -o OUT")
+        return paths, command.out
+    if len(paths) > 2:
+        raise ValueError(f"OUT: expected -o OUT with several scenes, got {len(paths)} paths; say which is OUT")
+    if len(paths) < 2:
+        got = f"only {paths[0]}" if paths else "nothing"
+        raise ValueError(f"OUT: expected a file to write, got {got}; gsvis convert IN OUT")
+    return paths[:1], paths[1]
+
+
+def _check_inputs(scenes: tuple[str, ...], lods: tuple[int, ...] | None) -> list[int | None]:
+    """Raise unless each scene is there and of a known format; return the LOD of each, None for the finest."""
+    found: list[int | None] = [None] * len(scenes)
+    streamed = []
+    for k, scene in enumerate(scenes):
+        check_source(scene, None)
+        if not is_builtin(scene) and not is_levels(scene) and check_scene(scene):
+            streamed.append(k)
+    if lods is None:
+        return found
+    if not streamed:
+        check_source(scenes[0], lods[0])  # says why it has none
+        raise ValueError(f"--lod: expected none for a scene with one level of detail, got {lods[0]}; leave it out")
+    if len(lods) not in (1, len(streamed)):
+        raise ValueError(
+            f"--lod: expected one number, or one for each streamed scene, which are {len(streamed)}, got {len(lods)}"
+        )
+    for place, k in enumerate(streamed):
+        found[k] = lods[place if len(lods) > 1 else 0]
+        check_source(scenes[k], found[k])
+    return found
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _check_options(command: Convert, target: Path) -> None:
+    """Raise if an option is given that the format of OUT does not know, or the viewer of a page is not built."""
+    suffix = target.suffix.lower()
+    if command.compact and suffix != ".spz":
+        raise ValueError(f"--compact: expected an OUT that ends in .spz with it, got {str(target)!r}; leave it out")
+    if command.compression is not None and suffix != ".ksplat":
+        raise ValueError(
+            f"--compression: expected an OUT that ends in .ksplat with it, got {str(target)!r}; leave it out"
+        )
+    if suffix == _PAGE:
+        from gsvis.export.page import check_viewer
+
+        check_viewer()
+
+
+def _read(
+    scenes: tuple[str, ...], lods: list[int | None], status: Status
+) -> tuple[list[_Input], Gaussians, NDArray[np.float64]]:
+    """Return what was read, the scenes merged to one, and the axis that points upwards in it."""
+    inputs, parts = [], []
+    source = None
+    status("reading", 0, len(scenes))
+    for k, (scene, lod) in enumerate(zip(scenes, lods, strict=True)):
+        source = load_source(scene, lod)
+        g = source.gaussians
+        inputs.append(_Input(scene, source.name, source.lod, len(g), g.sh_degree))
+        parts.append(g)
+        status("reading", k + 1, len(scenes))
+    merged = merge_scenes(parts)
+    if source is None or len(parts) > 1:
+        source = Source("", merged)
+    return inputs, merged, up_of(source)
+
+
+def _degree(command: Convert, target: Path, scene: Gaussians, status: Status) -> int:
+    """Return the highest SH degree to write; say so where the format of OUT lowers it."""
+    degree = command.max_sh_degree
+    if target.suffix.lower() != ".ksplat" or min(degree, scene.sh_degree) <= _KSPLAT_DEGREE:
+        return degree
+    status.line(f"{target}: SH degree {scene.sh_degree} is reduced to {_KSPLAT_DEGREE}, the highest of .ksplat")
+    return _KSPLAT_DEGREE
+
+
+def _write(command: Convert, target: Path, scene: Gaussians) -> None:
+    if command.compact:
+        save_spz(scene, target, compact=True)
+    elif command.compression is not None:
+        save_ksplat(scene, target, compression=command.compression)
+    else:
+        save_scene(scene, target)
+
+
+def _write_page(target: Path, name: str, scene: Gaussians, up: NDArray[np.float64], status: Status) -> None:
+    """Write the page that `gsvis export --format html` writes of the same scene."""
+    from gsvis.export import StaticOptions, write_html
+
+    x, y, z = up.tolist()
+    status("start", 0, 1)
+    poses = find_starts(Source(name, scene), (x, y, z))
+    status("start", 1, 1)
+    write_html(target, scene, StaticOptions(name, (x, y, z), poses=poses), progress=status)
+
+
+def _document(command: Convert, out: str, inputs: list[_Input], before: Gaussians, after: Gaussians) -> dict[str, Any]:
+    alone = inputs[0] if len(inputs) == 1 else None
+    return {
+        "format": "gsvis-conversion",
+        "version": 1,
+        "in": alone.path if alone else None,
+        "lod": alone.lod if alone else None,
+        "inputs": [
+            {"in": each.path, "lod": each.lod, "gaussians": each.gaussians, "sh_degree": each.sh_degree}
+            for each in inputs
+        ],
+        "out": out,
+        "gaussians_in": len(before),
+        "gaussians_out": len(after),
+        "sh_degree_in": before.sh_degree,
+        "sh_degree_out": after.sh_degree,
+        "placement": {
+            "up": None if command.up is None else command.up.strip(),
+            "scale": command.scale,
+            "rotate": list(command.rotate or (0.0, 0.0, 0.0)),
+            "translate": list(command.translate or (0.0, 0.0, 0.0)),
+        },
+    }
 
 
 def _axes(up: str | None) -> tuple[str, str] | None:

@@ -7,9 +7,11 @@ from typing import Any
 
 from gsvis.cli.arguments import Inspect
 from gsvis.cli.arguments_where import Where
+from gsvis.cli.histograms import TITLES, band_lines, can_draw_blocks, histogram_lines, line_width
 from gsvis.cli.source import Source, inspect_scene_of, load_source
 from gsvis.cli.terminal import Status, facts, print_json, show, size_of
 from gsvis.cli.where import find_place, space_document, suspect_views
+from gsvis.scene.histograms import Band, Histogram, measure_bands, measure_histograms
 
 __all__ = ["run_inspect"]
 
@@ -31,11 +33,26 @@ def run_inspect(command: Inspect) -> None:
         report["space"], remarks = _space(source)
         report["problems"] += [remark.strip() for remark in remarks]
         status("space", 1, 1)
+        spread = measure_histograms(source.gaussians) if command.histograms else {}
+        bands = measure_bands(source.gaussians) if command.histograms else []
     if command.json:
         place = {"scene": source.name, "lod": source.lod, "lods_present": list(source.lods)}
+        if command.histograms:
+            report["histograms"] = {name: each.as_dict() for name, each in spread.items()}
+            report["sh_bands"] = [band.as_dict() for band in bands]
         print_json({"format": "gsvis-inspection", "version": 1, **place, **report})
         return
-    show(facts(source.name, _rows(source, report)), *_verdict(report["problems"]))
+    show(facts(source.name, _rows(source, report)), *_draw(spread, bands), *_verdict(report["problems"]))
+
+
+def _draw(spread: dict[str, Histogram], bands: list[Band]) -> list[str]:
+    """Return the lines of all histograms, an empty one behind each; none without histograms."""
+    width, blocks = line_width(), can_draw_blocks()
+    lines = []
+    for name in TITLES:
+        if name in spread:
+            lines += [*histogram_lines(name, spread[name], width=width, blocks=blocks), ""]
+    return [*lines, *band_lines(bands, width=width, blocks=blocks), ""] if bands else lines
 
 
 def _space(source: Source) -> tuple[dict[str, Any] | None, list[str]]:

@@ -14,12 +14,14 @@ from tyro.constructors import PrimitiveConstructorSpec
 
 __all__ = [
     "ADDRESSES",
+    "ANGLES",
     "AROUND",
     "BOX",
     "BYTES",
     "CELLS",
     "CHANGE",
     "COLOR",
+    "COMPRESSION",
     "COUNTED",
     "DECIBELS",
     "DEGREES",
@@ -32,17 +34,20 @@ __all__ = [
     "HOSTS",
     "INDICES",
     "LEAF",
+    "LODS",
     "MEAN_TERMS",
     "NAMES",
     "OPACITY",
     "ORIGINS",
     "PACKAGES",
+    "PATHS",
     "PIXEL",
     "PIXELS",
     "PLAIN",
     "POINT",
     "PORT",
     "RATE",
+    "SCALE",
     "SECONDS",
     "SHARE",
     "SHARES",
@@ -176,6 +181,13 @@ def _read_face_rays(words: list[str]) -> int:
     return int(words[0])
 
 
+def _read_lods(words: list[str]) -> tuple[int, ...]:
+    parts = words[0].split(",")
+    if not all(part.strip().isdecimal() and int(part) <= _COUNT for part in parts):
+        raise ValueError(f"expected a whole number of at least 0, or several as in 3,2, got {words[0]!r}")
+    return tuple(map(int, parts))
+
+
 def _read_bytes(words: list[str]) -> int:
     found = re.fullmatch(r"(\d+(?:\.\d*)?)\s*([kmgt]?)(i?)b", words[0].strip().lower())
     size = float(found[1]) * (1024.0 if found[3] else 1000.0) ** " kmgt".index(found[2] or " ") if found else 0.0
@@ -217,6 +229,9 @@ FACE_RAYS = _spec(1, "K", _read_face_rays)
 BOX = _spec(6, "X0 Y0 Z0 X1 Y1 Z1", _read_box)
 AROUND = _spec("*", "X Y Z R|auto", _read_around)
 POINT = _numbers("X Y Z")
+ANGLES = _numbers("DEG DEG DEG", -36000.0, 36000.0, "three angles in [-36000, 36000] degrees")
+SCALE = _number("S", float, 1e-9, 1e9, "a factor above 0, 1e-9 to 1e9")
+COMPRESSION = _number("N", int, 0, 2, "0, 1 or 2")
 COLOR = _numbers("R G B", 0.0, 1.0, "three numbers in [0, 1]")
 INDICES = _spec("*", "I [I ...]", _read_indices)
 PIXEL = _spec(1, "X,Y", _read_pixel)
@@ -229,6 +244,8 @@ SHARE = _number("S", float, 0.0, 1.0, "a share in [0, 1]")
 SHARES = _spec("*", "S [S ...]", _read_shares)
 SHARES_OR_NONE = _spec("*", "S [S ...]|none", _read_shares_or_none)
 NAMES = _spec("*", "NAME [NAME ...]", _read_names)
+LODS = _spec(1, "N[,N...]", _read_lods)
+PATHS = _spec("*", "IN [IN ...] [OUT]", tuple)
 PACKAGES = _spec("*", "PACKAGE [PACKAGE ...]", _read_packages)
 ORIGINS = _spec("*", "ORIGIN [ORIGIN ...]", tuple)
 HOSTS = _spec("*", "NAME [NAME ...]", tuple)

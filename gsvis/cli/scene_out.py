@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,21 +12,29 @@ from numpy.typing import NDArray
 from gsvis import _check
 from gsvis.cli.source import check_folder, check_new, inputs_of, is_levels
 from gsvis.files.atomic import atomic_path
+from gsvis.io.scenes import WRITTEN
 
 __all__ = ["check_one_level", "check_outputs", "check_scene_out", "write_array"]
 
-_WRITTEN = (".ply", ".spz", ".sog")
 
-
-def check_scene_out(out: str, scene: str, overwrite: bool, *, name: str = "--out", source: str = "SCENE") -> Path:
+def check_scene_out(
+    out: str,
+    scene: str | Sequence[str],
+    overwrite: bool,
+    *,
+    name: str = "--out",
+    source: str = "SCENE",
+    others: tuple[str, ...] = (),
+) -> Path:
     """Raise unless a scene can be written to a file; return the file.
 
     Args:
         out: The file to write.
-        scene: The scene that is read, which must not be replaced.
+        scene: The scene or scenes that are read, which must not be replaced.
         overwrite: Whether an existing file may be replaced.
         name: The option, for messages.
-        source: The argument that names the scene, for messages.
+        source: The argument that names the scene, for messages; of several scenes each has its number behind it.
+        others: Suffixes that the command writes besides those of scenes.
 
     Raises:
         ValueError: If the suffix is of no format that gsvis writes, the path is a folder, the file exists, or it is
@@ -33,15 +42,18 @@ def check_scene_out(out: str, scene: str, overwrite: bool, *, name: str = "--out
         OutputError: If nothing can be written there.
     """
     target = Path(out)
-    if target.suffix.lower() not in _WRITTEN or target.name.lower().endswith(".compressed.ply"):
-        near = _check.suggestion(target.suffix, _WRITTEN)
+    known = (*WRITTEN, *others)
+    if target.suffix.lower() not in known or target.name.lower().endswith(".compressed.ply"):
+        near = _check.suggestion(target.suffix, known)
         raise ValueError(
-            f"{name}: expected a name that ends in {', '.join(_WRITTEN)}, got {out!r}; "
+            f"{name}: expected a name that ends in {', '.join(known)}, got {out!r}; "
             + (near or "other formats are only read")
         )
     if target.is_dir():
         raise ValueError(f"{name}: expected the name of a file, got the folder {out!r}")
-    check_outputs({name: target}, {source: scene}, overwrite)
+    scenes = [scene] if isinstance(scene, str) else scene
+    read = {f"{source} {k}" if len(scenes) > 1 else source: each for k, each in enumerate(scenes, 1)}
+    check_outputs({name: target}, read, overwrite)
     return target
 
 

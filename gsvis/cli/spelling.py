@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin,
 if TYPE_CHECKING:
     from gsvis.cli.arguments import Command
 
-__all__ = ["expand_home", "misspelling"]
+__all__ = ["expand_home", "misspelling", "paths_first"]
 
 _PATHS = frozenset(
     {"DIR", "FILE", "IMAGES", "IN", "OUT", "PACKAGE", "SCENE", "STORE"}
@@ -24,12 +24,21 @@ _PATHS = frozenset(
 
 @dataclass(frozen=True)
 class _Option:
-    """One argument of a command: its field and names, its choices if it is a Literal, and whether it is a path."""
+    """One argument of a command.
+
+    Attributes:
+        field: Its field in the dataclass.
+        names: Its names; none for a positional one.
+        choices: Its choices if it is a Literal.
+        path: Whether it is a path.
+        words: Number of its words; 0 for a flag.
+    """
 
     field: str
     names: tuple[str, ...]
     choices: tuple[str, ...]
     path: bool
+    words: int
 
 
 def misspelling(arguments: Sequence[str]) -> str | None:
@@ -65,6 +74,33 @@ def misspelling(arguments: Sequence[str]) -> str | None:
                 known = f"{given}: expected one of {', '.join(option.choices)}, got {value[:80]!r}"
                 return known + (f"; {near}" if near else "")
     return None
+
+
+def paths_first(arguments: Sequence[str]) -> list[str]:
+    """Return the arguments of `gsvis convert` with its paths before its options; those of other commands unchanged.
+
+    `tyro` takes paths of any number only where they stand together.
+    """
+    if arguments[:1] != ["convert"]:
+        return list(arguments)
+    kind = next(kind for kind in _kinds() if _kebab(kind.__name__) == "convert")
+    words = {name: option.words for option in _options(kind) for name in option.names}
+    paths, options, rest = [], [], list(arguments[1:])
+    while rest:
+        word = rest.pop(0)
+        if word == "--":
+            paths += rest
+            break
+        if not re.match(r"--?[A-Za-z]", word):
+            paths.append(word)
+            continue
+        name, equals, _ = word.partition("=")
+        count = max(0, words.get(_hyphens(name), 0) - bool(equals))
+        options += [word, *rest[:count]]
+        del rest[:count]
+    if any(path.startswith("-") for path in paths):
+        return ["convert", *options, "--", *paths]
+    return ["convert", *paths, *options]
 
 
 def expand_home(command: Command) -> Command:
@@ -105,7 +141,9 @@ def _options(kind: type) -> Iterator[_Option]:
         plain = get_args(hint)[0] if extras else hint
         choices = tuple(map(str, get_args(plain))) if get_origin(plain) is Literal else ()
         names = () if placed else (f"--{_hyphens(each.name)}", *aliases)
-        yield _Option(each.name, names, choices, any(word.split()[0] in _PATHS for word in metavars))
+        counts = [extra.nargs for extra in extras if isinstance(getattr(extra, "nargs", None), int)]
+        count = 0 if plain is bool else counts[0] if counts else 1
+        yield _Option(each.name, names, choices, any(word.split()[0] in _PATHS for word in metavars), count)
 
 
 def _kebab(name: str) -> str:

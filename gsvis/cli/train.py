@@ -20,6 +20,7 @@ from gsvis.cli.terminal import Status, clock, facts, print_json, show, size_of
 from gsvis.errors import OutputError
 from gsvis.files.atomic import atomic_path, remove_partials
 from gsvis.files.limits import open_regular
+from gsvis.io.scenes import WRITTEN
 
 if TYPE_CHECKING:
     from gsvis.progress import Progress
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
 
 __all__ = ["checkpoint_of", "record_of", "run_train"]
 
-_WRITTEN = (".ply", ".spz", ".sog")
 _SEEN_EVERY = 8  # without held-out views, measure every 8th view trained on
 _RANDOM_POINTS = 50_000
 
@@ -95,8 +95,8 @@ def _check_arguments(command: Train) -> TrainConfig:
     if not Path(command.source).exists():
         raise FileNotFoundError(2, "no such file or folder", command.source)
     out = Path(command.out)
-    if out.suffix.lower() not in _WRITTEN or out.name.lower().endswith(".compressed.ply"):
-        raise ValueError(f"--out: expected a name that ends in {', '.join(_WRITTEN)}, got {command.out!r}")
+    if out.suffix.lower() not in WRITTEN or out.name.lower().endswith(".compressed.ply"):
+        raise ValueError(f"--out: expected a name that ends in {', '.join(WRITTEN)}, got {command.out!r}")
     for path in (out, record_of(command), checkpoint_of(command)):
         check_file(path)
     if out.suffix.lower() == ".ply" and out.is_file() and out.stat().st_size > 0 and not _holds_gaussians(out):

@@ -3,11 +3,12 @@
 from gsvis.edit.classes import CLASSES, HIDDEN, KEPT, CleanConfig, class_of, classify
 from gsvis.edit.cleaning import Cleaning, clean, core_of, held_out_cameras
 from gsvis.edit.cut import Cut, CutConfig, HeldOut, cut
-from gsvis.edit.evidence import Evidence, Shape, gather_evidence
+from gsvis.edit.evidence import Evidence, gather_evidence
 from gsvis.edit.eyes import Eyes, EyesInSpace, EyesOfCameras
 from gsvis.edit.guard import Cost, guard, measure_cost
 from gsvis.edit.paint import Band, bands_of, colors_of, draw_legend, paint
 from gsvis.edit.quantities import QUANTITIES, Quantity, QuantityConfig, measure_quantity, stored_quantity
+from gsvis.edit.shape import Shape
 from gsvis.edit.space import SpaceMeshes, mesh_space, solid_voxels
 
 __all__ = [

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from gsvis import _check
 from gsvis.edit.evidence import Evidence
+from gsvis.edit.shape import RESOLUTION
 
 __all__ = ["CLASSES", "HIDDEN", "KEPT", "CleanConfig", "class_of", "classify"]
 
@@ -46,7 +47,8 @@ class CleanConfig:
         strength: How readily fog and floaters are found, in (0, 2]; 1 is the default.
         eyes: Viewpoints in navigable space that look around, at least 1.
         size: Pixels along a side of their faces.
-        resolution: Voxels along the longest side of the grid in which air is found, 8 to 512.
+        resolution: Voxels along the longest side of the grid in which air is found, 8 to 512; fewer where
+            the grid would hold more than 16 million.
         held_out: Views that the guard draws; 0 for no guard.
         least_db: PSNR in dB that each held-out view must keep when classes of `HIDDEN` go.
         most_changed: Share of held-out pixels, in [0, 1], whose depth may change when fog or floaters go.
@@ -61,7 +63,7 @@ class CleanConfig:
     strength: float = 1.0
     eyes: int = 40
     size: int = 128
-    resolution: int = 192
+    resolution: int = RESOLUTION
     held_out: int = 8
     least_db: float = 45.0
     most_changed: float = 0.3
@@ -105,7 +107,7 @@ def classify(found: Evidence, config: CleanConfig) -> U8:
     fog_share, floater_share = 1.0 - (1.0 - _FOG_SHARE) * min(s, 1.5), 1.0 - (1.0 - _FLOATER_SHARE) * s
     unseen = ~found.seen & ~found.far
     misty = found.seen & found.large & (found.opacities <= min(1.0, _FOG_OPACITY * s)) & (found.air >= fog_share)
-    alone = found.seen & ~found.large & (found.air >= floater_share) & (found.faces <= _FACES * s)
+    alone = found.seen & ~found.large & found.alone & (found.air >= floater_share) & (found.faces <= _FACES * s)
     facts = {
         "flyaways": found.far & ~found.backdrop,
         "interior": unseen & found.enclosed,

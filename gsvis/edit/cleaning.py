@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.edit.classes import CLASSES, KEPT, CleanConfig, class_of, classify
-from gsvis.edit.evidence import Evidence, Shape, gather_evidence
+from gsvis.edit.evidence import Evidence, gather_evidence
 from gsvis.edit.guard import Cost, guard
+from gsvis.edit.shape import Shape
 from gsvis.errors import SceneError
 from gsvis.progress import Progress, silent
 from gsvis.scene.cameras import Cameras
@@ -123,7 +124,7 @@ def core_of(g: Gaussians, shape: Shape | None = None) -> Gaussians:
     Raises:
         SceneError: If nothing is left.
     """
-    core = g[(shape or Shape.from_scene(g)).core]
+    core = g[(shape or Shape.from_scene(g)).surfaces]
     if not len(core):
         raise SceneError("the scene has nothing but haze and Gaussians far outside: no surface is left to look at")
     return core

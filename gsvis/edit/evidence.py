@@ -1,8 +1,8 @@
 """Gather what rays say about each Gaussian: does an eye see it, from where, and does it lie in air or at a surface.
 
 Scene frame and units; lengths that decide are voxels of a grid over the scene. Eyes are viewpoints of navigable space
-and, where there are some, of photographs. Light goes through the grid from the eyes: a voxel is *air* where it gets
-through and no surface is near. Groups of few Gaussians that hang alone are no surface. This module knows no class.
+and, where there are some, of photographs. Light goes through the grid from the eyes: a voxel is *air* if it
+connects with the outside or with such light, and no surface is near. This module knows no class.
 """
 
 from __future__ import annotations
@@ -14,80 +14,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.edit._kernels import air as kernels
+from gsvis.edit.shape import FEW, Shape, affordable_resolution, find_surfaces
 from gsvis.errors import SceneError
 from gsvis.progress import Progress, silent
 from gsvis.scene.density import Density
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.icosphere import face_directions
-from gsvis.scene.inspection import FLOATER_EXTENT, MIN_ALPHA
+from gsvis.scene.inspection import MIN_ALPHA
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.solid import Solid
 
 if TYPE_CHECKING:
     from gsvis.edit.classes import CleanConfig
 
-__all__ = ["Evidence", "Shape", "gather_evidence"]
+__all__ = ["Evidence", "gather_evidence"]
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-SURFACE = 0.1  # optical depth of a voxel, at strength 1, from which it belongs to a surface
 STOPS = float(np.log(2.0))  # optical depth behind which a ray counts no more
 CLOSED = 0.29  # optical depth of a voxel that closes a wall: a quarter of the light
-FEW = 24  # Gaussians, at strength 1, of a group that is no surface
-SMALL = 1000  # voxels of such a group, at strength 1
-LARGE = 0.01  # middle standard deviation of a large Gaussian, as a share of the longest side
-ROUND = 0.3  # least over middle standard deviation of a large Gaussian that is no disc
+REACH = 4.0  # voxels around a Gaussian in which others count
 DOUBT = 0.5  # share of tau from which a Gaussian counts as seen: another eye may see it better
-FAINT = 0.3  # opacity below which a large Gaussian does not count as part of a surface
 BACKDROP = 0.05  # share of a direction's solid angle that Gaussians far outside must cover to be a backdrop
 _EYES = 512  # that find air
 _RAYS = 4_000_000  # outward, at most, to look again at what the first found hidden
 _SAMPLES = 32  # points of a Gaussian that say where its mass lies
-
-
-@dataclass(frozen=True, eq=False)
-class Shape:
-    """What the Gaussians alone say, before any eye is known.
-
-    Attributes:
-        far: (N,) the center lies outside 5 times the robust box.
-        hazy: (N,) large in all directions and faint.
-        large: (N,) the middle standard deviation is at least 1% of the longest side of the robust box.
-        low: (3,) lowest corner of the robust box.
-        high: (3,) highest corner.
-    """
-
-    far: Mask
-    hazy: Mask
-    large: Mask
-    low: F64
-    high: F64
-
-    @classmethod
-    def from_scene(cls, g: Gaussians) -> Shape:
-        """Measure a scene.
-
-        Raises:
-            SceneError: If no Gaussian has an opacity of at least 1/255.
-        """
-        can_be_seen = g.opacities >= MIN_ALPHA
-        if not can_be_seen.any():
-            raise SceneError("the scene has no Gaussian with an opacity of at least 1/255: there is nothing to see")
-        low, high = g[can_be_seen].bounds(0.98)
-        middle, half = 0.5 * (low + high), 0.5 * (high - low)
-        far = np.any(np.abs(g.means - middle) > FLOATER_EXTENT * np.maximum(half, 0.02 * half.max()), axis=1)
-        far &= bool(half.max() > 0.0)
-        least, mid, _ = np.sort(g.scales, axis=1).T
-        large = mid >= LARGE * 2.0 * half.max()
-        hazy = large & (least >= ROUND * mid) & (g.opacities <= FAINT)
-        return cls(np.asarray(far), np.asarray(hazy), np.asarray(large), low, high)
-
-    @property
-    def core(self) -> Mask:
-        """(N,) Gaussians that make the surfaces: neither far outside nor hazy."""
-        return ~(self.far | self.hazy)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +51,7 @@ class Evidence:
         seen: (N,) an eye sees it: in a look around, or on a ray outward to navigable space.
         faces: (N,) uint8, of the 80 directions those from which looks saw it.
         air: (N,) float32 in [0, 1], share of its mass in air, of the mass in air and at surfaces.
+        alone: (N,) at least half of its mass is in air, and few others are near.
         large: (N,) wide, compared with the scene.
         far: (N,) far outside of the scene.
         backdrop: (N,) far outside, and part of what fills that direction.
@@ -110,6 +64,7 @@ class Evidence:
     seen: Mask
     faces: NDArray[np.uint8]
     air: F32
+    alone: Mask
     large: Mask
     far: Mask
     backdrop: Mask
@@ -148,9 +103,10 @@ def gather_evidence(
     progress("air", 0, 1)
     rng = np.random.default_rng([config.seed, 1])
     density, passed = _find_passed(core, shape, navigable, given, config, rng)
-    air, near = _find_air(core, density, passed, config.strength)
+    open_air = _open_air(density, passed)
+    air, near = _find_air(core, density, open_air, config.strength)
     shares, met = _shares_in_air(g, density, air, near)
-    enclosed = ~density.look_up(_open_air(density, passed), g.means)
+    enclosed = ~density.look_up(open_air, g.means)
     enclosed &= density.voxels_of(g.means)[1]
     progress("air", 1, 1)
     solid = Solid.from_scene(core)
@@ -172,6 +128,7 @@ def gather_evidence(
         seen=seen,
         faces=faces,
         air=shares,
+        alone=_find_alone(g, core, density, shares, config.strength),
         large=shape.large,
         far=shape.far,
         backdrop=backdrop,
@@ -185,35 +142,44 @@ def gather_evidence(
 def _find_passed(
     core: Gaussians, shape: Shape, navigable: NavigableSpace, given: F64, config: CleanConfig, rng: np.random.Generator
 ) -> tuple[Density, Mask]:
-    """Return the grid over the scene and navigable space, and (X, Y, Z) the voxels that light gets into from eyes."""
+    """Return the grid over the scene and navigable space, and (X, Y, Z) the voxels of it that light from eyes enters.
+
+    Navigable space itself is lit: eyes may be anywhere in it.
+    """
     voxels = np.argwhere(navigable.free)
     corners = navigable.origin + navigable.voxel_size * np.stack([voxels.min(axis=0), voxels.max(axis=0) + 1])
     low, high = np.minimum(shape.low, corners[0]), np.maximum(shape.high, corners[1])
-    margin = 2.0 * float((high - low).max()) / config.resolution
-    density = Density.from_scene(core, low - margin, high + margin, config.resolution)
+    resolution = affordable_resolution(high - low, config.resolution)
+    margin = 2.0 * float((high - low).max()) / resolution
+    density = Density.from_scene(core, low - margin, high + margin, resolution)
     eyes = np.concatenate([navigable.sample_viewpoints(_EYES, rng), given])
     directions = np.ascontiguousarray(face_directions(16).reshape(-1, 3))
-    passed = np.zeros(density.depth.shape, bool)
+    passed = _in_space(density, navigable)
     starts = np.ascontiguousarray((eyes - density.origin) / density.voxel_size)
     kernels.mark_passed(density.depth, starts, directions, STOPS, passed)
     return density, passed
 
 
-def _find_air(core: Gaussians, density: Density, passed: Mask, strength: float) -> tuple[Mask, Mask]:
-    """Return (X, Y, Z) voxels of air, and those at a surface."""
+def _in_space(density: Density, navigable: NavigableSpace) -> Mask:
+    """Return (X, Y, Z) the voxels of a grid whose middle lies in navigable space: rays need not find what is known."""
+    places = []
+    for axis, count in enumerate(density.depth.shape):
+        middles = density.origin[axis] + density.voxel_size * (np.arange(count) + 0.5)
+        index = np.floor((middles - navigable.origin[axis]) / navigable.voxel_size).astype(np.int64)
+        places.append(np.where((index >= 0) & (index < navigable.free.shape[axis]), index, -1))
+    inside = np.ix_(*(place >= 0 for place in places))
+    found = np.zeros(density.depth.shape, bool)
+    found[inside] = navigable.free[np.ix_(*(place[place >= 0] for place in places))]
+    return found
+
+
+def _find_air(core: Gaussians, density: Density, open_air: Mask, strength: float) -> tuple[Mask, Mask]:
+    """Return (X, Y, Z) voxels of open air away from surfaces, and those at a surface."""
     from scipy import ndimage
 
-    around = np.ones((3, 3, 3), bool)
-    solid = density.depth >= SURFACE * strength
-    labels, count = ndimage.label(solid, around)
-    sizes = np.bincount(labels.ravel(), minlength=count + 1)
-    voxels, within = density.voxels_of(core.means)
-    members = labels[tuple(voxels[within].T)]
-    held = np.bincount(members, minlength=count + 1)
-    lonely = (held <= FEW * strength) & (sizes <= SMALL * strength)
-    lonely[0] = False
-    near = ndimage.binary_dilation(solid & ~lonely[labels], around)
-    return np.asarray(ndimage.binary_dilation(passed, around) & ~near), np.asarray(near)
+    surface, _ = find_surfaces(core, density, strength)
+    near = ndimage.binary_dilation(surface, np.ones((3, 3, 3), bool))
+    return np.asarray(open_air & ~near), np.asarray(near)
 
 
 def _shares_in_air(g: Gaussians, density: Density, air: Mask, near: Mask) -> tuple[F32, Mask]:
@@ -230,6 +196,19 @@ def _shares_in_air(g: Gaussians, density: Density, air: Mask, near: Mask) -> tup
         kernels.count_places(means, np.ascontiguousarray(axes), points, labels, counts[start : start + step])
     known = counts[:, 1] + counts[:, 2]
     return (counts[:, 1] / np.maximum(known, 1)).astype(np.float32), known > 0
+
+
+def _find_alone(g: Gaussians, core: Gaussians, density: Density, shares: F32, strength: float) -> Mask:
+    """Return (N,) Gaussians in air with few of the core around them, each of these counted by its center."""
+    from scipy.spatial import KDTree
+
+    alone = shares >= 0.5
+    ids = np.flatnonzero(alone)
+    most = int(FEW * strength) + 1  # itself among them
+    reach = REACH * density.voxel_size
+    distances, _ = KDTree(core.means).query(g.means[ids], [most + 1], distance_upper_bound=reach)
+    alone[ids] = ~np.isfinite(distances[:, 0])
+    return alone
 
 
 def _open_air(density: Density, passed: Mask) -> Mask:

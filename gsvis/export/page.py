@@ -31,7 +31,7 @@ from gsvis.progress import Progress, silent
 from gsvis.scene.gaussians import Gaussians, rotations_from_quats
 from gsvis.scene.levels import Levels
 
-__all__ = ["VIEWER", "SiteReport", "check_site", "write_html", "write_site"]
+__all__ = ["VIEWER", "SiteReport", "check_site", "check_viewer", "write_html", "write_site"]
 
 VIEWER = Path(__file__).parents[1] / "viewer"
 """Folder of the built files of the viewer."""
@@ -189,6 +189,15 @@ def write_html(
             out.write(f'<script>{_START}</script>\n<script type="module">{script}</script>\n'.encode())
             out.write(tail.encode())
         return SiteReport(target, found, target.stat().st_size)
+
+
+def check_viewer() -> None:
+    """Raise unless the viewer is built, which pages need.
+
+    Raises:
+        BackendError: If a file of it is missing.
+    """
+    _viewer_files(VIEWER)
 
 
 def _viewer_files(folder: Path) -> dict[str, bytes]:

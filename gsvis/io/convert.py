@@ -1,9 +1,11 @@
-"""Convert a scene as `gsvis convert` does: crop, drop faint Gaussians, reduce the SH degree, rotate.
+"""Convert scenes as `gsvis convert` does: merge, crop, drop faint Gaussians, reduce the SH degree, place.
 
 Pure functions of scenes in their own frame; knows no file and no format.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,7 +14,7 @@ from gsvis import _check
 from gsvis.errors import SceneError
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["AXES", "convert_scene", "rotation_between_axes"]
+__all__ = ["AXES", "convert_scene", "merge_scenes", "rotation_about_axes", "rotation_between_axes"]
 
 AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 """Names of the six directions along the axes."""
@@ -25,8 +27,14 @@ def convert_scene(
     min_opacity: float = 0.0,
     max_sh_degree: int = 3,
     up: tuple[str, str] | None = None,
+    scale: float = 1.0,
+    rotate: ArrayLike = (0.0, 0.0, 0.0),
+    translate: ArrayLike = (0.0, 0.0, 0.0),
 ) -> Gaussians:
-    """Return a new scene with fewer Gaussians, less view dependence, or another up axis.
+    """Return a new scene with fewer Gaussians, less view dependence, or another placement.
+
+    The order is fixed: `crop`, `min_opacity` and `max_sh_degree` in the frame of `scene`, then `up`, `scale`, `rotate`
+    and `translate`, each in the frame that the one before left. Shapes and view-dependent color follow the placement.
 
     Args:
         scene: The scene; it is not modified.
@@ -36,19 +44,26 @@ def convert_scene(
         max_sh_degree: Drop higher degrees of the spherical harmonics, 0 to 3.
         up: The current up axis and the new one, such as `("-y", "+z")`. The scene rotates about the axis normal to
             both (by half a turn about x, or y for x itself, if they are opposite). None: no rotation.
+        scale: New units for each old one, about the origin; > 0.
+        rotate: (3,) degrees about the x, y and z axis, in this order, about the origin; see `rotation_about_axes`.
+        translate: (3,) in the new scene units.
 
     Returns:
         The converted scene, in the same order.
 
     Raises:
-        ValueError: If an argument is out of its range.
+        ValueError: If an argument is out of its range, or places a Gaussian beyond the range of float32.
         SceneError: If no Gaussian is left.
     """
     if not 0.0 <= min_opacity <= 1.0:
         raise ValueError(f"min_opacity: expected a value in [0, 1], got {min_opacity!r}")
     if isinstance(max_sh_degree, bool) or max_sh_degree not in (0, 1, 2, 3):
         raise ValueError(f"max_sh_degree: expected 0, 1, 2 or 3, got {max_sh_degree!r}")
-    rotation = None if up is None else rotation_between_axes(*_pair(up))
+    if isinstance(scale, bool) or not (0.0 < scale < np.inf):  # also catches NaN
+        raise ValueError(f"scale: expected a finite number above 0, got {scale!r}")
+    rotation = np.eye(3) if up is None else rotation_between_axes(*_pair(up))
+    rotation = rotation_about_axes(rotate) @ rotation
+    shift = _check.floats("translate", translate, (3,), np.float64)
     kept = scene.opacities >= min_opacity
     if crop is not None:
         box = _check.floats("crop", crop, (2, 3), np.float64, finite=False)
@@ -64,9 +79,47 @@ def convert_scene(
     if result.sh_degree > max_sh_degree:
         higher = result.shN[:, : (max_sh_degree + 1) ** 2 - 1]
         result = Gaussians(result.means, result.quats, result.scales, result.opacities, result.sh0, higher)
-    if rotation is not None and not np.array_equal(rotation, np.eye(3)):
-        result = result.transform(rotation)
-    return result
+    if scale == 1.0 and not shift.any() and np.array_equal(rotation, np.eye(3)):
+        return result
+    _check_reach(result, scale, shift)
+    return result.transform(rotation, shift, scale)
+
+
+def merge_scenes(scenes: Sequence[Gaussians]) -> Gaussians:
+    """Return one scene with the Gaussians of all, in their order, as they lie in one frame.
+
+    Args:
+        scenes: At least one. The highest SH degree wins; the coefficients of the others are padded with zeros.
+
+    Raises:
+        ValueError: If `scenes` is empty.
+    """
+    if len(scenes) == 0:
+        raise ValueError("scenes: expected at least one, got none")
+    return scenes[0] if len(scenes) == 1 else Gaussians.concatenate(list(scenes))
+
+
+def rotation_about_axes(degrees: ArrayLike) -> NDArray[np.float64]:
+    """Return the (3, 3) rotation by three angles: about x, then about y, then about z, axes that stay fixed.
+
+    Args:
+        degrees: (3,) angles; positive ones turn y to z, z to x, and x to y. Quarter turns are exact.
+
+    Raises:
+        ValueError: If they are not three finite numbers.
+
+    Example:
+        >>> (rotation_about_axes((90, 0, 90)) @ [0, 1, 0]).tolist()
+        [0.0, 0.0, 1.0]
+    """
+    turn = np.eye(3)
+    for axis, angle in enumerate(_check.floats("rotate", degrees, (3,), np.float64).tolist()):
+        c, s = _cosine(angle), _cosine(angle - 90.0)
+        about = np.eye(3)
+        i, j = (axis + 1) % 3, (axis + 2) % 3
+        about[i, i], about[i, j], about[j, i], about[j, j] = c, -s, s, c
+        turn = about @ turn
+    return turn + 0.0  # turns -0.0 into 0.0
 
 
 def rotation_between_axes(old: str, new: str) -> NDArray[np.float64]:
@@ -103,6 +156,22 @@ def _pair(up: object) -> tuple[str, str]:
 def _axis(name: str, axis: str) -> NDArray[np.float64]:
     _check.one_of(name, axis, AXES)
     return np.asarray(np.eye(3)["xyz".index(axis[1])] * (1.0 if axis[0] == "+" else -1.0), np.float64)
+
+
+def _cosine(degrees: float) -> float:
+    """Return the cosine of degrees, exactly for whole quarter turns."""
+    quarters, rest = divmod(degrees, 90.0)
+    if rest == 0.0:
+        return (1.0, 0.0, -1.0, 0.0)[int(quarters % 4)]
+    return float(np.cos(np.radians(degrees % 360.0)))
+
+
+def _check_reach(scene: Gaussians, scale: float, shift: NDArray[np.float64]) -> None:
+    """Raise if a placed scene would leave the range of float32."""
+    reach = max(float(np.abs(scene.means).max()) * np.sqrt(3.0), float(scene.scales.max())) * scale
+    reach += float(np.abs(shift).max())
+    if not reach < np.finfo(np.float32).max:
+        raise ValueError(f"scale, translate: expected a scene within 3.4e38 units, got one that reaches {reach:.3g}")
 
 
 def _extent(scene: Gaussians) -> str:

@@ -11,7 +11,7 @@ from gsvis.io.colmap import find_colmap
 
 __all__ = ["cameras_remedy", "scene_remedy"]
 
-_SCENES = (".ply", ".spz", ".sog", ".splat", ".pt", ".pth", ".ckpt")
+_SCENES = (".ply", ".spz", ".sog", ".splat", ".ksplat", ".pt", ".pth", ".ckpt")
 _INDICES = ("lod-meta.json", "meta.json")
 _NO_SCENES = ("input.ply", "points3d.ply", "sparse_pc.ply")  # the points that training starts from
 _DEEPEST = 4  # output/point_cloud/iteration_30000/point_cloud.ply is three below

@@ -1,7 +1,7 @@
 """Read a scene of any format, and write one in the format of its suffix.
 
-The content decides the format; the suffix decides only if there is no magic number (`.splat`). Each format has its own
-module.
+The content decides the format; the suffix decides only if there is no magic number (`.splat`, `.ksplat`). Each format
+has its own module.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from gsvis.files.limits import open_regular, read_whole
 from gsvis.io._table import join_names
 from gsvis.io.checkpoint import is_checkpoint, load_checkpoint
 from gsvis.io.folders import scene_remedy
+from gsvis.io.ksplat import load_ksplat, save_ksplat
 from gsvis.io.ply import load_ply, save_ply
 from gsvis.io.sog import load_sog
 from gsvis.io.sog_writer import save_sog
@@ -26,15 +27,16 @@ from gsvis.io.spz import load_spz, save_spz
 from gsvis.io.streamed_sog import load_streamed_sog
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["load_scene", "save_scene"]
+__all__ = ["WRITTEN", "check_scene", "load_scene", "save_scene"]
 
 _KNOWN = (
-    "a scene: PLY (.ply, .compressed.ply), .splat, SPZ (.spz), SOG (.sog or a folder with meta.json), "
+    "a scene: PLY (.ply, .compressed.ply), .splat, .ksplat, SPZ (.spz), SOG (.sog or a folder with meta.json), "
     "streamed SOG (lod-meta.json or its folder) or a checkpoint of gsplat or nerfstudio (.pt, .ckpt)"
 )
 _READERS: dict[str, Callable[[str | os.PathLike[str]], Gaussians]] = {
     ".ply": load_ply,
     ".splat": load_splat,
+    ".ksplat": load_ksplat,
     ".spz": load_spz,
     ".sog": load_sog,
 }
@@ -42,16 +44,37 @@ _WRITERS: dict[str, Callable[[Gaussians, str | os.PathLike[str]], None]] = {
     ".ply": save_ply,
     ".spz": save_spz,
     ".sog": save_sog,
+    ".ksplat": save_ksplat,
 }
+WRITTEN = tuple(_WRITERS)
+"""Suffixes of the formats that `save_scene` writes."""
+
 _MAGICS = {b"ply": ".ply", b"NGSP": ".spz", b"\x1f\x8b": ".spz", b"PK": ".sog"}
+
+
+def check_scene(path: str | os.PathLike[str], lod: int | None = None) -> bool:
+    """Raise unless a path holds a scene of a known format, by its name and first bytes; return whether it is streamed.
+
+    Reads no Gaussian, so that the inputs of long work can be checked first.
+
+    Args:
+        path: As for `load_scene`.
+        lod: As for `load_scene`.
+
+    Raises:
+        FileNotFoundError: If there is nothing at `path`.
+        FormatError: If the format is unknown.
+        ValueError: If `lod` is given for a format with one level.
+    """
+    return _find_reader(_check.path("path", path), lod) is None
 
 
 def load_scene(path: str | os.PathLike[str], lod: int | None = None) -> Gaussians:
     """Read a scene of 3D Gaussians in any known format.
 
     Args:
-        path: An INRIA or compressed PLY, a `.splat`, an SPZ (version 1 to 4), a SOG (`.sog`, `meta.json` or its
-            folder), a streamed SOG (`lod-meta.json` or its folder), or a checkpoint of gsplat or of nerfstudio's
+        path: An INRIA or compressed PLY, a `.splat`, a `.ksplat`, an SPZ (version 1 to 4), a SOG (`.sog`, `meta.json`
+            or its folder), a streamed SOG (`lod-meta.json` or its folder), or a checkpoint of gsplat or of nerfstudio's
             splatfacto (`.pt`, `.ckpt`).
         lod: Level of detail of a streamed SOG, 0 the finest; None takes the finest present. Other formats have one
             level and need None.
@@ -65,24 +88,31 @@ def load_scene(path: str | os.PathLike[str], lod: int | None = None) -> Gaussian
         ValueError: If `lod` is not an integer >= 0, or is given for a format with one level.
     """
     where = _check.path("path", path)
-    if not where.exists():
-        raise FileNotFoundError(errno.ENOENT, "no scene file or folder here", str(where))
-    if _is_streamed(where):
-        return load_streamed_sog(where, lod)
-    reader = _reader(where)
+    reader = _find_reader(where, lod)
+    return load_streamed_sog(where, lod) if reader is None else reader(where)
+
+
+def _find_reader(path: Path, lod: int | None) -> Callable[[str | os.PathLike[str]], Gaussians] | None:
+    """Return the reader for a path; None for a streamed SOG, which has LODs."""
+    if not path.exists():
+        raise FileNotFoundError(errno.ENOENT, "no scene file or folder here", str(path))
+    if _is_streamed(path):
+        return None
+    reader = _reader(path)
     if lod is not None:
         raise ValueError(f"lod: expected None for a file with one level of detail, got {lod!r}; omit it")
-    return reader(where)
+    return reader
 
 
 def save_scene(scene: Gaussians, path: str | os.PathLike[str]) -> None:
     """Write a scene in the format of the path's suffix, atomically.
 
-    INRIA PLY (`.ply`) keeps everything; SPZ (`.spz`) and SOG (`.sog`) are about ten times smaller and lossy.
+    INRIA PLY (`.ply`) keeps everything; SPZ (`.spz`) and SOG (`.sog`) are about ten times smaller and lossy; `.ksplat`
+    is for GaussianSplats3D, and lossy too.
 
     Args:
         scene: The scene.
-        path: A file name that ends in `.ply`, `.spz` or `.sog`; its folder is created if missing.
+        path: A file name that ends in `.ply`, `.spz`, `.sog` or `.ksplat`; its folder is created if missing.
 
     Raises:
         ValueError: If the suffix is another one, the scene is empty, or the format cannot hold it.

@@ -6,6 +6,7 @@ _MODULES = (
     "corridor",
     "density",
     "gaussians",
+    "histograms",
     "icosphere",
     "inspection",
     "kinds",

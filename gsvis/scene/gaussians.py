@@ -192,7 +192,7 @@ class Gaussians:
         return Gaussians(
             scale * (self.means.astype(np.float64) @ r.T) + t,
             quats,
-            self.scales.astype(np.float64) * scale,
+            np.maximum(self.scales.astype(np.float64) * scale, np.finfo(np.float32).tiny),
             self.opacities,
             self.sh0,
             np.einsum("ij,njc->nic", turn, self.shN) if turn.size else self.shN,

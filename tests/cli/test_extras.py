@@ -56,6 +56,7 @@ COMMANDS = {
     "train": ["train", "IN/photos", "-o", "OUT/t.ply", "--iterations", "2", "--sh-degree", "0"],
     "levels": ["levels", "IN/rooms.ply", "-o", "OUT/levels"],
     "convert": ["convert", "IN/rooms.ply", "OUT/a.spz"],
+    "convert to a page": ["convert", "IN/rooms.ply", "IN/rooms.ply", "-o", "OUT/a.html"],
     "clean": ["clean", "IN/rooms.ply", "-o", "OUT/clean.ply", "--report", "OUT/clean", "--eyes", "1", "--held-out", "1",
               *BOX],
     "space": ["space", "IN/rooms.ply", "-o", "OUT/space.glb", *BOX],

@@ -30,6 +30,7 @@ LOOK = "--views 3 --width 12 --height 9 --traced-sample 20 --rays-per-face 1"
 COMMANDS = {
     "convert": "convert {ply} {out}/a.sog --overwrite",
     "convert ply": "convert {ply} {out}/a.ply --overwrite",
+    "convert ksplat": "convert {ply} {out}/a.ksplat --overwrite",
     "convert spz": "convert {ply} {out}/a.spz --overwrite",
     "render png": "render {ply} -o {out}/a.png --width 64 --height 48 --depth --eye 1 1 1",
     "render gif": "render {ply} -o {out}/a.gif --width 64 --height 48 --orbit 2",

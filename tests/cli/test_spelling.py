@@ -37,7 +37,10 @@ def commands() -> list[tuple[str, type]]:
         (["pvs", "x", "-o", "y", "--method", "hybrd"], "--method: expected one of hybrid, .* did you mean hybrid?"),
         (["pvs", "x", "-o", "y", "--method=rast"], "--method: expected one of .* did you mean raster?"),
         (["inspect", "builtin:two_room"], "builtin:nested_shells, or a path, .* did you mean builtin:two_rooms?"),
-        (["convert", "builtin:two_rooms", "/tmp/x.sgo"], "ends in .ply, .spz, .sog, got .*; did you mean .sog?"),
+        (
+            ["convert", "builtin:two_rooms", "/tmp/x.sgo"],
+            "ends in .ply, .spz, .sog, .* got .*; did you mean .sog?",
+        ),
         (["inspect", "builtin:attic"], "expected one of builtin:.* got 'builtin:attic'"),
     ],
 )

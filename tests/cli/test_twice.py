@@ -25,6 +25,7 @@ COMMANDS = {
     "convert to ply": ["convert", "../rooms.ply", "out.ply", "--min-opacity", "0.1"],
     "convert to spz": ["convert", "../rooms.ply", "out.spz"],
     "convert to compact spz": ["convert", "../rooms.ply", "out.spz", "--compact"],
+    "convert to ksplat": ["convert", "../rooms.ply", "../rooms.ply", "-o", "out.ksplat", "--rotate", "1", "2", "3"],
     "convert to sog": ["convert", "../rooms.ply", "out.sog"],
     "cut": ["cut", "../rooms.ply", "-o", "out.ply", "--box", "1", "1", "1", "2", "2", "2", "--size", "16", "--views",
             "1", "--limit", "0.05", "--select", "out.npy"],

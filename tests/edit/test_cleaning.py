@@ -113,7 +113,8 @@ def test_haze_is_no_surface(dirty: Dirty) -> None:
     shape = Shape.from_scene(dirty.scene)
     fog = dirty.classes == class_of("fog")
     assert shape.hazy[fog].all()
-    assert len(core_of(dirty.scene)) == int(shape.core.sum()) < len(dirty.scene)
+    assert not shape.surfaces[fog].any()
+    assert len(core_of(dirty.scene)) == int(shape.surfaces.sum()) < int(shape.core.sum()) < len(dirty.scene)
 
 
 def test_gsvis_clean_is_this_one(dirty: Dirty) -> None:

@@ -486,7 +486,7 @@ KINDS: dict[str, Mutator] = {
 
 _SUFFIXES = {
     ".json": "json", ".ply": "ply", ".webp": "webp", ".npy": "npy", ".npz": "archive", ".sog": "zip", ".txt": "text",
-    ".csv": "text", ".gz": "gzip-text", ".log": "text",
+    ".csv": "text", ".ksplat": "ksplat", ".gz": "gzip-text", ".log": "text",
 }  # fmt: skip
 
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from contextlib import suppress
 from pathlib import Path
+from random import Random
 from tempfile import TemporaryDirectory
 from typing import Any
 
@@ -17,9 +19,11 @@ from gsvis.io import load_scene
 from gsvis.io.checkpoint import load_checkpoint
 from gsvis.io.points import load_points
 from gsvis.scene.gaussians import Gaussians
+from tests.fuzz.mutators import KINDS, change_bytes
 from tests.fuzz.targets import Case, Target
 from tests.io.scene_files import (
     compressed_ply_bytes,
+    ksplat_bytes,
     ply_bytes,
     random_scene,
     raw_columns,
@@ -96,6 +100,38 @@ def packed_plys() -> list[Case]:
 
 def splats() -> list[Case]:
     return [{"a.splat": splat_bytes(scene)} for scene in (SMALL, FLAT)]
+
+
+def ksplats() -> list[Case]:
+    degree2 = random_scene(9, 2, 5)
+    made = [ksplat_bytes([scene], level) for level in (0, 1, 2) for scene in (SMALL, FLAT, degree2)]
+    return [{"a.ksplat": data} for data in [*made, ksplat_bytes([FLAT, degree2], 2)]]
+
+
+def change_ksplat(rng: Random, data: bytes) -> bytes:
+    """One change of a .ksplat: mostly of a field of its head or of a section's, else of what follows them."""
+    sections = min(3, int.from_bytes(data[4:8], "little"))
+    start = 4096 + 1024 * sections
+    if len(data) < start or not sections or rng.random() < 0.1:
+        return change_bytes(rng, data)
+    if rng.random() < 0.4:
+        return data[:start] + change_bytes(rng, data[start:])
+    if rng.random() < 0.4:
+        at, form = rng.choice(((0, "B"), (1, "B"), (4, "I"), (16, "I"), (20, "H"), (36, "f"), (40, "f")))
+    else:
+        whole = ((at, "I") for at in (0, 4, 8, 12, 24, 32, 36))
+        fields = (*whole, (16, "f"), (20, "H"), (40, "H"))
+        at, form = rng.choice(fields)
+        at += 4096 + 1024 * rng.randrange(sections)
+    if form == "f":
+        piece = struct.pack("<f", rng.choice((0.0, -1.0, 1e-30, 3e38, math.inf, math.nan, 2.0)))
+        return data[:at] + piece + data[at + 4 :]
+    size = struct.calcsize(form)
+    value = rng.choice((0, 1, 2, 3, 255, 1 << 31, int.from_bytes(data[at : at + size], "little") + rng.choice((-1, 1))))
+    return data[:at] + (value & (1 << 8 * size) - 1).to_bytes(size, "little") + data[at + size :]
+
+
+KINDS["ksplat"] = change_ksplat
 
 
 def old_spz() -> list[Case]:
@@ -197,6 +233,7 @@ TARGETS = [
     Target("ply", plain_plys, in_one_file, modules=_PLY),
     Target("compressed-ply", packed_plys, in_one_file, modules=(IO + "compressed_ply", *_PLY)),
     Target("splat", splats, by_other_names, modules=(IO + "splat",), weight=0.5),
+    Target("ksplat", ksplats, in_one_file, modules=(IO + "ksplat",)),
     Target("spz-gzip", old_spz, in_one_file, kinds={"a.spz": "gzip-spz"}, modules=(IO + "spz",)),
     Target("spz-zstd", new_spz, in_one_file, kinds={"a.spz": "spz4"}, modules=(IO + "spz",)),
     Target("sog-zip", zipped_sogs, in_one_file, modules=_SOG),

@@ -16,6 +16,7 @@ FILES = {
     "ply": (0, 1, 2, 3),
     "compressed-ply": (0,),
     "splat": (0,),
+    "ksplat": (0, 3, 6, 9),
     "spz-gzip": (0, 3, 6),
     "spz-zstd": (0,),
     "sog-zip": (0, 3),

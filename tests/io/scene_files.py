@@ -88,6 +88,42 @@ def splat_bytes(scene: Gaussians) -> bytes:
     return b"".join(records)
 
 
+def ksplat_bytes(scenes: list[Gaussians], level: int, *, bucket: int = 4, block: float = 16.0) -> bytes:
+    """A .ksplat with a section for each scene; buckets of Gaussians in turn, their first center as center."""
+    low, high = -1.0, 0.9
+    total = sum(map(len, scenes))
+    data = struct.pack("<4B4IHH5f", 0, 1, 0, 0, len(scenes), len(scenes), total, total, level, 0, 0, 0, 0, low, high)
+    data += bytes(4096 - len(data))
+    bodies = []
+    for scene in scenes:
+        n = len(scene)
+        starts = range(0, n, bucket) if level else []
+        full, rest = (n // bucket, [n % bucket] if n % bucket else []) if level else (0, [])
+        centers = [scene.means[k].tolist() for k in starts]
+        body = struct.pack(f"<{len(rest)}I", *rest) + b"".join(struct.pack("<3f", *center) for center in centers)
+        for i in range(n):
+            sh = [scene.shN[i, k, c] for ks in ((0, 1, 2), (3, 4, 5, 6, 7)) for c in range(3) for k in ks
+                  if k < scene.shN.shape[1]]  # fmt: skip
+            rest_of = [*scene.scales[i], *scene.quats[i]]
+            if level == 0:
+                body += struct.pack("<10f", *scene.means[i], *rest_of)
+            else:
+                away = (scene.means[i].astype(np.float64) - centers[i // bucket]) / (block / 2 / 32767) + 32767
+                body += struct.pack("<3H7e", *(round(v) for v in away), *rest_of)
+            rgb = np.clip((0.5 + SH_C0 * scene.sh0[i, 0]) * 255, 0, 255)
+            body += bytes(round(float(v)) for v in (*rgb, scene.opacities[i] * 255))
+            if level == 2:
+                body += bytes(round(float(np.clip((v - low) / (high - low) * 255, 0, 255))) for v in sh)
+            else:
+                body += struct.pack(f"<{len(sh)}{'fe'[level]}", *sh)
+        head = struct.pack("<4IfHHIIII", n, n, bucket if level else 0, len(starts), block if level else 0.0,
+                           12 if level else 0, 0, 32767 if level else 0, len(body), full, len(rest))  # fmt: skip
+        head += struct.pack("<H", scene.sh_degree)
+        data += head + bytes(1024 - len(head))
+        bodies.append(body)
+    return data + b"".join(bodies)
+
+
 def compressed_ply_bytes(scene: Gaussians, *, color_range: bool = True) -> bytes:
     n = len(scene)
     rgb = 0.5 + SH_C0 * scene.sh0[:, 0].astype(np.float64)

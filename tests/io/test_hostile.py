@@ -66,6 +66,7 @@ def finish(call: Callable[[], Any]) -> Any:
 READERS: dict[str, tuple[str, Callable[[Path], Any]]] = {
     "ply": ("a.ply", load_scene),
     "splat": ("a.splat", load_scene),
+    "ksplat": ("a.ksplat", load_scene),
     "spz": ("a.spz", load_scene),
     "sog": ("a.sog", load_scene),
     "meta": ("meta.json", load_scene),

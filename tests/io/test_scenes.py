@@ -69,7 +69,7 @@ def test_nothing_there_is_file_not_found(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("data", [b"", b"hello", b"{}", bytes(100), b"solid cube"])
-@pytest.mark.parametrize("name", ["a.xyz", "a.ply", "a.spz", "a.sog", "a.json", "a.splat", "a"])
+@pytest.mark.parametrize("name", ["a.xyz", "a.ply", "a.spz", "a.sog", "a.json", "a.splat", "a.ksplat", "a"])
 def test_unknown_content_is_refused(tmp_path: Path, name: str, data: bytes) -> None:
     (tmp_path / name).write_bytes(data)
     with pytest.raises(FormatError) as caught:
@@ -103,7 +103,7 @@ def test_formats_that_are_only_read(tmp_path: Path, name: str) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("suffix", [".ply", ".spz", ".sog"])
+@pytest.mark.parametrize("suffix", [".ply", ".spz", ".sog", ".ksplat"])
 def test_an_empty_scene_is_not_written(tmp_path: Path, suffix: str) -> None:
     with pytest.raises(ValueError, match="at least one"):
         save_scene(Gaussians.empty(), tmp_path / f"a{suffix}")

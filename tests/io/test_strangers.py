@@ -50,7 +50,7 @@ def test_content_counts_and_not_the_suffix(ply: Path, name: str) -> None:
     assert len(load_scene(shutil.copy(ply, ply.with_name(name)))) == 50
 
 
-@pytest.mark.parametrize("suffix", [".ply", ".splat", ".spz", ".sog", ".pt", ".ckpt", ".txt"])
+@pytest.mark.parametrize("suffix", [".ply", ".splat", ".ksplat", ".spz", ".sog", ".pt", ".ckpt", ".txt"])
 def test_an_empty_file_is_called_so(tmp_path: Path, suffix: str) -> None:
     (tmp_path / f"scene{suffix}").touch()
     text = refusal(lambda: load_scene(tmp_path / f"scene{suffix}"))

@@ -1,0 +1,287 @@
+"""Read and write `.ksplat`, the format of the web viewer GaussianSplats3D, version 0.1.
+
+A header of 4,096 bytes, headers of 1,024 bytes for the sections, then the sections: lengths and centers of buckets,
+then one record a Gaussian. Compression 0 keeps floats; 1 and 2 keep half floats, and positions as 16 bits inside the
+block of their bucket; 2 keeps a byte for each SH coefficient. Colors and opacities are bytes, SH ends at degree 2.
+Without a magic number the suffix alone tells the format.
+
+References:
+    https://github.com/mkkellogg/GaussianSplats3D, src/loaders/SplatBuffer.js, which defines the layout.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import struct
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis import _check
+from gsvis.errors import FormatError
+from gsvis.files.atomic import atomic_path
+from gsvis.files.limits import read_whole
+from gsvis.io._build import LEAST_SCALE, gaussians_from, sh0_from_rgb
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.sh import SH_C0
+
+__all__ = ["load_ksplat", "save_ksplat"]
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+_HEADER, _HEADER_BYTES = struct.Struct("<BB2xIIIIH2x5f"), 4096
+_SECTION, _SECTION_BYTES = struct.Struct("<IIIIfH2xIIIIH"), 1024
+_CENTER_BYTES = 12
+_COMPONENTS = (0, 9, 24)
+_RANGE = 32767  # steps from the center of a block to its side
+_HALF_RANGE = 1.5  # of SH in bytes, where the header has 0
+_BUCKET = 256
+_BLOCKS = 8  # along the longest side of the middle 98%: a viewer searches buckets in turn, so they are few
+_LEAST_HALF, _MOST_HALF = 2.0**-24, 65504.0
+_logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class _Section:
+    """Fields of one section's header, and where its lengths, centers and records begin in the file."""
+
+    count: int
+    degree: int
+    bucket_size: int
+    full: int
+    partial: int
+    step: float
+    scale_range: int
+    base: int
+    records: int
+
+
+def load_ksplat(path: str | os.PathLike[str]) -> Gaussians:
+    """Read a `.ksplat` file of any compression.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The scene in the file's order and frame. Sections of lower SH degree are padded with zeros.
+
+    Raises:
+        FormatError: If the file is truncated, of another version, or a value is invalid.
+        OSError: If it cannot be opened.
+    """
+    data = read_whole(path)
+    if len(data) < _HEADER_BYTES:
+        raise FormatError(path, "header", f"{_HEADER_BYTES:,} bytes", f"{len(data):,}", "is the file truncated?")
+    major, minor, sections, _, _, count, level, *_, low, high = _HEADER.unpack_from(data)
+    if (major, minor >= 1) != (0, True):
+        raise FormatError(path, "header", "version 0.1 of .ksplat", f"{major}.{minor}")
+    if level > 2:
+        raise FormatError(path, "header", "compression 0, 1 or 2", f"{level}")
+    found = _parse_sections(path, data, sections, level)
+    total = sum(section.count for section in found)
+    if total != count or total == 0:
+        raise FormatError(path, "header", f"{total:,} Gaussians, as in the sections", f"{count:,}")
+    limits = (low if abs(low) > 0 else -_HALF_RANGE), (high if abs(high) > 0 else _HALF_RANGE)  # NaN counts as 0
+    if level == 2 and not limits[0] < limits[1] < np.inf:
+        raise FormatError(path, "header", "a least SH coefficient below the largest", f"{limits[0]} and {limits[1]}")
+    degree = max(section.degree for section in found if section.count)
+    parts = [_decode(path, data, section, level, degree, limits) for section in found if section.count]
+    means, quats, scales, opacities, sh0, higher = (_join(arrays) for arrays in zip(*parts, strict=True))
+    return gaussians_from(path, means, quats, scales, opacities, sh0, higher)
+
+
+def _parse_sections(path: str | os.PathLike[str], data: bytes, sections: int, level: int) -> list[_Section]:
+    base = _HEADER_BYTES + sections * _SECTION_BYTES
+    if base > len(data):
+        raise FormatError(path, "header", f"{base:,} bytes for {sections:,} sections", f"{len(data):,}")
+    found = []
+    for k in range(sections):
+        fields = _SECTION.unpack_from(data, _HEADER_BYTES + k * _SECTION_BYTES)
+        count, room, bucket_size, buckets, block, stored, scale_range, _, full, partial, degree = fields
+        where = f"section {k}"
+        if degree > 2:
+            raise FormatError(path, where, "an SH degree of 0 to 2", f"{degree}")
+        if count > room:
+            raise FormatError(path, where, f"at most {room:,} Gaussians", f"{count:,}")
+        records = base + 4 * partial + stored * buckets
+        end = records + room * _record(level, degree).itemsize
+        if end > len(data):
+            raise FormatError(path, where, f"{end:,} bytes", f"{len(data):,}", "is the file truncated?")
+        if level and count and not (stored == _CENTER_BYTES and full + partial <= buckets and 0.0 < block < np.inf):
+            raise FormatError(
+                path,
+                where,
+                f"{full + partial:,} buckets of 12 bytes in blocks above 0",
+                f"{buckets:,} of {stored} bytes in blocks of {block:g}",
+            )
+        steps = scale_range or _RANGE
+        found.append(_Section(count, degree, bucket_size, full, partial, block / 2.0 / steps, steps, base, records))
+        base = end
+    return found
+
+
+def _decode(
+    path: str | os.PathLike[str], data: bytes, section: _Section, level: int, degree: int, limits: tuple[float, float]
+) -> tuple[F32, F32, F32, F32, F32, F32]:
+    """Return means, quats, scales, opacities, sh0 and shN of one section, shN of the degree of the file."""
+    n = section.count
+    records = np.frombuffer(data, _record(level, section.degree), n, section.records)
+    with np.errstate(all="ignore"):  # what is not finite is refused later
+        if level:
+            away = (records["means"].astype(np.float64) - section.scale_range) * section.step
+            means = (away + _centers(path, data, section)).astype(np.float32)
+        else:
+            means = records["means"].astype(np.float32)
+        scales = records["scales"].astype(np.float32)
+        scales[scales == 0.0] = LEAST_SCALE
+        rgba = records["rgba"].astype(np.float32) / np.float32(255.0)
+        values = records["sh"].astype(np.float32)
+        if level == 2:
+            values = values / np.float32(255.0) * np.float32(limits[1] - limits[0]) + np.float32(limits[0])
+        higher = np.zeros((n, (degree + 1) ** 2 - 1, 3), np.float32)
+        order = _order(section.degree)
+        higher[:, : len(order)] = values[:, order]
+        quats = records["quats"].astype(np.float32)
+    return means, quats, scales, rgba[:, 3], sh0_from_rgb(rgba[:, :3]), higher
+
+
+def _centers(path: str | os.PathLike[str], data: bytes, section: _Section) -> F32:
+    """Return (N, 3) the center of the bucket of each Gaussian."""
+    rest = np.frombuffer(data, "<u4", section.partial, section.base).astype(np.int64)
+    lengths = np.concatenate([np.full(section.full, section.bucket_size, np.int64), rest])
+    ends = np.cumsum(lengths)
+    if len(ends) == 0 or ends[-1] < section.count:
+        held = int(ends[-1]) if len(ends) else 0
+        raise FormatError(path, "buckets", f"room for {section.count:,} Gaussians", f"{held:,}")
+    centers = np.frombuffer(data, "<f4", 3 * len(ends), section.base + 4 * section.partial).reshape(-1, 3)
+    return np.asarray(centers[np.searchsorted(ends, np.arange(section.count), side="right")], np.float32)
+
+
+def _join(arrays: tuple[F32, ...]) -> F32:
+    return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
+
+
+def _record(level: int, degree: int) -> np.dtype[Any]:
+    """Return the layout of one Gaussian."""
+    place, value, sh = (("<f4", "<f4", "<f4"), ("<u2", "<f2", "<f2"), ("<u2", "<f2", "u1"))[level]
+    fields = [("means", place, (3,)), ("scales", value, (3,)), ("quats", value, (4,)), ("rgba", "u1", (4,))]
+    return np.dtype([*fields, ("sh", sh, (_COMPONENTS[degree],))])
+
+
+def _order(degree: int) -> NDArray[np.int64]:
+    """Return (K-1, 3) where each coefficient of each channel is stored: by band, then channel."""
+    bands = [np.arange(3)[None, :] * size + np.arange(size)[:, None] for size in (3, 5)[:degree]]
+    rows = [start + band for start, band in zip((0, 9), bands, strict=False)]
+    return np.concatenate([*rows, np.zeros((0, 3), np.int64)]).astype(np.int64)
+
+
+def save_ksplat(scene: Gaussians, path: str | os.PathLike[str], *, compression: int = 1) -> None:
+    """Write a `.ksplat` file, atomically.
+
+    Lossy: colors are clipped to [0, 1], color and opacity take a byte a value, SH above degree 2 is dropped with a
+    warning in the log. Compression 0 keeps everything else, and the order. 1 and 2 put Gaussians in the order of their
+    blocks, round positions to 1/65534 of a block (an eighth of the longest side of the middle 98% of the centers), and
+    hold scales of 6e-8 to 65504.
+
+    Args:
+        scene: The scene; its frame is kept.
+        path: The file; its folder is created if missing.
+        compression: 0, 1 or 2; 44 to 140 bytes a Gaussian, 24 to 72, or 24 to 48, by SH degree.
+
+    Raises:
+        ValueError: If the scene is empty, or `compression` is not 0, 1 or 2.
+        OSError: If it cannot be written.
+    """
+    if isinstance(compression, bool) or compression not in (0, 1, 2):
+        raise ValueError(f"compression: expected 0, 1 or 2, got {compression!r}")
+    if len(scene) == 0:
+        raise ValueError("scene: expected at least one Gaussian, got none")
+    target = _check.path("path", path)
+    if scene.sh_degree > 2:
+        _logger.warning("%s: SH degree 3 is reduced to 2, the highest of .ksplat", target)
+        lower = scene.shN[:, :8]
+        scene = Gaussians(scene.means, scene.quats, scene.scales, scene.opacities, scene.sh0, lower)
+    buckets = _sort_into_buckets(scene) if compression else None
+    low, high = _sh_limits(scene.shN)
+    records = _encode(scene if buckets is None else scene[buckets.order], compression, buckets, (low, high))
+    n, head = len(scene), b""
+    fields: tuple[float, ...] = (n, n, 0, 0, 0.0, 0, 0, records.nbytes, 0, 0, scene.sh_degree)
+    if buckets is not None:
+        head = buckets.lengths[buckets.full :].astype("<u4").tobytes() + buckets.centers.astype("<f4").tobytes()
+        made = len(buckets.lengths)
+        stored = len(head) + records.nbytes
+        fields = (n, n, _BUCKET, made, buckets.block, _CENTER_BYTES, _RANGE, stored & 0xFFFFFFFF, buckets.full,
+                  made - buckets.full, scene.sh_degree)  # fmt: skip
+    with atomic_path(target) as partial, open(partial, "wb") as out:
+        out.write(_HEADER.pack(0, 1, 1, 1, n, n, compression, 0.0, 0.0, 0.0, low, high).ljust(_HEADER_BYTES, b"\0"))
+        out.write(_SECTION.pack(*fields).ljust(_SECTION_BYTES, b"\0"))
+        out.write(head)
+        out.write(records.data)
+
+
+class _Buckets(NamedTuple):
+    """Gaussians in order of their buckets, full ones first; each bucket lies in one block of a grid.
+
+    order (N,) indices; lengths (B,); full: number of full ones; centers (B, 3) float32; block: side of a block.
+    """
+
+    order: NDArray[np.int64]
+    lengths: NDArray[np.int64]
+    full: int
+    centers: F32
+    block: float
+
+
+def _sort_into_buckets(scene: Gaussians) -> _Buckets:
+    low, high = scene.bounds()  # a grid from the corner of all centers would be as coarse as its floaters are far
+    side = float((high - low).max()) or _BLOCKS
+    block = float(max(np.float32(side / _BLOCKS), np.finfo(np.float32).tiny))
+    cells = np.floor((scene.means.astype(np.float64) - low) / block)
+    order = np.lexsort(cells.T[::-1])
+    cells = cells[order]
+    starts = np.flatnonzero(np.r_[True, (cells[1:] != cells[:-1]).any(axis=1)])
+    place = np.arange(len(cells)) - np.repeat(starts, np.diff(np.r_[starts, len(cells)]))
+    starts = np.flatnonzero(place % _BUCKET == 0)
+    lengths = np.diff(np.r_[starts, len(cells)])
+    ranked = np.argsort(lengths < _BUCKET, kind="stable")
+    rank = np.empty(len(ranked), np.int64)
+    rank[ranked] = np.arange(len(ranked))
+    centers = (low + (cells[starts] + 0.5) * block)[ranked].astype(np.float32)
+    order = order[np.argsort(np.repeat(rank, lengths), kind="stable")]
+    return _Buckets(order, lengths[ranked], int((lengths == _BUCKET).sum()), centers, block)
+
+
+def _sh_limits(higher: F32) -> tuple[float, float]:
+    """Return the values of the codes 0 and 255 of SH: all values lie between, and 128 is exactly 0."""
+    step = max(float(higher.max()) / 127.0, -float(higher.min()) / 128.0) if higher.size else 0.0
+    step = min(step, 1e36) or _HALF_RANGE / 128.0
+    return float(np.float32(-128.0 * step)), float(np.float32(127.0 * step))
+
+
+def _encode(scene: Gaussians, level: int, buckets: _Buckets | None, limits: tuple[float, float]) -> NDArray[Any]:
+    """Return the records (N,) of a scene, which is in the order of its buckets."""
+    records = np.zeros(len(scene), _record(level, scene.sh_degree))
+    order = _order(scene.sh_degree).reshape(-1)
+    values = np.empty((len(scene), len(order)), np.float32)
+    values[:, order] = scene.shN.reshape(len(scene), -1)
+    if buckets is None:
+        records["means"], records["scales"] = scene.means, scene.scales
+    else:
+        centers = np.repeat(buckets.centers, buckets.lengths, axis=0).astype(np.float64)
+        steps = np.rint((scene.means - centers) / (buckets.block / 2.0 / _RANGE))
+        records["means"] = np.clip(steps + _RANGE, 0, 2 * _RANGE + 1)
+        records["scales"] = np.clip(scene.scales, _LEAST_HALF, _MOST_HALF)
+        values = np.clip(values, -_MOST_HALF, _MOST_HALF) if level == 1 else _to_bytes(values, *limits)
+    records["quats"], records["sh"] = scene.quats, values
+    records["rgba"][:, :3] = np.rint(np.clip(0.5 + SH_C0 * scene.sh0[:, 0], 0.0, 1.0) * 255.0)
+    records["rgba"][:, 3] = np.rint(scene.opacities * 255.0)
+    return records
+
+
+def _to_bytes(values: F32, low: float, high: float) -> F32:
+    return np.asarray(
+        np.clip(np.rint((values - np.float32(low)) * np.float32(255.0 / (high - low))), 0, 255), np.float32
+    )
