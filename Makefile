@@ -20,6 +20,8 @@ BIN := .venv/bin
 export PYTHON
 # As many workers as cores that this process may use; nproc knows, and without it pytest-xdist counts them all.
 export PYTEST_XDIST_AUTO_NUM_WORKERS ?= $(shell nproc 2>/dev/null)
+# Threads that wait for a kernel sleep: spinning beside other work costs an example ten times its processor time.
+export OMP_WAIT_POLICY ?= passive
 # Tests start hundreds of Python processes: without bytecode each would compile the package anew.
 unexport PYTHONDONTWRITEBYTECODE
 

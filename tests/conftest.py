@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
+
+from tests.bare_plots import PAGES, draw_bare_plots
 
 os.environ.setdefault("MPLBACKEND", "Agg")
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # workers of one machine do not spin against each other
@@ -27,9 +28,6 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
 )
 settings.load_profile("gsvis")
-
-PAGES = ("document", "color_document", "pvs_document", "spheres", "theme")
-"""Modules of the room report in which plots are drawn; others import `draw_png` from theme when they need it."""
 
 _DEFAULT_REALDATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -56,26 +54,7 @@ def coarse_plots() -> Iterator[None]:
 @pytest.fixture(scope="module")
 def bare_plots(coarse_plots: None) -> Iterator[None]:
     """Draw the plots of reports without axes and words, which take most of the time."""
-    from gsvis.report import theme
-
-    draw_png = theme.draw_png
-
-    def drawn(
-        draw: Callable[..., None], colors: theme.Theme = theme.LIGHT, size: tuple[float, float] = (5, 3)
-    ) -> bytes:
-        def draw_marks(axes: Any, colors: theme.Theme) -> None:
-            draw(axes, colors)
-            axes.set_axis_off()
-            for part in (axes.xaxis, axes.yaxis, axes.title, axes.get_legend(), *axes.texts):
-                if part is not None:
-                    part.set_visible(False)
-
-        return draw_png(draw_marks, colors, size)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("gsvis.report.theme.draw_png", drawn)  # of those that import it when they draw
-        for page in PAGES:
-            patch.setattr(f"gsvis.report.{page}.draw_png", drawn)
+    with draw_bare_plots():
         yield
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from gsvis._check import plain
-from gsvis._extras import require
+from gsvis._extras import has, require
 from gsvis.cli.arguments import Render
 from gsvis.cli.pictures import Frame, Target, target_of, write_frames
 from gsvis.cli.source import Source, check_source, load_source
@@ -133,6 +133,8 @@ def _backend(asked: str) -> str:
     Raises:
         BackendError: If cuda is asked for and cannot run here.
     """
+    if asked == "auto" and not has("gsplat"):  # is_available imports torch, which takes longer than a render
+        return "cpu"
     missing = is_available() if asked in ("auto", "cuda") else ""
     if asked == "cuda" and missing:
         raise BackendError(missing)

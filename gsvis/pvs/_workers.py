@@ -42,6 +42,7 @@ from gsvis.scene.levels import Levels
 
 __all__ = [
     "CellTask",
+    "Processes",
     "SceneArrays",
     "Task",
     "ViewpointTask",
@@ -210,16 +211,19 @@ def run_on(executor: Executor, share: Callable[[], Any], tasks: list[Task], in_f
     return _until_done(tasks, lambda left: _submit(executor, share(), left, in_flight), CancelledError, message)
 
 
-def run_in_processes(scene: SceneArrays, tasks: list[Task], workers: int) -> Iterator[Result]:
-    """Yield the results of the tasks from `workers` processes of this machine; dead processes are replaced.
+def run_in_processes(scene: SceneArrays, tasks: list[Task], processes: Processes) -> Iterator[Result]:
+    """Yield the results of the tasks from processes of this machine; dead processes are replaced.
 
     Raises:
         GsvisError: If processes die more than three times in a row without progress.
     """
 
     def attempt(left: list[Task]) -> Iterator[Result]:
-        with _local_processes(min(workers, len(left))) as executor:
-            yield from _submit(executor, scene, left, 2 * workers)
+        try:
+            yield from _submit(processes.executor(), scene, left, 2 * processes.count)
+        except BrokenExecutor:
+            processes.end(kill=True)
+            raise
 
     message = (
         "worker processes died again and again, probably out of memory: use fewer --workers or a smaller --max-memory"
@@ -269,17 +273,35 @@ def _is_lost(future: Future[bytes]) -> bool:
     return future.cancelled() or future.exception() is not None
 
 
-@contextmanager
-def _local_processes(workers: int) -> Iterator[Executor]:
-    """Yield a pool of processes with one thread each; an exception in the block kills them at once."""
-    # Spawned, not forked: a forked process would inherit numba's threads in an unusable state.
-    pool = _Pool(workers, mp_context=get_context("spawn"), initializer=_begin)
-    done = False
-    try:
-        yield pool
-        done = True
-    finally:
-        if not done:
+class Processes:
+    """Up to `count` processes with one thread each, for several runs; each starts with the first task that needs it.
+
+    Used in a `with` block: an exception in it kills the processes at once.
+    """
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+        self._pool: _Pool | None = None
+
+    def __enter__(self) -> Processes:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *others: object) -> None:
+        self.end(kill=kind is not None)
+
+    def executor(self) -> Executor:
+        """Return the pool; a new one, if there is none."""
+        if self._pool is None:
+            # Spawned, not forked: a forked process would inherit numba's threads in an unusable state.
+            self._pool = _Pool(self.count, mp_context=get_context("spawn"), initializer=_begin)
+        return self._pool
+
+    def end(self, *, kill: bool) -> None:
+        """End the processes; `kill` does not wait for their tasks."""
+        pool, self._pool = self._pool, None
+        if pool is None:
+            return
+        if kill:
             for process in list((pool._processes or {}).values()):
                 process.kill()
         pool.shutdown(wait=True, cancel_futures=True)

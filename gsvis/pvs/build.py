@@ -10,8 +10,8 @@ from __future__ import annotations
 import errno
 import hashlib
 import os
-from collections.abc import Callable, Generator, Sequence
-from contextlib import closing
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -28,6 +28,7 @@ from gsvis.progress import Progress, silent
 from gsvis.pvs._journal import find_kept, name_cell, name_viewpoint, read_packed, read_view
 from gsvis.pvs._workers import (
     CellTask,
+    Processes,
     Result,
     SceneArrays,
     Task,
@@ -51,6 +52,8 @@ from gsvis.scene.levels import Levels, as_levels, levels_record, union_of
 from gsvis.scene.navigable import NavigableSpace
 
 __all__ = ["Work", "build_pvs", "journal_of", "plan_work"]
+
+Results = Generator[Result, None, None]
 
 _PLAN = 3  # increase it when the same plan gives other bytes
 
@@ -175,8 +178,9 @@ def build_pvs(
             needed = {int(k) for task in cells for k in work.shared.of_cell(task.number)}
             looks = [work.viewpoint_task(k) for k in sorted(needed - set(seen))]
             total = len(work.shared)
-            _perform(work, looks, workers, count, name_viewpoint, ("viewpoints", total - len(looks), total), progress)
-            _perform(work, cells, workers, count, name_cell, ("cells", len(found), len(grid)), progress)
+            with _begin_work(work, workers, count, max(len(looks), len(cells))) as run:
+                _perform(work, run(looks), name_viewpoint, ("viewpoints", total - len(looks), total), progress)
+                _perform(work, run(cells), name_cell, ("cells", len(found), len(grid)), progress)
             forget_scene()
             _write(work, progress)
             store = VisibilityStore.open(work.target)  # an unreadable store must lose no work
@@ -243,33 +247,37 @@ def _plan(levels: Levels, grid: CellGrid, space: NavigableSpace, config: PvsConf
 
 
 def _perform(
-    work: Work,
-    tasks: Sequence[Task],
-    workers: Workers,
-    count: int,
-    name: Callable[[int], str],
-    shown: tuple[str, int, int],
-    progress: Progress,
+    work: Work, results: Results, name: Callable[[int], str], shown: tuple[str, int, int], progress: Progress
 ) -> None:
-    """Run tasks and keep each result under its name; `shown` is the progress stage, what is done, and the total."""
+    """Keep each result under its name; `shown` is the progress stage, what is done, and the total."""
     stage, done, total = shown
     progress(stage, done, total)
-    with closing(_results(work, list(tasks), workers, count)) as results:
+    with closing(results):
         for number, data in results:
             work.kept.keep(name(number), data)
             done += 1
             progress(stage, done, total)
 
 
-def _results(work: Work, tasks: list[Task], workers: Workers, count: int) -> Generator[Result, None, None]:
-    if workers.executor is not None:
-        share = workers.scatter or (lambda given: given)
-        yield from run_on(workers.executor, lambda: share(work.scene), tasks, 2 * workers.count)
-    elif count == 1 or len(tasks) < 2:
-        yield from run_here(work.scene, tasks)
+@contextmanager
+def _begin_work(work: Work, workers: Workers, count: int, most: int) -> Iterator[Callable[[Sequence[Task]], Results]]:
+    """Yield what runs tasks on the workers; the same processes run all stages, of at most `most` tasks."""
+
+    def run(tasks: Sequence[Task]) -> Results:
+        if workers.executor is not None:
+            share = workers.scatter or (lambda given: given)
+            yield from run_on(workers.executor, lambda: share(work.scene), list(tasks), 2 * workers.count)
+        elif stored is None or len(tasks) < 2:
+            yield from run_here(work.scene, tasks)
+        else:
+            yield from run_in_processes(stored, list(tasks), processes)
+
+    stored, processes = None, Processes(min(count, most))
+    if workers.executor is not None or processes.count < 2:
+        yield run
     else:
-        with work.scene.stored(work.kept.folder / "scene") as stored:
-            yield from run_in_processes(stored, tasks, min(count, len(tasks)))
+        with work.scene.stored(work.kept.folder / "scene") as stored, processes:
+            yield run
 
 
 def _write(work: Work, progress: Progress) -> None:

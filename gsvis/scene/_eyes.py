@@ -168,7 +168,7 @@ def above_ground(space: Occupancy, up: F64) -> Mask:
     """
     least, greatest = (height / space.voxel_size for height in eye_heights(space, up))
     heights = _heights(space.occupied, up)
-    part = space.largest_part((heights >= least) & (heights <= greatest) & _under_the_sky(space, up))
+    part = space.largest_part(_under_the_sky(space, (heights >= least) & (heights <= greatest), up))
     level = level_directions(up)
     if not part.any() or np.quantile(stopped_share(space, some_voxels(part), level), 0.9) < _HEMMED:
         return part
@@ -188,25 +188,35 @@ def _heights(occupied: Mask, up: F64) -> F64:
     return np.moveaxis((index - ground)[:: 1 if up[axis] > 0 else -1], 0, axis)
 
 
-def _under_the_sky(space: Occupancy, up: F64) -> Mask:
-    """Return (X, Y, Z) clear voxels from which enough of the directions above lead out of the grid."""
-    found: Mask = space.clear.copy()
-    voxels, which = _blocks(found)
+def _under_the_sky(space: Occupancy, among: Mask, up: F64) -> Mask:
+    """Return those of the clear voxels in a mask (X, Y, Z) from which enough of the directions above lead out."""
+    voxels, which = _blocks(space.clear)
+    wanted = among[space.clear]
+    asked = np.unique(which[wanted])
     above = sphere_directions(_SKY_DIRECTIONS)
-    shares = stopped_share(space, voxels.astype(np.float64) + 0.5, above[above @ up >= 0.5])
-    found[space.clear] = (shares <= 1.0 - _SKY)[which]
+    is_open = np.zeros(len(voxels), bool)
+    eyes = voxels[asked].astype(np.float64) + 0.5
+    is_open[asked] = stopped_share(space, eyes, above[above @ up >= 0.5]) <= 1.0 - _SKY
+    found: Mask = space.clear & among
+    found[space.clear] &= is_open[which]
     return found
 
 
 def _blocks(mask: Mask) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return (B, 3) a voxel of the mask in each block of the grid, and for each voxel of the mask its block."""
-    voxels = np.argwhere(mask)
-    x, y, z = (voxels // _BLOCK).T
     counts = -(-np.array(mask.shape) // _BLOCK)
-    numbers = (x * counts[1] + y) * counts[2] + z
-    order = np.argsort(numbers, kind="stable")
-    begins = np.flatnonzero(np.diff(numbers[order], prepend=-1))
-    which = np.empty(len(voxels), np.int64)
-    which[order] = np.repeat(np.arange(len(begins)), np.diff(np.append(begins, len(voxels))))
-    middles = (begins + np.append(begins[1:], len(voxels))) // 2
-    return voxels[order[middles]], which
+    padded = np.zeros(counts * _BLOCK, bool)
+    padded[tuple(slice(n) for n in mask.shape)] = mask
+    sides = [part for n in counts.tolist() for part in (n, _BLOCK)]
+    blocks = padded.reshape(sides).transpose(0, 2, 4, 1, 3, 5).reshape(-1, _BLOCK**3)
+    held = blocks.sum(axis=1, dtype=np.int64)
+    places = np.flatnonzero(held)
+    # The middle one of a block's voxels, in their order.
+    inside = (np.cumsum(blocks[places], axis=1, dtype=np.uint8) > (held[places] // 2)[:, None]).argmax(axis=1)
+    corners = np.stack(np.unravel_index(places, tuple(counts)), axis=1) * _BLOCK
+    numbers = np.zeros(len(held), np.int64)
+    numbers[places] = np.arange(len(places))
+    which = np.broadcast_to(numbers.reshape(counts)[:, None, :, None, :, None], sides).reshape(padded.shape)
+    return corners + np.stack(np.unravel_index(inside, (_BLOCK,) * 3), axis=1), which[
+        tuple(slice(n) for n in mask.shape)
+    ][mask]

@@ -14,7 +14,6 @@ scene is no rooms.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.errors import SceneError
-from gsvis.scene._kernels.voxels import splat_depth
+from gsvis.scene._kernels.voxels import splat_depth, sum_beyond
 from gsvis.scene.gaussians import Gaussians
 
 __all__ = ["MIN_ALPHA", "MIN_SHARE", "SOLID", "Occupancy", "optical_depth", "robust_box"]
@@ -196,33 +195,13 @@ def _dilate(mask: Mask, radius: float) -> Mask:
     return np.asarray(ndimage.binary_dilation(mask, ball), bool)
 
 
-def _sweeps(depth: Depth) -> Iterator[tuple[NDArray[np.int64], Depth]]:
-    """Yield for each of the 26 grid directions the optical depth beyond each voxel, up to the edge of the grid."""
-    for step in itertools.product((-1, 0, 1), repeat=3):
-        if not any(step):
-            continue
-        axis = next(i for i in range(3) if step[i])
-        layers = np.moveaxis(depth, axis, 0)
-        total = np.zeros_like(layers)
-        here, there = zip(
-            *(
-                (slice(max(-s, 0), n - max(s, 0)), slice(max(s, 0), n - max(-s, 0)))
-                for s, n in zip((step[i] for i in range(3) if i != axis), layers.shape[1:], strict=True)
-            ),
-            strict=True,
-        )
-        for i in range(len(layers) - 2, -1, -1) if step[axis] > 0 else range(1, len(layers)):
-            ahead = i + step[axis]
-            total[i][here] = layers[ahead][there] + total[ahead][there]
-        yield np.array(step), np.moveaxis(total, 0, axis)
-
-
 def _surroundings(depth: Depth, up: F64) -> tuple[Depth, Depth]:
     """Return (X, Y, Z) shares of directions that stop half the light: within 60 degrees of down, and of all 26."""
     below, around = np.zeros(depth.shape, np.uint8), np.zeros(depth.shape, np.uint8)
-    downward = 0
-    for step, total in _sweeps(depth):
-        solid = total >= SOLID
+    beyond, downward = np.empty_like(depth), 0
+    for step in np.array([step for step in itertools.product((-1, 0, 1), repeat=3) if any(step)]):
+        sum_beyond(depth, step, beyond)
+        solid = beyond >= SOLID
         around += solid
         if step @ up <= -0.5 * np.linalg.norm(step) + 1e-9:
             below += solid

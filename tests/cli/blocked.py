@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Sequence
-from contextlib import redirect_stderr, redirect_stdout
+from contextlib import nullcontext, redirect_stderr, redirect_stdout
 from importlib.machinery import ModuleSpec
 from io import StringIO
 from types import ModuleType
@@ -31,6 +31,7 @@ def make_quick() -> None:
     """Compile nothing ahead, draw few pixels, and let a server end as soon as it runs."""
     from dataclasses import replace
 
+    import gsvis.cli.analyze as analyze
     import gsvis.cli.kernels as kernels
     import gsvis.cli.terminal as terminal
     from gsvis.prepare import PrepareConfig
@@ -39,6 +40,7 @@ def make_quick() -> None:
     for name in ("warm_sets", "warm_levels", "warm_colors"):
         setattr(kernels, name, lambda config, status: None)
     terminal._QUIET = float("inf")
+    analyze.PICTURE = 24
     before = PrepareConfig.__init__
     serve = Server.run
     few = replace(PrepareConfig().cost_views, count=1, width=24, height=20)
@@ -58,14 +60,18 @@ def make_quick() -> None:
 def main() -> None:
     sys.meta_path.insert(0, Blocked(sys.argv[1:]))  # type: ignore[arg-type]
     make_quick()
+    from gsvis._extras import has
     from gsvis.cli import main as run
+    from tests.bare_plots import draw_bare_plots
+    from tests.known_spaces import remember_spaces
 
     found = []
-    for words in json.load(sys.stdin):
-        out, err = StringIO(), StringIO()
-        with redirect_stdout(out), redirect_stderr(err):
-            code = run(words)
-        found.append((code, err.getvalue()))
+    with remember_spaces(), draw_bare_plots() if has("matplotlib") else nullcontext():
+        for words in json.load(sys.stdin):
+            out, err = StringIO(), StringIO()
+            with redirect_stdout(out), redirect_stderr(err):
+                code = run(words)
+            found.append((code, err.getvalue()))
     json.dump(found, sys.stdout)
 
 

@@ -53,6 +53,11 @@ COMMANDS = {
 
 
 @pytest.fixture(scope="module", autouse=True)
+def known_spaces() -> None:
+    """Find spaces anew: that is part of what repeats."""
+
+
+@pytest.fixture(scope="module", autouse=True)
 def quick() -> object:
     """A package of few views, small pictures."""
     few = replace(PrepareConfig().cost_views, count=1, width=24, height=20)

@@ -105,7 +105,7 @@ def test_a_walk_is_looked_from_itself_at_most_96_times() -> None:
     on_walk = places[: len(places) - len(alone)]
     assert len(on_walk) == 8  # there and back is the same way
     np.testing.assert_allclose(np.diff(on_walk[:, 0]), 0.5, atol=0.02)
-    fine = NavigableSpace.from_box((0, 0, 0), (4, 2, 2), 320)
+    fine = NavigableSpace.from_box((0, 0, 0), (4, 2, 2), 128)  # the way has 121 of its voxels
     assert 48 < len(EyesInSpace(fine, walk, boxes=1).viewpoints) - 8 <= 96
 
 

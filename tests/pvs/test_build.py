@@ -83,6 +83,18 @@ def test_workers_do_not_change_a_byte_even_if_they_die(job: Job, tmp_path: Path)
     assert multiprocessing.active_children() == []
 
 
+def test_the_processes_that_look_find_the_sets_too(job: Job, tmp_path: Path) -> None:
+    seen: dict[str, set[int | None]] = {}
+
+    def note(stage: str, done: int, total: int) -> None:
+        if stage in ("viewpoints", "cells") and done:
+            seen[stage] = {process.pid for process in multiprocessing.active_children()}
+
+    assert job.run(tmp_path / "two.pvs", workers=Workers(2), progress=note) == job.wanted
+    assert seen["viewpoints"]
+    assert seen["viewpoints"] <= seen["cells"]
+
+
 def test_the_number_of_threads_does_not_change_a_byte(job: Job, tmp_path: Path) -> None:
     from gsvis.pvs._workers import use_threads
 

@@ -122,7 +122,7 @@ class TestObjects:
             NavigableSpace.around(statue(), (0.0, 0.0, 0.0), -1.0)
         solid = discs(np.random.default_rng(0).uniform(-3, 3, (4000, 3)), (0.4, 0.4, 0.4))
         with pytest.raises(SceneError, match="no navigable space"):
-            NavigableSpace.around(solid, (0.0, 0.0, 0.0), 0.5)
+            NavigableSpace.around(solid, (0.0, 0.0, 0.0), 0.5, resolution=48)
 
 
 class TestOpenPlaces:

@@ -12,7 +12,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["free_lengths", "splat_depth"]
+__all__ = ["free_lengths", "splat_depth", "sum_beyond"]
 
 
 @numba.njit(cache=True, nogil=True)
@@ -69,6 +69,39 @@ def splat_depth(
                 for z in range(z0, z1 + 1):
                     dz = z + 0.5 - cz
                     depth[x, y, z] -= np.log(1.0 - alphas[i] * np.exp(-0.5 * (lateral + f * dz * dz)))
+
+
+@numba.njit(cache=True, nogil=True)
+def sum_beyond(depth: NDArray[np.float32], step: NDArray[np.int64], beyond: NDArray[np.float32]) -> Any:
+    """Sum the optical depth beyond each voxel along a grid direction, up to the edge of the grid.
+
+    Args:
+        depth: (X, Y, Z) optical depths.
+        step: (3,) the direction: -1, 0 or 1 along each axis, not all 0.
+        beyond: (X, Y, Z) result.
+    """
+    nx, ny, nz = depth.shape
+    sx, sy, sz = step
+    first, last = max(-sz, 0), nz - max(sz, 0)  # along z, where the next voxel lies on the grid
+    for i in range(nx):
+        x = nx - 1 - i if sx > 0 else i
+        for j in range(ny):
+            y = ny - 1 - j if sy > 0 else j
+            ax, ay = x + sx, y + sy
+            if not (0 <= ax < nx and 0 <= ay < ny):
+                for z in range(nz):
+                    beyond[x, y, z] = 0.0
+                continue
+            if sx == 0 and sy == 0:
+                beyond[x, y, nz - 1 if sz > 0 else 0] = 0.0
+                for k in range(1, nz):
+                    z = nz - 1 - k if sz > 0 else k
+                    beyond[x, y, z] = depth[x, y, z + sz] + beyond[x, y, z + sz]
+                continue
+            for z in range(first, last):
+                beyond[x, y, z] = depth[ax, ay, z + sz] + beyond[ax, ay, z + sz]
+            if sz != 0:
+                beyond[x, y, nz - 1 if sz > 0 else 0] = 0.0
 
 
 @numba.njit(cache=True, nogil=True)

@@ -1,0 +1,50 @@
+"""The navigable space of a scene, found once in a process: commands of many tests look at the same small scenes.
+
+Only for tests of what commands do with a space. How it is found, and that it is found again, is tested in tests/scene.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.navigable import NavigableSpace
+
+__all__ = ["remember_spaces"]
+
+_MOST = 64
+_from_scene = NavigableSpace.from_scene
+_found: dict[str, NavigableSpace] = {}
+
+
+@contextmanager
+def remember_spaces() -> Iterator[None]:
+    """Let `NavigableSpace.from_scene` return what it returned for the same arrays and options; errors come anew."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(NavigableSpace, "from_scene", staticmethod(_remember))
+        yield
+
+
+def _remember(g: Gaussians, **options: Any) -> NavigableSpace:
+    key = _name(g, options)
+    if key not in _found:
+        if len(_found) >= _MOST:
+            _found.pop(next(iter(_found)))
+        _found[key] = _from_scene(g, **options)
+    return _found[key]
+
+
+def _name(g: Gaussians, options: dict[str, Any]) -> str:
+    """Return a hash of every array and option."""
+    digest = hashlib.blake2b()
+    for name, value in [*sorted(vars(g).items()), *sorted(options.items())]:
+        array = np.asarray(value) if value is not None else np.zeros(0)
+        digest.update(f"{name} {array.dtype} {array.shape}".encode())
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
