@@ -226,9 +226,7 @@ def _lines(command: Clean, document: dict[str, Any]) -> list[str]:
     """Return lines that say what was written, and what to do next."""
     lines = []
     if document["cost"]:
-        lines.append(
-            " dB: held-out views against the whole scene. changed: share of pixels that show mostly this."
-        )
+        lines.append(" dB: held-out views against the whole scene. changed: share of pixels that show mostly this.")
     if command.report is not None:
         lines.append(f" Report: {Path(command.report) / 'report.html'}")
     if command.select is not None:
