@@ -6,8 +6,11 @@ classes 1, 2 and on. Other programs may write the `.npy` alone; then only its le
 
 from __future__ import annotations
 
+import io
 import json
 import os
+import tokenize
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +20,7 @@ from numpy.typing import NDArray
 from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.files.atomic import atomic_path
-from gsvis.files.limits import open_regular
+from gsvis.files.limits import open_regular, read_whole
 from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
 
@@ -25,6 +28,7 @@ __all__ = ["load_selection", "note_of", "save_selection"]
 
 _FORMAT = "gsvis-selection"
 _NOTE_BYTES = 1 << 20
+_HEADER_BYTES = 1 << 16
 
 
 def note_of(path: str | os.PathLike[str]) -> Path:
@@ -70,13 +74,9 @@ def load_selection(path: str | os.PathLike[str], g: Gaussians) -> NDArray[np.uin
         FileNotFoundError: If there is no file.
     """
     target = _check.path("path", path)
-    try:
-        with open_regular(target) as file:
-            array = np.load(file, allow_pickle=False)
-    except (ValueError, EOFError, MemoryError):
-        raise FormatError(path, "", "an .npy file of numbers", "something else") from None
-    if not isinstance(array, np.ndarray) or array.ndim != 1 or array.dtype.kind not in "bui":
-        raise FormatError(path, "", "one whole number for each Gaussian", _describe(array))
+    array = _read_npy(target, _HEADER_BYTES + 8 * len(g))
+    if array.ndim != 1 or array.dtype.kind not in "bui":
+        raise FormatError(path, "", "one whole number for each Gaussian", f"shape {array.shape} of {array.dtype}")
     if len(array) != len(g):
         numbers = f"{len(array):,}: it is a selection of another scene"
         raise FormatError(path, "", f"{len(g):,} numbers, one for each Gaussian", numbers)
@@ -86,6 +86,21 @@ def load_selection(path: str | os.PathLike[str], g: Gaussians) -> NDArray[np.uin
     return array.astype(np.uint8)
 
 
+def _read_npy(path: Path, most: int) -> NDArray[Any]:
+    """Return the array of an `.npy` file of at most so many bytes."""
+    data = read_whole(path)
+    if not data.startswith(b"\x93NUMPY"):
+        raise FormatError(path, "", "an .npy file of numbers", f"a file beginning {data[:6]!r}")
+    if len(data) > most:
+        raise FormatError(path, "", f"at most {most:,} bytes for this scene", f"{len(data):,}")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # a header that Python 2 wrote
+            return np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
+    except (ValueError, TypeError, EOFError, SyntaxError, tokenize.TokenError, OverflowError, MemoryError):
+        raise FormatError(path, "", "an .npy file of numbers", "a damaged one, or one of objects") from None
+
+
 def _check_note(path: Path, g: Gaussians) -> None:
     """Raise if the note of a selection names another scene; a selection may come without."""
     if not path.is_file():
@@ -93,13 +108,9 @@ def _check_note(path: Path, g: Gaussians) -> None:
     try:
         with open_regular(path) as file:
             note: Any = json.loads(file.read(_NOTE_BYTES))
-    except ValueError:
+    except (ValueError, RecursionError):
         return  # something else has that name
     if not isinstance(note, dict) or note.get("format") != _FORMAT:
         return
     if note.get("scene") != scene_hash(g):
         raise FormatError(path, "scene", "a selection of this scene", "one of another, or of this one before a change")
-
-
-def _describe(array: Any) -> str:
-    return f"shape {array.shape} of {array.dtype}" if isinstance(array, np.ndarray) else type(array).__name__

@@ -209,7 +209,7 @@ def _header(path: Path) -> tuple[F64, float, tuple[int, int, int], int, int, int
         bounds = np.array([said["gridBounds"]["min"], said["gridBounds"]["max"]], np.float64)
         size, sides = float(said["voxelResolution"]), said["leafSize"]
         depth, count, words = (said[key] for key in ("treeDepth", "nodeCount", "leafDataCount"))
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         raise FormatError(path, "", "the header of voxels", str(error)[:80], "write it again") from None
     if bounds.shape != (2, 3) or not np.isfinite(bounds).all() or not (np.isfinite(size) and size > 0.0):
         raise fail("a box and a positive side of voxels", said.get("gridBounds"))
@@ -218,7 +218,8 @@ def _header(path: Path) -> tuple[F64, float, tuple[int, int, int], int, int, int
         raise fail("blocks of 4 voxels and a depth of 1 to 12", (sides, depth))
     if not (0 <= count <= _MOST and 0 <= words <= 2 * _MOST and words % 2 == 0):
         raise fail("at most 2^24 nodes and blocks", (count, words))
-    cells = np.rint((bounds[1] - bounds[0]) / size)
+    with np.errstate(over="ignore"):  # infinitely many are too many
+        cells = np.rint((bounds[1] - bounds[0]) / size)
     if (cells < 1).any() or (cells > _SIDE << depth).any() or (cells % _SIDE).any() or cells.prod() > _MOST_VOXELS:
         raise fail(f"a box of whole blocks within {_SIDE << depth} voxels a side", cells.tolist())
     x, y, z = cells.astype(int).tolist()
@@ -235,7 +236,7 @@ def _decode(path: Path, nodes: U32, blocks: NDArray[np.uint64], depth: int, shap
         for place in places[full].tolist():
             part = tuple(slice(n << level, (n + 1) << level) for n in place)
             found[part] = 0xFFFFFFFFFFFFFFFF
-        values, places = values[~full].astype(np.int64), places[~full]
+        values, places, parents = values[~full].astype(np.int64), places[~full], wave[~full]
         if level == 0:
             within = (places < found.shape).all(axis=1)
             if (values >= len(blocks)).any():
@@ -246,8 +247,11 @@ def _decode(path: Path, nodes: U32, blocks: NDArray[np.uint64], depth: int, shap
         rank = np.cumsum(held, axis=1) - held
         wave = ((values & (_MOST - 1))[:, None] + rank)[held]
         places = (2 * places[:, None] + _OCTANTS[None])[held]
-        if (wave >= len(nodes)).any() or len(wave) > len(nodes):
-            raise FormatError(path, "", f"children below {len(nodes):,}", "another", "write it again")
+        behind = wave > np.repeat(parents, held.sum(axis=1))
+        if not behind.all() or (wave >= len(nodes)).any() or len(wave) > len(nodes):
+            raise FormatError(
+                path, "", f"children behind their parent, below {len(nodes):,}", "another", "write it again"
+            )
     bits = np.unpackbits(found.astype("<u8")[..., None].view(np.uint8), axis=3, bitorder="little")
     x, y, z = found.shape
     voxels = bits.reshape(x, y, z, _SIDE, _SIDE, _SIDE).transpose(0, 5, 1, 4, 2, 3)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from tests.fuzz import cameras, damage, damage_stores, damage_wire, packages, scenes, stores, training, wire
+from tests.fuzz import cameras, damage, damage_stores, damage_wire, edits, packages, scenes, stores, training, wire
 from tests.fuzz.targets import Target
 
 __all__ = ["TARGETS"]
@@ -12,7 +12,7 @@ __all__ = ["TARGETS"]
 _DAMAGE = damage.DAMAGE | damage_stores.DAMAGE | damage_wire.DAMAGE
 
 TARGETS: dict[str, Target] = {
-    target.name: replace(target, damage=_DAMAGE.get(target.name, dict))
-    for family in (scenes, cameras, stores, training, wire, packages)
+    target.name: replace(target, damage=_DAMAGE.get(target.name, target.damage))
+    for family in (scenes, cameras, edits, stores, training, wire, packages)
     for target in family.TARGETS
 }
