@@ -85,7 +85,7 @@ def damaged_voxels() -> dict[str, Case]:
     }
     found = {what: first | {"a.voxel.json": json.dumps(said | change).encode()} for what, change in changes.items()}
     binary = bytearray(first["a.voxel.bin"])
-    binary[:4] = (0xFF << 24).to_bytes(4, "little")
+    binary[:3] = bytes(3)  # the number of its first child
     return found | {"a root of itself": first | {"a.voxel.bin": bytes(binary)}}
 
 
