@@ -230,11 +230,11 @@ def _classes(document: dict[str, Any]) -> str:
             told = [f"{cost['mean_db']:.1f}", f"{cost['worst_db']:.1f}", f"{cost['changed']:.2%}"]
         back = f"{each['found'] - each['removed']:,}"
         rows.append((mark, _MEANING[name], f"{each['found']:,}", back, f"{each['removed']:,}", *told))
-    header = ("class", "what it is", "found", "given back", "goes", "dB", "worst dB", "pixels that end elsewhere")
+    header = ("class", "what it is", "found", "given back", "goes", "dB", "worst dB", "pixels that show mostly this")
     hidden = ", ".join(HIDDEN)
     return table(header, rows) + (
         "<p>dB compares held-out views without the class with the whole scene. The guard gives a class back whose"
-        f" removal costs too much: for {hidden} by dB, for the others by the share of pixels that end elsewhere.</p>"
+        f" removal costs too much: for {hidden} by dB, for the others by the share of pixels that show little else.</p>"
     )
 
 
