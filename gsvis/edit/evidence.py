@@ -36,7 +36,6 @@ Mask = NDArray[np.bool_]
 STOPS = float(np.log(2.0))  # optical depth behind which a ray counts no more
 CLOSED = 0.29  # optical depth of a voxel that closes a wall: a quarter of the light
 REACH = 4.0  # voxels around a Gaussian in which others count
-DOUBT = 0.5  # share of tau from which a look counts: what one eye sees badly another may see well
 BACKDROP = 0.05  # share of a direction's solid angle that Gaussians far outside must cover to be a backdrop
 _EYES = 512  # that find air
 _RAYS = 8_000_000  # outward, at most, to look again at what the first found hidden
@@ -230,13 +229,12 @@ def _look(core: Gaussians, eyes: F64, config: CleanConfig, progress: Progress) -
     from gsvis.pvs.look import Look
     from gsvis.raycast.directions import face_of
 
-    floor = DOUBT * config.tau
-    look = Look(core, "hybrid", config.size, floor)
+    look = Look(core, "hybrid", config.size, config.tau)
     sets = np.zeros((len(core), 10), np.uint8)
     progress("viewpoints", 0, len(eyes))
     for done, eye in enumerate(eyes, 1):
         ids, weights = look(eye)
-        ids = ids[weights > np.float32(floor)]  # what the look doubts has just this weight; rays decide that
+        ids = ids[weights > np.float32(config.tau)]  # what the look doubts has just this weight; rays decide that
         toward = eye - core.means[ids].astype(np.float64)
         toward[~toward.any(axis=1)] = (1.0, 0.0, 0.0)
         faces = face_of(toward)

@@ -64,14 +64,14 @@ class _Views:
         drawn = rasterize(g, cameras, backend="cpu")
         return cls(g, cameras, np.clip(drawn.images, 0.0, 1.0), drawn.alphas)
 
-    def cost_of(self, gone: NDArray[np.bool_]) -> Cost:
-        """Return the cost of the views without the Gaussians gone (N,)."""
+    def cost_of(self, gone: NDArray[np.bool_], light: NDArray[np.float32]) -> Cost:
+        """Return the cost of the views without the Gaussians gone (N,), whose light (C, H, W) is known."""
         if not gone.any():
             return Cost(PSNR_CAP, PSNR_CAP, 0.0, 0.0)
         without = rasterize(self.g[~gone], self.cameras, backend="cpu")
         found = np.minimum(np.atleast_1d(psnr(np.clip(without.images, 0.0, 1.0), self.images)), PSNR_CAP)
         filled = self.alphas >= 0.5
-        mostly = filled & (self._light_of(gone) > _MOST_OF * self.alphas)
+        mostly = filled & (light > _MOST_OF * self.alphas)
         return Cost(
             mean_db=float(found.mean()),
             worst_db=float(found.min()),
@@ -79,12 +79,13 @@ class _Views:
             light_lost=float(np.mean(self.alphas - without.alphas)),
         )
 
-    def _light_of(self, chosen: NDArray[np.bool_]) -> NDArray[np.float32]:
-        """Return (C, H, W) the sum of the weights of some Gaussians (N,): they are drawn white, the others black."""
+    def light_of(self, masks: list[NDArray[np.bool_]]) -> NDArray[np.float32]:
+        """Return (C, H, W, 3) the weights of one to three sets of Gaussians (N,), summed: a channel shows each set."""
         g = self.g
-        base = np.where(chosen, 0.5 / SH_C0, -0.5 / SH_C0).astype(np.float32)[:, None, None].repeat(3, axis=2)
-        white = Gaussians(g.means, g.quats, g.scales, g.opacities, base)
-        return np.asarray(rasterize(white, self.cameras, backend="cpu").images[..., 0], np.float32)
+        lit = [*masks, *[np.zeros(len(g), bool)] * (3 - len(masks))]
+        base = (np.stack(lit, axis=1)[:, None].astype(np.float32) - 0.5) / SH_C0
+        shown = Gaussians(g.means, g.quats, g.scales, g.opacities, base)
+        return np.asarray(rasterize(shown, self.cameras, backend="cpu").images, np.float32)
 
 
 def measure_cost(g: Gaussians, kept: NDArray[np.bool_], cameras: Cameras) -> Cost:
@@ -95,7 +96,8 @@ def measure_cost(g: Gaussians, kept: NDArray[np.bool_], cameras: Cameras) -> Cos
         kept: (N,) those that stay.
         cameras: C > 0 cameras of one size.
     """
-    return _Views.draw(g, cameras).cost_of(~np.asarray(kept, bool))
+    views, gone = _Views.draw(g, cameras), ~np.asarray(kept, bool)
+    return views.cost_of(gone, views.light_of([gone])[..., 0])
 
 
 def guard(
@@ -132,14 +134,12 @@ def guard(
     whole = _Views.draw(g, cameras)
     progress(_STAGE, 1, steps)
     costs: dict[str, Cost] = {}
-    done = 1
-    groups = [[name for name in names if name in HIDDEN], *([name] for name in names if name not in HIDDEN)]
-    for group in groups:
-        if not group:
-            continue
-        costs |= _check_group(classes, whole, group, config)
-        done += 1
-        progress(_STAGE, done, steps)
+    split = [[name for name in names if name in HIDDEN], *([name] for name in names if name not in HIDDEN)]
+    groups = [group for group in split if group]
+    light = whole.light_of([_members(classes, group) for group in groups])
+    for k, group in enumerate(groups):
+        costs |= _check_group(classes, whole, group, config, light[..., k])
+        progress(_STAGE, 2 + k, steps)
     classes = classes.copy()
     for name in names:
         if not _within(name, costs[name], config):
@@ -147,7 +147,8 @@ def guard(
             costs[name] = replace(costs[name], back=count)
             classes[classes == class_of(name)] = KEPT
         costs[name] = replace(costs[name], back=costs[name].back + back.get(name, 0))
-    total = whole.cost_of(classes != KEPT)
+    stays = [k for k, group in enumerate(groups) if _members(classes, group).any()]
+    total = whole.cost_of(classes != KEPT, light[..., stays].sum(axis=-1))
     costs["all"] = replace(total, back=sum(each.back for each in costs.values()))
     progress(_STAGE, steps, steps)
     return classes, costs
@@ -170,15 +171,25 @@ def _rescue(g: Gaussians, classes: U8, cameras: list[Cameras], tau: float) -> tu
     return np.where(rescued, np.uint8(KEPT), classes), counts
 
 
-def _check_group(classes: U8, whole: _Views, group: list[str], config: CleanConfig) -> dict[str, Cost]:
-    """Return the cost of each class of a group; measured together if together they cost little enough."""
-    cost = whole.cost_of(np.isin(classes, [class_of(name) for name in group]))
+def _check_group(
+    classes: U8, whole: _Views, group: list[str], config: CleanConfig, light: NDArray[np.float32]
+) -> dict[str, Cost]:
+    """Return the cost of each class of a group; measured together if together they cost little enough.
+
+    The light (C, H, W) is that of the whole group.
+    """
+    cost = whole.cost_of(_members(classes, group), light)
     if len(group) == 1 or _within(group[0], cost, config):
         return dict.fromkeys(group, cost)
     found: dict[str, Cost] = {}
     for name in group:
-        found |= _check_group(classes, whole, [name], config)
+        found |= _check_group(classes, whole, [name], config, light)
     return found
+
+
+def _members(classes: U8, group: list[str]) -> NDArray[np.bool_]:
+    """Return (N,) which Gaussians are in one of some classes."""
+    return np.isin(classes, [class_of(name) for name in group])
 
 
 def _within(name: str, cost: Cost, config: CleanConfig) -> bool:

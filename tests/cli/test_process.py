@@ -11,7 +11,7 @@ from pathlib import Path
 
 from tests.cli.halted import Halted
 
-GSVIS = [sys.executable, "-m", "gsvis.cli"]
+GSVIS = [sys.executable, "-m", "gsvis"]
 
 
 def run(*words: str) -> subprocess.CompletedProcess[str]:
