@@ -3,15 +3,15 @@
 A script puts 2% more Gaussians into a scene: floaters, fog, and some behind surfaces. Cleaning does not know which.
 Then held-out views of the result are compared with those of the scene before anything was put in.
 
-Given: built-in scenes and real ones, what is put in (`_injected.py`), seeds.
+Given: built-in scenes and real ones, what is put in (`_injected.py`), seeds. Its number grows with the Gaussians of a
+    scene, its size with the scene, so that floaters would fill two thirds of all air of a large one. They are made
+    smaller until they take no more light than fog may; in "crowded" they are not.
 Measured: recall by kind; precision on built-in scenes, where what goes of the scene itself counts as wrong unless the
     rasterizer shows it to none of 48 further eyes; PSNR of held-out views; seconds and peak memory in processes of
     their own, without and with flyaways at 1,000 times the extent.
 Defaults chosen on: two_rooms and box_in_room with seeds 1, 3 and 7; nika, flowers and showroom as they are, and with
     seed 7. Floaters and fog of wall_with_hole and nested_shells were not looked at; what counts as hidden was made
     stricter after wall_with_hole with seed 7. The statues were not looked at.
-What is put in grows with the number of Gaussians, but their sizes with the scene: in a large scene floaters would fill
-    two thirds of all air. So they are made smaller until they take no more light than fog may; "crowded" leaves them.
 """
 
 from __future__ import annotations
