@@ -78,6 +78,14 @@ class Source:
         """The Gaussians of the scene, or those of all levels together."""
         return self.gaussians if self.levels is None else self.levels.union
 
+    @property
+    def known_up(self) -> NDArray[np.float64] | None:
+        """The (3,) up axis of a built-in scene, and +y of glTF; None where it has to be guessed."""
+        if self.navigable is not None:
+            return self.navigable.up
+        is_gltf = self.path is not None and self.path.suffix.lower() == ".glb"
+        return axis_vector("+y") if is_gltf else None
+
 
 def is_levels(scene: str) -> bool:
     """Return whether a path is a folder that `gsvis levels` wrote."""
@@ -159,10 +167,9 @@ def levels_spelled(source: Source) -> str:
 
 
 def inspect_scene_of(source: Source) -> dict[str, Any]:
-    """Return the inspection of a scene as a dict; take the up axis of a built-in scene instead of guessing it."""
-    up = None
-    if source.navigable is not None:
-        known = source.navigable.up
+    """Return the inspection of a scene as a dict; guess the up axis only where it is not known."""
+    up, known = None, source.known_up
+    if known is not None:
         up = ("+" if known.sum() > 0 else "-") + "xyz"[int(np.abs(known).argmax())]
     return inspect_scene(source.gaussians, up=up).as_dict()
 
@@ -178,8 +185,9 @@ def title_of(scene: str, lod: int | None = None) -> str:
 
 
 def up_of(source: Source) -> NDArray[np.float64]:
-    """Return the (3,) up axis of a scene: that of a built-in scene, else the likely one."""
-    return axis_vector(guess_up(source.union)[0]) if source.navigable is None else source.navigable.up
+    """Return the (3,) up axis of a scene: the known one, else the likely one."""
+    known = source.known_up
+    return axis_vector(guess_up(source.union)[0]) if known is None else known
 
 
 def navigable_space(
@@ -189,13 +197,14 @@ def navigable_space(
 
     Args:
         source: The scene; a built-in scene has a known space.
-        up: (3,) up axis; None means that of the built-in scene, else a guess.
+        up: (3,) up axis; None means the known one, else a guess.
         seeds: (S, 3) positions known to be navigable.
     """
     if source.navigable is not None:
         return source.navigable if up is None else replace(source.navigable, up=np.asarray(up, np.float64)), ""
     try:
-        return NavigableSpace.from_scene(source.gaussians, up=up, seeds=seeds), ""
+        axis = source.known_up if up is None else up
+        return NavigableSpace.from_scene(source.gaussians, up=axis, seeds=seeds), ""
     except SceneError as error:
         return None, str(error)
 

@@ -115,11 +115,12 @@ def _check_buried(g: Gaussians, eyes: F64, name: str) -> list[str]:
 
 
 def _up(command: Render, source: Source) -> tuple[F64, list[str]]:
-    """Return the up axis, and remarks: the user's, the built-in scene's, or a guess, with a remark if uncertain."""
+    """Return the up axis, and remarks: the user's, the known one, or a guess, with a remark if uncertain."""
     if command.up is not None:
         return axis_vector(command.up.strip()), []
-    if source.navigable is not None:
-        return source.navigable.up, []
+    known = source.known_up
+    if known is not None:
+        return known, []
     axis, confidence = guess_up(source.gaussians)
     doubt = f" The up axis is uncertain ({axis} with a confidence of {confidence:.0%}); --up AXIS sets it."
     return axis_vector(axis), [doubt] if confidence < _SURE else []

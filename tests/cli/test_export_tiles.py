@@ -46,7 +46,8 @@ def test_a_scene_becomes_one_file_that_is_a_scene(
     assert main(["export", str(ply), "-o", str(out), *GLB, "--up", "+y"]) == 0
     assert "200 Gaussians" in " ".join(capsys.readouterr().out.split())
     np.testing.assert_array_equal(load_scene(out).means, load_scene(ply).means)
-    assert main(["inspect", str(out)]) == 0
+    assert main(["inspect", str(out), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["up"] == "+y"
     before = out.read_bytes()
     assert main(["export", str(ply), "-o", str(out), *GLB]) == 2
     assert "--overwrite" in capsys.readouterr().err
