@@ -2,7 +2,9 @@
 
 Candidates are computed once for a cell and shared by all clients in it. They do not depend on what a client holds or
 looks at. Rings are 0 for the cell itself and 1, 2, 3 for neighbors by face, edge and corner. A Gaussian is in the first
-ring that sees it, so the ring orders by distance to the nearest cell from which it is visible (section 6.3).
+ring that sees it, so the ring orders by distance to the nearest cell from which it is visible (section 6.3). Shells go
+on from there to the end of the scene, for links with nothing better to do: shell 0 is the cell and its neighbors, each
+further shell the next nearest cells.
 """
 
 from __future__ import annotations
@@ -19,10 +21,11 @@ from gsvis._kernels.bits import count as ones
 from gsvis.abr._kernels import plan
 from gsvis.abr._kernels import units as kernels
 from gsvis.abr._kernels.units import Runs, Units
+from gsvis.abr.cones import TermCones
 from gsvis.abr.index import SceneIndex
 from gsvis.files.cache import Cache
 from gsvis.pvs.cells import CellGrid
-from gsvis.pvs.codec import pack, word_count
+from gsvis.pvs.codec import ids_of, pack, word_count
 
 __all__ = ["RINGS", "CandidateIndex", "Candidates", "ring_cells"]
 
@@ -31,6 +34,8 @@ F64 = NDArray[np.float64]
 Words = NDArray[np.uint64]
 
 RINGS = 4
+
+_SHELL = 8  # cells of a shell: its sets may all have to be read while a viewer waits
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +114,10 @@ class CandidateIndex:
         self.bodies[3, len(index) :] = -np.inf
         sizes = index.gaussian_bytes
         sizes = sizes[:1] if len(sizes) and sizes.min() == sizes.max() else sizes
-        self.records = plan.Records(sizes, index.term_offsets, index.term_bytes)
+        cones = TermCones.none() if index.cones is None else index.cones
+        self.records = plan.Records(
+            sizes, index.term_offsets, index.term_bytes, cones.centers, cones.places, cones.cosines
+        )  # fmt: skip
         self.links = _links(index)
         pairs = index.first.astype(np.uint16) * index.num_levels + index.last
         mixed = np.zeros(count, np.bool_)
@@ -146,15 +154,93 @@ class CandidateIndex:
         sums = np.zeros(levels * levels)
         kernels.pair_bytes(parts[0].slots, parts[0].masks, parts[0].codes, self._word_bytes, sums)
         for ring in range(1, RINGS):
-            parts.append(self._add_ring(ring, rings[ring], seen))
+            parts.append(self._units_of(ring, self._add_cells(rings[ring], seen)))
+        active, owing = self._active_terms([cell])
+        return self._assemble(cell, parts, seen, active, owing, ones(active), sums)
+
+    def shells(self, cell: int) -> list[list[int]]:
+        """Return the cells of each shell around a cell, nearest first; all cells of the scene are in one of them."""
+        grid = self.index.grid
+        near = [other for ring in ring_cells(grid, cell) for other in ring]
+        apart = np.linalg.norm(grid.centers - grid.centers[cell], axis=1)
+        far = [other for other in np.argsort(apart, kind="stable").tolist() if other not in set(near)]
+        return [near, *(far[k : k + _SHELL] for k in range(0, len(far), _SHELL))]
+
+    def in_shell(self, cell: int, shell: int) -> Candidates:
+        """Return what a shell adds to the shells within it, to fill an idle link.
+
+        Shell 0 adds no Gaussian, only the active terms of the cell and its neighbors: the stream for the pose sends the
+        Gaussians. Candidates and active terms are those of all shells so far, units and what is owed those it adds.
+
+        Raises:
+            ValueError: If there is no such cell, or it names Gaussians or terms that the scene does not have.
+            IndexError: If there is no such shell.
+        """
+        found: Candidates | None = self.cache.find(("shell", cell, shell))
+        if found is None:
+            cells = self.shells(cell)[shell]
+            found = self._build_shell(cell, cells, self.in_shell(cell, shell - 1) if shell else None)
+            self.cache.keep(("shell", cell, shell), found)
+        return found
+
+    def ahead_of(self, here: Candidates, cell: int) -> tuple[Words, Words, Words]:
+        """Return what a cell near `here` adds to it for a viewer who is about to enter the cell.
+
+        Args:
+            here: Candidates of the viewer's cell.
+            cell: The cell ahead.
+
+        Returns:
+            seen: (S,) the Gaussians that the cell ahead sees, in the words of `here`.
+            owing: (S,) those which own active terms of one of the two cells.
+            active: (X,) the active terms of both.
+        """
+        there, owing = self.in_cell(cell), np.zeros(len(self.spheres), np.uint64)
+        owing[there.words] = there.owing
+        return self._words(cell)[here.words], owing[here.words] | here.owing, here.active | there.active
+
+    def _build_shell(self, cell: int, cells: list[int], within: Candidates | None) -> Candidates:
+        active, owing = self._active_terms(cells)
+        if within is None:
+            seen, fresh, terms = self.in_cell(cell).union, np.zeros_like(owing), ones(active)
+        else:
+            seen = within.union.copy()
+            fresh, new = self._add_cells(cells, seen), active & ~within.active
+            active, owing, terms = active | within.active, np.zeros_like(owing), ones(new)
+            kernels.active_words(ids_of(new), self._owners, np.zeros_like(new), owing)
+        owing &= seen
+        parts = [self._units_of(1, fresh | owing)]
+        return self._assemble(cell, parts, seen, active, owing, terms)
+
+    def _assemble(
+        self,
+        cell: int,
+        parts: list[Units],
+        seen: Words,
+        active: Words,
+        owing: Words,
+        terms: int,
+        sums: F64 | None = None,
+    ) -> Candidates:
+        """Return candidates.
+
+        Args:
+            cell: Number of the cell.
+            parts: Units of different rings, with words instead of slots.
+            seen: All candidates.
+            active: Active terms.
+            owing: Gaussians that own some of the active terms that these units are to send.
+            terms: Number of those.
+            sums: (L * L,) bytes of what the cell itself sees, by first and last level.
+        """
         held, masks, areas, pixels, codes = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
         words = np.flatnonzero(seen).astype(np.int32)
         slot_of = np.empty(len(seen), np.int32)
         slot_of[words] = np.arange(len(words), dtype=np.int32)
         slots = slot_of[held]
         starts = np.append(np.flatnonzero(np.diff(slots, prepend=-1)), len(slots)).astype(np.int32)
-        active, owing, terms = self._active_terms(cell)
         rows = self.spheres[words].T, self.spreads[words][None], self._word_bytes[words][None]
+        levels, owned = self.index.num_levels, terms * self._term_size
         return Candidates(
             cell=cell,
             words=words,
@@ -164,8 +250,8 @@ class CandidateIndex:
             runs=Runs(starts, slots[starts[:-1]]),
             union=seen,
             active=active,
-            term_bytes=terms * self._term_size / max(ones(owing), 1),
-            level_bytes=_level_bytes(sums, levels) + terms * self._term_size,
+            term_bytes=owned / max(ones(owing), 1),
+            level_bytes=(np.zeros(levels) if sums is None else _level_bytes(sums, levels)) + owned,
         )
 
     def work(self, slots: int, units: int, keys: int) -> plan.Work:
@@ -194,27 +280,32 @@ class CandidateIndex:
             self.cache.keep(("words", cell), words)
         return words
 
-    def _add_ring(self, ring: int, cells: list[int], seen: Words) -> Units:
-        """Return the units that a ring of cells adds, and add their Gaussians to `seen`."""
+    def _add_cells(self, cells: list[int], seen: Words) -> Words:
+        """Return what cells see that is not in `seen`, and add it."""
         fresh = np.zeros_like(seen)
         for other in cells:
             kernels.add_words(self._words(other), seen, fresh)
         seen |= fresh
+        return fresh
+
+    def _units_of(self, ring: int, members: Words) -> Units:
+        """Return the units of any Gaussians, in a ring, with words instead of slots."""
         found = _room(len(self._every.slots))
-        count = kernels.ring_units(fresh, self._every, found)
+        count = kernels.ring_units(members, self._every, found)
         found.codes[:count] += np.uint16(ring * self.index.num_levels**2)
         return Units(*(array[:count] for array in found))
 
-    def _active_terms(self, cell: int) -> tuple[Words, Words, int]:
-        """Return the active terms of a cell, the Gaussians that own them, and how many there are."""
+    def _active_terms(self, cells: list[int]) -> tuple[Words, Words]:
+        """Return the active terms of cells, and the Gaussians that own them."""
         index, owing = self.index, np.zeros(len(self.spheres), np.uint64)
         if index.active is None or not index.num_terms:
-            return np.zeros(0, np.uint64), owing, 0
-        ids = _check.integers("terms", index.active.active_ids(cell), ("A",))
-        _check.in_range("terms", ids, 0, index.num_terms - 1)
+            return np.zeros(0, np.uint64), owing
         active = np.zeros(word_count(index.num_terms), np.uint64)
-        kernels.active_words(ids, self._owners, active, owing)
-        return active, owing, len(ids)
+        for cell in cells:
+            ids = _check.integers("terms", index.active.active_ids(cell), ("A",))
+            _check.in_range("terms", ids, 0, index.num_terms - 1)
+            kernels.active_words(ids, self._owners, active, owing)
+        return active, owing
 
     def _split(self, words: Words, classes: NDArray[np.uint8], weights: F32) -> Units:
         """Return the units of the visible set of one cell, in ring 0, with words instead of slots."""

@@ -24,6 +24,10 @@ class AbrConfig:
         predictor: One of `PREDICTORS`.
         lead: Seconds ahead to predict the pose for. A Gaussian in view now or then counts as in view; 0 means now only.
         turn: Radians by which the head must turn before records are ranked again; at most the margin of the view.
+        ahead: Seconds ahead to predict the cell for: what it sees, and its terms for the eye there, go before what only
+            other neighbors see. 0 means no cell ahead.
+        parallax: Radians by which the direction to a Gaussian changes before its terms are checked again.
+        fill: Whether an idle link gets the rest of the scene, by distance to the nearest cell that sees it.
         move: Share of the side of a cell by which the head must move before records are ranked again.
         horizon: Seconds within which the highest level of a cell should arrive for the bandwidth to count as high.
         window: Seconds of data that may be in flight.
@@ -36,6 +40,9 @@ class AbrConfig:
     estimator: str = "harmonic"
     predictor: str = "kalman"
     lead: float = 0.25
+    ahead: float = 1.0
+    parallax: float = 0.03
+    fill: bool = True
     turn: float = 0.087
     move: float = 0.1
     horizon: float = 3.0
@@ -48,7 +55,7 @@ class AbrConfig:
         _check.one_of("policy", self.policy, POLICIES)
         _check.one_of("estimator", self.estimator, ESTIMATORS)
         _check.one_of("predictor", self.predictor, PREDICTORS)
-        for name in ("lead", "turn", "move"):
+        for name in ("lead", "ahead", "parallax", "turn", "move"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
                 raise ValueError(f"{name}: expected a finite number >= 0, got {getattr(self, name)!r}")
         for name in ("horizon", "window", "piece", "start_rate"):

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
+from gsvis.abr.cones import TermCones
 from gsvis.pvs.cells import CellGrid
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
@@ -74,6 +75,7 @@ class SceneIndex:
         grid: The cells.
         sets: Visible sets of the cells.
         active: Active terms of the cells; None means no terms are sent.
+        cones: When each term is active, for terms by the pose; None means that all active terms of a cell count.
 
     Raises:
         ValueError: If lengths differ or a value is out of range.
@@ -95,6 +97,7 @@ class SceneIndex:
     grid: CellGrid
     sets: CellSets
     active: ActiveSets | None = None
+    cones: TermCones | None = None
 
     def __post_init__(self) -> None:
         means = _check.floats("means", self.means, ("N", 3))
@@ -144,6 +147,7 @@ class SceneIndex:
         sets: CellSets,
         *,
         active: ActiveSets | None = None,
+        cones: TermCones | None = None,
         gaussian_bytes: ArrayLike = 16.0,
         term_offsets: ArrayLike | None = None,
         term_bytes: ArrayLike = 4.5,
@@ -156,6 +160,7 @@ class SceneIndex:
             grid: The cells.
             sets: Visible sets of the cells.
             active: Active terms of the cells; None means no terms are sent.
+            cones: When each term is active; None means that all active terms of a cell count.
             gaussian_bytes: (N,) bytes of each record of a Gaussian, or one number for all.
             term_offsets: (N + 1,) offsets of the terms of each Gaussian; None means no terms.
             term_bytes: (T,) bytes of the record of each term, or one number for all.
@@ -182,6 +187,7 @@ class SceneIndex:
             grid=grid,
             sets=sets,
             active=active,
+            cones=cones,
         )
 
     def __len__(self) -> int:

@@ -1,8 +1,9 @@
 """Choose the records that a client receives next: rank them for its pose, and keep the order until the view changes.
 
 A plan covers the bytes of the near future; when it is used up, ranking continues behind it. Between two changes of the
-view, all batches together follow one order, whatever their sizes. The planner knows no link and no message: time and
-rate are arguments.
+view, all batches together follow one order, whatever their sizes. Terms are sent when they are active for the eye, now
+or at one of the predicted poses. When a view has all that it needs, batches fill the link with the rest of the scene,
+shell by shell. The planner knows no link and no message: time and rate are arguments.
 """
 
 from __future__ import annotations
@@ -14,19 +15,22 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.abr._kernels import plan as kernels
+from gsvis.abr._kernels.take import forget_paid, take
 from gsvis.abr.candidates import CandidateIndex, Candidates
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.config import AbrConfig
 from gsvis.abr.holdings import Holdings
-from gsvis.abr.policies import regime_of, table
+from gsvis.abr.policies import filling_table, regime_of, table
 from gsvis.abr.predict import Pose, PosePredictor, predictor
 
 __all__ = ["Batch", "Planner"]
 
 F32 = NDArray[np.float32]
 I32 = NDArray[np.int32]
+Words = NDArray[np.uint64]
 
 _REACH = 0.4  # seconds of data to rank at a time: most views last no longer
+_NEAR = -1  # in place of a shell: what the pose needs
 _NOTHING = kernels.Plan(np.zeros(0, np.int32), np.zeros(0, np.uint64))
 
 
@@ -39,12 +43,14 @@ class Batch:
         terms: (M,) uint32 ids of the records of terms, in order; their Gaussians are in this batch or before it.
         dropped: (D,) int32 ids of Gaussians that the client stops showing: all their replacements have been sent.
         bytes: Bytes of the records.
+        filling: Whether the view needs none of it: it fills an idle link.
     """
 
     gaussians: I32
     terms: NDArray[np.uint32]
     dropped: I32
     bytes: float
+    filling: bool = False
 
     def __len__(self) -> int:
         """Return the number of records."""
@@ -74,6 +80,7 @@ class Planner:
         reach: Least bytes to rank at a time.
         regime: Bandwidth regime, one of `REGIMES`; None before the first batch.
         cell: The cell of the viewer; -1 before the first pose.
+        cell_ahead: The cell that the viewer is about to enter; often `cell`.
         plans: Number of views for which records were ranked.
 
     Raises:
@@ -95,14 +102,16 @@ class Planner:
         if (self.holdings.gaussians, self.holdings.terms) != (len(index), index.num_terms):
             raise ValueError(f"holdings: expected those of {index!r}, got {self.holdings!r}")
         self.regime: str | None = None
-        self.cell, self.plans = -1, 0
+        self.cell, self.cell_ahead, self.plans = -1, -1, 0
         self._poses = poses or predictor(self.config.predictor)
         self._pose: Pose | None = None
         self._time = -np.inf
-        self._planned: tuple[int, Pose, Pose, str] | None = None
+        self._planned: tuple[int, int, Pose, Pose, str] | None = None
         self._here: Candidates | None = None
-        self._cell = kernels.Cell(*(np.zeros(0, np.int32),) * 7)
-        self._view = kernels.View(*(np.zeros(0, np.float32),) * 3)
+        self._near: tuple[Candidates, int, kernels.Cell] | None = None  # to return to after filling
+        self._cell = kernels.Cell(*(np.zeros(0, np.int32),) * 10)
+        self._view = kernels.View(*(np.zeros(0, np.float32),) * 6)
+        self._travelled, self._shells, self._shell, self._filled = 0.0, 0, _NEAR, 0
         self._table, self._keys = table(self.config.policy, "high", index.num_levels, self.config.utility)
         self._waits = np.empty((len(candidates.links.ending), 2), np.int32)
         self._plan, self._place = _NOTHING, 0
@@ -110,8 +119,21 @@ class Planner:
 
     @property
     def done(self) -> bool:
-        """Whether all records for the view have been taken."""
+        """Whether nothing is left to send: all that the view needs, and with `fill` all that any cell sees."""
+        return self._is_used_up and self._next_shell >= self._shells
+
+    @property
+    def filling(self) -> bool:
+        """Whether the next batch only fills an idle link, unless the view changes."""
+        return self._here is not None and (self._shell != _NEAR or self._is_used_up) and not self.done
+
+    @property
+    def _is_used_up(self) -> bool:
         return self._whole and self._place == len(self._plan.entries)
+
+    @property
+    def _next_shell(self) -> int:
+        return max(self._filled, self._shell + 1)
 
     def on_pose(self, t: float, position: ArrayLike, quat: ArrayLike) -> None:
         """Update the pose of the client at time t; ignore one that is older than the last.
@@ -144,7 +166,16 @@ class Planner:
             self._follow(self._pose, t, rate)
         return self.take(budget)
 
-    def aim(self, cell: int, eye: ArrayLike, planes: ArrayLike, regime: str = "high") -> None:
+    def aim(
+        self,
+        cell: int,
+        eye: ArrayLike,
+        planes: ArrayLike,
+        regime: str = "high",
+        *,
+        eyes: ArrayLike | None = None,
+        cell_ahead: int | None = None,
+    ) -> None:
         """Rank the next records for a view.
 
         Args:
@@ -152,9 +183,13 @@ class Planner:
             eye: (3,) position.
             planes: (F, 5, 4) frusta; a Gaussian in any of them is in view.
             regime: One of `REGIMES`.
+            eyes: (P, 3) predicted positions; terms are sent that are active for one of them or for the eye.
+            cell_ahead: The cell that the viewer is about to enter; None means the same cell.
         """
         view = _check.floats("eye", eye, (3,)), _check.floats("planes", planes, ("F", 5, 4))
-        self._aim(self._find(cell), *view, regime)
+        others = np.zeros((0, 3)) if eyes is None else _check.floats("eyes", eyes, ("P", 3))
+        every = np.concatenate([view[0][None], others]).astype(np.float32)
+        self._aim(self._find(cell), *view, regime, every, cell if cell_ahead is None else cell_ahead)
 
     def take(self, budget: float) -> Batch:
         """Return the next records of the view, of at most `budget` bytes. They count as held from now on.
@@ -171,19 +206,46 @@ class Planner:
         out = np.empty(most[0], np.int32), np.empty(most[1], np.uint32), np.empty(len(self._waits), np.int32)
         queue = np.empty_like(out[2])
         taken, total = [0, 0, 0], 0.0
-        while not self.done:
-            if self._place == len(self._plan.entries):
+        while True:
+            if self._is_used_up:
+                if sum(taken[:2]) or not self._fill():  # what fills the link has batches of its own
+                    break
+            elif self._place == len(self._plan.entries):
                 self._wanted = max(2.0 * self._wanted, self.reach, budget - total)  # rank more for a view that lasts
                 self._rank(self._here, self._wanted)
             rest = kernels.Taken(out[0][taken[0] :], out[1][taken[1] :], out[2][taken[2] :], queue)
-            self._place, *found, size = kernels.take(
-                self._plan, self._place, self._cell, held, shared.records, shared.links, budget - total, rest
+            self._place, *found, size = take(
+                self._plan,
+                self._place,
+                self._cell,
+                held,
+                self._view,
+                shared.records,
+                shared.links,
+                budget - total,
+                rest,
             )
             taken, total = [a + b for a, b in zip(taken, found, strict=True)], total + size
             if self._place < len(self._plan.entries):
                 break
         gaussians, terms, dropped = (array[:count].copy() for array, count in zip(out, taken, strict=True))
-        return Batch(gaussians, terms, dropped, total)
+        return Batch(gaussians, terms, dropped, total, self._shell != _NEAR)
+
+    def _fill(self) -> bool:
+        """Go on to the next shell; return False if there is none."""
+        if self._shell != _NEAR:
+            self._filled = self._shell + 1
+        if self._next_shell >= self._shells or self._here is None:
+            return False
+        config, index = self.config, self.candidates.index
+        self._shell = self._next_shell
+        here = self.candidates.in_shell(self._here.cell, self._shell)
+        self._table, self._keys = filling_table(config.policy, index.num_levels, config.utility)
+        self._here, self._cell = here, self._cell_for(here, here.owing, here.active)
+        none = np.zeros((0, 3), np.float32)
+        self._view = self._view._replace(planes=np.zeros((0, 5, 4), np.float32), eyes=none)
+        self._plan, self._place, self._least, self._whole, self._wanted = _NOTHING, 0, 0, False, 0.0
+        return True
 
     def _follow(self, now: Pose, t: float, rate: float) -> None:
         """Rank for a pose and the pose predicted from it, if these, the cell or the regime have changed enough."""
@@ -191,48 +253,70 @@ class Planner:
         then = self._poses.predict(max(t, self._time) + config.lead) if config.lead > 0 else now
         here = self._find(self.cell)
         self.regime = regime_of(rate, here.level_bytes, config.horizon, self.regime)
+        later = self._poses.predict(max(t, self._time) + config.ahead).position if config.ahead > 0 else now.position
+        self.cell_ahead = self.candidates.index.cell_of(later)
         if self._planned is not None:
-            cell, was, was_then, regime = self._planned
+            *cells, was, was_then, regime = self._planned
             near = self._is_near(now, was) and self._is_near(then, was_then)
-            if cell == self.cell and regime == self.regime and near:
+            if cells == [self.cell, self.cell_ahead] and regime == self.regime and near:
                 return
         poses = (now,) if config.lead <= 0 else (now, then)
         planes = np.empty((len(poses), 5, 4), np.float32)
         for k, pose in enumerate(poses):
             planes[k] = self.view.planes(pose.position, pose.quat)
+        eyes = [pose.position for pose in poses] + ([] if self.cell_ahead == self.cell else [later])
         self.reach = _REACH * rate
-        self._aim(here, _check.floats("position", now.position, (3,)), planes, self.regime)
-        self._planned = self.cell, now, then, self.regime
+        every = np.array(eyes, np.float32)
+        self._aim(here, every[0], planes, self.regime, every, self.cell_ahead)
+        self._planned = self.cell, self.cell_ahead, now, then, self.regime
         self.plans += 1
 
     def _find(self, cell: int) -> Candidates:
         """Return the candidates of a cell; those of the last cell need no cache."""
-        here = self._here
-        return here if here is not None and here.cell == cell else self.candidates.in_cell(cell)
+        near = self._near
+        return near[0] if near is not None and near[0].cell == cell else self.candidates.in_cell(cell)
 
-    def _aim(self, here: Candidates, eye: F32, planes: F32, regime: str) -> None:
-        config = self.config
-        self._table, self._keys = table(config.policy, regime, self.candidates.index.num_levels, config.utility)
-        self._enter(here)
-        self._view = kernels.View(eye, planes, self.candidates.bodies)
+    def _aim(self, here: Candidates, eye: F32, planes: F32, regime: str, eyes: F32, cell_ahead: int) -> None:
+        config, index = self.config, self.candidates.index
+        self._table, self._keys = table(config.policy, regime, index.num_levels, config.utility)
+        self._enter(here, cell_ahead)
+        if len(self._view.eye):
+            self._travelled += float(np.linalg.norm(eye - self._view.eye))
+        eyes = eyes if index.cones is not None else eyes[:0]
+        self._view = kernels.View(eye, eyes, self._travelled, config.parallax, planes, self.candidates.bodies)
         self._plan, self._place, self._least, self._whole, self._wanted = _NOTHING, 0, 0, False, 0.0
 
     def _is_near(self, a: Pose, b: Pose) -> bool:
         still = a.distance_to(b) <= self.config.move * self.candidates.index.grid.cell_size
         return still and a.turn_to(b) <= self.config.turn
 
-    def _enter(self, here: Candidates) -> None:
-        """Switch to the units of a cell."""
-        if self._here is here:
-            return
-        self._here = here
+    def _enter(self, here: Candidates, cell_ahead: int) -> None:
+        """Switch to the units of a cell, from another cell or from filling."""
+        before, self._here = self._near, here
+        if before is None or before[0] is not here:
+            self._filled, self._shells = 0, len(self.candidates.shells(here.cell)) if self.config.fill else 0
+        if before is not None and before[0] is here and before[1] == cell_ahead:
+            if self._shell != _NEAR:
+                self._waits[:, 0] = kernels.UNKNOWN
+            self._cell = before[2]
+        elif cell_ahead == here.cell:
+            self._cell = self._cell_for(here, here.owing, here.active)
+        else:
+            ahead, owing, active = self.candidates.ahead_of(here, cell_ahead)
+            self._cell = self._cell_for(here, owing, active)._replace(ahead=ahead)
+        self._near, self._shell = (here, cell_ahead, self._cell), _NEAR
+
+    def _cell_for(self, here: Candidates, owing: Words, active: Words) -> kernels.Cell:
+        """Return candidates as this client sees them."""
         self._waits[:, 0] = kernels.UNKNOWN
-        owed, held = here.owing.copy(), self.holdings.words.terms
+        owed, held = owing.copy(), self.holdings.words.terms
         if held.any():
-            kernels.forget_paid(here.words, here.active, held, self.candidates.index.term_offsets, owed)
-        self._cell = kernels.Cell(
-            words=here.words, places=here.places, term_bytes=here.term_bytes, owed=owed, active=here.active,
-            candidates=here.union, waits=self._waits,
+            forget_paid(here.words, active, held, self.candidates.index.term_offsets, owed)
+        none = np.zeros(len(here.words), np.uint64)
+        return kernels.Cell(
+            words=here.words, places=here.places, term_bytes=here.term_bytes, owed=owed, active=active,
+            candidates=here.union, ahead=none, checked=none.copy(), checked_at=np.zeros(len(none), np.float32),
+            waits=self._waits,
         )  # fmt: skip
 
     def _rank(self, here: Candidates, enough: float) -> None:

@@ -1,9 +1,10 @@
 """Policies by name: the order in which records are sent, depending on the bandwidth (paper, section 6.3).
 
 A policy is a table of offsets. The sort key of a record is the bucket of its gain plus the offsets of its group (in
-view, out of view, rings 1 to 3 of neighboring cells), of the level at which it enters, and of its kind (geometry, or
-active terms, which follow it). Smaller keys go first. The two orders of the paper add whole ranks, so gain decides
-only within a rank; `utility` adds the logarithm of a factor, so all records compare by weight gained for each byte.
+view, out of view, the cell ahead, rings 1 to 3 of neighboring cells), of the level at which it enters, and of its kind
+(geometry, or active terms, which follow it). Smaller keys go first. The two orders of the paper add whole ranks, so
+gain decides only within a rank; `utility` adds the logarithm of a factor, so all records compare by weight gained for
+each byte.
 """
 
 from __future__ import annotations
@@ -19,13 +20,29 @@ from gsvis.abr._kernels import units as kernels
 from gsvis.abr._kernels.plan import NEVER
 from gsvis.abr.candidates import RINGS
 
-__all__ = ["GROUPS", "POLICIES", "REGIMES", "UtilityConfig", "lowest_last", "offsets", "pairs", "regime_of"]
+__all__ = [
+    "AHEAD",
+    "GROUPS",
+    "POLICIES",
+    "REGIMES",
+    "UtilityConfig",
+    "filling_table",
+    "lowest_last",
+    "offsets",
+    "pairs",
+    "regime_of",
+    "table",
+]
 
 I64 = NDArray[np.int64]
 
 POLICIES = ("fov-first", "low-first", "utility")
 REGIMES = ("high", "medium", "low")
-GROUPS = 1 + RINGS
+AHEAD = 2
+"""Group of the Gaussians that a neighbor sees which the viewer is about to enter."""
+
+GROUPS = AHEAD + RINGS
+"""Number of groups: in view, out of view, ahead, and three rings of neighbors."""
 _STEPS = 32  # buckets for each halving
 _STICKY = 1.2
 
@@ -36,8 +53,10 @@ class UtilityConfig:
 
     Attributes:
         peripheral: Factor in (0, 1] for Gaussians that the cell sees, but that are out of view.
+        ahead: Factor in (0, 1] for Gaussians that only neighbors see, among them the one that the viewer is about to
+            enter.
         adjacent: Factor in (0, 1] for Gaussians that only a neighbor by face sees. With r = adjacent / peripheral, it
-            is peripheral * r^2 for a neighbor by edge and peripheral * r^3 for one by corner.
+            is peripheral * r^2 for a neighbor by edge and peripheral * r^3 for one by corner. At most `ahead`.
         terms: Factor in (0, 1] for active terms, relative to the geometry of their Gaussian.
         beyond: Factor in (0, 1] for levels above the highest level of the regime.
         medium: Exponent on `peripheral` and `adjacent` at medium bandwidth.
@@ -45,6 +64,7 @@ class UtilityConfig:
     """
 
     peripheral: float = 0.1
+    ahead: float = 0.05
     adjacent: float = 0.02
     terms: float = 0.1
     beyond: float = 0.05
@@ -52,7 +72,7 @@ class UtilityConfig:
     low: float = 2.0
 
     def __post_init__(self) -> None:
-        for name in ("peripheral", "adjacent", "terms", "beyond"):
+        for name in ("peripheral", "ahead", "adjacent", "terms", "beyond"):
             if not 1e-6 <= getattr(self, name) <= 1.0:
                 raise ValueError(f"{name}: expected a factor in [1e-6, 1], got {getattr(self, name)!r}")
         for name in ("medium", "low"):
@@ -102,7 +122,7 @@ def pairs(policy: str, regime: str, levels: int) -> list[tuple[int, int]]:
 
     Args:
         policy: "fov-first": in view from low to high, the low level out of view, the rest by distance; "low-first": low
-            in view, low out of view, medium in view, the rest by distance.
+            in view, low out of view, medium in view, the rest by distance. The cell ahead counts as the nearest.
         regime: One of `REGIMES`. Levels above those of `caps` go last, in the same order.
         levels: L, number of levels.
     """
@@ -113,7 +133,7 @@ def pairs(policy: str, regime: str, levels: int) -> list[tuple[int, int]]:
         order = [(0, level) for level in everything] + [(1, level) for level in everything]
     else:
         order = [(0, 0), (1, 0)] + [(0, level) for level in everything[1:]] + [(1, level) for level in everything[1:]]
-    order += [(group, level) for group in range(2, GROUPS) for level in everything]
+    order += [(group, level) for group in range(AHEAD, GROUPS) for level in everything]
     in_view, elsewhere = caps(regime, levels)
     beyond = [(group, level) for group, level in order if level > (in_view if group == 0 else elsewhere)]
     return [pair for pair in order if pair not in beyond] + beyond
@@ -121,7 +141,7 @@ def pairs(policy: str, regime: str, levels: int) -> list[tuple[int, int]]:
 
 @lru_cache(maxsize=256)
 def offsets(policy: str, regime: str, levels: int, config: UtilityConfig | None = None) -> I64:
-    """Return (5, L, 2) offsets to add to the bucket of a record: by group, level at which it enters, geometry or terms.
+    """Return (6, L, 2) offsets to add to the bucket of a record: by group, level at which it enters, geometry or terms.
 
     Args:
         policy: One of `POLICIES`.
@@ -138,7 +158,9 @@ def offsets(policy: str, regime: str, levels: int, config: UtilityConfig | None 
     config = config or UtilityConfig()
     power = {"high": 1.0, "medium": config.medium, "low": config.low}[_check.one_of("regime", regime, REGIMES)]
     ratio = min(config.adjacent / config.peripheral, 1.0)
-    worth = [1.0] + [(config.peripheral * ratio**ring) ** power for ring in range(RINGS)]
+    rings = [min(config.peripheral * ratio**ring, config.ahead) for ring in range(1, RINGS)]
+    shares = [config.peripheral, config.ahead, *rings]
+    worth = [1.0, *(share**power for share in shares)]
     in_view, elsewhere = caps(regime, levels)
     for group in range(GROUPS):
         for level in range(levels):
@@ -154,14 +176,31 @@ def table(
 ) -> tuple[NDArray[np.int32], int]:  # fmt: skip
     """Return (4 L L, 2, 2) `offsets` for the kernels, and the number of keys.
 
-    The offsets are by code of a unit, geometry or terms, in view or out of view. They are `NEVER` for records that are
-    not sent: terms of Gaussians that only neighbors see, and Gaussians that end below `lowest_last`.
+    The offsets are by code of a unit, geometry or terms, and for ring 0 in view or out of view, for other rings in the
+    cell ahead or not. They are `NEVER` for records that are not sent: terms of Gaussians that only neighbors see which
+    are not ahead, and Gaussians that end below `lowest_last`.
     """
     found, least = offsets(policy, regime, levels, config), lowest_last(regime, levels)
     out = np.full((RINGS, levels, levels, 2, 2), NEVER, np.int32)
     for last in range(least, levels):
-        out[0, :, last] = found[:2].transpose(1, 2, 0)
-        out[1:, :, last, kernels.GEOMETRY] = found[2:, :, kernels.GEOMETRY, None]
+        out[0, :, last] = found[:AHEAD].transpose(1, 2, 0)
+        out[1:, :, last, :, kernels.INSIDE] = found[AHEAD]
+        out[1:, :, last, kernels.GEOMETRY, kernels.OUTSIDE] = found[AHEAD + 1 :, :, kernels.GEOMETRY]
+    out = out.reshape(-1, 2, 2)
+    out.flags.writeable = False
+    return out, int(found.max()) + kernels.BUCKETS
+
+
+@lru_cache(maxsize=256)
+def filling_table(policy: str, levels: int, config: UtilityConfig | None = None) -> tuple[NDArray[np.int32], int]:
+    """Return the table of `table` for what fills an idle link: all of a shell alike, terms included.
+
+    A shell has one ring. Only Gaussians of the highest level are sent: at the end a client shows nothing else.
+    """
+    found = offsets(policy, "high", levels, config)[-1]
+    found = found - found.min()
+    out = np.full((RINGS, levels, levels, 2, 2), NEVER, np.int32)
+    out[1:, :, levels - 1] = found[:, :, None]
     out = out.reshape(-1, 2, 2)
     out.flags.writeable = False
     return out, int(found.max()) + kernels.BUCKETS

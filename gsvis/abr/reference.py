@@ -5,6 +5,7 @@ The slow twin of `candidates.py` and `planner.py`. Tests check that both give th
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,7 @@ from gsvis.abr.candidates import RINGS, CandidateIndex, ring_cells, strengths
 from gsvis.abr.classes import FOV, classify
 from gsvis.abr.holdings import Holdings
 from gsvis.abr.index import SceneIndex
-from gsvis.abr.policies import UtilityConfig, lowest_last, offsets
+from gsvis.abr.policies import AHEAD, UtilityConfig, lowest_last, offsets
 from gsvis.pvs.codec import ids_of
 
 __all__ = ["View", "order_records"]
@@ -23,14 +24,20 @@ __all__ = ["View", "order_records"]
 F32 = NDArray[np.float32]
 
 
+Unit = tuple[tuple[int, int, int, int, int], list[int]]
+"""Ring, word, weight class, first and last level, and the members."""
+
+
 @dataclass(frozen=True, eq=False)
 class View:
-    """Arguments of `Planner.aim`: the cell, the eye (3,), frusta (F, 5, 4), the regime."""
+    """Arguments of `Planner.aim`: the cell, the eye (3,), frusta (F, 5, 4), the regime, predicted eyes, cell ahead."""
 
     cell: int
     eye: F32
     planes: F32
     regime: str = "high"
+    eyes: F32 | None = None
+    cell_ahead: int | None = None
 
 
 def order_records(
@@ -41,16 +48,18 @@ def order_records(
     *,
     pixel: float = 2e-3,
     utility: UtilityConfig | None = None,
+    fill: bool = False,
 ) -> list[tuple[str, int]]:
     """Return all records that a view needs, first to last.
 
     Args:
         shared: Candidates of the scene, of which only the index and the spheres of words are used.
-        view: Cell, eye, frusta and regime.
+        view: What the client looks at.
         policy: One of `POLICIES`.
         holdings: What the client holds; not changed.
         pixel: Angle of a pixel of the clients, radians.
         utility: Factors of the policy "utility".
+        fill: Whether the rest of the scene follows, for an idle link.
 
     Returns:
         ("gaussian", id), ("term", id), and ("drop", id) right after the Gaussian that completes its replacement.
@@ -60,30 +69,78 @@ def order_records(
     classes = classify(index, view.cell, view.planes).classes
     table = offsets(policy, view.regime, index.num_levels, utility)
     top = lowest_last(view.regime, index.num_levels)
-    active = set(np.asarray(index.active.active_ids(view.cell)).tolist()) if index.active is not None else set()
-    candidates = {g for _, members in units for g in members}
+    active, ahead = _active(index, [view.cell]), set[int]()
+    if view.cell_ahead is not None and view.cell_ahead != view.cell:
+        ahead = set(index.sets.classes(view.cell_ahead)[0].tolist())
+        active |= _active(index, [view.cell_ahead])
     entries = []
     for number, ((ring, word, kind, enters, ends), members) in enumerate(units):
         if ends < top:
             continue
-        alike = range(64 * word, min(64 * word + 64, len(index)))  # for neighbors, all alike in the word count
-        alike_too = [g for g in alike if (index.first[g], index.last[g]) == (enters, ends)]
         weight = np.float32(np.mean(index.class_weights)) if ring else index.class_weights[kind]
-        gain = _gain(shared, word, [strength[g] for g in (alike_too if ring else members)], view.eye, weight)
-        bucket = int(kernels.bucket_of(gain))
-        for part in (0, 1):
-            group = part if ring == 0 else 1 + ring
-            inside = [g for g in members if ring > 0 or (classes[g] == FOV) == (part == 0)]
-            if ring > 0 and part == 0:
+        alike = _alike(index, word, enters, ends) if ring else members
+        bucket = int(kernels.bucket_of(_gain(shared, word, [strength[g] for g in alike], view.eye, weight)))
+        near = [g for g in members if (classes[g] == FOV if ring == 0 else g in ahead)]
+        for part, inside in enumerate((near, [g for g in members if g not in near])):
+            group = part if ring == 0 else AHEAD + part * ring
+            for terms in (0, 1) if ring == 0 or part == 0 else (0,):
+                key = int(table[group, enters, terms]) + bucket
+                entries.append((key, 4 * number + 2 * terms + part, terms, inside))
+    walk = _Walk(index, holdings, view)
+    walk.send(sorted(entries, key=lambda entry: entry[:2]), active, {g for _, members in units for g in members})
+    if fill:
+        for shell in _shells(shared, view, strength, offsets(policy, "high", index.num_levels, utility)):
+            walk.send(*shell, every_term=True)
+    return walk.out
+
+
+def _shells(
+    shared: CandidateIndex, view: View, strength: F32, table: NDArray[np.int64]
+) -> Iterator[tuple[list[tuple[int, int, int, list[int]]], set[int], set[int]]]:
+    """Yield what fills an idle link: the entries of each shell, its active terms and candidates and those before."""
+    index, weight = shared.index, np.float32(np.mean(shared.index.class_weights))
+    owners = np.repeat(np.arange(len(index)), np.diff(index.term_offsets))
+    seen: set[int] = set()
+    active: set[int] = set()
+    for shell, cells in enumerate(shared.shells(view.cell)):
+        visible = {g for cell in cells for g in index.sets.classes(cell)[0].tolist()}
+        terms = _active(index, cells)
+        members = {int(owners[t]) for t in terms - active} | (visible - seen if shell else set())
+        seen, active = seen | visible, active | terms
+        found: dict[tuple[int, int, int], list[int]] = {}
+        for g in sorted(members):
+            found.setdefault((g >> 6, int(index.first[g]), int(index.last[g])), []).append(g)
+        entries = []
+        for number, key in enumerate(_in_order_of_scene(index, list(found))):
+            word, enters, ends = key
+            if ends < index.num_levels - 1:
                 continue
-            for terms in (0, 1) if ring == 0 else (0,):
-                entries.append(
-                    (int(table[group, enters, terms]) + bucket, 4 * number + 2 * terms + part, terms, inside)
-                )
-    return _walk(index, sorted(entries, key=lambda entry: entry[:2]), active, candidates, holdings)
+            gain = _gain(shared, word, [strength[g] for g in _alike(index, word, enters, ends)], view.eye, weight)
+            for kind in (0, 1):
+                place = int(table[-1, enters, kind]) + int(kernels.bucket_of(gain))
+                entries.append((place, 2 * number + kind, kind, found[key]))
+        yield sorted(entries, key=lambda entry: entry[:2]), active, seen
 
 
-def _units(index: SceneIndex, cell: int) -> list[tuple[tuple[int, int, int, int, int], list[int]]]:
+def _active(index: SceneIndex, cells: list[int]) -> set[int]:
+    """Return the active terms of cells."""
+    if index.active is None:
+        return set()
+    return {t for cell in cells for t in np.asarray(index.active.active_ids(cell)).tolist()}
+
+
+def _alike(index: SceneIndex, word: int, enters: int, ends: int) -> list[int]:
+    """Return the Gaussians of a word with a pair of levels: the gain of neighbors is the mean of them all."""
+    some = range(64 * word, min(64 * word + 64, len(index)))
+    return [g for g in some if (index.first[g], index.last[g]) == (enters, ends)]
+
+
+def _in_order_of_scene(index: SceneIndex, keys: list[tuple[int, int, int]]) -> list[tuple[int, int, int]]:
+    """Return words with pairs of levels in the order of the units of the whole scene."""
+    return sorted(keys, key=lambda key: (key[0], _alike(index, *key)[0]))
+
+
+def _units(index: SceneIndex, cell: int) -> list[Unit]:
     """Return the members of one word, ring, weight class and pair of levels, in the order of unit numbers."""
     found: dict[tuple[int, int, int, int, int], list[int]] = {}
     placed: set[int] = set()
@@ -98,13 +155,10 @@ def _units(index: SceneIndex, cell: int) -> list[tuple[tuple[int, int, int, int,
         for g in sorted(here):
             key = ring, g >> 6, here[g], int(index.first[g]), int(index.last[g])
             found.setdefault(key, []).append(g)
-    whole: dict[tuple[int, int, int], int] = {}  # units of neighbors are in the order of the whole scene
-    for g in range(len(index)):
-        whole.setdefault((g >> 6, int(index.first[g]), int(index.last[g])), g)
 
-    def place(item: tuple[tuple[int, int, int, int, int], list[int]]) -> tuple[int, int, int, int]:
+    def place(item: Unit) -> tuple[int, int, int, int]:
         (ring, word, kind, enters, ends), members = item
-        return ring, word, kind, members[0] if ring == 0 else whole[word, enters, ends]
+        return ring, word, kind, members[0] if ring == 0 else _alike(index, word, enters, ends)[0]
 
     return sorted(found.items(), key=place)
 
@@ -117,38 +171,55 @@ def _gain(shared: CandidateIndex, word: int, strength: list[F32], eye: F32, weig
     return np.asarray(area / square + pixel, np.float32)
 
 
-def _walk(
-    index: SceneIndex,
-    entries: list[tuple[int, int, int, list[int]]],
-    active: set[int],
-    candidates: set[int],
-    holdings: Holdings,
-) -> list[tuple[str, int]]:
-    """Return the records of sorted entries, as they are sent one by one."""
-    held, held_terms = set(holdings.received.tolist()), set(holdings.received_terms.tolist())
-    gone = set(ids_of(holdings.gone).tolist())
-    starts, ids = index.replaced
-    out: list[tuple[str, int]] = []
-    for _, _, terms, members in entries:
-        for g in members:
-            if g in gone:
+class _Walk:
+    """Records in the order in which they are sent one by one."""
+
+    def __init__(self, index: SceneIndex, holdings: Holdings, view: View) -> None:
+        self.out: list[tuple[str, int]] = []
+        self._index = index
+        self._held, self._held_terms = set(holdings.received.tolist()), set(holdings.received_terms.tolist())
+        self._gone = set(ids_of(holdings.gone).tolist())
+        others = np.zeros((0, 3), np.float32) if view.eyes is None else view.eyes
+        self._eyes = np.concatenate([np.asarray(view.eye)[None], others]).astype(np.float32)
+
+    def send(
+        self,
+        entries: list[tuple[int, int, int, list[int]]],
+        active: set[int],
+        candidates: set[int],
+        *,
+        every_term: bool = False,
+    ) -> None:
+        """Send sorted entries, with the terms that are active for one of the eyes, or with every active term."""
+        for _, _, terms, members in entries:
+            for g in members:
+                if g in self._gone:
+                    continue
+                if terms and g in self._held:
+                    self._send_terms(g, active, every_term)
+                elif not terms and g not in self._held:
+                    self._held.add(g)
+                    self.out.append(("gaussian", g))
+                    self._drop_replaced(g, candidates)
+
+    def _send_terms(self, g: int, active: set[int], every_term: bool) -> None:
+        index = self._index
+        for t in range(int(index.term_offsets[g]), int(index.term_offsets[g + 1])):
+            if t not in active or t in self._held_terms:
                 continue
-            if terms and g in held:
-                for t in range(int(index.term_offsets[g]), int(index.term_offsets[g + 1])):
-                    if t in active and t not in held_terms:
-                        held_terms.add(t)
-                        out.append(("term", t))
-            elif not terms and g not in held:
-                held.add(g)
-                out.append(("gaussian", g))
-                queue = [g]
-                while queue:
-                    y = queue.pop(0)
-                    for x in ids[starts[y] : starts[y + 1]].tolist():
-                        low, high = index.replacement_offsets[x : x + 2]
-                        wanted = [h for h in index.replacement_ids[low:high].tolist() if h in candidates]
-                        if x not in gone and all(h in held or h in gone for h in wanted):
-                            gone.add(x)
-                            queue.append(x)
-                            out += [("drop", x)] if x in held else []
-    return out
+            if every_term or index.cones is None or index.cones.active([t], index.means[g], self._eyes)[0]:
+                self._held_terms.add(t)
+                self.out.append(("term", t))
+
+    def _drop_replaced(self, g: int, candidates: set[int]) -> None:
+        index, (starts, ids) = self._index, self._index.replaced
+        queue = [g]
+        while queue:
+            y = queue.pop(0)
+            for x in ids[starts[y] : starts[y + 1]].tolist():
+                low, high = index.replacement_offsets[x : x + 2]
+                wanted = [h for h in index.replacement_ids[low:high].tolist() if h in candidates]
+                if x not in self._gone and all(h in self._held or h in self._gone for h in wanted):
+                    self._gone.add(x)
+                    queue.append(x)
+                    self.out += [("drop", x)] if x in self._held else []

@@ -126,6 +126,16 @@ class Activation:
         kernels.mark_terms(ids, faint, *terms, first, last, out)
         return out
 
+    def least_cosines(self) -> F32:
+        """Return (T,) bounds on the cosine between the center of a term and the direction from an eye to its Gaussian.
+
+        The term is active only at cosines of at least the bound: 2 if it never is, -inf if it always is. In RGB it is
+        then active; in other spaces it may be.
+        """
+        with np.errstate(invalid="ignore"):
+            found = 1.0 - self._logs.astype(np.float64) * self._widths
+        return np.where(np.isneginf(self._logs), 2.0, found).astype(np.float32)
+
     def _select(self, visible: ArrayLike | None, weights: ArrayLike | None) -> tuple[NDArray[np.int64], F32 | None]:
         """Return (V,) ids of the selected Gaussians, and their weights if given."""
         count = len(self.colors)

@@ -30,6 +30,7 @@ class Parcel:
         gaussians: Ids of Gaussians that can be drawn from then on.
         terms: Ids of terms that can be drawn from then on.
         dropped: Ids of Gaussians that are no longer shown.
+        filling: Whether no view needs it yet: it fills an idle link.
     """
 
     sequence: int
@@ -37,6 +38,7 @@ class Parcel:
     gaussians: NDArray[Any]
     terms: NDArray[Any]
     dropped: NDArray[Any]
+    filling: bool = False
 
 
 class Delivery(Protocol):
@@ -109,10 +111,11 @@ class Adaptive:
         if message is None:
             return None
         batch = message.batch
-        return Parcel(message.sequence, len(message.data), batch.gaussians, batch.terms, batch.dropped)
+        sets = batch.gaussians, batch.terms, batch.dropped
+        return Parcel(message.sequence, len(message.data), *sets, filling=batch.filling)
 
     def describe(self) -> dict[str, Any]:
         """Return facts for reports; see `Delivery`."""
         c = self.config
         return {"policy": c.policy, "estimator": c.estimator, "predictor": c.predictor, "lead": c.lead,
-                "window": c.window, "piece": c.piece}  # fmt: skip
+                "ahead": c.ahead, "window": c.window, "piece": c.piece, "fill": c.fill}  # fmt: skip

@@ -42,6 +42,7 @@ class Playback:
         term_at: (T,) seconds at which each term could be used.
         times: (P,) seconds of arrival of each parcel, ascending.
         sizes: (P,) bytes of each parcel.
+        filling: (P,) whether each parcel only filled an idle link.
         twice: Number of Gaussians and terms that arrived more than once.
         about: Description by the delivery.
     """
@@ -55,6 +56,7 @@ class Playback:
     term_at: F32
     times: F64
     sizes: NDArray[np.int64]
+    filling: NDArray[np.bool_]
     twice: int
     about: dict[str, Any]
 
@@ -117,10 +119,10 @@ def play(
                 heapq.heappush(events, (arrival + link.delay, _ACK, parcel.sequence))
     gaussians, gone, terms = entered.moments
     times, sizes = np.array(entered.times), np.array(entered.sizes, np.int64)
-    about = delivery.describe()
     return Playback(
-        delivery.name, delivery.exact, link, seconds, gaussians, gone, terms, times, sizes, entered.twice, about
-    )
+        delivery.name, delivery.exact, link, seconds, gaussians, gone, terms, times, sizes,
+        np.array(entered.filling, np.bool_), entered.twice, delivery.describe(),
+    )  # fmt: skip
 
 
 class _Arrivals:
@@ -134,6 +136,7 @@ class _Arrivals:
         )
         self.times: list[float] = []
         self.sizes: list[int] = []
+        self.filling: list[bool] = []
         self.twice = 0
 
     def add(self, t: float, parcel: Parcel) -> None:
@@ -144,3 +147,4 @@ class _Arrivals:
         gone[parcel.dropped] = np.minimum(gone[parcel.dropped], np.float32(t))
         self.times.append(t)
         self.sizes.append(parcel.nbytes)
+        self.filling.append(parcel.filling)

@@ -10,7 +10,10 @@ from numpy.typing import NDArray
 
 from gsvis import _check
 from gsvis.abr.candidates import CandidateIndex
+from gsvis.abr.cones import TermCones
 from gsvis.abr.index import SceneIndex
+from gsvis.color.activation import Activation
+from gsvis.color.srbf import unit_vectors
 from gsvis.files.cache import Cache
 from gsvis.package.contents import Contents
 from gsvis.package.layout import RECORD_BYTES
@@ -21,7 +24,7 @@ from gsvis.pvs.store import VisibilityStore
 from gsvis.stream.batch import CHUNK_ROW
 from gsvis.stream.header import SceneHeader
 
-__all__ = ["StreamedScene", "class_weights"]
+__all__ = ["StreamedScene", "class_weights", "term_cones"]
 
 
 class StreamedScene:
@@ -116,6 +119,16 @@ def class_weights(sets: VisibilityStore) -> NDArray[np.float32]:
     return np.array([np.sqrt(low * min(high, 1.0)) for low, high in ends], np.float32)
 
 
+def term_cones(contents: Contents, epsilon: float) -> TermCones:
+    """Return the directions in which each term of a package is active: its change of the color is above epsilon."""
+    colors = contents.colors()
+    exact, places = colors.dequantize(), colors.centers[:, 0].astype(np.int64) << 16 | colors.centers[:, 1]
+    _, first, found = np.unique(places, return_index=True, return_inverse=True)
+    cosines = Activation(exact, np.zeros((len(contents), 3), np.float32), epsilon).least_cosines()
+    centers = unit_vectors(exact.centers[first]).astype(np.float32)
+    return TermCones(centers, found.astype(np.int32), cosines)
+
+
 def _chunk_rows(contents: Contents) -> NDArray[np.void]:
     table, rows = contents.table, np.zeros(len(contents.table), CHUNK_ROW)
     for name, values in (
@@ -139,8 +152,11 @@ def _scene_index(package: Package, cache: Cache[Any]) -> SceneIndex:
         sets = package.visibility
         sets.cache = cache
         active = None if manifest.active_terms is None else package.active_terms
+        cones = None if active is None else term_cones(contents, active.epsilon)
         weights = class_weights(sets)
-        return SceneIndex.from_levels(contents.levels(), sets.grid, sets, active=active, class_weights=weights, **sizes)
+        return SceneIndex.from_levels(
+            contents.levels(), sets.grid, sets, active=active, cones=cones, class_weights=weights, **sizes
+        )  # fmt: skip
     low, high = contents.gaussians().bounds(1.0) if len(contents) else (np.zeros(3), np.ones(3))
     side = max(float((high - low).max()), 1e-6)
     up = np.array(manifest.info.up)

@@ -68,6 +68,7 @@ class Session:
         meter: Measures the bytes in flight and the time of transfers.
         wire_bytes: Bytes of all messages so far.
         record_bytes: Bytes of the records of all batches so far.
+        filling_bytes: Bytes of the messages that only filled an idle link.
     """
 
     def __init__(
@@ -82,7 +83,7 @@ class Session:
         self.planner = Planner(scene.candidates, view, self.config, holdings=holdings)
         self.meter = LinkMeter()
         self._throughput = estimator(self.config.estimator, self.config.start_rate)
-        self.wire_bytes, self.record_bytes = 0, 0.0
+        self.wire_bytes, self.record_bytes, self.filling_bytes = 0, 0.0, 0
         self._sequence, self._overhead = 0, _FIRST
         self._starts = scene.contents.table.starts
         self._has_row = np.zeros(len(scene.chunk_rows), bool)
@@ -124,8 +125,13 @@ class Session:
 
     @property
     def done(self) -> bool:
-        """Whether the session has sent everything that the client's view needs."""
+        """Whether nothing is left to send: what the client's view needs, and with `AbrConfig.fill` the rest."""
         return self.planner.done
+
+    @property
+    def filling(self) -> bool:
+        """Whether the next message only fills an idle link."""
+        return self.planner.filling
 
     def welcome(self, t: float) -> Message:
         """Return WELCOME, the first message to send; its acknowledgement shows the round trip."""
@@ -151,8 +157,12 @@ class Session:
             self._throughput.observe(*transfer)
 
     def allowance(self) -> float:
-        """Return the bytes to send now: enough to keep the link busy for the window and a round trip."""
-        return max(0.0, self.rate * (self.config.window + self.meter.round_trip) - self.outstanding)
+        """Return the bytes to send now: enough to keep the link busy for the window and a round trip.
+
+        What only fills the link has the window of two messages, so that it does not delay what the next view needs.
+        """
+        window = min(self.config.window, 2.0 * self.config.piece) if self.filling else self.config.window
+        return max(0.0, self.rate * (window + self.meter.round_trip) - self.outstanding)
 
     def room(self, seconds: float | None = None) -> float:
         """Return the bytes that the next message should have.
@@ -190,6 +200,7 @@ class Session:
         data = self._encode(batch)
         self._overhead += _LEARNED * ((len(data) - FIXED_BYTES) / batch.bytes - self._overhead)
         self._record_sent(t, self._sequence, len(data))
+        self.filling_bytes += len(data) if batch.filling else 0
         return Message(self._sequence, data, batch)
 
     def _record_sent(self, t: float, sequence: int, nbytes: int) -> None:

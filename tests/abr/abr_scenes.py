@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from gsvis.abr.cones import TermCones
 from gsvis.abr.index import SceneIndex, nearest_replacements
 from gsvis.package.order import in_package_order
 from gsvis.pvs.cells import CellGrid
@@ -46,6 +47,12 @@ def random_levels(rng: np.random.Generator, count: int, levels: int, *, ordered:
     return in_package_order(made) if ordered else made
 
 
+def random_cones(rng: np.random.Generator, count: int) -> TermCones:
+    centers = rng.normal(size=(20, 3))
+    centers /= np.linalg.norm(centers, axis=1, keepdims=True)
+    return TermCones(centers.astype(np.float32), rng.integers(0, 20, count), rng.uniform(-1.1, 1.1, count))
+
+
 def random_index(
     seed: int,
     count: int = 700,
@@ -56,6 +63,7 @@ def random_index(
     shape: tuple[int, int, int] = (3, 3, 2),
     ordered: bool = True,
     classes: int = 4,
+    cones: bool = False,
 ) -> SceneIndex:
     rng = np.random.default_rng(seed)
     made = random_levels(rng, count, levels, ordered=ordered)
@@ -75,6 +83,7 @@ def random_index(
         grid,
         cells,
         active=cells,
+        cones=random_cones(rng, int(offsets[-1])) if cones else None,
         gaussian_bytes=rng.integers(10, 20, count),
         term_offsets=offsets,
         term_bytes=rng.uniform(3, 6, int(offsets[-1])),
@@ -82,4 +91,4 @@ def random_index(
     )
 
 
-__all__ = ["ArrayCells", "nearest_replacements", "random_index", "random_levels"]
+__all__ = ["ArrayCells", "nearest_replacements", "random_cones", "random_index", "random_levels"]

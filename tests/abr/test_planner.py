@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -29,15 +31,23 @@ def some_view(index, seed: int, regime: str = "high") -> View:
     eye = rng.uniform(-3, 3, 3).astype(np.float32)
     cell = int(rng.integers(len(index.grid)))
     planes = np.stack([VIEW.planes(eye, rng.normal(size=4)) for _ in range(int(rng.integers(1, 3)))])
-    return View(cell, eye, planes, regime)
+    eyes = (eye + rng.normal(0, 0.5, (int(rng.integers(0, 3)), 3))).astype(np.float32)
+    near = [cell, *index.grid.neighbors(cell).tolist()]
+    return View(cell, eye, planes, regime, eyes, int(rng.choice(near)))
 
 
 def aimed(
-    store: CandidateIndex, view: View, policy: str, holdings: Holdings | None = None, reach: float = 1e6
+    store: CandidateIndex,
+    view: View,
+    policy: str,
+    holdings: Holdings | None = None,
+    reach: float = 1e6,
+    *,
+    fill: bool = False,
 ) -> Planner:
-    planner = Planner(store, VIEW, AbrConfig(policy=policy), holdings=holdings)
+    planner = Planner(store, VIEW, AbrConfig(policy=policy, fill=fill), holdings=holdings)
     planner.reach = reach
-    planner.aim(view.cell, view.eye, view.planes, view.regime)
+    planner.aim(view.cell, view.eye, view.planes, view.regime, eyes=view.eyes, cell_ahead=view.cell_ahead)
     return planner
 
 
@@ -56,16 +66,23 @@ def joined(batches: list[Batch], name: str) -> list[int]:
 
 
 @FEW
-@given(st.integers(0, 10_000), st.sampled_from(POLICIES), st.sampled_from(REGIMES), st.integers(1, 3), st.booleans())
-def test_fast_and_slow_give_the_same_records_in_the_same_order(seed, policy, regime, levels, ordered) -> None:
-    index = scenes.random_index(seed, count=200, levels=levels, ordered=ordered)
+@given(
+    st.integers(0, 10_000), st.sampled_from(POLICIES), st.sampled_from(REGIMES), st.integers(1, 3), st.booleans(),
+    st.booleans(), st.booleans(),
+)  # fmt: skip
+def test_fast_and_slow_give_the_same_records_in_the_same_order(seed, policy, regime, levels, ordered, cones, fill):
+    shape = (4, 3, 3) if fill else (3, 3, 2)
+    index = scenes.random_index(
+        seed, count=200, levels=levels, ordered=ordered, cones=cones, shape=shape, share=0.1 if fill else 0.4
+    )  # fmt: skip
     store = CandidateIndex(index)
     view = some_view(index, seed, regime)
     rng = np.random.default_rng(seed)
     held = Holdings(len(index), index.num_terms)
     held.add(np.flatnonzero(rng.random(len(index)) < 0.2), np.zeros(0, np.int64), np.zeros(0, np.int64))
-    slow = order_records(store, view, policy, held)
-    batches = taken(aimed(store, view, policy, held.copy(), reach=float(rng.choice([1.0, 500.0, 1e9]))), [1e9])
+    slow = order_records(store, view, policy, held, fill=fill)
+    reach = float(rng.choice([1.0, 500.0, 1e9]))
+    batches = taken(aimed(store, view, policy, held.copy(), reach, fill=fill), [1e9])
     assert joined(batches, "gaussians") == [i for kind, i in slow if kind == "gaussian"]
     assert joined(batches, "terms") == [i for kind, i in slow if kind == "term"]
     assert joined(batches, "dropped") == [i for kind, i in slow if kind == "drop"]
@@ -179,7 +196,7 @@ def test_under_high_bandwidth_nothing_is_sent_that_the_highest_level_has_not(see
 @given(st.integers(0, 10_000))
 def test_the_orders_of_the_paper(seed) -> None:
     index = scenes.random_index(seed, most_terms=0)
-    store, view = CandidateIndex(index), some_view(index, seed, "low")
+    store, view = CandidateIndex(index), replace(some_view(index, seed, "low"), cell_ahead=None)
     found = classify(index, view.cell, view.planes)
     for policy, head in (
         ("fov-first", [(FOV, 0), (FOV, 1), (PERIPHERAL, 0)]),

@@ -38,7 +38,7 @@ def test_tables_of_the_policies() -> None:
                 assert (table[..., 1] >= table[..., 0]).all()
                 if policy != "utility":
                     found = pairs(policy, regime, levels)
-                    assert len(set(found)) == len(found) == 5 * levels
+                    assert len(set(found)) == len(found) == 6 * levels
                 assert lowest_last(regime, levels) == (levels - 1 if regime == "high" else 0)
     low, high = offsets("utility", "low", 3), offsets("utility", "high", 3)
     assert (low[1:] >= high[1:]).all()

@@ -1,4 +1,4 @@
-"""Kernels that plan for one client: rank units by gain, and take the next records that fit.
+"""Kernels that plan for one client: rank units by gain. `take` takes the next records that fit.
 
 Loops over all words and units of a cell have no branches, so that they run in SIMD lanes. Whether single Gaussians are
 in view is tested only for the words that a plan can reach. Inner loops take arrays one by one, because numba counts
@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
-from gsvis._kernels.bits import lowest, ones
-from gsvis.abr._kernels.units import BUCKETS, GEOMETRY, INSIDE, LEAST, TERMS
+from gsvis._kernels.bits import ones
+from gsvis.abr._kernels.units import BUCKETS, GEOMETRY, INSIDE, LEAST, OUTSIDE, TERMS
 
 _OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
 _SAMPLE, _SPARE = 16, 1.5
@@ -31,6 +31,9 @@ class Cell(NamedTuple):
     owed: Any  # (S,) uint64, Gaussians that may have active terms that are not held
     active: Any  # active terms as a packed set
     candidates: Any  # (W,) uint64, all candidates
+    ahead: Any  # (S,) uint64, what the cell sees that the viewer is about to enter
+    checked: Any  # (S,) uint64, Gaussians that owe only terms which are not active for the eye
+    checked_at: Any  # (S,) float32, `View.travelled` when the first of them were checked
     waits: Any  # (E, 2) int32, id and place of the replacement that each waits for
 
 
@@ -46,6 +49,9 @@ class View(NamedTuple):
     """What a client looks at."""
 
     eye: Any  # (3,) float32
+    eyes: Any  # (P, 3) float32, terms that are active for none of them are kept back; all are sent where P = 0
+    travelled: Any  # distance that the eye has moved so far
+    parallax: Any  # radians by which a direction changes before terms are checked again
     planes: Any  # (F, 5, 4) float32 frusta
     bodies: Any  # (4, 64 W) float32, see `CandidateIndex.bodies`
 
@@ -70,6 +76,9 @@ class Records(NamedTuple):
     sizes: Any  # (N,) of Gaussians, (1,) where all are equal
     term_offsets: Any  # (N + 1,)
     term_sizes: Any  # (T,)
+    centers: Any  # (D, 3) float32, see `TermCones`
+    places: Any  # (T,) int32
+    cosines: Any  # (T,) float32
 
 
 class Links(NamedTuple):
@@ -108,45 +117,6 @@ class Work(NamedTuple):
     sets: Any  # (4 U,) uint64
     counts: Any  # (K,) int64
     sizes: Any  # (K,) float64
-
-
-@njit(inline="always")
-def _has(words, i):
-    return (words[i >> 6] >> np.uint64(i & 63)) & np.uint64(1) != 0
-
-
-@njit(inline="always")
-def _put(words, i):
-    words[i >> 6] |= np.uint64(1) << np.uint64(i & 63)
-
-
-@njit(**_OPTIONS)
-def forget_paid(words, active, held, term_offsets, owed):
-    """Clear in `owed` (S,) the words of Gaussians whose active terms are all held."""
-    count = len(term_offsets) - 1
-    for s in range(len(words)):
-        if owed[s]:
-            w = np.int64(words[s])
-            if not _left(active, held, term_offsets[64 * w], term_offsets[min(64 * w + 64, count)]):
-                owed[s] = 0
-
-
-@njit(inline="always")
-def _left(active, held, start, stop):
-    """Return whether a bit in [start, stop) is in `active` and not in `held`."""
-    if start >= stop:
-        return False
-    ones = ~np.uint64(0)
-    low, high = start >> 6, (stop - 1) >> 6
-    for k in range(low, high + 1):
-        word = active[k] & ~held[k]
-        if k == low:
-            word &= ones << np.uint64(start & 63)
-        if k == high:
-            word &= ones >> np.uint64(63 - ((stop - 1) & 63))
-        if word:
-            return True
-    return False
 
 
 @njit(**_OPTIONS)
@@ -214,6 +184,16 @@ def _gather(words, owed, gaussians, gone, free, due):
 
 
 @njit(**_OPTIONS)
+def _skip_checked(squares, travelled, parallax, checked, checked_at, due):
+    """Remove from `due` (S,) what is checked; forget checks of words whose direction has changed by the parallax."""
+    for s in range(len(due)):
+        apart = np.float32(travelled) - checked_at[s]
+        if checked[s] == 0 or apart * apart > parallax * parallax * squares[s]:
+            checked[s], checked_at[s] = 0, travelled
+        due[s] &= ~checked[s]
+
+
+@njit(**_OPTIONS)
 def _squares(x, y, z, spreads, eye, out):
     """Set the mean square of the distances between the Gaussians of each word and the eye."""
     a, b, c = eye[0], eye[1], eye[2]
@@ -243,19 +223,21 @@ def _estimate_limit(units, runs, cell, table, limits, work):
     """Return a key below which about enough bytes lie, estimated from a sample of the words; at most all keys."""
     masks, codes, buckets = units.masks, units.codes, work.buckets
     starts, run_slots = runs
-    free, due, sides, sizes = work.free, work.due, work.sides, work.sizes
-    word_bytes, term_bytes = cell.places[5], cell.term_bytes
+    free, due, sides, sizes, ahead = work.free, work.due, work.sides, work.sizes, cell.ahead
+    word_bytes, term_bytes, own = cell.places[5], cell.term_bytes, len(table) // 4
     enough, least = limits
     sizes[:] = 0.0
     for r in range(0, len(run_slots), _SAMPLE):
         s = run_slots[r]
-        side = 0 if sides[s] else 1
         for u in range(starts[r], starts[r + 1]):
+            near = ahead[s] if codes[u] >= own else ~np.uint64(0) if sides[s] else np.uint64(0)
             for kind in range(2):
-                key = table[codes[u], kind, side] + buckets[u]
-                if key < NEVER:
-                    left = masks[u] & (free[s] if kind == GEOMETRY else due[s])
-                    sizes[key] += np.float64(ones(left)) * (word_bytes[s] if kind == GEOMETRY else term_bytes)
+                left = masks[u] & (free[s] if kind == GEOMETRY else due[s])
+                share = np.float64(word_bytes[s]) if kind == GEOMETRY else term_bytes
+                for part in range(2):
+                    key, bits = table[codes[u], kind, part] + buckets[u], left & (near if part == INSIDE else ~near)
+                    if key < NEVER and bits:
+                        sizes[key] += np.float64(ones(bits)) * share
     total = 0.0
     for key in range(least, len(sizes)):
         total += _SAMPLE * sizes[key]
@@ -265,7 +247,7 @@ def _estimate_limit(units, runs, cell, table, limits, work):
 
 
 @njit(**_OPTIONS)
-def _choose(units, runs, table, limit, work):
+def _choose(units, runs, ahead, table, limit, work):
     """Choose the units that may have a key below a limit; mark their words on a border with 3, for a closer test.
 
     Returns:
@@ -273,16 +255,17 @@ def _choose(units, runs, table, limit, work):
     """
     masks, codes, buckets, chosen = units.masks, units.codes, work.buckets, work.chosen
     starts, run_slots = runs
-    free, due, sides = work.free, work.due, work.sides
+    free, due, sides, own = work.free, work.due, work.sides, len(table) // 4
     filled, every = 0, True
     for r in range(len(run_slots)):
         s = run_slots[r]
         rest, fresh = free[s] | due[s], free[s]
         if not rest:
             continue
-        side, before = 0 if sides[s] else 1, filled
+        before = filled
         for u in range(starts[r], starts[r + 1]):
-            kind = GEOMETRY if masks[u] & fresh else TERMS
+            near = sides[s] != 0 if codes[u] < own else masks[u] & ahead[s] != 0
+            kind, side = GEOMETRY if masks[u] & fresh else TERMS, INSIDE if near else OUTSIDE
             key = table[codes[u], kind, side] + buckets[u]
             if key < limit:
                 chosen[filled] = u
@@ -301,10 +284,11 @@ def rank(units, runs, cell, held, view, table, limits, work):
     Args:
         units: `Units` of the cell.
         runs: `Runs` of them.
-        cell: `Cell`.
+        cell: `Cell`; changes what is checked.
         held: `Held`.
         view: `View`.
-        table: (4 L L, 2, 2) int32, the offset of a bucket: by code, geometry or terms, in view or out of view.
+        table: (4 L L, 2, 2) int32, the offset of a bucket: by code, geometry or terms, in view or out of view (ring 0),
+            in the cell ahead or not (other rings).
         limits: `Limits`.
         work: `Work` with S words, U units and K keys; see `CandidateIndex.work`.
 
@@ -316,15 +300,16 @@ def rank(units, runs, cell, held, view, table, limits, work):
     inside, free, due, sides, squares, gains, buckets, chosen, keys, entries, sets, counts, sizes = work
     least = limits.least
     x, y, z, word_bytes = places[0], places[1], places[2], places[5]
-    _gather(words, cell.owed, held.gaussians, held.gone, free, due)
     sides[:] = 0
     for f in range(len(view.planes)):
         _test_words(x, y, z, places[3], view.planes[f], sides)
     _squares(x, y, z, places[4], view.eye, squares)
+    _gather(words, cell.owed, held.gaussians, held.gone, free, due)
+    _skip_checked(squares, view.travelled, view.parallax, cell.checked, cell.checked_at, due)
     _gains(slots, areas, pixels, squares, gains)
     _buckets(gains.view(np.int32), buckets)
     limit = _estimate_limit(units, runs, cell, table, limits, work)
-    count, whole = _choose(units, runs, table, limit, work)
+    count, whole = _choose(units, runs, cell.ahead, table, limit, work)
     _test_gaussians(words, places, view.bodies, view.planes, sides, inside)
     own = len(table) // 4  # codes of ring 0
     counts[:limit], sizes[:limit] = 0, 0.0
@@ -332,7 +317,7 @@ def rank(units, runs, cell, held, view, table, limits, work):
     for j in range(count):
         u = chosen[j]
         s, code = slots[u], codes[u]
-        seen = inside[s] if code < own else np.uint64(0)
+        seen = inside[s] if code < own else cell.ahead[s]
         for kind in range(2):
             left = masks[u] & (free[s] if kind == GEOMETRY else due[s])
             share = np.float64(word_bytes[s]) if kind == GEOMETRY else term_bytes
@@ -359,113 +344,3 @@ def rank(units, runs, cell, held, view, table, limits, work):
             plan.entries[counts[key]], plan.sets[counts[key]] = entries[k], sets[k]
             counts[key] += 1
     return plan, stop, whole and length == filled
-
-
-@njit(**_OPTIONS)
-def take(plan, place, cell, held, records, links, budget, out):
-    """Take the next records of a plan that fit into a budget, and mark them as held.
-
-    Args:
-        plan: `Plan`.
-        place: Entry to continue at.
-        cell: `Cell`; clears what is paid in `owed`, and changes `waits`.
-        held: `Held`; changed.
-        records: `Records`.
-        links: `Links`.
-        budget: Bytes.
-        out: `Taken`, receives ids; `dropped` and `queue` have room for all that can be dropped.
-
-    Returns:
-        Entry to continue at, numbers of Gaussians, terms and dropped Gaussians, and bytes.
-    """
-    entries, sets = plan
-    words, owed, active = cell.words, cell.owed, cell.active
-    gaussians, held_terms, gone = held
-    sizes, term_offsets, term_sizes = records
-    only, waits = links.only, cell.waits
-    out_gaussians, out_terms = out.gaussians, out.terms
-    size, varied = np.float64(sizes[0]) if len(sizes) else 0.0, len(sizes) > 1
-    found, found_terms, dropped, total = 0, 0, np.int64(0), 0.0  # a literal would compile `_drop_replaced` twice
-    one, ones = np.uint64(1), ~np.uint64(0)
-    while place < len(entries):
-        s, terms = np.int64(entries[place] >> 1), entries[place] & 1 != 0
-        w = np.int64(words[s])
-        rest = sets[place] & ~gone[w] & (gaussians[w] & owed[s] if terms else ~gaussians[w])
-        while rest:
-            low = lowest(rest)
-            rest &= rest - one
-            g = 64 * w + np.int64(low)
-            if not terms:
-                size = np.float64(sizes[g]) if varied else size
-                if total + size > budget:
-                    return place, found, found_terms, dropped, total
-                total += size
-                out_gaussians[found] = g
-                found += 1
-                gaussians[w] |= one << low
-                e = np.int64(only[g])
-                if e == SEVERAL or (e >= 0 and (waits[e, 0] == UNKNOWN or waits[e, 0] == g)):
-                    dropped = _drop_replaced(g, held, cell, links, out, dropped)
-                    rest &= ~gone[w]
-                continue
-            start, stop = term_offsets[g], term_offsets[g + 1]
-            for k in range(start >> 6, (stop + 63) >> 6):
-                left = active[k] & ~held_terms[k]
-                if 64 * k < start:
-                    left &= ones << np.uint64(start & 63)
-                if 64 * k + 64 > stop:
-                    left &= ones >> np.uint64(64 * k + 64 - stop)
-                while left:
-                    t = 64 * k + np.int64(lowest(left))
-                    if total + term_sizes[t] > budget:
-                        return place, found, found_terms, dropped, total
-                    total += term_sizes[t]
-                    out_terms[found_terms] = t
-                    found_terms += 1
-                    held_terms[k] |= left & (~left + one)
-                    left &= left - one
-            owed[s] &= ~(one << low)
-        place += 1
-    return place, found, found_terms, dropped, total
-
-
-@njit(**_OPTIONS)
-def _drop_replaced(g, held, cell, links, out, dropped):
-    """Mark as gone what g replaces, where all other replacements are held or cannot be seen from the cell.
-
-    A Gaussian that is gone counts as held, so what it was to replace is checked too. What still waits remembers one
-    missing replacement in `waits`, and is not checked again before that arrives.
-    """
-    gaussians, gone, candidates, waits = held.gaussians, held.gone, cell.candidates, cell.waits
-    offsets, ranks, ending, starts, ids = links.offsets, links.ranks, links.ending, links.starts, links.ids
-    queue, out_dropped = out.queue, out.dropped
-    waiting, done, y = 0, 0, g
-    while True:
-        for k in range(offsets[y], offsets[y + 1]):
-            e = ranks[k]
-            if waits[e, 0] != UNKNOWN and waits[e, 0] != y:
-                continue
-            x = np.int64(ending[e])
-            if _has(gone, x):
-                waits[e, 0] = DONE
-                continue
-            m = starts[e] if waits[e, 0] == UNKNOWN else np.int64(waits[e, 1])
-            while m < starts[e + 1]:
-                h = np.int64(ids[m])
-                if _has(candidates, h) and not _has(gaussians, h) and not _has(gone, h):
-                    break
-                m += 1
-            if m < starts[e + 1]:
-                waits[e, 0], waits[e, 1] = ids[m], m
-                continue
-            waits[e, 0] = DONE
-            _put(gone, x)
-            queue[waiting] = x
-            waiting += 1
-            if _has(gaussians, x):
-                out_dropped[dropped] = x
-                dropped += 1
-        if done == waiting:
-            return dropped
-        y = np.int64(queue[done])
-        done += 1

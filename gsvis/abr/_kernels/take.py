@@ -1,0 +1,194 @@
+"""Kernels that take the next records of a plan, and keep what a client holds and still owes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from gsvis._kernels.bits import lowest
+from gsvis.abr._kernels.plan import DONE, SEVERAL, UNKNOWN
+
+_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
+
+
+@njit(inline="always")
+def _has(words, i):
+    return (words[i >> 6] >> np.uint64(i & 63)) & np.uint64(1) != 0
+
+
+@njit(inline="always")
+def _put(words, i):
+    words[i >> 6] |= np.uint64(1) << np.uint64(i & 63)
+
+
+@njit(**_OPTIONS)
+def forget_paid(words, active, held, term_offsets, owed):
+    """Clear in `owed` (S,) the words of Gaussians whose active terms are all held."""
+    count = len(term_offsets) - 1
+    for s in range(len(words)):
+        if owed[s]:
+            w = np.int64(words[s])
+            if not _left(active, held, term_offsets[64 * w], term_offsets[min(64 * w + 64, count)]):
+                owed[s] = 0
+
+
+@njit(inline="always")
+def _left(active, held, start, stop):
+    """Return whether a bit in [start, stop) is in `active` and not in `held`."""
+    if start >= stop:
+        return False
+    ones = ~np.uint64(0)
+    low, high = start >> 6, (stop - 1) >> 6
+    for k in range(low, high + 1):
+        word = active[k] & ~held[k]
+        if k == low:
+            word &= ones << np.uint64(start & 63)
+        if k == high:
+            word &= ones >> np.uint64(63 - ((stop - 1) & 63))
+        if word:
+            return True
+    return False
+
+
+@njit(inline="always")
+def _directions(bodies, g, eyes, out):
+    """Set unit vectors (P, 3) from eyes (P, 3) to a Gaussian; (0, 0, 1) from an eye at its center."""
+    for p in range(len(eyes)):
+        x, y, z = bodies[0, g] - eyes[p, 0], bodies[1, g] - eyes[p, 1], bodies[2, g] - eyes[p, 2]
+        length = np.sqrt(x * x + y * y + z * z)
+        if length > 0:
+            out[p, 0], out[p, 1], out[p, 2] = x / length, y / length, z / length
+        else:
+            out[p, 0], out[p, 1], out[p, 2] = 0.0, 0.0, 1.0
+
+
+@njit(inline="always")
+def _is_active(centers, place, cosine, toward):
+    """Return whether one of the directions (P, 3) lies in the cone of a term."""
+    x, y, z = centers[place, 0], centers[place, 1], centers[place, 2]
+    found = False
+    for p in range(len(toward)):
+        found |= x * toward[p, 0] + y * toward[p, 1] + z * toward[p, 2] >= cosine
+    return found
+
+
+@njit(**_OPTIONS)
+def take(plan, place, cell, held, view, records, links, budget, out):
+    """Take the next records of a plan that fit into a budget, and mark them as held.
+
+    Args:
+        plan: `Plan`.
+        place: Entry to continue at.
+        cell: `Cell`; clears what is paid in `owed`, adds to what is checked, and changes `waits`.
+        held: `Held`; changed.
+        view: `View`.
+        records: `Records`.
+        links: `Links`.
+        budget: Bytes.
+        out: `Taken`, receives ids; `dropped` and `queue` have room for all that can be dropped.
+
+    Returns:
+        Entry to continue at, numbers of Gaussians, terms and dropped Gaussians, and bytes.
+    """
+    entries, sets = plan
+    words, owed, active, checked = cell.words, cell.owed, cell.active, cell.checked
+    gaussians, held_terms, gone = held
+    sizes, term_offsets, term_sizes, centers, centers_of, cosines = records
+    eyes, bodies, toward = view.eyes, view.bodies, np.empty((len(view.eyes), 3), np.float32)
+    only, waits = links.only, cell.waits
+    out_gaussians, out_terms = out.gaussians, out.terms
+    size, varied = np.float64(sizes[0]) if len(sizes) else 0.0, len(sizes) > 1
+    found, found_terms, dropped, total = 0, 0, np.int64(0), 0.0  # a literal would compile `_drop_replaced` twice
+    one, ones = np.uint64(1), ~np.uint64(0)
+    while place < len(entries):
+        s, terms = np.int64(entries[place] >> 1), entries[place] & 1 != 0
+        w = np.int64(words[s])
+        rest = sets[place] & ~gone[w] & (gaussians[w] & owed[s] & ~checked[s] if terms else ~gaussians[w])
+        while rest:
+            low = lowest(rest)
+            rest &= rest - one
+            g = 64 * w + np.int64(low)
+            if not terms:
+                size = np.float64(sizes[g]) if varied else size
+                if total + size > budget:
+                    return place, found, found_terms, dropped, total
+                total += size
+                out_gaussians[found] = g
+                found += 1
+                gaussians[w] |= one << low
+                e = np.int64(only[g])
+                if e == SEVERAL or (e >= 0 and (waits[e, 0] == UNKNOWN or waits[e, 0] == g)):
+                    dropped = _drop_replaced(g, held, cell, links, out, dropped)
+                    rest &= ~gone[w]
+                continue
+            start, stop, kept_back = term_offsets[g], term_offsets[g + 1], False
+            _directions(bodies, g, eyes, toward)
+            for k in range(start >> 6, (stop + 63) >> 6):
+                left = active[k] & ~held_terms[k]
+                if 64 * k < start:
+                    left &= ones << np.uint64(start & 63)
+                if 64 * k + 64 > stop:
+                    left &= ones >> np.uint64(64 * k + 64 - stop)
+                while left:
+                    t = 64 * k + np.int64(lowest(left))
+                    if len(eyes) > 0 and not _is_active(centers, centers_of[t], cosines[t], toward):
+                        left &= left - one
+                        kept_back = True
+                        continue
+                    if total + term_sizes[t] > budget:
+                        return place, found, found_terms, dropped, total
+                    total += term_sizes[t]
+                    out_terms[found_terms] = t
+                    found_terms += 1
+                    held_terms[k] |= left & (~left + one)
+                    left &= left - one
+            if kept_back:
+                checked[s] |= one << low
+            else:
+                owed[s] &= ~(one << low)
+        place += 1
+    return place, found, found_terms, dropped, total
+
+
+@njit(**_OPTIONS)
+def _drop_replaced(g, held, cell, links, out, dropped):
+    """Mark as gone what g replaces, where all other replacements are held or cannot be seen from the cell.
+
+    A Gaussian that is gone counts as held, so what it was to replace is checked too. What still waits remembers one
+    missing replacement in `waits`, and is not checked again before that arrives.
+    """
+    gaussians, gone, candidates, waits = held.gaussians, held.gone, cell.candidates, cell.waits
+    offsets, ranks, ending, starts, ids = links.offsets, links.ranks, links.ending, links.starts, links.ids
+    queue, out_dropped = out.queue, out.dropped
+    waiting, done, y = 0, 0, g
+    while True:
+        for k in range(offsets[y], offsets[y + 1]):
+            e = ranks[k]
+            if waits[e, 0] != UNKNOWN and waits[e, 0] != y:
+                continue
+            x = np.int64(ending[e])
+            if _has(gone, x):
+                waits[e, 0] = DONE
+                continue
+            m = starts[e] if waits[e, 0] == UNKNOWN else np.int64(waits[e, 1])
+            while m < starts[e + 1]:
+                h = np.int64(ids[m])
+                if _has(candidates, h) and not _has(gaussians, h) and not _has(gone, h):
+                    break
+                m += 1
+            if m < starts[e + 1]:
+                waits[e, 0], waits[e, 1] = ids[m], m
+                continue
+            waits[e, 0] = DONE
+            _put(gone, x)
+            queue[waiting] = x
+            waiting += 1
+            if _has(gaussians, x):
+                out_dropped[dropped] = x
+                dropped += 1
+        if done == waiting:
+            return dropped
+        y = np.int64(queue[done])
+        done += 1
