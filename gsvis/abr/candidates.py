@@ -116,7 +116,7 @@ class CandidateIndex:
         sizes = sizes[:1] if len(sizes) and sizes.min() == sizes.max() else sizes
         cones = TermCones.none() if index.cones is None else index.cones
         self.records = plan.Records(
-            sizes, index.term_offsets, index.term_bytes, cones.centers, cones.places, cones.cosines
+            sizes, index.term_offsets, index.term_bytes, cones.centers, cones.places, cones.cosines, cones.widths
         )  # fmt: skip
         self.links = _links(index)
         pairs = index.first.astype(np.uint16) * index.num_levels + index.last
@@ -233,7 +233,7 @@ class CandidateIndex:
             terms: Number of those.
             sums: (L * L,) bytes of what the cell itself sees, by first and last level.
         """
-        held, masks, areas, pixels, codes = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+        held, *rest = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
         words = np.flatnonzero(seen).astype(np.int32)
         slot_of = np.empty(len(seen), np.int32)
         slot_of[words] = np.arange(len(words), dtype=np.int32)
@@ -246,7 +246,7 @@ class CandidateIndex:
             words=words,
             places=np.ascontiguousarray(np.concatenate(rows)),
             owing=owing[words],
-            units=Units(slots, masks, areas, pixels, codes),
+            units=Units(slots, *rest),
             runs=Runs(starts, slots[starts[:-1]]),
             union=seen,
             active=active,
@@ -260,7 +260,7 @@ class CandidateIndex:
         for name, size, kinds in (
             ("slots", slots, (*3 * (np.uint64,), np.uint8, np.float32)),
             ("units", units, (np.float32, np.int32, np.int32)),
-            ("entries", 4 * units, (np.int32, np.int32, np.uint64)), ("keys", keys, (np.int64, np.float64)),
+            ("entries", 4 * units, (np.int32, np.int32, np.uint64, np.int32)), ("keys", keys, (np.int64, np.float64)),
         ):  # fmt: skip
             if not hasattr(local, name) or len(getattr(local, name)[0]) < size:
                 setattr(local, name, tuple(np.empty(size, kind) for kind in kinds))
@@ -344,7 +344,8 @@ def _room(count: int) -> Units:
     """Return uninitialized units to write to."""
     one = np.empty(count, np.float32)
     codes = np.empty(count, np.uint16)
-    return Units(np.empty(count, np.int32), np.empty(count, np.uint64), one, np.empty_like(one), codes)
+    numbers = np.empty(count, np.int32), np.empty(count, np.uint64)
+    return Units(*numbers, one, np.empty_like(one), codes, np.empty_like(one))
 
 
 def _mean_bytes(sizes: F32, words: int) -> F32:

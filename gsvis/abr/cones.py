@@ -1,7 +1,8 @@
 """The directions in which terms are active: equation 7 of the paper, prepared so that a planner can test it for an eye.
 
 A lobe falls with the angle from its center, so a term is active in a cone: its change of the color is above epsilon
-where the cosine between the center and the direction from the eye to the Gaussian is above a bound.
+where the cosine between the center and the direction from the eye to the Gaussian is above a bound. If the change is
+multiplied by w, such as the blending weight of the Gaussian, the bound falls by ln(w) times the width of the lobe.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ class TermCones:
         places: (T,) index of the center of each term.
         cosines: (T,) least cosine between the center and the direction from an eye to the Gaussian at which the term is
             active. Above 1: never active; at most -1: always active.
+        widths: (T,) > 0, 1 / decay of each term.
 
     Raises:
         ValueError: If a shape is wrong, a value is NaN, or an index is out of range.
@@ -36,6 +38,7 @@ class TermCones:
     centers: F32
     places: I32
     cosines: F32
+    widths: F32
 
     def __post_init__(self) -> None:
         centers = _check.floats("centers", np.asarray(self.centers, np.float32), ("D", 3))
@@ -43,9 +46,12 @@ class TermCones:
         cosines = np.asarray(self.cosines, np.float32)
         if cosines.shape != places.shape or np.isnan(cosines).any():
             raise ValueError(f"cosines: expected ({len(places)},) numbers without NaN, got others")
+        widths = _check.floats("widths", np.asarray(self.widths, np.float32), (len(places),))
+        _check.in_range("widths", widths, 0.0, np.inf)
+        cosines = np.clip(cosines, -1e30, 1e30)  # so that adding a multiple of a width gives a number
         if len(places):
             _check.in_range("places", places, 0, len(centers) - 1)
-        for name, array in (("centers", centers), ("places", places), ("cosines", np.clip(cosines, -2.0, 2.0))):
+        for name, array in (("centers", centers), ("places", places), ("cosines", cosines), ("widths", widths)):
             view = array.view()
             view.flags.writeable = False
             object.__setattr__(self, name, view)
@@ -53,7 +59,8 @@ class TermCones:
     @classmethod
     def none(cls) -> TermCones:
         """Return the cones of no terms."""
-        return cls(np.zeros((0, 3), np.float32), np.zeros(0, np.int32), np.zeros(0, np.float32))
+        nothing = np.zeros(0, np.float32)
+        return cls(nothing.reshape(0, 3), np.zeros(0, np.int32), nothing, nothing)
 
     def __len__(self) -> int:
         """Return T."""
@@ -62,16 +69,18 @@ class TermCones:
     def __repr__(self) -> str:
         return f"TermCones({len(self):,} terms, {len(self.centers):,} centers)"
 
-    def active(self, terms: ArrayLike, mean: ArrayLike, eyes: ArrayLike) -> NDArray[np.bool_]:
+    def active(self, terms: ArrayLike, mean: ArrayLike, eyes: ArrayLike, gain: float = 0.0) -> NDArray[np.bool_]:
         """Return (M,) bool, which terms of one Gaussian are active for any of some eyes.
 
         Args:
             terms: (M,) ids of the terms.
             mean: (3,) center of their Gaussian.
             eyes: (P, 3) positions.
+            gain: Logarithm of what the change of the color is multiplied by.
         """
         ids, toward = np.asarray(terms, np.int64), directions(mean, eyes)
-        found = self.centers[self.places[ids]] @ toward.T >= self.cosines[ids, None]
+        least = self.cosines[ids] - np.float32(gain) * self.widths[ids]
+        found = self.centers[self.places[ids]] @ toward.T >= least[:, None]
         return np.asarray(found.any(axis=1))
 
 

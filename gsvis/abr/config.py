@@ -26,6 +26,8 @@ class AbrConfig:
         turn: Radians by which the head must turn before records are ranked again; at most the margin of the view.
         ahead: Seconds ahead to predict the cell for: what it sees, and its terms for the eye there, go before what only
             other neighbors see. 0 means no cell ahead.
+        epsilon: Change of a pixel above which a term is sent, as a multiple of the epsilon of the package, which is a
+            change of the Gaussian's color. A pixel changes by that times the blending weight of the Gaussian's class.
         parallax: Radians by which the direction to a Gaussian changes before its terms are checked again.
         fill: Whether an idle link gets the rest of the scene, by distance to the nearest cell that sees it.
         move: Share of the side of a cell by which the head must move before records are ranked again.
@@ -41,6 +43,7 @@ class AbrConfig:
     predictor: str = "kalman"
     lead: float = 0.25
     ahead: float = 1.0
+    epsilon: float = 0.05
     parallax: float = 0.03
     fill: bool = True
     turn: float = 0.087
@@ -58,6 +61,6 @@ class AbrConfig:
         for name in ("lead", "ahead", "parallax", "turn", "move"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
                 raise ValueError(f"{name}: expected a finite number >= 0, got {getattr(self, name)!r}")
-        for name in ("horizon", "window", "piece", "start_rate"):
+        for name in ("epsilon", "horizon", "window", "piece", "start_rate"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
                 raise ValueError(f"{name}: expected a finite number > 0, got {getattr(self, name)!r}")

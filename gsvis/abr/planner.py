@@ -31,7 +31,7 @@ Words = NDArray[np.uint64]
 
 _REACH = 0.4  # seconds of data to rank at a time: most views last no longer
 _NEAR = -1  # in place of a shell: what the pose needs
-_NOTHING = kernels.Plan(np.zeros(0, np.int32), np.zeros(0, np.uint64))
+_NOTHING = kernels.Plan(np.zeros(0, np.int32), np.zeros(0, np.uint64), np.zeros(0, np.float32))
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +110,7 @@ class Planner:
         self._here: Candidates | None = None
         self._near: tuple[Candidates, int, kernels.Cell] | None = None  # to return to after filling
         self._cell = kernels.Cell(*(np.zeros(0, np.int32),) * 10)
-        self._view = kernels.View(*(np.zeros(0, np.float32),) * 6)
+        self._view = kernels.View(*(np.zeros(0, np.float32),) * 7)
         self._travelled, self._shells, self._shell, self._filled = 0.0, 0, _NEAR, 0
         self._table, self._keys = table(self.config.policy, "high", index.num_levels, self.config.utility)
         self._waits = np.empty((len(candidates.links.ending), 2), np.int32)
@@ -283,7 +283,8 @@ class Planner:
         if len(self._view.eye):
             self._travelled += float(np.linalg.norm(eye - self._view.eye))
         eyes = eyes if index.cones is not None else eyes[:0]
-        self._view = kernels.View(eye, eyes, self._travelled, config.parallax, planes, self.candidates.bodies)
+        gain, bodies = float(-np.log(config.epsilon)), self.candidates.bodies
+        self._view = kernels.View(eye, eyes, self._travelled, gain, config.parallax, planes, bodies)
         self._plan, self._place, self._least, self._whole, self._wanted = _NOTHING, 0, 0, False, 0.0
 
     def _is_near(self, a: Pose, b: Pose) -> bool:

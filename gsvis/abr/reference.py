@@ -28,6 +28,10 @@ Unit = tuple[tuple[int, int, int, int, int], list[int]]
 """Ring, word, weight class, first and last level, and the members."""
 
 
+Entry = tuple[int, int, int, list[int], float]
+"""Key, place among equal keys, whether terms, the Gaussians, and the logarithm of their weight."""
+
+
 @dataclass(frozen=True, eq=False)
 class View:
     """Arguments of `Planner.aim`: the cell, the eye (3,), frusta (F, 5, 4), the regime, predicted eyes, cell ahead."""
@@ -48,6 +52,7 @@ def order_records(
     *,
     pixel: float = 2e-3,
     utility: UtilityConfig | None = None,
+    epsilon: float = 1.0,
     fill: bool = False,
 ) -> list[tuple[str, int]]:
     """Return all records that a view needs, first to last.
@@ -59,6 +64,7 @@ def order_records(
         holdings: What the client holds; not changed.
         pixel: Angle of a pixel of the clients, radians.
         utility: Factors of the policy "utility".
+        epsilon: As in `AbrConfig`.
         fill: Whether the rest of the scene follows, for an idle link.
 
     Returns:
@@ -85,8 +91,8 @@ def order_records(
             group = part if ring == 0 else AHEAD + part * ring
             for terms in (0, 1) if ring == 0 or part == 0 else (0,):
                 key = int(table[group, enters, terms]) + bucket
-                entries.append((key, 4 * number + 2 * terms + part, terms, inside))
-    walk = _Walk(index, holdings, view)
+                entries.append((key, 4 * number + 2 * terms + part, terms, inside, float(np.log(weight))))
+    walk = _Walk(index, holdings, view, -float(np.log(epsilon)))
     walk.send(sorted(entries, key=lambda entry: entry[:2]), active, {g for _, members in units for g in members})
     if fill:
         for shell in _shells(shared, view, strength, offsets(policy, "high", index.num_levels, utility)):
@@ -96,7 +102,7 @@ def order_records(
 
 def _shells(
     shared: CandidateIndex, view: View, strength: F32, table: NDArray[np.int64]
-) -> Iterator[tuple[list[tuple[int, int, int, list[int]]], set[int], set[int]]]:
+) -> Iterator[tuple[list[Entry], set[int], set[int]]]:
     """Yield what fills an idle link: the entries of each shell, its active terms and candidates and those before."""
     index, weight = shared.index, np.float32(np.mean(shared.index.class_weights))
     owners = np.repeat(np.arange(len(index)), np.diff(index.term_offsets))
@@ -118,7 +124,7 @@ def _shells(
             gain = _gain(shared, word, [strength[g] for g in _alike(index, word, enters, ends)], view.eye, weight)
             for kind in (0, 1):
                 place = int(table[-1, enters, kind]) + int(kernels.bucket_of(gain))
-                entries.append((place, 2 * number + kind, kind, found[key]))
+                entries.append((place, 2 * number + kind, kind, found[key], 0.0))
         yield sorted(entries, key=lambda entry: entry[:2]), active, seen
 
 
@@ -174,9 +180,9 @@ def _gain(shared: CandidateIndex, word: int, strength: list[F32], eye: F32, weig
 class _Walk:
     """Records in the order in which they are sent one by one."""
 
-    def __init__(self, index: SceneIndex, holdings: Holdings, view: View) -> None:
+    def __init__(self, index: SceneIndex, holdings: Holdings, view: View, gain: float) -> None:
         self.out: list[tuple[str, int]] = []
-        self._index = index
+        self._index, self._gain = index, gain
         self._held, self._held_terms = set(holdings.received.tolist()), set(holdings.received_terms.tolist())
         self._gone = set(ids_of(holdings.gone).tolist())
         others = np.zeros((0, 3), np.float32) if view.eyes is None else view.eyes
@@ -184,30 +190,31 @@ class _Walk:
 
     def send(
         self,
-        entries: list[tuple[int, int, int, list[int]]],
+        entries: list[Entry],
         active: set[int],
         candidates: set[int],
         *,
         every_term: bool = False,
     ) -> None:
         """Send sorted entries, with the terms that are active for one of the eyes, or with every active term."""
-        for _, _, terms, members in entries:
+        for _, _, terms, members, log in entries:
             for g in members:
                 if g in self._gone:
                     continue
                 if terms and g in self._held:
-                    self._send_terms(g, active, every_term)
+                    self._send_terms(g, active, None if every_term else log + self._gain)
                 elif not terms and g not in self._held:
                     self._held.add(g)
                     self.out.append(("gaussian", g))
                     self._drop_replaced(g, candidates)
 
-    def _send_terms(self, g: int, active: set[int], every_term: bool) -> None:
+    def _send_terms(self, g: int, active: set[int], gain: float | None) -> None:
         index = self._index
         for t in range(int(index.term_offsets[g]), int(index.term_offsets[g + 1])):
             if t not in active or t in self._held_terms:
                 continue
-            if every_term or index.cones is None or index.cones.active([t], index.means[g], self._eyes)[0]:
+            cones, eyes = index.cones, self._eyes
+            if gain is None or cones is None or cones.active([t], index.means[g], eyes, gain)[0]:
                 self._held_terms.add(t)
                 self.out.append(("term", t))
 

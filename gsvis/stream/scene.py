@@ -126,7 +126,7 @@ def term_cones(contents: Contents, epsilon: float) -> TermCones:
     _, first, found = np.unique(places, return_index=True, return_inverse=True)
     cosines = Activation(exact, np.zeros((len(contents), 3), np.float32), epsilon).least_cosines()
     centers = unit_vectors(exact.centers[first]).astype(np.float32)
-    return TermCones(centers, found.astype(np.int32), cosines)
+    return TermCones(centers, found.astype(np.int32), cosines, 1.0 / exact.decays)
 
 
 def _chunk_rows(contents: Contents) -> NDArray[np.void]:

@@ -50,7 +50,12 @@ def random_levels(rng: np.random.Generator, count: int, levels: int, *, ordered:
 def random_cones(rng: np.random.Generator, count: int) -> TermCones:
     centers = rng.normal(size=(20, 3))
     centers /= np.linalg.norm(centers, axis=1, keepdims=True)
-    return TermCones(centers.astype(np.float32), rng.integers(0, 20, count), rng.uniform(-1.1, 1.1, count))
+    return TermCones(
+        centers.astype(np.float32),
+        rng.integers(0, 20, count),
+        rng.uniform(-1.1, 1.1, count),
+        rng.uniform(0.05, 0.5, count),
+    )
 
 
 def random_index(

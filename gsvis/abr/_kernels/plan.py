@@ -51,6 +51,7 @@ class View(NamedTuple):
     eye: Any  # (3,) float32
     eyes: Any  # (P, 3) float32, terms that are active for none of them are kept back; all are sent where P = 0
     travelled: Any  # distance that the eye has moved so far
+    gain: Any  # logarithm of what a term's change of the color is multiplied by before it is compared with epsilon
     parallax: Any  # radians by which a direction changes before terms are checked again
     planes: Any  # (F, 5, 4) float32 frusta
     bodies: Any  # (4, 64 W) float32, see `CandidateIndex.bodies`
@@ -68,6 +69,7 @@ class Plan(NamedTuple):
 
     entries: Any  # (P,) int32, number of a word times 2, plus 1 for terms
     sets: Any  # (P,) uint64, which of its Gaussians
+    logs: Any  # (P,) float32, logarithm of their blending weight, that of their class
 
 
 class Records(NamedTuple):
@@ -79,6 +81,7 @@ class Records(NamedTuple):
     centers: Any  # (D, 3) float32, see `TermCones`
     places: Any  # (T,) int32
     cosines: Any  # (T,) float32
+    widths: Any  # (T,) float32
 
 
 class Links(NamedTuple):
@@ -115,6 +118,7 @@ class Work(NamedTuple):
     keys: Any  # (4 U,) int32
     entries: Any  # (4 U,) int32
     sets: Any  # (4 U,) uint64
+    owners: Any  # (4 U,) int32
     counts: Any  # (K,) int64
     sizes: Any  # (K,) float64
 
@@ -295,9 +299,9 @@ def rank(units, runs, cell, held, view, table, limits, work):
     Returns:
         `Plan`, the key at which it ends, and whether it holds all that is left.
     """
-    slots, masks, areas, pixels, codes = units
+    slots, masks, areas, pixels, codes, logs = units
     words, places, term_bytes = cell.words, cell.places, cell.term_bytes
-    inside, free, due, sides, squares, gains, buckets, chosen, keys, entries, sets, counts, sizes = work
+    inside, free, due, sides, squares, gains, buckets, chosen, keys, entries, sets, owners, counts, sizes = work
     least = limits.least
     x, y, z, word_bytes = places[0], places[1], places[2], places[5]
     sides[:] = 0
@@ -328,7 +332,7 @@ def rank(units, runs, cell, held, view, table, limits, work):
                 if key >= limit:
                     whole = False
                     continue
-                keys[filled], entries[filled], sets[filled] = key, 2 * s + kind, bits
+                keys[filled], entries[filled], sets[filled], owners[filled] = key, 2 * s + kind, bits, u
                 filled += 1
                 counts[key] += 1
                 sizes[key] += np.float64(ones(bits)) * share
@@ -337,10 +341,11 @@ def rank(units, runs, cell, held, view, table, limits, work):
         total += sizes[stop]
         counts[stop], length = length, length + counts[stop]
         stop += 1
-    plan = Plan(np.empty(length, np.int32), np.empty(length, np.uint64))
+    plan = Plan(np.empty(length, np.int32), np.empty(length, np.uint64), np.empty(length, np.float32))
     for k in range(filled):
         key = keys[k]
         if key < stop:
-            plan.entries[counts[key]], plan.sets[counts[key]] = entries[k], sets[k]
+            at = counts[key]
+            plan.entries[at], plan.sets[at], plan.logs[at] = entries[k], sets[k], logs[owners[k]]
             counts[key] += 1
     return plan, stop, whole and length == filled

@@ -92,10 +92,10 @@ def take(plan, place, cell, held, view, records, links, budget, out):
     Returns:
         Entry to continue at, numbers of Gaussians, terms and dropped Gaussians, and bytes.
     """
-    entries, sets = plan
+    entries, sets, logs = plan
     words, owed, active, checked = cell.words, cell.owed, cell.active, cell.checked
     gaussians, held_terms, gone = held
-    sizes, term_offsets, term_sizes, centers, centers_of, cosines = records
+    sizes, term_offsets, term_sizes, centers, centers_of, cosines, widths = records
     eyes, bodies, toward = view.eyes, view.bodies, np.empty((len(view.eyes), 3), np.float32)
     only, waits = links.only, cell.waits
     out_gaussians, out_terms = out.gaussians, out.terms
@@ -104,7 +104,7 @@ def take(plan, place, cell, held, view, records, links, budget, out):
     one, ones = np.uint64(1), ~np.uint64(0)
     while place < len(entries):
         s, terms = np.int64(entries[place] >> 1), entries[place] & 1 != 0
-        w = np.int64(words[s])
+        w, gain = np.int64(words[s]), view.gain + logs[place]
         rest = sets[place] & ~gone[w] & (gaussians[w] & owed[s] & ~checked[s] if terms else ~gaussians[w])
         while rest:
             low = lowest(rest)
@@ -133,7 +133,8 @@ def take(plan, place, cell, held, view, records, links, budget, out):
                     left &= ones >> np.uint64(64 * k + 64 - stop)
                 while left:
                     t = 64 * k + np.int64(lowest(left))
-                    if len(eyes) > 0 and not _is_active(centers, centers_of[t], cosines[t], toward):
+                    least = cosines[t] - gain * widths[t]
+                    if len(eyes) > 0 and not _is_active(centers, centers_of[t], least, toward):
                         left &= left - one
                         kept_back = True
                         continue

@@ -29,6 +29,7 @@ class Units(NamedTuple):
     areas: Any  # (U,) float32, mean weight times area for each byte
     pixels: Any  # (U,) float32, mean weight times the area that a pixel adds at distance 1, for each byte
     codes: Any  # (U,) uint16, (ring L + first level) L + last level
+    logs: Any  # (U,) float32, logarithm of the blending weight of their class
 
 
 class Runs(NamedTuple):
@@ -101,7 +102,7 @@ def cell_units(words, classes, traits, class_weights, found):
         Number of units.
     """
     strengths, pairs, mixed = traits
-    out_words, out_masks, out_areas, out_pixels, out_codes = found
+    out_words, out_masks, out_areas, out_pixels, out_codes, out_logs = found
     one = np.uint64(1)
     masks, sums = np.zeros(256, np.uint64), np.zeros((256, 2))
     rank, filled = 0, 0
@@ -139,6 +140,7 @@ def cell_units(words, classes, traits, class_weights, found):
                 out_words[filled], out_masks[filled], out_codes[filled] = w, mask, pairs[lead]
                 out_areas[filled] = class_weights[kind] * area / count
                 out_pixels[filled] = class_weights[kind] * pixel / count
+                out_logs[filled] = np.log(max(class_weights[kind], 1e-30))
                 filled += 1
     return filled
 
@@ -153,14 +155,14 @@ def add_words(words, seen, fresh):
 @njit(**_OPTIONS)
 def ring_units(fresh, every, found):
     """Write the `fresh` part of the units of all Gaussians (`every`), and return the number of units."""
-    words, masks, areas, pixels, codes = every
-    out_words, out_masks, out_areas, out_pixels, out_codes = found
+    words, masks, areas, pixels, codes, logs = every
+    out_words, out_masks, out_areas, out_pixels, out_codes, out_logs = found
     filled = 0
     for u in range(len(words)):
         mask = masks[u] & fresh[words[u]]
         if mask:
             out_words[filled], out_masks[filled], out_codes[filled] = words[u], mask, codes[u]
-            out_areas[filled], out_pixels[filled] = areas[u], pixels[u]
+            out_areas[filled], out_pixels[filled], out_logs[filled] = areas[u], pixels[u], logs[u]
             filled += 1
     return filled
 
