@@ -26,10 +26,12 @@ class AbrConfig:
         turn: Radians by which the head must turn before records are ranked again; at most the margin of the view.
         ahead: Seconds ahead to predict the cell for: what it sees, and its terms for the eye there, go before what only
             other neighbors see. 0 means no cell ahead.
-        epsilon: Change of a pixel above which a term is sent, as a multiple of the epsilon of the package, which is a
-            change of the Gaussian's color. A pixel changes by that times the blending weight of the Gaussian's class.
+        epsilon: How much a term must change the image to be sent for a pose, as a multiple of the package's epsilon. It
+            is the change of the color (equation 7) times the blending weight of the Gaussian, times the root of its
+            solid angle over that of a square of 6 mrad. Their squares add up to the squared error of the image.
         parallax: Radians by which the direction to a Gaussian changes before its terms are checked again.
-        fill: Whether an idle link gets the rest of the scene, by distance to the nearest cell that sees it.
+        fill: Whether an idle link gets what the view does not need: the terms of what is out of view, then the rest of
+            the scene by distance to the nearest cell that sees it.
         move: Share of the side of a cell by which the head must move before records are ranked again.
         horizon: Seconds within which the highest level of a cell should arrive for the bandwidth to count as high.
         window: Seconds of data that may be in flight.
@@ -43,7 +45,7 @@ class AbrConfig:
     predictor: str = "kalman"
     lead: float = 0.25
     ahead: float = 1.0
-    epsilon: float = 0.05
+    epsilon: float = 0.3
     parallax: float = 0.03
     fill: bool = True
     turn: float = 0.087

@@ -1,9 +1,10 @@
 """Choose the records that a client receives next: rank them for its pose, and keep the order until the view changes.
 
 A plan covers the bytes of the near future; when it is used up, ranking continues behind it. Between two changes of the
-view, all batches together follow one order, whatever their sizes. Terms are sent when they are active for the eye, now
-or at one of the predicted poses. When a view has all that it needs, batches fill the link with the rest of the scene,
-shell by shell. The planner knows no link and no message: time and rate are arguments.
+view, all batches together follow one order, whatever their sizes. Terms are sent when they are active for the eye,
+now or at one of the predicted poses, and of Gaussians in view. When a view has all that it needs, batches fill the
+link: with the terms of what is out of view, then with the rest of the scene, shell by shell. The planner knows no link
+and no message: time and rate are arguments.
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ I32 = NDArray[np.int32]
 Words = NDArray[np.uint64]
 
 _REACH = 0.4  # seconds of data to rank at a time: most views last no longer
-_NEAR = -1  # in place of a shell: what the pose needs
+_FOOTPRINT = 3.6e-5  # steradians, of a square of 6 mrad
+_NEEDS, _AROUND, _SHELLS = 0, 1, 2  # stages: what the view needs, terms of what is out of view, and the first shell
 _NOTHING = kernels.Plan(np.zeros(0, np.int32), np.zeros(0, np.uint64), np.zeros(0, np.float32))
 
 
@@ -111,7 +113,8 @@ class Planner:
         self._near: tuple[Candidates, int, kernels.Cell] | None = None  # to return to after filling
         self._cell = kernels.Cell(*(np.zeros(0, np.int32),) * 10)
         self._view = kernels.View(*(np.zeros(0, np.float32),) * 7)
-        self._travelled, self._shells, self._shell, self._filled = 0.0, 0, _NEAR, 0
+        self._travelled, self._aimed, self._fresh = 0.0, "high", False
+        self._stage, self._stages, self._filled = _NEEDS, 1, _SHELLS
         self._table, self._keys = table(self.config.policy, "high", index.num_levels, self.config.utility)
         self._waits = np.empty((len(candidates.links.ending), 2), np.int32)
         self._plan, self._place = _NOTHING, 0
@@ -120,20 +123,22 @@ class Planner:
     @property
     def done(self) -> bool:
         """Whether nothing is left to send: all that the view needs, and with `fill` all that any cell sees."""
-        return self._is_used_up and self._next_shell >= self._shells
+        return self._is_used_up and self._next_stage >= self._stages
 
     @property
     def filling(self) -> bool:
-        """Whether the next batch only fills an idle link, unless the view changes."""
-        return self._here is not None and (self._shell != _NEAR or self._is_used_up) and not self.done
+        """Whether the next batch only fills an idle link; False if a pose came after the last batch."""
+        if self._here is None or self._fresh:
+            return False
+        return (self._stage != _NEEDS or self._is_used_up) and not self.done
 
     @property
     def _is_used_up(self) -> bool:
         return self._whole and self._place == len(self._plan.entries)
 
     @property
-    def _next_shell(self) -> int:
-        return max(self._filled, self._shell + 1)
+    def _next_stage(self) -> int:
+        return self._stage + 1 if self._stage == _NEEDS else max(self._filled, self._stage + 1)
 
     def on_pose(self, t: float, position: ArrayLike, quat: ArrayLike) -> None:
         """Update the pose of the client at time t; ignore one that is older than the last.
@@ -152,19 +157,21 @@ class Planner:
         if t <= self._time:
             return
         self._poses.observe(t, pose.position, pose.quat)
+        self._fresh = True
         self._pose, self._time, self.cell = pose, t, self.candidates.index.cell_of(pose.position)
 
-    def next_batch(self, t: float, budget: float, rate: float) -> Batch:
+    def next_batch(self, t: float, budget: float, rate: float, *, spare: float | None = None) -> Batch:
         """Return the next records, an empty batch before the first pose. They count as held from now on.
 
         Args:
             t: Seconds.
             budget: Bytes of records.
             rate: Estimated throughput, bytes of records a second.
+            spare: Bytes of records if they only fill the link; None means the budget.
         """
         if self._pose is not None:
             self._follow(self._pose, t, rate)
-        return self.take(budget)
+        return self.take(budget, spare=spare)
 
     def aim(
         self,
@@ -191,13 +198,15 @@ class Planner:
         every = np.concatenate([view[0][None], others]).astype(np.float32)
         self._aim(self._find(cell), *view, regime, every, cell if cell_ahead is None else cell_ahead)
 
-    def take(self, budget: float) -> Batch:
+    def take(self, budget: float, *, spare: float | None = None) -> Batch:
         """Return the next records of the view, of at most `budget` bytes. They count as held from now on.
 
-        The batch is empty when the next record exceeds the budget, or all have been taken.
+        The batch is empty when the next record exceeds the budget, or all have been taken. If the records only fill the
+        link, `spare` limits them, too.
         """
         if not budget >= 0:
             raise ValueError(f"budget: expected bytes >= 0, got {budget!r}")
+        self._fresh, spare = False, budget if spare is None else min(budget, spare)
         if self._here is None or self.done:
             return Batch.empty()
         shared, held = self.candidates, self.holdings.words
@@ -210,6 +219,7 @@ class Planner:
             if self._is_used_up:
                 if sum(taken[:2]) or not self._fill():  # what fills the link has batches of its own
                     break
+                budget = spare
             elif self._place == len(self._plan.entries):
                 self._wanted = max(2.0 * self._wanted, self.reach, budget - total)  # rank more for a view that lasts
                 self._rank(self._here, self._wanted)
@@ -229,21 +239,24 @@ class Planner:
             if self._place < len(self._plan.entries):
                 break
         gaussians, terms, dropped = (array[:count].copy() for array, count in zip(out, taken, strict=True))
-        return Batch(gaussians, terms, dropped, total, self._shell != _NEAR)
+        return Batch(gaussians, terms, dropped, total, self._stage != _NEEDS)
 
     def _fill(self) -> bool:
-        """Go on to the next shell; return False if there is none."""
-        if self._shell != _NEAR:
-            self._filled = self._shell + 1
-        if self._next_shell >= self._shells or self._here is None:
+        """Go on to the next stage; return False if there is none."""
+        if self._stage >= _SHELLS:
+            self._filled = self._stage + 1
+        if self._next_stage >= self._stages or self._here is None:
             return False
-        config, index = self.config, self.candidates.index
-        self._shell = self._next_shell
-        here = self.candidates.in_shell(self._here.cell, self._shell)
-        self._table, self._keys = filling_table(config.policy, index.num_levels, config.utility)
-        self._here, self._cell = here, self._cell_for(here, here.owing, here.active)
-        none = np.zeros((0, 3), np.float32)
-        self._view = self._view._replace(planes=np.zeros((0, 5, 4), np.float32), eyes=none)
+        config, levels = self.config, self.candidates.index.num_levels
+        self._stage = self._next_stage
+        if self._stage == _AROUND:
+            self._table, self._keys = table(config.policy, self._aimed, levels, config.utility, terms_around=True)
+        else:
+            here = self.candidates.in_shell(self._here.cell, self._stage - _SHELLS)
+            self._table, self._keys = filling_table(config.policy, levels, config.utility)
+            self._here, self._cell = here, self._cell_for(here, here.owing, here.active)
+            nothing = np.zeros((0, 5, 4), np.float32)
+            self._view = self._view._replace(planes=nothing, eyes=np.zeros((0, 3), np.float32))
         self._plan, self._place, self._least, self._whole, self._wanted = _NOTHING, 0, 0, False, 0.0
         return True
 
@@ -280,10 +293,11 @@ class Planner:
         config, index = self.config, self.candidates.index
         self._table, self._keys = table(config.policy, regime, index.num_levels, config.utility)
         self._enter(here, cell_ahead)
+        self._aimed = regime
         if len(self._view.eye):
             self._travelled += float(np.linalg.norm(eye - self._view.eye))
         eyes = eyes if index.cones is not None else eyes[:0]
-        gain, bodies = float(-np.log(config.epsilon)), self.candidates.bodies
+        gain, bodies = float(-np.log(config.epsilon) - 0.5 * np.log(_FOOTPRINT)), self.candidates.bodies
         self._view = kernels.View(eye, eyes, self._travelled, gain, config.parallax, planes, bodies)
         self._plan, self._place, self._least, self._whole, self._wanted = _NOTHING, 0, 0, False, 0.0
 
@@ -295,9 +309,10 @@ class Planner:
         """Switch to the units of a cell, from another cell or from filling."""
         before, self._here = self._near, here
         if before is None or before[0] is not here:
-            self._filled, self._shells = 0, len(self.candidates.shells(here.cell)) if self.config.fill else 0
+            shells = len(self.candidates.shells(here.cell)) if self.config.fill else 0
+            self._filled, self._stages = _SHELLS, _SHELLS + shells if self.config.fill else 1
         if before is not None and before[0] is here and before[1] == cell_ahead:
-            if self._shell != _NEAR:
+            if self._stage >= _SHELLS:
                 self._waits[:, 0] = kernels.UNKNOWN
             self._cell = before[2]
         elif cell_ahead == here.cell:
@@ -305,7 +320,7 @@ class Planner:
         else:
             ahead, owing, active = self.candidates.ahead_of(here, cell_ahead)
             self._cell = self._cell_for(here, owing, active)._replace(ahead=ahead)
-        self._near, self._shell = (here, cell_ahead, self._cell), _NEAR
+        self._near, self._stage = (here, cell_ahead, self._cell), _NEEDS
 
     def _cell_for(self, here: Candidates, owing: Words, active: Words) -> kernels.Cell:
         """Return candidates as this client sees them."""

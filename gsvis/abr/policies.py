@@ -172,18 +172,19 @@ def offsets(policy: str, regime: str, levels: int, config: UtilityConfig | None 
 
 @lru_cache(maxsize=256)
 def table(
-    policy: str, regime: str, levels: int, config: UtilityConfig | None = None
-) -> tuple[NDArray[np.int32], int]:  # fmt: skip
+    policy: str, regime: str, levels: int, config: UtilityConfig | None = None, *, terms_around: bool = False
+) -> tuple[NDArray[np.int32], int]:
     """Return (4 L L, 2, 2) `offsets` for the kernels, and the number of keys.
 
     The offsets are by code of a unit, geometry or terms, and for ring 0 in view or out of view, for other rings in the
-    cell ahead or not. They are `NEVER` for records that are not sent: terms of Gaussians that only neighbors see which
-    are not ahead, and Gaussians that end below `lowest_last`.
+    cell ahead or not. They are `NEVER` for records that are not sent: terms of Gaussians out of view, unless
+    `terms_around`, or that only neighbors see which are not ahead, and Gaussians that end below `lowest_last`.
     """
     found, least = offsets(policy, regime, levels, config), lowest_last(regime, levels)
     out = np.full((RINGS, levels, levels, 2, 2), NEVER, np.int32)
     for last in range(least, levels):
         out[0, :, last] = found[:AHEAD].transpose(1, 2, 0)
+        out[0, :, last, kernels.TERMS, kernels.OUTSIDE] = found[1, :, kernels.TERMS] if terms_around else NEVER
         out[1:, :, last, :, kernels.INSIDE] = found[AHEAD]
         out[1:, :, last, kernels.GEOMETRY, kernels.OUTSIDE] = found[AHEAD + 1 :, :, kernels.GEOMETRY]
     out = out.reshape(-1, 2, 2)

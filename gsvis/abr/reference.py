@@ -29,7 +29,7 @@ Unit = tuple[tuple[int, int, int, int, int], list[int]]
 
 
 Entry = tuple[int, int, int, list[int], float]
-"""Key, place among equal keys, whether terms, the Gaussians, and the logarithm of their weight."""
+"""Key, place among equal keys, whether terms, the Gaussians, and the logarithm of their size in the image."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,22 +79,26 @@ def order_records(
     if view.cell_ahead is not None and view.cell_ahead != view.cell:
         ahead = set(index.sets.classes(view.cell_ahead)[0].tolist())
         active |= _active(index, [view.cell_ahead])
-    entries = []
+    entries: list[Entry] = []
+    around: list[Entry] = []
     for number, ((ring, word, kind, enters, ends), members) in enumerate(units):
         if ends < top:
             continue
         weight = np.float32(np.mean(index.class_weights)) if ring else index.class_weights[kind]
         alike = _alike(index, word, enters, ends) if ring else members
-        bucket = int(kernels.bucket_of(_gain(shared, word, [strength[g] for g in alike], view.eye, weight)))
+        gain = _gain(shared, word, [strength[g] for g in alike], view.eye, weight)
+        bucket, size = int(kernels.bucket_of(gain)), _size(index, word, gain, weight)
         near = [g for g in members if (classes[g] == FOV if ring == 0 else g in ahead)]
         for part, inside in enumerate((near, [g for g in members if g not in near])):
             group = part if ring == 0 else AHEAD + part * ring
             for terms in (0, 1) if ring == 0 or part == 0 else (0,):
                 key = int(table[group, enters, terms]) + bucket
-                entries.append((key, 4 * number + 2 * terms + part, terms, inside, float(np.log(weight))))
-    walk = _Walk(index, holdings, view, -float(np.log(epsilon)))
-    walk.send(sorted(entries, key=lambda entry: entry[:2]), active, {g for _, members in units for g in members})
+                entry = key, 4 * number + 2 * terms + part, terms, inside, size
+                (around if ring == 0 and terms and part else entries).append(entry)
+    walk, candidates = _Walk(index, holdings, view, epsilon), {g for _, members in units for g in members}
+    walk.send(entries, active, candidates)
     if fill:
+        walk.send(around, active, candidates)
         for shell in _shells(shared, view, strength, offsets(policy, "high", index.num_levels, utility)):
             walk.send(*shell, every_term=True)
     return walk.out
@@ -125,7 +129,7 @@ def _shells(
             for kind in (0, 1):
                 place = int(table[-1, enters, kind]) + int(kernels.bucket_of(gain))
                 entries.append((place, 2 * number + kind, kind, found[key], 0.0))
-        yield sorted(entries, key=lambda entry: entry[:2]), active, seen
+        yield entries, active, seen
 
 
 def _active(index: SceneIndex, cells: list[int]) -> set[int]:
@@ -177,12 +181,18 @@ def _gain(shared: CandidateIndex, word: int, strength: list[F32], eye: F32, weig
     return np.asarray(area / square + pixel, np.float32)
 
 
+def _size(index: SceneIndex, word: int, gain: NDArray[np.float32], weight: np.float32) -> float:
+    """Return the logarithm of the blending weight of Gaussians of a word, times the root of their solid angle."""
+    sizes = index.gaussian_bytes[64 * word : 64 * word + 64].mean()
+    return float(0.5 * (np.log(weight) + np.log(gain * sizes + 1e-30)))
+
+
 class _Walk:
     """Records in the order in which they are sent one by one."""
 
-    def __init__(self, index: SceneIndex, holdings: Holdings, view: View, gain: float) -> None:
+    def __init__(self, index: SceneIndex, holdings: Holdings, view: View, epsilon: float) -> None:
         self.out: list[tuple[str, int]] = []
-        self._index, self._gain = index, gain
+        self._index, self._gain = index, -float(np.log(epsilon) + 0.5 * np.log(3.6e-5))
         self._held, self._held_terms = set(holdings.received.tolist()), set(holdings.received_terms.tolist())
         self._gone = set(ids_of(holdings.gone).tolist())
         others = np.zeros((0, 3), np.float32) if view.eyes is None else view.eyes
@@ -196,8 +206,8 @@ class _Walk:
         *,
         every_term: bool = False,
     ) -> None:
-        """Send sorted entries, with the terms that are active for one of the eyes, or with every active term."""
-        for _, _, terms, members, log in entries:
+        """Send entries by their keys, with the terms that are active for one of the eyes, or with every active term."""
+        for _, _, terms, members, log in sorted(entries, key=lambda entry: entry[:2]):
             for g in members:
                 if g in self._gone:
                     continue

@@ -161,8 +161,7 @@ class Session:
 
         What only fills the link has the window of two messages, so that it does not delay what the next view needs.
         """
-        window = min(self.config.window, 2.0 * self.config.piece) if self.filling else self.config.window
-        return max(0.0, self.rate * (window + self.meter.round_trip) - self.outstanding)
+        return self._spare() if self.filling else self._free(self.config.window)
 
     def room(self, seconds: float | None = None) -> float:
         """Return the bytes that the next message should have.
@@ -192,7 +191,8 @@ class Session:
         room = (self.room() if budget is None else budget) - FIXED_BYTES
         if room < LEAST - FIXED_BYTES:
             return None
-        batch = self.planner.next_batch(t, room / self._overhead, self.record_rate)
+        spare = min(room, self._spare()) / self._overhead
+        batch = self.planner.next_batch(t, room / self._overhead, self.record_rate, spare=spare)
         self.record_bytes += batch.bytes
         if len(batch) == 0:
             return None
@@ -202,6 +202,13 @@ class Session:
         self._record_sent(t, self._sequence, len(data))
         self.filling_bytes += len(data) if batch.filling else 0
         return Message(self._sequence, data, batch)
+
+    def _free(self, window: float) -> float:
+        """Return the bytes by which more may be in flight, for seconds of the link beside a round trip."""
+        return max(0.0, self.rate * (window + self.meter.round_trip) - self.outstanding)
+
+    def _spare(self) -> float:
+        return self._free(min(self.config.window, 2.0 * self.config.piece))
 
     def _record_sent(self, t: float, sequence: int, nbytes: int) -> None:
         self.wire_bytes += nbytes

@@ -51,7 +51,7 @@ class View(NamedTuple):
     eye: Any  # (3,) float32
     eyes: Any  # (P, 3) float32, terms that are active for none of them are kept back; all are sent where P = 0
     travelled: Any  # distance that the eye has moved so far
-    gain: Any  # logarithm of what a term's change of the color is multiplied by before it is compared with epsilon
+    gain: Any  # added to `Plan.logs`: how much larger than epsilon the change by a term has to be, as a logarithm
     parallax: Any  # radians by which a direction changes before terms are checked again
     planes: Any  # (F, 5, 4) float32 frusta
     bodies: Any  # (4, 64 W) float32, see `CandidateIndex.bodies`
@@ -69,7 +69,7 @@ class Plan(NamedTuple):
 
     entries: Any  # (P,) int32, number of a word times 2, plus 1 for terms
     sets: Any  # (P,) uint64, which of its Gaussians
-    logs: Any  # (P,) float32, logarithm of their blending weight, that of their class
+    logs: Any  # (P,) float32, logarithm of their blending weight times the root of their solid angle
 
 
 class Records(NamedTuple):
@@ -346,6 +346,8 @@ def rank(units, runs, cell, held, view, table, limits, work):
         key = keys[k]
         if key < stop:
             at = counts[key]
-            plan.entries[at], plan.sets[at], plan.logs[at] = entries[k], sets[k], logs[owners[k]]
+            u = owners[k]
+            plan.entries[at], plan.sets[at] = entries[k], sets[k]
+            plan.logs[at] = 0.5 * (logs[u] + np.log(gains[u] * word_bytes[slots[u]] + 1e-30))
             counts[key] += 1
     return plan, stop, whole and length == filled
