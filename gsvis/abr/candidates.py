@@ -47,13 +47,14 @@ class Candidates:
         words: (S,) int32 ascending, the words that have candidates: word w is Gaussians 64 w to 64 w + 63.
         places: (6, S) float32 for each word: center (x, y, z) and radius of a sphere around its Gaussians, mean square
             of their distance from its center, mean bytes of their records.
-        owing: (S,) uint64, which Gaussians have active terms.
+        owing: (S,) uint64, which Gaussians have terms in `active`.
         units: The units.
         runs: Where the ring or word of the units changes.
         union: (W,) uint64, all candidates.
-        active: (X,) uint64, active terms of the cell as a packed set; empty if the scene has no terms.
-        term_bytes: Mean bytes of the active terms of a Gaussian that has any.
-        level_bytes: (L,) bytes of the Gaussians of each level that the cell itself sees, with its active terms.
+        active: (X,) uint64, terms that may be active, as a packed set: the active terms of the cell, or all terms if
+            the scene has cones; empty if it has no terms.
+        term_bytes: Mean bytes of these terms of a Gaussian that has any.
+        level_bytes: (L,) bytes of the Gaussians of each level that the cell itself sees, with their terms in `active`.
     """
 
     cell: int
@@ -106,7 +107,7 @@ class CandidateIndex:
         count = word_count(len(index))
         self.spheres, self.spreads = np.zeros((count, 4), np.float32), np.zeros(count, np.float32)
         kernels.word_spheres(index.means, index.radii, index.areas, self.spheres, self.spreads)
-        self._word_bytes = _mean_bytes(index.gaussian_bytes, count)
+        self._word_bytes = _word_means(index.gaussian_bytes, count)
         self._term_size = float(index.term_bytes.mean()) if index.num_terms else 0.0
         self.least_sizes = _least(index.gaussian_bytes), _least(index.term_bytes)
         self.bodies = np.zeros((4, 64 * count), np.float32)
@@ -128,6 +129,9 @@ class CandidateIndex:
         everything = pack(np.arange(len(index)), len(index)), np.zeros(len(index), np.uint8)
         units = self._split(*everything, np.full(1, np.mean(index.class_weights), np.float32))
         self._every = Units(*(array.copy() for array in units))
+        owners = np.flatnonzero(np.diff(index.term_offsets))
+        self._every_term = pack(np.arange(index.num_terms), index.num_terms), pack(owners, len(index))
+        self._word_terms = _word_means(np.diff(index.term_offsets), count)
 
     def in_cell(self, cell: int) -> Candidates:
         """Return the candidates of a cell.
@@ -155,8 +159,15 @@ class CandidateIndex:
         kernels.pair_bytes(parts[0].slots, parts[0].masks, parts[0].codes, self._word_bytes, sums)
         for ring in range(1, RINGS):
             parts.append(self._units_of(ring, self._add_cells(rings[ring], seen)))
-        active, owing = self._active_terms([cell])
-        return self._assemble(cell, parts, seen, active, owing, ones(active), sums)
+        if index.cones is None:
+            active, owing = self._active_terms([cell])
+            terms = float(ones(active))
+        else:  # which are active is tested for the eye
+            active, owing = self._every_term[0], self._every_term[1] & seen
+            own = np.zeros(levels * levels)
+            kernels.pair_bytes(parts[0].slots, parts[0].masks, parts[0].codes, self._word_terms, own)
+            terms = float(own.sum())
+        return self._assemble(cell, parts, seen, active, owing, terms, sums)
 
     def shells(self, cell: int) -> list[list[int]]:
         """Return the cells of each shell around a cell, nearest first; all cells of the scene are in one of them."""
@@ -192,9 +203,11 @@ class CandidateIndex:
 
         Returns:
             seen: (S,) the Gaussians that the cell ahead sees, in the words of `here`.
-            owing: (S,) those which own active terms of one of the two cells.
-            active: (X,) the active terms of both.
+            owing: (S,) those which own terms that may be active in one of the two cells.
+            active: (X,) the terms that may be active in one of them.
         """
+        if self.index.cones is not None:
+            return self._words(cell)[here.words], here.owing, here.active
         there, owing = self.in_cell(cell), np.zeros(len(self.spheres), np.uint64)
         owing[there.words] = there.owing
         return self._words(cell)[here.words], owing[here.words] | here.owing, here.active | there.active
@@ -219,7 +232,7 @@ class CandidateIndex:
         seen: Words,
         active: Words,
         owing: Words,
-        terms: int,
+        terms: float,
         sums: F64 | None = None,
     ) -> Candidates:
         """Return candidates.
@@ -348,11 +361,11 @@ def _room(count: int) -> Units:
     return Units(*numbers, one, np.empty_like(one), codes, np.empty_like(one))
 
 
-def _mean_bytes(sizes: F32, words: int) -> F32:
-    """Return the (W,) mean bytes of the records of each word."""
-    out, starts = np.ones(words, np.float32), np.arange(0, len(sizes), 64)
-    sums = np.add.reduceat(sizes, starts) if len(sizes) else np.zeros(0, np.float32)
-    out[: len(starts)] = sums / np.minimum(64, len(sizes) - starts)
+def _word_means(values: NDArray[Any], words: int) -> F32:
+    """Return the (W,) mean of values (N,) over the Gaussians of each word."""
+    out, starts = np.ones(words, np.float32), np.arange(0, len(values), 64)
+    sums = np.add.reduceat(values, starts) if len(values) else np.zeros(0, np.float32)
+    out[: len(starts)] = sums / np.minimum(64, len(values) - starts)
     return out
 
 

@@ -75,7 +75,7 @@ class SceneIndex:
         grid: The cells.
         sets: Visible sets of the cells.
         active: Active terms of the cells; None means no terms are sent.
-        cones: When each term is active, for terms by the pose; None means that all active terms of a cell count.
+        cones: When each term is active, to choose terms by the pose; None means that all active terms of a cell count.
 
     Raises:
         ValueError: If lengths differ or a value is out of range.
@@ -160,7 +160,7 @@ class SceneIndex:
             grid: The cells.
             sets: Visible sets of the cells.
             active: Active terms of the cells; None means no terms are sent.
-            cones: When each term is active; None means that all active terms of a cell count.
+            cones: When each term is active; None means that all active terms of a cell are sent.
             gaussian_bytes: (N,) bytes of each record of a Gaussian, or one number for all.
             term_offsets: (N + 1,) offsets of the terms of each Gaussian; None means no terms.
             term_bytes: (T,) bytes of the record of each term, or one number for all.

@@ -207,6 +207,7 @@ class Planner:
         if not budget >= 0:
             raise ValueError(f"budget: expected bytes >= 0, got {budget!r}")
         self._fresh, spare = False, budget if spare is None else min(budget, spare)
+        budget = budget if self._stage == _NEEDS else spare
         if self._here is None or self.done:
             return Batch.empty()
         shared, held = self.candidates, self.holdings.words
@@ -239,7 +240,7 @@ class Planner:
             if self._place < len(self._plan.entries):
                 break
         gaussians, terms, dropped = (array[:count].copy() for array, count in zip(out, taken, strict=True))
-        return Batch(gaussians, terms, dropped, total, self._stage != _NEEDS)
+        return Batch(gaussians, terms, dropped, total, filling=self._stage != _NEEDS and sum(taken[:2]) > 0)
 
     def _fill(self) -> bool:
         """Go on to the next stage; return False if there is none."""

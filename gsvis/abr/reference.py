@@ -76,6 +76,8 @@ def order_records(
     table = offsets(policy, view.regime, index.num_levels, utility)
     top = lowest_last(view.regime, index.num_levels)
     active, ahead = _active(index, [view.cell]), set[int]()
+    if index.cones is not None:
+        active = set(range(index.num_terms))
     if view.cell_ahead is not None and view.cell_ahead != view.cell:
         ahead = set(index.sets.classes(view.cell_ahead)[0].tolist())
         active |= _active(index, [view.cell_ahead])

@@ -143,11 +143,13 @@ def test_nothing_is_sent_twice_over_a_walk_and_all_that_is_seen_arrives(seed, po
     store = CandidateIndex(index)
     planner, client = Planner(store, VIEW, AbrConfig(policy=policy)), Holdings(len(index), index.num_terms)
     rng = np.random.default_rng(seed)
+    reachable = np.unique(np.concatenate([index.sets.classes(cell)[0] for cell in range(len(index.grid))]))
     for step in range(6):
         view = some_view(index, seed + step, str(rng.choice(REGIMES)))
         planner.aim(view.cell, view.eye, view.planes, view.regime)
         while not planner.done:
             batch = planner.take(2000.0)
+            assert not batch.filling or np.isin(batch.gaussians, reachable).all()
             owners = np.searchsorted(index.term_offsets, batch.terms, side="right") - 1
             client.add(batch.gaussians, batch.terms, batch.dropped)  # refuses what it has
             assert np.isin(owners, client.received).all()

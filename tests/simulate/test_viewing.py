@@ -132,9 +132,15 @@ def test_curves_rise_and_end_where_the_figures_say(sessions: dict[str, Viewing])
         assert max(record["curves"]["psnr"]) <= 50.0
 
 
-def test_what_is_served_first_is_what_is_in_view(sessions: dict[str, Viewing]) -> None:
-    ours, curve = sessions["gsvis"].figures(), sessions["Morton order"].figures()
+def test_what_is_served_first_is_what_is_in_view(
+    made: tuple[StreamedScene, Stage], sessions: dict[str, Viewing]
+) -> None:
+    scene, stage = made
+    config = AbrConfig(start_rate=5e3, fill=False)
+    played = play(Adaptive(scene, QUICK.view, config), SLOW, walk(), stage.size, seconds=QUICK.watched)
+    ours, curve = watch(stage, [played], walk(), QUICK)[0].figures(), sessions["Morton order"].figures()
     assert (ours["unseen_share"] or 0.0) < (curve["unseen_share"] or 0.0)
+    assert not played.filling.any()
 
 
 def test_playbacks_that_do_not_fit_are_refused(made: tuple[StreamedScene, Stage]) -> None:

@@ -121,7 +121,7 @@ def test_a_server_of_the_record_says_the_same_bytes(vector: dict[str, Any], tmp_
         scene.header = scene.about.to_message()
         chosen: list[dict[str, Any]] = []
 
-        def next_batch(t: float, budget: float, rate: float) -> Batch:
+        def next_batch(t: float, budget: float, rate: float, *, spare: float) -> Batch:
             assert session is not None
             step = chosen.pop()
             ids = [np.array(step[name], np.int64) for name in ("gaussians", "terms", "gone")]
