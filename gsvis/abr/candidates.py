@@ -91,6 +91,7 @@ class CandidateIndex:
     Attributes:
         index: The scene.
         cache: The cache.
+        pixel_area: Steradians that the rasterizer adds to the solid angle of each Gaussian.
         spheres: (W, 4) float32 center and radius of a sphere around the Gaussians of each word.
         spreads: (W,) float32 mean square of the distance of these Gaussians from the center.
         bodies: (4, 64 W) float32 center and radius of each Gaussian, coordinate by coordinate; the radius is -inf if
@@ -103,6 +104,7 @@ class CandidateIndex:
     def __init__(self, index: SceneIndex, *, pixel: float = 2e-3, cache: Cache[Any] | None = None) -> None:
         if not 0.0 <= pixel < 1.0:
             raise ValueError(f"pixel: expected radians in [0, 1), got {pixel!r}")
+        self.pixel_area = 2.0 * np.pi * 0.3 * pixel**2
         self.index, self.cache = index, Cache(256 << 20) if cache is None else cache
         count = word_count(len(index))
         self.spheres, self.spreads = np.zeros((count, 4), np.float32), np.zeros(count, np.float32)
@@ -117,13 +119,14 @@ class CandidateIndex:
         sizes = sizes[:1] if len(sizes) and sizes.min() == sizes.max() else sizes
         cones = TermCones.none() if index.cones is None else index.cones
         self.records = plan.Records(
-            sizes, index.term_offsets, index.term_bytes, cones.centers, cones.places, cones.cosines, cones.widths
+            sizes, index.term_offsets, index.term_bytes, cones.centers, cones.places, cones.cosines, cones.widths,
+            index.areas,
         )  # fmt: skip
         self.links = _links(index)
         pairs = index.first.astype(np.uint16) * index.num_levels + index.last
         mixed = np.zeros(count, np.bool_)
         mixed[(np.flatnonzero(np.diff(pairs)) + 1) >> 6] = True
-        self._traits = kernels.Traits(strengths(index, pixel), pairs, mixed)
+        self._traits = kernels.Traits(strengths(index, self.pixel_area), pairs, mixed)
         self._owners = np.repeat(np.arange(len(index), dtype=np.int32), np.diff(index.term_offsets))
         self._scratch = threading.local()
         everything = pack(np.arange(len(index)), len(index)), np.zeros(len(index), np.uint8)
@@ -330,10 +333,10 @@ class CandidateIndex:
         return Units(*(array[:count] for array in found))
 
 
-def strengths(index: SceneIndex, pixel: float) -> F32:
+def strengths(index: SceneIndex, pixel_area: float) -> F32:
     """Return (N, 2) per byte: importance times area, and importance times the area that a pixel adds at distance 1."""
     value = (index.importance / index.gaussian_bytes).astype(np.float64)
-    both = np.stack([value * index.areas, value * (2.0 * np.pi * 0.3 * pixel**2)], axis=1)
+    both = np.stack([value * index.areas, value * pixel_area], axis=1)
     return np.minimum(both, 1e30).astype(np.float32)
 
 

@@ -112,7 +112,7 @@ class Planner:
         self._here: Candidates | None = None
         self._near: tuple[Candidates, int, kernels.Cell] | None = None  # to return to after filling
         self._cell = kernels.Cell(*(np.zeros(0, np.int32),) * 10)
-        self._view = kernels.View(*(np.zeros(0, np.float32),) * 7)
+        self._view = kernels.View(*(np.zeros(0, np.float32),) * 8)
         self._travelled, self._aimed, self._fresh = 0.0, "high", False
         self._stage, self._stages, self._filled = _NEEDS, 1, _SHELLS
         self._table, self._keys = table(self.config.policy, "high", index.num_levels, self.config.utility)
@@ -298,8 +298,10 @@ class Planner:
         if len(self._view.eye):
             self._travelled += float(np.linalg.norm(eye - self._view.eye))
         eyes = eyes if index.cones is not None else eyes[:0]
-        gain, bodies = float(-np.log(config.epsilon) - 0.5 * np.log(_FOOTPRINT)), self.candidates.bodies
-        self._view = kernels.View(eye, eyes, self._travelled, gain, config.parallax, planes, bodies)
+        shared, gain = self.candidates, float(-np.log(config.epsilon) - 0.5 * np.log(_FOOTPRINT))
+        self._view = kernels.View(
+            eye, eyes, self._travelled, gain, shared.pixel_area, config.parallax, planes, shared.bodies
+        )  # fmt: skip
         self._plan, self._place, self._least, self._whole, self._wanted = _NOTHING, 0, 0, False, 0.0
 
     def _is_near(self, a: Pose, b: Pose) -> bool:

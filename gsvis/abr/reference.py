@@ -29,7 +29,7 @@ Unit = tuple[tuple[int, int, int, int, int], list[int]]
 
 
 Entry = tuple[int, int, int, list[int], float]
-"""Key, place among equal keys, whether terms, the Gaussians, and the logarithm of their size in the image."""
+"""Key, place among equal keys, whether terms, the Gaussians, and the logarithm of their weight."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,6 @@ def order_records(
     policy: str,
     holdings: Holdings,
     *,
-    pixel: float = 2e-3,
     utility: UtilityConfig | None = None,
     epsilon: float = 1.0,
     fill: bool = False,
@@ -62,7 +61,6 @@ def order_records(
         view: What the client looks at.
         policy: One of `POLICIES`.
         holdings: What the client holds; not changed.
-        pixel: Angle of a pixel of the clients, radians.
         utility: Factors of the policy "utility".
         epsilon: As in `AbrConfig`.
         fill: Whether the rest of the scene follows, for an idle link.
@@ -71,7 +69,7 @@ def order_records(
         ("gaussian", id), ("term", id), and ("drop", id) right after the Gaussian that completes its replacement.
     """
     index = shared.index
-    units, strength = _units(index, view.cell), strengths(index, pixel)
+    units, strength = _units(index, view.cell), strengths(index, shared.pixel_area)
     classes = classify(index, view.cell, view.planes).classes
     table = offsets(policy, view.regime, index.num_levels, utility)
     top = lowest_last(view.regime, index.num_levels)
@@ -89,15 +87,15 @@ def order_records(
         weight = np.float32(np.mean(index.class_weights)) if ring else index.class_weights[kind]
         alike = _alike(index, word, enters, ends) if ring else members
         gain = _gain(shared, word, [strength[g] for g in alike], view.eye, weight)
-        bucket, size = int(kernels.bucket_of(gain)), _size(index, word, gain, weight)
+        bucket, log = int(kernels.bucket_of(gain)), float(np.log(weight))
         near = [g for g in members if (classes[g] == FOV if ring == 0 else g in ahead)]
         for part, inside in enumerate((near, [g for g in members if g not in near])):
             group = part if ring == 0 else AHEAD + part * ring
             for terms in (0, 1) if ring == 0 or part == 0 else (0,):
                 key = int(table[group, enters, terms]) + bucket
-                entry = key, 4 * number + 2 * terms + part, terms, inside, size
+                entry = key, 4 * number + 2 * terms + part, terms, inside, log
                 (around if ring == 0 and terms and part else entries).append(entry)
-    walk, candidates = _Walk(index, holdings, view, epsilon), {g for _, members in units for g in members}
+    walk, candidates = _Walk(shared, holdings, view, epsilon), {g for _, members in units for g in members}
     walk.send(entries, active, candidates)
     if fill:
         walk.send(around, active, candidates)
@@ -183,18 +181,13 @@ def _gain(shared: CandidateIndex, word: int, strength: list[F32], eye: F32, weig
     return np.asarray(area / square + pixel, np.float32)
 
 
-def _size(index: SceneIndex, word: int, gain: NDArray[np.float32], weight: np.float32) -> float:
-    """Return the logarithm of the blending weight of Gaussians of a word, times the root of their solid angle."""
-    sizes = index.gaussian_bytes[64 * word : 64 * word + 64].mean()
-    return float(0.5 * (np.log(weight) + np.log(gain * sizes + 1e-30)))
-
-
 class _Walk:
     """Records in the order in which they are sent one by one."""
 
-    def __init__(self, index: SceneIndex, holdings: Holdings, view: View, epsilon: float) -> None:
+    def __init__(self, shared: CandidateIndex, holdings: Holdings, view: View, epsilon: float) -> None:
         self.out: list[tuple[str, int]] = []
-        self._index, self._gain = index, -float(np.log(epsilon) + 0.5 * np.log(3.6e-5))
+        self._index, self._pixel = shared.index, shared.pixel_area
+        self._gain = -float(np.log(epsilon) + 0.5 * np.log(3.6e-5))
         self._held, self._held_terms = set(holdings.received.tolist()), set(holdings.received_terms.tolist())
         self._gone = set(ids_of(holdings.gone).tolist())
         others = np.zeros((0, 3), np.float32) if view.eyes is None else view.eyes
@@ -226,7 +219,14 @@ class _Walk:
             if t not in active or t in self._held_terms:
                 continue
             cones, eyes = index.cones, self._eyes
-            if gain is None or cones is None or cones.active([t], index.means[g], eyes, gain)[0]:
+            apart = np.maximum(((eyes - index.means[g]) ** 2).sum(axis=1), 1e-30)
+            sizes = 0.5 * np.log(np.minimum(index.areas[g] / apart + self._pixel, 4.0 * np.pi))
+            pairs = zip(eyes, sizes, strict=True)
+            if (
+                gain is None
+                or cones is None
+                or any(cones.active([t], index.means[g], [eye], gain + size)[0] for eye, size in pairs)
+            ):
                 self._held_terms.add(t)
                 self.out.append(("term", t))
 

@@ -51,7 +51,8 @@ class View(NamedTuple):
     eye: Any  # (3,) float32
     eyes: Any  # (P, 3) float32, terms that are active for none of them are kept back; all are sent where P = 0
     travelled: Any  # distance that the eye has moved so far
-    gain: Any  # added to `Plan.logs`: how much larger than epsilon the change by a term has to be, as a logarithm
+    gain: Any  # logarithm of what the change by a term is multiplied by, beside weight and root of the solid angle
+    pixel: Any  # steradians that a pixel adds to the solid angle
     parallax: Any  # radians by which a direction changes before terms are checked again
     planes: Any  # (F, 5, 4) float32 frusta
     bodies: Any  # (4, 64 W) float32, see `CandidateIndex.bodies`
@@ -69,7 +70,7 @@ class Plan(NamedTuple):
 
     entries: Any  # (P,) int32, number of a word times 2, plus 1 for terms
     sets: Any  # (P,) uint64, which of its Gaussians
-    logs: Any  # (P,) float32, logarithm of their blending weight times the root of their solid angle
+    logs: Any  # (P,) float32, logarithm of their blending weight, that of their class
 
 
 class Records(NamedTuple):
@@ -82,6 +83,7 @@ class Records(NamedTuple):
     places: Any  # (T,) int32
     cosines: Any  # (T,) float32
     widths: Any  # (T,) float32
+    areas: Any  # (N,) float32, mean cross-section of each Gaussian
 
 
 class Links(NamedTuple):
@@ -347,7 +349,6 @@ def rank(units, runs, cell, held, view, table, limits, work):
         if key < stop:
             at = counts[key]
             u = owners[k]
-            plan.entries[at], plan.sets[at] = entries[k], sets[k]
-            plan.logs[at] = 0.5 * (logs[u] + np.log(gains[u] * word_bytes[slots[u]] + 1e-30))
+            plan.entries[at], plan.sets[at], plan.logs[at] = entries[k], sets[k], logs[u]
             counts[key] += 1
     return plan, stop, whole and length == filled

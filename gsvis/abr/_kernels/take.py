@@ -53,24 +53,30 @@ def _left(active, held, start, stop):
 
 
 @njit(inline="always")
-def _directions(bodies, g, eyes, out):
-    """Set unit vectors (P, 3) from eyes (P, 3) to a Gaussian; (0, 0, 1) from an eye at its center."""
+def _look(bodies, g, area, pixel, eyes, out):
+    """Set unit vectors from eyes (P, 3) to a Gaussian, and the logarithm of the root of its solid angle: (P, 4).
+
+    The direction is (0, 0, 1) from an eye at its center; the solid angle is at most that of all space.
+    """
     for p in range(len(eyes)):
         x, y, z = bodies[0, g] - eyes[p, 0], bodies[1, g] - eyes[p, 1], bodies[2, g] - eyes[p, 2]
-        length = np.sqrt(x * x + y * y + z * z)
+        square = x * x + y * y + z * z
+        length = np.sqrt(square)
         if length > 0:
             out[p, 0], out[p, 1], out[p, 2] = x / length, y / length, z / length
         else:
             out[p, 0], out[p, 1], out[p, 2] = 0.0, 0.0, 1.0
+        out[p, 3] = 0.5 * np.log(min(area / max(square, np.float32(1e-30)) + pixel, 4.0 * np.pi))
 
 
 @njit(inline="always")
-def _is_active(centers, place, cosine, toward):
-    """Return whether one of the directions (P, 3) lies in the cone of a term."""
+def _is_active(centers, place, cosine, width, gain, looks):
+    """Return whether a term changes the image enough for one of the eyes, looks (P, 4) being those of `_look`."""
     x, y, z = centers[place, 0], centers[place, 1], centers[place, 2]
     found = False
-    for p in range(len(toward)):
-        found |= x * toward[p, 0] + y * toward[p, 1] + z * toward[p, 2] >= cosine
+    for p in range(len(looks)):
+        least = cosine - (gain + looks[p, 3]) * width
+        found |= x * looks[p, 0] + y * looks[p, 1] + z * looks[p, 2] >= least
     return found
 
 
@@ -95,8 +101,8 @@ def take(plan, place, cell, held, view, records, links, budget, out):
     entries, sets, logs = plan
     words, owed, active, checked = cell.words, cell.owed, cell.active, cell.checked
     gaussians, held_terms, gone = held
-    sizes, term_offsets, term_sizes, centers, centers_of, cosines, widths = records
-    eyes, bodies, toward = view.eyes, view.bodies, np.empty((len(view.eyes), 3), np.float32)
+    sizes, term_offsets, term_sizes, centers, centers_of, cosines, widths, areas = records
+    eyes, bodies, toward = view.eyes, view.bodies, np.empty((len(view.eyes), 4), np.float32)
     only, waits = links.only, cell.waits
     out_gaussians, out_terms = out.gaussians, out.terms
     size, varied = np.float64(sizes[0]) if len(sizes) else 0.0, len(sizes) > 1
@@ -124,7 +130,7 @@ def take(plan, place, cell, held, view, records, links, budget, out):
                     rest &= ~gone[w]
                 continue
             start, stop, kept_back = term_offsets[g], term_offsets[g + 1], False
-            _directions(bodies, g, eyes, toward)
+            _look(bodies, g, areas[g], view.pixel, eyes, toward)
             for k in range(start >> 6, (stop + 63) >> 6):
                 left = active[k] & ~held_terms[k]
                 if 64 * k < start:
@@ -133,8 +139,7 @@ def take(plan, place, cell, held, view, records, links, budget, out):
                     left &= ones >> np.uint64(64 * k + 64 - stop)
                 while left:
                     t = 64 * k + np.int64(lowest(left))
-                    least = cosines[t] - gain * widths[t]
-                    if len(eyes) > 0 and not _is_active(centers, centers_of[t], least, toward):
+                    if len(eyes) > 0 and not _is_active(centers, centers_of[t], cosines[t], widths[t], gain, toward):
                         left &= left - one
                         kept_back = True
                         continue
