@@ -29,6 +29,7 @@ class AbrConfig:
         epsilon: How much a term must change the image to be sent for a pose, as a multiple of the package's epsilon. It
             is the change of the color (equation 7) times the blending weight of the Gaussian, times the root of its
             solid angle over that of a square of 6 mrad. Their squares add up to the squared error of the image.
+        first_epsilon: The same for a first pass over the view, so that details of colors do not hold up geometry.
         parallax: Radians by which the direction to a Gaussian changes before its terms are checked again.
         fill: Whether an idle link gets what the view does not need: the terms of what is out of view, then the rest of
             the scene by distance to the nearest cell that sees it.
@@ -45,7 +46,8 @@ class AbrConfig:
     predictor: str = "kalman"
     lead: float = 0.25
     ahead: float = 1.0
-    epsilon: float = 0.3
+    epsilon: float = 0.15
+    first_epsilon: float = 0.3
     parallax: float = 0.03
     fill: bool = True
     turn: float = 0.087
@@ -63,6 +65,6 @@ class AbrConfig:
         for name in ("lead", "ahead", "parallax", "turn", "move"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
                 raise ValueError(f"{name}: expected a finite number >= 0, got {getattr(self, name)!r}")
-        for name in ("epsilon", "horizon", "window", "piece", "start_rate"):
+        for name in ("epsilon", "first_epsilon", "horizon", "window", "piece", "start_rate"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
                 raise ValueError(f"{name}: expected a finite number > 0, got {getattr(self, name)!r}")

@@ -32,7 +32,8 @@ Words = NDArray[np.uint64]
 
 _REACH = 0.4  # seconds of data to rank at a time: most views last no longer
 _FOOTPRINT = 3.6e-5  # steradians, of a square of 6 mrad
-_NEEDS, _AROUND, _SHELLS = 0, 1, 2  # stages: what the view needs, terms of what is out of view, and the first shell
+# Stages: what the view needs, smaller changes by terms, terms of what is out of view, the first shell.
+_NEEDS, _DETAILS, _AROUND, _SHELLS = range(4)
 _NOTHING = kernels.Plan(np.zeros(0, np.int32), np.zeros(0, np.uint64), np.zeros(0, np.float32))
 
 
@@ -110,11 +111,11 @@ class Planner:
         self._time = -np.inf
         self._planned: tuple[int, int, Pose, Pose, str] | None = None
         self._here: Candidates | None = None
-        self._near: tuple[Candidates, int, kernels.Cell] | None = None  # to return to after filling
+        self._near: tuple[Candidates, int, kernels.Cell, kernels.Cell] | None = None  # to return to after filling
         self._cell = kernels.Cell(*(np.zeros(0, np.int32),) * 10)
         self._view = kernels.View(*(np.zeros(0, np.float32),) * 8)
         self._travelled, self._aimed, self._fresh = 0.0, "high", False
-        self._stage, self._stages, self._filled = _NEEDS, 1, _SHELLS
+        self._stage, self._stages, self._filled = _NEEDS, _AROUND, _SHELLS
         self._table, self._keys = table(self.config.policy, "high", index.num_levels, self.config.utility)
         self._waits = np.empty((len(candidates.links.ending), 2), np.int32)
         self._plan, self._place = _NOTHING, 0
@@ -130,7 +131,7 @@ class Planner:
         """Whether the next batch only fills an idle link; False if a pose came after the last batch."""
         if self._here is None or self._fresh:
             return False
-        return (self._stage != _NEEDS or self._is_used_up) and not self.done
+        return (self._stage > _DETAILS or (self._stage == _DETAILS and self._is_used_up)) and not self.done
 
     @property
     def _is_used_up(self) -> bool:
@@ -138,7 +139,7 @@ class Planner:
 
     @property
     def _next_stage(self) -> int:
-        return self._stage + 1 if self._stage == _NEEDS else max(self._filled, self._stage + 1)
+        return self._stage + 1 if self._stage < _AROUND else max(self._filled, self._stage + 1)
 
     def on_pose(self, t: float, position: ArrayLike, quat: ArrayLike) -> None:
         """Update the pose of the client at time t; ignore one that is older than the last.
@@ -207,7 +208,7 @@ class Planner:
         if not budget >= 0:
             raise ValueError(f"budget: expected bytes >= 0, got {budget!r}")
         self._fresh, spare = False, budget if spare is None else min(budget, spare)
-        budget = budget if self._stage == _NEEDS else spare
+        budget = budget if self._stage <= _DETAILS else spare
         if self._here is None or self.done:
             return Batch.empty()
         shared, held = self.candidates, self.holdings.words
@@ -218,9 +219,9 @@ class Planner:
         taken, total = [0, 0, 0], 0.0
         while True:
             if self._is_used_up:
-                if sum(taken[:2]) or not self._fill():  # what fills the link has batches of its own
-                    break
-                budget = spare
+                if (sum(taken[:2]) and self._next_stage > _DETAILS) or not self._go_on():
+                    break  # what fills the link has batches of its own
+                budget = budget if self._stage <= _DETAILS else spare
             elif self._place == len(self._plan.entries):
                 self._wanted = max(2.0 * self._wanted, self.reach, budget - total)  # rank more for a view that lasts
                 self._rank(self._here, self._wanted)
@@ -240,9 +241,9 @@ class Planner:
             if self._place < len(self._plan.entries):
                 break
         gaussians, terms, dropped = (array[:count].copy() for array, count in zip(out, taken, strict=True))
-        return Batch(gaussians, terms, dropped, total, filling=self._stage != _NEEDS and sum(taken[:2]) > 0)
+        return Batch(gaussians, terms, dropped, total, filling=self._stage > _DETAILS and sum(taken[:2]) > 0)
 
-    def _fill(self) -> bool:
+    def _go_on(self) -> bool:
         """Go on to the next stage; return False if there is none."""
         if self._stage >= _SHELLS:
             self._filled = self._stage + 1
@@ -250,8 +251,11 @@ class Planner:
             return False
         config, levels = self.config, self.candidates.index.num_levels
         self._stage = self._next_stage
-        if self._stage == _AROUND:
-            self._table, self._keys = table(config.policy, self._aimed, levels, config.utility, terms_around=True)
+        if self._stage <= _AROUND:
+            assert self._near is not None
+            around = self._stage == _AROUND
+            self._table, self._keys = table(config.policy, self._aimed, levels, config.utility, terms_around=around)
+            self._cell, self._view = self._near[3], self._view._replace(gain=_gain(config.epsilon))
         else:
             here = self.candidates.in_shell(self._here.cell, self._stage - _SHELLS)
             self._table, self._keys = filling_table(config.policy, levels, config.utility)
@@ -298,7 +302,7 @@ class Planner:
         if len(self._view.eye):
             self._travelled += float(np.linalg.norm(eye - self._view.eye))
         eyes = eyes if index.cones is not None else eyes[:0]
-        shared, gain = self.candidates, float(-np.log(config.epsilon) - 0.5 * np.log(_FOOTPRINT))
+        shared, gain = self.candidates, _gain(config.first_epsilon)
         self._view = kernels.View(
             eye, eyes, self._travelled, gain, shared.pixel_area, config.parallax, planes, shared.bodies
         )  # fmt: skip
@@ -313,17 +317,20 @@ class Planner:
         before, self._here = self._near, here
         if before is None or before[0] is not here:
             shells = len(self.candidates.shells(here.cell)) if self.config.fill else 0
-            self._filled, self._stages = _SHELLS, _SHELLS + shells if self.config.fill else 1
+            self._filled, self._stages = _SHELLS, _SHELLS + shells if self.config.fill else _AROUND
         if before is not None and before[0] is here and before[1] == cell_ahead:
             if self._stage >= _SHELLS:
                 self._waits[:, 0] = kernels.UNKNOWN
-            self._cell = before[2]
-        elif cell_ahead == here.cell:
+            self._cell, self._stage = before[2], _NEEDS
+            return
+        if cell_ahead == here.cell:
             self._cell = self._cell_for(here, here.owing, here.active)
         else:
             ahead, owing, active = self.candidates.ahead_of(here, cell_ahead)
             self._cell = self._cell_for(here, owing, active)._replace(ahead=ahead)
-        self._near, self._stage = (here, cell_ahead, self._cell), _NEEDS
+        checked, at = np.zeros_like(self._cell.checked), np.zeros_like(self._cell.checked_at)
+        self._near = here, cell_ahead, self._cell, self._cell._replace(checked=checked, checked_at=at)
+        self._stage = _NEEDS
 
     def _cell_for(self, here: Candidates, owing: Words, active: Words) -> kernels.Cell:
         """Return candidates as this client sees them."""
@@ -345,3 +352,8 @@ class Planner:
             here.units, here.runs, self._cell, self.holdings.words, self._view, self._table, limits, work
         )
         self._place = 0
+
+
+def _gain(epsilon: float) -> float:
+    """Return the logarithm of what a change is multiplied by, so that the term is sent where the result is above 1."""
+    return float(-np.log(epsilon) - 0.5 * np.log(_FOOTPRINT))

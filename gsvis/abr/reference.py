@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from gsvis.abr._kernels import units as kernels
 from gsvis.abr.candidates import RINGS, CandidateIndex, ring_cells, strengths
 from gsvis.abr.classes import FOV, classify
+from gsvis.abr.config import AbrConfig
 from gsvis.abr.holdings import Holdings
 from gsvis.abr.index import SceneIndex
 from gsvis.abr.policies import AHEAD, UtilityConfig, lowest_last, offsets
@@ -51,7 +52,7 @@ def order_records(
     holdings: Holdings,
     *,
     utility: UtilityConfig | None = None,
-    epsilon: float = 1.0,
+    config: AbrConfig | None = None,
     fill: bool = False,
 ) -> list[tuple[str, int]]:
     """Return all records that a view needs, first to last.
@@ -62,7 +63,7 @@ def order_records(
         policy: One of `POLICIES`.
         holdings: What the client holds; not changed.
         utility: Factors of the policy "utility".
-        epsilon: As in `AbrConfig`.
+        config: Thresholds on terms; None means `AbrConfig()`.
         fill: Whether the rest of the scene follows, for an idle link.
 
     Returns:
@@ -95,12 +96,14 @@ def order_records(
                 key = int(table[group, enters, terms]) + bucket
                 entry = key, 4 * number + 2 * terms + part, terms, inside, log
                 (around if ring == 0 and terms and part else entries).append(entry)
-    walk, candidates = _Walk(shared, holdings, view, epsilon), {g for _, members in units for g in members}
-    walk.send(entries, active, candidates)
+    config, candidates = config or AbrConfig(), {g for _, members in units for g in members}
+    walk = _Walk(shared, holdings, view)
+    walk.send(entries, active, candidates, config.first_epsilon)
+    walk.send(entries, active, candidates, config.epsilon)
     if fill:
-        walk.send(around, active, candidates)
+        walk.send(around, active, candidates, config.epsilon)
         for shell in _shells(shared, view, strength, offsets(policy, "high", index.num_levels, utility)):
-            walk.send(*shell, every_term=True)
+            walk.send(*shell)
     return walk.out
 
 
@@ -184,10 +187,9 @@ def _gain(shared: CandidateIndex, word: int, strength: list[F32], eye: F32, weig
 class _Walk:
     """Records in the order in which they are sent one by one."""
 
-    def __init__(self, shared: CandidateIndex, holdings: Holdings, view: View, epsilon: float) -> None:
+    def __init__(self, shared: CandidateIndex, holdings: Holdings, view: View) -> None:
         self.out: list[tuple[str, int]] = []
         self._index, self._pixel = shared.index, shared.pixel_area
-        self._gain = -float(np.log(epsilon) + 0.5 * np.log(3.6e-5))
         self._held, self._held_terms = set(holdings.received.tolist()), set(holdings.received_terms.tolist())
         self._gone = set(ids_of(holdings.gone).tolist())
         others = np.zeros((0, 3), np.float32) if view.eyes is None else view.eyes
@@ -198,16 +200,17 @@ class _Walk:
         entries: list[Entry],
         active: set[int],
         candidates: set[int],
-        *,
-        every_term: bool = False,
+        epsilon: float | None = None,
     ) -> None:
-        """Send entries by their keys, with the terms that are active for one of the eyes, or with every active term."""
+        """Send entries by their keys, and terms that change the image enough for one of the eyes, or every term."""
         for _, _, terms, members, log in sorted(entries, key=lambda entry: entry[:2]):
             for g in members:
                 if g in self._gone:
                     continue
                 if terms and g in self._held:
-                    self._send_terms(g, active, None if every_term else log + self._gain)
+                    self._send_terms(
+                        g, active, None if epsilon is None else log - np.log(epsilon) - 0.5 * np.log(3.6e-5)
+                    )
                 elif not terms and g not in self._held:
                     self._held.add(g)
                     self.out.append(("gaussian", g))

@@ -97,9 +97,9 @@ def test_without_filling_only_terms_in_view_that_are_active_for_an_eye_are_sent(
 
 def test_a_term_is_sent_when_the_eye_enters_its_cone_and_not_before() -> None:
     index = _one_term(width=1.0, cosine=0.9)
-    planner = Planner(CandidateIndex(index), VIEW, AbrConfig(fill=False, epsilon=1.0, parallax=0.01))
+    planner = Planner(CandidateIndex(index), VIEW, AbrConfig(fill=False, epsilon=1.0, first_epsilon=1.0, parallax=0.01))
     look_at(planner, 0, [0.0, 0.0, -1.0])  # the Gaussian is seen along +z; the cone is around +x
-    assert [len(batch.terms) for batch in drained(planner)] == [0]
+    assert sum(len(batch.terms) for batch in drained(planner)) == 0
     assert planner.holdings.received.tolist() == [0]
     planner.aim(0, [0.0, 0.0, -1.0], ALL_ROUND, eyes=[[-1.0, 0.0, 0.0]])  # predicted
     assert sum(len(batch.terms) for batch in drained(planner)) == 0  # checked already, and the eye has not moved

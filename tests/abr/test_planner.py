@@ -80,7 +80,7 @@ def test_fast_and_slow_give_the_same_records_in_the_same_order(seed, policy, reg
     rng = np.random.default_rng(seed)
     held = Holdings(len(index), index.num_terms)
     held.add(np.flatnonzero(rng.random(len(index)) < 0.2), np.zeros(0, np.int64), np.zeros(0, np.int64))
-    slow = order_records(store, view, policy, held, fill=fill, epsilon=AbrConfig.epsilon)
+    slow = order_records(store, view, policy, held, fill=fill)
     reach = float(rng.choice([1.0, 500.0, 1e9]))
     batches = taken(aimed(store, view, policy, held.copy(), reach, fill=fill), [1e9])
     assert joined(batches, "gaussians") == [i for kind, i in slow if kind == "gaussian"]
