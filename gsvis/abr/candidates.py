@@ -183,8 +183,8 @@ class CandidateIndex:
     def in_shell(self, cell: int, shell: int) -> Candidates:
         """Return what a shell adds to the shells within it, to fill an idle link.
 
-        Shell 0 adds no Gaussian, only the active terms of the cell and its neighbors: the stream for the pose sends the
-        Gaussians. Candidates and active terms are those of all shells so far, units and what is owed those it adds.
+        Shell 0 adds no Gaussian, only the terms of what the cell and its neighbors see: the stream for the pose sends
+        the Gaussians. Candidates and terms are those of all shells so far, units and what is owed those it adds.
 
         Raises:
             ValueError: If there is no such cell, or it names Gaussians or terms that the scene does not have.
@@ -216,17 +216,20 @@ class CandidateIndex:
         return self._words(cell)[here.words], owing[here.words] | here.owing, here.active | there.active
 
     def _build_shell(self, cell: int, cells: list[int], within: Candidates | None) -> Candidates:
-        active, owing = self._active_terms(cells)
-        if within is None:
-            seen, fresh, terms = self.in_cell(cell).union, np.zeros_like(owing), ones(active)
+        seen = self.in_cell(cell).union.copy() if within is None else within.union.copy()
+        fresh = seen.copy() if within is None else self._add_cells(cells, seen)
+        if self.index.cones is not None:
+            active, owing = self._every_term[0], self._every_term[1] & fresh
+            terms = float(ones(owing)) * float(self._word_terms.mean())
         else:
-            seen = within.union.copy()
-            fresh, new = self._add_cells(cells, seen), active & ~within.active
-            active, owing, terms = active | within.active, np.zeros_like(owing), ones(new)
-            kernels.active_words(ids_of(new), self._owners, np.zeros_like(new), owing)
-        owing &= seen
-        parts = [self._units_of(1, fresh | owing)]
-        return self._assemble(cell, parts, seen, active, owing, terms)
+            active, owing = self._active_terms(cells)
+            if within is not None:
+                new, owing = active & ~within.active, np.zeros_like(owing)
+                active |= within.active
+                kernels.active_words(ids_of(new), self._owners, np.zeros_like(new), owing)
+            owing, terms = owing & seen, float(ones(active))
+        members = owing if within is None else fresh | owing
+        return self._assemble(cell, [self._units_of(1, members)], seen, active, owing, terms)
 
     def _assemble(
         self,

@@ -117,7 +117,10 @@ def _shells(
     active: set[int] = set()
     for shell, cells in enumerate(shared.shells(view.cell)):
         visible = {g for cell in cells for g in index.sets.classes(cell)[0].tolist()}
-        terms = _active(index, cells)
+        if index.cones is None:
+            terms = _active(index, cells)
+        else:
+            terms = {t for t in range(index.num_terms) if owners[t] in visible - seen}
         members = {int(owners[t]) for t in terms - active} | (visible - seen if shell else set())
         seen, active = seen | visible, active | terms
         found: dict[tuple[int, int, int], list[int]] = {}

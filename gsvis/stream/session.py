@@ -161,7 +161,7 @@ class Session:
 
         What only fills the link has the window of two messages, so that it does not delay what the next view needs.
         """
-        return self._spare() if self.filling else self._free(self.config.window)
+        return self._free(self._filling_window if self.filling else self.config.window)
 
     def room(self, seconds: float | None = None) -> float:
         """Return the bytes that the next message should have.
@@ -203,12 +203,18 @@ class Session:
         self.filling_bytes += len(data) if batch.filling else 0
         return Message(self._sequence, data, batch)
 
+    @property
+    def _filling_window(self) -> float:
+        return min(self.config.window, 2.0 * self.config.piece)
+
     def _free(self, window: float) -> float:
         """Return the bytes by which more may be in flight, for seconds of the link beside a round trip."""
         return max(0.0, self.rate * (window + self.meter.round_trip) - self.outstanding)
 
     def _spare(self) -> float:
-        return self._free(min(self.config.window, 2.0 * self.config.piece))
+        """Return the bytes to send if they only fill the link; some with nothing in flight, as in `room`."""
+        free = self._free(self._filling_window)
+        return max(free, PIECE) if self.outstanding == 0 else free
 
     def _record_sent(self, t: float, sequence: int, nbytes: int) -> None:
         self.wire_bytes += nbytes

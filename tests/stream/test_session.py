@@ -49,14 +49,12 @@ def test_what_is_in_flight_is_bounded_by_the_window(scene: StreamedScene) -> Non
 
 
 def test_candidates_are_what_the_cell_and_its_neighbors_see(scene: StreamedScene) -> None:
-    sets, active = scene.package.visibility, scene.package.active_terms
+    sets = scene.package.visibility
     for cell in range(len(sets)):
         found = scene.candidates.in_cell(cell)
         around = [cell, *sets.grid.neighbors(cell).tolist()]
         assert np.array_equal(ids_of(found.union), np.array(sets.union(around).to_array()))
         assert np.array_equal(ids_of(found.active), np.arange(scene.about.terms))  # which are, is tested for the eye
-        near = np.unique(np.concatenate([active.active_ids(other) for other in around]))
-        assert np.array_equal(ids_of(scene.candidates.in_shell(cell, 0).active), near)
 
 
 def test_one_cache_holds_all_that_is_decoded(scene: StreamedScene) -> None:
@@ -64,7 +62,7 @@ def test_one_cache_holds_all_that_is_decoded(scene: StreamedScene) -> None:
     cache = scene.candidates.cache
     assert scene.package.visibility.cache is cache
     kinds = {key[0] for key in cache._values}
-    assert kinds == {"candidates", "shell", "words", "set", "classes"}
+    assert kinds == {"candidates", "words", "set", "classes"}
     assert cache.nbytes <= cache.max_bytes
 
 

@@ -71,6 +71,7 @@ def test_nothing_is_sent_twice_and_nothing_is_lost(
         received = receiver.receive(message.data)
         gaussians += received.gaussians.tolist()
         terms += received.terms.tolist()
+        session.on_ack(99.0, received.sequence)
     for n in range(400):  # standing still until all has come
         t = 100.0 + n / 10
         session.on_pose(t, place, exponential(spin))
