@@ -38,6 +38,8 @@ class Serve:
     """Addresses of trusted proxies, such as 127.0.0.1 or 10.0.0.0/8; the server believes their X-Forwarded-For."""
     policy: Annotated[Literal["utility", "fov-first", "low-first"], PLAIN] = "utility"
     """What is sent first. (default: utility)"""
+    no_fill: Flag = False
+    """Send only what a view needs: an idle link does not bring the rest of the scene."""
     clients: Annotated[int, COUNTED] = 100
     """Most viewers at once."""
     per_address: Annotated[int | None, COUNTED, hint("half of --clients, at least 8")] = None

@@ -42,6 +42,8 @@ class Simulate:
     """Number of visits, in the order of the packages, in turns; each begins with nothing."""
     policy: Annotated[Literal["utility", "fov-first", "low-first"], PLAIN] = "utility"
     """What is sent first. (default: utility)"""
+    no_fill: Flag = False
+    """Send only what a view needs: an idle link does not bring the rest of the scene."""
     scene: Annotated[tuple[str, ...], _FILES, hint("the packages themselves")] = ()
     """The scene that each package was made of; compare with it instead of the rounded records."""
     lod: Annotated[int | None, WHOLE, hint("the finest that is there")] = None

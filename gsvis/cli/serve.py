@@ -36,7 +36,8 @@ def run_serve(command: Serve) -> None:
         keep_alive_s=command.keep_alive, per_address=command.per_address,
     )  # fmt: skip
     token = command.token if command.token is not None else os.environ.get("GSVIS_TOKEN") or None
-    config = AppConfig(token, command.origins, limits, AbrConfig(policy=command.policy), command.hosts, command.proxies)
+    abr = AbrConfig(policy=command.policy, fill=not command.no_fill)
+    config = AppConfig(token, command.origins, limits, abr, command.hosts, command.proxies)
     address = Address(command.host, command.port, command.ssl_certfile, command.ssl_keyfile)
     for path in (command.ssl_certfile, command.ssl_keyfile):
         if path is not None:

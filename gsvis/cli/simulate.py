@@ -99,7 +99,8 @@ def _write_report(command: Simulate, walk: HeadPath, trace: BandwidthTrace, stat
     with ExitStack() as opened:
         visits = simulate_visits(
             _places(command, opened, status), walk, link, config,
-            count=command.visits, abr=AbrConfig(policy=command.policy), seed=command.seed, progress=status,
+            count=command.visits, abr=AbrConfig(policy=command.policy, fill=not command.no_fill), seed=command.seed,
+            progress=status,
         )  # fmt: skip
     simulation = Simulation(
         visits, link, _command_line(command), version(),

@@ -73,10 +73,11 @@ def format_figures(systems: list[dict[str, Any]]) -> tuple[tuple[str, ...], Rows
         (f"first image of {GOOD_DB:g} dB", *cells("seconds_to_good_image", seconds)),
         ("stalled", *cells("stall", seconds)),
         ("arrived", *cells("bytes", lambda v: f"{v / 1e6:.2f} MB")),
+        ("of them on an idle link", *cells("filling_bytes", lambda v: f"{v / 1e6:.2f} MB")),
         ("records sent twice", *cells("records_twice", lambda v: f"{v:,}")),
         ("Gaussians sent", *cells("gaussian_share", share)),
         ("of them replaced since", *cells("replaced_share", share)),
-        ("of them never in the picture", *cells("unseen_share", share)),
+        ("chosen for a view and never in the picture", *cells("unseen_share", share)),
     ]
     if has_terms:
         rows.append(("SRBFs sent", *cells("term_share", share)))

@@ -43,6 +43,7 @@ class Playback:
         times: (P,) seconds of arrival of each parcel, ascending.
         sizes: (P,) bytes of each parcel.
         filling: (P,) whether each parcel only filled an idle link.
+        filler: (N,) Gaussians that came in such parcels.
         twice: Number of Gaussians and terms that arrived more than once.
         about: Description by the delivery.
     """
@@ -57,6 +58,7 @@ class Playback:
     times: F64
     sizes: NDArray[np.int64]
     filling: NDArray[np.bool_]
+    filler: NDArray[np.bool_]
     twice: int
     about: dict[str, Any]
 
@@ -121,7 +123,7 @@ def play(
     times, sizes = np.array(entered.times), np.array(entered.sizes, np.int64)
     return Playback(
         delivery.name, delivery.exact, link, seconds, gaussians, gone, terms, times, sizes,
-        np.array(entered.filling, np.bool_), entered.twice, delivery.describe(),
+        np.array(entered.filling, np.bool_), entered.filler, entered.twice, delivery.describe(),
     )  # fmt: skip
 
 
@@ -137,6 +139,7 @@ class _Arrivals:
         self.times: list[float] = []
         self.sizes: list[int] = []
         self.filling: list[bool] = []
+        self.filler = np.zeros(gaussians, np.bool_)
         self.twice = 0
 
     def add(self, t: float, parcel: Parcel) -> None:
@@ -148,3 +151,4 @@ class _Arrivals:
         self.times.append(t)
         self.sizes.append(parcel.nbytes)
         self.filling.append(parcel.filling)
+        self.filler[parcel.gaussians] |= parcel.filling

@@ -147,7 +147,7 @@ class Viewing:
         any_content = bool(self.content.any())
         qoe: Mapping[str, float | None] = self.qoe.as_dict() if any_content else dict.fromkeys(_QOE)
         arrived, gone = p.gaussian_at <= end, p.gone_at <= end
-        count = int(np.count_nonzero(arrived))
+        count, chosen = int(np.count_nonzero(arrived)), arrived & ~p.filler
         return {
             **qoe,
             "seconds_to_first_image": _or_none(self.seconds_to(FIRST_FRAME_DB)),
@@ -157,8 +157,9 @@ class Viewing:
             "records_twice": p.twice,
             "gaussians": count,
             "gaussian_share": count / max(len(arrived), 1),
+            "filling_bytes": float(p.sizes[p.filling & (p.times <= end)].sum()),
             "replaced_share": int(np.count_nonzero(arrived & gone)) / max(count, 1),
-            "unseen_share": int(np.count_nonzero(arrived & ~self.needed)) / max(count, 1),
+            "unseen_share": int(np.count_nonzero(chosen & ~self.needed)) / max(int(np.count_nonzero(chosen)), 1),
             "terms": int(p.terms_at(end)),
             "term_share": int(p.terms_at(end)) / max(len(p.term_at), 1),
         }
