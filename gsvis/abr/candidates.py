@@ -4,7 +4,7 @@ Candidates are computed once for a cell and shared by all clients in it. They do
 looks at. Rings are 0 for the cell itself and 1, 2, 3 for neighbors by face, edge and corner. A Gaussian is in the first
 ring that sees it, so the ring orders by distance to the nearest cell from which it is visible (section 6.3). Shells go
 on from there to the end of the scene, for links with nothing better to do: shell 0 is the cell and its neighbors, each
-further shell the next nearest cells.
+further shell the next nearest cells. All shells share the units of the whole scene.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from gsvis.abr.cones import TermCones
 from gsvis.abr.index import SceneIndex
 from gsvis.files.cache import Cache
 from gsvis.pvs.cells import CellGrid
-from gsvis.pvs.codec import ids_of, pack, word_count
+from gsvis.pvs.codec import pack, word_count
 
 __all__ = ["RINGS", "CandidateIndex", "Candidates", "ring_cells"]
 
@@ -99,6 +99,9 @@ class CandidateIndex:
         least_sizes: Bytes of the smallest record of a Gaussian, and of a term.
         records: Bytes of all records.
         links: Which Gaussians replace which.
+        everything: All Gaussians and all terms as candidates of no cell, in ring 1, to fill idle links.
+        highest: (W,) uint64, the Gaussians of the highest level.
+        all_bits: (W,) uint64, every bit set.
     """
 
     def __init__(self, index: SceneIndex, *, pixel: float = 2e-3, cache: Cache[Any] | None = None) -> None:
@@ -129,12 +132,19 @@ class CandidateIndex:
         self._traits = kernels.Traits(strengths(index, self.pixel_area), pairs, mixed)
         self._owners = np.repeat(np.arange(len(index), dtype=np.int32), np.diff(index.term_offsets))
         self._scratch = threading.local()
-        everything = pack(np.arange(len(index)), len(index)), np.zeros(len(index), np.uint8)
-        units = self._split(*everything, np.full(1, np.mean(index.class_weights), np.float32))
+        all_of_them = pack(np.arange(len(index)), len(index))
+        units = self._split(
+            all_of_them, np.zeros(len(index), np.uint8), np.array([np.mean(index.class_weights)], np.float32)
+        )
         self._every = Units(*(array.copy() for array in units))
-        owners = np.flatnonzero(np.diff(index.term_offsets))
-        self._every_term = pack(np.arange(index.num_terms), index.num_terms), pack(owners, len(index))
+        sent = index.num_terms if index.cones is not None or index.active is not None else 0
+        owners = np.flatnonzero(np.diff(index.term_offsets)) if sent else np.zeros(0, np.int64)
+        self._every_term = pack(np.arange(sent), index.num_terms), pack(owners, len(index))
         self._word_terms = _word_means(np.diff(index.term_offsets), count)
+        owned = float(sent)
+        self.all_bits = np.full(count, ~np.uint64(0))
+        self.everything = self._assemble(-1, [self._units_of(1, all_of_them)], all_of_them, *self._every_term, owned)
+        self.highest = pack(np.flatnonzero(index.last == index.num_levels - 1), len(index))
 
     def in_cell(self, cell: int) -> Candidates:
         """Return the candidates of a cell.
@@ -176,25 +186,24 @@ class CandidateIndex:
         """Return the cells of each shell around a cell, nearest first; all cells of the scene are in one of them."""
         grid = self.index.grid
         near = [other for ring in ring_cells(grid, cell) for other in ring]
-        apart = np.linalg.norm(grid.centers - grid.centers[cell], axis=1)
-        far = [other for other in np.argsort(apart, kind="stable").tolist() if other not in set(near)]
+        order = np.argsort(np.linalg.norm(grid.centers - grid.centers[cell], axis=1), kind="stable")
+        far = order[~np.isin(order, near)].tolist()
         return [near, *(far[k : k + _SHELL] for k in range(0, len(far), _SHELL))]
 
-    def in_shell(self, cell: int, shell: int) -> Candidates:
-        """Return what a shell adds to the shells within it, to fill an idle link.
+    def num_shells(self, cell: int) -> int:
+        """Return the number of shells around a cell."""
+        grid = self.index.grid
+        return 1 - (1 + len(grid.neighbors(cell)) - len(grid)) // _SHELL
 
-        Shell 0 adds no Gaussian, only the terms of what the cell and its neighbors see: the stream for the pose sends
-        the Gaussians. Candidates and terms are those of all shells so far, units and what is owed those it adds.
+    def seen_from(self, cells: list[int]) -> Words:
+        """Return the (W,) Gaussians that at least one of the cells sees.
 
         Raises:
-            ValueError: If there is no such cell, or it names Gaussians or terms that the scene does not have.
-            IndexError: If there is no such shell.
+            ValueError: If a cell names Gaussians that the scene does not have.
         """
-        found: Candidates | None = self.cache.find(("shell", cell, shell))
-        if found is None:
-            cells = self.shells(cell)[shell]
-            found = self._build_shell(cell, cells, self.in_shell(cell, shell - 1) if shell else None)
-            self.cache.keep(("shell", cell, shell), found)
+        found = np.zeros(len(self.spheres), np.uint64)
+        for cell in cells:
+            found |= self._words(cell)
         return found
 
     def ahead_of(self, here: Candidates, cell: int) -> tuple[Words, Words, Words]:
@@ -214,22 +223,6 @@ class CandidateIndex:
         there, owing = self.in_cell(cell), np.zeros(len(self.spheres), np.uint64)
         owing[there.words] = there.owing
         return self._words(cell)[here.words], owing[here.words] | here.owing, here.active | there.active
-
-    def _build_shell(self, cell: int, cells: list[int], within: Candidates | None) -> Candidates:
-        seen = self.in_cell(cell).union.copy() if within is None else within.union.copy()
-        fresh = seen.copy() if within is None else self._add_cells(cells, seen)
-        if self.index.cones is not None:
-            active, owing = self._every_term[0], self._every_term[1] & fresh
-            terms = float(ones(owing)) * float(self._word_terms.mean())
-        else:
-            active, owing = self._active_terms(cells)
-            if within is not None:
-                new, owing = active & ~within.active, np.zeros_like(owing)
-                active |= within.active
-                kernels.active_words(ids_of(new), self._owners, np.zeros_like(new), owing)
-            owing, terms = owing & seen, float(ones(active))
-        members = owing if within is None else fresh | owing
-        return self._assemble(cell, [self._units_of(1, members)], seen, active, owing, terms)
 
     def _assemble(
         self,

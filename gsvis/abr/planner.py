@@ -112,10 +112,12 @@ class Planner:
         self._planned: tuple[int, int, Pose, Pose, str] | None = None
         self._here: Candidates | None = None
         self._near: tuple[Candidates, int, kernels.Cell, kernels.Cell] | None = None  # to return to after filling
-        self._cell = kernels.Cell(*(np.zeros(0, np.int32),) * 10)
+        self._cell = kernels.Cell(*(np.zeros(0, np.int32),) * 11)
+        self._rest: kernels.Cell | None = None  # the whole scene, to fill an idle link
+        self._shells: list[list[int]] = []
         self._view = kernels.View(*(np.zeros(0, np.float32),) * 8)
         self._travelled, self._aimed, self._fresh = 0.0, "high", False
-        self._stage, self._stages, self._filled = _NEEDS, _AROUND, _SHELLS
+        self._stage, self._stages, self._filled, self._complete = _NEEDS, _AROUND, _SHELLS, False
         self._table, self._keys = table(self.config.policy, "high", index.num_levels, self.config.utility)
         self._waits = np.empty((len(candidates.links.ending), 2), np.int32)
         self._plan, self._place = _NOTHING, 0
@@ -245,24 +247,48 @@ class Planner:
 
     def _go_on(self) -> bool:
         """Go on to the next stage; return False if there is none."""
-        if self._stage >= _SHELLS:
-            self._filled = self._stage + 1
-        if self._next_stage >= self._stages or self._here is None:
+        if self._near is None:
             return False
         config, levels = self.config, self.candidates.index.num_levels
-        self._stage = self._next_stage
-        if self._stage <= _AROUND:
-            assert self._near is not None
-            around = self._stage == _AROUND
-            self._table, self._keys = table(config.policy, self._aimed, levels, config.utility, terms_around=around)
-            self._cell, self._view = self._near[3], self._view._replace(gain=_gain(config.epsilon))
-        else:
-            here = self.candidates.in_shell(self._here.cell, self._stage - _SHELLS)
-            self._table, self._keys = filling_table(config.policy, levels, config.utility)
-            self._here, self._cell = here, self._cell_for(here, here.owing, here.active)
+        while self._next_stage < self._stages:
+            self._stage = self._next_stage
+            if self._stage <= _AROUND:
+                around = self._stage == _AROUND
+                self._table, self._keys = table(config.policy, self._aimed, levels, config.utility, terms_around=around)
+                self._cell, self._view = self._near[3], self._view._replace(gain=_gain(config.epsilon))
+            else:
+                self._filled = self._stage
+                if not self._enter_shell(self._near[0], self._stage - _SHELLS):
+                    continue
+                self._table, self._keys = filling_table(config.policy, levels, config.utility)
+            self._plan, self._place, self._least, self._whole, self._wanted = _NOTHING, 0, 0, False, 0.0
+            return True
+        self._complete |= self._stages > _SHELLS  # all that any cell sees is held
+        return False
+
+    def _enter_shell(self, near: Candidates, shell: int) -> bool:
+        """Switch to what a shell around a cell sees, if some of it is left to send; return whether it is."""
+        shared, held = self.candidates, self.holdings.words
+        every = shared.everything
+        if self._rest is None:
+            union = np.empty_like(every.union)
+            self._rest = self._cell_for(every, every.owing, every.active)._replace(candidates=union)
+        rest = self._rest
+        if self._here is not every:  # from the stream for the pose
+            self._here, self._shells = every, self._shells or shared.shells(near.cell)
+            forget_paid(rest.words, rest.active, held.terms, shared.index.term_offsets, rest.owed)
+            rest.candidates[:] = near.union
+            for cells in self._shells[1:shell]:
+                rest.candidates[:] |= shared.seen_from(cells)
             nothing = np.zeros((0, 5, 4), np.float32)
             self._view = self._view._replace(planes=nothing, eyes=np.zeros((0, 3), np.float32))
-        self._plan, self._place, self._least, self._whole, self._wanted = _NOTHING, 0, 0, False, 0.0
+        allowed = shared.seen_from(self._shells[shell])
+        rest.candidates[:] |= allowed
+        allowed &= shared.highest
+        if not kernels.is_left(allowed, rest.owed, held):
+            return False
+        self._waits[:, 0] = kernels.UNKNOWN
+        self._cell = rest._replace(allowed=allowed)
         return True
 
     def _follow(self, now: Pose, t: float, rate: float) -> None:
@@ -316,8 +342,9 @@ class Planner:
         """Switch to the units of a cell, from another cell or from filling."""
         before, self._here = self._near, here
         if before is None or before[0] is not here:
-            shells = len(self.candidates.shells(here.cell)) if self.config.fill else 0
-            self._filled, self._stages = _SHELLS, _SHELLS + shells if self.config.fill else _AROUND
+            self._filled, self._shells = _SHELLS, []
+        shells = 0 if self._complete else self.candidates.num_shells(here.cell)
+        self._stages = _SHELLS + shells if self.config.fill else _AROUND
         if before is not None and before[0] is here and before[1] == cell_ahead:
             if self._stage >= _SHELLS:
                 self._waits[:, 0] = kernels.UNKNOWN
@@ -341,8 +368,8 @@ class Planner:
         none = np.zeros(len(here.words), np.uint64)
         return kernels.Cell(
             words=here.words, places=here.places, term_bytes=here.term_bytes, owed=owed, active=active,
-            candidates=here.union, ahead=none, checked=none.copy(), checked_at=np.zeros(len(none), np.float32),
-            waits=self._waits,
+            candidates=here.union, allowed=self.candidates.all_bits[: len(none)], ahead=none, checked=none.copy(),
+            checked_at=np.zeros(len(none), np.float32), waits=self._waits,
         )  # fmt: skip
 
     def _rank(self, here: Candidates, enough: float) -> None:

@@ -110,32 +110,25 @@ def order_records(
 def _shells(
     shared: CandidateIndex, view: View, strength: F32, table: NDArray[np.int64]
 ) -> Iterator[tuple[list[Entry], set[int], set[int]]]:
-    """Yield what fills an idle link: the entries of each shell, its active terms and candidates and those before."""
+    """Yield what fills an idle link: the entries of each shell, all terms, and what it and the shells before see."""
     index, weight = shared.index, np.float32(np.mean(shared.index.class_weights))
-    owners = np.repeat(np.arange(len(index)), np.diff(index.term_offsets))
+    terms = set(range(index.num_terms)) if index.cones is not None or index.active is not None else set()
     seen: set[int] = set()
-    active: set[int] = set()
-    for shell, cells in enumerate(shared.shells(view.cell)):
+    for cells in shared.shells(view.cell):
         visible = {g for cell in cells for g in index.sets.classes(cell)[0].tolist()}
-        if index.cones is None:
-            terms = _active(index, cells)
-        else:
-            terms = {t for t in range(index.num_terms) if owners[t] in visible - seen}
-        members = {int(owners[t]) for t in terms - active} | (visible - seen if shell else set())
-        seen, active = seen | visible, active | terms
+        seen = seen | visible
         found: dict[tuple[int, int, int], list[int]] = {}
-        for g in sorted(members):
-            found.setdefault((g >> 6, int(index.first[g]), int(index.last[g])), []).append(g)
+        for g in sorted(visible):
+            if index.last[g] == index.num_levels - 1:
+                found.setdefault((g >> 6, int(index.first[g]), int(index.last[g])), []).append(g)
         entries = []
         for number, key in enumerate(_in_order_of_scene(index, list(found))):
-            word, enters, ends = key
-            if ends < index.num_levels - 1:
-                continue
-            gain = _gain(shared, word, [strength[g] for g in _alike(index, word, enters, ends)], view.eye, weight)
+            word, enters, _ = key
+            gain = _gain(shared, word, [strength[g] for g in _alike(index, *key)], view.eye, weight)
             for kind in (0, 1):
                 place = int(table[-1, enters, kind]) + int(kernels.bucket_of(gain))
                 entries.append((place, 2 * number + kind, kind, found[key], 0.0))
-        yield entries, active, seen
+        yield entries, terms, seen
 
 
 def _active(index: SceneIndex, cells: list[int]) -> set[int]:

@@ -31,6 +31,7 @@ class Cell(NamedTuple):
     owed: Any  # (S,) uint64, Gaussians that may have active terms that are not held
     active: Any  # active terms as a packed set
     candidates: Any  # (W,) uint64, all candidates
+    allowed: Any  # (S,) uint64, what may be sent now: all, or while filling what the shell sees
     ahead: Any  # (S,) uint64, what the cell sees that the viewer is about to enter
     checked: Any  # (S,) uint64, Gaussians that owe only terms which are not active for the eye
     checked_at: Any  # (S,) float32, `View.travelled` when the first of them were checked
@@ -182,11 +183,21 @@ def _test_gaussians(words, places, bodies, planes, sides, inside):
 
 
 @njit(**_OPTIONS)
-def _gather(words, owed, gaussians, gone, free, due):
+def _gather(words, allowed, owed, gaussians, gone, free, due):
     """Set what is neither held nor gone (`free`), and what is owed and not gone (`due`), for words (S,)."""
     for s in range(len(words)):
         w = words[s]
-        free[s], due[s] = ~(gaussians[w] | gone[w]), owed[s] & ~gone[w]
+        free[s], due[s] = allowed[s] & ~(gaussians[w] | gone[w]), allowed[s] & owed[s] & ~gone[w]
+
+
+@njit(**_OPTIONS)
+def is_left(allowed, owed, held):
+    """Return whether one of the allowed Gaussians (W,) is not held, or owes terms (W,), and is not gone."""
+    gaussians, gone = held.gaussians, held.gone
+    for w in range(len(allowed)):
+        if allowed[w] & ~gone[w] & (~gaussians[w] | owed[w]):
+            return True
+    return False
 
 
 @njit(**_OPTIONS)
@@ -310,7 +321,7 @@ def rank(units, runs, cell, held, view, table, limits, work):
     for f in range(len(view.planes)):
         _test_words(x, y, z, places[3], view.planes[f], sides)
     _squares(x, y, z, places[4], view.eye, squares)
-    _gather(words, cell.owed, held.gaussians, held.gone, free, due)
+    _gather(words, cell.allowed, cell.owed, held.gaussians, held.gone, free, due)
     _skip_checked(squares, view.travelled, view.parallax, cell.checked, cell.checked_at, due)
     _gains(slots, areas, pixels, squares, gains)
     _buckets(gains.view(np.int32), buckets)
