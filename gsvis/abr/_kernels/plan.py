@@ -193,11 +193,10 @@ def _gather(words, allowed, owed, gaussians, gone, free, due):
 @njit(**_OPTIONS)
 def is_left(allowed, owed, held):
     """Return whether one of the allowed Gaussians (W,) is not held, or owes terms (W,), and is not gone."""
-    gaussians, gone = held.gaussians, held.gone
+    gaussians, gone, left = held.gaussians, held.gone, np.uint64(0)
     for w in range(len(allowed)):
-        if allowed[w] & ~gone[w] & (~gaussians[w] | owed[w]):
-            return True
-    return False
+        left |= allowed[w] & ~gone[w] & (~gaussians[w] | owed[w])
+    return left != 0
 
 
 @njit(**_OPTIONS)
