@@ -104,6 +104,30 @@ class Holdings:
                 raise ValueError(f"{name}: expected each once, got one that is held already")
             words |= fresh
 
+    def evict(self, gaussians: NDArray[Any], terms: NDArray[Any]) -> None:
+        """Forget Gaussians, and that they were replaced, and terms, on the client's side.
+
+        Args:
+            gaussians: (E,) ids of Gaussians that are held, or that others have replaced.
+            terms: (M,) ids of the terms of these Gaussians that are held.
+
+        Raises:
+            ValueError: If an id is out of range, or neither held nor replaced. Nothing changes then.
+        """
+        found = []
+        for name, ids, words, size in (
+            ("gaussians", gaussians, self.sent | self.gone, self.gaussians),
+            ("terms", terms, self.sent_terms, self.terms),
+        ):
+            values = _check.integers(name, ids, ("M",))
+            _check.in_range(name, values, 0, size - 1)
+            found.append(pack(values, size))
+            if np.any(found[-1] & ~words):
+                raise ValueError(f"{name}: expected such as are held, got others")
+        self.sent &= ~found[0]
+        self.gone &= ~found[0]
+        self.sent_terms &= ~found[1]
+
     def to_bytes(self) -> bytes:
         """Return a header (magic GVH1, N, T, the bytes of three bitmaps: little-endian uint32) and the bitmaps.
 

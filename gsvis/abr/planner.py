@@ -9,20 +9,23 @@ and no message: time and rate are arguments.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.abr._kernels import plan as kernels
+from gsvis.abr._kernels.evict import owe_again
 from gsvis.abr._kernels.take import forget_paid, take
 from gsvis.abr.candidates import CandidateIndex, Candidates
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.config import AbrConfig
 from gsvis.abr.holdings import Holdings
+from gsvis.abr.memory import ClientMemory
 from gsvis.abr.policies import filling_table, regime_of, table
 from gsvis.abr.predict import Pose, PosePredictor, predictor
+from gsvis.pvs.codec import pack
 
 __all__ = ["Batch", "Planner"]
 
@@ -47,6 +50,8 @@ class Batch:
         dropped: (D,) int32 ids of Gaussians that the client stops showing: all their replacements have been sent.
         bytes: Bytes of the records.
         filling: Whether the view needs none of it: it fills an idle link.
+        evicted: (E,) int32 ids that the client forgets before it adds the others, so that its memory suffices: its
+            Gaussians with their terms, and that others had been replaced by them.
     """
 
     gaussians: I32
@@ -54,6 +59,7 @@ class Batch:
     dropped: I32
     bytes: float
     filling: bool = False
+    evicted: I32 = field(default_factory=lambda: np.zeros(0, np.int32))
 
     def __len__(self) -> int:
         """Return the number of records."""
@@ -74,6 +80,7 @@ class Planner:
         config: Settings; None means `AbrConfig()`.
         holdings: What the client holds; None means nothing. `take` changes it.
         poses: Predictor of poses; None means the one that the config names.
+        memory: Bytes of records that the client can hold; None means all.
 
     Attributes:
         candidates: Candidates of the scene.
@@ -85,9 +92,10 @@ class Planner:
         cell: The cell of the viewer; -1 before the first pose.
         cell_ahead: The cell that the viewer is about to enter; often `cell`.
         plans: Number of views for which records were ranked.
+        memory: The memory of the client; None if it can hold the whole scene.
 
     Raises:
-        ValueError: If the holdings are those of another scene.
+        ValueError: If the holdings are those of another scene, or the memory is not above 0.
     """
 
     def __init__(
@@ -98,12 +106,15 @@ class Planner:
         *,
         holdings: Holdings | None = None,
         poses: PosePredictor | None = None,
+        memory: float | None = None,
     ) -> None:
         index, self.config = candidates.index, config or AbrConfig()
         self.candidates, self.view, self.reach = candidates, view, 1e6
         self.holdings = Holdings(len(index), index.num_terms) if holdings is None else holdings
         if (self.holdings.gaussians, self.holdings.terms) != (len(index), index.num_terms):
             raise ValueError(f"holdings: expected those of {index!r}, got {self.holdings!r}")
+        self.memory = None if memory is None else ClientMemory(candidates, self.holdings, memory)
+        self._is_full = False  # nothing fits that is worth more than what the client holds
         self.regime: str | None = None
         self.cell, self.cell_ahead, self.plans = -1, -1, 0
         self._poses = poses or predictor(self.config.predictor)
@@ -125,8 +136,11 @@ class Planner:
 
     @property
     def done(self) -> bool:
-        """Whether nothing is left to send: all that the view needs, and with `fill` all that any cell sees."""
-        return self._is_used_up and self._next_stage >= self._stages
+        """Whether nothing is left to send: all that the view needs, and with `fill` all that any cell sees.
+
+        Also if the memory of the client is full of what is worth as much.
+        """
+        return self._is_full or (self._is_used_up and self._next_stage >= self._stages)
 
     @property
     def filling(self) -> bool:
@@ -205,12 +219,12 @@ class Planner:
         """Return the next records of the view, of at most `budget` bytes. They count as held from now on.
 
         The batch is empty when the next record exceeds the budget, or all have been taken. If the records only fill the
-        link, `spare` limits them, too.
+        link, `spare` limits them, too. Where the memory of the client is full, the batch evicts what is farthest from
+        use for what the view needs.
         """
         if not budget >= 0:
             raise ValueError(f"budget: expected bytes >= 0, got {budget!r}")
         self._fresh, spare = False, budget if spare is None else min(budget, spare)
-        budget = budget if self._stage <= _DETAILS else spare
         if self._here is None or self.done:
             return Batch.empty()
         shared, held = self.candidates, self.holdings.words
@@ -218,32 +232,56 @@ class Planner:
         most = [min(n, int(min(budget, 1e12) / size) + 1) for n, size in zip(counts, sizes, strict=True)]
         out = np.empty(most[0], np.int32), np.empty(most[1], np.uint32), np.empty(len(self._waits), np.int32)
         queue = np.empty_like(out[2])
-        taken, total = [0, 0, 0], 0.0
+        taken, total, evicted = [0, 0, 0], 0.0, None
         while True:
+            limit = self._limit(budget if self._stage <= _DETAILS else spare)
             if self._is_used_up:
                 if (sum(taken[:2]) and self._next_stage > _DETAILS) or not self._go_on():
                     break  # what fills the link has batches of its own
-                budget = budget if self._stage <= _DETAILS else spare
-            elif self._place == len(self._plan.entries):
+                continue
+            if self._place == len(self._plan.entries):
                 self._wanted = max(2.0 * self._wanted, self.reach, budget - total)  # rank more for a view that lasts
                 self._rank(self._here, self._wanted)
             rest = kernels.Taken(out[0][taken[0] :], out[1][taken[1] :], out[2][taken[2] :], queue)
             self._place, *found, size = take(
-                self._plan,
-                self._place,
-                self._cell,
-                held,
-                self._view,
-                shared.records,
-                shared.links,
-                budget - total,
-                rest,
-            )
+                self._plan, self._place, self._cell, held, self._view, shared.records, shared.links, limit - total, rest
+            )  # fmt: skip
             taken, total = [a + b for a, b in zip(taken, found, strict=True)], total + size
-            if self._place < len(self._plan.entries):
+            if self._place == len(self._plan.entries):
+                continue
+            blocked = not sum(taken[:2]) and limit < (budget if self._stage <= _DETAILS else spare)
+            if not blocked or self._stage > _DETAILS or evicted is not None:
+                self._is_full = blocked
                 break
+            evicted = self._evict(budget - limit)
         gaussians, terms, dropped = (array[:count].copy() for array, count in zip(out, taken, strict=True))
-        return Batch(gaussians, terms, dropped, total, filling=self._stage > _DETAILS and sum(taken[:2]) > 0)
+        if self.memory is not None:
+            self.memory.add(total, dropped)
+        filling = self._stage > _DETAILS and sum(taken[:2]) > 0
+        return Batch(gaussians, terms, dropped, total, filling, dropped[:0] if evicted is None else evicted)
+
+    def _limit(self, budget: float) -> float:
+        """Return the bytes that fit into the memory of the client, at most a budget."""
+        if self.memory is None:
+            return budget
+        return 0.0 if self._stage > _DETAILS and self.memory.is_full else min(budget, self.memory.free)
+
+    def _evict(self, needed: float) -> I32:
+        """Make room for the next record of the plan, and return what is evicted."""
+        assert self.memory is not None
+        assert self._near is not None
+        shared, near = self.candidates, self._near
+        word = shared.spheres[near[0].words[self._plan.entries[self._place] >> 1]]
+        sides = np.zeros(1, np.uint8)
+        for frustum in self._view.planes:
+            kernels.test_words(*word[:, None], frustum, sides)
+        found = self.memory.make_room(needed, near[0].union, self._view.eye, self._view.planes, for_view=bool(sides[0]))
+        words = pack(found, len(shared.index))
+        for cell in (near[2], near[3], *([] if self._rest is None else [self._rest])):
+            owe_again(cell.words, words, cell.owed, cell.checked)
+        self._waits[:, 0] = kernels.UNKNOWN
+        self._filled, self._complete = _SHELLS, False
+        return found
 
     def _go_on(self) -> bool:
         """Go on to the next stage; return False if there is none."""
@@ -324,7 +362,7 @@ class Planner:
         config, index = self.config, self.candidates.index
         self._table, self._keys = table(config.policy, regime, index.num_levels, config.utility)
         self._enter(here, cell_ahead)
-        self._aimed = regime
+        self._aimed, self._is_full = regime, False
         if len(self._view.eye):
             self._travelled += float(np.linalg.norm(eye - self._view.eye))
         eyes = eyes if index.cones is not None else eyes[:0]

@@ -127,7 +127,7 @@ class Work(NamedTuple):
 
 
 @njit(**_OPTIONS)
-def _test_words(x, y, z, radii, p, sides):
+def test_words(x, y, z, radii, p, sides):
     """Raise `sides` (S,) to 1 where a sphere touches a frustum (5, 4), to 2 where it is inside."""
     a0, b0, c0, d0 = p[0, 0], p[0, 1], p[0, 2], p[0, 3]
     a1, b1, c1, d1 = p[1, 0], p[1, 1], p[1, 2], p[1, 3]
@@ -318,7 +318,7 @@ def rank(units, runs, cell, held, view, table, limits, work):
     x, y, z, word_bytes = places[0], places[1], places[2], places[5]
     sides[:] = 0
     for f in range(len(view.planes)):
-        _test_words(x, y, z, places[3], view.planes[f], sides)
+        test_words(x, y, z, places[3], view.planes[f], sides)
     _squares(x, y, z, places[4], view.eye, squares)
     _gather(words, cell.allowed, cell.owed, held.gaussians, held.gone, free, due)
     _skip_checked(squares, view.travelled, view.parallax, cell.checked, cell.checked_at, due)

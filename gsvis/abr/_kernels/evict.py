@@ -1,0 +1,98 @@
+"""Kernels that evict Gaussians from what a client holds, and count the bytes of what it holds."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from gsvis._kernels.bits import lowest
+
+_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
+
+
+@njit(inline="always")
+def _has(words, i):
+    return (words[i >> 6] >> np.uint64(i & 63)) & np.uint64(1) != 0
+
+
+@njit(inline="always")
+def _remove(words, i):
+    words[i >> 6] &= ~(np.uint64(1) << np.uint64(i & 63))
+
+
+@njit(**_OPTIONS)
+def held_bytes(words, held_terms, records):
+    """Return the bytes of the records of Gaussians, a packed set (W,), and of those of their terms that are held."""
+    sizes, offsets, term_sizes = records.sizes, records.term_offsets, records.term_sizes
+    total, one, varied = 0.0, np.uint64(1), len(sizes) > 1
+    for w in range(len(words)):
+        rest = words[w]
+        while rest:
+            g = 64 * w + np.int64(lowest(rest))
+            rest &= rest - one
+            total += np.float64(sizes[g]) if varied else np.float64(sizes[0])
+            for t in range(offsets[g], offsets[g + 1]):
+                if _has(held_terms, t):
+                    total += np.float64(term_sizes[t])
+    return total
+
+
+@njit(**_OPTIONS)
+def evict(order, masks, needed, held, records, links, out):
+    """Remove Gaussians and their terms from what is held, until enough bytes are free.
+
+    What an evicted Gaussian had replaced is no longer gone: it can be sent again.
+
+    Args:
+        order: (M,) words, the first to go first.
+        masks: (W,) uint64, which Gaussians of each word may go; all are held and not gone.
+        needed: Bytes.
+        held: `Held`; changed.
+        records: `Records`.
+        links: `Links`.
+        out: (N,) int32, receives the ids.
+
+    Returns:
+        Number of ids, and the bytes that are free now.
+    """
+    gaussians, held_terms, gone = held
+    sizes, term_offsets, term_sizes = records.sizes, records.term_offsets, records.term_sizes
+    offsets, ranks, ending = links.offsets, links.ranks, links.ending
+    count, done, freed, one, varied = 0, 0, 0.0, np.uint64(1), len(sizes) > 1
+    for w in order:
+        rest = masks[w]
+        while rest:
+            if freed >= needed:
+                return count, freed
+            first = 64 * w + np.int64(lowest(rest))
+            rest &= rest - one
+            freed += np.float64(sizes[first]) if varied else np.float64(sizes[0])
+            out[count] = first
+            count += 1
+            while done < count:
+                g = np.int64(out[done])
+                done += 1
+                _remove(gaussians, g)
+                _remove(gone, g)
+                for t in range(term_offsets[g], term_offsets[g + 1]):
+                    if _has(held_terms, t):
+                        _remove(held_terms, t)
+                        freed += np.float64(term_sizes[t]) if g == first else 0.0  # the others were dropped before
+                for k in range(offsets[g], offsets[g + 1]):
+                    x = ending[ranks[k]]
+                    if _has(gone, x):
+                        _remove(gone, x)
+                        out[count] = x
+                        count += 1
+    return count, freed
+
+
+@njit(**_OPTIONS)
+def owe_again(words, evicted, owed, checked):
+    """Add evicted Gaussians, a packed set (W,), to what is `owed` (S,), and remove them from `checked` (S,)."""
+    for s in range(len(words)):
+        bits = evicted[words[s]]
+        owed[s] |= bits
+        checked[s] &= ~bits

@@ -1,0 +1,105 @@
+"""The memory of one client: what it holds, in bytes of records, and what it gives up for what the view needs.
+
+What is farthest from use goes first: Gaussians that no cell near the viewer sees, the farthest first, then Gaussians
+that are out of view. Nothing in view is given up. Words of 64 Gaussians are judged together, by their spheres.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.abr._kernels import evict as kernels
+from gsvis.abr._kernels.plan import test_words
+from gsvis.abr.candidates import CandidateIndex
+from gsvis.abr.holdings import Holdings
+from gsvis.pvs.codec import pack
+
+__all__ = ["ClientMemory"]
+
+F32 = NDArray[np.float32]
+I32 = NDArray[np.int32]
+Words = NDArray[np.uint64]
+
+_AT_ONCE = 0.02  # share of the memory to free at a time
+
+
+class ClientMemory:
+    """The memory of one client.
+
+    Args:
+        candidates: Candidates of the scene.
+        holdings: What the client holds. `make_room` changes it.
+        most_bytes: Bytes of records that the client can hold: of Gaussians that it shows, and of their terms.
+
+    Attributes:
+        most_bytes: Bytes of records that the client can hold.
+        held_bytes: Bytes of the records that it holds.
+
+    Raises:
+        ValueError: If `most_bytes` is not above 0.
+    """
+
+    def __init__(self, candidates: CandidateIndex, holdings: Holdings, most_bytes: float) -> None:
+        if not most_bytes > 0:
+            raise ValueError(f"most_bytes: expected bytes > 0, got {most_bytes!r}")
+        self._shared, self._holdings, self.most_bytes = candidates, holdings, float(most_bytes)
+        self.held_bytes = self._bytes_of(holdings.sent & ~holdings.gone)
+
+    @property
+    def free(self) -> float:
+        """Bytes that are free; never below 0."""
+        return max(0.0, self.most_bytes - self.held_bytes)
+
+    @property
+    def is_full(self) -> bool:
+        """Whether so little is free that nothing should be sent that no view needs."""
+        return self.free < _AT_ONCE * self.most_bytes
+
+    def add(self, nbytes: float, dropped: I32) -> None:
+        """Count a batch that was sent: bytes of its records, and the (D,) ids of Gaussians that it replaced."""
+        self.held_bytes += nbytes
+        if len(dropped):
+            self.held_bytes -= self._bytes_of(pack(dropped, self._holdings.gaussians) & self._holdings.sent)
+
+    def make_room(self, needed: float, near: Words, eye: F32, planes: F32, *, for_view: bool) -> I32:
+        """Evict Gaussians with their terms.
+
+        Args:
+            needed: Bytes to free; a little more is freed, so that it is not done for every batch.
+            near: (W,) uint64, what the cells near the viewer see.
+            eye: (3,) position.
+            planes: (F, 5, 4) frusta.
+            for_view: Whether room is made for something in view, for which what is near but out of view may go, too.
+
+        Returns:
+            (E,) ids that the client forgets, among them Gaussians that evicted ones had replaced.
+        """
+        shared, held = self._shared, self._holdings.words
+        shown = held.gaussians & ~held.gone
+        apart = np.square(shared.spheres[:, :3] - eye).sum(axis=1)
+        out, found = np.empty(self._holdings.gaussians, np.int32), [np.zeros(0, np.int32)]
+        needed = max(needed, _AT_ONCE * self.most_bytes)
+        for masks in self._stages(shown, near, planes, for_view):
+            words = np.flatnonzero(masks)
+            order = words[np.argsort(-apart[words], kind="stable")]
+            count, freed = kernels.evict(order, masks, needed, held, shared.records, shared.links, out)
+            found.append(out[:count].copy())
+            self.held_bytes -= freed
+            needed -= freed
+            if needed <= 0:
+                break
+        return np.concatenate(found)
+
+    def _stages(self, shown: Words, near: Words, planes: F32, for_view: bool) -> list[Words]:
+        """Return what may go first, and what may go then."""
+        if not for_view:
+            return [shown & ~near]
+        sides = np.zeros(len(shown), np.uint8)
+        x, y, z, radii = np.ascontiguousarray(self._shared.spheres.T)
+        for frustum in planes:
+            test_words(x, y, z, radii, frustum, sides)
+        return [shown & ~near, np.where(sides == 0, shown & near, np.uint64(0))]
+
+    def _bytes_of(self, words: Words) -> float:
+        return float(kernels.held_bytes(words, self._holdings.sent_terms, self._shared.records))
