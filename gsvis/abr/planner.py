@@ -115,6 +115,7 @@ class Planner:
             raise ValueError(f"holdings: expected those of {index!r}, got {self.holdings!r}")
         self.memory = None if memory is None else ClientMemory(candidates, self.holdings, memory)
         self._is_full = False  # nothing fits that is worth more than what the client holds
+        self._given_up: Words | None = None  # what was evicted for this view, and is not sent again for it
         self.regime: str | None = None
         self.cell, self.cell_ahead, self.plans = -1, -1, 0
         self._poses = poses or predictor(self.config.predictor)
@@ -281,7 +282,15 @@ class Planner:
             owe_again(cell.words, words, cell.owed, cell.checked)
         self._waits[:, 0] = kernels.UNKNOWN
         self._filled, self._complete = _SHELLS, False
+        self._given_up = words if self._given_up is None else self._given_up | words
+        self._cell = self._without_evicted(self._cell)
         return found
+
+    def _without_evicted(self, cell: kernels.Cell) -> kernels.Cell:
+        """Return a cell that allows nothing that was evicted for this view."""
+        if self._given_up is None:
+            return cell
+        return cell._replace(allowed=cell.allowed & ~self._given_up[cell.words])
 
     def _go_on(self) -> bool:
         """Go on to the next stage; return False if there is none."""
@@ -293,7 +302,8 @@ class Planner:
             if self._stage <= _AROUND:
                 around = self._stage == _AROUND
                 self._table, self._keys = table(config.policy, self._aimed, levels, config.utility, terms_around=around)
-                self._cell, self._view = self._near[3], self._view._replace(gain=_gain(config.epsilon))
+                self._cell = self._without_evicted(self._near[3])
+                self._view = self._view._replace(gain=_gain(config.epsilon))
             else:
                 self._filled = self._stage
                 if not self._enter_shell(self._near[0], self._stage - _SHELLS):
@@ -326,7 +336,7 @@ class Planner:
         if not kernels.is_left(allowed, rest.owed, held):
             return False
         self._waits[:, 0] = kernels.UNKNOWN
-        self._cell = rest._replace(allowed=allowed)
+        self._cell = self._without_evicted(rest._replace(allowed=allowed))
         return True
 
     def _follow(self, now: Pose, t: float, rate: float) -> None:
@@ -362,7 +372,7 @@ class Planner:
         config, index = self.config, self.candidates.index
         self._table, self._keys = table(config.policy, regime, index.num_levels, config.utility)
         self._enter(here, cell_ahead)
-        self._aimed, self._is_full = regime, False
+        self._aimed, self._is_full, self._given_up = regime, False, None
         if len(self._view.eye):
             self._travelled += float(np.linalg.norm(eye - self._view.eye))
         eyes = eyes if index.cones is not None else eyes[:0]

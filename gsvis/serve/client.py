@@ -58,6 +58,8 @@ class ClientConfig:
         message_bytes: Most bytes of a message of the server.
         tls: TLS settings for wss://; None checks certificates as usual.
         scene_bytes: Most bytes that sets and tables of a scene may take before the first Gaussian arrives.
+        memory_bytes: Most bytes of records of Gaussians and terms to hold. The server then evicts what is farthest from
+            use. 0 sets no limit.
     """
 
     token: str | None = field(default=None, repr=False)
@@ -68,12 +70,15 @@ class ClientConfig:
     message_bytes: int = 64 << 20
     tls: ssl.SSLContext | None = None
     scene_bytes: int = MOST_BYTES
+    memory_bytes: int = 0
 
     def __post_init__(self) -> None:
         for name in ("poses_per_s", "give_up_s", "first_wait_s", "longest_wait_s", "message_bytes", "scene_bytes"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0):
                 raise ValueError(f"{name}: expected a finite number > 0, got {value!r}")
+        if self.memory_bytes < 0:
+            raise ValueError(f"memory_bytes: expected bytes >= 0, got {self.memory_bytes!r}; 0 sets no limit")
 
 
 class StreamClient:
@@ -181,7 +186,8 @@ class StreamClient:
             ping_interval=None, **options,
         )  # fmt: skip
         async with await self._clock.within(_OPEN_S, _open(opening)) as socket:
-            hello = Hello(self.view) if self.receiver is None else self.receiver.hello(self.view)
+            first = Hello(self.view, memory=config.memory_bytes)
+            hello = first if self.receiver is None else self.receiver.hello(self.view)
             await self._clock.within(_OPEN_S, _say(socket, hello.to_bytes()))
             welcome = await self._clock.within(_OPEN_S, _next(socket))
             if self.receiver is None:
@@ -211,7 +217,7 @@ class StreamClient:
     def _start_scene(self, welcome: bytes) -> Receiver:
         """Return a receiver of a scene, within the memory limit."""
         try:
-            return Receiver(welcome, most_bytes=self.config.scene_bytes)
+            return Receiver(welcome, most_bytes=self.config.scene_bytes, memory=self.config.memory_bytes)
         except ProtocolError as error:
             if error.code != FAULTS["too-large"]:
                 raise

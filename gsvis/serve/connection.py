@@ -26,7 +26,7 @@ from gsvis.serve.limits import Limits, Pace, RateBucket
 from gsvis.serve.metrics import Metrics
 from gsvis.serve.scenes import ServedScene
 from gsvis.stream import Ack, Bye, Hello, Message, PoseAt, Session, Token, parse_client
-from gsvis.stream.wire import CLOSE_CODES, FAULTS, NORMAL, POLICY, ServerFault
+from gsvis.stream.wire import CLOSE_CODES, FAULTS, LEAST_HELLO, NORMAL, POLICY, ServerFault
 
 __all__ = ["Connection", "GoneError", "Peer", "PoseClock", "Setting"]
 
@@ -239,7 +239,7 @@ class Connection:
             now = self._alive = clock.now()
             if not self._messages.take(now):
                 raise ProtocolError("messages: expected fewer, got a flood", FAULTS["flood"])
-            said = parse_client(data, most_hello=64)
+            said = parse_client(data, most_hello=LEAST_HELLO)
             metrics.received.add(of=type(said).__name__)
             if isinstance(said, Bye):
                 raise _ByeError("left")

@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from gsvis import _check
+from gsvis.stream.wire import LEAST_HELLO
 
 __all__ = ["Limits", "Pace", "RateBucket", "Seats", "Viewer"]
 
@@ -62,7 +63,7 @@ class Limits:
                 _check.positive_int(entry.name, value)
             elif entry.name in ("message_bytes", "waiting", "per_address"):
                 if value is not None:
-                    _check.positive_int(entry.name, value, at_least=64 if entry.name == "message_bytes" else 1)
+                    _check.positive_int(entry.name, value, at_least=LEAST_HELLO if entry.name == "message_bytes" else 1)
             elif not (np.isfinite(value) and value > 0):
                 raise ValueError(f"{entry.name}: expected a finite number > 0, got {value!r}")
 

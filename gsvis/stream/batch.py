@@ -9,7 +9,7 @@ library can still read them.
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any, NoReturn
 
@@ -48,7 +48,7 @@ _ARROW = bytes.fromhex(
 _BODY_AT, _DATA_AT = 40, 128  # int64: bytes of the body, and of the rows
 _NUMBER = struct.Struct("<q")
 _ENDS = struct.Struct("<5i4x")  # where the rows begin and end
-_IDS = struct.Struct("<2I5B")  # number of terms, of gone; code orders of chunks, Gaussians, terms, owners, gone
+_IDS = struct.Struct("<3I6B")  # numbers of terms, gone, evicted; code orders of the six lists
 _ROWS_AT = HEAD.size + len(_ARROW) + _ENDS.size
 
 FIXED_BYTES = _ROWS_AT + _IDS.size + 8
@@ -70,6 +70,8 @@ class Sections:
         term_records: (M, B) uint8, the record of each term.
         gone: (D,) ids, ascending, of the Gaussians that were replaced since the last batch, whether they were sent or
             not.
+        evicted: (E,) ids, ascending, that the client forgets before it adds the others: Gaussians with their terms, and
+            that a Gaussian was replaced.
     """
 
     sequence: int
@@ -81,6 +83,7 @@ class Sections:
     owners: NDArray[Any]
     term_records: U8
     gone: NDArray[Any]
+    evicted: NDArray[Any] = field(default_factory=lambda: np.zeros(0, np.int32))
 
     def to_message(self, about: SceneHeader) -> bytes:
         """Return the BATCH message.
@@ -101,13 +104,14 @@ class Sections:
 
     def _ids(self, about: SceneHeader) -> U8:
         assert len(self.owners) == len(self.terms), "the kernel writes an owner for each term"
-        types = np.int64, np.int32, np.uint32, np.int32, np.int32
-        given = self.chunks, self.gaussians, self.terms, self.owners, self.gone
+        types = np.int64, np.int32, np.uint32, np.int32, np.int32, np.int32
+        given = self.chunks, self.gaussians, self.terms, self.owners, self.gone, self.evicted
         lists = [np.ascontiguousarray(ids, kind) for ids, kind in zip(given, types, strict=True)]
         most = sum(len(ids) for ids in lists) * kernels.MOST_BITS // 8 + 8
-        out, orders = np.empty(_IDS.size + most, np.uint8), np.empty(5, np.uint8)
+        out, orders = np.empty(_IDS.size + most, np.uint8), np.empty(6, np.uint8)
         bits = kernels.write_ids(*lists, _share(about), orders, out[_IDS.size :])
-        out[: _IDS.size] = np.frombuffer(_IDS.pack(len(self.terms), len(self.gone), *orders.tolist()), np.uint8)
+        head = _IDS.pack(len(self.terms), len(self.gone), len(self.evicted), *orders.tolist())
+        out[: _IDS.size] = np.frombuffer(head, np.uint8)
         return out[: _IDS.size - (-bits // 8)]
 
     @classmethod
@@ -139,14 +143,15 @@ class Sections:
             if len(row) % width:
                 _refuse(sequence, f"a multiple of {width} bytes", f"{len(row)}")
         c, g, _ = (len(row) // width for row, width in zip(rows[1:], widths, strict=True))
-        chunks, gaussians, terms, owners, gone = _ids_of(sequence, rows[0], c, g, about)
+        chunks, gaussians, terms, owners, gone, evicted = _ids_of(sequence, rows[0], c, g, about)
         m, bits = len(terms), about.term_bits
         if len(rows[3]) != -(-m * bits // 8):
             _refuse(sequence, f"{-(-m * bits // 8):,} bytes of terms", f"{len(rows[3]):,}")
         term_records = np.empty((m, about.term_bytes), np.uint8)
         kernels.unpack_rows(rows[3], bits, term_records)
         records = rows[2].reshape(g, RECORD_BYTES)
-        return cls(sequence, chunks, rows[1].view(CHUNK_ROW), gaussians, records, terms, owners, term_records, gone)
+        table = rows[1].view(CHUNK_ROW)
+        return cls(sequence, chunks, table, gaussians, records, terms, owners, term_records, gone, evicted)
 
 
 def _pack(records: U8, bits: int) -> U8:
@@ -157,18 +162,18 @@ def _pack(records: U8, bits: int) -> U8:
 
 
 def _ids_of(sequence: int, data: U8, chunks: int, gaussians: int, about: SceneHeader) -> list[I64]:
-    """Return five arrays of ids: chunks, Gaussians, terms, owners, and replaced Gaussians."""
+    """Return six arrays of ids: chunks, Gaussians, terms, owners, replaced Gaussians, and evicted ones."""
     if len(data) < _IDS.size:
         _refuse(sequence, f"at least {_IDS.size} bytes of ids", f"{len(data)}")
-    terms, gone, *orders = _IDS.unpack(data[: _IDS.size].tobytes())
+    terms, gone, evicted, *orders = _IDS.unpack(data[: _IDS.size].tobytes())
     n, t = about.gaussians, about.terms
-    lengths = [chunks, gaussians, terms, terms, gone]
-    limits = [n, n, t, n, n]
+    lengths = [chunks, gaussians, terms, terms, gone, evicted]
+    limits = [n, n, t, n, n, n]
     if max(orders) > kernels.MOST_ORDER or sum(lengths) > 8 * len(data):
         _refuse(sequence, f"{sum(lengths):,} ids", f"{len(data):,} bytes")
     found: list[I64] = []
     bit = 8 * _IDS.size
-    for k in range(5):
+    for k in range(6):
         if k != 3 and lengths[k] > limits[k]:
             _refuse(sequence, f"at most {limits[k]:,} ids", f"{lengths[k]:,}")
         values, ids = np.empty(lengths[k], np.int64), np.empty(lengths[k], np.int64)

@@ -100,8 +100,8 @@ class Drawn:
         )  # fmt: skip
         self._terms = Rows(
             min(about.terms, _ROOM),
-            owners=np.zeros(0, np.int32), functions=np.zeros(0, np.uint8), centers=none(2), decays=none(),
-            intensities=none(kind.intensities),
+            ids=np.zeros(0, np.uint32), owners=np.zeros(0, np.int32), functions=np.zeros(0, np.uint8), centers=none(2),
+            decays=none(), intensities=none(kind.intensities),
         )  # fmt: skip
         # Slot of each Gaussian, from 1; 0 if it is not drawn. Zeros take no memory.
         self._slots = np.zeros(about.gaussians, np.int32)
@@ -130,7 +130,7 @@ class Drawn:
             found, (theta, phi, decay, intensity) = decode_terms(s.term_records, self._grids), self._term_tables
             centers = np.stack([theta[found.centers[:, 0]], phi[found.centers[:, 1]]], axis=1)
             self._terms.append(
-                owners=s.owners, functions=found.functions, centers=centers, decays=decay[found.decays],
+                ids=s.terms, owners=s.owners, functions=found.functions, centers=centers, decays=decay[found.decays],
                 intensities=intensity[found.intensities],
             )  # fmt: skip
 
@@ -147,6 +147,25 @@ class Drawn:
         self._slots[ids] = 0
         _, holes = self._gaussians.drop(slots.astype(np.int64))
         self._slots[self.ids[holes]] = holes + 1
+
+    def terms_of(self, gaussians: I64) -> I64:
+        """Return the ids of all terms of Gaussians that have been added, ascending."""
+        return np.sort(self._terms["ids"][self._are_of(gaussians)]).astype(np.int64)
+
+    def forget(self, ids: I64) -> I64:
+        """Remove what is drawn of these Gaussians, and all of their terms; return the ids of those that were drawn."""
+        if not len(ids):
+            return ids
+        drawn = ids[self._slots[ids] > 0]
+        self.drop(drawn)
+        self._terms.drop(np.flatnonzero(self._are_of(ids)))
+        return drawn
+
+    def _are_of(self, gaussians: I64) -> NDArray[np.bool_]:
+        """Return a mask: which terms are those of these Gaussians."""
+        chosen = np.zeros(len(self._slots), bool)
+        chosen[gaussians] = True
+        return np.asarray(chosen[self._terms["owners"]], np.bool_)
 
     def scene(self) -> tuple[Gaussians, SrbfColors]:
         """Return the Gaussians and their colors; see `Receiver.scene`."""

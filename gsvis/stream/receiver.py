@@ -38,7 +38,7 @@ class Received:
         sequence: Number of the batch, to acknowledge.
         gaussians: (G,) ids of new Gaussians, ascending.
         terms: (M,) ids of new terms, ascending.
-        dropped: (D,) ids, ascending, of Gaussians that were held and are no longer drawn.
+        dropped: (D,) ids, ascending, of Gaussians that were held and are no longer drawn: replaced, or evicted.
         nbytes: Bytes of the message.
     """
 
@@ -56,6 +56,7 @@ class Receiver:
         welcome: The first message from the server.
         most_bytes: Most bytes that sets and tables of the scene may take before the first Gaussian arrives. Without a
             limit, a WELCOME of a kilobyte could claim billions of Gaussians.
+        memory: Bytes of records that the server may expect this client to hold; 0 means no limit.
 
     Attributes:
         about: The content of WELCOME.
@@ -65,7 +66,8 @@ class Receiver:
         ProtocolError: If the first message is not a WELCOME, or its scene needs more than `most_bytes`.
     """
 
-    def __init__(self, welcome: bytes, *, most_bytes: int = MOST_BYTES) -> None:
+    def __init__(self, welcome: bytes, *, most_bytes: int = MOST_BYTES, memory: int = 0) -> None:
+        self.memory = memory
         self.about = SceneHeader.parse(welcome)
         needed = 5 * self.about.gaussians + self.about.terms // 4  # a table of int32, and packed sets twice
         if needed > most_bytes:
@@ -83,8 +85,8 @@ class Receiver:
     def hello(self, view: FieldOfView) -> Hello:
         """Return the HELLO for a new connection: the view, and what this client holds already."""
         if not len(self._starts):
-            return Hello(view)
-        return Hello(view, bytes.fromhex(self.about.identity), self.holdings.to_bytes())
+            return Hello(view, memory=self.memory)
+        return Hello(view, bytes.fromhex(self.about.identity), self.holdings.to_bytes(), memory=self.memory)
 
     def resume(self, welcome: bytes) -> bool:
         """Accept the WELCOME of a new connection, which numbers its batches from 1 again.
@@ -117,10 +119,12 @@ class Receiver:
         except ValueError as error:
             raise ProtocolError(f"BATCH {s.sequence}: {error}") from error
         self._starts, self._rows, self._table, self._sequence = starts, rows, table, s.sequence
+        evicted = self._drawn.forget(s.evicted)
         self._drawn.add(s, chunks, table)
         if len(dropped):
             self._drawn.drop(dropped)
-        return Received(s.sequence, s.gaussians, s.terms, dropped, len(data))
+        left = np.union1d(dropped, evicted) if len(evicted) else dropped
+        return Received(s.sequence, s.gaussians, s.terms, left, len(data))
 
     def shown(self) -> I64:
         """Return the (M,) ids of the Gaussians that are drawn, in the order of `scene`."""
@@ -140,13 +144,14 @@ class Receiver:
         Raises:
             ValueError: If chunks overlap, or their ids or levels are not of the scene.
         """
-        if not len(s.chunks):
+        fresh = self._are_new(s.chunks)
+        if not fresh.any():
             return self._starts, self._rows, self._table
-        r = s.rows
+        r, first = s.rows[fresh], s.chunks[fresh]
         columns = (np.ascontiguousarray(r[name]) for name in ("origin", "step", "low", "stride", "count"))
         table = ChunkTable.concatenate([self._table, ChunkTable(*columns)])
-        places = np.searchsorted(self._starts, s.chunks)
-        starts = np.insert(self._starts, places, s.chunks)
+        places = np.searchsorted(self._starts, first)
+        starts = np.insert(self._starts, places, first)
         rows = np.insert(self._rows, places, np.arange(len(self._table), len(table), dtype=np.int32))
         ends = starts + table.counts[rows]
         if (ends[:-1] > starts[1:]).any() or ends[-1] > self.about.gaussians:
@@ -156,6 +161,13 @@ class Receiver:
             raise ValueError(f"chunks: expected levels in order and below {levels}, got others")
         return starts, rows, table
 
+    def _are_new(self, chunks: I64) -> NDArray[np.bool_]:
+        """Return a mask: of which chunks there is no row yet. One comes again when all of its chunk was evicted."""
+        if not len(self._starts):
+            return np.ones(len(chunks), np.bool_)
+        places = np.minimum(np.searchsorted(self._starts, chunks), len(self._starts) - 1)
+        return np.asarray(self._starts[places] != chunks, np.bool_)
+
     def _enter(self, s: Sections) -> I64:
         """Add a batch to the holdings; return the ids of Gaussians that are no longer drawn.
 
@@ -164,10 +176,13 @@ class Receiver:
                 twice.
         """
         held = self.holdings.copy()
+        if len(s.evicted):
+            held.evict(s.evicted, self._drawn.terms_of(s.evicted))
+        was_gone = held.gone.copy()
         held.add(s.gaussians, s.terms, s.gone)
         if len(s.terms) and not _are_in(held.sent, s.owners).all():
             raise ValueError("terms: expected those of Gaussians that have come, got others")
-        if np.any(_are_in(self.holdings.gone, s.gone)):
+        if np.any(_are_in(was_gone, s.gone)):
             raise ValueError("gone: expected each once, got one again")
         self.holdings = held
         return s.gone[_are_in(held.sent, s.gone)]

@@ -19,6 +19,7 @@ from gsvis.abr.config import AbrConfig
 from gsvis.abr.estimate import estimator
 from gsvis.abr.holdings import Holdings
 from gsvis.abr.planner import Batch, Planner
+from gsvis.pvs.codec import pack
 from gsvis.stream._kernels import ids as kernels
 from gsvis.stream.batch import FIXED_BYTES, Sections
 from gsvis.stream.meter import LinkMeter
@@ -60,6 +61,7 @@ class Session:
         view: The client's field of view.
         config: Settings of planner and estimator; None means `AbrConfig()`.
         holdings: What the client holds already; None means nothing. The session adds what it sends.
+        memory: Bytes of records that the client can hold; None means no limit.
 
     Attributes:
         scene: The scene.
@@ -78,9 +80,10 @@ class Session:
         config: AbrConfig | None = None,
         *,
         holdings: Holdings | None = None,
+        memory: float | None = None,
     ) -> None:
         self.scene, self.config = scene, config or AbrConfig()
-        self.planner = Planner(scene.candidates, view, self.config, holdings=holdings)
+        self.planner = Planner(scene.candidates, view, self.config, holdings=holdings, memory=memory)
         self.meter = LinkMeter()
         self._throughput = estimator(self.config.estimator, self.config.start_rate)
         self.wire_bytes, self.record_bytes, self.filling_bytes = 0, 0.0, 0
@@ -100,7 +103,7 @@ class Session:
         holdings = None
         if hello.holdings and hello.identity.hex() == scene.about.identity:
             holdings = Holdings.from_bytes(hello.holdings, len(scene), scene.about.terms)
-        return cls(scene, hello.view, config, holdings=holdings)
+        return cls(scene, hello.view, config, holdings=holdings, memory=hello.memory or None)
 
     @property
     def holdings(self) -> Holdings:
@@ -194,11 +197,12 @@ class Session:
         spare = min(room, self._spare()) / self._overhead
         batch = self.planner.next_batch(t, room / self._overhead, self.record_rate, spare=spare)
         self.record_bytes += batch.bytes
-        if len(batch) == 0:
+        if len(batch) == 0 and len(batch.evicted) == 0:
             return None
         self._sequence += 1
         data = self._encode(batch)
-        self._overhead += _LEARNED * ((len(data) - FIXED_BYTES) / batch.bytes - self._overhead)
+        if len(batch.evicted) == 0:
+            self._overhead += _LEARNED * ((len(data) - FIXED_BYTES) / batch.bytes - self._overhead)
         self._record_sent(t, self._sequence, len(data))
         self.filling_bytes += len(data) if batch.filling else 0
         return Message(self._sequence, data, batch)
@@ -223,6 +227,8 @@ class Session:
     def _encode(self, batch: Batch) -> bytes:
         scene, contents = self.scene, self.scene.contents
         gaussians, terms = np.sort(batch.gaussians), np.sort(batch.terms)
+        if len(batch.evicted):
+            self._gone &= ~pack(batch.evicted, len(scene))
         fresh = np.empty(min(len(gaussians), len(scene.chunk_rows)), np.int32)
         chunks = fresh[: kernels.first_times(gaussians, contents.chunks, self._has_row, fresh)]
         sections = Sections(
@@ -235,6 +241,7 @@ class Session:
             owners=scene.owners[terms],
             term_records=_gather(contents.term_records, terms),
             gone=self._room[: kernels.added(self.holdings.gone, self._gone, self._room)],
+            evicted=np.sort(batch.evicted),
         )
         return sections.to_message(scene.about)
 

@@ -17,6 +17,7 @@ from gsvis.errors import ProtocolError
 __all__ = [
     "CLOSE_CODES",
     "FAULTS",
+    "LEAST_HELLO",
     "MOST_HELLO",
     "NORMAL",
     "POLICY",
@@ -30,7 +31,7 @@ __all__ = [
     "parse_client",
 ]
 
-PROTOCOL = 2
+PROTOCOL = 3
 """Version of the messages."""
 
 MOST_HELLO = 16 << 20
@@ -59,7 +60,10 @@ CLOSE_CODES = {FAULTS["too-many"]: 1013, FAULTS["internal"]: 1011, FAULTS["endin
 NORMAL, POLICY = 1000, 1008
 
 IDENTITY = 32
-_HELLO = struct.Struct("<BBHI6f32s")  # type, version, 0, bytes of holdings, field of view, scene of the holdings
+_HELLO = struct.Struct("<BBHI6f32sQ")  # type, version, 0, bytes of holdings, field of view, their scene, memory
+LEAST_HELLO = _HELLO.size
+"""Bytes of a HELLO without holdings."""
+
 _POSE = struct.Struct("<B3xI3f4f")
 _ACK = struct.Struct("<B3xI")
 _BYE = struct.Struct("<B3x")
@@ -77,24 +81,29 @@ class Hello:
         identity: 32 bytes, `SceneHeader.identity` of the scene of the holdings; zeros without holdings.
         holdings: What the client holds, from `Holdings.to_bytes`; empty for nothing.
         version: Version of the protocol.
+        memory: Bytes of records that the client can hold; 0 means no limit.
     """
 
     view: FieldOfView
     identity: bytes = bytes(IDENTITY)
     holdings: bytes = b""
     version: int = PROTOCOL
+    memory: int = 0
 
     def to_bytes(self) -> bytes:
         """Return the HELLO message.
 
         Raises:
-            ValueError: If the identity is not 32 bytes.
+            ValueError: If the identity is not 32 bytes, or the memory is not in [0, 2^64).
         """
         if len(self.identity) != IDENTITY:
             raise ValueError(f"identity: expected {IDENTITY} bytes, got {len(self.identity)}")
+        if not 0 <= self.memory < 1 << 64:
+            raise ValueError(f"memory: expected bytes >= 0, or 0 for no limit, got {self.memory}")
         v = self.view
         numbers = v.left, v.right, v.top, v.bottom, v.margin, v.near
-        return _HELLO.pack(HELLO, self.version, 0, len(self.holdings), *numbers, self.identity) + self.holdings
+        head = _HELLO.pack(HELLO, self.version, 0, len(self.holdings), *numbers, self.identity, self.memory)
+        return head + self.holdings
 
 
 @dataclass(frozen=True)
@@ -261,7 +270,7 @@ def _hello(data: bytes, most: int) -> Hello:
         raise ProtocolError(f"HELLO: expected version {PROTOCOL}, got {got}; update", FAULTS["version"])
     if len(data) < _HELLO.size:
         raise ProtocolError(f"HELLO: expected at least {_HELLO.size} bytes, got {len(data)}")
-    _, version, zero, length, *numbers, identity = _HELLO.unpack_from(data)
+    _, version, zero, length, *numbers, identity, memory = _HELLO.unpack_from(data)
     if zero or len(data) != _HELLO.size + length:
         raise ProtocolError(f"HELLO: expected {_HELLO.size + length:,} bytes, got {len(data):,}")
     if not np.abs(np.array(numbers)).max() < 1e6:  # worded so that NaN fails
@@ -271,4 +280,4 @@ def _hello(data: bytes, most: int) -> Hello:
         view.planes((0, 0, 0), (1, 0, 0, 0))
     except ValueError as error:
         raise ProtocolError(f"HELLO: {error}") from error
-    return Hello(view, identity, data[_HELLO.size :], version)
+    return Hello(view, identity, data[_HELLO.size :], version, memory)

@@ -67,8 +67,8 @@ def batches() -> Damaged:
     ids, gone = parsed[0].gaussians[:2], replace(nothing, sequence=3)
     once, again = replace(nothing, sequence=2, gone=ids), replace(gone, gone=ids)
     rows = wire.rows_of(rest[0])
-    orders = _IDS.pack(*_IDS.unpack_from(rows[0])[:2], 255, 0, 0, 0, 0)
-    many = _IDS.pack(0, about.gaussians + 1, 0, 0, 0, 0, 0) + bytes(about.gaussians)
+    orders = _IDS.pack(*_IDS.unpack_from(rows[0])[:3], 255, 0, 0, 0, 0, 0)
+    many = _IDS.pack(0, about.gaussians + 1, 0, 0, 0, 0, 0, 0, 0) + bytes(about.gaussians)
     return {
         "levels out of order": case(first, *before, replace(s, rows=crossed).to_message(about)),
         "no chunk": case(first, replace(parsed[0], chunks=NO_IDS, rows=s.rows[:0]).to_message(about)),
@@ -78,6 +78,7 @@ def batches() -> Damaged:
         "gone again": case(first, rest[0], once.to_message(about), again.to_message(about)),
         "a message of another kind": case(first, b"\x7f" * 400),
         "an order that is none": case(first, wire.framed(rest[0], [orders + rows[0][_IDS.size :], *rows[1:]])),
+        "evicted and not held": case(first, replace(nothing, sequence=1, evicted=ids).to_message(about)),
         "more gone than there are": case(first, wire.framed(rest[0], [many, b"", b"", b""])),
     }
 

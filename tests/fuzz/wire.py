@@ -107,10 +107,10 @@ def in_parser(folder: Path, case: Case) -> None:
 
 def change_hello(rng: Random, data: bytes) -> bytes:
     """One change of a message; holdings in a HELLO get a right length."""
-    if len(data) < 70 or rng.random() < 0.4:
+    if len(data) < 78 or rng.random() < 0.4:
         return change_bytes(rng, data)
-    holdings = change_holdings(rng, data[64:])
-    return data[:4] + struct.pack("<I", len(holdings)) + data[8:64] + holdings
+    holdings = change_holdings(rng, data[72:])
+    return data[:4] + struct.pack("<I", len(holdings)) + data[8:72] + holdings
 
 
 def change_holdings(rng: Random, data: bytes) -> bytes:
@@ -335,8 +335,8 @@ def _change_frame(rng: Random, data: bytes) -> bytes:
     rows[k] = rng.choice((change_bytes(rng, rows[k]), rows[k][:-1], rows[k] + b"\0", b"", rows[k] * 2))
     if k == 0 and len(rows[0]) >= _IDS.size and rng.random() < 0.5:
         numbers = list(_IDS.unpack_from(rows[0]))
-        which = rng.randrange(7)
-        numbers[which] = rng.choice((0, 1, 255, numbers[which] + 1, (1 << 32) - 1)) % (1 << 32 if which < 2 else 256)
+        which = rng.randrange(9)
+        numbers[which] = rng.choice((0, 1, 255, numbers[which] + 1, (1 << 32) - 1)) % (1 << 32 if which < 3 else 256)
         rows[0] = _IDS.pack(*numbers) + rows[0][_IDS.size :]
     return framed(data, rows)
 
@@ -375,7 +375,7 @@ def _change_batch(rng: Random, data: bytes) -> bytes:
 def _sound(s: Sections, about: SceneHeader) -> Sections:
     """The same with ids that the writer can write: rising ones of the scene, and an owner for each term."""
     n = about.gaussians
-    limits = {"chunks": n, "gaussians": n, "terms": about.terms, "gone": n}
+    limits = {"chunks": n, "gaussians": n, "terms": about.terms, "gone": n, "evicted": n}
     lists = {name: np.unique(np.clip(getattr(s, name), 0, limit - 1)) for name, limit in limits.items()}
     count = len(lists["terms"])
     owners = np.sort(np.clip(s.owners, 0, n - 1))[:count]

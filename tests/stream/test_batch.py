@@ -99,7 +99,7 @@ def test_owners_go_on_with_their_terms(counts: list[int], data: st.DataObject) -
 def test_what_is_read_is_what_was_written() -> None:
     about, s = header(), sections(np.array([0, 1, 2, 70, 4000]))
     found = Sections.parse(s.to_message(about), about)
-    for name in ("chunks", "rows", "gaussians", "records", "terms", "owners", "term_records", "gone"):
+    for name in ("chunks", "rows", "gaussians", "records", "terms", "owners", "term_records", "gone", "evicted"):
         np.testing.assert_array_equal(getattr(found, name), getattr(s, name), err_msg=name)
     assert found.sequence == s.sequence
 
@@ -118,7 +118,7 @@ def sections(ids: np.ndarray) -> Sections:
     terms = np.arange(n) * 2 + 1
     return Sections(
         7, ids[: len(rows)], rows, ids, rng.integers(0, 256, (n, 16), np.uint8), terms, np.sort(ids),
-        rng.integers(0, 256, (n, 5), np.uint8) & TERM_MASK, ids[:1] + 1,
+        rng.integers(0, 256, (n, 5), np.uint8) & TERM_MASK, ids[:1] + 1, ids[-1:],
     )  # fmt: skip
 
 

@@ -124,7 +124,7 @@ test("what no further try can heal fails, with words for people and the code", (
   for (const [message, code, words] of [
     [errorOf(4, "a token is needed"), 4, /a token is needed/],
     [errorOf(2, "HELLO: expected version 3, got 2"), 2, /another version.*reload/],
-    [changed(welcome, 1, 3), 2, /another version.*expected version 2, got 3/],
+    [changed(welcome, 1, 4), 2, /another version.*expected version 3, got 4/],
     [reworded('"gaussians":240,', '"gaussians":2e8,'), 3, /needs 1001 MB/],
   ] as const) {
     const stage = new Stage();
@@ -174,7 +174,7 @@ test("a bad batch changes nothing, and the next connection holds what was held",
   assert.equal(stage.socket.of(BYE).length, 1);
   stage.clock.advance(200);
   stage.socket.open();
-  assert.equal(hex(stage.socket.said[0].slice(64)), held);
+  assert.equal(hex(stage.socket.said[0].slice(72)), held);
   stage.socket.hear(welcome);
   stage.socket.hear(changed(batches[1], 4, 1));
   assert.equal(stage.batches.length, 2);
@@ -198,12 +198,12 @@ test("holdings that the server does not accept are given up once", () => {
   stage.socket.break();
   stage.clock.advance(200);
   stage.socket.open();
-  assert.ok(stage.socket.said[0].length > 64);
+  assert.ok(stage.socket.said[0].length > 72);
   stage.socket.hear(errorOf(1, "HELLO: bad holdings"));
   assert.equal(stage.state.kind, "waiting");
   stage.clock.advance(200);
   stage.socket.open();
-  assert.equal(stage.socket.said[0].length, 64);
+  assert.equal(stage.socket.said[0].length, 72);
   stage.socket.hear(errorOf(1, "HELLO: bad"));
   assert.equal(stage.state.kind, "failed");
 });
@@ -226,7 +226,7 @@ test("a wider view is asked for over a new connection, without a word to the use
   assert.equal(stage.sockets[0].of(BYE).length, 1);
   stage.meet();
   assert.equal(new DataView(stage.socket.said[0].buffer).getFloat32(8, true), 1.5);
-  assert.ok(stage.socket.said[0].length > 64);
+  assert.ok(stage.socket.said[0].length > 72);
   assert.deepEqual(stage.states.slice(words).filter(({ kind }) => kind !== "streaming" && kind !== "complete"), []);
 });
 

@@ -68,7 +68,7 @@ def best_order(values):
 
 
 @njit(**_OPTIONS)
-def write_ids(chunks, gaussians, terms, owners, gone, share, orders, out):
+def write_ids(chunks, gaussians, terms, owners, gone, evicted, share, orders, out):
     """Append the ids of a batch to its row of ids.
 
     Args:
@@ -77,16 +77,17 @@ def write_ids(chunks, gaussians, terms, owners, gone, share, orders, out):
         terms: (M,) uint32 ids of terms, ascending.
         owners: (M,) int32, the Gaussian of each term, never decreasing.
         gone: (D,) int32 ids of replaced Gaussians, ascending.
+        evicted: (E,) int32 ids of evicted Gaussians, ascending.
         share: Gaussians for each term of the scene, times 2^16.
-        orders: (5,) uint8, receives the order of the code of each list.
+        orders: (6,) uint8, receives the order of the code of each list.
         out: uint8, receives the bits; long enough for all of them.
 
     Returns:
         Number of bits.
     """
-    values = np.empty(max(len(chunks), len(gaussians), len(terms), len(gone)), np.int64)
+    values = np.empty(max(len(chunks), len(gaussians), len(terms), len(gone), len(evicted)), np.int64)
     bit = np.int64(0)
-    for k in range(5):
+    for k in range(6):
         if k == 0:
             some = values[: len(chunks)]
             distances(chunks, some)
@@ -99,9 +100,12 @@ def write_ids(chunks, gaussians, terms, owners, gone, share, orders, out):
         elif k == 3:
             some = values[: len(terms)]
             owner_distances(terms, owners, share, some)
-        else:
+        elif k == 4:
             some = values[: len(gone)]
             distances(gone, some)
+        else:
+            some = values[: len(evicted)]
+            distances(evicted, some)
         order = best_order(some)
         orders[k] = order
         bit = write(some, order, out, bit)

@@ -9,7 +9,7 @@ export const CHUNK_BYTES = 31;
 const RECORD_BYTES = 16;
 const MOST_BYTES = 2 ** 28;
 const MOST_ORDER = 24;
-const IDS_AT = 13; // bytes before the string of bits
+const IDS_AT = 18; // bytes before the string of bits
 
 /** The content of a BATCH. Lists of ids rise; owners never fall. */
 export interface Sections {
@@ -61,7 +61,8 @@ function parseIds(
 ): Uint32Array[] {
   if (data.length < IDS_AT) refuse(`at least ${IDS_AT} bytes of ids`, `${data.length}`);
   const head = new DataView(data.buffer, data.byteOffset, IDS_AT);
-  const m = head.getUint32(0, true), d = head.getUint32(4, true), orders = data.subarray(8, IDS_AT);
+  const m = head.getUint32(0, true), d = head.getUint32(4, true), orders = data.subarray(12, IDS_AT);
+  if (head.getUint32(8, true)) refuse("none evicted", "some");
   const lengths = [c, g, m, m, d], n = about.gaussians, limits = [n, n, about.terms, n, n];
   const total = lengths.reduce((sum, length) => sum + length, 0);
   if (orders.some((order) => order > MOST_ORDER) || total > 8 * data.length) {

@@ -3,7 +3,7 @@
 import type { Pose, View } from "./types.ts";
 
 /** Version of the messages. */
-export const PROTOCOL = 2;
+export const PROTOCOL = 3;
 /** Kinds of messages from the server. */
 export const WELCOME = 129;
 export const BATCH = 130;
@@ -13,7 +13,7 @@ export const FAULTS = {
   malformed: 1, version: 2, tooLarge: 3, refused: 4, tooMany: 5, flood: 6, late: 7, internal: 8, ending: 9,
 } as const;
 
-const HELLO_BYTES = 64;
+const HELLO_BYTES = 72; // the last 8 are 0: no limit of memory, so nothing is evicted
 const MOST_LINE = 1000;
 
 /** A message that breaks a rule. `code` is one of `FAULTS`. */
