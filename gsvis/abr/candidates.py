@@ -166,7 +166,7 @@ class CandidateIndex:
         """
         index, levels = self.index, self.index.num_levels
         rings = ring_cells(index.grid, cell)
-        seen = self._words(cell).copy()
+        seen = self.words_of(cell).copy()
         parts = [self._split(seen, index.sets.classes(cell)[1], index.class_weights)]
         sums = np.zeros(levels * levels)
         kernels.pair_bytes(parts[0].slots, parts[0].masks, parts[0].codes, self._word_bytes, sums)
@@ -195,6 +195,23 @@ class CandidateIndex:
         grid = self.index.grid
         return 1 - (1 + len(grid.neighbors(cell)) - len(grid)) // _SHELL
 
+    def words_of(self, cell: int) -> Words:
+        """Return the visible set (W,) of a cell, packed; cache it, since cells share neighbors.
+
+        Raises:
+            ValueError: If it names Gaussians that the scene does not have.
+        """
+        words: Words | None = self.cache.find(("words", cell))
+        if words is None:
+            words = self.index.sets.visible_words(cell)
+            n = len(self.index)
+            last, spare = n // 64, n % 64
+            whole = len(words) == word_count(n)
+            if not whole or (last < len(words) and (int(words[last]) >> spare or words[last + 1 :].any())):
+                raise ValueError(f"words: expected a set of {n:,} Gaussians, got another")
+            self.cache.keep(("words", cell), words)
+        return words
+
     def seen_from(self, cells: list[int]) -> Words:
         """Return the (W,) Gaussians that at least one of the cells sees.
 
@@ -203,7 +220,7 @@ class CandidateIndex:
         """
         found = np.zeros(len(self.spheres), np.uint64)
         for cell in cells:
-            found |= self._words(cell)
+            found |= self.words_of(cell)
         return found
 
     def ahead_of(self, here: Candidates, cell: int) -> tuple[Words, Words, Words]:
@@ -219,10 +236,10 @@ class CandidateIndex:
             active: (X,) the terms that may be active in one of them.
         """
         if self.index.cones is not None:
-            return self._words(cell)[here.words], here.owing, here.active
+            return self.words_of(cell)[here.words], here.owing, here.active
         there, owing = self.in_cell(cell), np.zeros(len(self.spheres), np.uint64)
         owing[there.words] = there.owing
-        return self._words(cell)[here.words], owing[here.words] | here.owing, here.active | there.active
+        return self.words_of(cell)[here.words], owing[here.words] | here.owing, here.active | there.active
 
     def _assemble(
         self,
@@ -279,24 +296,11 @@ class CandidateIndex:
         parts = (local.slots, slots), (local.units, units), (local.entries, 4 * units), (local.keys, keys)
         return plan.Work(*(array[:size] for arrays, size in parts for array in arrays))
 
-    def _words(self, cell: int) -> Words:
-        """Return the visible set of a cell, packed; cache it, since cells share neighbors."""
-        words: Words | None = self.cache.find(("words", cell))
-        if words is None:
-            words = self.index.sets.visible_words(cell)
-            n = len(self.index)
-            last, spare = n // 64, n % 64
-            whole = len(words) == word_count(n)
-            if not whole or (last < len(words) and (int(words[last]) >> spare or words[last + 1 :].any())):
-                raise ValueError(f"words: expected a set of {n:,} Gaussians, got another")
-            self.cache.keep(("words", cell), words)
-        return words
-
     def _add_cells(self, cells: list[int], seen: Words) -> Words:
         """Return what cells see that is not in `seen`, and add it."""
         fresh = np.zeros_like(seen)
         for other in cells:
-            kernels.add_words(self._words(other), seen, fresh)
+            kernels.add_words(self.words_of(other), seen, fresh)
         seen |= fresh
         return fresh
 

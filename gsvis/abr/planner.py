@@ -297,46 +297,51 @@ class Planner:
         if self._near is None:
             return False
         config, levels = self.config, self.candidates.index.num_levels
-        while self._next_stage < self._stages:
+        if self._next_stage >= self._stages:
+            return False
+        if self._next_stage <= _AROUND:
             self._stage = self._next_stage
-            if self._stage <= _AROUND:
-                around = self._stage == _AROUND
-                self._table, self._keys = table(config.policy, self._aimed, levels, config.utility, terms_around=around)
-                self._cell = self._without_evicted(self._near[3])
-                self._view = self._view._replace(gain=_gain(config.epsilon))
-            else:
-                self._filled = self._stage
-                if not self._enter_shell(self._near[0], self._stage - _SHELLS):
-                    continue
-                self._table, self._keys = filling_table(config.policy, levels, config.utility)
-            self._plan, self._place, self._least, self._whole, self._wanted = _NOTHING, 0, 0, False, 0.0
-            return True
-        self._complete |= self._stages > _SHELLS  # all that any cell sees is held
-        return False
+            around = self._stage == _AROUND
+            self._table, self._keys = table(config.policy, self._aimed, levels, config.utility, terms_around=around)
+            self._cell = self._without_evicted(self._near[3])
+            self._view = self._view._replace(gain=_gain(config.epsilon))
+        elif self._enter_shell(self._near[0]):
+            self._table, self._keys = filling_table(config.policy, levels, config.utility)
+        else:
+            self._complete = True  # all that any cell sees is held
+            return False
+        self._plan, self._place, self._least, self._whole, self._wanted = _NOTHING, 0, 0, False, 0.0
+        return True
 
-    def _enter_shell(self, near: Candidates, shell: int) -> bool:
-        """Switch to what a shell around a cell sees, if some of it is left to send; return whether it is."""
-        shared, held = self.candidates, self.holdings.words
-        every = shared.everything
+    def _enter_shell(self, near: Candidates) -> bool:
+        """Go on to the next shell around a cell of which something is left to send; return False if there is none."""
+        shared, held, every = self.candidates, self.holdings.words, self.candidates.everything
         if self._rest is None:
             union = np.empty_like(every.union)
             self._rest = self._cell_for(every, every.owing, every.active)._replace(candidates=union)
         rest = self._rest
-        if self._here is not every:  # from the stream for the pose
-            self._here, self._shells = every, self._shells or shared.shells(near.cell)
+        if not self._shells:
+            self._shells = shared.shells(near.cell)
             forget_paid(rest.words, rest.active, held.terms, shared.index.term_offsets, rest.owed)
             rest.candidates[:] = near.union
-            for cells in self._shells[1:shell]:
-                rest.candidates[:] |= shared.seen_from(cells)
-            nothing = np.zeros((0, 5, 4), np.float32)
-            self._view = self._view._replace(planes=nothing, eyes=np.zeros((0, 3), np.float32))
-        allowed = shared.seen_from(self._shells[shell])
-        rest.candidates[:] |= allowed
-        allowed &= shared.highest
-        if not kernels.is_left(allowed, rest.owed, held):
+        s = len(rest.owed)  # all words that have Gaussians; packed sets are longer
+        left = shared.highest[:s] & ~held.gone[:s] & (~held.gaussians[:s] | rest.owed)
+        places = np.flatnonzero(left)
+        left = left[places]
+        while self._next_stage < self._stages:
+            self._stage = self._filled = self._next_stage
+            cells = self._shells[self._stage - _SHELLS]
+            if any((shared.words_of(cell)[places] & left).any() for cell in cells):
+                break
+        else:
+            self._filled = self._stages
             return False
+        allowed = shared.seen_from(cells)
+        np.bitwise_or(rest.candidates, allowed, out=rest.candidates)
         self._waits[:, 0] = kernels.UNKNOWN
-        self._cell = self._without_evicted(rest._replace(allowed=allowed))
+        self._here, self._cell = every, self._without_evicted(rest._replace(allowed=(allowed & shared.highest)[:s]))
+        nothing = np.zeros((0, 5, 4), np.float32)
+        self._view = self._view._replace(planes=nothing, eyes=np.zeros((0, 3), np.float32))
         return True
 
     def _follow(self, now: Pose, t: float, rate: float) -> None:

@@ -102,21 +102,22 @@ def order_records(
     walk.send(entries, active, candidates, config.epsilon)
     if fill:
         walk.send(around, active, candidates, config.epsilon)
-        for shell in _shells(shared, view, strength, offsets(policy, "high", index.num_levels, utility)):
-            walk.send(*shell)
+        last = offsets(policy, "high", index.num_levels, utility)
+        for some, every_term, visible in _shells(shared, view, strength, last):
+            if walk.is_left(some, every_term):
+                candidates = candidates | visible
+                walk.send(some, every_term, candidates)
     return walk.out
 
 
 def _shells(
     shared: CandidateIndex, view: View, strength: F32, table: NDArray[np.int64]
 ) -> Iterator[tuple[list[Entry], set[int], set[int]]]:
-    """Yield what fills an idle link: the entries of each shell, all terms, and what it and the shells before see."""
+    """Yield what fills an idle link: the entries of each shell, all terms, and what it sees."""
     index, weight = shared.index, np.float32(np.mean(shared.index.class_weights))
     terms = set(range(index.num_terms)) if index.cones is not None or index.active is not None else set()
-    seen: set[int] = set()
     for cells in shared.shells(view.cell):
         visible = {g for cell in cells for g in index.sets.classes(cell)[0].tolist()}
-        seen = seen | visible
         found: dict[tuple[int, int, int], list[int]] = {}
         for g in sorted(visible):
             if index.last[g] == index.num_levels - 1:
@@ -128,7 +129,7 @@ def _shells(
             for kind in (0, 1):
                 place = int(table[-1, enters, kind]) + int(kernels.bucket_of(gain))
                 entries.append((place, 2 * number + kind, kind, found[key], 0.0))
-        yield entries, terms, seen
+        yield entries, terms, visible
 
 
 def _active(index: SceneIndex, cells: list[int]) -> set[int]:
@@ -211,6 +212,13 @@ class _Walk:
                     self._held.add(g)
                     self.out.append(("gaussian", g))
                     self._drop_replaced(g, candidates)
+
+    def is_left(self, entries: list[Entry], active: set[int]) -> bool:
+        """Return whether some of these Gaussians, or one of their active terms, is left to send."""
+        members = {g for entry in entries for g in entry[3]} - self._gone
+        offsets = self._index.term_offsets
+        terms = {t for g in members for t in range(int(offsets[g]), int(offsets[g + 1]))} & active
+        return bool(members - self._held or terms - self._held_terms)
 
     def _send_terms(self, g: int, active: set[int], gain: float | None) -> None:
         index = self._index

@@ -191,15 +191,6 @@ def _gather(words, allowed, owed, gaussians, gone, free, due):
 
 
 @njit(**_OPTIONS)
-def is_left(allowed, owed, held):
-    """Return whether one of the allowed Gaussians (W,) is not held, or owes terms (W,), and is not gone."""
-    gaussians, gone, left = held.gaussians, held.gone, np.uint64(0)
-    for w in range(len(allowed)):
-        left |= allowed[w] & ~gone[w] & (~gaussians[w] | owed[w])
-    return left != 0
-
-
-@njit(**_OPTIONS)
 def _skip_checked(squares, travelled, parallax, checked, checked_at, due):
     """Remove from `due` (S,) what is checked; forget checks of words whose direction has changed by the parallax."""
     for s in range(len(due)):
