@@ -209,6 +209,16 @@ class SceneIndex:
         return len(self.level_names)
 
     @cached_property
+    def level_counts(self) -> tuple[int, ...]:
+        """Number of Gaussians of each level, lowest first."""
+        return tuple(int(np.count_nonzero((self.first <= k) & (k <= self.last))) for k in range(self.num_levels))
+
+    def highest_within(self, share: float) -> int:
+        """Return the highest level with at most this share of the Gaussians of the highest; -1 if there is none."""
+        counts = self.level_counts
+        return max((k for k, count in enumerate(counts[:-1]) if count <= share * counts[-1]), default=-1)
+
+    @cached_property
     def replaced(self) -> tuple[I64, I32]:
         """(N + 1,) offsets and (M,) ids of the Gaussians that each Gaussian replaces."""
         n = len(self)

@@ -114,6 +114,7 @@ class Planner:
         if (self.holdings.gaussians, self.holdings.terms) != (len(index), index.num_terms):
             raise ValueError(f"holdings: expected those of {index!r}, got {self.holdings!r}")
         self.memory = None if memory is None else ClientMemory(candidates, self.holdings, memory)
+        self._picture = index.highest_within(self.config.picture)
         self._is_full = False  # nothing fits that is worth more than what the client holds
         self._given_up: Words | None = None  # what was evicted for this view, and is not sent again for it
         self.regime: str | None = None
@@ -124,14 +125,14 @@ class Planner:
         self._planned: tuple[int, int, Pose, Pose, str] | None = None
         self._here: Candidates | None = None
         self._near: tuple[Candidates, int, kernels.Cell, kernels.Cell] | None = None  # to return to after filling
-        self._cell = kernels.Cell(*(np.zeros(0, np.int32),) * 11)
+        self._cell = kernels.Cell(*(np.zeros(0, np.int32),) * 12)
         self._rest: kernels.Cell | None = None  # the whole scene, to fill an idle link
         self._shells: list[list[int]] = []
         self._view = kernels.View(*(np.zeros(0, np.float32),) * 8)
         self._travelled, self._aimed, self._fresh = 0.0, "high", False
         self._stage, self._stages, self._filled, self._complete = _NEEDS, _AROUND, _SHELLS, False
         self._table, self._keys = table(self.config.policy, "high", index.num_levels, self.config.utility)
-        self._waits = np.empty((len(candidates.links.ending), 2), np.int32)
+        self._waits = np.empty(len(candidates.links.ending), np.int32)
         self._plan, self._place = _NOTHING, 0
         self._least, self._whole, self._wanted = 0, True, 0.0
 
@@ -280,7 +281,7 @@ class Planner:
         words = pack(found, len(shared.index))
         for cell in (near[2], near[3], *([] if self._rest is None else [self._rest])):
             owe_again(cell.words, words, cell.owed, cell.checked)
-        self._waits[:, 0] = kernels.UNKNOWN
+        self._waits[:] = kernels.UNKNOWN
         self._filled, self._complete = _SHELLS, False
         self._given_up = words if self._given_up is None else self._given_up | words
         self._cell = self._without_evicted(self._cell)
@@ -302,7 +303,9 @@ class Planner:
         if self._next_stage <= _AROUND:
             self._stage = self._next_stage
             around = self._stage == _AROUND
-            self._table, self._keys = table(config.policy, self._aimed, levels, config.utility, terms_around=around)
+            self._table, self._keys = table(
+                config.policy, self._aimed, levels, config.utility, terms_around=around, picture=self._picture
+            )
             self._cell = self._without_evicted(self._near[3])
             self._view = self._view._replace(gain=_gain(config.epsilon))
         elif self._enter_shell(self._near[0]):
@@ -338,7 +341,7 @@ class Planner:
             return False
         allowed = shared.seen_from(cells)
         np.bitwise_or(rest.candidates, allowed, out=rest.candidates)
-        self._waits[:, 0] = kernels.UNKNOWN
+        self._waits[:] = kernels.UNKNOWN
         self._here, self._cell = every, self._without_evicted(rest._replace(allowed=(allowed & shared.highest)[:s]))
         nothing = np.zeros((0, 5, 4), np.float32)
         self._view = self._view._replace(planes=nothing, eyes=np.zeros((0, 3), np.float32))
@@ -375,7 +378,7 @@ class Planner:
 
     def _aim(self, here: Candidates, eye: F32, planes: F32, regime: str, eyes: F32, cell_ahead: int) -> None:
         config, index = self.config, self.candidates.index
-        self._table, self._keys = table(config.policy, regime, index.num_levels, config.utility)
+        self._table, self._keys = table(config.policy, regime, index.num_levels, config.utility, picture=self._picture)
         self._enter(here, cell_ahead)
         self._aimed, self._is_full, self._given_up = regime, False, None
         if len(self._view.eye):
@@ -400,7 +403,7 @@ class Planner:
         self._stages = _SHELLS + shells if self.config.fill else _AROUND
         if before is not None and before[0] is here and before[1] == cell_ahead:
             if self._stage >= _SHELLS:
-                self._waits[:, 0] = kernels.UNKNOWN
+                self._waits[:] = kernels.UNKNOWN
             self._cell, self._stage = before[2], _NEEDS
             return
         if cell_ahead == here.cell:
@@ -414,7 +417,7 @@ class Planner:
 
     def _cell_for(self, here: Candidates, owing: Words, active: Words) -> kernels.Cell:
         """Return candidates as this client sees them."""
-        self._waits[:, 0] = kernels.UNKNOWN
+        self._waits[:] = kernels.UNKNOWN
         owed, held = owing.copy(), self.holdings.words.terms
         if held.any():
             forget_paid(here.words, active, held, self.candidates.index.term_offsets, owed)
@@ -422,7 +425,7 @@ class Planner:
         return kernels.Cell(
             words=here.words, places=here.places, term_bytes=here.term_bytes, owed=owed, active=active,
             candidates=here.union, allowed=self.candidates.all_bits[: len(none)], ahead=none, checked=none.copy(),
-            checked_at=np.zeros(len(none), np.float32), waits=self._waits,
+            checked_at=np.zeros(len(none), np.float32), waits=self._waits, share=self.config.replaced,
         )  # fmt: skip
 
     def _rank(self, here: Candidates, enough: float) -> None:

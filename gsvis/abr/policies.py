@@ -172,13 +172,20 @@ def offsets(policy: str, regime: str, levels: int, config: UtilityConfig | None 
 
 @lru_cache(maxsize=256)
 def table(
-    policy: str, regime: str, levels: int, config: UtilityConfig | None = None, *, terms_around: bool = False
+    policy: str,
+    regime: str,
+    levels: int,
+    config: UtilityConfig | None = None,
+    *,
+    terms_around: bool = False,
+    picture: int = -1,
 ) -> tuple[NDArray[np.int32], int]:
     """Return (4 L L, 2, 2) `offsets` for the kernels, and the number of keys.
 
     The offsets are by code of a unit, geometry or terms, and for ring 0 in view or out of view, for other rings in the
     cell ahead or not. They are `NEVER` for records that are not sent: terms of Gaussians out of view, unless
-    `terms_around`, or that only neighbors see which are not ahead, and Gaussians that end below `lowest_last`.
+    `terms_around`, or that only neighbors see which are not ahead, and Gaussians that end below `lowest_last`. Of
+    these, those in view that enter at level `picture` or below are sent without terms: the first picture.
     """
     found, least = offsets(policy, regime, levels, config), lowest_last(regime, levels)
     out = np.full((RINGS, levels, levels, 2, 2), NEVER, np.int32)
@@ -187,6 +194,9 @@ def table(
         out[0, :, last, kernels.TERMS, kernels.OUTSIDE] = found[1, :, kernels.TERMS] if terms_around else NEVER
         out[1:, :, last, :, kernels.INSIDE] = found[AHEAD]
         out[1:, :, last, kernels.GEOMETRY, kernels.OUTSIDE] = found[AHEAD + 1 :, :, kernels.GEOMETRY]
+    for last in range(least):
+        first = slice(0, min(picture, last) + 1)
+        out[0, first, last, kernels.GEOMETRY, kernels.INSIDE] = found[0, first, kernels.GEOMETRY]
     out = out.reshape(-1, 2, 2)
     out.flags.writeable = False
     return out, int(found.max()) + kernels.BUCKETS

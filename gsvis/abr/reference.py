@@ -74,6 +74,8 @@ def order_records(
     classes = classify(index, view.cell, view.planes).classes
     table = offsets(policy, view.regime, index.num_levels, utility)
     top = lowest_last(view.regime, index.num_levels)
+    config = config or AbrConfig()
+    picture = index.highest_within(config.picture)
     active, ahead = _active(index, [view.cell]), set[int]()
     if index.cones is not None:
         active = set(range(index.num_terms))
@@ -83,21 +85,22 @@ def order_records(
     entries: list[Entry] = []
     around: list[Entry] = []
     for number, ((ring, word, kind, enters, ends), members) in enumerate(units):
-        if ends < top:
+        is_picture = ring == 0 and ends < top and enters <= picture
+        if ends < top and not is_picture:
             continue
         weight = np.float32(np.mean(index.class_weights)) if ring else index.class_weights[kind]
         alike = _alike(index, word, enters, ends) if ring else members
         gain = _gain(shared, word, [strength[g] for g in alike], view.eye, weight)
         bucket, log = int(kernels.bucket_of(gain)), float(np.log(weight))
         near = [g for g in members if (classes[g] == FOV if ring == 0 else g in ahead)]
-        for part, inside in enumerate((near, [g for g in members if g not in near])):
+        for part, inside in enumerate((near, [] if is_picture else [g for g in members if g not in near])):
             group = part if ring == 0 else AHEAD + part * ring
-            for terms in (0, 1) if ring == 0 or part == 0 else (0,):
+            for terms in (0, 1) if (ring == 0 or part == 0) and not is_picture else (0,):
                 key = int(table[group, enters, terms]) + bucket
                 entry = key, 4 * number + 2 * terms + part, terms, inside, log
                 (around if ring == 0 and terms and part else entries).append(entry)
-    config, candidates = config or AbrConfig(), {g for _, members in units for g in members}
-    walk = _Walk(shared, holdings, view)
+    candidates = {g for _, members in units for g in members}
+    walk = _Walk(shared, holdings, view, config.replaced)
     walk.send(entries, active, candidates, config.first_epsilon)
     walk.send(entries, active, candidates, config.epsilon)
     if fill:
@@ -184,8 +187,9 @@ def _gain(shared: CandidateIndex, word: int, strength: list[F32], eye: F32, weig
 class _Walk:
     """Records in the order in which they are sent one by one."""
 
-    def __init__(self, shared: CandidateIndex, holdings: Holdings, view: View) -> None:
+    def __init__(self, shared: CandidateIndex, holdings: Holdings, view: View, replaced: float) -> None:
         self.out: list[tuple[str, int]] = []
+        self._spare = 1.0 - replaced
         self._index, self._pixel = shared.index, shared.pixel_area
         self._held, self._held_terms = set(holdings.received.tolist()), set(holdings.received_terms.tolist())
         self._gone = set(ids_of(holdings.gone).tolist())
@@ -245,7 +249,9 @@ class _Walk:
             for x in ids[starts[y] : starts[y + 1]].tolist():
                 low, high = index.replacement_offsets[x : x + 2]
                 wanted = [h for h in index.replacement_ids[low:high].tolist() if h in candidates]
-                if x not in self._gone and all(h in self._held or h in self._gone for h in wanted):
+                areas = [max(float(index.areas[h]), 1e-30) for h in wanted]
+                left = sum(a for h, a in zip(wanted, areas, strict=True) if h not in self._held | self._gone)
+                if x not in self._gone and left <= self._spare * sum(areas):
                     self._gone.add(x)
                     queue.append(x)
                     self.out += [("drop", x)] if x in self._held else []

@@ -35,7 +35,8 @@ class Cell(NamedTuple):
     ahead: Any  # (S,) uint64, what the cell sees that the viewer is about to enter
     checked: Any  # (S,) uint64, Gaussians that owe only terms which are not active for the eye
     checked_at: Any  # (S,) float32, `View.travelled` when the first of them were checked
-    waits: Any  # (E, 2) int32, id and place of the replacement that each waits for
+    waits: Any  # (E,) int32, a replacement that each waits for
+    share: Any  # of the area of its replacements that must be held before a Gaussian is dropped
 
 
 class Held(NamedTuple):

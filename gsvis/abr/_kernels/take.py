@@ -125,8 +125,8 @@ def take(plan, place, cell, held, view, records, links, budget, out):
                 found += 1
                 gaussians[w] |= one << low
                 e = np.int64(only[g])
-                if e == SEVERAL or (e >= 0 and (waits[e, 0] == UNKNOWN or waits[e, 0] == g)):
-                    dropped = _drop_replaced(g, held, cell, links, out, dropped)
+                if e == SEVERAL or (e >= 0 and (waits[e] == UNKNOWN or waits[e] == g)):
+                    dropped = _drop_replaced(g, held, cell, links, areas, out, dropped)
                     rest &= ~gone[w]
                 continue
             start, stop, kept_back = term_offsets[g], term_offsets[g + 1], False
@@ -159,35 +159,41 @@ def take(plan, place, cell, held, view, records, links, budget, out):
 
 
 @njit(**_OPTIONS)
-def _drop_replaced(g, held, cell, links, out, dropped):
-    """Mark as gone what g replaces, where all other replacements are held or cannot be seen from the cell.
+def _drop_replaced(g, held, cell, links, areas, out, dropped):
+    """Mark as gone what g replaces, where enough of the other replacements is held or cannot be seen from the cell.
 
-    A Gaussian that is gone counts as held, so what it was to replace is checked too. What still waits remembers one
-    missing replacement in `waits`, and is not checked again before that arrives.
+    Enough is a share of their area, `Cell.share`. A Gaussian that is gone counts as held, so what it was to replace is
+    checked too. What still waits remembers in `waits` a missing replacement that is larger than all that may be
+    missing, and is not checked again before that arrives.
     """
     gaussians, gone, candidates, waits = held.gaussians, held.gone, cell.candidates, cell.waits
     offsets, ranks, ending, starts, ids = links.offsets, links.ranks, links.ending, links.starts, links.ids
-    queue, out_dropped = out.queue, out.dropped
+    queue, out_dropped, spare = out.queue, out.dropped, 1.0 - cell.share
     waiting, done, y = 0, 0, g
     while True:
         for k in range(offsets[y], offsets[y + 1]):
             e = ranks[k]
-            if waits[e, 0] != UNKNOWN and waits[e, 0] != y:
+            if waits[e] != UNKNOWN and waits[e] != y:
                 continue
             x = np.int64(ending[e])
             if _has(gone, x):
-                waits[e, 0] = DONE
+                waits[e] = DONE
                 continue
-            m = starts[e] if waits[e, 0] == UNKNOWN else np.int64(waits[e, 1])
-            while m < starts[e + 1]:
+            total, missing, largest, first = 0.0, 0.0, 0.0, np.int64(UNKNOWN)
+            for m in range(starts[e], starts[e + 1]):
                 h = np.int64(ids[m])
-                if _has(candidates, h) and not _has(gaussians, h) and not _has(gone, h):
-                    break
-                m += 1
-            if m < starts[e + 1]:
-                waits[e, 0], waits[e, 1] = ids[m], m
+                if not _has(candidates, h):
+                    continue
+                area = max(np.float64(areas[h]), 1e-30)
+                total += area
+                if not _has(gaussians, h) and not _has(gone, h):
+                    missing += area
+                    if area > largest:
+                        largest, first = area, h
+            if missing > spare * total:
+                waits[e] = first if largest > spare * total else UNKNOWN
                 continue
-            waits[e, 0] = DONE
+            waits[e] = DONE
             _put(gone, x)
             queue[waiting] = x
             waiting += 1
