@@ -29,7 +29,7 @@ from gsvis.abr.candidates import CandidateIndex, Candidates
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.config import AbrConfig
 from gsvis.abr.estimate import ThroughputEstimator, estimator
-from gsvis.abr.index import SceneIndex, extents
+from gsvis.abr.index import SceneIndex, SceneTerms, extents
 from gsvis.abr.planner import Planner
 from gsvis.abr.policies import POLICIES
 from gsvis.io import load_scene
@@ -87,7 +87,7 @@ def synthetic(levels: Levels, shares: list[float]) -> dict[str, SceneIndex]:
     for share in shares:
         cells = NearestCells(means, grid.centers, share, 3 * len(means))
         made[f"cells see {100 * share:g}%"] = SceneIndex.from_levels(
-            levels, grid, cells, active=cells, term_offsets=offsets, class_weights=weights
+            levels, grid, cells, terms=SceneTerms(offsets, active=cells), class_weights=weights
         )
     return made
 
