@@ -171,7 +171,7 @@ def memory_of(pid: int) -> float:
 
 def measured(package: Path, count: int, core: int, seconds: float, warm: float) -> dict[str, Any]:
     """One number of viewers against a fresh server."""
-    command = [sys.executable, "-m", "gsvis.cli", "serve", str(package), "--port", "0", "--json"]
+    command = [sys.executable, "-m", "gsvis", "serve", str(package), "--port", "0", "--json"]
     command += ["--clients", "400", "--per-address", "400"]  # all viewers are on this machine
     server = subprocess.Popen(
         ["taskset", "-c", str(core), *command],

@@ -33,7 +33,7 @@ def command(out: Path, iterations: int) -> list[str]:
     return [
         sys.executable,
         "-m",
-        "gsvis.cli",
+        "gsvis",
         "train",
         str(realdata() / "photos/bonsai"),
         "-o",

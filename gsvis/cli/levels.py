@@ -274,6 +274,9 @@ def _run(command: Levels, plan: _Plan, status: Status) -> tuple[TrainedLevels, d
 
             made = make_levels(g, plan.drawn, plan.config, work=work, progress=report)
         record = record_of(command, plan, made.trained, made.quality)
+        up = plan.source.known_up if command.up is None else parse_up(command.up)
+        if up is not None:
+            record["up"] = [float(value) for value in up]
         status("writing", 0, 1)
         save_levels(made.trained.levels, command.out, record)
         status("writing", 1, 1)
