@@ -8,7 +8,7 @@ ms at 10 Mbit/s; for a package, also with sets and classes still to be decoded. 
 to the middle cell: every tick of 100 ms with all that belongs to it, from pose to acknowledgement, cells entered
 included; alone, and for 50 clients turn by turn. Thread time, so that what else the machine does counts less; walks are
 walked three times, and a tick is the median (or, where said, the least) of its three. The bare measure: one pass over
-what ranking must read, as a sum in NumPy. The yardstick: a loop of Python, its median over its least, which tells how
+what ranking must read, as a sum in NumPy. The yardstick: a loop of Python, its median over its least, which shows how
 much others slowed the machine.
 
 Given: synthetic cells and levels, or a prepared package; recorded walks moved to the middle cell; a link of 10 Mbit/s.

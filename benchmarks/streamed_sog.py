@@ -4,7 +4,7 @@ Both orders load the same leaves, one level of detail, from the same folder; qua
 in it. With the sidecar: the order of `examples/streamed/needed-leaves.js`, run by node on the written files, with
 position and direction. Without: the order of PlayCanvas' engine 2.23 with its defaults, by squared distance to the box
 of a leaf, boxes shrunk by three quarters of what they have beyond the median box, and 1.5 times as far straight behind
-the eye. A third order tells what the direction alone does: the engine's, with the loader's leaves ahead first. Splats
+the eye. A third order shows what the direction alone does: the engine's, with the loader's leaves ahead first. Splats
 drawn: the leaves of the eye's cell against all leaves.
 
 Given: showroom LOD 3 or nika LOD 0 with visible sets (built in --work, or found there), and two recorded walks

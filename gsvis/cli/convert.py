@@ -75,7 +75,7 @@ def run_convert(command: Convert) -> None:
 
 @dataclass(frozen=True)
 class _Input:
-    """What is told of a scene that was read."""
+    """Facts of a scene that was read."""
 
     path: str
     name: str

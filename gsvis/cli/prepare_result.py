@@ -15,7 +15,7 @@ from gsvis.scene.navigable import NavigableSpace
 if TYPE_CHECKING:
     from gsvis.prepare import PreparationEstimate, Prepared
 
-__all__ = ["tell_estimate", "tell_result"]
+__all__ = ["print_estimate", "print_result"]
 
 _CALLED = {
     "levels": "levels",
@@ -27,7 +27,7 @@ _CALLED = {
 }
 
 
-def tell_result(
+def print_result(
     command: Prepare, source: Source, space: NavigableSpace, prepared: Prepared, remarks: list[str]
 ) -> None:
     """Print the package and its stages, as a JSON document or as tables."""
@@ -100,7 +100,7 @@ def _document(command: Prepare, prepared: Prepared, levels: list[dict[str, Any]]
     }
 
 
-def tell_estimate(
+def print_estimate(
     command: Prepare, source: Source, space: NavigableSpace, estimate: PreparationEstimate, remarks: list[str]
 ) -> None:
     """Print the estimated cost, as a JSON document or as tables."""

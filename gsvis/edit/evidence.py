@@ -1,4 +1,4 @@
-"""Gather what rays say about each Gaussian: does an eye see it, from where, and does it lie in air or at a surface.
+"""Gather what rays show of each Gaussian: does an eye see it, from where, and does it lie in air or at a surface.
 
 Scene frame and units; lengths that decide are voxels of a grid over the scene. Eyes are viewpoints of navigable space
 and, where there are some, of photographs. Light goes through the grid from the eyes: a voxel is *air* if it

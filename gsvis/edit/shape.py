@@ -1,4 +1,4 @@
-"""Say what the Gaussians of a scene alone tell: which are far outside, hazy, large, or in lonely groups.
+"""Find by the Gaussians alone which of them are far outside, hazy, large, or in lonely groups.
 
 Scene frame and units. A grid of optical depths finds surfaces; groups of few Gaussians that hang alone are none. No eye
 is known here.
@@ -33,7 +33,7 @@ _VOXELS = 1 << 24  # of a grid, at most
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """What the Gaussians alone say, before any eye is known.
+    """What the Gaussians alone show, before any eye is known.
 
     Attributes:
         far: (N,) the center lies outside 5 times the robust box.

@@ -297,7 +297,7 @@ def _own(stages: Stages) -> int:
 
 
 def _stand_in(stages: Stages) -> Levels:
-    """Return levels of about the right sizes, made of the Gaussians that cover most, to try a few cells with."""
+    """Return levels of about the right sizes, from the Gaussians that cover most, to try a few cells with."""
     g, config = stages.scene, stages.config.levels
     assert isinstance(g, Gaussians)
     assert config is not None

@@ -175,7 +175,7 @@ def stages_of(
 
 
 def check_scene(scene: Gaussians | Levels, config: PrepareConfig) -> None:
-    """Raise unless a package can be made of a scene.
+    """Raise unless a scene can become a package.
 
     Raises:
         SceneError: If the scene has nothing to see.

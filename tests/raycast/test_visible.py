@@ -1,4 +1,4 @@
-"""Largest weights from cameras and viewpoints against the contributions they are made of."""
+"""Largest weights from cameras and viewpoints against the contributions behind them."""
 
 from __future__ import annotations
 
