@@ -164,8 +164,9 @@ def _read(
         axes.append(source.known_up)
         status("reading", k + 1, len(scenes))
     merged = merge_scenes(parts)
-    agree = all(axis is not None and np.array_equal(axis, axes[0]) for axis in axes)
-    return inputs, merged, up_of(Source("", merged, known_up=axes[0] if agree else None))
+    known = [axis for axis in axes if axis is not None]
+    agree = len(known) == len(axes) and all(np.array_equal(axis, known[0]) for axis in known)
+    return inputs, merged, up_of(Source("", merged, known_up=known[0] if agree else None))
 
 
 def _degree(command: Convert, target: Path, scene: Gaussians, status: Status) -> int:
