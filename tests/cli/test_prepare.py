@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -35,14 +36,14 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     few = replace(PrepareConfig().cost_views, count=1, width=24, height=20)
     before = PrepareConfig.__init__
 
-    def smaller(self: PrepareConfig, *words: object, **named: object) -> None:
-        before(self, *words, **{"cost_views": few, "level_held_out": 1, **named})  # type: ignore[arg-type]
+    def smaller(self: PrepareConfig, *words: Any, **named: Any) -> None:
+        before(self, *words, **{"cost_views": few, "level_held_out": 1, **named})
         object.__setattr__(self, "colors", replace(self.colors, views=few))
 
     monkeypatch.setattr(PrepareConfig, "__init__", smaller)
 
 
-def run(capsys: Capture, *words: object, code: int = 0) -> tuple[str, str]:
+def run(capsys: Capture, *words: Any, code: int = 0) -> tuple[str, str]:
     capsys.readouterr()
     got = main(["prepare", *map(str, words)])
     out, err = capsys.readouterr()
@@ -51,7 +52,7 @@ def run(capsys: Capture, *words: object, code: int = 0) -> tuple[str, str]:
     return out, " ".join(err.split())
 
 
-def refused(capsys: Capture, *words: object) -> str:
+def refused(capsys: Capture, *words: Any) -> str:
     out, err = run(capsys, *words, code=2)
     assert out == ""
     return err
@@ -107,7 +108,7 @@ def test_one_document_for_a_result_and_for_an_estimate(tmp_path: Path, capsys: C
 def test_it_says_what_is_kept_when_it_is_stopped(
     tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def stop(*words: object, **named: object) -> None:
+    def stop(*words: Any, **named: Any) -> None:
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -135,9 +136,9 @@ def test_gsvis_clean_is_this_one(dirty: Dirty) -> None:
         ({"most_changed": 2.0}, "most_changed"),
     ],
 )
-def test_wrong_settings_are_named(changes: dict[str, object], wanted: str) -> None:
+def test_wrong_settings_are_named(changes: dict[str, Any], wanted: str) -> None:
     with pytest.raises(ValueError, match=wanted):
-        CleanConfig(**changes)  # type: ignore[arg-type]
+        CleanConfig(**changes)
 
 
 def test_a_scene_without_a_surface_is_refused() -> None:

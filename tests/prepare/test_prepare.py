@@ -7,6 +7,7 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -68,8 +69,8 @@ def again(made: tuple[Path, Prepared], tmp_path: Path) -> Path:
     return tmp_path / "rooms.gsvis"
 
 
-def prepare(rooms: OccluderScene, out: Path, config: PrepareConfig = CONFIG, **more: object) -> Prepared:
-    return prepare_package(rooms.gaussians, out, rooms.navigable, config, about={"scene": "rooms"}, **more)  # type: ignore[arg-type]
+def prepare(rooms: OccluderScene, out: Path, config: PrepareConfig = CONFIG, **more: Any) -> Prepared:
+    return prepare_package(rooms.gaussians, out, rooms.navigable, config, about={"scene": "rooms"}, **more)
 
 
 def files(folder: Path) -> dict[str, bytes]:
@@ -288,9 +289,9 @@ def test_what_cannot_serve_is_refused_before_any_work(rooms: OccluderScene, tmp_
         ("cost_views", replace(FEW, count=0)),
     ],
 )
-def test_wrong_values_are_named(name: str, value: object) -> None:
+def test_wrong_values_are_named(name: str, value: Any) -> None:
     with pytest.raises(ValueError, match=f"^{name}: expected"):
-        replace(CONFIG, **{name: value})  # type: ignore[arg-type]
+        replace(CONFIG, **{name: value})
 
 
 def test_two_runs_of_one_package_do_not_meet(rooms: OccluderScene, tmp_path: Path) -> None:
