@@ -69,7 +69,7 @@ def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, blank_plots: None) ->
     before = PrepareConfig.__init__
 
     def smaller(self: PrepareConfig, *words: Any, **named: Any) -> None:
-        before(self, *words, **{"cost_views": few, "level_held_out": 1, **named})
+        before(self, *words, **{"cost_views": few, "fidelity_views": few, "level_held_out": 1, **named})
         object.__setattr__(self, "colors", replace(self.colors, views=few))
 
     monkeypatch.setattr(PrepareConfig, "__init__", smaller)

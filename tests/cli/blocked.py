@@ -47,7 +47,7 @@ def make_quick() -> None:
     few = replace(PrepareConfig().cost_views, count=1, width=24, height=20)
 
     def initialize(self: PrepareConfig, *words: Any, **named: Any) -> None:
-        before(self, *words, **{"cost_views": few, "level_held_out": 1, **named})
+        before(self, *words, **{"cost_views": few, "fidelity_views": few, "level_held_out": 1, **named})
         object.__setattr__(self, "colors", replace(self.colors, views=few))
 
     def run(self: Server) -> None:
