@@ -8,7 +8,7 @@ ms at 10 Mbit/s; for a package, also with sets and classes still to be decoded. 
 to the middle cell: every tick of 100 ms with all that belongs to it, from pose to acknowledgement, cells entered
 included; alone, and for 50 clients turn by turn. Thread time, so that what else the machine does counts less; walks are
 walked three times, and a tick is the median (or, where said, the least) of its three. The bare measure: one pass over
-what ranking must read, as a sum in NumPy. The yardstick: a loop of Python, its median over its least, which tells how
+what ranking must read, as a sum in NumPy. The yardstick: a loop of Python, its median over its least, which shows how
 much others slowed the machine.
 
 Given: synthetic cells and levels, or a prepared package; recorded walks moved to the middle cell; a link of 10 Mbit/s.
@@ -29,7 +29,7 @@ from gsvis.abr.candidates import CandidateIndex, Candidates
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.config import AbrConfig
 from gsvis.abr.estimate import ThroughputEstimator, estimator
-from gsvis.abr.index import SceneIndex, extents
+from gsvis.abr.index import SceneIndex, SceneTerms, extents
 from gsvis.abr.planner import Planner
 from gsvis.abr.policies import POLICIES
 from gsvis.io import load_scene
@@ -87,7 +87,7 @@ def synthetic(levels: Levels, shares: list[float]) -> dict[str, SceneIndex]:
     for share in shares:
         cells = NearestCells(means, grid.centers, share, 3 * len(means))
         made[f"cells see {100 * share:g}%"] = SceneIndex.from_levels(
-            levels, grid, cells, active=cells, term_offsets=offsets, class_weights=weights
+            levels, grid, cells, terms=SceneTerms(offsets, active=cells), class_weights=weights
         )
     return made
 

@@ -26,7 +26,7 @@ def main() -> None:
     for name, lod, target in SCENES:
         path = realdata() / "scenes" / name / "lod-meta.json"
         with tempfile.TemporaryDirectory() as folder:
-            command = [sys.executable, "-m", "gsvis.cli", "analyze", str(path), "--lod", str(lod), "-o", folder]
+            command = [sys.executable, "-m", "gsvis", "analyze", str(path), "--lod", str(lod), "-o", folder]
             start = time.perf_counter()
             subprocess.run([*command, "--views", "16", "--json"], check=True, capture_output=True)
             seconds = time.perf_counter() - start

@@ -1,8 +1,8 @@
 """How much light do visible sets miss, is the bound right, and how large are the sets?
 
 Cells of showroom LOD 3 are drawn at random, and their sets are found as `gsvis pvs` finds them: from shared viewpoints,
-certified and mended by rays. Rays that no build uses then tell the truth: twenty times as many as certified the cell. A
-bound that lies below is a violation. Of some of these rays, 2,048 and 8,192, three more bounds are shown: by betting,
+certified and mended by rays. Rays that no build uses then measure the truth: twenty times as many as certified the
+cell. A bound that lies below is a violation. Of some of these rays, 2,048 and 8,192, three more are shown: by betting,
 an empirical Bernstein bound, and the normal approximation, which is no bound. The sets of some cells are found by the
 rule that was before it, too: 6 to 24 spread viewpoints at 320 pixels, until two grow the set by at most 1%. A sample of
 rays is traced a second time, through the proxy meshes by Open3D's Embree.

@@ -1,7 +1,7 @@
 """What do SRBF colors cost for a new eye point, against spherical harmonics of degree 3?
 
 A million Gaussians; terms at random centers, exactly 4 or on average 1 each; all take the same means, and new eyes turn
-by turn. Bytes that each must read and write, and a sum over as many, tell what memory alone would allow.
+by turn. Bytes that each must read and write, and a sum over as many, show what memory alone would allow.
 
 Given: random terms and SH of a million Gaussians.
 Measured: time for a new eye, over SH of degree 3 in the same run.

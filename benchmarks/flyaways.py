@@ -1,7 +1,7 @@
 """Do Gaussians far outside of a scene slow down the build of its visible sets?
 
 A share of the Gaussians is copied and moved away from the middle of the scene by 1,000 times its extent. Navigable
-space, grid, and all visible sets are made of both scenes in turn, by this process alone, so that the machine's load
+space, grid, and all visible sets are made from both scenes in turn, by this process alone, so that the machine's load
 disturbs both alike.
 
 Given: a scene, and how many Gaussians fly away.

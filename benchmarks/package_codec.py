@@ -4,7 +4,7 @@ One scene a run, as one level, its colors without view dependence, or the SRBF c
 (`--colors FILE`). Cameras: drawn from seed 3 in navigable space, 480 x 360. Bytes: parts as they lie on disk, rows of
 chunks included. Time: 50,000 Gaussians spread over all chunks, from the bytes of a batch (planes under zstd) to the
 arrays that a rasterizer takes; against that, the bare decompression of the same bytes. Beside it the same scene as SPZ
-and SOG, without and with its SH colors, and all bytes of a package that `gsvis prepare` made of it (`--package DIR`).
+and SOG, without and with its SH colors, and all bytes of a package that `gsvis prepare` made from it (`--package DIR`).
 
 Given: a scene as one level, the record of 16 bytes.
 Measured: bytes, PSNR of held-out cameras against the unrounded scene, time until 50,000 Gaussians can be drawn.

@@ -81,7 +81,7 @@ def run(words: list[str]) -> dict[str, Any]:
     """Run the command, follow the memory of its processes, and keep what it printed as JSON."""
     load, start, peak = os.getloadavg()[0], time.perf_counter(), 0
     with tempfile.TemporaryFile() as out:
-        process = subprocess.Popen([sys.executable, "-m", "gsvis.cli", *words], stdout=out)
+        process = subprocess.Popen([sys.executable, "-m", "gsvis", *words], stdout=out)
         while process.poll() is None:
             peak = max(peak, sum(pss(pid) for pid in tree(process.pid)))
             time.sleep(EVERY)

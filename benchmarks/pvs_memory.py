@@ -52,7 +52,7 @@ def main() -> None:
 def watched(words: list[str]) -> dict[str, Any]:
     """Run the command and follow the memory of its processes."""
     start = time.perf_counter()
-    process = subprocess.Popen([sys.executable, "-m", "gsvis.cli", "pvs", *words], stdout=subprocess.DEVNULL)
+    process = subprocess.Popen([sys.executable, "-m", "gsvis", "pvs", *words], stdout=subprocess.DEVNULL)
     peak: dict[str, Any] = {"peak_gb": 0.0}
     most, samples = 0, 0
     while process.poll() is None:

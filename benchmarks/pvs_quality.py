@@ -1,7 +1,7 @@
 """Do the visible sets of cells hold what fresh viewpoints see, and are they small?
 
 Showroom LOD 3 in at least 200 cells. Ten cells are drawn at random; in each, viewpoints that building never used are
-drawn, outside of everything solid. At each, six faces of 128 x 128 pixels tell how much of the light the cell's set
+drawn, outside of everything solid. At each, six faces of 128 x 128 pixels measure how much of the light the cell's set
 keeps (weighted recall), and one image of 480 x 360 pixels and 70 degrees, upright and looking at something, is drawn
 from the set and from the full scene (PSNR, values clipped to [0, 1] as a display does). The ceiling is the PSNR of
 the image drawn from exactly the Gaussians with a weight of at least tau in it. The dense union is what 27 more fresh

@@ -78,7 +78,7 @@ class Viewer:
             await ws.send(Hello(VIEW).to_bytes())
             self.opened += 1
             self._last = time.monotonic()
-            telling = asyncio.create_task(self._tell(ws))
+            sending = asyncio.create_task(self._send_poses(ws))
             try:
                 while (now := time.monotonic()) < until and now - self._last < IDLE_S:
                     try:
@@ -93,7 +93,7 @@ class Viewer:
                         asyncio.get_running_loop().time() + self._free - now, self._acknowledge, ws, sequence
                     )
             finally:
-                telling.cancel()
+                sending.cancel()
 
     def _acknowledge(self, ws: Any, sequence: int) -> None:
         task = asyncio.ensure_future(self._send(ws, Ack(sequence).to_bytes()))
@@ -104,7 +104,7 @@ class Viewer:
         with suppress(ConnectionClosed):
             await ws.send(data)
 
-    async def _tell(self, ws: Any) -> None:
+    async def _send_poses(self, ws: Any) -> None:
         start = time.monotonic()
         while True:
             await self._send(ws, self.pose(time.monotonic() - start))
@@ -171,7 +171,7 @@ def memory_of(pid: int) -> float:
 
 def measured(package: Path, count: int, core: int, seconds: float, warm: float) -> dict[str, Any]:
     """One number of viewers against a fresh server."""
-    command = [sys.executable, "-m", "gsvis.cli", "serve", str(package), "--port", "0", "--json"]
+    command = [sys.executable, "-m", "gsvis", "serve", str(package), "--port", "0", "--json"]
     command += ["--clients", "400", "--per-address", "400"]  # all viewers are on this machine
     server = subprocess.Popen(
         ["taskset", "-c", str(core), *command],

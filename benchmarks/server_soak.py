@@ -64,7 +64,7 @@ QUICK = (
 def prepared(folder: Path) -> Path:
     """Return a package of a built-in scene, made with little care for its looks."""
     package = folder / "two_rooms.gsvis"
-    command = [sys.executable, "-m", "gsvis.cli", "prepare", "builtin:two_rooms", "-o", str(package), *QUICK]
+    command = [sys.executable, "-m", "gsvis", "prepare", "builtin:two_rooms", "-o", str(package), *QUICK]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     return package
 
@@ -230,7 +230,7 @@ def measured(
         stops, up = opened.visibility.grid.centers, opened.visibility.grid.up
     tls = unverified() if args.tls else None
     log = folder / "server.log"
-    command = [sys.executable, "-m", "gsvis.cli", "serve", str(package), "--port", "0", "--json", *args.server_options]
+    command = [sys.executable, "-m", "gsvis", "serve", str(package), "--port", "0", "--json", *args.server_options]
     command += certificate(folder) if args.tls else []
     with log.open("wb") as stderr:
         server = subprocess.Popen(

@@ -66,7 +66,7 @@ class Trial:
 
 def main() -> None:
     parser = add_cell_arguments(add_arguments(argparse.ArgumentParser(description=__doc__)))
-    parser.add_argument("--levels", help="folder that `gsvis levels` made of the scene")
+    parser.add_argument("--levels", help="folder that `gsvis levels` made from the scene")
     parser.add_argument("--merged", type=float, nargs="+", default=[1.8, 3.5, 5.0], help="distances, voxels")
     options = parser.parse_args()
     drawn = draw_cells(options)

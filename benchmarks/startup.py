@@ -22,7 +22,7 @@ from _harness import add_arguments, measure_in_turn, write_result
 STARTS = {
     "nothing": ("-c", "pass"),
     "import gsvis": ("-c", "import gsvis"),
-    "gsvis --help": ("-m", "gsvis.cli", "--help"),
+    "gsvis --help": ("-m", "gsvis", "--help"),
 }
 TARGETS = {"import gsvis": 0.12, "gsvis --help": 0.5}
 

@@ -4,7 +4,7 @@ Both orders load the same leaves, one level of detail, from the same folder; qua
 in it. With the sidecar: the order of `examples/streamed/needed-leaves.js`, run by node on the written files, with
 position and direction. Without: the order of PlayCanvas' engine 2.23 with its defaults, by squared distance to the box
 of a leaf, boxes shrunk by three quarters of what they have beyond the median box, and 1.5 times as far straight behind
-the eye. A third order tells what the direction alone does: the engine's, with the loader's leaves ahead first. Splats
+the eye. A third order shows what the direction alone does: the engine's, with the loader's leaves ahead first. Splats
 drawn: the leaves of the eye's cell against all leaves.
 
 Given: showroom LOD 3 or nika LOD 0 with visible sets (built in --work, or found there), and two recorded walks
@@ -26,21 +26,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _harness import add_arguments, need, realdata, write_result
+from _harness import write_result
+from _leaves import facts_of, name_figures, open_scene, parse_arguments, visible_sets, walks
 
 from gsvis.export.streamed import StreamedOptions, write_streamed_sog
 from gsvis.io import load_scene
-from gsvis.io.eyenav import read_eyenav
-from gsvis.pvs import CellGrid, VisibilityStore, build_pvs
 from gsvis.render import psnr, rasterize
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
-from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
-from gsvis.scene.retarget import RetargetConfig, retarget
 
-SCENES = {"showroom": ("showroom", 3), "nika": ("nika_sh3", 0)}
-USERS = (110, 119)
 FIRST, DRAWN = 35.0, 45.0
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "streamed" / "needed-leaves.js"
 PLAN = """
@@ -132,17 +127,8 @@ def read_leaves(folder: Path) -> tuple[Gaussians, np.ndarray, np.ndarray, np.nda
     return Gaussians.concatenate(parts), np.concatenate(of), bounds, np.array(sizes)
 
 
-def visible_sets(work: Path, name: str, g: Gaussians, space: NavigableSpace, cells: int) -> VisibilityStore:
-    path = work / f"{name}.pvs"
-    if not path.exists():
-        build_pvs(g, CellGrid.over(space, max_cells=cells), space, path).close()
-    return VisibilityStore.open(path, scene=g)
-
-
 def measure(name: str, work: Path, args: argparse.Namespace) -> dict[str, Any]:
-    folder, lod = SCENES[name]
-    g = load_scene(realdata() / "scenes" / folder / "lod-meta.json", lod=lod)
-    space = NavigableSpace.from_scene(g)
+    g, space = open_scene(name)
     out = work / f"{name}-streamed"
     with visible_sets(work, name, g, space, args.cells) as store:
         options = StreamedOptions(leaf=args.leaf, name=name)
@@ -151,11 +137,7 @@ def measure(name: str, work: Path, args: argparse.Namespace) -> dict[str, Any]:
         again, of, bounds, sizes = read_leaves(out)
         header = (out / "lod-meta.json").stat().st_size
         rows = []
-        for user in USERS:
-            recorded = read_eyenav(realdata() / "traces" / "eyenav_rutgers" / "room" / f"user{user}_room.csv.gz")
-            moved = retarget(recorded, space, RetargetConfig(seed=user, project=True)).path
-            walk = moved.resample(times=np.linspace(0.0, moved.duration, args.eyes))
-            cameras = walk.cameras(480, 360, 80.0)
+        for user, walk, cameras in walks(space, args.eyes):
             for k, plan in enumerate(plans(out, walk)):
                 view = View(again, of, report.leaves, cameras[k])
                 load = np.array(plan["load"], np.int64)
@@ -180,8 +162,7 @@ def measure(name: str, work: Path, args: argparse.Namespace) -> dict[str, Any]:
                     }
                 )
                 print(name, rows[-1], flush=True)
-    facts = {key: value for key, value in vars(report).items() if key != "path"}
-    return {"eyes": rows, "cell": float(store.grid.cell_size), "scene": facts}
+    return {"eyes": rows, "cell": float(store.grid.cell_size), "scene": facts_of(report)}
 
 
 def figures_of(name: str, found: dict[str, Any]) -> list[dict[str, Any]]:
@@ -203,21 +184,11 @@ def figures_of(name: str, found: dict[str, Any]) -> list[dict[str, Any]]:
         ("worst eye with them", 45.0, float(db.min()), "dB", "higher"),
         ("sidecar, of the scene's bytes", 0.01, scene["sidecar_nbytes"] / scene["nbytes"], "share", "lower"),
     ]
-    keys = ("name", "target", "reached", "unit", "better")
-    return [dict(zip(keys, (f"{name}: {row[0]}", *row[1:]), strict=True)) for row in rows]
+    return name_figures(name, rows)
 
 
 def main() -> None:
-    parser = add_arguments(argparse.ArgumentParser(description=__doc__))
-    parser.add_argument("--work", type=Path, help="folder for visible sets and exports; visible sets in it are used")
-    parser.add_argument("--scene", default="showroom", choices=list(SCENES))
-    parser.add_argument("--cells", type=int, default=512)
-    parser.add_argument("--leaf", type=int, default=8192)
-    parser.add_argument("--eyes", type=int, default=10, help="on each of the two walks")
-    args = parser.parse_args()
-    need(args.work, "--work DIR: visible sets of the scenes take some minutes each")
-    realdata()
-    args.work.mkdir(parents=True, exist_ok=True)
+    args = parse_arguments(__doc__)
     found = measure(args.scene, args.work, args)
     question = (
         "How many bytes and splats does a streamed SOG need with the sidecar of needed leaves, and how many without?"

@@ -21,21 +21,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _harness import add_arguments, need, realdata, write_result
-from streamed_sog import SCENES, USERS, visible_sets
+from _harness import write_result
+from _leaves import facts_of, name_figures, open_scene, parse_arguments, visible_sets, walks
 
 from gsvis.export.leaves import cut_leaves
 from gsvis.export.needs import find_needs
 from gsvis.export.tiles import TilesOptions, write_tiles
 from gsvis.export.tileset import DEVIATIONS, find_volumes
 from gsvis.io import load_scene
-from gsvis.io.eyenav import read_eyenav
 from gsvis.render import psnr, rasterize
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
-from gsvis.scene.navigable import NavigableSpace
-from gsvis.scene.retarget import RetargetConfig, retarget
 
 GLTF_TO_SCENE = {
     "showroom": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]),  # +z is up
@@ -74,9 +71,7 @@ class Tiles:
 
 
 def measure(name: str, work: Path, args: argparse.Namespace) -> dict[str, Any]:
-    folder, lod = SCENES[name]
-    g = load_scene(realdata() / "scenes" / folder / "lod-meta.json", lod=lod)
-    space = NavigableSpace.from_scene(g)
+    g, space = open_scene(name)
     up = tuple(space.up.tolist())
     with visible_sets(work, name, g, space, args.cells) as store:
         options = TilesOptions(leaf=args.leaf, up=up)
@@ -89,11 +84,7 @@ def measure(name: str, work: Path, args: argparse.Namespace) -> dict[str, Any]:
     volumes, boxes = find_volumes(needs), leaves.boxes(DEVIATIONS)
     tiles = Tiles(work / f"{name}-tiles", name, len(leaves))
     rows = []
-    for user in USERS:
-        recorded = read_eyenav(realdata() / "traces" / "eyenav_rutgers" / "room" / f"user{user}_room.csv.gz")
-        moved = retarget(recorded, space, RetargetConfig(seed=user, project=True)).path
-        walk = moved.resample(times=np.linspace(0.0, moved.duration, args.eyes))
-        cameras = walk.cameras(480, 360, 80.0)
+    for user, walk, cameras in walks(space, args.eyes):
         for k, eye in enumerate(walk.positions):
             cell = int(cell_at(eye[None])[0])
             if cell < 0:
@@ -110,7 +101,7 @@ def measure(name: str, work: Path, args: argparse.Namespace) -> dict[str, Any]:
             row["db_compressed"] = float(psnr(full, np.clip(rasterize(g, cameras[k]).images[0], 0.0, 1.0)))
             rows.append(row)
             print(name, row, flush=True)
-    facts = {key: value for key, value in vars(report).items() if key != "path"}
+    facts = facts_of(report)
     return {"eyes": rows, "cell": float(needs.size), "bytes": whole.nbytes, "tiles": whole.tiles, "with_volumes": facts}
 
 
@@ -131,21 +122,11 @@ def figures_of(name: str, found: dict[str, Any]) -> list[dict[str, Any]]:
         ("leaves that no cell needs", None, facts["unneeded"], "leaves", "higher"),
         ("worst eye of SPZ tiles against the scene", None, min(e["db_compressed"] for e in eyes), "dB", "higher"),
     ]
-    keys = ("name", "target", "reached", "unit", "better")
-    return [dict(zip(keys, (f"{name}: {row[0]}", *row[1:]), strict=True)) for row in rows]
+    return name_figures(name, rows)
 
 
 def main() -> None:
-    parser = add_arguments(argparse.ArgumentParser(description=__doc__))
-    parser.add_argument("--work", type=Path, help="folder for visible sets and exports; visible sets in it are used")
-    parser.add_argument("--scene", default="showroom", choices=list(SCENES))
-    parser.add_argument("--cells", type=int, default=512)
-    parser.add_argument("--leaf", type=int, default=8192)
-    parser.add_argument("--eyes", type=int, default=10, help="on each of the two walks")
-    args = parser.parse_args()
-    need(args.work, "--work DIR: visible sets of the scenes take some minutes each")
-    realdata()
-    args.work.mkdir(parents=True, exist_ok=True)
+    args = parse_arguments(__doc__)
     found = measure(args.scene, args.work, args)
     question = "How many bytes of 3D Tiles does a viewer request with volumes from visible sets, and how many without?"
     write_result(args.out, question, figures_of(args.scene, found), {"leaf": args.leaf, "cells": args.cells, **found})

@@ -2,7 +2,7 @@
 
 `gsvis train` on bonsai at 200 x 133, killed with SIGKILL at moments drawn at random (seed 0), checkpoints every few
 seconds, started again with the same command until it is done; compared with a run left alone, same command. A life ends
-after a share of the time that the run left alone took, so that it is killed at work; each life tells where it goes on.
+after a share of the time that the run left alone took, so that it is killed at work; each life says where it resumes.
 
 Given: bonsai at 200 x 133, moments of kills.
 Measured: difference of the result from that of a run left alone.
@@ -33,7 +33,7 @@ def command(out: Path, iterations: int) -> list[str]:
     return [
         sys.executable,
         "-m",
-        "gsvis.cli",
+        "gsvis",
         "train",
         str(realdata() / "photos/bonsai"),
         "-o",

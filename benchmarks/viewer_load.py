@@ -44,7 +44,7 @@ def main() -> None:
     need(options.package, "a package: --package scene.gsvis")
     chromium = shutil.which("chromium")
     need(chromium, "Chromium on the PATH")
-    command = [sys.executable, "-m", "gsvis.cli", "view", str(options.package), "--no-browser", "--json", "--port", "0"]
+    command = [sys.executable, "-m", "gsvis", "view", str(options.package), "--no-browser", "--json", "--port", "0"]
     server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
         assert server.stdout is not None

@@ -7,7 +7,7 @@ elsewhere, where the unit is not known, they are about as large as fits with 99%
 and placed so that they look at the scene.
 
 Weights of the rasterizer at the stated resolution, visible from 1/255. The first walk of each scene is watched at half
-the rate, too, which tells what the rate leaves out.
+the rate, too, which shows what the rate leaves out.
 
 Given: three scenes, recorded walks brought into them by a similarity.
 Measured: share visible in a camera and ever seen in 30 s, at the stated resolution.

@@ -68,8 +68,8 @@ def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, blank_plots: None) ->
     few = replace(PrepareConfig().cost_views, count=1, width=24, height=20)
     before = PrepareConfig.__init__
 
-    def smaller(self: PrepareConfig, *words: object, **named: object) -> None:
-        before(self, *words, **{"cost_views": few, "level_held_out": 1, **named})  # type: ignore[arg-type]
+    def smaller(self: PrepareConfig, *words: Any, **named: Any) -> None:
+        before(self, *words, **{"cost_views": few, "fidelity_views": few, "level_held_out": 1, **named})
         object.__setattr__(self, "colors", replace(self.colors, views=few))
 
     monkeypatch.setattr(PrepareConfig, "__init__", smaller)
@@ -78,7 +78,7 @@ def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, blank_plots: None) ->
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(DOCS)))
 def test_the_page_runs_from_top_to_bottom(page: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    names: dict[str, object] = {"__name__": "__main__"}
+    names: dict[str, Any] = {"__name__": "__main__"}
     for kind, text in blocks(page):
         if kind == "python":
             exec(compile(text, str(page), "exec"), names)
@@ -129,7 +129,7 @@ def test_the_notebook_runs_from_top_to_bottom(notebook: Path, monkeypatch: pytes
     drawn: list[int] = []
     monkeypatch.setattr(plt, "show", lambda: (drawn.append(1), plt.close("all")))
     plt.switch_backend("agg")
-    names: dict[str, object] = {"__name__": "__main__"}
+    names: dict[str, Any] = {"__name__": "__main__"}
     for cell in cells_of(notebook):
         if cell["cell_type"] == "code":
             exec(compile("".join(cell["source"]), f"{notebook.name}, {cell['id']}", "exec"), names)

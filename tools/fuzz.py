@@ -182,8 +182,8 @@ class Run:
                     workers.remove(worker)
                     self.lost(worker, "hang", f"more than {HANG_S:.0f} s")
                     workers.append(self.start())
-            self.tell()
-        self.tell(last=True)
+            self.report()
+        self.report(last=True)
 
     def take(self, worker: Worker, message: Any) -> None:
         """Take a result, or give the next piece of work."""
@@ -247,7 +247,7 @@ class Run:
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(pack_case(finding.case))
 
-    def tell(self, *, last: bool = False) -> None:
+    def report(self, *, last: bool = False) -> None:
         """Print how far it is, now and then."""
         now, shown = time.monotonic(), sys.stderr.isatty()
         if not last and now - self.printed < (1.0 if shown else 15.0):

@@ -135,7 +135,7 @@ def words(command: str) -> list[str]:
     return [word.replace("{scene}", "../scene.ply") for word in COMMANDS[command]]
 
 
-GSVIS = [sys.executable, "-m", "gsvis.cli"]
+GSVIS = [sys.executable, "-m", "gsvis"]
 
 
 def kill_often(command: str, base: Path, kills: int, rng: np.random.Generator) -> Tally:

@@ -1,6 +1,6 @@
 """Explicit vectors inside numba kernels: a thin layer over LLVM's fixed-width vector types.
 
-numba's loop vectorizer gives up on the short, branchy loops that rays and tiles are made of, so the innermost code is
+numba's loop vectorizer gives up on the short, branchy loops of rays and tiles, so the innermost code is
 written as vectors of a stated width. LLVM lowers them to what the machine has (AVX-512, AVX2, SSE, NEON). A `Vector` is
 a value under construction, not an array: operators append instructions to the function being built.
 """

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from gsvis.abr.config import AbrConfig
     from gsvis.abr.estimate import Ewma, HarmonicMean, RobustMpc, ThroughputEstimator, estimator
     from gsvis.abr.holdings import Holdings
-    from gsvis.abr.index import ActiveSets, CellSets, SceneIndex
+    from gsvis.abr.index import ActiveSets, CellSets, SceneIndex, SceneTerms
     from gsvis.abr.planner import Batch, Planner
     from gsvis.abr.policies import POLICIES, UtilityConfig
     from gsvis.abr.predict import KalmanPose, LastPose, LinearPose, Pose, PosePredictor, predictor
@@ -51,6 +51,7 @@ __all__ = [
     "QoeConfig",
     "RobustMpc",
     "SceneIndex",
+    "SceneTerms",
     "ThroughputEstimator",
     "UtilityConfig",
     "classify",
@@ -67,7 +68,7 @@ _HOMES = {
     "config": ("AbrConfig",),
     "estimate": ("Ewma", "HarmonicMean", "RobustMpc", "ThroughputEstimator", "estimator"),
     "holdings": ("Holdings",),
-    "index": ("ActiveSets", "CellSets", "SceneIndex"),
+    "index": ("ActiveSets", "CellSets", "SceneIndex", "SceneTerms"),
     "planner": ("Batch", "Planner"),
     "policies": ("POLICIES", "UtilityConfig"),
     "predict": ("KalmanPose", "LastPose", "LinearPose", "Pose", "PosePredictor", "predictor"),

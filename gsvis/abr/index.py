@@ -21,7 +21,7 @@ from gsvis.pvs.cells import CellGrid
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 
-__all__ = ["ActiveSets", "CellSets", "SceneIndex", "extents", "nearest_replacements"]
+__all__ = ["ActiveSets", "CellSets", "SceneIndex", "SceneTerms", "extents", "nearest_replacements"]
 
 F32 = NDArray[np.float32]
 I32 = NDArray[np.int32]
@@ -51,6 +51,23 @@ class ActiveSets(Protocol):
     def active_ids(self, cell: int, /) -> I64:
         """Return (A,) ascending ids of the active terms of a cell, all of Gaussians that it sees."""
         ...
+
+
+@dataclass(frozen=True, eq=False)
+class SceneTerms:
+    """The T terms of N Gaussians, for `SceneIndex.from_levels`.
+
+    Args:
+        offsets: (N + 1,) terms of Gaussian i are `offsets[i]:offsets[i + 1]`.
+        nbytes: (T,) bytes of the record of each term, > 0, or one number for all.
+        active: Active terms of the cells; None means no terms are sent.
+        cones: When each term is active; None means that all active terms of a cell are sent.
+    """
+
+    offsets: ArrayLike
+    nbytes: ArrayLike = 4.5
+    active: ActiveSets | None = None
+    cones: TermCones | None = None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -146,11 +163,8 @@ class SceneIndex:
         grid: CellGrid,
         sets: CellSets,
         *,
-        active: ActiveSets | None = None,
-        cones: TermCones | None = None,
+        terms: SceneTerms | None = None,
         gaussian_bytes: ArrayLike = 16.0,
-        term_offsets: ArrayLike | None = None,
-        term_bytes: ArrayLike = 4.5,
         class_weights: ArrayLike | None = None,
     ) -> SceneIndex:
         """Return the index of levels; derive missing values from their Gaussians.
@@ -159,16 +173,14 @@ class SceneIndex:
             levels: The scene, its union in the order of ids.
             grid: The cells.
             sets: Visible sets of the cells.
-            active: Active terms of the cells; None means no terms are sent.
-            cones: When each term is active; None means that all active terms of a cell are sent.
+            terms: Terms of the Gaussians; None means no terms.
             gaussian_bytes: (N,) bytes of each record of a Gaussian, or one number for all.
-            term_offsets: (N + 1,) offsets of the terms of each Gaussian; None means no terms.
-            term_bytes: (T,) bytes of the record of each term, or one number for all.
             class_weights: (K,) representative weight of each class of a cell; None means one class, with the opacity of
                 a Gaussian as its weight.
         """
         union, n = levels.union, len(levels.union)
         (radii, areas), (starts, ids) = extents(union), nearest_replacements(levels)
+        known = SceneTerms(np.zeros(n + 1, np.int64)) if terms is None else terms
         plain = class_weights is None
         return cls(
             means=union.means,
@@ -179,15 +191,15 @@ class SceneIndex:
             first=levels.first,
             last=levels.last,
             level_names=levels.names,
-            term_offsets=np.zeros(n + 1, np.int64) if term_offsets is None else np.asarray(term_offsets),
-            term_bytes=np.asarray(term_bytes, np.float32),
+            term_offsets=np.asarray(known.offsets),
+            term_bytes=np.asarray(known.nbytes, np.float32),
             replacement_offsets=starts,
             replacement_ids=ids,
             class_weights=np.ones(1, np.float32) if plain else np.asarray(class_weights, np.float32),
             grid=grid,
             sets=sets,
-            active=active,
-            cones=cones,
+            active=known.active,
+            cones=known.cones,
         )
 
     def __len__(self) -> int:

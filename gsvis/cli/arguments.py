@@ -287,7 +287,7 @@ class Color(Where):
     lod: Lod = None
     """Level of detail of a streamed scene; 0 is the finest."""
     pvs: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: directions are traced)")] = None
-    """Visible sets of this scene (gsvis pvs): they tell from where each Gaussian is seen."""
+    """Visible sets of this scene (gsvis pvs): they hold from where each Gaussian is seen."""
     variant: Annotated[Literal["hsl", "hsl-l", "hsv", "yuv", "axis", "axes", "axes-split", "rgb"], PLAIN] = "rgb"
     """How colors are split; the first four are the paper's. (default: rgb)"""
     max_terms: Annotated[int | None, TERMS, hint("8")] = None
@@ -297,7 +297,7 @@ class Color(Where):
     no_refine: Flag = False
     """Leave terms on the grid that they are chosen from: quicker, and worse."""
     views: Annotated[int, COUNTED] = 96
-    """Views that tell how much each Gaussian counts."""
+    """Views that measure how much each Gaussian counts."""
     held_out: Annotated[int, WHOLE] = 8
     """Further views, for the comparison with SH; 0 for none."""
     width: Annotated[int, PIXELS] = 480

@@ -30,13 +30,11 @@ __all__ = ["Clean", "Cut", "Paint"]
 
 @dataclass(frozen=True)
 class Clean(Where):
-    """Remove what no eye sees, fog, floaters and flyaways; without -o only tell."""
+    """Remove what no eye sees, fog, floaters and flyaways; without -o only report."""
 
     scene: Scene
     """File or folder (.ply, .splat, .ksplat, .spz, .sog, .glb, .pt, .ckpt, lod-meta.json), or builtin:NAME."""
-    out: Annotated[str | None, arg(aliases=["-o"], metavar="OUT", help_behavior_hint="(default: none; only tell)")] = (
-        None
-    )
+    out: Annotated[str | None, arg(aliases=["-o"], metavar="OUT", help_behavior_hint="(default: only report)")] = None
     """File to write, .ply, .spz, .sog or .ksplat."""
     lod: Lod = None
     """Level of detail of a streamed scene; 0 is the finest."""

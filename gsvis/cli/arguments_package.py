@@ -103,6 +103,10 @@ class Verify:
 
     package: Annotated[Positional[str], arg(metavar="PACKAGE", help_behavior_hint="")]
     """Folder of a package, such as scene.gsvis."""
+    scene: Annotated[str | None, arg(metavar="SCENE", help_behavior_hint="(default: what gsvis prepare found)")] = None
+    """The scene from which it was made: measure how near what a client gets comes to it."""
+    lod: Annotated[int | None, WHOLE, hint("the finest that is there")] = None
+    """Level of detail of a streamed --scene; 0 is the finest."""
     json: Flag = False
     """Print one JSON document instead of a table."""
     debug: Flag = False

@@ -45,7 +45,7 @@ class Simulate:
     no_fill: Flag = False
     """Send only what a view needs: an idle link does not bring the rest of the scene."""
     scene: Annotated[tuple[str, ...], _FILES, hint("the packages themselves")] = ()
-    """The scene that each package was made of; compare with it instead of the rounded records."""
+    """The scene from which each package was made; compare with it instead of the rounded records."""
     lod: Annotated[int | None, WHOLE, hint("the finest that is there")] = None
     """Level of detail of a streamed --scene; 0 is the finest."""
     whole_file: Annotated[tuple[str, ...], _FILES, hint("written as SOG and measured")] = ()

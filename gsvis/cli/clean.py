@@ -1,4 +1,4 @@
-"""`gsvis clean`: find what no eye sees, fog, floaters and flyaways; tell, show, select or remove it."""
+"""`gsvis clean`: find what no eye sees, fog, floaters and flyaways; report, show, select or remove it."""
 
 from __future__ import annotations
 

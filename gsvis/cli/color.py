@@ -14,7 +14,7 @@ import numpy as np
 from gsvis._extras import require
 from gsvis.cli import version
 from gsvis.cli.arguments import Color
-from gsvis.cli.color_result import tell_result
+from gsvis.cli.color_result import print_result
 from gsvis.cli.kernels import warm_colors
 from gsvis.cli.source import (
     Source,
@@ -95,7 +95,7 @@ def run_color(command: Color) -> None:
         plan = _plan(command, config, store, walk, status)
         fitted = _run(command, plan, status)
         seconds = dict(status.seconds)
-    tell_result(command, plan.source, plan.space, fitted, plan.remarks, seconds)
+    print_result(command, plan.source, plan.space, fitted, plan.remarks, seconds)
 
 
 def _check_arguments(command: Color) -> ColorConfig:

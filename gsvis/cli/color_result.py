@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from gsvis.prepare.fitted_colors import FittedColors
     from gsvis.scene.navigable import NavigableSpace
 
-__all__ = ["tell_result"]
+__all__ = ["print_result"]
 
 
-def tell_result(
+def print_result(
     command: Color,
     source: Source,
     space: NavigableSpace | None,

@@ -75,7 +75,7 @@ def run_convert(command: Convert) -> None:
 
 @dataclass(frozen=True)
 class _Input:
-    """What is told of a scene that was read."""
+    """Facts of a scene that was read."""
 
     path: str
     name: str
@@ -154,19 +154,19 @@ def _read(
     scenes: tuple[str, ...], lods: list[int | None], status: Status
 ) -> tuple[list[_Input], Gaussians, NDArray[np.float64]]:
     """Return what was read, the scenes merged to one, and the axis that points upwards in it."""
-    inputs, parts = [], []
-    source = None
+    inputs, parts, axes = [], [], []
     status("reading", 0, len(scenes))
     for k, (scene, lod) in enumerate(zip(scenes, lods, strict=True)):
         source = load_source(scene, lod)
         g = source.gaussians
         inputs.append(_Input(scene, source.name, source.lod, len(g), g.sh_degree))
         parts.append(g)
+        axes.append(source.known_up)
         status("reading", k + 1, len(scenes))
     merged = merge_scenes(parts)
-    if source is None or len(parts) > 1:
-        source = Source("", merged)
-    return inputs, merged, up_of(source)
+    known = [axis for axis in axes if axis is not None]
+    agree = len(known) == len(axes) and all(np.array_equal(axis, known[0]) for axis in known)
+    return inputs, merged, up_of(Source("", merged, known_up=known[0] if agree else None))
 
 
 def _degree(command: Convert, target: Path, scene: Gaussians, status: Status) -> int:

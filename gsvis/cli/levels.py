@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from gsvis._extras import require
 from gsvis.cli.arguments import Levels
 from gsvis.cli.kernels import warm_levels
-from gsvis.cli.levels_result import record_of, tell_result
+from gsvis.cli.levels_result import print_result, record_of
 from gsvis.cli.source import Source, check_folder, check_source, load_source, parse_up
 from gsvis.cli.stopping import between_steps
 from gsvis.cli.terminal import Status
@@ -78,7 +78,7 @@ def run_levels(command: Levels) -> None:
         warm_levels(config, status)
         trained, record = _run(command, plan, status)
         seconds = dict(status.seconds)
-    tell_result(command, trained.levels, record, plan.space, plan.remarks, seconds)
+    print_result(command, trained.levels, record, plan.space, plan.remarks, seconds)
 
 
 def _begun(work: Path) -> bool:
@@ -274,6 +274,9 @@ def _run(command: Levels, plan: _Plan, status: Status) -> tuple[TrainedLevels, d
 
             made = make_levels(g, plan.drawn, plan.config, work=work, progress=report)
         record = record_of(command, plan, made.trained, made.quality)
+        up = plan.source.known_up if command.up is None else parse_up(command.up)
+        if up is not None:
+            record["up"] = [float(value) for value in up]
         status("writing", 0, 1)
         save_levels(made.trained.levels, command.out, record)
         status("writing", 1, 1)

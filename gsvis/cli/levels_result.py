@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from gsvis.train.level_views import LevelViews
     from gsvis.train.levels import LevelsConfig, TrainedLevels
 
-__all__ = ["record_of", "tell_result"]
+__all__ = ["print_result", "record_of"]
 
 _MOST_OVERHEAD = 0.05
 
@@ -85,7 +85,7 @@ def record_of(command: Command, run: Any, trained: TrainedLevels, quality: Level
     }
 
 
-def tell_result(
+def print_result(
     command: Command,
     levels: Levels,
     record: Mapping[str, Any],

@@ -2,30 +2,49 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 from gsvis.cli.arguments import Unpack, Verify
-from gsvis.cli.source import check_folder
+from gsvis.cli.source import check_folder, check_source, load_source, navigable_space
 from gsvis.cli.terminal import Status, facts, print_json, show, size_of
-from gsvis.errors import FormatError
+from gsvis.errors import FormatError, SceneError
 from gsvis.io.levels import MAP, levels_info
-from gsvis.package import Manifest, Package, unpack_package
+from gsvis.package import Fidelity, Manifest, Package, Spread, unpack_package
 
-__all__ = ["run_unpack", "run_verify", "size_rows"]
+__all__ = ["fidelity_table", "run_unpack", "run_verify", "size_rows"]
+
+_STEPS = {
+    "levels": "the highest level for the scene",
+    "terms": "terms for spherical harmonics",
+    "rounding": "records for exact values",
+    "cells": "what a cell needs for every record",
+}
+_EQUAL = 100.0  # dB, the most that is measured
+_SAME = 0.1  # dB by which two measurements of the same scene may differ
 
 
 def run_verify(command: Verify) -> None:
-    """Verify a package: read everything and print what it holds.
+    """Verify a package: read everything, compare it with its scene if that is given, and print what it holds.
 
     Raises:
         FormatError: If anything is missing, damaged or of a newer version.
-        FileNotFoundError: If there is no such folder.
+        SceneError: If the scene is empty, or no eye can be found in it.
+        ValueError: If an argument is wrong.
+        FileNotFoundError: If there is no such folder or scene.
     """
+    if command.scene is None and command.lod is not None:
+        raise ValueError(f"--lod: expected none without --scene, got {command.lod}; leave it out")
+    if command.scene is not None:
+        check_source(command.scene, command.lod)
     with Status() as status, Package.open(command.package) as package:
         found = package.verify(progress=status)
         manifest = package.manifest
+        fidelity, name = manifest.info.fidelity, "the scene"
+        remarks: list[str] = []
+        if command.scene is not None:
+            fidelity, name, remarks = _compare(command.scene, command.lod, package, status)
     if command.json:
         print_json(
             {
@@ -34,6 +53,8 @@ def run_verify(command: Verify) -> None:
                 "package": command.package,
                 **_facts(manifest),
                 **asdict(found),
+                "fidelity": None if fidelity is None else fidelity.summary(),
+                "fidelity_from": _source_of(command, fidelity),
             }
         )
         return
@@ -50,8 +71,82 @@ def run_verify(command: Verify) -> None:
         ("meters per unit", f"{meters:g}" if meters else "not known"),
         ("cost of rounding", f"{cost.psnr:.1f} dB, worst {cost.worst:.1f}" if cost else "not measured"),
     ]
+    if fidelity is None:
+        rows.append(("what a client gets", "not measured; --scene SCENE measures it"))
     strays = [f" {found.strays:,} files beside the parts belong to no part of it."] if found.strays else []
-    show(facts(command.package, rows), " Every part is whole.", *strays)
+    whole = " Every part is whole."
+    show(facts(command.package, rows), *fidelity_table(fidelity, name), whole, *strays, *remarks)
+
+
+def _compare(scene: str, lod: int | None, package: Package, status: Status) -> tuple[Fidelity, str, list[str]]:
+    """Return how near what a client gets comes to a scene, the name of the scene, and remarks.
+
+    The views are those of `gsvis prepare`, or drawn where the package has none. Steps that need what the package does
+    not hold are taken from its manifest.
+    """
+    from gsvis.package.compare import measure_fidelity
+    from gsvis.prepare.config import PrepareConfig
+
+    status("reading", 0, 1)
+    source, recorded = load_source(scene, lod), package.manifest.info.fidelity
+    if len(source.gaussians) == 0:
+        raise SceneError(f"{scene}: the scene has no Gaussian: there is nothing to compare with")
+    status("reading", 1, 1)
+    if recorded is not None:
+        cameras = recorded.cameras
+    else:
+        space, why_not = navigable_space(source, up=package.manifest.info.up)
+        if space is None:
+            raise SceneError(f"{scene}: {why_not}")
+        cameras = PrepareConfig.fidelity_views.cameras(source.whole, space)
+    has_sets, has_active = package.manifest.visibility is not None, package.manifest.active_terms is not None
+    found = measure_fidelity(
+        source.gaussians,
+        package.contents,
+        cameras,
+        sets=package.visibility if has_sets else None,
+        active=package.active_terms if has_active else None,
+        progress=status,
+    )
+    remarks = []
+    if recorded is not None:
+        found = replace(found, steps={**recorded.steps, **found.steps})
+        if abs(found.records.psnr - recorded.records.psnr) > _SAME:
+            remarks.append(
+                f" gsvis prepare measured {recorded.records.psnr:.1f} dB for every record: is {source.name} the scene"
+                " from which the package was made?"
+            )
+    return found, source.name, remarks
+
+
+def _source_of(command: Verify, fidelity: Fidelity | None) -> str | None:
+    """Return where figures come from, for JSON."""
+    if fidelity is None:
+        return None
+    return "measured by gsvis prepare" if command.scene is None else f"measured against {command.scene}"
+
+
+def fidelity_table(fidelity: Fidelity | None, scene: str) -> list[Any]:
+    """Return a table of what a client gets and a line about it; an empty list if it was not measured.
+
+    Args:
+        fidelity: The figures.
+        scene: Name of the scene.
+    """
+    if fidelity is None:
+        return []
+    rows = [(label, *_decibels(fidelity.steps[name])) for name, label in _STEPS.items() if name in fidelity.steps]
+    rows.append(("all of it, every record", *_decibels(fidelity.records)))
+    if fidelity.cell is not None:
+        rows.append(("all of it, what a cell needs", *_decibels(fidelity.cell)))
+    views = f"{len(fidelity.poses)} views of {fidelity.width} x {fidelity.height}"
+    about = f" PSNR in {views} that nothing was fitted to, each line against the one before; the whole against {scene}."
+    return [facts("What a client gets", rows, ("", "mean", "worst")), about]
+
+
+def _decibels(spread: Spread) -> tuple[str, str]:
+    mean, worst = ("equal" if value >= _EQUAL else f"{value:.1f} dB" for value in (spread.psnr, spread.worst))
+    return mean, worst
 
 
 def run_unpack(command: Unpack) -> None:

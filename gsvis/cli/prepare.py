@@ -13,7 +13,7 @@ from gsvis.cli.arguments import Prepare
 from gsvis.cli.color import fit_config
 from gsvis.cli.kernels import warm_colors, warm_levels, warm_sets
 from gsvis.cli.levels import check_views, levels_config, view_sampling
-from gsvis.cli.prepare_result import tell_estimate, tell_result
+from gsvis.cli.prepare_result import print_estimate, print_result
 from gsvis.cli.pvs import local_workers, sets_config
 from gsvis.cli.source import check_folder, check_source, is_levels, load_source, parse_up
 from gsvis.cli.stopping import between_steps
@@ -84,9 +84,9 @@ def run_prepare(command: Prepare) -> None:
         if not command.dry_run and command.discard:
             shutil.rmtree(prepared.work, ignore_errors=True)
     if command.dry_run:
-        tell_estimate(command, source, space, estimate, remarks)
+        print_estimate(command, source, space, estimate, remarks)
     else:
-        tell_result(command, source, space, prepared, remarks)
+        print_result(command, source, space, prepared, remarks)
 
 
 def _check_arguments(command: Prepare) -> PrepareConfig:

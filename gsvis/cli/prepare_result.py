@@ -6,7 +6,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from gsvis.cli.arguments import Prepare
-from gsvis.cli.package import size_rows
+from gsvis.cli.package import fidelity_table, size_rows
 from gsvis.cli.source import Source
 from gsvis.cli.terminal import busy_note, clock, facts, print_json, show, size_of
 from gsvis.cli.where import kind_row, space_document
@@ -15,7 +15,7 @@ from gsvis.scene.navigable import NavigableSpace
 if TYPE_CHECKING:
     from gsvis.prepare import PreparationEstimate, Prepared
 
-__all__ = ["tell_estimate", "tell_result"]
+__all__ = ["print_estimate", "print_result"]
 
 _CALLED = {
     "levels": "levels",
@@ -23,11 +23,12 @@ _CALLED = {
     "colors": "colors",
     "terms": "active terms",
     "cost": "cost of rounding",
+    "fidelity": "what a client gets",
     "package": "package",
 }
 
 
-def tell_result(
+def print_result(
     command: Prepare, source: Source, space: NavigableSpace, prepared: Prepared, remarks: list[str]
 ) -> None:
     """Print the package and its stages, as a JSON document or as tables."""
@@ -72,6 +73,7 @@ def tell_result(
     show(
         facts(f"{source.name}: package", rows),
         facts("", stages),
+        *fidelity_table(m.info.fidelity, source.name),
         *remarks,
         *(f" {remark}" for remark in prepared.remarks),
     )
@@ -88,6 +90,7 @@ def _document(command: Prepare, prepared: Prepared, levels: list[dict[str, Any]]
         "up": list(m.info.up),
         "meters_per_unit": m.info.meters_per_unit,
         "cost": None if m.info.cost is None else asdict(m.info.cost),
+        "fidelity": None if m.info.fidelity is None else m.info.fidelity.summary(),
         "parts": prepared.parts,
         "parts_kept": prepared.parts_kept,
         "sizes": m.sizes(),
@@ -100,7 +103,7 @@ def _document(command: Prepare, prepared: Prepared, levels: list[dict[str, Any]]
     }
 
 
-def tell_estimate(
+def print_estimate(
     command: Prepare, source: Source, space: NavigableSpace, estimate: PreparationEstimate, remarks: list[str]
 ) -> None:
     """Print the estimated cost, as a JSON document or as tables."""

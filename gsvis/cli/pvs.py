@@ -79,10 +79,10 @@ def run_pvs(command: Pvs) -> None:
             store = _built(command, plan, workers, status)
             seconds = time.perf_counter() - began
     if command.dry_run:
-        _tell_estimate(command, plan, estimate)
+        _print_estimate(command, plan, estimate)
         return
     with store:
-        _tell_result(command, plan, store, seconds)
+        _print_result(command, plan, store, seconds)
 
 
 def _check_arguments(command: Pvs) -> PvsConfig:
@@ -222,7 +222,7 @@ def _rows(plan: _Plan) -> list[tuple[str, str]]:
     ]
 
 
-def _tell_estimate(command: Pvs, plan: _Plan, estimate: Estimate) -> None:
+def _print_estimate(command: Pvs, plan: _Plan, estimate: Estimate) -> None:
     if command.json:
         print_json({"format": "gsvis-pvs-estimate", "version": 2, **_about(plan), "estimate": asdict(estimate)})
         return
@@ -251,7 +251,7 @@ def spell_certificates(certified: StoredCertificates, twice: Any) -> list[tuple[
     return [*rows, ("two tracers agree", describe_check(None if twice is None else CrossCheck(**twice)))]
 
 
-def _tell_result(command: Pvs, plan: _Plan, store: VisibilityStore, seconds: float) -> None:
+def _print_result(command: Pvs, plan: _Plan, store: VisibilityStore, seconds: float) -> None:
     n, cells, sizes = store.gaussians, len(store), store.sizes()
     shares, viewpoints, certified = store.visible_counts / n, store.viewpoints, store.certificates
     blind = int(np.count_nonzero((viewpoints == 0) & (certified.rays == 0)))

@@ -64,7 +64,7 @@ def _start_spared_by_gc() -> Iterator[None]:
     """
     gc.collect()
     gc.freeze()
-    gc.collect()  # tells the collector how many objects stay
+    gc.collect()  # gives the collector the number of objects that stay
     try:
         yield
     finally:

@@ -58,6 +58,8 @@ class Source:
         lods: LODs that are present in a streamed scene; empty for any other.
         navigable: Known navigable space of a built-in scene.
         levels: All levels of a folder of levels; None for any other scene.
+        known_up: The (3,) up axis: that of a built-in scene, +y of glTF, or what a folder of levels states; None where
+            it has to be guessed.
     """
 
     name: str
@@ -67,6 +69,7 @@ class Source:
     lods: tuple[int, ...] = ()
     navigable: NavigableSpace | None = None
     levels: Levels | None = None
+    known_up: NDArray[np.float64] | None = None
 
     @property
     def whole(self) -> Gaussians | Levels:
@@ -77,14 +80,6 @@ class Source:
     def union(self) -> Gaussians:
         """The Gaussians of the scene, or those of all levels together."""
         return self.gaussians if self.levels is None else self.levels.union
-
-    @property
-    def known_up(self) -> NDArray[np.float64] | None:
-        """The (3,) up axis of a built-in scene, and +y of glTF; None where it has to be guessed."""
-        if self.navigable is not None:
-            return self.navigable.up
-        is_gltf = self.path is not None and self.path.suffix.lower() == ".glb"
-        return axis_vector("+y") if is_gltf else None
 
 
 def is_levels(scene: str) -> bool:
@@ -134,13 +129,14 @@ def load_source(scene: str, lod: int | None) -> Source:
         from gsvis.scene.procedural import builtin_scene
 
         made = builtin_scene(scene.removeprefix(BUILTIN))
-        return Source(scene, made.gaussians, navigable=made.navigable)
+        return Source(scene, made.gaussians, navigable=made.navigable, known_up=made.navigable.up)
     if is_levels(scene):
-        from gsvis.io.levels import load_levels
+        from gsvis.io.levels import levels_info, load_levels
 
-        levels = load_levels(scene)
-        return Source(title_of(scene), levels.level(len(levels) - 1), Path(scene), levels=levels)
+        levels, up = load_levels(scene), _unit_vector(levels_info(scene).extra.get("up"))
+        return Source(title_of(scene), levels.level(len(levels) - 1), Path(scene), levels=levels, known_up=up)
     from gsvis.io import load_scene
+    from gsvis.io.scenes import is_gltf
     from gsvis.io.streamed_sog import list_lods
 
     path = Path(scene)
@@ -149,7 +145,16 @@ def load_source(scene: str, lod: int | None) -> Source:
     lods = list_lods(meta) if meta.name == "lod-meta.json" and meta.is_file() else ()
     if lods and lod is None:
         lod = lods[0]
-    return Source(title_of(scene, lod), g, path, lod, lods)
+    known_up = axis_vector("+y") if is_gltf(path) else None
+    return Source(title_of(scene, lod), g, path, lod, lods, known_up=known_up)
+
+
+def _unit_vector(value: Any) -> NDArray[np.float64] | None:
+    """Return a JSON value as a (3,) unit vector; None if it is no such list."""
+    if not isinstance(value, list) or len(value) != 3 or not all(type(each) in (int, float) for each in value):
+        return None
+    vector = np.array(value, np.float64)
+    return vector if abs(float(np.linalg.norm(vector)) - 1.0) < 1e-3 else None
 
 
 def summarize_levels(source: Source) -> list[dict[str, Any]] | None:
@@ -170,7 +175,8 @@ def inspect_scene_of(source: Source) -> dict[str, Any]:
     """Return the inspection of a scene as a dict; guess the up axis only where it is not known."""
     up, known = None, source.known_up
     if known is not None:
-        up = ("+" if known.sum() > 0 else "-") + "xyz"[int(np.abs(known).argmax())]
+        axis = int(np.abs(known).argmax())
+        up = ("+" if known[axis] > 0 else "-") + "xyz"[axis]
     return inspect_scene(source.gaussians, up=up).as_dict()
 
 

@@ -41,7 +41,7 @@ def run_space(command: Space) -> None:
             place = find_place(source, command, command.up, walk)
             space, remarks = place.required("say where eyes may be with --box or --around"), place.remarks
         else:
-            up = parse_up(command.up)
+            up = source.known_up if command.up is None else parse_up(command.up)
             space, remarks = NavigableSpace.from_scene(source.gaussians, resolution=command.resolution, up=up), []
         status("space", 1, 1)
         status("writing", 0, 1)

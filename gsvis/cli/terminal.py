@@ -59,6 +59,7 @@ _SAID = {
     "measure": "measuring",
     "order": "putting the scene in order",
     "cost": "measuring what rounding costs",
+    "fidelity": "measuring what a client gets",
     "package": "writing the package",
     "sets": "writing what cells see",
     "export": "writing the export",

@@ -77,7 +77,7 @@ def run_train(command: Train) -> None:
         _write_record(command, document)
     plan.checkpoint.unlink(missing_ok=True)
     remove_partials(plan.checkpoint)
-    _tell(command, plan, document)
+    _print_result(command, plan, document)
 
 
 def checkpoint_of(command: Train) -> Path:
@@ -212,7 +212,7 @@ def _train(command: Train, plan: _Plan, status: Status) -> dict[str, Any]:
             result = trainer.run(
                 checkpoint=plan.checkpoint,
                 checkpoint_seconds=command.checkpoint_seconds,
-                progress=_telling(trainer, status, begun, stop_if_asked),
+                progress=_reporter(trainer, status, begun, stop_if_asked),
             )
     except KeyboardInterrupt:
         if not plan.checkpoint.exists():
@@ -262,11 +262,11 @@ def _train(command: Train, plan: _Plan, status: Status) -> dict[str, Any]:
     }
 
 
-def _telling(trainer: Trainer, status: Status, begun: list[int], stop_if_asked: Callable[[], None]) -> Progress:
+def _reporter(trainer: Trainer, status: Status, begun: list[int], stop_if_asked: Callable[[], None]) -> Progress:
     """Return the progress callback that the training loop calls between two steps."""
     shown = 0
 
-    def tell(stage: str, done: int, total: int) -> None:
+    def report(stage: str, done: int, total: int) -> None:
         nonlocal shown
         if not begun:
             begun.append(done)
@@ -287,7 +287,7 @@ def _telling(trainer: Trainer, status: Status, begun: list[int], stop_if_asked: 
         status(stage, done, total)
         stop_if_asked()
 
-    return tell
+    return report
 
 
 def _thousands(count: int) -> str:
@@ -300,7 +300,7 @@ def _write_record(command: Train, document: dict[str, Any]) -> None:
         partial.write_text(text + "\n", encoding="utf-8")
 
 
-def _tell(command: Train, plan: _Plan, document: dict[str, Any]) -> None:
+def _print_result(command: Train, plan: _Plan, document: dict[str, Any]) -> None:
     """Print the result, as a JSON document or as a table."""
     if command.json:
         print_json(document)

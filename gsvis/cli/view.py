@@ -124,7 +124,7 @@ def _preparing(command: View, scenes: Scenes, name: str) -> Iterator[None]:
     if command.prepare is None:
         yield
         return
-    words = [sys.executable, "-m", "gsvis.cli", "prepare", command.scene, "-o", command.prepare]
+    words = [sys.executable, "-m", "gsvis", "prepare", command.scene, "-o", command.prepare]
     words += [] if command.lod is None else ["--lod", str(command.lod)]
     words += [] if command.up is None else ["--up", command.up.strip()]
     scenes[name].preparing, ending = True, threading.Event()

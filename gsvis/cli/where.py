@@ -106,7 +106,7 @@ def find_place(
     Args:
         source: The scene.
         where: What the user said.
-        up: Value of --up; None means that of the built-in scene, else +z for a box, else a guess.
+        up: Value of --up; None means the known one, else +z for a box, else a guess.
         walk: The walk of --path.
         seeds: (S, 3) positions known to be navigable.
 
@@ -114,14 +114,12 @@ def find_place(
         SceneError: If eyes given by hand lie inside something solid.
         ValueError: If the walk lies elsewhere.
     """
-    axis = parse_up(up)
+    axis = source.known_up if up is None else parse_up(up)
     if where.box is not None:
-        known = axis if axis is not None else source.navigable.up if source.navigable is not None else (0.0, 0.0, 1.0)
-        space = NavigableSpace.from_box(where.box[:3], where.box[3:], _BOX_VOXELS, up=known)
+        upward = (0.0, 0.0, 1.0) if axis is None else axis
+        space = NavigableSpace.from_box(where.box[:3], where.box[3:], _BOX_VOXELS, up=upward)
         return Place(space, "", _check_buried(source, space, "box"))
     if where.around is not None:
-        if axis is None and source.navigable is not None:
-            axis = source.navigable.up
         center, radius = (where.around[:3], where.around[3]) if where.around else (None, None)
         try:
             space = NavigableSpace.around(source.gaussians, center, radius, up=axis)

@@ -1,4 +1,4 @@
-"""Gather what rays say about each Gaussian: does an eye see it, from where, and does it lie in air or at a surface.
+"""Gather what rays show of each Gaussian: does an eye see it, from where, and does it lie in air or at a surface.
 
 Scene frame and units; lengths that decide are voxels of a grid over the scene. Eyes are viewpoints of navigable space
 and, where there are some, of photographs. Light goes through the grid from the eyes: a voxel is *air* if it
@@ -49,7 +49,8 @@ class Evidence:
     Attributes:
         seen: (N,) an eye sees it: in a look around, or on a ray outward to navigable space.
         faces: (N,) uint8, of the 80 directions those from which looks saw it.
-        air: (N,) float32 in [0, 1], share of its mass in air, of the mass in air and at surfaces.
+        air: (N,) float32 in [0, 1], share of its mass in air, of the mass in air and at surfaces; 0 in a scene without
+            any surface, where what is thin is all there is.
         alone: (N,) at least half of its mass is in air, and few others are near.
         large: (N,) wide, compared with the scene.
         far: (N,) far outside of the scene.
@@ -182,7 +183,10 @@ def _find_air(core: Gaussians, density: Density, open_air: Mask, strength: float
 
 
 def _shares_in_air(g: Gaussians, density: Density, air: Mask, near: Mask) -> tuple[F32, Mask]:
-    """Return (N,) shares of the mass in air, and (N,) whether any of it is in air or at a surface."""
+    """Return (N,) shares of the mass in air, and (N,) whether any of it is in air or at a surface.
+
+    Without any surface all shares are 0.
+    """
     labels = np.where(near, np.uint8(2), air.astype(np.uint8))
     points = np.random.default_rng(0).normal(size=(_SAMPLES, 3))
     points[0] = 0.0
@@ -194,7 +198,8 @@ def _shares_in_air(g: Gaussians, density: Density, air: Mask, near: Mask) -> tup
         means = (part.means.astype(np.float64) - density.origin) / density.voxel_size
         kernels.count_places(means, np.ascontiguousarray(axes), points, labels, counts[start : start + step])
     known = counts[:, 1] + counts[:, 2]
-    return (counts[:, 1] / np.maximum(known, 1)).astype(np.float32), known > 0
+    in_air = counts[:, 1] if near.any() else np.zeros(len(g), np.int32)
+    return (in_air / np.maximum(known, 1)).astype(np.float32), known > 0
 
 
 def _find_alone(g: Gaussians, core: Gaussians, density: Density, shares: F32, strength: float) -> Mask:

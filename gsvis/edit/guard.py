@@ -1,6 +1,6 @@
 """Keep cleaning from eating what pictures need: draw held-out views without each class, and give back what they miss.
 
-The views are random cameras in navigable space that gave no evidence. No PSNR tells fog that goes from a wall that
+The views are random cameras in navigable space that gave no evidence. No PSNR separates fog that goes from a wall that
 goes, so the classes have two measures. What no eye sees must not change a view: PSNR. Fog and floaters may change a
 view, but not be what it shows: of few pixels more than half.
 """

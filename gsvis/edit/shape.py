@@ -1,4 +1,4 @@
-"""Say what the Gaussians of a scene alone tell: which are far outside, hazy, large, or in lonely groups.
+"""Find by the Gaussians alone which of them are far outside, hazy, large, or in lonely groups.
 
 Scene frame and units. A grid of optical depths finds surfaces; groups of few Gaussians that hang alone are none. No eye
 is known here.
@@ -33,13 +33,15 @@ _VOXELS = 1 << 24  # of a grid, at most
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """What the Gaussians alone say, before any eye is known.
+    """What the Gaussians alone show, before any eye is known.
 
     Attributes:
         far: (N,) the center lies outside 5 times the robust box.
         hazy: (N,) large in all directions and faint.
-        large: (N,) the middle standard deviation is at least 1% of the longest side of the robust box.
-        lonely: (N,) the center is not at a surface, but in a small group of few Gaussians, or where they are thin.
+        large: (N,) the middle standard deviation is at least 1% of the longest side of the robust box; none in a
+            scene that lies in one point.
+        lonely: (N,) the center is not at a surface, but in a small group of few Gaussians, or where they are thin;
+            none in a scene without any surface.
         low: (3,) lowest corner of the robust box.
         high: (3,) highest corner.
     """
@@ -66,7 +68,7 @@ class Shape:
         far = np.any(np.abs(g.means - middle) > FLOATER_EXTENT * np.maximum(half, 0.02 * half.max()), axis=1)
         far &= bool(half.max() > 0.0)
         least, mid, _ = np.sort(g.scales, axis=1).T
-        large = mid >= LARGE * 2.0 * half.max()
+        large = (mid >= LARGE * 2.0 * half.max()) & bool(half.max() > 0.0)
         hazy = large & (least >= ROUND * mid) & (g.opacities <= FAINT)
         core = ~(far | hazy) & can_be_seen
         lonely = np.zeros(len(g), bool)
@@ -122,8 +124,9 @@ def find_surfaces(core: Gaussians, density: Density, strength: float) -> tuple[M
 
 
 def _find_lonely(core: Gaussians, low: F64, high: F64) -> Mask:
-    """Return which Gaussians of a core are at no surface, on a grid over the robust box."""
+    """Return which Gaussians of a core are at no surface, on a grid over the robust box; none if there is none."""
     resolution = affordable_resolution(high - low, RESOLUTION)
     margin = 2.0 * float((high - low).max()) / resolution
     density = Density.from_scene(core, low - margin, high + margin, resolution)
-    return find_surfaces(core, density, 1.0)[1]
+    surface, lonely = find_surfaces(core, density, 1.0)
+    return lonely if surface.any() else np.zeros(len(core), bool)

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from gsvis import _check
 from gsvis.errors import SceneError
 from gsvis.export.leaves import LEAF, cut_leaves
+from gsvis.export.levels import ever_seen, open_levels
 from gsvis.export.needs import LOST, find_needs
-from gsvis.export.opened import ever_seen, open_levels
 from gsvis.export.start import Start, rich_poses, start_poses
 from gsvis.io.streamed_sog_writer import check_streamed_target, save_streamed_sog
 from gsvis.package.package import Package

@@ -21,11 +21,11 @@ from gsvis import _check
 from gsvis.edit.space import upright_matrix
 from gsvis.errors import SceneError
 from gsvis.export.leaves import LEAF, Leaves, cut_leaves
+from gsvis.export.levels import Known, ever_seen, open_levels
 from gsvis.export.needs import LOST, find_needs
-from gsvis.export.opened import Known, ever_seen, open_levels
 from gsvis.export.tileset import DOCUMENT, Volumes, find_volumes, tileset_document
 from gsvis.files.atomic import atomic_folder
-from gsvis.files.made import check_made, remove_made
+from gsvis.files.folders import check_replaceable, remove_earlier
 from gsvis.io.gltf_splats_writer import Compression, check_size, encode_glb, save_glb
 from gsvis.package.package import Package
 from gsvis.progress import Progress, silent
@@ -167,7 +167,7 @@ def check_tiles_target(folder: str | PathLike[str], overwrite: bool) -> None:
     Raises:
         ValueError: If it holds something else, or an earlier tileset and `overwrite` is false.
     """
-    check_made(_check.path("folder", folder), DOCUMENT, _OURS, overwrite)
+    check_replaceable(_check.path("folder", folder), DOCUMENT, _OURS, overwrite)
 
 
 def write_tiles(
@@ -215,23 +215,23 @@ def write_tiles(
         volumes = find_volumes(needs)
     upright = upright_matrix(np.asarray(_up(said, known, store), np.float64))
     skipped = None if volumes is None else ~volumes.needed
-    made = _Made(leaves, upright, said.compression, skipped)
+    files = _TileFiles(leaves, upright, said.compression, skipped)
     with atomic_folder(target, last=(DOCUMENT,)) as partial:
-        made.write(partial, progress)
+        files.write(partial, progress)
         document = tileset_document(
-            leaves, made.contents, upright[:3, :3], environment=made.environment, volumes=volumes,
+            leaves, files.contents, upright[:3, :3], environment=files.environment, volumes=volumes,
             meters=_meters(said, known), packed=said.compression == "spz",
         )  # fmt: skip
         text = json.dumps(document, separators=(",", ":"), allow_nan=False).encode()
         (partial / DOCUMENT).write_bytes(text)
-    remove_made(target, _OURS, {*made.contents.values(), made.environment or ""})
-    finest = made.sizes[0] / max(1, made.sizes[0].sum())
+    remove_earlier(target, _OURS, {*files.contents.values(), files.environment or ""})
+    finest = files.sizes[0] / max(1, files.sizes[0].sum())
     return TilesReport(
         path=target,
         counts=tuple(int(n) for n in leaves.counts.sum(axis=1)),
         environment=len(leaves.environment),
         leaves=len(leaves) - (0 if skipped is None else int(skipped.sum())),
-        tiles=len(made.contents) + (made.environment is not None),
+        tiles=len(files.contents) + (files.environment is not None),
         cells=0 if store is None else len(store),
         volumes=0 if volumes is None else int(volumes.bounded.sum()),
         unneeded=0 if skipped is None else int(skipped.sum()),
@@ -239,11 +239,11 @@ def write_tiles(
         needed=1.0 if needs is None else float((needs.needed @ finest).mean()),
         never_seen=None if seen is None else int((~seen).sum()),
         dropped=drop,
-        nbytes=made.nbytes + len(text),
+        nbytes=files.nbytes + len(text),
     )
 
 
-class _Made:
+class _TileFiles:
     """Write the contents of leaves; leaves that are skipped have a size, but no file.
 
     Attributes:

@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 
 from gsvis.export.leaves import Leaves
 from gsvis.export.needs import LeafNeeds
-from gsvis.files.made import GENERATOR
+from gsvis.files.folders import GENERATOR
 from gsvis.io.gltf_splats import SPLATS, SPZ
 from gsvis.io.streamed_sog_writer import Tree
 
@@ -33,7 +33,7 @@ DEVIATIONS = 3.0
 """Standard deviations that boxes hold: the kernel of the extension ends there."""
 
 ERROR_PIXELS = 16.0
-"""Pixels of error that CesiumJS and 3d-tiles-renderer allow unless told otherwise."""
+"""Pixels of error that CesiumJS and 3d-tiles-renderer allow by default."""
 
 _DIGITS = 7
 _FROM_GLTF = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # +y up to +z up, as viewers do
@@ -46,7 +46,7 @@ class Volumes:
     Attributes:
         boxes: (B, 2, 3) box of the cells that need a leaf, scene frame.
         needed: (B,) whether any cell needs it.
-        bounded: (B,) whether the box is smaller than that of all cells, and so tells a viewer something.
+        bounded: (B,) whether the box is smaller than that of all cells, and so says something to a viewer.
         inside: (K, B) whether the middle of each cell lies in the box of each leaf, or the leaf has none.
     """
 

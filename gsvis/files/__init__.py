@@ -1,6 +1,18 @@
 """Bytes on disk apart from scenes: atomic writes, locks, the Arrow container, limits, caches, one way to resume."""
 
-_MODULES = ("archive", "arrow", "atomic", "cache", "fields", "limits", "locks", "made", "output", "resume", "sections")
+_MODULES = (
+    "archive",
+    "arrow",
+    "atomic",
+    "cache",
+    "fields",
+    "folders",
+    "limits",
+    "locks",
+    "output",
+    "resume",
+    "sections",
+)
 
 
 def __dir__() -> list[str]:

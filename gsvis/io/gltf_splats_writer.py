@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from gsvis import _check
 from gsvis.files.atomic import atomic_path
-from gsvis.files.made import GENERATOR
+from gsvis.files.folders import GENERATOR
 from gsvis.io._gltf import SPLATS, SPZ, SRGB, sh_names
 from gsvis.io.gltf_splats import MAGIC
 from gsvis.io.spz import encode_old_spz

@@ -3,7 +3,7 @@
 A header of 4,096 bytes, headers of 1,024 bytes for the sections, then the sections: lengths and centers of buckets,
 then one record a Gaussian. Compression 0 keeps floats; 1 and 2 keep half floats, and positions as 16 bits inside the
 block of their bucket; 2 keeps a byte for each SH coefficient. Colors and opacities are bytes, SH ends at degree 2.
-Without a magic number the suffix alone tells the format.
+Without a magic number the suffix alone decides the format.
 
 References:
     https://github.com/mkkellogg/GaussianSplats3D, src/loaders/SplatBuffer.js, which defines the layout.

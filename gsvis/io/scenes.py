@@ -28,7 +28,7 @@ from gsvis.io.spz import load_spz, save_spz
 from gsvis.io.streamed_sog import load_streamed_sog
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["WRITTEN", "check_scene", "load_scene", "save_scene"]
+__all__ = ["WRITTEN", "check_scene", "is_gltf", "load_scene", "save_scene"]
 
 _KNOWN = (
     "a scene: PLY (.ply, .compressed.ply), .splat, .ksplat, SPZ (.spz), SOG (.sog or a folder with meta.json), "
@@ -94,6 +94,22 @@ def load_scene(path: str | os.PathLike[str], lod: int | None = None) -> Gaussian
     where = _check.path("path", path)
     reader = _find_reader(where, lod)
     return load_streamed_sog(where, lod) if reader is None else reader(where)
+
+
+def is_gltf(path: str | os.PathLike[str]) -> bool:
+    """Return whether `load_scene` reads a path as glTF, whose scenes have +y up; by its first bytes.
+
+    Args:
+        path: As for `load_scene`.
+
+    Raises:
+        OSError: If the file cannot be read.
+    """
+    where = _check.path("path", path)
+    if not where.is_file():
+        return False
+    with open_regular(where) as stream:
+        return stream.read(4) == b"glTF"
 
 
 def _find_reader(path: Path, lod: int | None) -> Callable[[str | os.PathLike[str]], Gaussians] | None:

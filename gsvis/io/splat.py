@@ -1,7 +1,7 @@
 """The `.splat` file of antimatter15's viewer: 32 bytes a Gaussian, no header, SH degree 0.
 
 Position and scale as six floats (scale activated), color and opacity as four bytes, quaternion wxyz as four bytes
-around 128. The frame is the file's own. Without a magic number the suffix alone tells the format.
+around 128. The frame is the file's own. Without a magic number the suffix alone decides the format.
 """
 
 from __future__ import annotations

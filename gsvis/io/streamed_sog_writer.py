@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from gsvis import _check
 from gsvis.files.atomic import atomic_folder
-from gsvis.files.made import GENERATOR, check_made, remove_made
+from gsvis.files.folders import GENERATOR, check_replaceable, remove_earlier
 from gsvis.io.sog_writer import encode_sog
 from gsvis.progress import Progress, silent
 from gsvis.scene.gaussians import Gaussians
@@ -128,7 +128,7 @@ def save_streamed_sog(
         (partial / META).write_bytes(text)
     kept = {name.split("/")[0] for name in names.values()} | set(extra)
     kept |= {str(document.get("environment", "")).split("/")[0]}
-    remove_made(target, _OURS, kept)
+    remove_earlier(target, _OURS, kept)
     return WrittenLeaves(target, sizes, total + len(text) + sum(len(data) for data in extra.values()))
 
 
@@ -138,7 +138,7 @@ def check_streamed_target(folder: str | os.PathLike[str], overwrite: bool) -> No
     Raises:
         ValueError: If it holds something else, or an earlier scene and `overwrite` is false.
     """
-    check_made(_check.path("folder", folder), META, _OURS, overwrite)
+    check_replaceable(_check.path("folder", folder), META, _OURS, overwrite)
 
 
 def _write_sog(folder: Path, name: str, g: Gaussians) -> tuple[str, int]:

@@ -5,7 +5,8 @@ write_package("scene.gsvis", levels, quantize(colors), visibility="scene.pvs", a
 with Package.open("scene.gsvis") as package:
     some = package.contents.gaussians([4, 8, 15])
 
-`measure_cost` is imported on first use, because it draws. So a server reads packages without torch.
+`measure_cost` and `measure_fidelity` are imported on first use, because they draw. So a server reads packages without
+torch.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from gsvis.package.codec import ChunkTable, Geometry, build_chunks, chunk_starts, decode_records, encode_records
 from gsvis.package.contents import Contents, base_rgb
+from gsvis.package.fidelity import Fidelity, Spread
 from gsvis.package.layout import RECORD_BYTES, RecordLayout, TermLayout
 from gsvis.package.manifest import Cost, Manifest, PackageInfo
 from gsvis.package.order import PackageOrder, in_package_order
@@ -24,6 +26,7 @@ from gsvis.package.unpack import unpack_levels, unpack_package
 from gsvis.package.writer import write_package
 
 if TYPE_CHECKING:
+    from gsvis.package.compare import ExactLevel, measure_fidelity
     from gsvis.package.cost import measure_cost
 
 __all__ = [
@@ -31,12 +34,15 @@ __all__ = [
     "ChunkTable",
     "Contents",
     "Cost",
+    "ExactLevel",
+    "Fidelity",
     "Geometry",
     "Manifest",
     "Package",
     "PackageInfo",
     "PackageOrder",
     "RecordLayout",
+    "Spread",
     "TermLayout",
     "Terms",
     "Verified",
@@ -49,16 +55,20 @@ __all__ = [
     "encode_terms",
     "in_package_order",
     "measure_cost",
+    "measure_fidelity",
     "unpack_levels",
     "unpack_package",
     "write_package",
 ]
 
 
+_HOMES = {"ExactLevel": "compare", "measure_cost": "cost", "measure_fidelity": "compare"}
+
+
 def __getattr__(name: str) -> Any:
-    if name != "measure_cost":
+    if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = globals()[name] = import_module(f"{__name__}.cost").measure_cost
+    value = globals()[name] = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
     return value
 
 

@@ -140,8 +140,8 @@ class Contents:
         return Levels(self.gaussians(), self.first, self.last, self.names)
 
     def colors(self) -> QuantizedColors:
-        """Return the base colors and all terms, as places in their tables."""
-        n, base = len(self), base_colors(self.records, self.layout).astype(np.uint16)
+        """Return the base colors and all terms, as places in their tables; a place past the end becomes the last."""
+        n, base = len(self), base_places(self.records, self.grids).astype(np.uint16)
         scales = base[:, 3] if self.layout.color_scale else np.zeros(0, np.uint16)
         terms = decode_terms(self.term_records, self.grids)
         axes = np.zeros((n, 0, 2), np.uint16)  # empty: no packed variant has axes

@@ -1,4 +1,4 @@
-"""The manifest of a package: its scene, frame, cost of rounding, and the name of every part.
+"""The manifest of a package: its scene, frame, what was measured of it, and the name of every part.
 
 The manifest is JSON and contains its own hash. It is written last, so a folder with a manifest is complete. It holds no
 paths.
@@ -21,6 +21,7 @@ from gsvis.color.storage import grids_of
 from gsvis.errors import FormatError
 from gsvis.files.fields import Fields, parse_object
 from gsvis.files.limits import DAMAGED, inside, read_whole
+from gsvis.package.fidelity import Fidelity
 from gsvis.package.layout import PACKED_VARIANTS, RecordLayout, TermLayout
 from gsvis.package.parts import Part
 
@@ -60,6 +61,7 @@ class PackageInfo:
         meters_per_unit: Meters in a scene unit; 0 if unknown.
         cost: Cost of rounding; None if it was not measured.
         provenance: Any JSON values.
+        fidelity: How near what a client gets comes to the scene; None if it was not measured.
 
     Raises:
         ValueError: If a value is out of its range.
@@ -69,6 +71,7 @@ class PackageInfo:
     meters_per_unit: float = 0.0
     cost: Cost | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
+    fidelity: Fidelity | None = None
 
     def __post_init__(self) -> None:
         up = _check.unit_vectors("up", np.reshape(np.asarray(self.up, np.float64), (1, -1)))[0]
@@ -217,6 +220,8 @@ class Manifest:
             },
             "provenance": self.info.provenance,
         }
+        if self.info.fidelity is not None:
+            value["fidelity"] = self.info.fidelity.as_dict()
         return json.dumps({**value, "sha256": _digest(value)}, indent=1, sort_keys=True, allow_nan=False).encode()
 
     @classmethod
@@ -268,9 +273,9 @@ class Manifest:
             sizes = (cost.integer(key, 1, _MOST) for key in ("views", "width", "height"))
             measured = Cost(cost.number("psnr"), cost.number("worst"), *sizes)
         up = fields.numbers("up", 3).tolist()
-        info = PackageInfo(
-            (up[0], up[1], up[2]), fields.number("meters_per_unit"), measured, fields.child("provenance").value
-        )
+        fidelity = Fidelity.from_fields(fields.child("fidelity")) if "fidelity" in fields else None
+        meters, provenance = fields.number("meters_per_unit"), fields.child("provenance").value
+        info = PackageInfo((up[0], up[1], up[2]), meters, measured, provenance, fidelity)
         found = cls(
             info, scene, names, tuple(level.integer("count", 1, _MOST) for level in levels), grids,
             tuple((Part.from_fields(row), row.integer("count", 1, _MOST)) for row in _objects(fields, "chunks")),

@@ -23,8 +23,8 @@ from gsvis.errors import FormatError, SceneError
 from gsvis.files.limits import Budget
 from gsvis.files.output import TEMPORARY, output_errors
 from gsvis.package.active_terms import ActiveTerms
-from gsvis.package.codec import ChunkTable
-from gsvis.package.contents import Contents
+from gsvis.package.codec import ChunkTable, base_colors
+from gsvis.package.contents import Contents, base_places
 from gsvis.package.layout import RECORD_BYTES, TermLayout
 from gsvis.package.manifest import MANIFEST, Blob, Block, Manifest
 from gsvis.package.parts import PartFolder
@@ -225,6 +225,8 @@ class Package:
             contents.colors()
         except ValueError as error:
             raise self._fault("records", "what can be drawn", str(error)) from error
+        if not np.array_equal(base_colors(contents.records, contents.layout), base_places(contents.records, m.grids)):
+            raise self._fault("records", "base colors within their tables", "places past the end")
         cells = 0
         if m.visibility is not None:
             self.visibility.verify()

@@ -57,7 +57,7 @@ class ColorConfig:
         if self.rays_per_face not in (0, 1, 4, 16, 64):
             raise ValueError(f"rays_per_face: expected 0, 1, 4, 16 or 64, got {self.rays_per_face!r}")
         if self.rays_per_face == 0 and self.views.count == 0:
-            raise ValueError("rays_per_face: expected some where no view tells directions, got 0")
+            raise ValueError("rays_per_face: expected some where no view gives directions, got 0")
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,6 +22,7 @@ __all__ = ["PrepareConfig"]
 _LEVEL_FOV = 2.0 * math.degrees(math.atan(240.0 / 300.0))
 _LEVEL_VIEWS = ViewSampling(160, 480, 360, _LEVEL_FOV)
 _COST_VIEWS = ViewSampling(8, 480, 360, 60.0, stream=3)
+_FIDELITY_VIEWS = ViewSampling(12, 320, 240, 60.0, stream=5)
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,7 @@ class PrepareConfig:
         epsilon: Largest change of an RGB channel, in (0, 1], by a term that may be left out of a cell.
         epsilon_from: Where epsilon comes from, in words.
         cost_views: Views that measure the cost of rounding.
+        fidelity_views: Views, used for nothing else, that measure how near what a client gets comes to the scene.
         meters_per_unit: Meters in a scene unit; 0 if unknown.
 
     Raises:
@@ -58,6 +60,7 @@ class PrepareConfig:
     epsilon: float = DEFAULT_EPSILON
     epsilon_from: str = "the default: FLIP as observer on two scenes"
     cost_views: ViewSampling = _COST_VIEWS
+    fidelity_views: ViewSampling = _FIDELITY_VIEWS
     meters_per_unit: float = 0.0
 
     def __post_init__(self) -> None:
@@ -71,7 +74,7 @@ class PrepareConfig:
         if not 0.0 <= self.meters_per_unit < np.inf:
             raise ValueError(f"meters_per_unit: expected a finite number >= 0, got {self.meters_per_unit!r}")
         check_packed(self.colors.fit.variant)
-        for name in ("level_views", "cost_views"):
+        for name in ("level_views", "cost_views", "fidelity_views"):
             if getattr(self, name).count == 0:
                 raise ValueError(f"{name}: expected at least one view, got none")
 

@@ -51,6 +51,7 @@ _CHUNK = 31.0 / 200.0  # bytes for each Gaussian
 _PACKED = 0.97  # size of records after zstd, over their raw size
 _ACTIVE_BITS = 1.5  # bits for an active term in a cell
 _VIEWS_TIMED = 4
+_IMAGES = 5  # of a view that measures what a client gets
 
 
 @dataclass(frozen=True)
@@ -144,8 +145,9 @@ class _Estimator:
         store, share, disk, memory = self._sets()
         exact = self._colors(store)
         terms = exact.num_terms if exact is not None else self._expect_terms()
-        self._terms(store, exact, share, terms)
+        known = self._terms(store, exact, share, terms)
         self._cost(exact)
+        self._fidelity(exact, known)
         if store is not None:
             store.close()
         term_bytes = int(terms * bytes_per_term(self.config.colors.fit.variant, "wire"))
@@ -235,7 +237,8 @@ class _Estimator:
         self.found.append(StageEstimate("colors", "to do", what, seconds, nbytes))
         return None
 
-    def _terms(self, store: VisibilityStore | None, exact: SrbfColors | None, share: float, terms: int) -> None:
+    def _terms(self, store: VisibilityStore | None, exact: SrbfColors | None, share: float, terms: int) -> str | None:
+        """Return the name of the file of active terms if it exists."""
         stages, cells = self.stages, len(self.stages.grid())
         what = f"{terms:,} terms, {cells:,} cells, epsilon {self.config.epsilon:g}"
         if store is not None and exact is not None:
@@ -243,10 +246,11 @@ class _Estimator:
             if stages.work.whole(name):
                 size = stages.work.at(name).stat().st_size
                 self.found.append(StageEstimate("terms", "done", what, 0.0, size))
-                return
+                return name
         seconds = cells * share * terms * _TERM_OF_CELL
         nbytes = int(_ACTIVE_BITS / 8.0 * share * terms * cells)
         self.found.append(StageEstimate("terms", "to do", what, seconds, nbytes))
+        return None
 
     def _cost(self, exact: SrbfColors | None) -> None:
         views = self.config.cost_views
@@ -256,6 +260,16 @@ class _Estimator:
             return
         seconds = 2.0 * views.count * self.view_seconds(views)
         self.found.append(StageEstimate("cost", "to do", what, seconds, 100))
+
+    def _fidelity(self, exact: SrbfColors | None, active: str | None) -> None:
+        stages, views = self.stages, self.config.fidelity_views
+        what = f"{views.count:,} views of {views.width} x {views.height}, {_IMAGES} images of each"
+        name = None if exact is None or active is None else stages.fidelity_name(self.levels, exact, active)
+        if name is not None and stages.work.whole(name):
+            self.found.append(StageEstimate("fidelity", "done", what, 0.0, 4000))
+            return
+        seconds = _IMAGES * views.count * self.view_seconds(views)
+        self.found.append(StageEstimate("fidelity", "to do", what, seconds, 4000))
 
     def view_seconds(self, views: ViewSampling) -> float:
         """Return the seconds to draw the whole scene once at the size of these views."""
@@ -297,7 +311,7 @@ def _own(stages: Stages) -> int:
 
 
 def _stand_in(stages: Stages) -> Levels:
-    """Return levels of about the right sizes, made of the Gaussians that cover most, to try a few cells with."""
+    """Return levels of about the right sizes, from the Gaussians that cover most, to try a few cells with."""
     g, config = stages.scene, stages.config.levels
     assert isinstance(g, Gaussians)
     assert config is not None

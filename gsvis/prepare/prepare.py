@@ -1,4 +1,4 @@
-"""Prepare a package from a scene: levels, visible sets, colors, active terms, cost of rounding, then records.
+"""Prepare a package from a scene: levels, visible sets, colors, active terms, measurements, then records.
 
 All ids follow the order of the package. Intermediate results stay beside the package. So a killed run resumes, and a
 run after an edit repeats only what the edit changed. The bytes of the package do not depend on the number of workers
@@ -92,7 +92,8 @@ def prepare_package(
         about: JSON values to store in the provenance of the package.
         workers: The workers that build visible sets; None means this process.
         progress: Called with the stages "order", or "views" or "photos", "prune", "train NAME" and "measure"; then with
-            "cells", "store", "importance", "price", "fit", "terms", "cost" and "package".
+            "cells", "store", "importance", "price", "fit", "terms", "cost", "fidelity" and
+            "package".
 
     Returns:
         The manifest of the package, and what each stage did.
@@ -113,14 +114,15 @@ def prepare_package(
             exact, directions = stages.colors(levels, store)
             packed = quantize(exact, "wire")
             active = stages.terms(levels, packed, store)
-        cost = stages.cost(levels, exact, packed)
+            cost = stages.cost(levels, exact, packed)
+            fidelity = stages.fidelity(levels, exact, packed, store, active)
         began = time.perf_counter()
         views = choose_start_views(levels.level(len(levels) - 1), space, seed=config.level_views.seed)
         provenance = {
             **(about or {}), "config": config.as_dict(), "levels": quality, "directions": directions,
             "views": describe_poses(views),
         }  # fmt: skip
-        info = PackageInfo(_axis(space), config.meters_per_unit, cost, provenance)
+        info = PackageInfo(_axis(space), config.meters_per_unit, cost, provenance, fidelity)
         with write_package(
             target, levels, packed, info=info, visibility=sets, active_terms=active, progress=progress
         ) as package:
@@ -175,7 +177,7 @@ def stages_of(
 
 
 def check_scene(scene: Gaussians | Levels, config: PrepareConfig) -> None:
-    """Raise unless a package can be made of a scene.
+    """Raise unless a scene can become a package.
 
     Raises:
         SceneError: If the scene has nothing to see.

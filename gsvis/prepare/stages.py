@@ -28,8 +28,8 @@ from gsvis.files.atomic import atomic_path
 from gsvis.files.fields import parse_object
 from gsvis.files.limits import read_whole
 from gsvis.io.levels import MAP, levels_info, load_levels, save_levels
-from gsvis.package import Cost, in_package_order, measure_cost
-from gsvis.package.active_terms import colors_hash
+from gsvis.package import Contents, Cost, ExactLevel, Fidelity, in_package_order, measure_cost, measure_fidelity
+from gsvis.package.active_terms import ActiveTerms, colors_hash
 from gsvis.prepare.active_terms import build_active_terms
 from gsvis.prepare.colors import find_kept, prepare_colors
 from gsvis.prepare.config import PrepareConfig
@@ -48,7 +48,7 @@ from gsvis.train.level_views import LevelViews, draw_views, load_photograph_view
 
 __all__ = ["StageRecord", "Stages"]
 
-_VERSIONS = {"levels": 2, "sets": 2, "colors": 1, "terms": 1, "cost": 1}  # increase when results change
+_VERSIONS = {"levels": 2, "sets": 2, "colors": 1, "terms": 1, "cost": 1, "fidelity": 1}  # increase when results change
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class StageRecord:
     """The record of a stage in this run.
 
     Attributes:
-        name: "levels", "sets", "colors", "terms", "cost" or "package".
+        name: "levels", "sets", "colors", "terms", "cost", "fidelity" or "package".
         reused: Whether the whole result existed already.
         seconds: Time that it took in this run.
     """
@@ -228,6 +228,44 @@ class Stages:
                     partial.write_text(json.dumps(asdict(cost)), encoding="ascii")
                 self.work.seal_file(name)
             return Cost(**parse_object(self.work.at(name), read_whole(self.work.at(name))).value)
+
+    def fidelity_name(self, levels: Levels, exact: SrbfColors, active: str) -> str:
+        """Return the name of the file of what a client gets."""
+        key = self._key(
+            "fidelity",
+            scene=scene_hash(self.highest),
+            levels=_content(levels),
+            colors=colors_hash(exact),
+            active=active,
+            views=asdict(self.config.fidelity_views),
+            space=space_hash(self.space),
+        )
+        return f"fidelity-{key}.json"
+
+    def fidelity(
+        self, levels: Levels, exact: SrbfColors, packed: QuantizedColors, store: VisibilityStore, active: Path
+    ) -> Fidelity:
+        """Return how near what a client gets comes to the scene as it came, in views that are used for nothing else."""
+        name = self.fidelity_name(levels, exact, active.name)
+        with self._stage("fidelity") as done:
+            if not self.work.whole(name):
+                done.append(True)
+                member, contents = levels.member(len(levels) - 1), Contents.from_levels(levels, packed)
+                with ActiveTerms.open(active) as terms:
+                    found = measure_fidelity(
+                        self.highest, contents, self.config.fidelity_views.cameras(levels, self.space),
+                        exact=ExactLevel(levels.union[member], exact[member]), sets=store, active=terms,
+                        progress=self.progress,
+                    )  # fmt: skip
+                with atomic_path(self.work.at(name)) as partial:
+                    partial.write_text(json.dumps(found.as_dict()), encoding="ascii")
+                self.work.seal_file(name)
+            return Fidelity.from_fields(parse_object(self.work.at(name), read_whole(self.work.at(name))))
+
+    @property
+    def highest(self) -> Gaussians:
+        """The scene as it came, or its highest level."""
+        return self.scene.level(len(self.scene) - 1) if isinstance(self.scene, Levels) else self.scene
 
     def _train(self, folder: Path) -> Levels:
         """Train, measure and save levels, and return them as saved."""

@@ -37,7 +37,7 @@ CLASS_COLORS = {
     "fog": (0.90, 0.62, 0.00),
     "floaters": (0.84, 0.20, 0.00),
 }
-"""RGB of each class in pictures; they can be told apart with any color vision."""
+"""RGB of each class in pictures; they differ for any color vision."""
 
 _MEANING = {
     "flyaways": "far outside of the scene, and no backdrop",
@@ -225,11 +225,11 @@ def _classes(document: dict[str, Any]) -> str:
         cost = each["cost"]
         red, green, blue = (round(255 * value) for value in CLASS_COLORS[name])
         mark = f"<span style='color: rgb({red}, {green}, {blue})'>&#9632;</span> {name}"
-        told = ["", "", ""]
+        lost = ["", "", ""]
         if cost:
-            told = [f"{cost['mean_db']:.1f}", f"{cost['worst_db']:.1f}", f"{cost['changed']:.2%}"]
+            lost = [f"{cost['mean_db']:.1f}", f"{cost['worst_db']:.1f}", f"{cost['changed']:.2%}"]
         back = f"{each['found'] - each['removed']:,}"
-        rows.append((mark, _MEANING[name], f"{each['found']:,}", back, f"{each['removed']:,}", *told))
+        rows.append((mark, _MEANING[name], f"{each['found']:,}", back, f"{each['removed']:,}", *lost))
     header = ("class", "what it is", "found", "given back", "goes", "dB", "worst dB", "pixels that show mostly this")
     hidden = ", ".join(HIDDEN)
     return table(header, rows) + (

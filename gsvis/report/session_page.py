@@ -77,7 +77,7 @@ def format_figures(systems: list[dict[str, Any]]) -> tuple[tuple[str, ...], Rows
         ("records sent twice", *cells("records_twice", lambda v: f"{v:,}")),
         ("Gaussians sent", *cells("gaussian_share", share)),
         ("of them replaced since", *cells("replaced_share", share)),
-        ("chosen for a view and never in the picture", *cells("unseen_share", share)),
+        ("chosen, never seen", *cells("unseen_share", share)),
     ]
     if has_terms:
         rows.append(("SRBFs sent", *cells("term_share", share)))

@@ -1,4 +1,4 @@
-"""Measure what tells an object, rooms and an open place apart, by rays through the voxel grid.
+"""Measure what separates an object, rooms and an open place, by rays through the voxel grid.
 
 Frame and units are those of the grid: voxels. Everything is deterministic. This module knows no kind and no camera.
 """

@@ -24,7 +24,7 @@ from gsvis.scene._evidence import (
 )
 from gsvis.scene._occupancy import MIN_SHARE, Occupancy
 from gsvis.scene.gaussians import Gaussians
-from gsvis.scene.kinds import WALKABLE, SpaceKind, is_rooms, tell_kind
+from gsvis.scene.kinds import WALKABLE, SpaceKind, find_kind, is_rooms
 
 __all__ = ["above_ground", "eye_heights", "find_eyes", "stand_around"]
 
@@ -81,11 +81,11 @@ def find_eyes(
     large = free if len(seeds) or free.mean() >= MIN_SHARE else np.zeros_like(free)
     evidence = gather(space, large, seen, up)
     if is_rooms(evidence):
-        return space, free, rule, replace(tell_kind(evidence), eyes=_HELD if len(seeds) else "inside")
+        return space, free, rule, replace(find_kind(evidence), eyes=_HELD if len(seeds) else "inside")
     standing = above_ground(space, up)
     walked = footprint(standing, up) >= WALKABLE
     evidence = with_ground(evidence, space, standing if walked else large, seen, up)
-    kind = tell_kind(evidence)
+    kind = find_kind(evidence)
     if len(seeds):
         return space, free, rule, replace(kind, eyes=_HELD)
     if kind.kind == "object":

@@ -1,7 +1,7 @@
-"""Tell what a scene is, so that eyes are put where people look from: around an object, in rooms, or on the ground.
+"""Classify a scene, so that eyes are put where people look from: around an object, in rooms, or on the ground.
 
 The verdict rests on figures that `_evidence.py` measures. This module knows no grid and no Gaussian.
-docs/design/033-kinds-of-space.md tells how the thresholds were chosen.
+docs/design/033-kinds-of-space.md says how the thresholds were chosen.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-__all__ = ["Evidence", "Kind", "SpaceKind", "is_rooms", "tell_kind"]
+__all__ = ["Evidence", "Kind", "SpaceKind", "find_kind", "is_rooms"]
 
 Kind = Literal["object", "rooms", "open place", "given"]
 
@@ -70,7 +70,7 @@ def is_rooms(found: Evidence) -> bool:
     return found.roofed >= ROOFED and found.seen_within >= found.seen_outside
 
 
-def tell_kind(found: Evidence) -> SpaceKind:
+def find_kind(found: Evidence) -> SpaceKind:
     """Return what a scene is, by the evidence.
 
     Rooms have something above, and more of them is seen from within than from outside. An open place has surroundings

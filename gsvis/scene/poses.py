@@ -2,16 +2,44 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from gsvis.scene.cameras import Cameras
-from gsvis.scene.gaussians import quats_from_rotations
+import numpy as np
 
-__all__ = ["describe_poses"]
+from gsvis.scene.cameras import Cameras, intrinsics
+from gsvis.scene.gaussians import quats_from_rotations, rotations_from_quats
+
+__all__ = ["cameras_from_poses", "describe_poses"]
 
 
-def describe_poses(cameras: Cameras | None) -> list[dict[str, Any]]:
+def cameras_from_poses(poses: Sequence[Mapping[str, Any]], width: int, height: int, fov: float) -> Cameras:
+    """Return cameras at poses that `describe_poses` returned.
+
+    Args:
+        poses: C poses with `position` (3,) and `rotation` (4,) wxyz, world from camera.
+        width: Pixels.
+        height: Pixels.
+        fov: Horizontal field of view, degrees.
+
+    Raises:
+        ValueError: If a pose is not rigid.
+    """
+    quats = np.array([pose["rotation"] for pose in poses], np.float64).reshape(-1, 4)
+    eyes = np.array([pose["position"] for pose in poses], np.float64).reshape(-1, 3)
+    quats = quats / np.linalg.norm(quats, axis=1, keepdims=True)
+    viewmats = np.tile(np.eye(4), (len(poses), 1, 1))
+    viewmats[:, :3, :3] = np.swapaxes(rotations_from_quats(quats), 1, 2)
+    viewmats[:, :3, 3] = -np.einsum("cij,cj->ci", viewmats[:, :3, :3], eyes)
+    return Cameras(viewmats, np.tile(intrinsics(width, height, fov), (len(poses), 1, 1)), width, height)
+
+
+def describe_poses(cameras: Cameras | None, *, decimals: int | None = 6) -> list[dict[str, Any]]:
     """Return `position` (3,) and `rotation` (4,) wxyz, world from camera, of each camera, ready for JSON; none of None.
+
+    Args:
+        cameras: The cameras.
+        decimals: Digits after the point; None keeps all.
 
     Examples:
         >>> describe_poses(Cameras.look_at([(1, 0, 0)], [(1, 0, 5)], up=(0, -1, 0)))
@@ -20,7 +48,13 @@ def describe_poses(cameras: Cameras | None) -> list[dict[str, Any]]:
     if cameras is None:
         return []
     quats = quats_from_rotations(cameras.viewmats[:, :3, :3].transpose(0, 2, 1))
+    if decimals is not None:
+        digits = decimals
+        return [
+            {"position": [round(v, digits) + 0.0 for v in eye], "rotation": [round(v, digits) + 0.0 for v in quat]}
+            for eye, quat in zip(cameras.viewpoints.tolist(), quats.tolist(), strict=True)
+        ]
     return [
-        {"position": [round(float(v), 6) + 0.0 for v in eye], "rotation": [round(float(v), 6) + 0.0 for v in quat]}
-        for eye, quat in zip(cameras.viewpoints, quats, strict=True)
+        {"position": eye, "rotation": quat}
+        for eye, quat in zip(cameras.viewpoints.tolist(), quats.tolist(), strict=True)
     ]

@@ -197,7 +197,10 @@ class StreamClient:
                 self.restarts += 1
             self.connections += 1
             await _say(socket, Ack(0).to_bytes())
-            beside = [asyncio.create_task(self._tell(socket, pose)), asyncio.create_task(self._keep_alive(socket))]
+            beside = [
+                asyncio.create_task(self._send_poses(socket, pose)),
+                asyncio.create_task(self._keep_alive(socket)),
+            ]
             try:
                 while True:
                     data = await _next(socket)
@@ -238,7 +241,7 @@ class StreamClient:
         with suppress(ConnectionClosed, TimeoutError):
             await self._clock.within(_LEAVE_S, socket.send(Bye().to_bytes()))
 
-    async def _tell(self, socket: ClientConnection, pose: Pose) -> None:
+    async def _send_poses(self, socket: ClientConnection, pose: Pose) -> None:
         """Send the viewer's pose at a steady rate."""
         start, step = time.monotonic(), 1.0 / self.config.poses_per_s
         for k in itertools.count():

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gsvis import _check
 from gsvis.abr.candidates import CandidateIndex
 from gsvis.abr.cones import TermCones
-from gsvis.abr.index import SceneIndex
+from gsvis.abr.index import SceneIndex, SceneTerms
 from gsvis.color.activation import Activation
 from gsvis.color.srbf import unit_vectors
 from gsvis.files.cache import Cache
@@ -143,23 +143,24 @@ def _chunk_rows(contents: Contents) -> NDArray[np.void]:
 def _scene_index(package: Package, cache: Cache[Any]) -> SceneIndex:
     """Return the index of a package for planners. Its visible sets are kept in `cache`."""
     contents, manifest = package.contents, package.manifest
-    sizes: dict[str, Any] = {
-        "gaussian_bytes": float(RECORD_BYTES),
-        "term_offsets": contents.term_offsets,
-        "term_bytes": float(SceneHeader.from_manifest(manifest).term_bytes),
-    }
+    nbytes = float(SceneHeader.from_manifest(manifest).term_bytes)
     if manifest.visibility is not None:
         sets = package.visibility
         sets.cache = cache
         active = None if manifest.active_terms is None else package.active_terms
         cones = None if active is None else term_cones(contents, active.epsilon)
-        weights = class_weights(sets)
         return SceneIndex.from_levels(
-            contents.levels(), sets.grid, sets, active=active, cones=cones, class_weights=weights, **sizes
-        )  # fmt: skip
+            contents.levels(),
+            sets.grid,
+            sets,
+            terms=SceneTerms(contents.term_offsets, nbytes, active, cones),
+            gaussian_bytes=float(RECORD_BYTES),
+            class_weights=class_weights(sets),
+        )
     low, high = contents.gaussians().bounds(1.0) if len(contents) else (np.zeros(3), np.ones(3))
     side = max(float((high - low).max()), 1e-6)
     up = np.array(manifest.info.up)
     grid = CellGrid((low + high) / 2 - side / 2, side, (1, 1, 1), np.zeros((1, 3), np.int32), up)
     every = EveryCell(len(contents), len(contents.term_records))
-    return SceneIndex.from_levels(contents.levels(), grid, every, active=every, **sizes)
+    terms = SceneTerms(contents.term_offsets, nbytes, every)
+    return SceneIndex.from_levels(contents.levels(), grid, every, terms=terms, gaussian_bytes=float(RECORD_BYTES))

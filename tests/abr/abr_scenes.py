@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gsvis.abr.cones import TermCones
-from gsvis.abr.index import SceneIndex, nearest_replacements
+from gsvis.abr.index import SceneIndex, SceneTerms, nearest_replacements
 from gsvis.package.order import in_package_order
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.codec import pack
@@ -83,15 +83,14 @@ def random_index(
         owners = np.repeat(np.arange(count), np.diff(offsets))
         terms.append(np.flatnonzero(np.isin(owners, ids) & (rng.random(len(owners)) < 0.4)))
     cells = ArrayCells(count, members, terms)
+    found = random_cones(rng, int(offsets[-1])) if cones else None
+    sizes, nbytes = rng.integers(10, 20, count), rng.uniform(3, 6, int(offsets[-1]))
     return SceneIndex.from_levels(
         made,
         grid,
         cells,
-        active=cells,
-        cones=random_cones(rng, int(offsets[-1])) if cones else None,
-        gaussian_bytes=rng.integers(10, 20, count),
-        term_offsets=offsets,
-        term_bytes=rng.uniform(3, 6, int(offsets[-1])),
+        terms=SceneTerms(offsets, nbytes, cells, found),
+        gaussian_bytes=sizes,
         class_weights=np.geomspace(0.01, 0.8, classes),
     )
 

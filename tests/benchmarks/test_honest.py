@@ -6,6 +6,7 @@ import asyncio
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -105,8 +106,8 @@ def test_what_the_server_builds_wrong_is_counted(
 ) -> None:  # fmt: skip
     build = StreamedScene.__init__
 
-    def wrong(self: StreamedScene, *args: object, **options: object) -> None:
-        build(self, *args, **options)  # type: ignore[arg-type]
+    def wrong(self: StreamedScene, *args: Any, **options: Any) -> None:
+        build(self, *args, **options)
         if kind == "rows":
             assert self.chunk_rows["last_level"].any()
             self.chunk_rows["last_level"] = 0  # which no picture shows

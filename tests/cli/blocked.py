@@ -13,6 +13,7 @@ from contextlib import nullcontext, redirect_stderr, redirect_stdout
 from importlib.machinery import ModuleSpec
 from io import StringIO
 from types import ModuleType
+from typing import Any
 
 
 class Blocked:
@@ -45,8 +46,8 @@ def make_quick() -> None:
     serve = Server.run
     few = replace(PrepareConfig().cost_views, count=1, width=24, height=20)
 
-    def initialize(self: PrepareConfig, *words: object, **named: object) -> None:
-        before(self, *words, **{"cost_views": few, "level_held_out": 1, **named})  # type: ignore[arg-type]
+    def initialize(self: PrepareConfig, *words: Any, **named: Any) -> None:
+        before(self, *words, **{"cost_views": few, "fidelity_views": few, "level_held_out": 1, **named})
         object.__setattr__(self, "colors", replace(self.colors, views=few))
 
     def run(self: Server) -> None:
@@ -58,7 +59,7 @@ def make_quick() -> None:
 
 
 def main() -> None:
-    sys.meta_path.insert(0, Blocked(sys.argv[1:]))  # type: ignore[arg-type]
+    sys.meta_path.insert(0, Blocked(sys.argv[1:]))
     make_quick()
     from gsvis._extras import has
     from gsvis.cli import main as run

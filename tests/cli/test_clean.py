@@ -1,4 +1,4 @@
-"""`gsvis clean` at the command line: tell, report, select, apply, remove; wrong arguments."""
+"""`gsvis clean` at the command line: print, report, select, apply, remove; wrong arguments."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ def test_a_scene_is_shown_selected_and_cleaned_in_one_go(
     scene, out = str(folder / "dirty.ply"), str(tmp_path / "clean.ply")
     words = ["clean", scene, *QUICK, "-o", out, "--select", str(tmp_path / "s.npy"), "--report", str(tmp_path / "r")]
     assert main([*words, "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
+    found = json.loads(capsys.readouterr().out)
     before, after = load_scene(scene), load_scene(out)
     classes = np.load(tmp_path / "s.npy")
-    assert len(after) == told["kept"] == int(np.count_nonzero(classes == 0)) < len(before)
+    assert len(after) == found["kept"] == int(np.count_nonzero(classes == 0)) < len(before)
     assert np.array_equal(after.means, before.means[classes == 0])
     for name in ("fog", "floaters", "flyaways"):
-        assert told["classes"][name]["removed"] == int(np.count_nonzero(classes == class_of(name))) > 0
+        assert found["classes"][name]["removed"] == int(np.count_nonzero(classes == class_of(name))) > 0
     page = (tmp_path / "r" / "report.html").read_text(encoding="utf-8")
     assert "floaters" in page
     assert "<script" not in page
@@ -47,7 +47,7 @@ def test_a_scene_is_shown_selected_and_cleaned_in_one_go(
         file.name for file in (tmp_path / "r").iterdir()
     }
     report = json.loads((tmp_path / "r" / "report.json").read_text(encoding="utf-8"))
-    assert report["classes"] == told["classes"]
+    assert report["classes"] == found["classes"]
     again = str(tmp_path / "again.ply")
     assert main(["clean", scene, "--apply", str(tmp_path / "s.npy"), "-o", again]) == 0
     assert "Gaussians" in capsys.readouterr().out
@@ -55,7 +55,7 @@ def test_a_scene_is_shown_selected_and_cleaned_in_one_go(
     fog = str(tmp_path / "fog.ply")
     assert main(["clean", scene, "--apply", str(tmp_path / "s.npy"), "-o", fog, "--classes", "fog", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["removed"]["floaters"] == 0
-    assert len(load_scene(fog)) == len(before) - told["classes"]["fog"]["removed"]
+    assert len(load_scene(fog)) == len(before) - found["classes"]["fog"]["removed"]
 
 
 def test_without_out_nothing_is_written(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

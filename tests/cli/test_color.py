@@ -137,7 +137,7 @@ def test_a_report_and_a_test_for_a_person(ply: Path, tmp_path: Path, capsys: Cap
     assert report["terms"] == found["terms"]
     assert report["quality"]["all_terms"] == found["quality"]["all_terms"]
     assert "--max-terms 2 --mean-terms 1" in report["command"]
-    assert found["epsilon"]["from"] == "calibrated"  # without being asked for, since the report tells it
+    assert found["epsilon"]["from"] == "calibrated"  # without being asked for, since the report shows it
     assert srbf_info(tmp_path / "a.arrow").provenance["epsilon"] == found["epsilon"]["value"]
     assert found["epsilon"]["value"] in [each["epsilon"] for each in found["quality"]["active"]]
     assert "gsvis-epsilon" in (tmp_path / "t.html").read_text(encoding="utf-8")

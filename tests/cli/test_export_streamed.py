@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 
 from gsvis.cli import main
-from gsvis.io import load_scene, save_scene
-from tests.export.test_needs import store_of, two_heaps
+from gsvis.io import load_scene
+from tests.cli.leaf_exports import check_refused, heaps
+from tests.export.test_needs import store_of
 
 FORMAT = ["--format", "streamed-sog"]
 
 
 @pytest.fixture
 def ply(tmp_path: Path) -> Path:
-    save_scene(two_heaps(), tmp_path / "s.ply")
-    return tmp_path / "s.ply"
+    return heaps(tmp_path)
 
 
 def test_a_scene_and_its_sets_become_leaves(ply: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -53,27 +53,11 @@ def test_without_sets_it_says_so(ply: Path, tmp_path: Path, capsys: pytest.Captu
         (["PLY", "-o", "PLY", *FORMAT], "a folder"),
         (["PLY", "-o", "FULL", *FORMAT, "--overwrite"], "something else"),
         (["OURS", "-o", "OURS", *FORMAT, "--overwrite"], "outside of SCENE"),
-        (["OURS/lod-meta.json", "-o", "OURS", *FORMAT, "--overwrite"], "outside of SCENE"),
+        (["META", "-o", "OURS", *FORMAT, "--overwrite"], "outside of SCENE"),
         (["PLY", "-o", "OURS", *FORMAT], "--overwrite"),
     ],
 )
 def test_wrong_arguments_are_one_line_and_write_nothing(
-    words: list[str], wanted: str, ply: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    words: list[str], wanted: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "full").mkdir()
-    (tmp_path / "full" / "notes.txt").write_text("mine")
-    store_of(tmp_path / "other.pvs", two_heaps(50), [np.arange(50)]).close()
-    assert main(["export", str(ply), "-o", str(tmp_path / "ours"), *FORMAT]) == 0
-    capsys.readouterr()
-    known = {"PLY": ply, "OUT": tmp_path / "out", "NONE": tmp_path / "none.pvs", "OTHER": tmp_path / "other.pvs"}
-    known |= {"FULL": tmp_path / "full", "OURS": tmp_path / "ours"}
-    known["OURS/lod-meta.json"] = tmp_path / "ours" / "lod-meta.json"
-    before = (tmp_path / "ours" / "lod-meta.json").read_bytes()
-    assert main(["export", *(str(known.get(word, word)) for word in words)]) == 2
-    error = capsys.readouterr().err
-    assert any(part in error for part in wanted.split("|")), error
-    if "--leaf" not in words or "1" not in words:  # what tyro says of a value is a box
-        assert len(error.strip().splitlines()) == 1
-    assert not (tmp_path / "out").exists()
-    assert (tmp_path / "ours" / "lod-meta.json").read_bytes() == before
-    assert [p.name for p in (tmp_path / "full").iterdir()] == ["notes.txt"]
+    check_refused(words, wanted, FORMAT, tmp_path, capsys)

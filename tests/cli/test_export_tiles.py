@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 
 from gsvis.cli import main
-from gsvis.io import load_scene, save_scene
-from tests.export.test_needs import store_of, two_heaps
+from gsvis.io import load_scene
+from tests.cli.leaf_exports import check_refused, heaps
+from tests.export.test_needs import store_of
 
 TILES, GLB = ["--format", "3dtiles"], ["--format", "glb"]
 
 
 @pytest.fixture
 def ply(tmp_path: Path) -> Path:
-    save_scene(two_heaps(), tmp_path / "s.ply")
-    return tmp_path / "s.ply"
+    return heaps(tmp_path)
 
 
 def test_a_scene_becomes_tiles(ply: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -77,21 +77,6 @@ def test_a_scene_becomes_one_file_that_is_a_scene(
     ],
 )
 def test_wrong_arguments_are_one_line_and_write_nothing(
-    words: list[str], wanted: str, ply: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    words: list[str], wanted: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "full").mkdir()
-    (tmp_path / "full" / "notes.txt").write_text("mine")
-    store_of(tmp_path / "other.pvs", two_heaps(50), [np.arange(50)]).close()
-    assert main(["export", str(ply), "-o", str(tmp_path / "ours"), *TILES]) == 0
-    capsys.readouterr()
-    before = {p.name: p.read_bytes() for p in (tmp_path / "ours").iterdir()}
-    known = {"PLY": ply, "OTHER": tmp_path / "other.pvs", "NOTHING": tmp_path / "nothing.ply"}
-    known |= {name: tmp_path / name.lower() for name in ("OUT", "OUT.glb", "OUT.gltf", "FULL", "OURS")}
-    known["TILE"] = next((tmp_path / "ours").glob("*.glb"))
-    assert main(["export", *(str(known.get(word, word)) for word in words)]) == 2
-    error = capsys.readouterr().err
-    assert any(part in error for part in wanted.split("|")), error
-    assert len(error.strip().splitlines()) == 1
-    assert not [p for p in tmp_path.iterdir() if p.name.startswith("out")]
-    assert {p.name: p.read_bytes() for p in (tmp_path / "ours").iterdir()} == before
-    assert [p.name for p in (tmp_path / "full").iterdir()] == ["notes.txt"]
+    check_refused(words, wanted, TILES, tmp_path, capsys)

@@ -177,7 +177,7 @@ def test_a_full_standard_output_is_reported(world: dict[str, Path]) -> None:
         pytest.skip("no /dev/full here")
     for words in (["inspect", str(world["ply"])], ["inspect", str(world["ply"]), "--json"], ["--help"], ["--version"]):
         with full.open("w") as stdout:
-            command = [sys.executable, "-m", "gsvis.cli", *words]
+            command = [sys.executable, "-m", "gsvis", *words]
             done = subprocess.run(command, stdout=stdout, stderr=subprocess.PIPE, text=True, check=False)
         assert done.returncode == 1
         assert done.stderr.startswith("gsvis: error: standard output: cannot be written: no space left on device")

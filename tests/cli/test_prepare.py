@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -35,14 +36,14 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     few = replace(PrepareConfig().cost_views, count=1, width=24, height=20)
     before = PrepareConfig.__init__
 
-    def smaller(self: PrepareConfig, *words: object, **named: object) -> None:
-        before(self, *words, **{"cost_views": few, "level_held_out": 1, **named})  # type: ignore[arg-type]
+    def smaller(self: PrepareConfig, *words: Any, **named: Any) -> None:
+        before(self, *words, **{"cost_views": few, "fidelity_views": few, "level_held_out": 1, **named})
         object.__setattr__(self, "colors", replace(self.colors, views=few))
 
     monkeypatch.setattr(PrepareConfig, "__init__", smaller)
 
 
-def run(capsys: Capture, *words: object, code: int = 0) -> tuple[str, str]:
+def run(capsys: Capture, *words: Any, code: int = 0) -> tuple[str, str]:
     capsys.readouterr()
     got = main(["prepare", *map(str, words)])
     out, err = capsys.readouterr()
@@ -51,7 +52,7 @@ def run(capsys: Capture, *words: object, code: int = 0) -> tuple[str, str]:
     return out, " ".join(err.split())
 
 
-def refused(capsys: Capture, *words: object) -> str:
+def refused(capsys: Capture, *words: Any) -> str:
     out, err = run(capsys, *words, code=2)
     assert out == ""
     return err
@@ -61,7 +62,8 @@ def test_a_scene_becomes_a_package_with_levels_and_tables(tmp_path: Path, capsys
     target = tmp_path / "new" / "s.gsvis"
     text, _ = run(capsys, SCENE, "-o", target, *QUICK, "--meters-per-unit", "0.5")
     assert max(map(len, text.splitlines())) <= 80
-    for label in ("low", "against the scene", "cost of rounding", "dB", "+z; 0.5 meters", "s.gsvis.work", "made"):
+    labels = ["low", "against the scene", "cost of rounding", "dB", "What a client gets", "records for exact values"]
+    for label in (*labels, "+z; 0.5 meters", "s.gsvis.work", "made"):
         assert label in text
     with Package.open(target) as package:
         assert package.manifest.names == ("low", "medium", "high")
@@ -72,7 +74,7 @@ def test_a_scene_becomes_a_package_with_levels_and_tables(tmp_path: Path, capsys
     assert main(["verify", str(target)]) == 0
     assert "0.5" in capsys.readouterr().out
     again, _ = run(capsys, SCENE, "-o", target, *QUICK, "--meters-per-unit", "0.5")
-    assert again.count("there already") == 6
+    assert again.count("there already") == 7
     assert main(["unpack", str(target), "-o", str(tmp_path / "levels"), "--json"]) == 0
     out = tmp_path / "again.gsvis"
     capsys.readouterr()
@@ -91,23 +93,24 @@ def test_one_document_for_a_result_and_for_an_estimate(tmp_path: Path, capsys: C
     assert list(tmp_path.iterdir()) == []
     assert (asked["format"], asked["version"]) == ("gsvis-preparation-estimate", 1)
     assert asked["load"] is None or asked["load"] >= 0.0
-    assert [stage["state"] for stage in asked["stages"]] == ["given", *["to do"] * 5]
+    assert [stage["state"] for stage in asked["stages"]] == ["given", *["to do"] * 6]
     found = json.loads(run(capsys, *words, "--json")[0])
     assert (found["format"], found["version"]) == ("gsvis-preparation", 1)
     assert [stage["name"] for stage in found["stages"]] == [stage["name"] for stage in asked["stages"]]
     assert found["levels"] == [{"name": "high", "gaussians": found["gaussians"]}]
     assert found["bytes"] == sum(path.stat().st_size for path in (target / "parts").iterdir())
-    assert found["cost"]["views"] == 1
+    assert found["cost"]["views"] == found["fidelity"]["views"] == 1
+    assert list(found["fidelity"]["steps"]) == ["levels", "terms", "rounding", "cells"]
     assert found["meters_per_unit"] == 0.0
     text, _ = run(capsys, *words, "--dry-run")
     assert "Nothing was written." in text
-    assert text.count("done") == 4
+    assert text.count("done") == 5
 
 
 def test_it_says_what_is_kept_when_it_is_stopped(
     tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def stop(*words: object, **named: object) -> None:
+    def stop(*words: Any, **named: Any) -> None:
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
@@ -115,7 +118,7 @@ def test_it_says_what_is_kept_when_it_is_stopped(
         _, err = run(capsys, SCENE, "-o", tmp_path / "s.gsvis", *TINY, *FLAT, code=130)
     assert "kept in s.gsvis.work; run the same command to resume" in err
     found = json.loads(run(capsys, SCENE, "-o", tmp_path / "s.gsvis", *TINY, *FLAT, "--json")[0])
-    assert [stage["name"] for stage in found["stages"] if not stage["reused"]] == ["cost", "package"]
+    assert [stage["name"] for stage in found["stages"] if not stage["reused"]] == ["cost", "fidelity", "package"]
 
 
 def test_wrong_arguments_are_refused_at_once(tmp_path: Path, capsys: Capture) -> None:

@@ -22,7 +22,7 @@ from tests.cli.halted import Halted
 Capture = pytest.CaptureFixture[str]
 QUICK = ["--cells", "8", "--size", "16", "--workers", "1", "--rays", "256", "--max-inner", "1"]
 BOX = ["--box", "0.5", "0.5", "0.5", "3.5", "3.5", "2.5"]
-GSVIS = [sys.executable, "-m", "gsvis.cli"]
+GSVIS = [sys.executable, "-m", "gsvis"]
 
 
 @pytest.fixture

@@ -43,7 +43,7 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @contextmanager
 def process(*arguments: object, **environment: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """A server and its address."""
-    command = [sys.executable, "-m", "gsvis.cli", "serve", *map(str, arguments), *PATIENT, "--json"]
+    command = [sys.executable, "-m", "gsvis", "serve", *map(str, arguments), *PATIENT, "--json"]
     running = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=PLAIN | environment
     )

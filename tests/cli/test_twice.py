@@ -7,6 +7,7 @@ import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -63,8 +64,8 @@ def quick() -> object:
     few = replace(PrepareConfig().cost_views, count=1, width=24, height=20)
     before = PrepareConfig.__init__
 
-    def smaller(self: PrepareConfig, *words: object, **named: object) -> None:
-        before(self, *words, **{"cost_views": few, "level_held_out": 1, **named})  # type: ignore[arg-type]
+    def smaller(self: PrepareConfig, *words: Any, **named: Any) -> None:
+        before(self, *words, **{"cost_views": few, "fidelity_views": few, "level_held_out": 1, **named})
         object.__setattr__(self, "colors", replace(self.colors, views=few))
 
     made = replace(two_rooms(1000, sh_degree=1), navigable=NavigableSpace.from_box((1, 1, 1), (7, 3, 2), 12))

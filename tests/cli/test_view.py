@@ -36,7 +36,7 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @contextmanager
 def viewing(*arguments: object, **environment: str) -> Iterator[tuple[subprocess.Popen[str], dict[str, Any]]]:
     """A running command and the document that it prints."""
-    command = [sys.executable, "-m", "gsvis.cli", "view", *map(str, arguments), "--port", "0", "--json"]
+    command = [sys.executable, "-m", "gsvis", "view", *map(str, arguments), "--port", "0", "--json"]
     running = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=PLAIN | environment
     )
@@ -121,7 +121,7 @@ def preparing(monkeypatch: pytest.MonkeyPatch, scenes: Scenes, package: object) 
     start = subprocess.Popen
 
     def stand_in(words: list[str], **options: Any) -> subprocess.Popen[bytes]:
-        assert words[2:] == ["gsvis.cli", "prepare", "shown", "-o", "made.gsvis"]
+        assert words[1:] == ["-m", "gsvis", "prepare", "shown", "-o", "made.gsvis"]
         return start([sys.executable, "-c", CHILD, str(package)], **options)
 
     monkeypatch.setattr(view.subprocess, "Popen", stand_in)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numba
 import numpy as np
 import pytest
@@ -19,9 +21,9 @@ from tests.color.samples import random_colors
 EYE = np.array([0.3, -0.2, 0.1])
 
 
-def replaced(colors: SrbfColors, **fields: object) -> SrbfColors:
+def replaced(colors: SrbfColors, **fields: Any) -> SrbfColors:
     names = ("variant", "base", "scales", "axes", "offsets", "functions", "centers", "decays", "intensities")
-    return SrbfColors(**{name: fields.get(name, getattr(colors, name)) for name in names})  # type: ignore[arg-type]
+    return SrbfColors(**{name: fields.get(name, getattr(colors, name)) for name in names})
 
 
 @pytest.mark.parametrize("name", VARIANTS)
@@ -173,7 +175,7 @@ def test_bad_arguments() -> None:
     with pytest.raises(ValueError, match="directions: expected non-zero"):
         maker.along([[0, 0, 0]])
     with pytest.raises(ValueError, match="colors: expected SrbfColors, got ndarray"):
-        evaluate(np.zeros((4, 3)), np.zeros((4, 3)), EYE)  # type: ignore[arg-type]
+        evaluate(np.zeros((4, 3)), np.zeros((4, 3)), EYE)
 
 
 def test_colors_without_terms_are_their_base_from_everywhere() -> None:

@@ -70,7 +70,7 @@ def test_gradients_are_finite_at_the_edges(name: str) -> None:
     means = torch.zeros((40, 3), requires_grad=True)
     image = evaluate_torch(tensors, means, np.zeros(3)) + evaluate_torch(tensors, means, EYE)
     assert torch.isfinite(image).all()
-    image.sum().backward()  # type: ignore[no-untyped-call]
+    torch.autograd.backward(image.sum())
     for leaf in (means, *(getattr(tensors, n) for n in LEAVES if getattr(tensors, n).numel())):
         assert torch.isfinite(leaf.grad).all()
 
@@ -94,7 +94,7 @@ def test_a_step_of_descent_lowers_the_error() -> None:
     for _ in range(5):
         optimizer.zero_grad()
         error = (evaluate_torch(tensors, means, EYE) - target).square().sum()
-        error.backward()  # type: ignore[no-untyped-call]
+        torch.autograd.backward(error)
         optimizer.step()
         errors.append(float(error.detach()))
     assert errors == sorted(errors, reverse=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -227,7 +229,8 @@ def test_bad_arguments_are_named() -> None:
         ({"importance": np.ones(2)}, "importance: expected shape"),
     ):
         with pytest.raises(ValueError, match=match):
-            fit_srbf(g, **{"directions": None, **bad})  # type: ignore[arg-type]
+            options: dict[str, Any] = {"directions": None, **bad}
+            fit_srbf(g, **options)
     for wrong, match in (
         ({"variant": "lab"}, "variant: expected one of"),
         ({"max_terms": -1}, "max_terms: expected"),
@@ -237,4 +240,4 @@ def test_bad_arguments_are_named() -> None:
         ({"ridge": float("nan")}, "ridge: expected"),
     ):
         with pytest.raises(ValueError, match=match):
-            FitConfig(**wrong)  # type: ignore[arg-type]
+            FitConfig(**wrong)

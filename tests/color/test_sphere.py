@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -134,19 +136,19 @@ def test_a_function_found_exactly_gets_no_more_terms() -> None:
         ("max_terms", {"max_terms": -1}),
     ],
 )
-def test_bad_arguments_are_named(name: str, change: dict[str, object]) -> None:
+def test_bad_arguments_are_named(name: str, change: dict[str, Any]) -> None:
     given = {"values": X[:, 0], "directions": X, "max_terms": 1, **change}
     with pytest.raises(ValueError, match=f"^{name}: "):
-        fit_function(given.pop("values"), given.pop("directions"), **given)  # type: ignore[arg-type]
+        fit_function(given.pop("values"), given.pop("directions"), **given)
 
 
 @pytest.mark.parametrize(
     ("name", "value"),
     [("ridge", 0.0), ("tolerance", -1.0), ("subdivisions", 5), ("searches", 0), ("max_decay", 0.5), ("steps", -1)],
 )
-def test_bad_limits_are_named(name: str, value: float) -> None:
+def test_bad_limits_are_named(name: str, value: Any) -> None:
     with pytest.raises(ValueError, match=f"^{name}: "):
-        SphereConfig(**{name: value})  # type: ignore[arg-type]
+        SphereConfig(**{name: value})
 
 
 def test_bad_terms_are_named(fit: SphereFit) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -135,9 +136,9 @@ def test_gsvis_clean_is_this_one(dirty: Dirty) -> None:
         ({"most_changed": 2.0}, "most_changed"),
     ],
 )
-def test_wrong_settings_are_named(changes: dict[str, object], wanted: str) -> None:
+def test_wrong_settings_are_named(changes: dict[str, Any], wanted: str) -> None:
     with pytest.raises(ValueError, match=wanted):
-        CleanConfig(**changes)  # type: ignore[arg-type]
+        CleanConfig(**changes)
 
 
 def test_a_scene_without_a_surface_is_refused() -> None:
@@ -148,3 +149,17 @@ def test_a_scene_without_a_surface_is_refused() -> None:
         clean(dots(np.random.default_rng(0).random((50, 3)), 0.1, 0.1), navigable=box, config=QUICK)
     with pytest.raises(SceneError):
         clean(Gaussians.empty(), config=QUICK)
+
+
+@pytest.mark.parametrize(("count", "size"), [(1, 0.1), (2, 0.001), (300, 0.004)])
+@pytest.mark.parametrize("inside", [True, False])
+def test_a_scene_without_a_surface_keeps_what_it_has(count: int, size: float, inside: bool) -> None:
+    scene = dots(np.random.default_rng(count).random((count, 3)), size, 0.01)
+    assert not Shape.from_scene(scene).lonely.any()
+    box = NavigableSpace.from_box((-0.5, -0.5, -0.5), (1.5, 1.5, 1.5), 8) if inside else None
+    result = clean(scene, navigable=box, config=QUICK)
+    assert result.counts["fog"] == result.counts["floaters"] == 0
+
+
+def test_a_scene_of_one_gaussian_keeps_it() -> None:
+    assert clean(dots([[1.0, 2.0, 3.0]], 0.1, 0.9), config=QUICK).kept.tolist() == [True]

@@ -157,5 +157,5 @@ def test_wrong_input_is_refused_and_nothing_is_written(tmp_path: Path) -> None:
         write_streamed_sog(tmp_path / "out", Gaussians.empty())
     for wrong in ({"leaf": 1}, {"lost": 1.0}, {"never_seen": "hide"}, {"up": (0.0, 0.0, 0.0)}):
         with pytest.raises(ValueError, match=next(iter(wrong))):
-            StreamedOptions(**wrong)  # type: ignore[arg-type]
+            StreamedOptions(**wrong)
     assert not (tmp_path / "out").exists()

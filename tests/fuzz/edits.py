@@ -89,7 +89,7 @@ def damaged_voxels() -> dict[str, Case]:
     return found | {"a root of itself": first | {"a.voxel.bin": bytes(binary)}}
 
 
-def _saved(array: np.ndarray) -> bytes:  # type: ignore[type-arg]
+def _saved(array: np.ndarray) -> bytes:
     file = io.BytesIO()
     np.save(file, array, allow_pickle=True)
     return file.getvalue()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numba import get_num_threads, set_num_threads
@@ -173,10 +175,10 @@ def test_the_hybrid_holds_what_the_z_buffer_sees() -> None:
         ({"viewpoint": [0, 0]}, "viewpoint: expected shape"),
     ],
 )
-def test_bad_arguments(change: dict[str, object], message: str) -> None:
-    arguments: dict[str, object] = {"viewpoint": np.zeros(3), **change}
+def test_bad_arguments(change: dict[str, Any], message: str) -> None:
+    arguments: dict[str, Any] = {"viewpoint": np.zeros(3), **change}
     with pytest.raises(ValueError, match=message):
-        look_around(Splats.from_gaussians(around(5, 0)), arguments.pop("viewpoint"), **arguments)  # type: ignore[arg-type]
+        look_around(Splats.from_gaussians(around(5, 0)), arguments.pop("viewpoint"), **arguments)
 
 
 def test_an_empty_scene_and_one_too_faint_show_nothing() -> None:

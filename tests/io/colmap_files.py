@@ -39,14 +39,14 @@ def write_mixed(
         (folder / "cameras.txt").write_text("# cameras\n" + "\n".join(lines) + "\n")
         (folder / "images.txt").write_text("# images\n" + "\n".join(posed) + "\n")
     else:
-        told_ = [
+        lenses_ = [
             struct.pack("<iiQQ4d", i, 1, w, h, K[0, 0], K[1, 1], *K[:2, 2]) for i, (*_, K, _, (w, h)) in counted(rows)
         ]
         posed_ = [
             struct.pack("<i7di", i, *quat, *t, i) + name.encode() + b"\0" + struct.pack("<Q", 0)
             for i, (quat, t, _, name, _) in counted(rows)
         ]
-        (folder / "cameras.bin").write_bytes(struct.pack("<Q", len(rows)) + b"".join(told_))
+        (folder / "cameras.bin").write_bytes(struct.pack("<Q", len(rows)) + b"".join(lenses_))
         (folder / "images.bin").write_bytes(struct.pack("<Q", len(rows)) + b"".join(posed_))
     if points is not None:
         write_points(folder / f"points3D.{'txt' if text else 'bin'}", points)

@@ -1,4 +1,4 @@
-"""`load_cameras`: telling the formats apart, one image size, and what real reconstructions give."""
+"""`load_cameras`: which format a file has, one image size, and what real reconstructions give."""
 
 from __future__ import annotations
 

@@ -159,7 +159,7 @@ def test_the_order_is_up_scale_rotate_translate_whatever_is_asked_together() -> 
     whole = convert_scene(scene, up=("-y", "+z"), scale=2.5, rotate=(10, 20, -30), translate=(1, 2, 3))
     steps = convert_scene(scene, up=("-y", "+z"))
     for step in ({"scale": 2.5}, {"rotate": (10, 20, -30)}, {"translate": (1, 2, 3)}):
-        steps = convert_scene(steps, **step)  # type: ignore[arg-type]
+        steps = convert_scene(steps, **step)
     same(whole, steps)
     r = rotation_about_axes((10, 20, -30)) @ rotation_between_axes("-y", "+z")
     np.testing.assert_allclose(whole.means, 2.5 * scene.means @ r.T + [1, 2, 3], atol=1e-5)

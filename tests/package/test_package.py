@@ -7,6 +7,7 @@ import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -49,9 +50,9 @@ def files(folder: Path) -> dict[str, bytes]:
 
 def written(folder: Path, n: int = 400, variant: str = "rgb", *, stores: bool = False) -> Package:
     levels, (exact, colors) = levels_of(n), colors_of(n, variant)
-    given = stores_of(folder.parent / "stores", levels, exact) if stores else {}
+    given: dict[str, Any] = stores_of(folder.parent / "stores", levels, exact) if stores else {}
     info = PackageInfo((0, -1, 0), 0.5, Cost(50.0, 47.0, 3, 64, 48), {"scene": "a test"})
-    return write_package(folder, levels, colors, info=info, **given)  # type: ignore[arg-type]
+    return write_package(folder, levels, colors, info=info, **given)
 
 
 def test_the_folder_of_parts_is_listed_once_while_parts_are_written(
@@ -209,14 +210,14 @@ def test_visible_sets_and_active_terms_travel_whole(tmp_path: Path, monkeypatch:
 
 def test_stores_of_another_scene_are_refused(tmp_path: Path) -> None:
     levels, (exact, colors) = levels_of(), colors_of(400)
-    given = stores_of(tmp_path / "stores", levels, exact)
+    given: dict[str, Any] = stores_of(tmp_path / "stores", levels, exact)
     with pytest.raises(FormatError, match="scene"):
         write_package(tmp_path / "s", levels_of(400, seed=1), colors, visibility=given["visibility"])
     with pytest.raises(ValueError, match="visibility: expected"):
         write_package(tmp_path / "s", levels, colors, active_terms=given["active_terms"])
     fewer = colors_of(400, seed=7)[1]
     with pytest.raises(FormatError, match="terms"):
-        write_package(tmp_path / "s", levels, fewer, **given)  # type: ignore[arg-type]
+        write_package(tmp_path / "s", levels, fewer, **given)
     with written(tmp_path / "s.gsvis") as package:
         with pytest.raises(SceneError, match="no sets"):
             _ = package.visibility

@@ -1,4 +1,4 @@
-"""Small scenes with levels, colors and, where asked for, visible sets: what packages are made of in tests."""
+"""Small scenes with levels, colors and, where asked for, visible sets: the contents of packages in tests."""
 
 from __future__ import annotations
 

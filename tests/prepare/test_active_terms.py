@@ -39,8 +39,9 @@ class World:
         return self.store.path.with_suffix(".terms.arrow")
 
     def build(self, weighted: bool = False) -> ActiveTerms:
-        options = {"provenance": "a test", "weighted": weighted}
-        return build_active_terms(self.colors, self.g, self.store, EPSILON, self.path, **options)  # type: ignore[arg-type]
+        return build_active_terms(
+            self.colors, self.g, self.store, EPSILON, self.path, provenance="a test", weighted=weighted
+        )
 
 
 def world(folder: Path, cells: int = 11, seed: int = 0, variant: str = "rgb", name: str = "w.pvs") -> World:
@@ -152,7 +153,7 @@ def test_it_belongs_to_its_scene_its_colors_and_its_sets(tmp_path: Path) -> None
         ({"sets": other.store}, "sets: expected active terms of visible sets"),
     ):
         with pytest.raises(FormatError, match=message):
-            ActiveTerms.open(w.path, **wrong)  # type: ignore[arg-type]
+            ActiveTerms.open(w.path, **wrong)
     with pytest.raises(FormatError, match="of scene"):
         build_active_terms(other.colors, other.g, w.store, EPSILON, tmp_path / "x.terms.arrow")
     with pytest.raises(ValueError, match="colors: expected those of 150 Gaussians, got 10"):

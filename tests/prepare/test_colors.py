@@ -158,7 +158,7 @@ def test_the_figures_of_fitted_colors_add_up() -> None:
         assert fitted.by_count.sum() == pytest.approx(1.0)
         assert (fitted.by_count * np.arange(len(fitted.by_count))).sum() == pytest.approx(fitted.mean_terms)
         sizes = fitted.sizes()
-        counting = 2 / 8  # bits that tell how many terms a Gaussian has, at most 3
+        counting = 2 / 8  # bits that count the terms of a Gaussian, at most 3
         expected = sizes["base"] + counting + fitted.mean_terms * sizes["term"]
         assert sizes["records"] == pytest.approx(expected, abs=1e-3)
     assert fitted.as_dict()["quality"] is None

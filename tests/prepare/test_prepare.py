@@ -7,6 +7,7 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,8 @@ from PIL import Image
 
 from gsvis.color.fit import FitConfig
 from gsvis.errors import FormatError, SceneError
-from gsvis.package import Package, in_package_order
+from gsvis.package import Package, Spread, in_package_order
+from gsvis.package.fidelity import STEPS
 from gsvis.prepare import PrepareConfig, Prepared, estimate_preparation, prepare_package
 from gsvis.prepare import estimate as estimates
 from gsvis.prepare.colors import ColorConfig
@@ -39,9 +41,10 @@ CONFIG = PrepareConfig(
     sets=PvsConfig(size=16, rays=256, max_inner=1),
     colors=ColorConfig(FitConfig(max_terms=2, refine=False), FEW),
     cost_views=replace(FEW, stream=3),
+    fidelity_views=replace(FEW, stream=5),
     meters_per_unit=0.5,
 )
-STAGES = ["levels", "sets", "colors", "terms", "cost", "package"]
+STAGES = ["levels", "sets", "colors", "terms", "cost", "fidelity", "package"]
 
 
 @pytest.fixture(scope="module")
@@ -68,8 +71,8 @@ def again(made: tuple[Path, Prepared], tmp_path: Path) -> Path:
     return tmp_path / "rooms.gsvis"
 
 
-def prepare(rooms: OccluderScene, out: Path, config: PrepareConfig = CONFIG, **more: object) -> Prepared:
-    return prepare_package(rooms.gaussians, out, rooms.navigable, config, about={"scene": "rooms"}, **more)  # type: ignore[arg-type]
+def prepare(rooms: OccluderScene, out: Path, config: PrepareConfig = CONFIG, **more: Any) -> Prepared:
+    return prepare_package(rooms.gaussians, out, rooms.navigable, config, about={"scene": "rooms"}, **more)
 
 
 def files(folder: Path) -> dict[str, bytes]:
@@ -95,6 +98,11 @@ def test_a_package_holds_everything_that_a_server_needs(made: tuple[Path, Prepar
     assert info.meters_per_unit == 0.5
     assert info.cost is not None
     assert 30 < info.cost.worst <= info.cost.psnr
+    assert info.fidelity is not None
+    assert tuple(info.fidelity.steps) == STEPS
+    assert info.fidelity.steps["levels"] == Spread(100.0, 100.0)
+    assert info.fidelity.cell is not None
+    assert 15 < info.fidelity.records.worst <= info.fidelity.records.psnr < 100
     assert info.provenance["scene"] == "rooms"
     assert info.provenance["config"]["cells"] == 4
     assert [row["worst"] for row in info.provenance["levels"]["psnr"]][-1] == 100.0
@@ -113,17 +121,18 @@ def test_nothing_is_made_twice(again: Path, rooms: OccluderScene) -> None:
 
 
 def test_an_option_changes_only_what_depends_on_it(again: Path, rooms: OccluderScene) -> None:
-    assert new(prepare(rooms, again, replace(CONFIG, epsilon=0.3))) == ["terms", "package"]
+    assert new(prepare(rooms, again, replace(CONFIG, epsilon=0.3))) == ["terms", "fidelity", "package"]
     assert new(prepare(rooms, again, replace(CONFIG, epsilon=0.3, meters_per_unit=2.0))) == []  # parts, that is
     flat = replace(CONFIG, epsilon=0.3, colors=replace(CONFIG.colors, fit=FitConfig(max_terms=0)))
     stages: list[str] = []
     found = prepare(rooms, again, flat, progress=lambda stage, done, total: stages.append(stage))
-    assert new(found) == ["colors", "terms", "cost", "package"]
+    assert new(found) == ["colors", "terms", "cost", "fidelity", "package"]
     assert "importance" not in stages  # what views found serves every fit
     assert found.manifest.terms == 0
     assert new(prepare(rooms, again, replace(flat, cells=1)))[0] == "sets"
     kept = {path.name.partition("-")[0] for path in found.work.iterdir() if not path.name.endswith(".sha256")}
-    assert kept == {"gsvis", "plan.json", "levels", "sets", "colors", "directions.partial", "active", "cost"}
+    pieces = {"levels", "sets", "colors", "active", "cost", "fidelity"}
+    assert kept == {"gsvis", "plan.json", "directions.partial", *pieces}
     assert len([path for path in found.work.iterdir() if path.name.endswith(".pvs")]) == 1  # old pieces have gone
 
 
@@ -172,12 +181,12 @@ def test_damage_in_what_is_kept_is_seen_and_mended(
     made: tuple[Path, Prepared], again: Path, rooms: OccluderScene
 ) -> None:
     work = again.with_name("rooms.gsvis.work")
-    for pattern in ("*.pvs", "levels-*/low.ply", "cost-*.json", "active-*.arrow"):
+    for pattern in ("*.pvs", "levels-*/low.ply", "cost-*.json", "fidelity-*.json", "active-*.arrow"):
         (path,) = work.glob(pattern)
         data = bytearray(path.read_bytes())
         data[len(data) // 2] ^= 1
         path.write_bytes(data)
-    assert new(prepare(rooms, again)) == ["levels", "sets", "terms", "cost"]
+    assert new(prepare(rooms, again)) == ["levels", "sets", "terms", "cost", "fidelity"]
     assert files(again) == files(made[0])
 
 
@@ -228,7 +237,7 @@ def test_an_edit_of_the_scene_is_seen(tmp_path: Path) -> None:
     corner = g.means[:, 0] < g.means[:, 0].min() + 0.3
     moved = Gaussians(g.means + 0.01 * corner[:, None], g.quats, g.scales, g.opacities, g.sh0, g.shN)
     found = prepare_package(moved, tmp_path / "s.gsvis", many.navigable, plain, about={"scene": "rooms"})
-    assert new(found) == ["sets", "colors", "terms", "cost", "package"]
+    assert new(found) == ["sets", "colors", "terms", "cost", "fidelity", "package"]
     with Package.open(tmp_path / "s.gsvis") as package:
         assert package.verify().strays == 0
 
@@ -242,12 +251,12 @@ def test_an_estimate_says_what_is_there_and_writes_nothing(
     work = again.with_name("rooms.gsvis.work")
     before = files(tmp_path)
     done = estimate_preparation(rooms.gaussians, again, rooms.navigable, CONFIG)
-    assert [stage.state for stage in done.stages] == [*["done"] * 5, "to do"]
+    assert [stage.state for stage in done.stages] == [*["done"] * 6, "to do"]
     assert done.seconds < 1
     held = sum(p.stat().st_size for p in again.rglob("*") if p.is_file())
     assert 0.3 * held < done.nbytes < 3 * held
     other = estimate_preparation(rooms.gaussians, again, rooms.navigable, replace(CONFIG, epsilon=0.3))
-    assert [s.name for s in other.stages if s.state == "to do"] == ["terms", "package"]
+    assert [s.name for s in other.stages if s.state == "to do"] == ["terms", "fidelity", "package"]
     fresh = estimate_preparation(rooms.gaussians, tmp_path / "new.gsvis", rooms.navigable, CONFIG)
     assert {stage.state for stage in fresh.stages} == {"to do"}
     assert fresh.seconds > 10.0
@@ -288,9 +297,9 @@ def test_what_cannot_serve_is_refused_before_any_work(rooms: OccluderScene, tmp_
         ("cost_views", replace(FEW, count=0)),
     ],
 )
-def test_wrong_values_are_named(name: str, value: object) -> None:
+def test_wrong_values_are_named(name: str, value: Any) -> None:
     with pytest.raises(ValueError, match=f"^{name}: expected"):
-        replace(CONFIG, **{name: value})  # type: ignore[arg-type]
+        replace(CONFIG, **{name: value})
 
 
 def test_two_runs_of_one_package_do_not_meet(rooms: OccluderScene, tmp_path: Path) -> None:

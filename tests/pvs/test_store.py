@@ -435,7 +435,7 @@ def test_a_store_that_is_not_finished_leaves_nothing(tmp_path: Path, monkeypatch
 
 def test_what_a_store_says_of_itself_is_checked() -> None:
     good = {"gaussians": 5, "scene": "x", "tau": EDGES[0], "class_edges": EDGES}
-    StoreInfo(**good)  # type: ignore[arg-type]
+    StoreInfo(**good)
     for change, message in (
         ({"gaussians": -1}, "gaussians"),
         ({"gaussians": 1 << 31}, "gaussians: expected fewer"),
@@ -446,7 +446,7 @@ def test_what_a_store_says_of_itself_is_checked() -> None:
         ({"config": {"x": np.nan}}, "config"),
     ):
         with pytest.raises(ValueError, match=message):
-            StoreInfo(**{**good, **change})  # type: ignore[arg-type]
+            StoreInfo(**{**good, **change})
 
 
 def test_only_a_few_sets_are_held_while_writing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

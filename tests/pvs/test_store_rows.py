@@ -163,7 +163,7 @@ def test_verify_reports_each_cell(path: Path) -> None:
             assert store.class_interval(level) == pytest.approx(interval)
         for level in (-1, 2, True, 0.5):
             with pytest.raises(ValueError, match=r"level: expected a class in \[0, 2\)"):
-                store.class_interval(level)  # type: ignore[arg-type]
+                store.class_interval(level)
 
 
 def sections_of(path: Path) -> tuple[dict, dict[str, bytes]]:

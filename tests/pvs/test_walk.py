@@ -147,4 +147,4 @@ def test_nonsense_is_refused() -> None:
         measure_walk("a scene", along(1.0))  # type: ignore[arg-type]
     for wrong in ({"seconds": 0.0}, {"rate": -1.0}, {"width": 0}, {"fov": 180.0}, {"tau": 0.0}):
         with pytest.raises(ValueError, match=next(iter(wrong))):
-            WalkConfig(**wrong)  # type: ignore[arg-type]
+            WalkConfig(**wrong)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -14,8 +16,8 @@ from gsvis.scene.gaussians import Gaussians
 from tests.raycast.scenes import KINDS, rays, scene
 
 
-def tracer_of(g: Gaussians, **options: object) -> Tracer:
-    return Tracer(EllipsoidProxies.from_scene(g, **options))  # type: ignore[arg-type]
+def tracer_of(g: Gaussians, **options: Any) -> Tracer:
+    return Tracer(EllipsoidProxies.from_scene(g, **options))
 
 
 def assert_same(got: Contributions, want: Contributions) -> None:

@@ -1,6 +1,8 @@
-"""Largest weights from cameras and viewpoints against the contributions they are made of."""
+"""Largest weights from cameras and viewpoints against the contributions behind them."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 import pytest
@@ -54,9 +56,11 @@ def test_gaussian_rays_equal_the_oracle_along_the_same_rays(kind: str) -> None:
 
 def test_ids_choose_and_order() -> None:
     tracer = tracer_of("mixed")
-    for options in ({"sampling": "gaussians"}, {"sampling": "pixels", "size": 8}):
-        whole = visible_from(tracer, [[0, -2.0, 0], [0, 0, 0]], **options)  # type: ignore[arg-type]
-        some = visible_from(tracer, [[0, -2.0, 0], [0, 0, 0]], ids=[9, 2, 250], **options)  # type: ignore[arg-type]
+    eyes = np.array([[0.0, -2.0, 0.0], [0.0, 0.0, 0.0]])
+    ways: list[dict[str, Any]] = [{"sampling": "gaussians"}, {"sampling": "pixels", "size": 8}]
+    for options in ways:
+        whole = visible_from(tracer, eyes, **options)
+        some = visible_from(tracer, eyes, ids=[9, 2, 250], **options)
         np.testing.assert_array_equal(some, whole[:, [9, 2, 250]])
 
 

@@ -73,7 +73,7 @@ def test_gradients_agree(name: str) -> None:
     for backend, dtype in (("cpu", torch.float32), ("reference", torch.float64)):
         tensors = GaussianTensors.from_gaussians(g, dtype, requires_grad=True)
         terms = SrbfTensors.from_colors(colors, dtype, requires_grad=True)
-        (rasterize(tensors, VIEWS, backend=backend, colors=terms).images * by_image).sum().backward()  # type: ignore[no-untyped-call]
+        torch.autograd.backward((rasterize(tensors, VIEWS, backend=backend, colors=terms).images * by_image).sum())
         leaves = [terms.base, terms.centers, terms.decays, terms.intensities, tensors.means, tensors.opacities]
         gradients.append([leaf.grad.double() for leaf in leaves])  # type: ignore[union-attr]
     for fast, slow in zip(*gradients, strict=True):
@@ -85,10 +85,10 @@ def test_fixed_colors_still_move_the_means() -> None:
     g = scene("blobs")
     colors = random_colors(np.random.default_rng(5), len(g))
     tensors = GaussianTensors.from_gaussians(g, requires_grad=True)
-    rasterize(tensors, VIEWS, colors=colors).images.sum().backward()  # type: ignore[no-untyped-call]
+    torch.autograd.backward(rasterize(tensors, VIEWS, colors=colors).images.sum())
     frozen = GaussianTensors.from_gaussians(g, requires_grad=True)
     seen = np.stack([evaluate(colors, g.means, eye) for eye in VIEWS.viewpoints])
-    rasterize(frozen, VIEWS, colors=seen).images.sum().backward()  # type: ignore[no-untyped-call]
+    torch.autograd.backward(rasterize(frozen, VIEWS, colors=seen).images.sum())
     assert tensors.means.grad is not None
     assert frozen.means.grad is not None
     assert (tensors.means.grad - frozen.means.grad).norm() > 1e-2 * frozen.means.grad.norm()

@@ -246,7 +246,7 @@ def test_the_order_of_the_gaussians_changes_nothing(dtype: torch.dtype, depth: f
 def test_depths_equal_in_float32_are_ordered_by_content() -> None:
     a, b = 2.0, 2.0 + 1e-12
     scene = balls([b, a], [0.5, 0.5], [[1, 0, 0], [0, 1, 0]])
-    scene.means[0, 0] = -1e-9  # farther by less than float32 tells, but first by its x
+    scene.means[0, 0] = -1e-9  # farther by less than float32 holds, but first by its x
     assert draw(scene).image[3, 4].tolist() == pytest.approx([0.5, 0.25, 0.0])
 
 

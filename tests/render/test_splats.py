@@ -98,7 +98,7 @@ def everything(g: Gaussians) -> list[bytes]:
     drawn, weights = rasterize(g, AHEAD), view_weights(g, AHEAD)
     tensors = GaussianTensors.from_gaussians(g, requires_grad=True)
     by_tensors = rasterize(tensors, AHEAD, backend="cpu")
-    by_tensors.images.square().sum().backward()  # type: ignore[no-untyped-call]
+    torch.autograd.backward(by_tensors.images.square().sum())
     gradients = [t.grad for t in (*vars(tensors).values(), by_tensors.means2d) if isinstance(t.grad, torch.Tensor)]
     arrays = [*vars(projected(g)).values(), *vars(drawn).values(), weights.largest, weights.summed]
     return [a.tobytes() for a in arrays] + [t.numpy().tobytes() for t in gradients]

@@ -14,7 +14,7 @@ from scipy import ndimage
 from gsvis.errors import SceneError
 from gsvis.scene.content import space_hash
 from gsvis.scene.gaussians import Gaussians
-from gsvis.scene.kinds import Evidence, SpaceKind, tell_kind
+from gsvis.scene.kinds import Evidence, SpaceKind, find_kind
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.solid import buried
 from tests.scene.places import KINDS, apartment, ball, box, discs, filled, statue, street
@@ -84,7 +84,7 @@ class TestKinds:
             ({"flatness": 0.1, "walkable": 0.0}, "object"),
         ]
         for changed, kind in cases:
-            assert tell_kind(Evidence(**{**object_, **changed})).kind == kind
+            assert find_kind(Evidence(**{**object_, **changed})).kind == kind
 
 
 class TestObjects:

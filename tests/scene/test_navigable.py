@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -223,9 +224,9 @@ class TestErrors:
             ({"seeds": [[0.0, 1.0]]}, "seeds"),
         ],
     )
-    def test_bad_arguments_are_named(self, kwargs: dict[str, object], name: str) -> None:
+    def test_bad_arguments_are_named(self, kwargs: dict[str, Any], name: str) -> None:
         with pytest.raises(ValueError, match=f"^{name}: expected"):
-            NavigableSpace.from_scene(room((0, 0, 0), (1, 1, 1)), **kwargs)  # type: ignore[arg-type]
+            NavigableSpace.from_scene(room((0, 0, 0), (1, 1, 1)), **kwargs)
 
     @pytest.mark.parametrize("g", [Gaussians.empty(), dots(np.zeros((5, 3)), (1.0, 1.0, 1.0), 0.001)])
     def test_nothing_to_see(self, g: Gaussians) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,10 +18,10 @@ from gsvis.scene.similarity import Similarity
 F64 = NDArray[np.float64]
 
 
-def wander(count: int = 20, seed: int = 0, **more: object) -> HeadPath:
+def wander(count: int = 20, seed: int = 0, **more: Any) -> HeadPath:
     rng = np.random.default_rng(seed)
     times = np.concatenate([[0.0], np.cumsum(rng.uniform(0.01, 0.2, count - 1))])
-    return HeadPath(times, rng.normal(size=(count, 3)), rng.normal(size=(count, 4)), **more)  # type: ignore[arg-type]
+    return HeadPath(times, rng.normal(size=(count, 3)), rng.normal(size=(count, 4)), **more)
 
 
 def some_similarity(seed: int) -> Similarity:
@@ -103,7 +104,7 @@ def test_resampling_at_times_and_what_is_refused() -> None:
         {"times": [0.0, 1e9]},
     ):
         with pytest.raises(ValueError, match=r"rate_hz|times"):
-            path.resample(**wrong)  # type: ignore[arg-type]
+            path.resample(**wrong)
 
 
 def test_cuts_join_to_the_whole() -> None:

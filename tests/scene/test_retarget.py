@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -231,9 +232,9 @@ def test_without_floor_or_room_it_floats_or_shrinks_but_comes_to_an_end() -> Non
         {"seed": -1},
     ],
 )
-def test_nonsense_is_refused(wrong: dict[str, float]) -> None:
+def test_nonsense_is_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=next(iter(wrong))):
-        RetargetConfig(**wrong)  # type: ignore[arg-type]
+        RetargetConfig(**wrong)
 
 
 @cache

@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -41,10 +42,10 @@ def still(t: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
 
 @contextmanager
 def serving(
-    *packages: Path, limits: Limits = LIMITS, port: int = 0, tls: tuple[Path, Path] | None = None, **config: object
+    *packages: Path, limits: Limits = LIMITS, port: int = 0, tls: tuple[Path, Path] | None = None, **config: Any
 ) -> Iterator[Server]:
     """A running server, with a `ManualClock`; `tls` is a chain and a key."""
-    settings = AppConfig(limits=limits, **config)  # type: ignore[arg-type]
+    settings = AppConfig(limits=limits, **config)
     clock = ManualClock()
     with open_scenes(packages) as scenes:
         server = Server(scenes, settings, Address("127.0.0.1", port, *(tls or ())), clock=clock)
@@ -326,6 +327,6 @@ def rest_of(found: socket.socket) -> bytes:
     return answer
 
 
-def limits_of(**changes: object) -> Limits:
+def limits_of(**changes: Any) -> Limits:
     """`LIMITS`, changed."""
-    return replace(LIMITS, **changes)  # type: ignore[arg-type]
+    return replace(LIMITS, **changes)

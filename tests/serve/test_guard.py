@@ -202,7 +202,7 @@ class Recording(Silent):
 
 
 class Flowing(FakeTransport):
-    """A transport that tells whether it reads."""
+    """A transport that knows whether it reads."""
 
     is_reading = True
 

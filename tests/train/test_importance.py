@@ -103,7 +103,7 @@ def test_most_important_whatever_the_order() -> None:
 
 
 def test_pruning_nests_and_takes_one_of_two_twins() -> None:
-    """Every Gaussian stands twice: either may go, both may not, and one look cannot tell. One goes each round."""
+    """Every Gaussian stands twice: either may go, both may not; one look does not show which. One goes each round."""
     x, y = np.meshgrid(np.linspace(-0.9, 0.9, 6), np.linspace(-0.6, 0.6, 5))
     shades = np.random.default_rng(0).uniform(0.1, 1.0, (30, 1, 3))
     means = np.stack([x.ravel(), y.ravel(), np.zeros(30)], axis=1)

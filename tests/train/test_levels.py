@@ -238,7 +238,7 @@ def test_work_of_another_run_is_refused(scene: Gaussians, views: PosedImages, tm
             train_levels(*other, work=tmp_path)
     for change in ({"iterations": 7}, {"seed": 1}, {"threshold": 0.5}):
         with pytest.raises(ValueError, match=r"checkpoint: expected .* got another run's"):
-            train_levels(scene, views, replace(BRIEF, **change), work=tmp_path)  # type: ignore[arg-type]
+            train_levels(scene, views, replace(BRIEF, **change), work=tmp_path)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 

@@ -83,7 +83,7 @@ def test_frozen_rows_do_not_move() -> None:
 def test_rows_and_moments_move_together() -> None:
     p = Parameters.from_gaussians(some_gaussians(4))
     for name, value in p.values.items():
-        p.first[name] = value.detach().clone()  # so that each row's moment tells whose it is
+        p.first[name] = value.detach().clone()  # so that each row's moment names its row
     p.keep(torch.tensor([True, False, True, True]))
     for name, value in p.values.items():
         assert torch.equal(p.first[name], value)

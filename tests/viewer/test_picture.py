@@ -260,7 +260,7 @@ def test_every_paint_draws(opened: Any, cameras: Cameras, paint: str) -> None:
     assert image.std() > 0.02
 
 
-def test_the_source_is_told_poses_and_views(opened: Any, cameras: Cameras) -> None:
+def test_the_source_gets_poses_and_views(opened: Any, cameras: Cameras) -> None:
     opened.evaluate("test.open('flat')")
     opened.evaluate("test.viewer.camera = { position: [1, 2, 1], rotation: [1, 0, 0, 0], fovY: 1 }")
     assert opened.evaluate("test.source.poses.at(-1).position") == [1, 2, 1]

@@ -293,7 +293,7 @@ def _free_port() -> int:
 @contextmanager
 def _served(package: Path, port: int, log: Path) -> Iterator[None]:
     """`gsvis serve`, killed at the end."""
-    command = [sys.executable, "-m", "gsvis.cli", "serve", str(package), "--port", str(port), "--log-format", "json"]
+    command = [sys.executable, "-m", "gsvis", "serve", str(package), "--port", str(port), "--log-format", "json"]
     with log.open("w") as lines:
         running = subprocess.Popen(command, stderr=lines, stdout=subprocess.DEVNULL)
         try:

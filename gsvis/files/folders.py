@@ -12,13 +12,13 @@ from gsvis.errors import FormatError
 from gsvis.files.fields import parse_object
 from gsvis.files.limits import read_whole
 
-__all__ = ["GENERATOR", "check_made", "remove_made"]
+__all__ = ["GENERATOR", "check_replaceable", "remove_earlier"]
 
 GENERATOR = "gsvis"
 """What `asset.generator` of a document says that gsvis wrote."""
 
 
-def check_made(target: Path, document: str, ours: re.Pattern[str], overwrite: bool) -> None:
+def check_replaceable(target: Path, document: str, ours: re.Pattern[str], overwrite: bool) -> None:
     """Raise unless a folder may be filled: a new one, an empty one, or one of gsvis to replace.
 
     Args:
@@ -47,7 +47,7 @@ def check_made(target: Path, document: str, ours: re.Pattern[str], overwrite: bo
         )
 
 
-def remove_made(target: Path, ours: re.Pattern[str], kept: Collection[str]) -> None:
+def remove_earlier(target: Path, ours: re.Pattern[str], kept: Collection[str]) -> None:
     """Remove the files and folders of an earlier result of gsvis, by their names, but those that are kept."""
     for path in target.iterdir():
         if ours.fullmatch(path.name) and path.name not in kept:

@@ -1,7 +1,0 @@
-"""`python -m gsvis.cli` is `gsvis`."""
-
-import sys
-
-from gsvis.cli import main
-
-sys.exit(main())

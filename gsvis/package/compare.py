@@ -1,0 +1,139 @@
+"""Measure what a client gets: draw the scene as it came, and what is left of it after each step to a client."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.color.evaluate import Evaluator
+from gsvis.color.srbf import SrbfColors
+from gsvis.package.active_terms import ActiveTerms
+from gsvis.package.contents import Contents
+from gsvis.package.fidelity import Fidelity
+from gsvis.progress import Progress, silent
+from gsvis.pvs.cells import CellGrid
+from gsvis.pvs.store import VisibilityStore
+from gsvis.render import psnr, rasterize
+from gsvis.scene.cameras import Cameras
+from gsvis.scene.gaussians import Gaussians
+
+__all__ = ["ExactLevel", "measure_fidelity"]
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_CAP = 100.0
+
+
+class ExactLevel(NamedTuple):
+    """The highest level before rounding.
+
+    Attributes:
+        gaussians: N Gaussians with their SH colors.
+        colors: Their colors as base colors and terms.
+    """
+
+    gaussians: Gaussians
+    colors: SrbfColors
+
+
+def measure_fidelity(
+    scene: Gaussians,
+    contents: Contents,
+    cameras: Cameras,
+    *,
+    exact: ExactLevel | None = None,
+    sets: VisibilityStore | None = None,
+    active: ActiveTerms | None = None,
+    progress: Progress = silent,
+) -> Fidelity:
+    """Measure how near what a client holds at the end comes to a scene, in views.
+
+    Args:
+        scene: The scene as it came.
+        contents: The records of its package, of which a client holds the highest level in the end.
+        cameras: C > 0 views that nothing was fitted to.
+        exact: The highest level before rounding; without it only the last step is known apart.
+        sets: Visible sets of the package; None leaves out what a cell needs.
+        active: Active terms of its cells; None with `sets` means that no terms are sent.
+        progress: Called with stage "fidelity", in views.
+
+    Raises:
+        ValueError: If there is no camera, or lengths do not match.
+    """
+    if len(cameras) == 0:
+        raise ValueError("cameras: expected at least one, got none")
+    draw = _Drawing(scene, contents, exact, sets, active)
+    values: dict[str, list[float]] = {}
+    progress("fidelity", 0, len(cameras))
+    for c in range(len(cameras)):
+        images = draw(cameras[c])
+        found = {"records": _psnr(images["rounding"], images["scene"])}
+        if "cells" in images:
+            found["cell"] = _psnr(images["cells"], images["scene"])
+        for before, after in pairwise(images):
+            if exact is not None or after == "cells":
+                found[after] = _psnr(images[after], images[before])
+        for name, value in found.items():
+            values.setdefault(name, []).append(value)
+        progress("fidelity", c + 1, len(cameras))
+    return Fidelity.from_values(values, cameras)
+
+
+class _Drawing:
+    """Draw views of a scene, and after each known step to a client."""
+
+    def __init__(
+        self,
+        scene: Gaussians,
+        contents: Contents,
+        exact: ExactLevel | None,
+        sets: VisibilityStore | None,
+        active: ActiveTerms | None,
+    ) -> None:
+        self._scene, self._exact, self._sets, self._active = scene, exact, sets, active
+        if exact is not None and len(exact.gaussians) != len(exact.colors):
+            raise ValueError(f"exact: expected colors of {len(exact.gaussians):,} Gaussians, got {len(exact.colors):,}")
+        self._before = None if exact is None else Evaluator(exact.colors)
+        self._decoded, self._highest = contents.gaussians(), contents.last == len(contents.names) - 1
+        self._after = Evaluator(contents.colors().dequantize())
+
+    def __call__(self, camera: Cameras) -> dict[str, F32]:
+        """Return the image of the scene, under "scene", and after each step, in the order of `STEPS`."""
+        eye = camera.viewpoints[0]
+        images = {"scene": _draw(self._scene, camera)}
+        if self._exact is not None and self._before is not None:
+            g = self._exact.gaussians
+            images["levels"] = _draw(g, camera)
+            images["terms"] = _draw(g, camera, self._before.colors(g.means, eye))
+        images["rounding"] = self._draw_records(camera, eye, self._highest, None)
+        if self._sets is not None:
+            cell = _cell_of(self._sets.grid, eye)
+            seen, terms = np.zeros(len(self._decoded), bool), np.zeros(self._after.source.num_terms, bool)
+            seen[self._sets.visible_ids(cell)] = True
+            if self._active is not None:
+                terms[self._active.active_ids(cell)] = True
+            images["cells"] = self._draw_records(camera, eye, self._highest & seen, terms)
+        return images
+
+    def _draw_records(self, camera: Cameras, eye: F64, held: Mask, active: Mask | None) -> F32:
+        colors = self._after.colors(self._decoded.means, eye, active=active)
+        return _draw(self._decoded[held], camera, colors[held])
+
+
+def _cell_of(grid: CellGrid, eye: F64) -> int:
+    """Return the cell of an eye; outside of all, the one with the nearest center, as a planner does."""
+    cell = int(grid.cell_at(eye[None])[0])
+    return cell if cell >= 0 else int(np.linalg.norm(grid.centers - eye, axis=1).argmin())
+
+
+def _draw(g: Gaussians, camera: Cameras, colors: F32 | None = None) -> F32:
+    return np.asarray(np.clip(rasterize(g, camera, colors=colors).images[0], 0.0, 1.0), np.float32)
+
+
+def _psnr(image: F32, target: F32) -> float:
+    return min(_CAP, float(psnr(image, target)))
