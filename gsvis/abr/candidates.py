@@ -86,6 +86,7 @@ class CandidateIndex:
         index: The scene.
         pixel: Angle of a pixel of the clients, radians: the rasterizer adds 0.3 square pixels to the size of each
             Gaussian.
+        stored: Bytes that a Gaussian and a term take in the memory of a client.
         cache: Cache of candidates and sets of cells; None means one of 256 MiB.
 
     Attributes:
@@ -97,6 +98,8 @@ class CandidateIndex:
         bodies: (4, 64 W) float32 center and radius of each Gaussian, coordinate by coordinate; the radius is -inf if
             there is no such Gaussian.
         least_sizes: Bytes of the smallest record of a Gaussian, and of a term.
+        stored: Bytes that a Gaussian and a term take in the memory of a client.
+        sent_per_stored: Least bytes of a record for each byte that it takes in the memory of a client.
         records: Bytes of all records.
         links: Which Gaussians replace which.
         everything: All Gaussians and all terms as candidates of no cell, in ring 1, to fill idle links.
@@ -104,7 +107,14 @@ class CandidateIndex:
         all_bits: (W,) uint64, every bit set.
     """
 
-    def __init__(self, index: SceneIndex, *, pixel: float = 2e-3, cache: Cache[Any] | None = None) -> None:
+    def __init__(
+        self,
+        index: SceneIndex,
+        *,
+        pixel: float = 2e-3,
+        stored: tuple[float, float] = (16.0, 4.5),
+        cache: Cache[Any] | None = None,
+    ) -> None:
         if not 0.0 <= pixel < 1.0:
             raise ValueError(f"pixel: expected radians in [0, 1), got {pixel!r}")
         self.pixel_area = 2.0 * np.pi * 0.3 * pixel**2
@@ -121,6 +131,9 @@ class CandidateIndex:
         sizes = index.gaussian_bytes
         sizes = sizes[:1] if len(sizes) and sizes.min() == sizes.max() else sizes
         cones = TermCones.none() if index.cones is None else index.cones
+        self.stored = stored
+        ratios = [size / each for size, each in zip(self.least_sizes, stored, strict=True)]
+        self.sent_per_stored = min(ratios) if index.num_terms else ratios[0]
         self.records = plan.Records(
             sizes, index.term_offsets, index.term_bytes, cones.centers, cones.places, cones.cosines, cones.widths,
             index.areas,

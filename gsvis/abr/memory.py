@@ -1,4 +1,4 @@
-"""The memory of one client: what it holds, in bytes of records, and what it gives up for what the view needs.
+"""The memory of one client: how much it holds, in bytes, and what it gives up for what the view needs.
 
 What is farthest from use goes first: Gaussians that no cell near the viewer sees, the farthest first, then Gaussians
 that are out of view. Nothing in view is given up. Words of 64 Gaussians are judged together, by their spheres.
@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis._kernels.bits import count as ones
 from gsvis.abr._kernels import evict as kernels
 from gsvis.abr._kernels.plan import test_words
 from gsvis.abr.candidates import CandidateIndex
@@ -30,11 +31,12 @@ class ClientMemory:
     Args:
         candidates: Candidates of the scene.
         holdings: What the client holds. `make_room` changes it.
-        most_bytes: Bytes of records that the client can hold: of Gaussians that it shows, and of their terms.
+        most_bytes: Bytes that the client can hold: of Gaussians that it shows, and of their terms; see
+            `CandidateIndex.stored`.
 
     Attributes:
-        most_bytes: Bytes of records that the client can hold.
-        held_bytes: Bytes of the records that it holds.
+        most_bytes: Bytes that the client can hold.
+        held_bytes: Bytes that it holds.
 
     Raises:
         ValueError: If `most_bytes` is not above 0.
@@ -56,9 +58,9 @@ class ClientMemory:
         """Whether so little is free that nothing should be sent that no view needs."""
         return self.free < _AT_ONCE * self.most_bytes
 
-    def add(self, nbytes: float, dropped: I32) -> None:
-        """Count a batch that was sent: bytes of its records, and the (D,) ids of Gaussians that it replaced."""
-        self.held_bytes += nbytes
+    def add(self, gaussians: int, terms: int, dropped: I32) -> None:
+        """Count a batch that was sent: numbers of records, and the (D,) ids of Gaussians that they replaced."""
+        self.held_bytes += gaussians * self._shared.stored[0] + terms * self._shared.stored[1]
         if len(dropped):
             self.held_bytes -= self._bytes_of(pack(dropped, self._holdings.gaussians) & self._holdings.sent)
 
@@ -83,7 +85,9 @@ class ClientMemory:
         for masks in self._stages(shown, near, planes, for_view):
             words = np.flatnonzero(masks)
             order = words[np.argsort(-apart[words], kind="stable")]
-            count, freed = kernels.evict(order, masks, needed, held, shared.records, shared.links, out)
+            count, freed = kernels.evict(
+                order, masks, needed, shared.stored, held, shared.index.term_offsets, shared.links, out
+            )
             found.append(out[:count].copy())
             self.held_bytes -= freed
             needed -= freed
@@ -102,4 +106,6 @@ class ClientMemory:
         return [shown & ~near, np.where(sides == 0, shown & near, np.uint64(0))]
 
     def _bytes_of(self, words: Words) -> float:
-        return float(kernels.held_bytes(words, self._holdings.sent_terms, self._shared.records))
+        shared = self._shared
+        terms = kernels.held_terms_of(words, self._holdings.sent_terms, shared.index.term_offsets)
+        return float(ones(words) * shared.stored[0] + terms * shared.stored[1])

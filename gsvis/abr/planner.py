@@ -80,7 +80,7 @@ class Planner:
         config: Settings; None means `AbrConfig()`.
         holdings: What the client holds; None means nothing. `take` changes it.
         poses: Predictor of poses; None means the one that the config names.
-        memory: Bytes of records that the client can hold; None means all.
+        memory: Bytes that the client can hold, see `CandidateIndex.stored`; None means no limit.
 
     Attributes:
         candidates: Candidates of the scene.
@@ -255,10 +255,10 @@ class Planner:
             if not blocked or self._stage > _DETAILS or evicted is not None:
                 self._is_full = blocked
                 break
-            evicted = self._evict(budget - limit)
+            evicted = self._evict((budget - limit) / self.candidates.sent_per_stored)
         gaussians, terms, dropped = (array[:count].copy() for array, count in zip(out, taken, strict=True))
         if self.memory is not None:
-            self.memory.add(total, dropped)
+            self.memory.add(taken[0], taken[1], dropped)
         filling = self._stage > _DETAILS and sum(taken[:2]) > 0
         return Batch(gaussians, terms, dropped, total, filling, dropped[:0] if evicted is None else evicted)
 
@@ -266,7 +266,9 @@ class Planner:
         """Return the bytes that fit into the memory of the client, at most a budget."""
         if self.memory is None:
             return budget
-        return 0.0 if self._stage > _DETAILS and self.memory.is_full else min(budget, self.memory.free)
+        if self._stage > _DETAILS and self.memory.is_full:
+            return 0.0
+        return min(budget, self.memory.free * self.candidates.sent_per_stored)
 
     def _evict(self, needed: float) -> I32:
         """Make room for the next record of the plan, and return what is evicted."""

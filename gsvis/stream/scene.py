@@ -53,7 +53,8 @@ class StreamedScene:
         cache: Cache[Any] = Cache(max_cache_bytes, keep_last=True)
         self.index = _scene_index(package, cache)
         self.ending = int(np.count_nonzero(np.diff(self.index.replacement_offsets)))
-        self.candidates = CandidateIndex(self.index, pixel=pixel, cache=cache)
+        stored = float(RECORD_BYTES), self.about.term_bits / 8
+        self.candidates = CandidateIndex(self.index, pixel=pixel, stored=stored, cache=cache)
 
     @classmethod
     def open(

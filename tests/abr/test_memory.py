@@ -33,9 +33,7 @@ class Client:
         index, h = self.index, self.holdings
         owners = np.repeat(np.arange(len(index)), np.diff(index.term_offsets))
         terms = h.received_terms
-        return float(
-            index.gaussian_bytes[h.shown].sum() + index.term_bytes[terms[np.isin(owners[terms], h.shown)]].sum()
-        )
+        return 16.0 * len(h.shown) + 4.5 * int(np.isin(owners[terms], h.shown).sum())
 
     def add(self, batch: Batch, gone: np.ndarray) -> None:
         owners = np.repeat(np.arange(len(self.index)), np.diff(self.index.term_offsets))
@@ -44,6 +42,10 @@ class Client:
         fresh = ids_of(gone & ~self.holdings.gone)  # replaced, whether they came or not
         self.holdings.add(batch.gaussians, batch.terms, fresh)  # refuses what it has
         assert self.held_bytes <= self.most_bytes * (1 + 1e-6)
+
+
+def whole(index: SceneIndex) -> float:
+    return 16.0 * len(index) + 4.5 * index.num_terms
 
 
 def followed(client: Client, planner: Planner, views: list, budget: float = 800.0) -> None:
@@ -75,7 +77,7 @@ def some_views(index: SceneIndex, seed: int, count: int) -> list:
 @given(st.integers(0, 10_000), st.floats(0.0, 1.2), st.booleans(), st.integers(1, 3))
 def test_a_client_never_holds_more_than_its_memory(seed, share, cones, levels) -> None:
     index = scenes.random_index(seed, count=300, levels=levels, shape=(5, 3, 2), share=0.15, cones=cones)
-    most = max(1.0, share * float(index.gaussian_bytes.sum() + index.term_bytes.sum()))
+    most = max(1.0, share * whole(index))
     client = Client(index, most)
     planner = Planner(CandidateIndex(index), VIEW, memory=most)
     followed(client, planner, some_views(index, seed, 6))
@@ -91,9 +93,9 @@ def test_what_is_in_view_arrives_if_the_memory_holds_it_wherever_the_viewer_was(
         inside = np.flatnonzero(classify(index, cell, planes).classes == FOV)
         words = np.unique(inside >> 6)  # words are given up as a whole: one that touches the view stays
         stay = np.flatnonzero(np.isin(np.arange(len(index)) >> 6, words))
-        needed.append((inside, float(index.gaussian_bytes[stay].sum())))
-    terms = float(index.term_bytes.sum())
-    most = max(nbytes for _, nbytes in needed) + terms + float(index.gaussian_bytes.max())
+        needed.append((inside, 16.0 * len(stay)))
+    terms = 4.5 * index.num_terms
+    most = max(nbytes for _, nbytes in needed) + terms + 100.0
     client = Client(index, most)
     planner = Planner(CandidateIndex(index), VIEW, AbrConfig(policy="fov-first"), memory=most)
     for view, (inside, _) in zip(views, needed, strict=True):
@@ -105,7 +107,7 @@ def test_what_is_in_view_arrives_if_the_memory_holds_it_wherever_the_viewer_was(
 @given(st.integers(0, 10_000))
 def test_nothing_in_view_is_given_up(seed) -> None:
     index = scenes.random_index(seed, count=300, levels=1, shape=(5, 3, 2), share=0.15)
-    most = 0.1 * float(index.gaussian_bytes.sum())
+    most = 1.6 * len(index)
     planner = Planner(CandidateIndex(index), VIEW, memory=most)
     for cell, eye, planes in some_views(index, seed, 6):
         planner.aim(cell, eye, planes)
@@ -119,7 +121,7 @@ def test_what_is_farthest_goes_first() -> None:
     store = CandidateIndex(index)
     holdings = Holdings(len(index), 0)
     holdings.add(np.arange(len(index)), [], [])
-    memory = ClientMemory(store, holdings, float(index.gaussian_bytes.sum()))
+    memory = ClientMemory(store, holdings, 16.0 * len(index))
     near, eye = np.zeros_like(holdings.sent), np.zeros(3, np.float32)
     gone = memory.make_room(4 * 64 * 16.0, near, eye, np.zeros((0, 5, 4), np.float32), for_view=False)
     apart = np.linalg.norm(store.spheres[: -(-len(index) // 64), :3], axis=1)

@@ -23,24 +23,21 @@ def _remove(words, i):
 
 
 @njit(**_OPTIONS)
-def held_bytes(words, held_terms, records):
-    """Return the bytes of the records of Gaussians, a packed set (W,), and of those of their terms that are held."""
-    sizes, offsets, term_sizes = records.sizes, records.term_offsets, records.term_sizes
-    total, one, varied = 0.0, np.uint64(1), len(sizes) > 1
+def held_terms_of(words, held_terms, term_offsets):
+    """Return how many terms of Gaussians, a packed set (W,), are held."""
+    count, one = 0, np.uint64(1)
     for w in range(len(words)):
         rest = words[w]
         while rest:
             g = 64 * w + np.int64(lowest(rest))
             rest &= rest - one
-            total += np.float64(sizes[g]) if varied else np.float64(sizes[0])
-            for t in range(offsets[g], offsets[g + 1]):
-                if _has(held_terms, t):
-                    total += np.float64(term_sizes[t])
-    return total
+            for t in range(term_offsets[g], term_offsets[g + 1]):
+                count += 1 if _has(held_terms, t) else 0
+    return count
 
 
 @njit(**_OPTIONS)
-def evict(order, masks, needed, held, records, links, out):
+def evict(order, masks, needed, sizes, held, term_offsets, links, out):
     """Remove Gaussians and their terms from what is held, until enough bytes are free.
 
     What an evicted Gaussian had replaced is no longer gone: it can be sent again.
@@ -49,8 +46,9 @@ def evict(order, masks, needed, held, records, links, out):
         order: (M,) words, the first to go first.
         masks: (W,) uint64, which Gaussians of each word may go; all are held and not gone.
         needed: Bytes.
+        sizes: Bytes of a Gaussian, and of a term.
         held: `Held`; changed.
-        records: `Records`.
+        term_offsets: (N + 1,).
         links: `Links`.
         out: (N,) int32, receives the ids.
 
@@ -58,9 +56,8 @@ def evict(order, masks, needed, held, records, links, out):
         Number of ids, and the bytes that are free now.
     """
     gaussians, held_terms, gone = held
-    sizes, term_offsets, term_sizes = records.sizes, records.term_offsets, records.term_sizes
     offsets, ranks, ending = links.offsets, links.ranks, links.ending
-    count, done, freed, one, varied = 0, 0, 0.0, np.uint64(1), len(sizes) > 1
+    count, done, freed, one = 0, 0, 0.0, np.uint64(1)
     for w in order:
         rest = masks[w]
         while rest:
@@ -68,7 +65,7 @@ def evict(order, masks, needed, held, records, links, out):
                 return count, freed
             first = 64 * w + np.int64(lowest(rest))
             rest &= rest - one
-            freed += np.float64(sizes[first]) if varied else np.float64(sizes[0])
+            freed += sizes[0]
             out[count] = first
             count += 1
             while done < count:
@@ -79,7 +76,7 @@ def evict(order, masks, needed, held, records, links, out):
                 for t in range(term_offsets[g], term_offsets[g + 1]):
                     if _has(held_terms, t):
                         _remove(held_terms, t)
-                        freed += np.float64(term_sizes[t]) if g == first else 0.0  # the others were dropped before
+                        freed += sizes[1] if g == first else 0.0  # the others were dropped before
                 for k in range(offsets[g], offsets[g + 1]):
                     x = ending[ranks[k]]
                     if _has(gone, x):
