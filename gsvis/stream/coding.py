@@ -43,11 +43,11 @@ class Quality:
         color: Bits of each byte of the base color that are rounded.
     """
 
-    place: float = -2.25
-    turn: float = 4.5
+    place: float = -2.0
+    turn: float = 5.25
     opacity: int = 2
     shape: int = 1
-    color: int = 1
+    color: int = 2
 
 
 @dataclass(frozen=True)
@@ -186,7 +186,7 @@ def coarsen(contents: Contents, quality: Quality) -> tuple[Contents, Steps]:
     scales = np.log2(np.maximum(contents.gaussians().scales.astype(np.float64), 1e-30))
     largest = np.sort(scales, axis=1)
     middle = (float(np.median(scales.mean(axis=1))), float(np.median(largest[:, 1:].sum(axis=1)))) if len(contents) else (0.0, 0.0)
-    limits = 64 * np.array([quality.place + middle[0] / 2 + np.log2(255), quality.turn + middle[1] / 4])
+    limits = 64 * np.array([quality.place + middle[0] + np.log2(255), quality.turn + middle[1] / 4])
     place, turn = np.clip(np.rint(limits), -_MOST, _MOST).astype(int).tolist()
     steps = Steps(place, turn)
     rounding = records.Rounding(quality.opacity, quality.shape, quality.color)

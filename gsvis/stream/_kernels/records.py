@@ -101,10 +101,10 @@ def _weight(middle, smallest, opacity, stride, layout):
 
 
 @njit(inline="always")
-def _place_limit(size, middle, smallest, opacity, stride, layout):
-    """Return log2 of the coarsest step of a coordinate: less for small and for opaque Gaussians."""
-    mean = (3 * size - (middle + smallest) * stride) // 6
-    return (layout.place + mean - layout.logs[opacity]) >> 6
+def _place_limit(size, middle, opacity, stride, layout):
+    """Return log2 of the coarsest step of a coordinate: less for long and opaque Gaussians; at most the middle scale."""
+    long = middle * stride
+    return min(layout.place - (long >> 1) - layout.logs[opacity], size - long) >> 6
 
 
 @njit(inline="always")
@@ -202,7 +202,7 @@ def operations(words, ids, rows, chunks, layout, offsets, out):
                 out[at + 3] = offsets[FOURTH + (first >> 5)] + value
         out[at] = offsets[COLOR] + first
         at += layout.colors
-        limit = _place_limit(size, middle, smallest, opacity, stride, layout)
+        limit = _place_limit(size, middle, opacity, stride, layout)
         for k in range(3):
             left = position
             if layout.coarse:
@@ -282,7 +282,7 @@ def read(words, ids, rows, chunks, layout, code, out):
         if layout.colors == 4:
             value, state, at = next_symbol(words, state, at, FOURTH + (first >> 5), slots, tables, offsets, spans)
             _put(bits, 32, value)
-        limit = _place_limit(size, middle, smallest, opacity, stride, layout)
+        limit = _place_limit(size, middle, opacity, stride, layout)
         for k in range(3):
             left = position
             if layout.coarse:
@@ -336,7 +336,7 @@ def coarsen(words, rows, chunks, layout, rounding, out):
         bits[0], bits[1] = np.uint64(opacity), np.uint64(0)
         size = chunks.lows[row] + top * stride
         turn = _turn(size, middle, stride, layout)
-        limit = _place_limit(size, middle, smallest, opacity, stride, layout)
+        limit = _place_limit(size, middle, opacity, stride, layout)
         for k in range(layout.colors):
             color = np.int64((low >> np.uint64(8 * (1 + k))) & np.uint64(255))
             _put(bits, 8 * (1 + k), _round(color, rounding.color, 0, 255))
