@@ -1,14 +1,13 @@
 """Records of Gaussians and terms as the wire has them: coded together, by tables of the scene.
 
-A server makes the tables once from all records of a scene and sends them in WELCOME. The rows of a batch are words of 16
-bits. Records come back as they were; with a coarse quality, they were rounded before.
+A server makes the tables once from all records of a scene and sends them in WELCOME. The rows of a batch are words of
+16 bits. Records come back as they were; with a coarse quality, they were rounded before.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +19,7 @@ from gsvis.package.layout import RecordLayout, TermLayout
 from gsvis.stream._kernels import coder, records, terms
 from gsvis.stream.tables import Tables
 
-__all__ = ["Coding", "Quality", "Steps", "chunks_of"]
+__all__ = ["MOST_STEP", "Coding", "Quality", "Steps", "chunks_of", "coarsen", "table_sizes"]
 
 U8 = NDArray[np.uint8]
 U64 = NDArray[np.uint64]
@@ -28,7 +27,9 @@ I64 = NDArray[np.int64]
 
 _CLOSE = (1, 2, 5, 11, 22, 48)  # distances of ids, one for each table of largest scales
 _PIECE = 1 << 16  # records that are counted at a time
-_MOST = 1 << 15  # largest limit
+
+MOST_STEP = 1 << 15
+"""Largest limit of steps."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +91,8 @@ class Coding:
         sizes = table_sizes(contents.grids)
         blank = cls(contents.grids, steps, Tables.from_levels(np.zeros(sum(sizes), np.uint8), sizes))
         counts, offsets = np.zeros(sum(sizes), np.int64), blank.tables.offsets
-        for first, last in ((records.FIRST, records.ROTATION), (_LEADS, _LEADS + 9)):
+        leads = records.TABLES + terms.LEAD
+        for first, last in ((records.FIRST, records.ROTATION), (leads, leads + 9)):
             counts[offsets[first] : offsets[last]] = 1  # which symbol follows which depends on the batch
         ids, chunks = np.arange(len(contents)), chunks_of(contents.table)
         some = ids[:: 1 + len(ids) // _PIECE]
@@ -104,7 +106,7 @@ class Coding:
         owners = np.repeat(np.arange(len(contents), dtype=np.int32), contents.term_counts)
         for low in range(0, len(owners), _PIECE):
             part = slice(low, low + _PIECE)
-            coder.count(blank._of_terms(contents.term_records[part], owners[part]), counts)
+            coder.count(blank._of_terms(contents.term_records[part].copy(), owners[part].copy()), counts)
         return replace(blank, tables=Tables.from_counts(counts, sizes))
 
     @cached_property
@@ -117,6 +119,14 @@ class Coding:
         """Bits of the fields of terms."""
         of = TermLayout.from_grids(self.grids)
         return terms.TermFields(of.function, of.theta, of.phi, of.decay, of.intensity, of.intensities == 3)
+
+    def mean_bytes(self, contents: Contents) -> tuple[float, float]:
+        """Return about how many bytes a Gaussian and a term of a package take, ids not counted."""
+        ids = np.arange(0, len(contents), 2)[:_PIECE]
+        found = self.encode_records(contents.records[ids], ids, contents.chunks[ids], chunks_of(contents.table))
+        owners = np.repeat(np.arange(len(contents), dtype=np.int32), contents.term_counts)[:_PIECE]
+        of_terms = self.encode_terms(contents.term_records[: len(owners)].copy(), owners)
+        return len(found) / len(ids) if len(ids) else 16.0, len(of_terms) / len(owners) if len(owners) else 4.0
 
     def encode_records(self, rows: U8, ids: I64, of: NDArray[np.int32], chunks: records.Chunks) -> U8:
         """Return the records of Gaussians, coded.
@@ -153,9 +163,7 @@ class Coding:
         good = words is not None and terms.read(words, owners, self.fields, code, out)
         return out if good else None
 
-    def _of_records(
-        self, rows: U8, ids: I64, of: NDArray[np.int32], chunks: records.Chunks
-    ) -> NDArray[np.uint32]:
+    def _of_records(self, rows: U8, ids: I64, of: NDArray[np.int32], chunks: records.Chunks) -> NDArray[np.uint32]:
         out = np.empty(records.MOST_OPERATIONS * len(rows), np.uint32)
         count = records.operations(_pairs(rows), ids, of, chunks, self.layout, self.tables.offsets, out)
         return out[:count]
@@ -172,9 +180,6 @@ class Coding:
         return out[coder.write(operations, self.tables.symbols, out) :].view(np.uint8)
 
 
-_LEADS = records.TABLES + terms.LEAD
-
-
 def coarsen(contents: Contents, quality: Quality) -> tuple[Contents, Steps]:
     """Return a package with rounded records, and which bits are left out.
 
@@ -182,19 +187,17 @@ def coarsen(contents: Contents, quality: Quality) -> tuple[Contents, Steps]:
         contents: The records of a package.
         quality: How to round.
     """
-    layout = RecordLayout.from_variant(contents.grids.variant)
     scales = np.log2(np.maximum(contents.gaussians().scales.astype(np.float64), 1e-30))
-    largest = np.sort(scales, axis=1)
-    middle = (float(np.median(scales.mean(axis=1))), float(np.median(largest[:, 1:].sum(axis=1)))) if len(contents) else (0.0, 0.0)
-    limits = 64 * np.array([quality.place + middle[0] + np.log2(255), quality.turn + middle[1] / 4])
-    place, turn = np.clip(np.rint(limits), -_MOST, _MOST).astype(int).tolist()
+    if not len(scales):
+        scales = np.zeros((1, 3))
+    mean, largest = np.median(scales.mean(axis=1)), np.median(np.sort(scales, axis=1)[:, 1:].sum(axis=1))
+    limits = 64 * np.array([quality.place + mean + np.log2(255), quality.turn + largest / 4])
+    place, turn = np.clip(np.rint(limits), -MOST_STEP, MOST_STEP).astype(int).tolist()
     steps = Steps(place, turn)
     rounding = records.Rounding(quality.opacity, quality.shape, quality.color)
     out = np.empty((len(contents), 2), np.uint64)
     chunks = chunks_of(contents.table)
-    records.coarsen(
-        _pairs(contents.records), contents.chunks, chunks, layout_of(contents.grids, steps), rounding, out
-    )
+    records.coarsen(_pairs(contents.records), contents.chunks, chunks, layout_of(contents.grids, steps), rounding, out)
     return replace(contents, records=_bytes(out)), steps
 
 

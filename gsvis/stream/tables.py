@@ -116,7 +116,7 @@ class Tables:
                 folded = np.empty(count, np.int64)
                 bit = codes.read(data, bit, int(head[0]) - 1, folded)
                 values = _unfold(folded)
-                if bit < 0 or values.min() < 0 or values.max() > MOST_LEVEL:
+                if bit < 0 or values[folded > 0].min(initial=1) < 1 or values.max() > MOST_LEVEL:
                     bit = -1
                     break
                 levels[at + first : at + first + count] = values

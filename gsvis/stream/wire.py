@@ -30,7 +30,7 @@ __all__ = [
     "parse_client",
 ]
 
-PROTOCOL = 2
+PROTOCOL = 3
 """Version of the messages."""
 
 MOST_HELLO = 16 << 20

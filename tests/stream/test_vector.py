@@ -76,7 +76,7 @@ def recorded() -> dict[str, Any]:
                 said("server", session.welcome(0.2).data)
                 receiver.resume(scene.header)
         said("client", Bye().to_bytes())
-        return {"protocol": 1, "eye": EYE, "steps": steps, "drawn": drawn(receiver)}
+        return {"protocol": 3, "eye": EYE, "steps": steps, "drawn": drawn(receiver)}
 
 
 def bits(words: np.ndarray) -> np.ndarray:

@@ -108,8 +108,8 @@ def test_what_is_written_is_read() -> None:
     [
         (b"", "malformed", "got nothing"),
         (b"\x09abc", "malformed", "got 9"),
-        (bytes([1, 3]) + bytes(80), "version", "expected version 2, got version 3"),
-        (b"\x01", "version", "expected version 2, got none"),
+        (bytes([1, 2]) + bytes(80), "version", "expected version 3, got version 2"),
+        (b"\x01", "version", "expected version 3, got none"),
         (bytes([1, 1]) + bytes(MOST_HELLO), "too-large", "at most"),
         (Hello(VIEW).to_bytes() + b"x", "malformed", "bytes"),
         (PoseAt(0, (0, 0, float("nan")), (1, 0, 0, 0)).to_bytes(), "malformed", "finite"),
@@ -191,6 +191,6 @@ def test_a_welcome_is_read_or_refused(tmp_path: Path) -> None:
             except ProtocolError as error:
                 assert "\n" not in str(error)
         newer = bytes([scene.header[0], 9]) + scene.header[2:]
-        with pytest.raises(ProtocolError, match="version 2, got 9") as caught:
+        with pytest.raises(ProtocolError, match="version 3, got 9") as caught:
             Receiver(newer)
         assert caught.value.code == FAULTS["version"]

@@ -124,7 +124,7 @@ test("what no further try can heal fails, with words for people and the code", (
   for (const [message, code, words] of [
     [errorOf(4, "a token is needed"), 4, /a token is needed/],
     [errorOf(2, "HELLO: expected version 3, got 2"), 2, /another version.*reload/],
-    [changed(welcome, 1, 3), 2, /another version.*expected version 2, got 3/],
+    [changed(welcome, 1, 2), 2, /another version.*expected version 3, got 2/],
     [reworded('"gaussians":240,', '"gaussians":2e8,'), 3, /needs 1001 MB/],
   ] as const) {
     const stage = new Stage();

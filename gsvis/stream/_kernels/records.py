@@ -1,8 +1,8 @@
 """Kernels of coded records: what the coder does for each record of 16 bytes, and back.
 
 A field is coded by a table that the fields before it choose. Gaussians of a chunk are sorted by strength, so the
-strength of the record before, with the opacity and the shape, predicts the largest scale. All arithmetic is of integers,
-so that any client gets the same records. Decoding never raises; any records that it returns can be drawn.
+strength of the record before, with the opacity and the shape, predicts the largest scale. All arithmetic is of
+integers, so that any client gets the same records. Decoding never raises; any records that it returns can be drawn.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ def _weight(middle, smallest, opacity, stride, layout):
 
 @njit(inline="always")
 def _place_limit(size, middle, opacity, stride, layout):
-    """Return log2 of the coarsest step of a coordinate: less for long and opaque Gaussians; at most the middle scale."""
+    """Return log2 of the longest step of a coordinate: less for long and opaque Gaussians, at most the middle scale."""
     long = middle * stride
     return min(layout.place - (long >> 1) - layout.logs[opacity], size - long) >> 6
 
@@ -189,7 +189,7 @@ def operations(words, ids, rows, chunks, layout, offsets, out):
             p[0] = np.int64((low >> np.uint64(8 * (1 + k))) & np.uint64(255))
             if k == lead:
                 continue
-            place = (k if k < lead else k - 1)
+            place = k if k < lead else k - 1
             value = p[0]
             if layout.colors == 3:
                 value = (p[0] - first) & 255
@@ -212,7 +212,6 @@ def operations(words, ids, rows, chunks, layout, offsets, out):
                 out[at] = RAW | (left << 16) | value
                 at += 1
     return at
-
 
 
 @njit(**_OPTIONS)

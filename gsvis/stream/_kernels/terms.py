@@ -145,7 +145,9 @@ def read(words, owners, fields, code, out):
         table = LEAD + 1 + (upper >> 3)
         decay, state, at = _next(words, state, at, DECAY + (upper >> 3), d, 6, slots, tables, offsets, spans)
         polar, state, at = _next(words, state, at, POLAR, p, 6, slots, tables, offsets, spans)
-        azimuth, state, at = _next(words, state, at, AZIMUTH + (_six(polar, p) >> 3), a, 7, slots, tables, offsets, spans)
+        azimuth, state, at = _next(
+            words, state, at, AZIMUTH + (_six(polar, p) >> 3), a, 7, slots, tables, offsets, spans
+        )
         word = np.uint64(function) | np.uint64(polar) << np.uint64(f) | np.uint64(azimuth) << np.uint64(f + p)
         word |= np.uint64(decay) << np.uint64(f + p + a)
         if fields.others:

@@ -3,7 +3,7 @@
 import type { Pose, View } from "./types.ts";
 
 /** Version of the messages. */
-export const PROTOCOL = 2;
+export const PROTOCOL = 3;
 /** Kinds of messages from the server. */
 export const WELCOME = 129;
 export const BATCH = 130;
