@@ -4,8 +4,8 @@ Packages as `gsvis prepare` makes them, as they are and with coarse records. Byt
 Gaussians with neighboring ids, and of one in five, which is about what one view needs; beside them the same records as
 planes under zstd at level 19, and plain. Bytes with ids, rows of chunks and the message: a walk at 10 Mbit/s, without
 terms, as in `stream_codec.py`. Loss: images of coarse records against those of the package's records, in base colors,
-from cameras drawn from seed 3 in navigable space, 480 x 360. Times are of the thread, for 50,000 Gaussians of a batch, the
-message parsed and checked; in Node, by the clock.
+from cameras drawn from seed 3 in navigable space, 480 x 360. Times are of the thread, for a batch of 50,000 Gaussians;
+in Node by the clock, with the message parsed and checked.
 
 Given: packages, records of 16 bytes.
 Measured: bytes a Gaussian and a term; PSNR of coarse records; time to code and to decode 50,000 Gaussians.

@@ -44,8 +44,8 @@ class Quality:
         color: Bits of each byte of the base color that are rounded.
     """
 
-    place: float = -2.0
-    turn: float = 5.25
+    place: float = -1.75
+    turn: float = 4.5
     opacity: int = 2
     shape: int = 1
     color: int = 2
@@ -105,8 +105,8 @@ class Coding:
                 coder.count(blank._of_records(contents.records[part], part, rows, chunks), counts)
         owners = np.repeat(np.arange(len(contents), dtype=np.int32), contents.term_counts)
         for low in range(0, len(owners), _PIECE):
-            part = slice(low, low + _PIECE)
-            coder.count(blank._of_terms(contents.term_records[part].copy(), owners[part].copy()), counts)
+            of = owners[low : low + _PIECE].copy()
+            coder.count(blank._of_terms(contents.term_records[low : low + len(of)].copy(), of), counts)
         return replace(blank, tables=Tables.from_counts(counts, sizes))
 
     @cached_property
