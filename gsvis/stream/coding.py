@@ -44,8 +44,8 @@ class Quality:
         color: Bits of each byte of the base color that are rounded.
     """
 
-    place: float = -1.75
-    turn: float = 4.5
+    place: float = -2.25
+    turn: float = 4.25
     opacity: int = 2
     shape: int = 1
     color: int = 2
