@@ -33,6 +33,7 @@ from gsvis.package.contents import base_rgb
 from gsvis.scene.sh import SH_C0
 from gsvis.stream import Ack, Bye, Hello, PoseAt, Receiver
 from gsvis.stream.batch import Sections
+from gsvis.stream.coding import Coding, chunks_of
 from gsvis.stream.wire import ERROR, ServerFault
 
 __all__ = ["Checker", "Checks", "Link", "Viewer", "Visit", "begin_checks", "check"]
@@ -285,7 +286,7 @@ class Checker:
             terms = [np.zeros(0, np.int64)]
             for data in visit.batches:
                 sections = Sections.parse(data, receiver.about)
-                self._check_batch(sections, found)
+                self._check_batch(sections, receiver.about.coding, found)
                 terms.append(sections.terms)
                 receiver.receive(data)
         except (ProtocolError, ValueError):
@@ -299,21 +300,26 @@ class Checker:
         schema = pa.ipc.read_schema(pa.py_buffer(welcome[8:]))
         said = json.loads((schema.metadata or {}).get(b"gsvis", b"{}"))
         identity = said.pop("identity", "")
+        said.pop("code", "")  # whose tables decide nothing: records are compared
         self._identity = self._identity or identity
         plain = pa.schema([pa.field("sections", pa.binary(), nullable=False)])
         return (
-            struct.unpack_from("<BBHI", welcome) == (129, 2, 0, 0)
+            struct.unpack_from("<BBHI", welcome) == (129, 3, 0, 0)
             and schema.remove_metadata().equals(plain)
             and len(identity) == 64
             and identity == self._identity
             and said == self._welcome
         )
 
-    def _check_batch(self, s: Sections, found: dict[str, int]) -> None:
+    def _check_batch(self, s: Sections, coding: Coding, found: dict[str, int]) -> None:
         c = self._contents
+        records = coding.decode_records(s.records, s.gaussians, c.chunks[s.gaussians], chunks_of(c.table))
+        terms = coding.decode_terms(s.term_records, s.owners)
+        if records is None or terms is None:
+            raise ProtocolError(f"BATCH {s.sequence}: expected records, got other bytes")
         rows = np.searchsorted(self._starts, s.chunks)
         for got, expected in (
-            (s.records, c.records[s.gaussians]), (s.term_records, c.term_records[s.terms]),
+            (records, c.records[s.gaussians]), (terms, c.term_records[s.terms]),
             (s.owners, self._owners(s.terms)), (s.chunks, self._starts[rows]),
             *((s.rows[name], values[rows]) for name, values in self._rows.items()),
         ):  # fmt: skip
@@ -347,10 +353,10 @@ def _welcome_of(manifest: dict[str, Any]) -> dict[str, Any]:
     colors, term = quantization["colors"], quantization["term"]
     bits = sum(term[name] for name in ("function", "theta", "phi", "decay")) + term["intensities"] * term["intensity"]
     return {
-        "protocol": 2, "gaussians": manifest["gaussians"], "terms": manifest["terms"],
+        "protocol": 3, "gaussians": manifest["gaussians"], "terms": manifest["terms"],
         "chunks": sum(part["count"] for part in manifest["chunks"]), "levels": manifest["levels"], "record_bytes": 16,
         "term_bits": bits, "colors": colors,
-        "up": manifest["up"], "meters_per_unit": manifest["meters_per_unit"],
+        "up": manifest["up"], "meters_per_unit": manifest["meters_per_unit"], "steps": None,
     }  # fmt: skip
 
 

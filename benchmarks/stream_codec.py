@@ -29,10 +29,10 @@ from gsvis.abr.classes import FieldOfView
 from gsvis.abr.predict import exponential
 from gsvis.stream import Message, Receiver, Session, StreamedScene
 from gsvis.stream.batch import CHUNK_ROW, FIXED_BYTES, Sections
+from gsvis.stream.coding import Quality
 
 VIEW = FieldOfView.from_degrees(90, 70, margin=8)
 RATES = (1, 10, 100)
-RECORD = 16
 
 
 def pose(scene: StreamedScene, k: int) -> tuple[np.ndarray, np.ndarray]:
@@ -50,10 +50,10 @@ class Clock:
         self.planning = 0.0
         inner = session.planner.next_batch
 
-        def timed(t: float, budget: float, rate: float) -> Any:
+        def timed(t: float, budget: float, rate: float, *, spare: float) -> Any:
             start = time.thread_time()
             try:
-                return inner(t, budget, rate)
+                return inner(t, budget, rate, spare=spare)
             finally:
                 self.planning += time.thread_time() - start
 
@@ -83,7 +83,7 @@ def measure_session(scene: StreamedScene, mbit: float, ticks: int) -> tuple[dict
         ready.append(time.thread_time() - start)
         s = Sections.parse(message.data, scene.about)
         parts = {
-            "records": s.records.nbytes, "terms": -(-len(s.terms) * scene.about.term_bits // 8),
+            "records": s.records.nbytes, "terms": s.term_records.nbytes,
             "chunks": len(s.rows) * CHUNK_ROW.itemsize,
         }  # fmt: skip
         fixed = FIXED_BYTES - 8
@@ -114,7 +114,7 @@ def quartiles(seconds: list[float]) -> dict[str, float]:
 def per_gaussian(scene: StreamedScene, ticks: int) -> dict[str, float]:
     """Bytes of a Gaussian with all that it needs, terms left out: id, share of rows of chunks and of what is fixed."""
     session = Session(scene, VIEW)
-    sizes, zstd, count, squeeze = 0, 0, 0, zstandard.ZstdCompressor(level=3)
+    sizes, records, zstd, count, squeeze = 0, 0, 0, 0, zstandard.ZstdCompressor(level=3)
     for k in range(ticks):
         session.on_pose(k / 10, *pose(scene, k))
         message = session.next_message(k / 10, 125e3)
@@ -126,7 +126,8 @@ def per_gaussian(scene: StreamedScene, ticks: int) -> dict[str, float]:
             s.sequence, s.chunks, s.rows, s.gaussians, s.records, none, none, s.term_records[:0], s.gone
         ).to_message(scene.about)
         sizes, zstd, count = sizes + len(bare), zstd + len(squeeze.compress(bare)), count + len(s.gaussians)
-    return {"record": RECORD, "with all": sizes / count, "with all, zstd": zstd / count, "gaussians": count}
+        records += s.records.nbytes
+    return {"record": records / count, "with all": sizes / count, "with all, zstd": zstd / count, "gaussians": count}
 
 
 def large(scene: StreamedScene, held: Receiver | None, repeats: int) -> dict[str, Any]:
@@ -173,12 +174,15 @@ def main() -> None:
     def figure(name: str, reached: float, unit: str, target: float | None = None) -> None:
         figures.append({"name": name, "target": target, "reached": reached, "unit": unit, "better": "lower"})
 
-    for path in args.packages:
-        scene, name = StreamedScene.open(path), path.stem
+    chosen = [(path, quality) for path in args.packages for quality in (None, Quality())]
+    for path, quality in chosen:
+        scene, name = StreamedScene.open(path, quality=quality), path.stem + (", coarse" if quality else "")
         record: dict[str, Any] = {"gaussians": len(scene), "terms": scene.about.terms}
         each = per_gaussian(scene, 100)
-        figure(f"{name}: record of a Gaussian, before entropy coding", each["record"], "bytes", 16.0)
-        figure(f"{name}: a Gaussian with id, rows of chunks and the message, at 10 Mbit/s", each["with all"], "bytes")
+        figure(f"{name}: record of a Gaussian, coded", each["record"], "bytes")
+        figure(
+            f"{name}: a Gaussian with id, rows of chunks and the message, at 10 Mbit/s", each["with all"], "bytes", 10.0
+        )
         figure(f"{name}: the same after zstd of the message", each["with all, zstd"], "bytes")
         record["per_gaussian"] = each
         receivers = {}

@@ -119,6 +119,7 @@ PAGES = {
             "abr_planning",
             "server_load",
             "stream_codec",
+            "group_codec",
             "package_codec_showroom",
             "package_codec_nika",
             "package_edit_showroom",

@@ -27,6 +27,7 @@ def run_serve(command: Serve) -> None:
     """
     from gsvis.abr.config import AbrConfig
     from gsvis.serve import Address, AppConfig, JsonLines, Limits, Server, TextLines, open_scenes
+    from gsvis.stream import Quality
 
     form = JsonLines() if command.log_format == "json" else TextLines()
     log_to_stderr(form, logging.DEBUG if command.debug else logging.INFO)
@@ -42,7 +43,8 @@ def run_serve(command: Serve) -> None:
     for path in (command.ssl_certfile, command.ssl_keyfile):
         if path is not None:
             open_regular(path).close()  # an error of OpenSSL would not name the file
-    with open_scenes(command.package, max_cache_bytes=command.cache, warm=True) as scenes:
+    quality = Quality() if command.coarse else None
+    with open_scenes(command.package, max_cache_bytes=command.cache, warm=True, quality=quality) as scenes:
         try:
             server = Server(scenes, config, address, planners=command.planners)
         except OSError as error:

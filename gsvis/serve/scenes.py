@@ -19,7 +19,7 @@ from gsvis.errors import GsvisError
 from gsvis.package import Package
 from gsvis.serve._log import LOGGER, EventLog
 from gsvis.serve.sites import Site, is_site
-from gsvis.stream import Hello, Session, StreamedScene
+from gsvis.stream import Hello, Quality, Session, StreamedScene
 
 __all__ = ["Scenes", "ServedScene", "open_scene", "open_scenes"]
 
@@ -157,6 +157,7 @@ def open_scenes(
     *,
     max_cache_bytes: int = 512 << 20,
     warm: bool = False,
+    quality: Quality | None = None,
     log: EventLog | None = None,
 ) -> Scenes:
     """Open packages; keep a damaged one as refused, so that the others can be served.
@@ -166,6 +167,7 @@ def open_scenes(
             of its folder without suffix.
         max_cache_bytes: Most bytes of decoded data of cells, for all scenes together.
         warm: Whether to load what the first viewers would wait for; takes some seconds for a large scene.
+        quality: How to round records before they are sent; None means not at all.
         log: Log of events.
 
     Returns:
@@ -188,7 +190,8 @@ def open_scenes(
         if name in found:
             raise ValueError(f"packages: expected different names, got {name!r} twice; rename a folder")
         try:
-            served = open_scene(path, name, max_cache_bytes=max_cache_bytes // len(packages), warm=warm)
+            share = max_cache_bytes // len(packages)
+            served = open_scene(path, name, max_cache_bytes=share, warm=warm, quality=quality)
         except Exception as error:  # a reader that fails in a way of its own must not keep the others from being served
             expected = isinstance(error, GsvisError | OSError)
             why = str(error) if expected else f"{type(error).__name__}: {error}"
@@ -205,7 +208,12 @@ def open_scenes(
 
 
 def open_scene(
-    path: str | PathLike[str], name: str = "", *, max_cache_bytes: int = 512 << 20, warm: bool = False
+    path: str | PathLike[str],
+    name: str = "",
+    *,
+    max_cache_bytes: int = 512 << 20,
+    warm: bool = False,
+    quality: Quality | None = None,
 ) -> ServedScene:
     """Open one package or static scene.
 
@@ -214,6 +222,7 @@ def open_scene(
         name: Name in addresses; "" takes that of the folder without suffix.
         max_cache_bytes: Most bytes of decoded data of cells.
         warm: Whether to load what the first viewers would wait for.
+        quality: How to round records before they are sent; None means not at all.
 
     Raises:
         GsvisError: If it cannot be opened.
@@ -225,7 +234,8 @@ def open_scene(
         return ServedScene(name, folder, None, site=Site(folder))
     package = Package.open(folder)
     try:
-        served = ServedScene(name, folder, StreamedScene.open(package, max_cache_bytes=max_cache_bytes))
+        scene = StreamedScene.open(package, max_cache_bytes=max_cache_bytes, quality=quality)
+        served = ServedScene(name, folder, scene)
         if warm:
             served.warm_up()
         return served

@@ -13,6 +13,7 @@ Time, in seconds, is an argument. Scene frame and units. Sizes are bytes of mess
 docs/streaming.md describes the messages.
 """
 
+from gsvis.stream.coding import Quality
 from gsvis.stream.receiver import Received, Receiver
 from gsvis.stream.scene import StreamedScene
 from gsvis.stream.session import Message, Session
@@ -25,6 +26,7 @@ __all__ = [
     "Hello",
     "Message",
     "PoseAt",
+    "Quality",
     "Received",
     "Receiver",
     "Session",

@@ -1,8 +1,8 @@
 """BATCH: one message with records, as an Arrow record batch of four rows: ids, rows of chunks, records, terms.
 
-Records are sent unchanged. Ids are sorted ascending and sent as differences, a few bits each. A client can read a batch
-on its own if it has the rows of the chunks sent before. The bytes around the rows are the same in every batch except
-for two lengths and the ends of the rows. This module writes and compares them without an Arrow library; an Arrow
+Ids are sorted ascending and sent as differences, a few bits each. Records are coded together (`coding.py`). A client
+can read a batch if it has the rows of the chunks sent before. The bytes around the rows are the same in every batch
+except for two lengths and the ends of the rows. This module writes and compares them without an Arrow library; an Arrow
 library can still read them.
 """
 
@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.errors import ProtocolError
-from gsvis.package.layout import RECORD_BYTES
 from gsvis.stream._kernels import ids as kernels
 from gsvis.stream.header import HEAD, SceneHeader
 from gsvis.stream.wire import BATCH, FAULTS
@@ -48,7 +47,7 @@ _ARROW = bytes.fromhex(
 _BODY_AT, _DATA_AT = 40, 128  # int64: bytes of the body, and of the rows
 _NUMBER = struct.Struct("<q")
 _ENDS = struct.Struct("<5i4x")  # where the rows begin and end
-_IDS = struct.Struct("<3I6B")  # numbers of terms, gone, evicted; code orders of the six lists
+_IDS = struct.Struct("<4I6B")  # numbers of Gaussians, terms, gone, evicted; code orders of the six lists
 _ROWS_AT = HEAD.size + len(_ARROW) + _ENDS.size
 
 FIXED_BYTES = _ROWS_AT + _IDS.size + 8
@@ -64,10 +63,10 @@ class Sections:
         chunks: (C,) first ids, ascending, of the chunks whose rows are in this batch.
         rows: (C,) of `CHUNK_ROW`, one for each chunk.
         gaussians: (G,) ids of Gaussians, ascending.
-        records: (G, 16) uint8, the record of each Gaussian.
+        records: uint8, the coded records of the Gaussians.
         terms: (M,) ids of terms, ascending.
         owners: (M,) the Gaussian of each term, never decreasing.
-        term_records: (M, B) uint8, the record of each term.
+        term_records: uint8, the coded records of the terms.
         gone: (D,) ids, ascending, of the Gaussians that were replaced since the last batch, whether they were sent or
             not.
         evicted: (E,) ids, ascending, that the client forgets before it adds the others: Gaussians with their terms, and
@@ -91,7 +90,7 @@ class Sections:
         Args:
             about: Header of the scene.
         """
-        pieces = self._ids(about), self.rows, self.records, _pack(self.term_records, about.term_bits)
+        pieces = self._ids(about), self.rows, self.records, self.term_records
         rows = [np.ascontiguousarray(piece).reshape(-1).view(np.uint8) for piece in pieces]
         ends = [0]
         for row in rows:
@@ -110,8 +109,8 @@ class Sections:
         most = sum(len(ids) for ids in lists) * kernels.MOST_BITS // 8 + 8
         out, orders = np.empty(_IDS.size + most, np.uint8), np.empty(6, np.uint8)
         bits = kernels.write_ids(*lists, _share(about), orders, out[_IDS.size :])
-        head = _IDS.pack(len(self.terms), len(self.gone), len(self.evicted), *orders.tolist())
-        out[: _IDS.size] = np.frombuffer(head, np.uint8)
+        counts = len(self.gaussians), len(self.terms), len(self.gone), len(self.evicted)
+        out[: _IDS.size] = np.frombuffer(_IDS.pack(*counts, *orders.tolist()), np.uint8)
         return out[: _IDS.size - (-bits // 8)]
 
     @classmethod
@@ -138,34 +137,19 @@ class Sections:
         if data[: len(head)] != head or ends[0] != 0 or any(b < a for a, b in pairwise(ends)) or not whole:
             _refuse(sequence, "four rows that fill the message", "others")
         rows = [np.frombuffer(data, np.uint8, stop - start, _ROWS_AT + start) for start, stop in pairwise(ends)]
-        widths = CHUNK_ROW.itemsize, RECORD_BYTES, 1
-        for row, width in zip(rows[1:], widths, strict=True):
-            if len(row) % width:
-                _refuse(sequence, f"a multiple of {width} bytes", f"{len(row)}")
-        c, g, _ = (len(row) // width for row, width in zip(rows[1:], widths, strict=True))
-        chunks, gaussians, terms, owners, gone, evicted = _ids_of(sequence, rows[0], c, g, about)
-        m, bits = len(terms), about.term_bits
-        if len(rows[3]) != -(-m * bits // 8):
-            _refuse(sequence, f"{-(-m * bits // 8):,} bytes of terms", f"{len(rows[3]):,}")
-        term_records = np.empty((m, about.term_bytes), np.uint8)
-        kernels.unpack_rows(rows[3], bits, term_records)
-        records = rows[2].reshape(g, RECORD_BYTES)
+        width = CHUNK_ROW.itemsize
+        if len(rows[1]) % width:
+            _refuse(sequence, f"a multiple of {width} bytes", f"{len(rows[1])}")
+        chunks, gaussians, terms, owners, gone, evicted = _ids_of(sequence, rows[0], len(rows[1]) // width, about)
         table = rows[1].view(CHUNK_ROW)
-        return cls(sequence, chunks, table, gaussians, records, terms, owners, term_records, gone, evicted)
+        return cls(sequence, chunks, table, gaussians, rows[2], terms, owners, rows[3], gone, evicted)
 
 
-def _pack(records: U8, bits: int) -> U8:
-    """Return records of terms without the padding bits of each record."""
-    words = np.zeros(-(-len(records) * bits // 64), "<u8")
-    kernels.pack_rows(records, bits, words)
-    return words.view(np.uint8)[: -(-len(records) * bits // 8)]
-
-
-def _ids_of(sequence: int, data: U8, chunks: int, gaussians: int, about: SceneHeader) -> list[I64]:
+def _ids_of(sequence: int, data: U8, chunks: int, about: SceneHeader) -> list[I64]:
     """Return six arrays of ids: chunks, Gaussians, terms, owners, replaced Gaussians, and evicted ones."""
     if len(data) < _IDS.size:
         _refuse(sequence, f"at least {_IDS.size} bytes of ids", f"{len(data)}")
-    terms, gone, evicted, *orders = _IDS.unpack(data[: _IDS.size].tobytes())
+    gaussians, terms, gone, evicted, *orders = _IDS.unpack(data[: _IDS.size].tobytes())
     n, t = about.gaussians, about.terms
     lengths = [chunks, gaussians, terms, terms, gone, evicted]
     limits = [n, n, t, n, n, n]

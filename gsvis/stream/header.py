@@ -12,6 +12,7 @@ import re
 import struct
 from dataclasses import asdict, dataclass
 from functools import cached_property
+from typing import Any
 
 import pyarrow as pa
 
@@ -21,6 +22,8 @@ from gsvis.errors import FormatError, ProtocolError, SceneError
 from gsvis.files.fields import Fields, parse_object
 from gsvis.package.layout import PACKED_VARIANTS, RECORD_BYTES, TermLayout
 from gsvis.package.manifest import Manifest, PackageInfo
+from gsvis.stream.coding import MOST_STEP, Coding, Steps, table_sizes
+from gsvis.stream.tables import Tables
 from gsvis.stream.wire import FAULTS, PROTOCOL, WELCOME
 
 __all__ = ["MOST", "SCHEMA", "SceneHeader"]
@@ -53,6 +56,8 @@ class SceneHeader:
         meters_per_unit: Size of a scene unit; 0 if unknown.
         identity: 64 hexadecimal digits that identify the ids and records. Holdings are valid only for a scene with the
             same identity.
+        code: Tables of the coder of records, as `Tables.to_text` writes them.
+        steps: Which bits records lack; None if they are those of the package.
     """
 
     gaussians: int
@@ -64,10 +69,16 @@ class SceneHeader:
     up: tuple[float, float, float]
     meters_per_unit: float
     identity: str
+    code: str
+    steps: Steps | None = None
 
     @classmethod
-    def from_manifest(cls, manifest: Manifest) -> SceneHeader:
+    def from_manifest(cls, manifest: Manifest, coding: Coding) -> SceneHeader:
         """Return the header of a package.
+
+        Args:
+            manifest: The manifest of the package.
+            coding: The code of its records.
 
         Raises:
             SceneError: If the scene is too large for one stream.
@@ -78,12 +89,24 @@ class SceneHeader:
         named = [part.name for part, _ in manifest.tables]
         for block in manifest.blocks:
             named += [block.gaussians.name, *(part.name for part, _ in block.terms)]
-        said = json.dumps([named, asdict(manifest.grids), manifest.names], sort_keys=True)
+        content: list[Any] = [named, asdict(manifest.grids), manifest.names]
+        if coding.steps is not None:
+            content.append(asdict(coding.steps))
+        said = json.dumps(content, sort_keys=True)
         return cls(
             manifest.gaussians, manifest.terms, sum(rows for _, rows in manifest.tables), manifest.names,
             manifest.counts, manifest.grids, manifest.info.up, manifest.info.meters_per_unit,
-            hashlib.sha256(said.encode()).hexdigest(),
+            hashlib.sha256(said.encode()).hexdigest(), coding.tables.to_text(), coding.steps,
         )  # fmt: skip
+
+    @cached_property
+    def coding(self) -> Coding:
+        """The code of the records.
+
+        Raises:
+            ProtocolError: If `code` is no such tables.
+        """
+        return Coding(self.grids, self.steps, Tables.from_text(self.code, table_sizes(self.grids)))
 
     @cached_property
     def term_bytes(self) -> int:
@@ -109,6 +132,8 @@ class SceneHeader:
             "up": list(self.up),
             "meters_per_unit": self.meters_per_unit,
             "identity": self.identity,
+            "code": self.code,
+            "steps": None if self.steps is None else asdict(self.steps),
         }
         text = json.dumps(said, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
         schema = SCHEMA.with_metadata({_KEY: text})
@@ -151,9 +176,17 @@ class SceneHeader:
             n, said.integer("terms", 0, min(255 * n, MOST)), said.integer("chunks", 0, n),
             tuple(level.text("name")[:100] for level in levels),
             tuple(level.integer("count", 0, n) for level in levels), grids_of(colors, name), (up[0], up[1], up[2]),
-            info.meters_per_unit, identity,
+            info.meters_per_unit, identity, said.text("code"), _steps_of(said),
         )  # fmt: skip
         sizes = RECORD_BYTES, found.term_bits
         if tuple(said.integer(key, 0, 64) for key in ("record_bytes", "term_bits")) != sizes:
             raise ProtocolError(f"WELCOME: expected records and terms of {sizes}, got others")
+        _ = found.coding  # raises if the tables are wrong
         return found
+
+
+def _steps_of(said: Fields) -> Steps | None:
+    if said.raw("steps") is None:
+        return None
+    steps = said.child("steps")
+    return Steps(steps.integer("place", -MOST_STEP, MOST_STEP), steps.integer("turn", -MOST_STEP, MOST_STEP))

@@ -6,7 +6,7 @@ frame and units.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from gsvis.errors import ProtocolError
 from gsvis.package.codec import ChunkTable
 from gsvis.scene.gaussians import Gaussians
 from gsvis.stream.batch import Sections
+from gsvis.stream.coding import chunks_of
 from gsvis.stream.drawn import Drawn
 from gsvis.stream.header import SceneHeader
 from gsvis.stream.wire import FAULTS, Hello
@@ -25,6 +26,7 @@ from gsvis.stream.wire import FAULTS, Hello
 __all__ = ["Received", "Receiver"]
 
 I64 = NDArray[np.int64]
+U8 = NDArray[np.uint8]
 
 MOST_BYTES = 1 << 29
 """Default memory limit for sets and tables of a scene, in bytes: about 90 million Gaussians with four terms each."""
@@ -115,12 +117,13 @@ class Receiver:
         try:
             starts, rows, table = self._with_chunks(s)
             chunks = _chunks_of(s.gaussians, starts, rows, table)
+            records, terms = self._decode(s, chunks, table)
             dropped = self._enter(s)
         except ValueError as error:
             raise ProtocolError(f"BATCH {s.sequence}: {error}") from error
         self._starts, self._rows, self._table, self._sequence = starts, rows, table, s.sequence
         evicted = self._drawn.forget(s.evicted)
-        self._drawn.add(s, chunks, table)
+        self._drawn.add(replace(s, records=records, term_records=terms), chunks, table)
         if len(dropped):
             self._drawn.drop(dropped)
         left = np.union1d(dropped, evicted) if len(evicted) else dropped
@@ -167,6 +170,21 @@ class Receiver:
             return np.ones(len(chunks), np.bool_)
         places = np.minimum(np.searchsorted(self._starts, chunks), len(self._starts) - 1)
         return np.asarray(self._starts[places] != chunks, np.bool_)
+
+    def _decode(self, s: Sections, of: NDArray[np.int32], table: ChunkTable) -> tuple[U8, U8]:
+        """Return the records of the Gaussians and of the terms of a batch.
+
+        Raises:
+            ValueError: If its bytes are no such records.
+        """
+        coding = self.about.coding
+        records = coding.decode_records(s.records, s.gaussians, of, chunks_of(table))
+        if records is None:
+            raise ValueError(f"records: expected those of {len(s.gaussians):,} Gaussians, got other bytes")
+        terms = coding.decode_terms(s.term_records, s.owners)
+        if terms is None:
+            raise ValueError(f"term_records: expected those of {len(s.terms):,} terms, got other bytes")
+        return records, terms
 
     def _enter(self, s: Sections) -> I64:
         """Add a batch to the holdings; return the ids of Gaussians that are no longer drawn.

@@ -1,8 +1,11 @@
-"""The codes of ids, written simply, as strings of 0 and 1: the slow twin of the kernels."""
+"""The codes of the wire, written simply, as strings of 0 and 1 and one symbol at a time: slow twins of the kernels."""
 
 from __future__ import annotations
 
-__all__ = ["decode_values", "encode_values"]
+import math
+from itertools import pairwise
+
+__all__ = ["PlainReader", "decode_values", "encode_values", "read_record", "read_term", "table_slots"]
 
 
 def encode_values(values: list[int], order: int) -> str:
@@ -29,3 +32,148 @@ def decode_values(bits: str, order: int, count: int) -> list[int]:
         at += order + zeros
         values.append(int("1" + lower, 2) - (1 << order))
     return values
+
+
+class PlainReader:
+    """The coder of records, one symbol at a time in plain Python, as a client would write it.
+
+    Args:
+        data: Bytes of a row of records.
+        tables: For each table, the slots of each symbol; an empty list for a table without symbols.
+
+    Raises:
+        ValueError: From all methods, if the bytes are no such symbols.
+    """
+
+    def __init__(self, data: bytes, tables: list[list[int]]) -> None:
+        if len(data) < 4 or len(data) % 2:
+            raise ValueError("data: expected words of 16 bits, at least two")
+        self._words = [data[k] | data[k + 1] << 8 for k in range(0, len(data), 2)]
+        self._tables = tables
+        self._state, self._at = self._words[0] | self._words[1] << 16, 2
+
+    def symbol(self, table: int) -> int:
+        """Return the next symbol, of a table."""
+        slot, start = self._state & 4095, 0
+        for symbol, size in enumerate(self._tables[table]):
+            if start <= slot < start + size:
+                self._refill(size * (self._state >> 12) + slot - start)
+                return symbol
+            start += size
+        raise ValueError(f"table {table}: expected one with symbols")
+
+    def bits(self, count: int) -> int:
+        """Return the next raw bits."""
+        found = self._state & ((1 << count) - 1)
+        self._refill(self._state >> count)
+        return found
+
+    def end(self) -> None:
+        """Raise unless all words are used, and the state is that of the first symbol that was written."""
+        if self._at != len(self._words) or self._state != 1 << 16:
+            raise ValueError("data: expected no more words")
+
+    def _refill(self, state: int) -> None:
+        if state < 1 << 16:
+            if self._at == len(self._words):
+                raise ValueError("data: expected more words")
+            state = state << 16 | self._words[self._at]
+            self._at += 1
+        self._state = state
+
+
+def table_slots(levels: list[int]) -> list[int]:
+    """Return the slots of each symbol of a table, of 4096, from their levels."""
+    weights = [(4 + (level - 1) % 4) << ((level - 1) // 4) if level else 0 for level in levels]
+    total, used = sum(weights), sum(weight > 0 for weight in weights)
+    ends = [0]
+    for k in range(len(weights)):
+        seen = sum(weight > 0 for weight in weights[: k + 1])
+        ends.append(sum(weights[: k + 1]) * (4096 - used) // total + seen if total else 0)
+    return [high - low for low, high in pairwise(ends)]
+
+
+def read_record(
+    reader: PlainReader,
+    bits: tuple[int, int, int],
+    chunk: tuple[int, int, list[float]],
+    before: tuple[int, int] | None,
+    limits: tuple[int, int] | None = None,
+) -> tuple[bytes, int]:
+    """Return the next record of a Gaussian with three bytes of color, and its strength.
+
+    Args:
+        reader: At the record.
+        bits: Bits of a coordinate, of a component of the quaternion, and of a log-scale.
+        chunk: Lowest log-scale, stride, and steps of the coordinates of its chunk.
+        before: How far the id before in the same chunk is away, and its strength; None if there is none.
+        limits: `Steps` of the scene, if it leaves bits out.
+    """
+    position, rotation, scale = bits
+    low, stride, steps = chunk
+    opacity, order, middle, smallest = (reader.symbol(k) for k in range(4))
+    a, b = -middle * stride, -smallest * stride
+    weight = _logarithm(opacity) + _add(_add(a, b), a + b)
+    if before is None:
+        top = reader.symbol(4)
+    else:
+        near, strength = before
+        top = reader.symbol(5 + min(near.bit_length() - 1, 5))
+        if top == 63:
+            top = reader.bits(scale)
+        else:
+            expected = ((strength - weight) // 2 - low) // stride
+            top += min(max(expected, 0), 2**scale - 1) - 47
+    scales = [0, 0, 0]
+    largest, half = order // 2, 2 ** (rotation - 1) - 1
+    rest = [k for k in range(3) if k != largest]
+    scales[largest] = top % 2**scale
+    scales[rest[order % 2]], scales[rest[1 - order % 2]] = (top - middle) % 2**scale, (top - smallest) % 2**scale
+    size = low + scales[largest] * stride
+    turn = 0 if limits is None else min(max((limits[1] - (2 * size + middle * stride) // 4) // 64, 0), 7)
+    turns = [(((reader.symbol(11 + 8 * k + turn) - half) << turn) + half) % 2**rotation for k in range(3)]
+    second = reader.symbol(35)
+    first = reader.symbol(36 + second // 32)
+    third = reader.symbol(44 + min(max(((first + 128) % 256 - 128) // 4, -8), 8) + 8)
+    word = 0
+    for k in range(3):
+        left = position
+        if limits is not None:
+            limit = min(limits[0] - (middle * stride) // 2 - _logarithm(opacity), size - middle * stride) // 64
+            fraction, exponent = math.frexp(steps[k])
+            step = -127 if steps[k] == 0 else exponent - 1 + (fraction > 0.5)
+            left -= min(max(limit - step, 0), position)
+        place = reader.bits(left) << (position - left)
+        field = place | turns[k] << position | scales[k] << (position + rotation)
+        word |= field << (k * sum(bits))
+    color = bytes([opacity, (first + second) % 256, second, (third + second) % 256])
+    return color + word.to_bytes(12, "little"), 2 * size + weight
+
+
+def _logarithm(opacity: int) -> int:
+    return round(64 * math.log2(max(opacity, 1)))
+
+
+def _add(a: int, b: int) -> int:
+    return max(a, b) + round(64 * math.log2(1 + 2 ** (-abs(a - b) / 64)))
+
+
+def read_term(reader: PlainReader, before: int | None) -> tuple[int, int]:
+    """Return the next term of 36 bits, and its leading intensity.
+
+    Args:
+        reader: At the term.
+        before: The leading intensity of the term before, if that is of the same Gaussian.
+    """
+    lead = reader.symbol(70 if before is None else 71 + before // 8)
+    decay = reader.symbol(79 + lead // 8)
+    polar = reader.symbol(87)
+    azimuth = reader.symbol(88 + polar // 8)
+    first = reader.symbol(96 + lead // 4)
+    last = reader.symbol(112 + min(max((first + 32) % 64 - 32, -6), 6) + 6)
+    parts = polar, azimuth, decay, (first + lead) % 64, lead, (last + lead) % 64
+    word, shift = 0, 0
+    for value, width in zip(parts, (6, 7, 5, 6, 6, 6), strict=True):
+        word |= value << shift
+        shift += width
+    return word, lead

@@ -22,6 +22,7 @@ from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.codec import pack
 from gsvis.pvs.store import VisibilityStore
 from gsvis.stream.batch import CHUNK_ROW
+from gsvis.stream.coding import Coding, Quality, chunks_of, coarsen
 from gsvis.stream.header import SceneHeader
 
 __all__ = ["StreamedScene", "class_weights", "term_cones"]
@@ -33,32 +34,51 @@ class StreamedScene:
     Attributes:
         package: The open package.
         contents: The records of the package.
+        coding: The code of the records.
         about: The content of WELCOME.
         header: The WELCOME message, the same for every client.
         index: What planners need to know of the scene.
         candidates: Candidates of each cell, shared by all planners.
         owners: (T,) int32, the Gaussian of each term.
         chunk_rows: (C,) of `CHUNK_ROW`, as sent.
+        chunk_numbers: Rows of chunks, as the coder needs them.
         ending: Number of Gaussians that others replace.
     """
 
-    def __init__(self, package: Package, *, max_cache_bytes: int = 512 << 20, pixel: float = 2e-3) -> None:
+    def __init__(
+        self,
+        package: Package,
+        *,
+        max_cache_bytes: int = 512 << 20,
+        pixel: float = 2e-3,
+        quality: Quality | None = None,
+    ) -> None:
         """Decode an open package; see `open`."""
-        self.package, self.contents = package, package.contents
+        self.package, self.contents, steps = package, package.contents, None
+        if quality is not None:
+            self.contents, steps = coarsen(self.contents, quality)
+        self.coding = coding = Coding.from_contents(self.contents, steps)
+        self.chunk_numbers = chunks_of(self.contents.table)
         counts = self.contents.term_counts
         self.owners = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
         self.chunk_rows = _chunk_rows(self.contents)
-        self.about = SceneHeader.from_manifest(package.manifest)
+        self.about = SceneHeader.from_manifest(package.manifest, coding)
         self.header = self.about.to_message()
         cache: Cache[Any] = Cache(max_cache_bytes, keep_last=True)
-        self.index = _scene_index(package, cache)
+        sizes = coding.mean_bytes(self.contents)
+        self.index = _scene_index(package, cache, sizes)
         self.ending = int(np.count_nonzero(np.diff(self.index.replacement_offsets)))
         stored = float(RECORD_BYTES), self.about.term_bits / 8
         self.candidates = CandidateIndex(self.index, pixel=pixel, stored=stored, cache=cache)
 
     @classmethod
     def open(
-        cls, package: Package | str | PathLike[str], *, max_cache_bytes: int = 512 << 20, pixel: float = 2e-3
+        cls,
+        package: Package | str | PathLike[str],
+        *,
+        max_cache_bytes: int = 512 << 20,
+        pixel: float = 2e-3,
+        quality: Quality | None = None,
     ) -> StreamedScene:
         """Open a package and read all its records; read no visible set yet.
 
@@ -67,6 +87,7 @@ class StreamedScene:
                 cell that sees everything.
             max_cache_bytes: Most bytes of decoded sets and candidates of cells to keep; the last is kept in any case.
             pixel: Angle of a pixel of the clients, radians.
+            quality: How to round records before they are sent; None means not at all.
 
         Raises:
             FormatError: If the folder is not a package, or is damaged.
@@ -74,7 +95,7 @@ class StreamedScene:
         """
         _check.positive_int("max_cache_bytes", max_cache_bytes, at_least=0)
         found = package if isinstance(package, Package) else Package.open(package)
-        return cls(found, max_cache_bytes=max_cache_bytes, pixel=pixel)
+        return cls(found, max_cache_bytes=max_cache_bytes, pixel=pixel, quality=quality)
 
     def __len__(self) -> int:
         """Return N, the number of Gaussians."""
@@ -141,10 +162,15 @@ def _chunk_rows(contents: Contents) -> NDArray[np.void]:
     return rows
 
 
-def _scene_index(package: Package, cache: Cache[Any]) -> SceneIndex:
-    """Return the index of a package for planners. Its visible sets are kept in `cache`."""
+def _scene_index(package: Package, cache: Cache[Any], nbytes: tuple[float, float]) -> SceneIndex:
+    """Return the index of a package for planners. Its visible sets are kept in `cache`.
+
+    Args:
+        package: An open package.
+        cache: Keeps visible sets.
+        nbytes: Bytes of a Gaussian and of a term.
+    """
     contents, manifest = package.contents, package.manifest
-    nbytes = float(SceneHeader.from_manifest(manifest).term_bytes)
     if manifest.visibility is not None:
         sets = package.visibility
         sets.cache = cache
@@ -154,8 +180,8 @@ def _scene_index(package: Package, cache: Cache[Any]) -> SceneIndex:
             contents.levels(),
             sets.grid,
             sets,
-            terms=SceneTerms(contents.term_offsets, nbytes, active, cones),
-            gaussian_bytes=float(RECORD_BYTES),
+            terms=SceneTerms(contents.term_offsets, nbytes[1], active, cones),
+            gaussian_bytes=nbytes[0],
             class_weights=class_weights(sets),
         )
     low, high = contents.gaussians().bounds(1.0) if len(contents) else (np.zeros(3), np.ones(3))
@@ -163,5 +189,5 @@ def _scene_index(package: Package, cache: Cache[Any]) -> SceneIndex:
     up = np.array(manifest.info.up)
     grid = CellGrid((low + high) / 2 - side / 2, side, (1, 1, 1), np.zeros((1, 3), np.int32), up)
     every = EveryCell(len(contents), len(contents.term_records))
-    terms = SceneTerms(contents.term_offsets, nbytes, every)
-    return SceneIndex.from_levels(contents.levels(), grid, every, terms=terms, gaussian_bytes=float(RECORD_BYTES))
+    terms = SceneTerms(contents.term_offsets, nbytes[1], every)
+    return SceneIndex.from_levels(contents.levels(), grid, every, terms=terms, gaussian_bytes=nbytes[0])

@@ -39,6 +39,7 @@ export interface Header {
   up: [number, number, number];
   metersPerUnit: number;
   identity: string;
+  code: Code | null; // of a stream
 }
 
 /**
@@ -349,6 +350,13 @@ export interface XrSession {
   addEventListener(type: "end", listener: () => void): void;
 }
 
+/** The code of a scene; a table without symbols is null. `steps` says which bits are left out. */
+interface Code {
+  colors: ColorTables;
+  tables: (Table | null)[];
+  steps: { place: number; turn: number } | null;
+}
+
 /** Starts the Worker; a page in one file passes its own. */
 type WorkerStart = () => Worker;
 
@@ -359,6 +367,12 @@ interface XrFrame {
 interface XrLayer {
   framebuffer: WebGLFramebuffer | null;
   getViewport(view: XrView): { x: number; y: number; width: number; height: number } | null | undefined;
+}
+
+/** A table: the symbol at each slot, and for each symbol its first slot and, from bit 16 on, how many it has. */
+interface Table {
+  slots: Uint16Array;
+  spans: Uint32Array;
 }
 
 interface XrView {

@@ -46,6 +46,8 @@ def welcomes() -> Damaged:
         "no level": welcome(lambda header: header.update(levels=[])),
         "too many levels": welcome(lambda header: header.update(levels=header["levels"] * 6)),
         "records of another size": welcome(lambda header: header.update(record_bytes=17)),
+        "tables that are cut": welcome(lambda header: header.update(code=header["code"][:-8])),
+        "steps beyond all": welcome(lambda header: header.update(steps={"place": 1 << 20, "turn": 0})),
         "a scene of billions": welcome(lambda header: header.update(gaussians=1 << 28)),
     }
     return {name: case(data) for name, data in found.items()}
@@ -67,8 +69,8 @@ def batches() -> Damaged:
     ids, gone = parsed[0].gaussians[:2], replace(nothing, sequence=3)
     once, again = replace(nothing, sequence=2, gone=ids), replace(gone, gone=ids)
     rows = wire.rows_of(rest[0])
-    orders = _IDS.pack(*_IDS.unpack_from(rows[0])[:3], 255, 0, 0, 0, 0, 0)
-    many = _IDS.pack(0, about.gaussians + 1, 0, 0, 0, 0, 0, 0, 0) + bytes(about.gaussians)
+    orders = _IDS.pack(*_IDS.unpack_from(rows[0])[:4], 255, 0, 0, 0, 0, 0)
+    many = _IDS.pack(0, 0, about.gaussians + 1, 0, 0, 0, 0, 0, 0, 0) + bytes(about.gaussians)
     return {
         "levels out of order": case(first, *before, replace(s, rows=crossed).to_message(about)),
         "no chunk": case(first, replace(parsed[0], chunks=NO_IDS, rows=s.rows[:0]).to_message(about)),
@@ -77,6 +79,8 @@ def batches() -> Damaged:
         ),
         "gone again": case(first, rest[0], once.to_message(about), again.to_message(about)),
         "a message of another kind": case(first, b"\x7f" * 400),
+        "records that end too soon": case(first, wire.framed(rest[0], [*rows[:2], rows[2][:-2], rows[3]])),
+        "terms with more behind": case(first, wire.framed(rest[0], [*rows[:3], rows[3] + b"\0\0"])),
         "an order that is none": case(first, wire.framed(rest[0], [orders + rows[0][_IDS.size :], *rows[1:]])),
         "evicted and not held": case(first, replace(nothing, sequence=1, evicted=ids).to_message(about)),
         "more gone than there are": case(first, wire.framed(rest[0], [many, b"", b"", b""])),

@@ -335,8 +335,8 @@ def _change_frame(rng: Random, data: bytes) -> bytes:
     rows[k] = rng.choice((change_bytes(rng, rows[k]), rows[k][:-1], rows[k] + b"\0", b"", rows[k] * 2))
     if k == 0 and len(rows[0]) >= _IDS.size and rng.random() < 0.5:
         numbers = list(_IDS.unpack_from(rows[0]))
-        which = rng.randrange(9)
-        numbers[which] = rng.choice((0, 1, 255, numbers[which] + 1, (1 << 32) - 1)) % (1 << 32 if which < 3 else 256)
+        which = rng.randrange(10)
+        numbers[which] = rng.choice((0, 1, 255, numbers[which] + 1, (1 << 32) - 1)) % (1 << 32 if which < 4 else 256)
         rows[0] = _IDS.pack(*numbers) + rows[0][_IDS.size :]
     return framed(data, rows)
 

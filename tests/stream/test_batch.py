@@ -18,7 +18,6 @@ from gsvis.stream.header import HEAD, SCHEMA, SceneHeader
 from gsvis.stream.reference import decode_values, encode_values
 from tests.stream.worlds import package_of
 
-TERM_MASK = np.array([255, 255, 255, 255, 15], np.uint8)  # 36 bits
 IDS = st.lists(st.integers(0, 2**31 - 2), max_size=60, unique=True).map(sorted)
 
 
@@ -42,7 +41,7 @@ def test_any_arrow_client_reads_a_stream(tmp_path: Path) -> None:
             found, rows = Sections.parse(data, scene.about), batch.column(0).to_pylist()
             assert len(rows) == 4
             assert rows[1:3] == [found.rows.tobytes(), found.records.tobytes()]
-            assert len(rows[3]) == -(-len(found.terms) * scene.about.term_bits // 8)
+            assert rows[3] == found.term_records.tobytes()
             assert batch.column(0).is_valid().to_pylist() == 4 * [True]
 
 
@@ -108,7 +107,7 @@ def header() -> SceneHeader:
     from gsvis.color.records import PRECISIONS, Grids
 
     grids = Grids("rgb", PRECISIONS["wire"], ((0.0, 1.0),) * 3, (1.0, 1.0), (0.5, 9.0), 0.25)
-    return SceneHeader(5000, 9000, 20, ("all",), (5000,), grids, (0.0, 0.0, 1.0), 0.0, 64 * "0")
+    return SceneHeader(5000, 9000, 20, ("all",), (5000,), grids, (0.0, 0.0, 1.0), 0.0, 64 * "0", "")
 
 
 def sections(ids: np.ndarray) -> Sections:
@@ -117,8 +116,8 @@ def sections(ids: np.ndarray) -> Sections:
     rows["count"] = 256
     terms = np.arange(n) * 2 + 1
     return Sections(
-        7, ids[: len(rows)], rows, ids, rng.integers(0, 256, (n, 16), np.uint8), terms, np.sort(ids),
-        rng.integers(0, 256, (n, 5), np.uint8) & TERM_MASK, ids[:1] + 1, ids[-1:],
+        7, ids[: len(rows)], rows, ids, rng.integers(0, 256, 9 * n, np.uint8), terms, np.sort(ids),
+        rng.integers(0, 256, 3 * n, np.uint8), ids[:1] + 1, ids[-1:],
     )  # fmt: skip
 
 
@@ -129,16 +128,3 @@ def test_ids_past_the_scene_are_refused() -> None:
     for ids in ([4999, 5000], [2**31 - 2]):
         with pytest.raises(ProtocolError, match=r"^BATCH 7: expected ids below"):
             Sections.parse(sections(np.array(ids)).to_message(about), about)
-
-
-@given(st.integers(1, 64), st.integers(0, 20), st.integers(0, 1000))
-def test_rows_of_bits_come_back(bits: int, count: int, seed: int) -> None:
-    rows = np.random.default_rng(seed).integers(0, 256, (count, -(-bits // 8)), np.uint8)
-    rows[:, -1] &= 255 >> (-bits % 8)
-    words, back = np.zeros(-(-bits * count // 64), np.uint64), np.empty_like(rows)
-    kernels.pack_rows(rows, bits, words)
-    out = words.view(np.uint8)[: -(-bits * count // 8)]
-    wanted = np.unpackbits(rows, axis=1, bitorder="little")[:, :bits].reshape(-1)
-    np.testing.assert_array_equal(out, np.packbits(wanted, bitorder="little"))
-    kernels.unpack_rows(out, bits, back)
-    np.testing.assert_array_equal(back, rows)

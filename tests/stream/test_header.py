@@ -15,6 +15,7 @@ from gsvis.errors import ProtocolError, SceneError
 from gsvis.package import Package
 from gsvis.stream import Receiver, StreamedScene
 from gsvis.stream import header as headers
+from gsvis.stream.coding import Coding, Steps
 from gsvis.stream.header import HEAD, MOST, SCHEMA, SceneHeader
 from gsvis.stream.wire import PROTOCOL, WELCOME
 from tests.damage import OTHERS, places, replaced, without
@@ -90,21 +91,24 @@ def test_what_no_client_takes_is_not_offered(tmp_path: Path, monkeypatch: pytest
     with package_of(tmp_path / "s.gsvis", 60, stores=False) as package:
         monkeypatch.setattr(headers, "MOST", 59)
         with pytest.raises(SceneError, match="at most 59 Gaussians"):
-            SceneHeader.from_manifest(package.manifest)
+            SceneHeader.from_manifest(package.manifest, Coding.from_contents(package.contents))
 
 
 def test_the_identity_is_of_all_that_ids_and_records_mean(tmp_path: Path) -> None:
     def about(name: str, variant: str = "rgb", seed: int = 0) -> SceneHeader:
         with package_of(tmp_path / name / "s.gsvis", 60, variant, seed, stores=False) as package:
-            return SceneHeader.from_manifest(package.manifest)
+            return SceneHeader.from_manifest(package.manifest, Coding.from_contents(package.contents))
 
     one = about("one")
     assert one == about("again")
     assert len({one.identity, about("variant", "hsl").identity, about("content", seed=1).identity}) == 3
     with Package.open(tmp_path / "one" / "s.gsvis") as package:
-        manifest = package.manifest
+        manifest, coding = package.manifest, Coding.from_contents(package.contents)
         renamed = dataclasses.replace(manifest, names=(*manifest.names[:-1], "another"))
-        assert SceneHeader.from_manifest(renamed).identity != one.identity
+        assert SceneHeader.from_manifest(renamed, coding).identity != one.identity
         for block in range(len(manifest.blocks)):
             less = (*manifest.blocks[:block], *manifest.blocks[block + 1 :])
-            assert SceneHeader.from_manifest(dataclasses.replace(manifest, blocks=less)).identity != one.identity
+            other = SceneHeader.from_manifest(dataclasses.replace(manifest, blocks=less), coding)
+            assert other.identity != one.identity
+        rounded = dataclasses.replace(coding, steps=Steps(1, 2))
+        assert SceneHeader.from_manifest(manifest, rounded).identity != one.identity

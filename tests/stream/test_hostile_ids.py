@@ -149,10 +149,10 @@ NONE = np.zeros(0, np.int64)
 
 
 def message(about: SceneHeader, **ids: Any) -> bytes:
-    """A BATCH whose ids are as given, and whose records are zeros."""
+    """A BATCH whose ids are as given, and whose coded records are zeros."""
     lists = {name: np.array(ids.get(name, NONE), np.int64) for name in ("gaussians", "terms", "owners", "gone")}
-    records = np.zeros((len(lists["gaussians"]), 16), np.uint8)
-    term_records = np.zeros((len(lists["terms"]), about.term_bytes), np.uint8)
+    records = np.zeros(9 * len(lists["gaussians"]), np.uint8)
+    term_records = np.zeros(4 * len(lists["terms"]), np.uint8)
     empty = Sections(
         1, NONE, np.zeros(0, np.uint8), lists["gaussians"], records, lists["terms"], lists["owners"], term_records,
         lists["gone"],

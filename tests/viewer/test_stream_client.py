@@ -24,7 +24,7 @@ from websockets.sync.server import ServerConnection, serve
 
 from gsvis.abr.config import AbrConfig
 from gsvis.color.evaluate import evaluate
-from gsvis.stream import Hello, Receiver, parse_client
+from gsvis.stream import Hello, Receiver, StreamedScene, parse_client
 from tests.serve.servers import PATIENCE, VIEW, patient, serving, slow_link, until
 from tests.stream.worlds import package_of
 
@@ -226,12 +226,13 @@ class Tee:
 def test_it_holds_what_the_python_receiver_holds_after_the_same_messages(program: Path, tmp_path: Path) -> None:
     """Over a walk through cells, with four breaks of the connection."""
     folder = tmp_path / "celled.gsvis"
-    package_of(folder, 4000, "hsl").close()
+    with package_of(folder, 4000, "hsl") as package:
+        first = len(StreamedScene.open(package).header)
     with (
         serving(folder, abr=AbrConfig(policy="low-first", start_rate=1000.0)) as server,
         slow_link(server.url, 30_000.0) as link,
     ):
-        tee = Tee(link.url, [6000, 9000, 6000, 9000])
+        tee = Tee(link.url, [first + more for more in (4000, 6000, 4000, 6000)])
         with client_of(program, tee.url, tmp_path) as client:
             for k in range(12):
                 client.say(f"pose {k / 4 - 1.5} {k % 3 / 2 - 0.5} 0.2")

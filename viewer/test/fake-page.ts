@@ -10,7 +10,7 @@ import type { PageCamera, Pick, Statistics, ViewerLike, ViewerOptions } from "..
 
 const HEADER: Header = {
   gaussians: 780_582, terms: 1_240_000, chunks: 3300, termBits: 44, harmonics: null, up: [0, 0, 1], metersPerUnit: 1,
-  identity: "0".repeat(64),
+  identity: "0".repeat(64), code: null,
   levels: [{ name: "low", count: 145_900 }, { name: "medium", count: 272_400 }, { name: "high", count: 780_582 }],
   colors: {
     variant: "rgb", precision: { name: "wire", base: 8, scale: 0, axis: 6, center: 6, decay: 4, intensity: 6 },

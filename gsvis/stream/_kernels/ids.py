@@ -279,34 +279,3 @@ def gather(rows, places, out):
         for k in range(width):
             out[at + k] = rows[place, k]
         at += width
-
-
-@njit(**_OPTIONS)
-def pack_rows(rows, bits, out):
-    """Write the lowest bits of each row (M, B), B <= 8, as one string of bits, lowest first, to words of zeros."""
-    count, width = rows.shape
-    mask = ~np.uint64(0) >> np.uint64(64 - bits)
-    bit = 0
-    for i in range(count):
-        word = np.uint64(0)
-        for b in range(width):
-            word |= np.uint64(rows[i, b]) << np.uint64(8 * b)
-        word &= mask
-        out[bit >> 6] |= word << np.uint64(bit & 63)
-        if (bit & 63) + bits > 64:
-            out[(bit >> 6) + 1] = word >> np.uint64(64 - (bit & 63))
-        bit += bits
-
-
-@njit(**_OPTIONS)
-def unpack_rows(data, bits, rows):
-    """Write the rows (M, B) that `pack_rows` packed; the string of bits must be long enough."""
-    count, width = rows.shape
-    for i in range(count):
-        for b in range(width):
-            left = min(8, bits - 8 * b)
-            bit = i * bits + 8 * b
-            value = np.uint16(data[bit >> 3])
-            if (bit & 7) + left > 8:
-                value |= np.uint16(data[(bit >> 3) + 1]) << np.uint16(8)
-            rows[i, b] = np.uint8((value >> np.uint16(bit & 7)) & np.uint16((1 << left) - 1))

@@ -1,15 +1,15 @@
-// A BATCH as its lists of ids and its rows, checked in everything that does not need what came before.
+// A BATCH as its lists of ids and its rows, checked in everything that does not need what came before. Records stay
+// coded.
 import { recordBatchRows } from "./arrow.ts";
-import { peek, readCodes, take, wordsOf } from "./bits.ts";
+import { peek, readCodes, wordsOf } from "./bits.ts";
 import type { Header } from "./types.ts";
 import { BATCH, FAULTS, ProtocolError } from "./wire.ts";
 
-/** Bytes of the row of a chunk, and of a record. */
+/** Bytes of the row of a chunk. */
 export const CHUNK_BYTES = 31;
-const RECORD_BYTES = 16;
 const MOST_BYTES = 2 ** 28;
 const MOST_ORDER = 24;
-const IDS_AT = 18; // bytes before the string of bits
+const IDS_AT = 22; // bytes before the string of bits
 
 /** The content of a BATCH. Lists of ids rise; owners never fall. */
 export interface Sections {
@@ -17,10 +17,10 @@ export interface Sections {
   chunks: Uint32Array; // (C) first id of each chunk
   rows: Uint8Array; // (31 C)
   gaussians: Uint32Array; // (G)
-  records: Uint32Array; // (4 G)
+  records: Uint8Array; // coded
   terms: Uint32Array; // (M)
   owners: Uint32Array; // (M) ids
-  termRecords: Uint32Array; // (2 M)
+  termRecords: Uint8Array; // coded
   gone: Uint32Array; // (D)
 }
 
@@ -41,28 +41,20 @@ export function parseBatch(message: Uint8Array, about: Header): Sections {
   const refuse = (expected: string, got: string): never => {
     throw new ProtocolError(`BATCH ${sequence}: expected ${expected}, got ${got}`);
   };
-  const [ids, rows, records, packed] = recordBatchRows(message.subarray(8), refuse);
+  const [ids, rows, records, termRecords] = recordBatchRows(message.subarray(8), refuse);
   if (rows.length % CHUNK_BYTES !== 0) refuse(`a multiple of ${CHUNK_BYTES} bytes`, `${rows.length}`);
-  if (records.length % RECORD_BYTES !== 0) refuse(`a multiple of ${RECORD_BYTES} bytes`, `${records.length}`);
-  const [chunks, gaussians, terms, owners, gone] = parseIds(
-    ids, rows.length / CHUNK_BYTES, records.length / RECORD_BYTES, about, refuse,
-  );
-  const bytes = Math.ceil((terms.length * about.termBits) / 8);
-  if (packed.length !== bytes) refuse(`${bytes} bytes of terms`, `${packed.length}`);
-  const termRecords = unpackTerms(packed, terms.length, about.termBits, refuse);
-  const words = new Uint32Array(records.length / 4);
-  new Uint8Array(words.buffer).set(records);
-  return { sequence, chunks, rows, gaussians, records: words, terms, owners, termRecords, gone };
+  const [chunks, gaussians, terms, owners, gone] = parseIds(ids, rows.length / CHUNK_BYTES, about, refuse);
+  return { sequence, chunks, rows, gaussians, records, terms, owners, termRecords, gone };
 }
 
 /** Return the five lists of row 0: chunks, Gaussians, terms, owners, gone. */
 function parseIds(
-  data: Uint8Array, c: number, g: number, about: Header, refuse: (expected: string, got: string) => never,
+  data: Uint8Array, c: number, about: Header, refuse: (expected: string, got: string) => never,
 ): Uint32Array[] {
   if (data.length < IDS_AT) refuse(`at least ${IDS_AT} bytes of ids`, `${data.length}`);
   const head = new DataView(data.buffer, data.byteOffset, IDS_AT);
-  const m = head.getUint32(0, true), d = head.getUint32(4, true), orders = data.subarray(12, IDS_AT);
-  if (head.getUint32(8, true)) refuse("none evicted", "some");
+  const [g, m, d, e] = [0, 4, 8, 12].map((at) => head.getUint32(at, true)), orders = data.subarray(16, IDS_AT);
+  if (e) refuse("none evicted", `${e}`);
   const lengths = [c, g, m, m, d], n = about.gaussians, limits = [n, n, about.terms, n, n];
   const total = lengths.reduce((sum, length) => sum + length, 0);
   if (orders.some((order) => order > MOST_ORDER) || total > 8 * data.length) {
@@ -110,19 +102,5 @@ function ownersFrom(values: Float64Array, terms: Uint32Array, about: Header): Ui
     out[i] = owner = found;
     term = terms[i];
   }
-  return out;
-}
-
-/** Return the records of terms, 64 bits each, from `bits` each one after another. */
-function unpackTerms(
-  data: Uint8Array, count: number, bits: number, refuse: (expected: string, got: string) => never,
-): Uint32Array {
-  const words = wordsOf(data), out = new Uint32Array(2 * count);
-  for (let i = 0; i < count; i++) {
-    const bit = i * bits;
-    out[2 * i] = take(words, bit, Math.min(bits, 32));
-    if (bits > 32) out[2 * i + 1] = take(words, bit + 32, bits - 32);
-  }
-  if (peek(words, count * bits) !== 0) refuse("zeros after the last term", "ones");
   return out;
 }

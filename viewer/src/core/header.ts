@@ -1,6 +1,7 @@
 // What is known of a scene before its first Gaussian, from WELCOME or any JSON with the same keys; all of it is
 // checked.
 import { schemaMetadata } from "./arrow.ts";
+import { codeOf } from "./coding.ts";
 import { type Fields, integer, list, number, object, refuse, triple } from "./json.ts";
 import type { ColorTables, Header, Level } from "./types.ts";
 import { termWidths } from "./tables.ts";
@@ -8,7 +9,7 @@ import { FAULTS, PROTOCOL, ProtocolError, WELCOME } from "./wire.ts";
 
 const MOST = 2 ** 28; // Gaussians, and terms
 const MOST_BYTES = 1 << 20;
-const MOST_DECAY = 1e4;
+const MOST_DECAY = 1e4, MOST_STEP = 2 ** 15;
 const LEAST = 1.1754943508222875e-38; // the smallest normal float32
 
 /** Return the header that a WELCOME holds; raise ProtocolError for anything else. */
@@ -26,7 +27,7 @@ export function parseWelcome(message: Uint8Array): Header {
   } catch {
     throw new ProtocolError("WELCOME: expected JSON, got other text");
   }
-  return headerOf(said, "WELCOME");
+  return withCode(headerOf(said, "WELCOME"), object(said, "WELCOME"));
 }
 
 /** Return the header that a parsed JSON object describes; `where` names it in errors. */
@@ -57,7 +58,17 @@ export function headerOf(said: unknown, where: string): Header {
     up: [up[0] / length, up[1] / length, up[2] / length],
     metersPerUnit: number(o["meters_per_unit"], 0, Number.MAX_VALUE, `${where}, meters_per_unit`),
     identity: identity as string,
+    code: null,
   };
+}
+
+/** Return a header with the code of a stream. */
+function withCode(header: Header, o: Fields): Header {
+  const text = o["code"], steps = o["steps"] === null ? null : object(o["steps"], "WELCOME, steps");
+  if (typeof text !== "string") return refuse("WELCOME, code", "text", text);
+  const limit = (of: Fields, name: string) => integer(of, name, -MOST_STEP, MOST_STEP, "WELCOME, steps");
+  const limits = steps && { place: limit(steps, "place"), turn: limit(steps, "turn") };
+  return { ...header, code: codeOf(text, header.colors, limits) };
 }
 
 function levelOf(said: unknown, gaussians: number, where: string): Level {

@@ -4,6 +4,7 @@ import type { Sections } from "./batch.ts";
 import { add, has } from "./bits.ts";
 import { addChunks, noChunks, rowsOf } from "./chunks.ts";
 import type { Chunks } from "./chunks.ts";
+import { readRecords, readTerms } from "./coding.ts";
 import { parseWelcome } from "./header.ts";
 import { holdings } from "./roaring.ts";
 import { decodeMean, recordLayout } from "./tables.ts";
@@ -78,7 +79,12 @@ export class Receiver {
     const chunks = addChunks(this.chunks, s.chunks, s.rows, this.about, refuse);
     const rows = rowsOf(s.gaussians, chunks, refuse);
     this.check(s, refuse);
-    return this.enter(s, chunks, rows);
+    const code = this.about.code;
+    if (code === null) throw new Error("a WELCOME has a code");
+    const records = readRecords(s.records, s.gaussians, rows, chunks.table, code);
+    const terms = readTerms(s.termRecords, s.owners, code);
+    if (records === null || terms === null) return refuse("expected records, got other bytes");
+    return this.enter(s, chunks, rows, records, terms);
   }
 
   /** Raise unless the ids of a batch are new, terms have a Gaussian, and no Gaussian is replaced twice. */
@@ -101,11 +107,13 @@ export class Receiver {
   }
 
   /** Keep a checked batch and return what is new in it. */
-  private enter(s: Sections, chunks: Chunks, rows: Uint32Array): Batch {
+  private enter(
+    s: Sections, chunks: Chunks, rows: Uint32Array, records: Uint32Array, terms: Uint32Array,
+  ): Batch {
     const g = s.gaussians.length, first = this.gaussians, firstTerm = this.terms, firstRow = this.chunks.starts.length;
     const means = new Float32Array(3 * g);
     for (let i = 0; i < g; i++) {
-      decodeMean(s.records, i, chunks.table, rows[i], this.layout, means);
+      decodeMean(records, i, chunks.table, rows[i], this.layout, means);
       this.slots[s.gaussians[i]] = first + i + 1;
       add(this.sent, s.gaussians[i]);
     }
@@ -125,9 +133,9 @@ export class Receiver {
     this.replaced += gone.length;
     this.skipped += s.gone.length - gone.length;
     return {
-      first, ids: s.gaussians, records: s.records, rows, means, firstRow, chunks: chunks.table.slice(8 * firstRow),
+      first, ids: s.gaussians, records, rows, means, firstRow, chunks: chunks.table.slice(8 * firstRow),
       chunkLevels,
-      firstTerm, terms: s.termRecords, owners: s.owners.map((id) => this.slots[id] - 1), gone, harmonics: null,
+      firstTerm, terms, owners: s.owners.map((id) => this.slots[id] - 1), gone, harmonics: null,
     };
   }
 }

@@ -1,5 +1,6 @@
 // What passes between the parts of the viewer: a source gives a header and batches, the renderer draws them.
 // Frames are those of the scene: OpenCV cameras (+x right, +y down, +z forward), quaternions wxyz, world from camera.
+import type { Code } from "./coding.ts";
 
 /** Numbers that define the tables of base colors and terms; `colors` of WELCOME (docs/streaming.md). */
 export interface ColorTables {
@@ -40,6 +41,7 @@ export interface Header {
   up: [number, number, number];
   metersPerUnit: number;
   identity: string;
+  code: Code | null; // of a stream
 }
 
 /**

@@ -1,0 +1,152 @@
+"""Kernels of the coder: symbols of tables and raw bits become words of 16 bits, and back.
+
+rANS with tables of 12 bits and a state of 32 bits. The encoder runs backwards, so that the decoder runs forwards. All
+arithmetic is of integers. Arrays are checked and contiguous.
+
+References:
+    Duda, "Asymmetric numeral systems: entropy coding combining speed of Huffman coding with compression rate of
+    arithmetic coding", arXiv 1311.2540, section 3 (range variant).
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True}
+
+BITS = 12
+TOTAL = 1 << BITS
+LEAST = 1 << 16  # the state is between this and 2^32
+RAW = 1 << 31  # marks an operation that writes raw bits
+
+
+class Decoder(NamedTuple):
+    """Tables as a decoder needs them.
+
+    Attributes:
+        slots: (R, TOTAL) uint16, the symbol at each slot of each table that has symbols; symbols are counted over all
+            tables.
+        rows: (K,) int32, row of each table in `slots`; -1 for those without symbols.
+        offsets: (K + 1,) int64, first symbol of each table.
+        spans: (S,) uint32, first slot of each symbol, and from bit 16 on how many it has.
+    """
+
+    slots: NDArray[np.uint16]
+    rows: NDArray[np.int32]
+    offsets: NDArray[np.int64]
+    spans: NDArray[np.uint32]
+
+
+@njit(inline="always")
+def next_symbol(words, state, at, table, slots, rows, offsets, spans):
+    """Return a symbol of a table, the state after it, and the place of the next word; see `Decoder`.
+
+    The place is beyond the end if words or symbols are missing.
+    """
+    row = rows[table]
+    slot = state & np.uint64(TOTAL - 1)
+    found = np.int64(slots[max(row, 0), slot])
+    span = np.uint64(spans[found])
+    state = (span >> np.uint64(16)) * (state >> np.uint64(BITS)) + slot - (span & np.uint64(0xFFFF))
+    if state < np.uint64(LEAST):
+        state = (state << np.uint64(16)) | (np.uint64(words[at]) if at < len(words) else np.uint64(0))
+        at += 1
+    if row < 0:
+        return np.int64(0), state, np.int64(len(words) + 1)
+    return found - offsets[table], state, at
+
+
+@njit(inline="always")
+def next_bits(words, state, at, count):
+    """Return 0 to 16 raw bits, the state after them, and the place of the next word."""
+    found = np.int64(state & ((np.uint64(1) << np.uint64(count)) - np.uint64(1)))
+    state >>= np.uint64(count)
+    if state < np.uint64(LEAST):
+        state = (state << np.uint64(16)) | (np.uint64(words[at]) if at < len(words) else np.uint64(0))
+        at += 1
+    return found, state, at
+
+
+@njit(**_OPTIONS)
+def write(operations, symbols, out):
+    """Write operations as words of 16 bits, from the end of `out` on, the state of the decoder first.
+
+    Args:
+        operations: (M,) uint32: numbers of symbols, counted over all tables; or RAW, the number of raw bits from bit
+            16 on, and the bits.
+        symbols: (S, 4) uint64: where each symbol begins in its table; its size, not 0 for those that occur; the
+            number of bits of size - 1; 2^(32 + that) / size, rounded up.
+        out: uint16, at least two more than operations.
+
+    Returns:
+        The place of the first word.
+    """
+    state, at = np.uint64(LEAST), len(out)
+    mask = np.uint64(0xFFFF)
+    for i in range(len(operations) - 1, -1, -1):
+        operation = operations[i]
+        if operation & np.uint32(RAW):
+            bits = np.uint64((operation >> np.uint32(16)) & np.uint32(31))
+            if state >> (np.uint64(32) - bits):
+                at -= 1
+                out[at] = np.uint16(state & mask)
+                state >>= np.uint64(16)
+            state = (state << bits) | np.uint64(operation & np.uint32(0xFFFF))
+        else:
+            size = symbols[operation, 1]
+            if state >= size << np.uint64(32 - BITS):
+                at -= 1
+                out[at] = np.uint16(state & mask)
+                state >>= np.uint64(16)
+            quotient = ((state * symbols[operation, 3]) >> np.uint64(32)) >> symbols[operation, 2]
+            state = (quotient << np.uint64(BITS)) + state - quotient * size + symbols[operation, 0]
+    out[at - 1] = np.uint16(state >> np.uint64(16))
+    out[at - 2] = np.uint16(state & mask)
+    return at - 2
+
+
+@njit(**_OPTIONS)
+def count(operations, counts):
+    """Add the symbols of operations to their counts (S,)."""
+    for i in range(len(operations)):
+        if not operations[i] & np.uint32(RAW):
+            counts[operations[i]] += 1
+
+
+@njit(**_OPTIONS)
+def fill(weights, offsets, spans):
+    """Write where each symbol begins in its table, and its size, from its weight.
+
+    A table has TOTAL slots. A symbol with a weight has one slot, and of the rest its share.
+
+    Args:
+        weights: (S,) int64, 0 for symbols that do not occur.
+        offsets: (K + 1,) int64, first symbol of each table.
+        spans: (S,) uint32, first slot of each symbol, and from bit 16 on how many it has.
+    """
+    for k in range(len(offsets) - 1):
+        some, total = 0, np.int64(0)
+        for i in range(offsets[k], offsets[k + 1]):
+            some += weights[i] > 0
+            total += weights[i]
+        before, seen, start = np.int64(0), 0, np.int64(0)
+        for i in range(offsets[k], offsets[k + 1]):
+            before += weights[i]
+            seen += weights[i] > 0
+            end = before * (TOTAL - some) // total + seen if total else np.int64(0)
+            spans[i] = start | (end - start) << 16
+            start = end
+
+
+@njit(**_OPTIONS)
+def fill_slots(offsets, spans, rows, slots):
+    """Write the symbol at each slot of each table that has a row."""
+    for k in range(len(rows)):
+        if rows[k] >= 0:
+            for i in range(offsets[k], offsets[k + 1]):
+                start = np.int64(spans[i] & np.uint32(0xFFFF))
+                slots[rows[k], start : start + np.int64(spans[i] >> np.uint32(16))] = i

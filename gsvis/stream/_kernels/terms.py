@@ -1,0 +1,163 @@
+"""Kernels of coded terms: what the coder does for the record of each term, and back.
+
+Tables code the upper bits of a field, at most six (seven for the azimuth); lower bits are raw. One intensity leads: the
+second of three, or the only one. The others are coded as differences from it. All arithmetic is of integers.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+
+from gsvis.stream._kernels.coder import LEAST, RAW, next_bits, next_symbol
+
+_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True}
+
+MOST_OPERATIONS = 13  # of a term
+
+LEAD = 1  # tables after the one of functions: 0 without a term of the same Gaussian before, else by its intensity
+DECAY = LEAD + 9  # by the leading intensity
+POLAR = DECAY + 8
+AZIMUTH = POLAR + 1  # by the polar angle
+OTHER = AZIMUTH + 8  # by the leading intensity
+LAST = OTHER + 16  # by the other one
+TABLES = LAST + 13
+
+
+class TermFields(NamedTuple):
+    """Bits of the fields of a term; `others` is whether there are three intensities."""
+
+    function: int
+    polar: int
+    azimuth: int
+    decay: int
+    intensity: int
+    others: bool
+
+
+@njit(inline="always")
+def _six(value, bits):
+    """Return the upper six bits of a value of so many bits."""
+    return value >> (bits - 6) if bits > 6 else value << (6 - bits)
+
+
+@njit(inline="always")
+def _near(value, bits):
+    """Return a difference, which is modulo 2^bits, cut to -6 to 6, plus 6; of its upper six bits if it has more."""
+    if bits > 6:
+        value, bits = value >> (bits - 6), 6
+    if value >> (bits - 1):
+        value -= 1 << bits
+    return min(max(value, -6), 6) + 6
+
+
+@njit(inline="always")
+def _add(out, at, symbol, value, bits, most):
+    """Write a field: the symbol of its upper bits, counted from `symbol` on, and the raw bits below."""
+    rest = max(bits - most, 0)
+    out[at] = symbol + (value >> rest)
+    if rest:
+        out[at + 1] = RAW | (rest << 16) | (value & ((1 << rest) - 1))
+        return at + 2
+    return at + 1
+
+
+@njit(**_OPTIONS)
+def operations(records, owners, fields, offsets, out):
+    """Write what the coder does for each term, in the order of decoding; return the number of operations.
+
+    Args:
+        records: (M, B) uint8.
+        owners: (M,) int32, never decreasing.
+        fields: Bits of the fields.
+        offsets: (TABLES + 1,) int64, first symbol of each table.
+        out: (MOST_OPERATIONS M,) uint32.
+    """
+    f, p, a, d, n = fields.function, fields.polar, fields.azimuth, fields.decay, fields.intensity
+    at, before, table = 0, np.int64(-1), 0
+    mask = (np.int64(1) << n) - 1
+    for i in range(len(records)):
+        word = np.uint64(0)
+        for k in range(records.shape[1]):
+            word |= np.uint64(records[i, k]) << np.uint64(8 * k)
+        table = LEAD if owners[i] != before else table
+        before = np.int64(owners[i])
+        if f:
+            at = _add(out, at, offsets[0], np.int64(word & np.uint64((1 << f) - 1)), f, 6)
+        polar = np.int64(word >> np.uint64(f)) & ((1 << p) - 1)
+        azimuth = np.int64(word >> np.uint64(f + p)) & ((1 << a) - 1)
+        decay = np.int64(word >> np.uint64(f + p + a)) & ((1 << d) - 1)
+        first = np.int64(word >> np.uint64(f + p + a + d)) & mask
+        lead = np.int64(word >> np.uint64(f + p + a + d + n)) & mask if fields.others else first
+        at = _add(out, at, offsets[table], lead, n, 6)
+        upper = _six(lead, n)
+        table = LEAD + 1 + (upper >> 3)
+        at = _add(out, at, offsets[DECAY + (upper >> 3)], decay, d, 6)
+        at = _add(out, at, offsets[POLAR], polar, p, 6)
+        at = _add(out, at, offsets[AZIMUTH + (_six(polar, p) >> 3)], azimuth, a, 7)
+        if fields.others:
+            last = np.int64(word >> np.uint64(f + p + a + d + 2 * n)) & mask
+            other = (first - lead) & mask
+            at = _add(out, at, offsets[OTHER + (upper >> 2)], other, n, 6)
+            at = _add(out, at, offsets[LAST + _near(other, n)], (last - lead) & mask, n, 6)
+    return at
+
+
+@njit(inline="always")
+def _next(words, state, at, table, bits, most, slots, tables, offsets, spans):
+    """Return a field, and state and place after it."""
+    rest = max(bits - most, 0)
+    value, state, at = next_symbol(words, state, at, table, slots, tables, offsets, spans)
+    low, state, at = next_bits(words, state, at, rest)
+    return (value << rest) | low, state, at
+
+
+@njit(**_OPTIONS)
+def read(words, owners, fields, code, out):
+    """Write the terms that words hold, and return whether the words are such terms and nothing else.
+
+    Args:
+        words: (W,) uint16.
+        owners: (M,) int64, never decreasing.
+        fields: Bits of the fields.
+        code: Tables of the scene.
+        out: (M, B) uint8.
+    """
+    f, p, a, d, n = fields.function, fields.polar, fields.azimuth, fields.decay, fields.intensity
+    mask = (np.int64(1) << n) - 1
+    if len(words) < 2:
+        return False
+    slots, tables, offsets, spans = code.slots, code.rows, code.offsets, code.spans
+    state, at = np.uint64(words[0]) | (np.uint64(words[1]) << np.uint64(16)), 2
+    before, table = np.int64(-1), 0
+    for i in range(len(out)):
+        if at > len(words):
+            return False
+        table = LEAD if owners[i] != before else table
+        before = np.int64(owners[i])
+        function = np.int64(0)
+        if f:
+            function, state, at = _next(words, state, at, 0, f, 6, slots, tables, offsets, spans)
+        lead, state, at = _next(words, state, at, table, n, 6, slots, tables, offsets, spans)
+        upper = _six(lead, n)
+        table = LEAD + 1 + (upper >> 3)
+        decay, state, at = _next(words, state, at, DECAY + (upper >> 3), d, 6, slots, tables, offsets, spans)
+        polar, state, at = _next(words, state, at, POLAR, p, 6, slots, tables, offsets, spans)
+        azimuth, state, at = _next(
+            words, state, at, AZIMUTH + (_six(polar, p) >> 3), a, 7, slots, tables, offsets, spans
+        )
+        word = np.uint64(function) | np.uint64(polar) << np.uint64(f) | np.uint64(azimuth) << np.uint64(f + p)
+        word |= np.uint64(decay) << np.uint64(f + p + a)
+        if fields.others:
+            other, state, at = _next(words, state, at, OTHER + (upper >> 2), n, 6, slots, tables, offsets, spans)
+            last, state, at = _next(words, state, at, LAST + _near(other, n), n, 6, slots, tables, offsets, spans)
+            word |= np.uint64((other + lead) & mask) << np.uint64(f + p + a + d)
+            word |= np.uint64(lead) << np.uint64(f + p + a + d + n)
+            word |= np.uint64((last + lead) & mask) << np.uint64(f + p + a + d + 2 * n)
+        else:
+            word |= np.uint64(lead) << np.uint64(f + p + a + d)
+        for k in range(out.shape[1]):
+            out[i, k] = np.uint8((word >> np.uint64(8 * k)) & np.uint64(255))
+    return at == len(words) and state == np.uint64(LEAST)

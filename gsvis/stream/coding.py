@@ -1,0 +1,251 @@
+"""Records of Gaussians and terms as the wire has them: coded together, by tables of the scene.
+
+A server makes the tables once from all records of a scene and sends them in WELCOME. The rows of a batch are words of
+16 bits. Records come back as they were; with a coarse quality, they were rounded before.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.color.records import Grids
+from gsvis.package.codec import ChunkTable
+from gsvis.package.contents import Contents
+from gsvis.package.layout import RecordLayout, TermLayout
+from gsvis.stream._kernels import coder, records, terms
+from gsvis.stream.tables import Tables
+
+__all__ = ["MOST_STEP", "Coding", "Quality", "Steps", "chunks_of", "coarsen", "table_sizes"]
+
+U8 = NDArray[np.uint8]
+U64 = NDArray[np.uint64]
+I64 = NDArray[np.int64]
+
+_CLOSE = (1, 2, 5, 11, 22, 48)  # distances of ids, one for each table of largest scales
+_PIECE = 1 << 16  # records that are counted at a time
+
+MOST_STEP = 1 << 15
+"""Largest limit of steps."""
+
+
+@dataclass(frozen=True)
+class Quality:
+    """How records are rounded before coding. Steps are coarser for transparent Gaussians than for opaque ones.
+
+    Attributes:
+        place: log2 of the coarsest step of a coordinate, in mean scales, of an opaque Gaussian of middle size.
+        turn: Bits of each component of the quaternion that a Gaussian of middle size loses.
+        opacity: Bits of the opacity that are rounded.
+        shape: Bits of the ratios of the scales that are rounded.
+        color: Bits of each byte of the base color that are rounded.
+    """
+
+    place: float = -2.25
+    turn: float = 4.25
+    opacity: int = 2
+    shape: int = 1
+    color: int = 2
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Which bits of records are left out, in a scene; all clients must know it.
+
+    Attributes:
+        place: Limit of the steps of coordinates, 1/64 octaves of scene units.
+        turn: Limit of the bits of quaternions that are left out, 1/64.
+    """
+
+    place: int
+    turn: int
+
+
+def chunks_of(table: ChunkTable) -> records.Chunks:
+    """Return what coding needs of the rows of chunks."""
+    bits = np.ascontiguousarray(table.steps).view(np.uint32).astype(np.int64)
+    steps = (bits >> 23) - 127 + (bits & 0x7FFFFF > 0)
+    return records.Chunks(table.lows.astype(np.int64), table.strides.astype(np.int64), steps)
+
+
+@dataclass(frozen=True, eq=False)
+class Coding:
+    """The code of the records of one scene.
+
+    Attributes:
+        grids: Tables of base colors and terms.
+        steps: Which bits are left out; None if records are coded as they are.
+        tables: Tables of the coder.
+    """
+
+    grids: Grids
+    steps: Steps | None
+    tables: Tables
+
+    @classmethod
+    def from_contents(cls, contents: Contents, steps: Steps | None = None) -> Coding:
+        """Return the code for the records of a package, which `coarsen` has rounded if there are steps."""
+        sizes = table_sizes(contents.grids)
+        blank = cls(contents.grids, steps, Tables.from_levels(np.zeros(sum(sizes), np.uint8), sizes))
+        counts, offsets = np.zeros(sum(sizes), np.int64), blank.tables.offsets
+        leads = records.TABLES + terms.LEAD
+        for first, last in ((records.FIRST, records.ROTATION), (leads, leads + 9)):
+            counts[offsets[first] : offsets[last]] = 1  # which symbol follows which depends on the batch
+        ids, chunks = np.arange(len(contents)), chunks_of(contents.table)
+        some = ids[:: 1 + len(ids) // _PIECE]
+        places = some - contents.table.starts[contents.chunks[some]]
+        apart = some[np.argsort(places, kind="stable")]  # neighbors are of other chunks
+        for chosen in (*(ids[::distance] for distance in _CLOSE), apart):
+            for low in range(0, len(chosen), _PIECE):
+                part = chosen[low : low + _PIECE]
+                rows = contents.chunks[part]
+                coder.count(blank._of_records(contents.records[part], part, rows, chunks), counts)
+        owners = np.repeat(np.arange(len(contents), dtype=np.int32), contents.term_counts)
+        for low in range(0, len(owners), _PIECE):
+            of = owners[low : low + _PIECE].copy()
+            coder.count(blank._of_terms(contents.term_records[low : low + len(of)].copy(), of), counts)
+        return replace(blank, tables=Tables.from_counts(counts, sizes))
+
+    @cached_property
+    def layout(self) -> records.Layout:
+        """Layout of the records, for kernels."""
+        return layout_of(self.grids, self.steps)
+
+    @cached_property
+    def fields(self) -> terms.TermFields:
+        """Bits of the fields of terms."""
+        of = TermLayout.from_grids(self.grids)
+        return terms.TermFields(of.function, of.theta, of.phi, of.decay, of.intensity, of.intensities == 3)
+
+    def mean_bytes(self, contents: Contents) -> tuple[float, float]:
+        """Return about how many bytes a Gaussian and a term of a package take, ids not counted."""
+        ids = np.arange(0, len(contents), 2)[:_PIECE]
+        found = self.encode_records(contents.records[ids], ids, contents.chunks[ids], chunks_of(contents.table))
+        owners = np.repeat(np.arange(len(contents), dtype=np.int32), contents.term_counts)[:_PIECE]
+        of_terms = self.encode_terms(contents.term_records[: len(owners)].copy(), owners)
+        return len(found) / len(ids) if len(ids) else 16.0, len(of_terms) / len(owners) if len(owners) else 4.0
+
+    def encode_records(self, rows: U8, ids: I64, of: NDArray[np.int32], chunks: records.Chunks) -> U8:
+        """Return the records of Gaussians, coded.
+
+        Args:
+            rows: (G, 16) uint8.
+            ids: (G,) ids, ascending.
+            of: (G,) the row of each Gaussian's chunk.
+            chunks: Rows of chunks.
+        """
+        return self._write(self._of_records(rows, ids, of, chunks))
+
+    def decode_records(self, data: U8, ids: I64, of: NDArray[np.int32], chunks: records.Chunks) -> U8 | None:
+        """Return the (G, 16) uint8 records that were coded; None if these are none."""
+        out = np.empty((len(ids), 2), np.uint64)
+        words = _words(data)
+        if not len(ids):
+            return _bytes(out) if len(data) == 0 else None
+        code = self.tables.part(0, records.TABLES)
+        good = words is not None and records.read(words, ids, of, chunks, self.layout, code, out)
+        return _bytes(out) if good else None
+
+    def encode_terms(self, rows: U8, owners: NDArray[np.int32]) -> U8:
+        """Return the (M, B) uint8 records of terms, coded. Owners never decrease."""
+        return self._write(self._of_terms(rows, owners))
+
+    def decode_terms(self, data: U8, owners: I64) -> U8 | None:
+        """Return the (M, B) uint8 records of terms that were coded; None if these are none."""
+        out = np.empty((len(owners), TermLayout.from_grids(self.grids).nbytes), np.uint8)
+        words = _words(data)
+        if not len(owners):
+            return out if len(data) == 0 else None
+        code = self.tables.part(records.TABLES, terms.TABLES)
+        good = words is not None and terms.read(words, owners, self.fields, code, out)
+        return out if good else None
+
+    def _of_records(self, rows: U8, ids: I64, of: NDArray[np.int32], chunks: records.Chunks) -> NDArray[np.uint32]:
+        out = np.empty(records.MOST_OPERATIONS * len(rows), np.uint32)
+        count = records.operations(_pairs(rows), ids, of, chunks, self.layout, self.tables.offsets, out)
+        return out[:count]
+
+    def _of_terms(self, rows: U8, owners: NDArray[np.int32]) -> NDArray[np.uint32]:
+        out = np.empty(terms.MOST_OPERATIONS * len(rows), np.uint32)
+        offsets = self.tables.offsets[records.TABLES :]
+        return out[: terms.operations(np.ascontiguousarray(rows), owners, self.fields, offsets, out)]
+
+    def _write(self, operations: NDArray[np.uint32]) -> U8:
+        if not len(operations):
+            return np.zeros(0, np.uint8)
+        out = np.empty(len(operations) + 2, np.uint16)
+        return out[coder.write(operations, self.tables.symbols, out) :].view(np.uint8)
+
+
+def coarsen(contents: Contents, quality: Quality) -> tuple[Contents, Steps]:
+    """Return a package with rounded records, and which bits are left out.
+
+    Args:
+        contents: The records of a package.
+        quality: How to round.
+    """
+    scales = np.log2(np.maximum(contents.gaussians().scales.astype(np.float64), 1e-30))
+    if not len(scales):
+        scales = np.zeros((1, 3))
+    mean, largest = np.median(scales.mean(axis=1)), np.median(np.sort(scales, axis=1)[:, 1:].sum(axis=1))
+    limits = 64 * np.array([quality.place + mean + np.log2(255), quality.turn + largest / 4])
+    place, turn = np.clip(np.rint(limits), -MOST_STEP, MOST_STEP).astype(int).tolist()
+    steps = Steps(place, turn)
+    rounding = records.Rounding(quality.opacity, quality.shape, quality.color)
+    out = np.empty((len(contents), 2), np.uint64)
+    chunks = chunks_of(contents.table)
+    records.coarsen(_pairs(contents.records), contents.chunks, chunks, layout_of(contents.grids, steps), rounding, out)
+    return replace(contents, records=_bytes(out)), steps
+
+
+def layout_of(grids: Grids, steps: Steps | None) -> records.Layout:
+    """Return the layout of the records of a scene, for kernels."""
+    of, limits = RecordLayout.from_variant(grids.variant), steps or Steps(0, 0)
+    colors = of.packed_from - 1
+    return records.Layout(
+        *of.bits, colors, steps is not None, limits.place, limits.turn, *_logarithms(), _differences(colors == 3)
+    )
+
+
+@cache
+def _logarithms() -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Return 64 log2 of 0 to 255, and 64 log2(1 + 2^(-i / 64)) down to 0; both rounded."""
+    logs = np.rint(64 * np.log2(np.maximum(np.arange(256.0), 1.0)))
+    sums = np.rint(64 * np.log2(1 + np.exp2(-np.arange(512) / 64)))
+    return logs.astype(np.int32), sums.astype(np.int32)
+
+
+@cache
+def _differences(signed: bool) -> NDArray[np.int32]:
+    """Return which table codes the third component of a color after the second: by its sign and size, or its size."""
+    values = np.arange(256)
+    near = np.clip(((values + 128) % 256 - 128) >> 2, -8, 8) + 8
+    return (near if signed else values >> 4).astype(np.int32)
+
+
+def table_sizes(grids: Grids) -> list[int]:
+    """Return the number of symbols of each table."""
+    of, term = RecordLayout.from_variant(grids.variant), TermLayout.from_grids(grids)
+    scale, turn, center = 1 << of.scale, 1 << of.rotation, min(term.theta, 6)
+    strength = 1 << min(term.intensity, 6)
+    return [
+        256, 6, scale, scale, scale, *[records.STEPS] * 6, *[turn] * (3 * records.TURNS), *[256] * 34,
+        1 << min(term.function, 6), *[strength] * 9, *[1 << min(term.decay, 6)] * 8, 1 << center,
+        *[1 << min(term.phi, 7)] * 8, *[strength] * 29,
+    ]  # fmt: skip
+
+
+def _pairs(rows: U8) -> U64:
+    return np.ascontiguousarray(rows).view("<u8").reshape(-1, 2)
+
+
+def _bytes(pairs: U64) -> U8:
+    return pairs.view(np.uint8).reshape(-1, 16)
+
+
+def _words(data: U8) -> NDArray[np.uint16] | None:
+    """Return bytes as words; None if their number is odd."""
+    return np.frombuffer(data.tobytes(), "<u2") if len(data) % 2 == 0 else None

@@ -1,0 +1,59 @@
+"""The page decodes records as the package has them, to the bit, in both variants, as they are and coarse."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsvis.abr.classes import FieldOfView
+from gsvis.stream import Quality, Receiver, Session, StreamedScene
+from tests.stream.worlds import package_of
+
+VIEWER = Path(__file__).parents[2] / "viewer"
+ESBUILD = VIEWER / "node_modules" / ".bin" / "esbuild"
+
+pytestmark = [
+    pytest.mark.skipif(shutil.which("node") is None, reason="needs node"),
+    pytest.mark.skipif(not ESBUILD.exists(), reason="needs esbuild: npm ci in viewer/"),
+]
+
+
+@pytest.fixture(scope="module")
+def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("records") / "records.mjs"
+    command = [str(ESBUILD), "test/records.ts", "--bundle", "--platform=node", "--format=esm", f"--outfile={out}"]
+    subprocess.run(command, cwd=VIEWER, check=True, capture_output=True)
+    return out
+
+
+@pytest.mark.parametrize("variant", ["rgb", "hsl"])
+@pytest.mark.parametrize("quality", [None, Quality(), Quality(place=2.0, turn=9.0, opacity=3, shape=3, color=3)])
+def test_the_page_decodes_what_the_package_has(
+    program: Path, tmp_path: Path, variant: str, quality: Quality | None
+) -> None:
+    with package_of(tmp_path / "s.gsvis", 3000, variant, stores=False) as package:
+        scene = StreamedScene.open(package, quality=quality)
+        session = Session(scene, FieldOfView.from_degrees(110, 90))
+        session.on_pose(0.0, [0, 0, 0], [1, 0, 0, 0])
+        message = session.next_message(0.0, 60_000.0)
+        assert message is not None
+        contents = scene.contents
+    received = Receiver(scene.header).receive(message.data)
+    assert min(len(received.gaussians), len(received.terms)) > 200
+    for name, data in (("welcome", scene.header), ("batch", message.data)):
+        (tmp_path / name).write_bytes(data)
+    run = subprocess.run(
+        ["node", program, tmp_path / "welcome", tmp_path / "batch"], check=True, capture_output=True, text=True
+    )
+    found = json.loads(run.stdout)
+    records = np.array(found["records"], np.uint32).view(np.uint8).reshape(-1, 16)
+    np.testing.assert_array_equal(records, contents.records[received.gaussians])
+    terms = np.array(found["terms"], np.uint32).view(np.uint8).reshape(-1, 8)
+    width = contents.term_records.shape[1]
+    np.testing.assert_array_equal(terms[:, :width], contents.term_records[received.terms])
+    assert not terms[:, width:].any()
