@@ -53,7 +53,7 @@ class AbrConfig:
     first_epsilon: float = 0.3
     parallax: float = 0.03
     picture: float = 0.1
-    replaced: float = 0.6
+    replaced: float = 0.4
     fill: bool = True
     turn: float = 0.087
     move: float = 0.1

@@ -229,7 +229,7 @@ def test_it_holds_what_the_python_receiver_holds_after_the_same_messages(program
     with package_of(folder, 4000, "hsl") as package:
         first = len(StreamedScene.open(package).header)
     with (
-        serving(folder, abr=AbrConfig(policy="low-first", start_rate=1000.0)) as server,
+        serving(folder, abr=AbrConfig(policy="low-first", start_rate=1000.0, horizon=0.1)) as server,
         slow_link(server.url, 30_000.0) as link,
     ):
         tee = Tee(link.url, [first + more for more in (4000, 6000, 4000, 6000)])
