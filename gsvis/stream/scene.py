@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from os import PathLike
 from typing import Any
 
@@ -44,16 +45,14 @@ class StreamedScene:
 
     def __init__(self, package: Package, *, max_cache_bytes: int = 512 << 20, pixel: float = 2e-3) -> None:
         """Decode an open package; see `open`."""
-        self.package, self.contents = package, package.contents
+        self.package, self.contents, self._pixel = package, package.contents, pixel
         counts = self.contents.term_counts
         self.owners = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
         self.chunk_rows = _chunk_rows(self.contents)
         self.about = SceneHeader.from_manifest(package.manifest)
         self.header = self.about.to_message()
         cache: Cache[Any] = Cache(max_cache_bytes, keep_last=True)
-        self.index = _scene_index(package, cache)
-        self.ending = int(np.count_nonzero(np.diff(self.index.replacement_offsets)))
-        self.candidates = CandidateIndex(self.index, pixel=pixel, cache=cache)
+        self._plan(_scene_index(package, cache), cache)
 
     @classmethod
     def open(
@@ -74,6 +73,24 @@ class StreamedScene:
         _check.positive_int("max_cache_bytes", max_cache_bytes, at_least=0)
         found = package if isinstance(package, Package) else Package.open(package)
         return cls(found, max_cache_bytes=max_cache_bytes, pixel=pixel)
+
+    def with_index(self, index: SceneIndex, *, max_cache_bytes: int = 512 << 20) -> StreamedScene:
+        """Return the same scene, planned by another index of the same Gaussians, with a cache of its own.
+
+        Args:
+            index: The index.
+            max_cache_bytes: Most bytes of candidates of cells to keep; the last is kept in any case.
+        """
+        if len(index) != len(self):
+            raise ValueError(f"index: expected one of {len(self):,} Gaussians, got {len(index):,}")
+        other = copy.copy(self)
+        other._plan(index, Cache(max_cache_bytes, keep_last=True))
+        return other
+
+    def _plan(self, index: SceneIndex, cache: Cache[Any]) -> None:
+        self.index = index
+        self.ending = int(np.count_nonzero(np.diff(index.replacement_offsets)))
+        self.candidates = CandidateIndex(index, pixel=self._pixel, cache=cache)
 
     def __len__(self) -> int:
         """Return N, the number of Gaussians."""
