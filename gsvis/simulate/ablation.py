@@ -136,10 +136,8 @@ class _FullSh(Adaptive):
     """Our stream with the SH coefficients of each Gaussian beside its record, and no terms.
 
     The session measures the link by the bytes of its messages, which have no coefficients. Both grow alike, so that its
-    window and the size of its messages keep their seconds.
+    window and the size of its messages keep their seconds. Images are those of all terms: the same quality as ours.
     """
-
-    exact = True
 
     def __init__(self, scene: StreamedScene, view: FieldOfView, config: AbrConfig, sh_bytes: float) -> None:
         share = RECORD_BYTES / (RECORD_BYTES + sh_bytes)

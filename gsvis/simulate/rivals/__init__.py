@@ -1,6 +1,6 @@
 """Other ways to deliver a scene, behind `Delivery`, each by the rules of its source; docs/rivals.md says how exactly.
 
-    measured = Measured(contents, files, gaussian_bytes)      # sizes, measured once for a scene
+    measured = Measured(contents, files, 40.0, 28.0, 20.0)    # sizes, measured once for a scene
     delivery = rival("leaves, spark", measured, config.view)
 
 Sizes come from the caller. No rival knows visible sets.
@@ -52,13 +52,19 @@ class Measured:
     Attributes:
         contents: The package.
         files: Files of its streamed SOG.
-        gaussian_bytes: Bytes of a Gaussian with full SH.
+        chunk_bytes: Bytes of a Gaussian with full SH in a chunk of its own of `chunk` Gaussians.
+        layer_bytes: The same in a file of a layer of a segment.
+        whole_bytes: The same in a file of a whole layer of the scene.
+        chunk: Gaussians of a chunk.
         how: How these bytes were measured, for reports.
     """
 
     contents: Contents
     files: LeafFiles
-    gaussian_bytes: float
+    chunk_bytes: float
+    layer_bytes: float
+    whole_bytes: float
+    chunk: int = 1024
     how: str = ""
 
     @cached_property
@@ -86,11 +92,11 @@ def rival(name: str, measured: Measured, view: FieldOfView) -> Delivery:
     if name.startswith("leaves, "):
         return LeafStream(contents, m.files, view, name.removeprefix("leaves, "), segments=m.segments)
     if name == "frustum chunks":
-        return FrustumChunks(contents, view, m.gaussian_bytes, measured=m.how)
+        return FrustumChunks(contents, view, m.chunk_bytes, count=m.chunk, measured=m.how)
     if name == "layers, LapisGS":
-        return LayerByLayer(contents, m.gaussian_bytes, measured=m.how)
+        return LayerByLayer(contents, m.whole_bytes, measured=m.how)
     source = name.removeprefix("layers, L3GS, ")
-    return Layers(contents, view, m.gaussian_bytes, source, segments=m.runs, measured=m.how)
+    return Layers(contents, view, m.layer_bytes, source, segments=m.runs, measured=m.how)
 
 
 def __dir__() -> list[str]:

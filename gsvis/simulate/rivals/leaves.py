@@ -34,6 +34,7 @@ _BEHIND = 1.5  # PlayCanvas: factor on the distance straight behind the eye
 _SHRINK = 0.75  # PlayCanvas: of what a box has beyond the median box
 _CONE, _WIDE = np.cos(np.radians(35.0)), np.cos(np.radians(60.0))  # Spark: half of 70 and of 120 degrees
 _CONE_SHARE, _BEHIND_SHARE = 0.4, 0.2  # Spark: of the size on the screen at the outer cone, and behind
+_FAR = 1e6  # units, more than any distance
 _FILES = {"playcanvas": 2, "spark": 3, "octree-gs": 3}
 
 
@@ -59,16 +60,17 @@ class LeafFiles:
 class LeafStream(Sender):
     """Streamed SOG, leaf by leaf.
 
-    - "playcanvas": the rule of the engine 2.23 with its defaults. The level of detail of a leaf follows from its
-      distance, which grows by up to a half behind the eye; nearest leaves first, two files at a time. With "underfill",
-      as in its examples: the coarsest level of a leaf comes first, then one level after the other, up to the level of
-      its distance. Simplified: the engine has a budget of Gaussians to draw, which these scenes do not reach.
+    - "playcanvas": the rule of the engine 2.23. The level of detail of a leaf follows from its distance, which grows
+      by up to a half behind the eye; nearest leaves first, two files at a time. With "underfill", as in its examples:
+      a leaf is shown at its coarsest level at first, and one level finer is put behind the queue of requests, up to the
+      level of its distance; so the coarsest level of all leaves comes first. Simplified: the queue is sorted again at
+      each pose, and the budget of Gaussians to draw is not reached.
     - "spark": the fetch order of Spark 2. Its tree of merged splats is opened where a splat is largest on the screen,
       less outside of a cone of 70 degrees and least behind; what is opened is fetched, three at a time. Simplified: our
       levels stand for its tree, and the largest splat of a leaf at the level before for the splat that is opened.
     - "octree-gs": the rule for levels of Octree-GS, by the logarithm of the distance, here relative to half of the size
-      of the scene; leaves in view first. The paper has no order of transmission: nearest first is ours. Its anchors are
-      trained; these levels are.
+      of the scene; leaves in view first. The paper has no order of transmission: that lower levels and near leaves come
+      first is ours. Its anchors are trained for its levels; these levels are ours.
 
     Args:
         contents: The package.
@@ -148,12 +150,12 @@ class LeafStream(Sender):
         levels = np.floor(np.log2(np.maximum(self._half / np.maximum(distances, 1e-9), 1.0)))
         finest = np.clip(levels, 0, self._levels - 1).astype(np.int64)
         inside = boxes_in_view(self._view.planes(eye, quat), self._boxes)
-        return self._up_to(finest, np.where(inside, 1e9, 0.0) - distances)
+        return self._up_to(finest, np.where(inside, _FAR * _FAR, 0.0) - distances)
 
     def _up_to(self, finest: I64, urgency: F64) -> F64:
-        """Return the urgency of each leaf for its levels up to the finest wanted, -inf for finer ones."""
+        """Return the urgency of each leaf at its levels up to the finest wanted: lower levels first, none beyond."""
         levels = np.arange(self._levels)[:, None]
-        return np.where(levels <= finest, urgency, -np.inf).reshape(-1)
+        return np.where(levels <= finest, urgency - _FAR * levels, -np.inf).reshape(-1)
 
 
 def _shrunk(boxes: F64) -> F64:

@@ -39,7 +39,7 @@ def measured(scene: StreamedScene) -> Measured:
     contents = scene.contents
     of = np.argsort(np.argsort(contents.gaussians().means[:, 0])) * 5 // len(contents)  # five slabs along x
     counts = [[np.sum(member & (of == b)) for b in range(5)] for member in members(contents)]
-    return Measured(contents, LeafFiles(of, 30 * np.array(counts), 500, np.zeros(0, np.int64)), BYTES, "a test")
+    return Measured(contents, LeafFiles(of, 30 * np.array(counts), 500, np.zeros(0, np.int64)), BYTES, BYTES, BYTES, 64)
 
 
 def members(contents: Contents) -> list[np.ndarray]:
