@@ -12,7 +12,16 @@ from _delivery_systems import ABLATED, OTHERS, OURS
 
 from gsvis.abr import paired_difference
 
-__all__ = ["CLASSES", "best_rival", "by_walk", "curves_over_bytes", "figures_of", "report", "throughput"]
+__all__ = [
+    "CLASSES",
+    "best_rival",
+    "by_walk",
+    "curves_over_bytes",
+    "figures_of",
+    "means_of_frames",
+    "report",
+    "throughput",
+]
 
 CLASSES = (1, 3, 10, 30)
 """Mbit/s."""
@@ -180,6 +189,17 @@ def throughput(rows: Rows, rate: float) -> dict[str, Any]:
         "megabytes": round(total / 1e6, 3),
         "share_of_link": round(total * 8e-6 / (rate * (times[-1] + np.median(np.diff(times)))), 3),
     }
+
+
+def means_of_frames(frames: Rows) -> dict[str, Any]:
+    """Mean PSNR, SSIM and FLIP of the same frames for each system, and each frame by itself."""
+    out: dict[str, Any] = {}
+    for name in systems_of(frames):
+        some = chosen(frames, system=name)
+        means = {key: round(float(np.mean([row[key] for row in some])), 4) for key in ("psnr", "ssim", "flip")}
+        each = [[row["scene"], row["walk"], row["t"], row["psnr"], row["ssim"], row["flip"]] for row in some]
+        out[name] = {**means, "columns": ["scene", "walk", "t", "psnr", "ssim", "flip"], "frames": each}
+    return out
 
 
 def _short(value: Any) -> Any:

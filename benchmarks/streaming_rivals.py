@@ -26,6 +26,7 @@ import json
 import os
 import sys
 import time
+from collections import Counter
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict
 from multiprocessing import get_context
@@ -33,7 +34,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _delivery_figures import CLASSES, figures_of, report
+from _delivery_figures import CLASSES, figures_of, means_of_frames, report
 from _delivery_systems import OURS, SCENES, SYSTEMS, Scene, place
 from _harness import add_arguments, need, realdata, write_result
 
@@ -58,6 +59,7 @@ RECORDED = {
     30: "5g_download/Driving/B_2020.02.14_07.29.00.csv",
 }  # fmt: skip
 """The recording of each class, drawn once by hand of three sets, before any was run."""
+KINDS = ("constant", "recorded")
 ROUND_TRIP = 0.04
 FRAMES, FRAME_WALKS = 10, 2
 
@@ -68,7 +70,8 @@ def main() -> None:
     parser.add_argument("--systems", nargs="*", default=list(SYSTEMS), choices=SYSTEMS, help="which; default all")
     parser.add_argument("--walks", type=int, default=len(WALKS), help="how many of the walks")
     parser.add_argument("--classes", type=int, nargs="*", default=list(CLASSES), choices=CLASSES, help="Mbit/s")
-    parser.add_argument("--links", choices=("both", "constant", "recorded"), default="both")
+    parser.add_argument("--links", choices=("both", *KINDS), default="both")
+    parser.add_argument("--recorded-walks", type=int, help="how many of the walks on recorded links; default all")
     parser.add_argument("--every", type=float, default=1.0, help="seconds between images after the first 3 s")
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--width", type=int, default=320, help="pixels; the height is three quarters of it")
@@ -90,8 +93,9 @@ def main() -> None:
     begun, rows, frames = time.perf_counter(), list[dict[str, Any]](), list[dict[str, Any]]()
     with ProcessPoolExecutor(options.workers, get_context("spawn")) as pool:
         jobs = {
-            pool.submit(walked, name, package, w, config, options): (name, w)
-            for w in range(options.walks)
+            pool.submit(walked, name, package, w, kind, config, options): (name, w)
+            for kind in (KINDS if options.links == "both" else (options.links,))
+            for w in range(_walks(options, kind))
             for name, package in named
         }
         for job in as_completed(jobs):
@@ -106,11 +110,11 @@ def main() -> None:
     )
     details = {
         "config": asdict(config), "scheduler": asdict(AbrConfig()), "round_trip": ROUND_TRIP,
-        "walks": WALKS[: options.walks], "walks_that_see_nothing": blind, "links": {
-            f"{rate:g} Mbit/s": [link.trace.name for link in links_of(rate, options.links)] for rate in options.classes
-        },
+        "walks": WALKS[: options.walks], "walks_that_see_nothing": blind,
+        "sessions_of_links": dict(Counter(f"{row['class']} Mbit/s: {row['link']}" for row in rows)),
+        "paths": {f"{row['scene']}, {row['walk']}": row["path"] for row in rows},
         "systems": {f"{row['scene']}, {row['system']}": row["about"] for row in rows},
-        "frames": frames,
+        "frames": means_of_frames(frames),
         **report(rows, options.classes),
     }  # fmt: skip
     question = (
@@ -120,15 +124,20 @@ def main() -> None:
     write_result(options.out, question, figures_of(rows, options.classes), details)
 
 
-def links_of(rate: float, kind: str) -> list[Link]:
-    """The links of a class: a constant one, and a recorded one scaled to its mean."""
-    links = [BandwidthTrace.constant(rate)]
+def _walks(options: argparse.Namespace, kind: str) -> int:
+    """How many walks go over a kind of links."""
+    fewer = options.recorded_walks if kind == "recorded" else None
+    return int(options.walks if fewer is None else min(fewer, options.walks))
+
+
+def link_of(rate: float, kind: str) -> Link:
+    """The link of a class: constant, or recorded and scaled to its mean."""
+    if kind == "constant":
+        return Link(BandwidthTrace.constant(rate), ROUND_TRIP)
     recorded = load_trace(realdata() / "traces" / RECORDED[int(rate)])
-    mean = recorded.bytes_between(0.0, 31.0) / 31.0 / 125e3
-    scaled = recorded.scaled(rate / mean)
-    links.append(BandwidthTrace(scaled.times, scaled.mbit_per_s, f"{recorded.name} x {rate / mean:.2f}"))
-    chosen = {"both": links, "constant": links[:1], "recorded": links[1:]}[kind]
-    return [Link(trace, ROUND_TRIP) for trace in chosen]
+    factor = rate / (recorded.bytes_between(0.0, 31.0) / 31.0 / 125e3)
+    scaled = recorded.scaled(factor)
+    return Link(BandwidthTrace(scaled.times, scaled.mbit_per_s, f"{recorded.name} x {factor:.2f}"), ROUND_TRIP)
 
 
 def brought(name: str, g: Gaussians, walk: int, seconds: float) -> tuple[HeadPath, dict[str, Any]]:
@@ -145,39 +154,44 @@ def open_scene(name: str, package: str, work: Path, use: Any) -> Any:
         return use(Scene(name, opened, full, file_bytes, work, AbrConfig()))
 
 
-def walked(name: str, package: str, walk: int, config: ViewingConfig, options: argparse.Namespace) -> dict[str, Any]:
-    """One walk through one scene, over all links, by all systems; from the cache if it is there."""
+def walked(
+    name: str, package: str, walk: int, kind: str, config: ViewingConfig, options: argparse.Namespace
+) -> dict[str, Any]:
+    """One walk through one scene, over a kind of links, by all systems; from the cache if it is there."""
     manifest = (Path(package) / MANIFEST).read_bytes()
     said = [name, hashlib.sha256(manifest).hexdigest(), WALKS[walk], asdict(config), asdict(AbrConfig())]
-    said += [options.systems, options.classes, options.links, walk < FRAME_WALKS]
+    said += [options.systems, options.classes, kind, walk < FRAME_WALKS]
     key = hashlib.sha256(json.dumps(said).encode()).hexdigest()[:16]
     kept = options.cache / f"{name}-{walk}-{key}.json"
     if kept.exists():
         found: dict[str, Any] = json.loads(kept.read_text())
         return found
-    found = open_scene(name, package, options.cache, lambda scene: walk_through(scene, walk, config, options))
+    found = open_scene(name, package, options.cache, lambda scene: walk_through(scene, walk, kind, config, options))
     partial = kept.with_suffix(f".{os.getpid()}.partial")
     partial.write_text(json.dumps(found))
     os.replace(partial, kept)
     return found
 
 
-def walk_through(scene: Scene, walk: int, config: ViewingConfig, options: argparse.Namespace) -> dict[str, Any]:
+def walk_through(
+    scene: Scene, walk: int, kind: str, config: ViewingConfig, options: argparse.Namespace
+) -> dict[str, Any]:
     path, placed = brought(scene.name, scene.full, walk, config.watched)
     stage = Stage(scene.streamed.contents, scene.full)
     playbacks, rows = list[Playback](), list[dict[str, Any]]()
     for rate in options.classes:
-        for link in links_of(rate, options.links):
-            for system in options.systems:
-                delivery = scene.system(system, config.view)
-                playbacks.append(play(delivery, link, path, stage.size, seconds=config.watched, tick=config.tick))
-                row = {"scene": scene.name, "walk": WALKS[walk], "class": rate, "link": link.trace.name}
-                rows.append({**row, "system": system, "path": placed})
+        link = link_of(rate, kind)
+        for system in options.systems:
+            delivery = scene.system(system, config.view)
+            playbacks.append(play(delivery, link, path, stage.size, seconds=config.watched, tick=config.tick))
+            row = {"scene": scene.name, "walk": WALKS[walk], "class": rate, "link": link.trace.name}
+            rows.append({**row, "system": system, "path": placed})
     for row, playback, session in zip(rows, playbacks, watch(stage, playbacks, path, config), strict=True):
         row.update({key: value for key, value in session.as_dict().items() if key != "system"})
         good = session.seconds_to(35.0)
         row["bytes_to_35"] = float(playback.bytes_at(good)) if np.isfinite(good) else None
-    frames = compared_frames(stage, playbacks, rows, path, config) if walk < FRAME_WALKS else []
+    framed = walk < FRAME_WALKS and kind == "constant"
+    frames = compared_frames(stage, playbacks, rows, path, config) if framed else []
     return {"rows": rows, "frames": frames}
 
 

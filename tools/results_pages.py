@@ -116,6 +116,7 @@ PAGES = {
         "Streaming",
         (
             "streaming",
+            "streaming_rivals",
             "abr_planning",
             "server_load",
             "stream_codec",

@@ -78,6 +78,16 @@ def test_throughput_is_what_arrives_in_each_second(figures: Any) -> None:
     assert found["share_of_link"] == pytest.approx(32.0 / 40.0)
 
 
+def test_frames_are_averaged_by_system(figures: Any) -> None:
+    frames = [
+        {"scene": "s", "walk": w, "system": "whole file", "t": 1.0, "psnr": p, "ssim": 0.5, "flip": 0.1}
+        for w, p in (("a", 20.0), ("b", 30.0))
+    ]
+    found = figures.means_of_frames(frames)["whole file"]
+    assert (found["psnr"], found["ssim"], found["flip"]) == (25.0, 0.5, 0.1)
+    assert len(found["frames"]) == 2
+
+
 def test_systems_of_the_bench_are_the_rivals_of_the_library(figures: Any) -> None:
     from gsvis.simulate.ablation import ABLATIONS
     from gsvis.simulate.rivals import RIVALS
