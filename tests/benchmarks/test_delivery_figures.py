@@ -57,6 +57,9 @@ def test_differences_are_over_walks(figures: Any, rows: list[dict[str, Any]]) ->
     apart = found["QoE of a step, 10 Mbit/s, s, gsvis minus the best rival"]
     assert apart["reached"] == pytest.approx(0.25)
     assert "over 2 walks" in apart["unit"]
+    least = found["the same, lower end of its interval, 10 Mbit/s, s"]
+    assert least["target"] == 0.0
+    assert least["reached"] == pytest.approx(0.25)
     assert "35 dB never" in found["QoE of a step, 10 Mbit/s, s, gsvis"]["unit"]
     report = figures.report(rows, [10])
     assert report["differences"]["s, 10 Mbit/s"]["best_rival"] == "leaves, spark"
