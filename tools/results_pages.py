@@ -117,6 +117,7 @@ PAGES = {
         (
             "streaming",
             "streaming_rivals",
+            "streaming_rivals_recorded",
             "streaming_rivals_showroom",
             "abr_planning",
             "server_load",
