@@ -11,6 +11,7 @@ import gc
 import json
 import os
 import platform
+import shlex
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -198,7 +199,7 @@ def write_result(
         "figures": checked,
         "notes": read_notes(sys.modules["__main__"].__doc__ or ""),
         "machine": machine(),
-        "command": " ".join(["python", os.path.relpath(sys.argv[0], _ROOT), *sys.argv[1:]]),
+        "command": shlex.join(["python", os.path.relpath(sys.argv[0], _ROOT), *sys.argv[1:]]),
         "details": details,
     }
     if path is not None:

@@ -116,6 +116,9 @@ PAGES = {
         "Streaming",
         (
             "streaming",
+            "streaming_rivals",
+            "streaming_rivals_recorded",
+            "streaming_rivals_showroom",
             "abr_planning",
             "server_load",
             "stream_codec",

@@ -17,11 +17,12 @@ from gsvis.package.layout import RECORD_BYTES
 from gsvis.package.order import morton_codes
 from gsvis.simulate.delivery import Parcel
 
-__all__ = ["MortonProgressive", "WholeFile", "morton_order"]
+__all__ = ["CHUNK", "MortonProgressive", "WholeFile", "morton_order", "terms_of"]
 
 I64 = NDArray[np.int64]
 
-_CHUNK = 1 << 14  # bytes of a parcel of a download
+CHUNK = 1 << 14
+"""Bytes of a parcel of a download."""
 
 
 class _Unaware:
@@ -63,11 +64,11 @@ class WholeFile(_Unaware):
     def __init__(self, contents: Contents, nbytes: int, measured: str = "") -> None:
         self.nbytes, self.measured = _check.positive_int("nbytes", nbytes), measured
         none = np.zeros(0, np.int64)
-        cuts = [*range(0, nbytes, _CHUNK), nbytes]
+        cuts = [*range(0, nbytes, CHUNK), nbytes]
         parcels = [Parcel(k + 1, cuts[k + 1] - cuts[k], none, none, none) for k in range(len(cuts) - 1)]
         last = parcels[-1]
         ids = np.flatnonzero(contents.last == len(contents.names) - 1)
-        parcels[-1] = Parcel(last.sequence, last.nbytes, ids, _terms_of(contents, ids), none)
+        parcels[-1] = Parcel(last.sequence, last.nbytes, ids, terms_of(contents, ids), none)
         super().__init__(parcels)
 
     def describe(self) -> dict[str, Any]:
@@ -106,14 +107,14 @@ class MortonProgressive(_Unaware):
         counts = contents.term_counts[ids].astype(np.int64)
         ends = np.cumsum(gaussian_bytes + size * counts)
         self.nbytes = int(np.ceil(ends[-1])) if len(ends) else 0
-        cuts = np.unique(np.searchsorted(ends, np.arange(_CHUNK, self.nbytes + _CHUNK, _CHUNK), side="right"))
+        cuts = np.unique(np.searchsorted(ends, np.arange(CHUNK, self.nbytes + CHUNK, CHUNK), side="right"))
         cuts = np.unique(np.concatenate([[0], cuts, [len(ids)]]))
         sizes = np.diff(np.concatenate([[0.0], np.ceil(ends)])[cuts]).astype(np.int64)
         none = np.zeros(0, np.int64)
         parcels = []
         for k, nbytes in enumerate(sizes.tolist()):
             some = ids[cuts[k] : cuts[k + 1]]
-            parcels.append(Parcel(k + 1, nbytes, some, _terms_of(contents, some), none))
+            parcels.append(Parcel(k + 1, nbytes, some, terms_of(contents, some), none))
         super().__init__(parcels)
 
     def describe(self) -> dict[str, Any]:
@@ -131,7 +132,7 @@ def morton_order(means: ArrayLike) -> I64:
     return np.argsort(morton_codes(points, (low + high) / 2.0, half), kind="stable")
 
 
-def _terms_of(contents: Contents, ids: I64) -> I64:
+def terms_of(contents: Contents, ids: I64) -> I64:
     """Return the ids of all terms of these Gaussians, in their order."""
     counts = contents.term_counts[ids].astype(np.int64)
     starts = contents.term_offsets[ids]

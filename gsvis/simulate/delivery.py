@@ -46,7 +46,8 @@ class Delivery(Protocol):
 
     Attributes:
         name: Name for reports.
-        exact: Whether the complete delivery shows the full scene itself; otherwise it shows the records.
+        exact: Whether a view shows the full scene itself as soon as it has all of the highest level; otherwise, and
+            before that, it shows the records.
     """
 
     name: str

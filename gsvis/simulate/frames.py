@@ -81,6 +81,7 @@ class Frame:
 
     Attributes:
         ids: (M,) Gaussians that reach a pixel, ascending.
+        highest: (M,) which of them belong to the highest level.
         reference: (H, W, 3) image of the full scene, in [0, 1].
     """
 
@@ -90,6 +91,7 @@ class Frame:
         self._view = View.from_matrices(camera.viewmats[0], camera.Ks[0], camera.width, camera.height)
         self._projected = project(g, self._view, antialiased=False, pairs=False)
         self.ids = self._projected.ids
+        self.highest: Mask = stage.highest[self.ids]
         self._features = np.empty((len(self.ids), 4), np.float32)
         self._features[:, :3] = np.maximum(SH_C0 * g.sh0[self.ids, 0] + np.float32(0.5), 0.0)
         self._features[:, 3] = self._projected.depths
@@ -97,7 +99,7 @@ class Frame:
         if stage.reference is not None:
             self.reference: F32 = np.clip(rasterize(stage.reference, camera, backend="cpu").images[0], 0.0, 1.0)
         else:
-            self.reference = self.image(stage.highest[self.ids], np.ones(stage.size[1], bool))
+            self.reference = self.image(self.highest, np.ones(stage.size[1], bool))
 
     def image(self, shown: Mask, terms: Mask) -> F32:
         """Return the image (H, W, 3) in [0, 1].

@@ -34,7 +34,7 @@ class Playback:
 
     Attributes:
         name: Name of the delivery.
-        exact: Whether the complete delivery shows the full scene itself.
+        exact: Whether a view with all of the highest level shows the full scene itself.
         link: The link.
         seconds: Duration of the visit.
         gaussian_at: (N,) seconds at which each Gaussian could be drawn, inf for never.

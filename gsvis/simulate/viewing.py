@@ -272,18 +272,21 @@ class _Sight:
         self._frame, self._playback = frame, playback
         self._here, self._gone = playback.gaussian_at[frame.ids], playback.gone_at[frame.ids]
         self._first = playback.first
+        self._exact_from = float(self._here[frame.highest].max(initial=-np.inf)) if playback.exact else np.inf
 
     def psnr(self, t: float) -> float:
         p, now = self._playback, np.float32(t + _HAIR)
         if now < self._first:
             return 0.0
-        return np.inf if p.exact else self._frame.psnr((self._here <= now) & (self._gone > now), p.term_at <= now)
+        if now >= self._exact_from:
+            return np.inf
+        return self._frame.psnr((self._here <= now) & (self._gone > now), p.term_at <= now)
 
     def image(self, t: float) -> F32 | None:
         p, now = self._playback, np.float32(t + _HAIR)
         if now < self._first:
             return None
-        if p.exact:
+        if now >= self._exact_from:
             return self._frame.reference
         return self._frame.image((self._here <= now) & (self._gone > now), p.term_at <= now)
 

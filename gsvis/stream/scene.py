@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from os import PathLike
 from typing import Any
 
@@ -54,7 +55,7 @@ class StreamedScene:
         quality: Quality | None = None,
     ) -> None:
         """Decode an open package; see `open`."""
-        self.package, self.contents, steps = package, package.contents, None
+        self.package, self.contents, self._pixel, steps = package, package.contents, pixel, None
         if quality is not None:
             self.contents, steps = coarsen(self.contents, quality)
         self.coding = coding = Coding.from_contents(self.contents, steps)
@@ -65,11 +66,7 @@ class StreamedScene:
         self.about = SceneHeader.from_manifest(package.manifest, coding)
         self.header = self.about.to_message()
         cache: Cache[Any] = Cache(max_cache_bytes, keep_last=True)
-        sizes = coding.mean_bytes(self.contents)
-        self.index = _scene_index(package, cache, sizes)
-        self.ending = int(np.count_nonzero(np.diff(self.index.replacement_offsets)))
-        stored = float(RECORD_BYTES), self.about.term_bits / 8
-        self.candidates = CandidateIndex(self.index, pixel=pixel, stored=stored, cache=cache)
+        self._plan(_scene_index(package, cache, coding.mean_bytes(self.contents)), cache)
 
     @classmethod
     def open(
@@ -96,6 +93,25 @@ class StreamedScene:
         _check.positive_int("max_cache_bytes", max_cache_bytes, at_least=0)
         found = package if isinstance(package, Package) else Package.open(package)
         return cls(found, max_cache_bytes=max_cache_bytes, pixel=pixel, quality=quality)
+
+    def with_index(self, index: SceneIndex, *, max_cache_bytes: int = 512 << 20) -> StreamedScene:
+        """Return the same scene, planned by another index of the same Gaussians, with a cache of its own.
+
+        Args:
+            index: The index.
+            max_cache_bytes: Most bytes of candidates of cells to keep; the last is kept in any case.
+        """
+        if len(index) != len(self):
+            raise ValueError(f"index: expected one of {len(self):,} Gaussians, got {len(index):,}")
+        other = copy.copy(self)
+        other._plan(index, Cache(max_cache_bytes, keep_last=True))
+        return other
+
+    def _plan(self, index: SceneIndex, cache: Cache[Any]) -> None:
+        self.index = index
+        self.ending = int(np.count_nonzero(np.diff(index.replacement_offsets)))
+        stored = float(RECORD_BYTES), self.about.term_bits / 8
+        self.candidates = CandidateIndex(index, pixel=self._pixel, stored=stored, cache=cache)
 
     def __len__(self) -> int:
         """Return N, the number of Gaussians."""
