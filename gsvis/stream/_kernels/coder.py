@@ -91,13 +91,15 @@ def _push(operation, state, at, symbols, out):
         state >>= np.uint64(full) << np.uint64(4)
         state = (state << bits) | np.uint64(operation & np.uint32(0xFFFF))
     else:
-        size = symbols[operation, 1]
+        symbol = symbols[operation]
+        size = (symbol >> np.uint64(12)) & np.uint64(0x1FFF)
         full = state >= size << np.uint64(32 - BITS)
         out[at - 1] = np.uint16(state & np.uint64(0xFFFF))
         at -= full
         state >>= np.uint64(full) << np.uint64(4)
-        quotient = ((state * symbols[operation, 3]) >> np.uint64(32)) >> symbols[operation, 2]
-        state = (quotient << np.uint64(BITS)) + state - quotient * size + symbols[operation, 0]
+        shift, start = (symbol >> np.uint64(25)) & np.uint64(15), symbol & np.uint64(0xFFF)
+        quotient = ((state * (symbol >> np.uint64(29))) >> np.uint64(32)) >> shift
+        state = (quotient << np.uint64(BITS)) + state - quotient * size + start
     return state, at
 
 
@@ -110,8 +112,8 @@ def write(operations, symbols, out):
     Args:
         operations: (M,) uint32: numbers of symbols, counted over all tables; or RAW, the number of raw bits from bit
             16 on, and the bits.
-        symbols: (S, 4) uint64: where each symbol begins in its table; its size, not 0 for those that occur; the
-            number of bits of size - 1; 2^(32 + that) / size, rounded up.
+        symbols: (S,) uint64: where each symbol begins in its table (12 bits); its size, not 0 for those that occur
+            (13); the number of bits of size - 1 (4); and 2^(32 + that) / size, rounded up (33).
         out: uint16, at least four more than operations.
 
     Returns:
