@@ -176,7 +176,7 @@ class Coding:
     def _write(self, operations: NDArray[np.uint32]) -> U8:
         if not len(operations):
             return np.zeros(0, np.uint8)
-        out = np.empty(len(operations) + 2, np.uint16)
+        out = np.empty(len(operations) + 4, np.uint16)
         return out[coder.write(operations, self.tables.symbols, out) :].view(np.uint8)
 
 

@@ -46,11 +46,12 @@ class PlainReader:
     """
 
     def __init__(self, data: bytes, tables: list[list[int]]) -> None:
-        if len(data) < 4 or len(data) % 2:
-            raise ValueError("data: expected words of 16 bits, at least two")
+        if len(data) < 8 or len(data) % 2:
+            raise ValueError("data: expected words of 16 bits, at least four")
         self._words = [data[k] | data[k + 1] << 8 for k in range(0, len(data), 2)]
         self._tables = tables
-        self._state, self._at = self._words[0] | self._words[1] << 16, 2
+        self._state, self._other = (self._words[k] | self._words[k + 1] << 16 for k in (0, 2))
+        self._at = 4
 
     def symbol(self, table: int) -> int:
         """Return the next symbol, of a table."""
@@ -63,14 +64,16 @@ class PlainReader:
         raise ValueError(f"table {table}: expected one with symbols")
 
     def bits(self, count: int) -> int:
-        """Return the next raw bits."""
+        """Return the next raw bits; none are no operation."""
+        if count == 0:
+            return 0
         found = self._state & ((1 << count) - 1)
         self._refill(self._state >> count)
         return found
 
     def end(self) -> None:
-        """Raise unless all words are used, and the state is that of the first symbol that was written."""
-        if self._at != len(self._words) or self._state != 1 << 16:
+        """Raise unless all words are used, and the states are those of the first symbols that were written."""
+        if self._at != len(self._words) or (self._state, self._other) != (1 << 16, 1 << 16):
             raise ValueError("data: expected no more words")
 
     def _refill(self, state: int) -> None:
@@ -79,7 +82,7 @@ class PlainReader:
                 raise ValueError("data: expected more words")
             state = state << 16 | self._words[self._at]
             self._at += 1
-        self._state = state
+        self._state, self._other = self._other, state
 
 
 def table_slots(levels: list[int]) -> list[int]:

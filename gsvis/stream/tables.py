@@ -36,7 +36,7 @@ class Tables:
     Attributes:
         offsets: (K + 1,) int64, first symbol of each table.
         levels: (S,) uint8, level of each symbol.
-        symbols: (S, 4) uint64, for encoding; see `coder.write`.
+        symbols: (S,) uint64, for encoding; see `coder.write`.
         decoder: For decoding.
     """
 
@@ -59,7 +59,8 @@ class Tables:
         bits = np.frexp(np.maximum(size.astype(np.float64) - 1, 0))[1].astype(np.uint64)
         size = np.maximum(size, 1)
         inverses = ((np.uint64(1) << (bits + np.uint64(32))) - np.uint64(1)) // size + np.uint64(1)
-        symbols = np.stack([(spans & 0xFFFF).astype(np.uint64), size, bits, inverses], axis=1)
+        symbols = (spans & 0xFFF).astype(np.uint64) | size << np.uint64(12) | bits << np.uint64(25)
+        symbols |= inverses << np.uint64(29)
         return cls(offsets, levels, symbols, coder.Decoder(slots, rows, offsets, spans))
 
     @classmethod

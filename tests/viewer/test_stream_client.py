@@ -232,7 +232,7 @@ def test_it_holds_what_the_python_receiver_holds_after_the_same_messages(program
         serving(folder, abr=AbrConfig(policy="low-first", start_rate=1000.0, horizon=0.1)) as server,
         slow_link(server.url, 30_000.0) as link,
     ):
-        tee = Tee(link.url, [first + more for more in (4000, 6000, 4000, 6000)])
+        tee = Tee(link.url, [first + more for more in (6000, 9000, 6000, 9000)])
         with client_of(program, tee.url, tmp_path) as client:
             for k in range(12):
                 client.say(f"pose {k / 4 - 1.5} {k % 3 / 2 - 0.5} 0.2")

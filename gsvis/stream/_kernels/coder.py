@@ -1,7 +1,7 @@
 """Kernels of the coder: symbols of tables and raw bits become words of 16 bits, and back.
 
-rANS with tables of 12 bits and a state of 32 bits. The encoder runs backwards, so that the decoder runs forwards. All
-arithmetic is of integers. Arrays are checked and contiguous.
+rANS with tables of 12 bits and two states of 32 bits. The encoder runs backwards, so that the decoder runs forwards.
+All arithmetic is of integers. Arrays are checked and contiguous.
 
 References:
     Duda, "Asymmetric numeral systems: entropy coding combining speed of Huffman coding with compression rate of
@@ -42,10 +42,17 @@ class Decoder(NamedTuple):
 
 
 @njit(inline="always")
-def next_symbol(words, state, at, table, slots, rows, offsets, spans):
-    """Return a symbol of a table, the state after it, and the place of the next word; see `Decoder`.
+def begin(words):
+    """Return the two states that the first four words hold."""
+    high = np.uint64(16)
+    return np.uint64(words[0]) | (np.uint64(words[1]) << high), np.uint64(words[2]) | (np.uint64(words[3]) << high)
 
-    The place is beyond the end if words or symbols are missing.
+
+@njit(inline="always")
+def next_symbol(words, state, other, at, table, slots, rows, offsets, spans):
+    """Return a symbol of a table, the state of the next operation and the other one, and the place of the next word.
+
+    The place is beyond the end if words or symbols are missing. For tables see `Decoder`.
     """
     row = rows[table]
     slot = state & np.uint64(TOTAL - 1)
@@ -56,57 +63,75 @@ def next_symbol(words, state, at, table, slots, rows, offsets, spans):
         state = (state << np.uint64(16)) | (np.uint64(words[at]) if at < len(words) else np.uint64(0))
         at += 1
     if row < 0:
-        return np.int64(0), state, np.int64(len(words) + 1)
-    return found - offsets[table], state, at
+        return np.int64(0), other, state, np.int64(len(words) + 1)
+    return found - offsets[table], other, state, at
 
 
 @njit(inline="always")
-def next_bits(words, state, at, count):
-    """Return 0 to 16 raw bits, the state after them, and the place of the next word."""
+def next_bits(words, state, other, at, count):
+    """Return 0 to 16 raw bits, then the same as `next_symbol`; no bits are no operation."""
+    if count == 0:
+        return np.int64(0), state, other, at
     found = np.int64(state & ((np.uint64(1) << np.uint64(count)) - np.uint64(1)))
     state >>= np.uint64(count)
     if state < np.uint64(LEAST):
         state = (state << np.uint64(16)) | (np.uint64(words[at]) if at < len(words) else np.uint64(0))
         at += 1
-    return found, state, at
+    return found, other, state, at
+
+
+@njit(inline="always")
+def _push(operation, state, at, symbols, out):
+    """Write an operation before all others; return its state, and the place of the first word."""
+    if operation & np.uint32(RAW):
+        bits = np.uint64((operation >> np.uint32(16)) & np.uint32(31))
+        full = (state >> (np.uint64(32) - bits)) != np.uint64(0)
+        out[at - 1] = np.uint16(state & np.uint64(0xFFFF))
+        at -= full
+        state >>= np.uint64(full) << np.uint64(4)
+        state = (state << bits) | np.uint64(operation & np.uint32(0xFFFF))
+    else:
+        symbol = symbols[operation]
+        size = (symbol >> np.uint64(12)) & np.uint64(0x1FFF)
+        full = state >= size << np.uint64(32 - BITS)
+        out[at - 1] = np.uint16(state & np.uint64(0xFFFF))
+        at -= full
+        state >>= np.uint64(full) << np.uint64(4)
+        shift, start = (symbol >> np.uint64(25)) & np.uint64(15), symbol & np.uint64(0xFFF)
+        quotient = ((state * (symbol >> np.uint64(29))) >> np.uint64(32)) >> shift
+        state = (quotient << np.uint64(BITS)) + state - quotient * size + start
+    return state, at
 
 
 @njit(**_OPTIONS)
 def write(operations, symbols, out):
-    """Write operations as words of 16 bits, from the end of `out` on, the state of the decoder first.
+    """Write operations as words of 16 bits, from the end of `out` on, the states of the decoder first.
+
+    Operations use one state and the other in turn, so that a processor can work on two at once.
 
     Args:
         operations: (M,) uint32: numbers of symbols, counted over all tables; or RAW, the number of raw bits from bit
             16 on, and the bits.
-        symbols: (S, 4) uint64: where each symbol begins in its table; its size, not 0 for those that occur; the
-            number of bits of size - 1; 2^(32 + that) / size, rounded up.
-        out: uint16, at least two more than operations.
+        symbols: (S,) uint64: where each symbol begins in its table (12 bits); its size, not 0 for those that occur
+            (13); the number of bits of size - 1 (4); and 2^(32 + that) / size, rounded up (33).
+        out: uint16, at least four more than operations.
 
     Returns:
         The place of the first word.
     """
-    state, at = np.uint64(LEAST), len(out)
-    mask = np.uint64(0xFFFF)
-    for i in range(len(operations) - 1, -1, -1):
-        operation = operations[i]
-        if operation & np.uint32(RAW):
-            bits = np.uint64((operation >> np.uint32(16)) & np.uint32(31))
-            if state >> (np.uint64(32) - bits):
-                at -= 1
-                out[at] = np.uint16(state & mask)
-                state >>= np.uint64(16)
-            state = (state << bits) | np.uint64(operation & np.uint32(0xFFFF))
-        else:
-            size = symbols[operation, 1]
-            if state >= size << np.uint64(32 - BITS):
-                at -= 1
-                out[at] = np.uint16(state & mask)
-                state >>= np.uint64(16)
-            quotient = ((state * symbols[operation, 3]) >> np.uint64(32)) >> symbols[operation, 2]
-            state = (quotient << np.uint64(BITS)) + state - quotient * size + symbols[operation, 0]
-    out[at - 1] = np.uint16(state >> np.uint64(16))
-    out[at - 2] = np.uint16(state & mask)
-    return at - 2
+    first, second, at, i = np.uint64(LEAST), np.uint64(LEAST), len(out), len(operations)
+    if i & 1:
+        i -= 1
+        first, at = _push(operations[i], first, at, symbols, out)
+    while i > 0:
+        second, at = _push(operations[i - 1], second, at, symbols, out)
+        first, at = _push(operations[i - 2], first, at, symbols, out)
+        i -= 2
+    for state in (second, first):
+        out[at - 1] = np.uint16(state >> np.uint64(16))
+        out[at - 2] = np.uint16(state & np.uint64(0xFFFF))
+        at -= 2
+    return at
 
 
 @njit(**_OPTIONS)

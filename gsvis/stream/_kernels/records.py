@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gsvis.stream._kernels.coder import LEAST, RAW, next_bits, next_symbol
+from gsvis.stream._kernels.coder import LEAST, RAW, begin, next_bits, next_symbol
 
 _OPTIONS: dict[str, Any] = {"cache": True, "nogil": True}
 
@@ -231,10 +231,10 @@ def read(words, ids, rows, chunks, layout, code, out):
     width, head = position + rotation + scale, 8 * (1 + layout.colors)
     lead, mask = 1 if layout.colors == 3 else 2, (np.int64(1) << scale) - 1
     half = (np.int64(1) << (rotation - 1)) - 1
-    if len(words) < 2:
+    if len(words) < 4:
         return False
     slots, tables, offsets, spans = code.slots, code.rows, code.offsets, code.spans
-    state, at = np.uint64(words[0]) | (np.uint64(words[1]) << np.uint64(16)), 2
+    (x, y), at = begin(words), 4
     before, strength, last = -1, np.int64(0), np.int64(0)
     s, bits = np.empty(3, np.int64), np.empty(2, np.uint64)
     for i in range(len(out)):
@@ -242,18 +242,18 @@ def read(words, ids, rows, chunks, layout, code, out):
             return False
         row = rows[i]
         stride = chunks.strides[row]
-        opacity, state, at = next_symbol(words, state, at, OPACITY, slots, tables, offsets, spans)
-        order, state, at = next_symbol(words, state, at, ORDER, slots, tables, offsets, spans)
-        middle, state, at = next_symbol(words, state, at, MIDDLE, slots, tables, offsets, spans)
-        smallest, state, at = next_symbol(words, state, at, SMALLEST, slots, tables, offsets, spans)
+        opacity, x, y, at = next_symbol(words, x, y, at, OPACITY, slots, tables, offsets, spans)
+        order, x, y, at = next_symbol(words, x, y, at, ORDER, slots, tables, offsets, spans)
+        middle, x, y, at = next_symbol(words, x, y, at, MIDDLE, slots, tables, offsets, spans)
+        smallest, x, y, at = next_symbol(words, x, y, at, SMALLEST, slots, tables, offsets, spans)
         weight = _weight(middle, smallest, opacity, stride, layout)
         if row != before:
-            top, state, at = next_symbol(words, state, at, FIRST, slots, tables, offsets, spans)
+            top, x, y, at = next_symbol(words, x, y, at, FIRST, slots, tables, offsets, spans)
         else:
             table = LARGEST + _gap(ids[i] - last)
-            top, state, at = next_symbol(words, state, at, table, slots, tables, offsets, spans)
+            top, x, y, at = next_symbol(words, x, y, at, table, slots, tables, offsets, spans)
             if top == STEPS - 1:
-                top, state, at = next_bits(words, state, at, scale)
+                top, x, y, at = next_bits(words, x, y, at, scale)
             else:
                 expected = (((strength - weight) >> 1) - chunks.lows[row]) // stride
                 top = (min(max(expected, 0), mask) + top - BELOW) & mask
@@ -267,29 +267,29 @@ def read(words, ids, rows, chunks, layout, code, out):
         bits[0], bits[1] = np.uint64(opacity), np.uint64(0)
         turn = _turn(size, middle, stride, layout)
         for k in range(3):
-            value, state, at = next_symbol(words, state, at, ROTATION + TURNS * k + turn, slots, tables, offsets, spans)
+            value, x, y, at = next_symbol(words, x, y, at, ROTATION + TURNS * k + turn, slots, tables, offsets, spans)
             value = (((value - half) << turn) + half) & ((1 << rotation) - 1)
             _put(bits, head + k * width + position, value)
             _put(bits, head + k * width + position + rotation, s[k])
-        first, state, at = next_symbol(words, state, at, COLOR, slots, tables, offsets, spans)
+        first, x, y, at = next_symbol(words, x, y, at, COLOR, slots, tables, offsets, spans)
         _put(bits, 8 * (1 + lead), first)
         base = first if layout.colors == 3 else 0
-        value, state, at = next_symbol(words, state, at, SECOND + (first >> 5), slots, tables, offsets, spans)
+        value, x, y, at = next_symbol(words, x, y, at, SECOND + (first >> 5), slots, tables, offsets, spans)
         _put(bits, 8, (value + base) & 255)
-        value, state, at = next_symbol(words, state, at, THIRD + layout.before[value], slots, tables, offsets, spans)
+        value, x, y, at = next_symbol(words, x, y, at, THIRD + layout.before[value], slots, tables, offsets, spans)
         _put(bits, 8 * (4 - lead), (value + base) & 255)
         if layout.colors == 4:
-            value, state, at = next_symbol(words, state, at, FOURTH + (first >> 5), slots, tables, offsets, spans)
+            value, x, y, at = next_symbol(words, x, y, at, FOURTH + (first >> 5), slots, tables, offsets, spans)
             _put(bits, 32, value)
         limit = _place_limit(size, middle, opacity, stride, layout)
         for k in range(3):
             left = position
             if layout.coarse:
                 left -= min(max(limit - chunks.steps[row, k], 0), position)
-            value, state, at = next_bits(words, state, at, left)
+            value, x, y, at = next_bits(words, x, y, at, left)
             _put(bits, head + k * width, value << (position - left))
         out[i, 0], out[i, 1] = bits[0], bits[1]
-    return at == len(words) and state == np.uint64(LEAST)
+    return at == len(words) and x == np.uint64(LEAST) and y == np.uint64(LEAST)
 
 
 @njit(inline="always")

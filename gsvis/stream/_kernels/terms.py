@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
-from gsvis.stream._kernels.coder import LEAST, RAW, next_bits, next_symbol
+from gsvis.stream._kernels.coder import LEAST, RAW, begin, next_bits, next_symbol
 
 _OPTIONS: dict[str, Any] = {"cache": True, "nogil": True}
 
@@ -106,12 +106,12 @@ def operations(records, owners, fields, offsets, out):
 
 
 @njit(inline="always")
-def _next(words, state, at, table, bits, most, slots, tables, offsets, spans):
-    """Return a field, and state and place after it."""
+def _next(words, x, y, at, table, bits, most, slots, tables, offsets, spans):
+    """Return a field, then the states and the place after it."""
     rest = max(bits - most, 0)
-    value, state, at = next_symbol(words, state, at, table, slots, tables, offsets, spans)
-    low, state, at = next_bits(words, state, at, rest)
-    return (value << rest) | low, state, at
+    value, x, y, at = next_symbol(words, x, y, at, table, slots, tables, offsets, spans)
+    low, x, y, at = next_bits(words, x, y, at, rest)
+    return (value << rest) | low, x, y, at
 
 
 @njit(**_OPTIONS)
@@ -127,10 +127,10 @@ def read(words, owners, fields, code, out):
     """
     f, p, a, d, n = fields.function, fields.polar, fields.azimuth, fields.decay, fields.intensity
     mask = (np.int64(1) << n) - 1
-    if len(words) < 2:
+    if len(words) < 4:
         return False
     slots, tables, offsets, spans = code.slots, code.rows, code.offsets, code.spans
-    state, at = np.uint64(words[0]) | (np.uint64(words[1]) << np.uint64(16)), 2
+    (x, y), at = begin(words), 4
     before, table = np.int64(-1), 0
     for i in range(len(out)):
         if at > len(words):
@@ -139,25 +139,23 @@ def read(words, owners, fields, code, out):
         before = np.int64(owners[i])
         function = np.int64(0)
         if f:
-            function, state, at = _next(words, state, at, 0, f, 6, slots, tables, offsets, spans)
-        lead, state, at = _next(words, state, at, table, n, 6, slots, tables, offsets, spans)
+            function, x, y, at = _next(words, x, y, at, 0, f, 6, slots, tables, offsets, spans)
+        lead, x, y, at = _next(words, x, y, at, table, n, 6, slots, tables, offsets, spans)
         upper = _six(lead, n)
         table = LEAD + 1 + (upper >> 3)
-        decay, state, at = _next(words, state, at, DECAY + (upper >> 3), d, 6, slots, tables, offsets, spans)
-        polar, state, at = _next(words, state, at, POLAR, p, 6, slots, tables, offsets, spans)
-        azimuth, state, at = _next(
-            words, state, at, AZIMUTH + (_six(polar, p) >> 3), a, 7, slots, tables, offsets, spans
-        )
+        decay, x, y, at = _next(words, x, y, at, DECAY + (upper >> 3), d, 6, slots, tables, offsets, spans)
+        polar, x, y, at = _next(words, x, y, at, POLAR, p, 6, slots, tables, offsets, spans)
+        azimuth, x, y, at = _next(words, x, y, at, AZIMUTH + (_six(polar, p) >> 3), a, 7, slots, tables, offsets, spans)
         word = np.uint64(function) | np.uint64(polar) << np.uint64(f) | np.uint64(azimuth) << np.uint64(f + p)
         word |= np.uint64(decay) << np.uint64(f + p + a)
         if fields.others:
-            other, state, at = _next(words, state, at, OTHER + (upper >> 2), n, 6, slots, tables, offsets, spans)
-            last, state, at = _next(words, state, at, LAST + _near(other, n), n, 6, slots, tables, offsets, spans)
-            word |= np.uint64((other + lead) & mask) << np.uint64(f + p + a + d)
+            rest, x, y, at = _next(words, x, y, at, OTHER + (upper >> 2), n, 6, slots, tables, offsets, spans)
+            last, x, y, at = _next(words, x, y, at, LAST + _near(rest, n), n, 6, slots, tables, offsets, spans)
+            word |= np.uint64((rest + lead) & mask) << np.uint64(f + p + a + d)
             word |= np.uint64(lead) << np.uint64(f + p + a + d + n)
             word |= np.uint64((last + lead) & mask) << np.uint64(f + p + a + d + 2 * n)
         else:
             word |= np.uint64(lead) << np.uint64(f + p + a + d)
         for k in range(out.shape[1]):
             out[i, k] = np.uint8((word >> np.uint64(8 * k)) & np.uint64(255))
-    return at == len(words) and state == np.uint64(LEAST)
+    return at == len(words) and x == np.uint64(LEAST) and y == np.uint64(LEAST)

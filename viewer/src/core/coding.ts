@@ -93,18 +93,19 @@ function tableOf(weights: Float64Array): Table | null {
 class Reader {
   private readonly words: Uint16Array;
   private readonly tables: (Table | null)[];
-  private readonly state = new Uint32Array(1);
-  private at = 2;
+  private readonly states = new Uint32Array(2); // operations use one and the other in turn
+  private turn = 0;
+  private at = 4;
 
   constructor(bytes: Uint8Array, tables: (Table | null)[]) {
-    this.words = new Uint16Array(Math.ceil(bytes.length / 2));
+    this.words = new Uint16Array(Math.max(Math.ceil(bytes.length / 2), 4));
     new Uint8Array(this.words.buffer).set(bytes);
     this.tables = tables;
-    this.state[0] = this.words[0] | (this.words[1] << 16);
+    for (const k of [0, 1]) this.states[k] = this.words[2 * k] | (this.words[2 * k + 1] << 16);
   }
 
   symbol(table: number): number {
-    const found = this.tables[table], state = this.state[0];
+    const found = this.tables[table], state = this.states[this.turn];
     if (found === null) {
       this.at = Infinity;
       return 0;
@@ -115,7 +116,8 @@ class Reader {
   }
 
   bits(count: number): number {
-    const state = this.state[0];
+    if (count === 0) return 0;
+    const state = this.states[this.turn];
     this.next(state >>> count);
     return state & ((1 << count) - 1);
   }
@@ -131,12 +133,14 @@ class Reader {
   }
 
   get isAtEnd(): boolean {
-    return this.at === this.words.length && this.state[0] === LEAST;
+    return this.at === this.words.length && this.states.every((state) => state === LEAST);
   }
 
   private next(state: number): void {
-    this.state[0] = state;
-    if (this.state[0] < LEAST) this.state[0] = (this.state[0] << 16) | this.words[this.at++];
+    const { states, turn } = this;
+    states[turn] = state;
+    if (states[turn] < LEAST) states[turn] = (states[turn] << 16) | this.words[this.at++];
+    this.turn = 1 - turn;
   }
 }
 
