@@ -471,7 +471,7 @@ TARGETS = [
         in_receiver,
         (ProtocolError,),
         change=change_order,
-        modules=(S + "header", S + "batch", S + "receiver", S + "drawn"),
+        modules=tuple(S + name for name in ("header", "batch", "coding", "tables", "receiver", "drawn")),
         weight=1.5,
     ),
     Target(
