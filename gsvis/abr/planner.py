@@ -313,7 +313,7 @@ class Planner:
         elif self._enter_shell(self._near[0]):
             self._table, self._keys = filling_table(config.policy, levels, config.utility)
         else:
-            self._complete = True  # all that any cell sees is held
+            self._complete = self._given_up is None  # all that any cell sees is held
             return False
         self._plan, self._place, self._least, self._whole, self._wanted = _NOTHING, 0, 0, False, 0.0
         return True
