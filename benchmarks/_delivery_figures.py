@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from _delivery_systems import ABLATED, OTHERS, OURS
+from _delivery_systems import ABLATED, OTHERS, OURS, VARIANTS
 
 from gsvis.abr import paired_difference
 
@@ -42,7 +42,7 @@ def chosen(rows: Rows, **named: Any) -> Rows:
 def systems_of(rows: Rows) -> list[str]:
     """The systems in the order of the table."""
     there = {row["system"] for row in rows}
-    return [name for name in (OURS, *ABLATED, *OTHERS) if name in there]
+    return [name for name in (OURS, *VARIANTS, *ABLATED, *OTHERS) if name in there]
 
 
 def by_walk(rows: Rows, key: str) -> np.ndarray:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 import tempfile
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -29,7 +30,7 @@ from gsvis.simulate.rivals import RIVALS, LeafFiles, Measured, rival
 from gsvis.simulate.rivals.leaves import leaf_sizes
 from gsvis.stream import StreamedScene
 
-__all__ = ["ABLATED", "OTHERS", "OURS", "SYSTEMS", "Scene", "place"]
+__all__ = ["ABLATED", "OTHERS", "OURS", "SYSTEMS", "VARIANTS", "Scene", "place"]
 
 SCENES = {"showroom": ("showroom", 3, 1.0), "nika": ("nika_sh3", 1, None), "flowers": ("flowers_sh2", 1, None)}
 """Folder, level of detail, and meters of a unit."""
@@ -38,7 +39,13 @@ CHUNK = 1024
 OURS = "gsvis"
 ABLATED = tuple(f"gsvis without {name}" for name in ABLATIONS)
 OTHERS = ("whole file", "Morton order", *RIVALS)
-SYSTEMS = (OURS, *ABLATED, *OTHERS)
+VARIANTS: dict[str, dict[str, Any]] = {
+    "gsvis, fov-first": {"policy": "fov-first"},
+    "gsvis, low-first": {"policy": "low-first"},
+    "gsvis, links not filled": {"fill": False},
+}
+"""Ours with other settings of the scheduler."""
+SYSTEMS = (OURS, *VARIANTS, *ABLATED, *OTHERS)
 
 
 def place(name: str) -> tuple[Gaussians, int]:
@@ -98,6 +105,8 @@ class Scene:
         contents = self.streamed.contents
         if name == OURS:
             return Adaptive(self.streamed, view, self.config, name=OURS)
+        if name in VARIANTS:
+            return Adaptive(self.streamed, view, replace(self.config, **VARIANTS[name]), name=name)
         if name in ABLATED:
             left_out = name.removeprefix("gsvis without ")
             return ablated(self._without(left_out), left_out, view, self.config, sh_bytes=self.sh_bytes)
