@@ -18,7 +18,7 @@ from gsvis.abr._kernels.units import BUCKETS, GEOMETRY, INSIDE, LEAST, OUTSIDE, 
 _OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
 _SAMPLE, _SPARE = 16, 1.5
 NEVER = 1 << 30  # the key of what is never sent
-UNKNOWN, DONE = -1, -2  # in `Cell.waits`: not checked in this cell yet; replaced
+UNKNOWN, DONE = -1, -2  # in `Cell.waits`: to be checked; replaced
 SEVERAL = -2  # in `Links.only`
 
 
@@ -35,7 +35,7 @@ class Cell(NamedTuple):
     ahead: Any  # (S,) uint64, what the cell sees that the viewer is about to enter
     checked: Any  # (S,) uint64, Gaussians that owe only terms which are not active for the eye
     checked_at: Any  # (S,) float32, `View.travelled` when the first of them were checked
-    waits: Any  # (E,) int32, a replacement that each waits for
+    waits: Any  # (E,) int32, a replacement that each waits for; -2 - k if it waits for any k of them
     share: Any  # of the area of its replacements that must be held before a Gaussian is dropped
 
 

@@ -125,7 +125,7 @@ def take(plan, place, cell, held, view, records, links, budget, out):
                 found += 1
                 gaussians[w] |= one << low
                 e = np.int64(only[g])
-                if e == SEVERAL or (e >= 0 and (waits[e] == UNKNOWN or waits[e] == g)):
+                if e == SEVERAL or (e >= 0 and (waits[e] == g or (waits[e] < 0 and waits[e] != DONE))):
                     dropped = _drop_replaced(g, held, cell, links, areas, out, dropped)
                     rest &= ~gone[w]
                 continue
@@ -164,7 +164,7 @@ def _drop_replaced(g, held, cell, links, areas, out, dropped):
 
     Enough is a share of their area, `Cell.share`. A Gaussian that is gone counts as held, so what it was to replace is
     checked too. What still waits remembers in `waits` a missing replacement that is larger than all that may be
-    missing, and is not checked again before that arrives.
+    missing, or how many have to arrive at least, and is not checked again before.
     """
     gaussians, gone, candidates, waits = held.gaussians, held.gone, cell.candidates, cell.waits
     offsets, ranks, ending, starts, ids = links.offsets, links.ranks, links.ending, links.starts, links.ids
@@ -173,6 +173,8 @@ def _drop_replaced(g, held, cell, links, areas, out, dropped):
     while True:
         for k in range(offsets[y], offsets[y + 1]):
             e = ranks[k]
+            if waits[e] < DONE:
+                waits[e] = waits[e] + 1 if waits[e] < DONE - 1 else UNKNOWN
             if waits[e] != UNKNOWN and waits[e] != y:
                 continue
             x = np.int64(ending[e])
@@ -191,7 +193,10 @@ def _drop_replaced(g, held, cell, links, areas, out, dropped):
                     if area > largest:
                         largest, first = area, h
             if missing > spare * total:
-                waits[e] = first if largest > spare * total else UNKNOWN
+                if largest > spare * total:
+                    waits[e] = first
+                else:
+                    waits[e] = DONE - max(np.int64((missing - spare * total) / largest), 1)
                 continue
             waits[e] = DONE
             _put(gone, x)
