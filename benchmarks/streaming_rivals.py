@@ -93,7 +93,7 @@ def main() -> None:
     begun, rows, frames = time.perf_counter(), list[dict[str, Any]](), list[dict[str, Any]]()
     with ProcessPoolExecutor(options.workers, get_context("spawn")) as pool:
         jobs = {
-            pool.submit(walked, name, package, w, kind, config, options): (name, w)
+            pool.submit(run_walk, name, package, w, kind, config, options): (name, w)
             for kind in (KINDS if options.links == "both" else (options.links,))
             for w in range(_walks(options, kind))
             for name, package in named
@@ -154,7 +154,7 @@ def open_scene(name: str, package: str, work: Path, use: Any) -> Any:
         return use(Scene(name, opened, full, file_bytes, work, AbrConfig()))
 
 
-def walked(
+def run_walk(
     name: str, package: str, walk: int, kind: str, config: ViewingConfig, options: argparse.Namespace
 ) -> dict[str, Any]:
     """One walk through one scene, over a kind of links, by all systems; from the cache if it is there."""

@@ -10,7 +10,7 @@ from numba import njit
 from numba.core import types
 from numba.extending import intrinsic
 
-__all__ = ["bits_of", "count", "lowest", "ones"]
+__all__ = ["bits_of", "count", "has", "lowest", "ones"]
 
 
 @intrinsic
@@ -41,6 +41,12 @@ def lowest(typing_context: Any, word: Any) -> Any:
         return builder.cttz(args[0], ir.Constant(ir.IntType(1), 1))
 
     return types.uint64(types.uint64), build
+
+
+@njit(inline="always")
+def has(words, i):
+    """Return whether bit i is set."""
+    return (words[i >> 6] >> np.uint64(i & 63)) & np.uint64(1) != 0
 
 
 @njit(cache=True, nogil=True)

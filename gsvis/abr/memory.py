@@ -1,7 +1,7 @@
 """The memory of one client: how much it holds, in bytes, and what it gives up for what the view needs.
 
 What is farthest from use goes first: Gaussians that no cell near the viewer sees, the farthest first, then Gaussians
-that are out of view. Nothing in view is given up. Words of 64 Gaussians are judged together, by their spheres.
+that are out of view. Nothing in view goes. Words of 64 Gaussians are judged together, by their spheres.
 """
 
 from __future__ import annotations

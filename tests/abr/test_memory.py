@@ -1,4 +1,4 @@
-"""A client with little memory: never more than it can hold, and what is in view is never given up."""
+"""A client with little memory: never more than it can hold, and nothing in view is evicted."""
 
 from __future__ import annotations
 
@@ -44,11 +44,11 @@ class Client:
         assert self.held_bytes <= self.most_bytes * (1 + 1e-6)
 
 
-def whole(index: SceneIndex) -> float:
+def bytes_of_all(index: SceneIndex) -> float:
     return 16.0 * len(index) + 4.5 * index.num_terms
 
 
-def followed(client: Client, planner: Planner, views: list, budget: float = 800.0) -> None:
+def follow(client: Client, planner: Planner, views: list, budget: float = 800.0) -> None:
     for cell, eye, planes in views:
         planner.aim(cell, eye, planes)
         sent = 0
@@ -77,10 +77,10 @@ def some_views(index: SceneIndex, seed: int, count: int) -> list:
 @given(st.integers(0, 10_000), st.floats(0.0, 1.2), st.booleans(), st.integers(1, 3))
 def test_a_client_never_holds_more_than_its_memory(seed, share, cones, levels) -> None:
     index = scenes.random_index(seed, count=300, levels=levels, shape=(5, 3, 2), share=0.15, cones=cones)
-    most = max(1.0, share * whole(index))
+    most = max(1.0, share * bytes_of_all(index))
     client = Client(index, most)
     planner = Planner(CandidateIndex(index), VIEW, memory=most)
-    followed(client, planner, some_views(index, seed, 6))
+    follow(client, planner, some_views(index, seed, 6))
 
 
 @FEW
@@ -91,7 +91,7 @@ def test_what_is_in_view_arrives_if_the_memory_holds_it_wherever_the_viewer_was(
     needed = []
     for cell, _, planes in views:
         inside = np.flatnonzero(classify(index, cell, planes).classes == FOV)
-        words = np.unique(inside >> 6)  # words are given up as a whole: one that touches the view stays
+        words = np.unique(inside >> 6)  # words are evicted as a whole: one that touches the view stays
         stay = np.flatnonzero(np.isin(np.arange(len(index)) >> 6, words))
         needed.append((inside, 16.0 * len(stay)))
     terms = 4.5 * index.num_terms
@@ -99,13 +99,13 @@ def test_what_is_in_view_arrives_if_the_memory_holds_it_wherever_the_viewer_was(
     client = Client(index, most)
     planner = Planner(CandidateIndex(index), VIEW, AbrConfig(policy="fov-first"), memory=most)
     for view, (inside, _) in zip(views, needed, strict=True):
-        followed(client, planner, [view])
+        follow(client, planner, [view])
         assert np.isin(inside, client.holdings.shown).all()
 
 
 @FEW
 @given(st.integers(0, 10_000))
-def test_nothing_in_view_is_given_up(seed) -> None:
+def test_nothing_in_view_is_evicted(seed) -> None:
     index = scenes.random_index(seed, count=300, levels=1, shape=(5, 3, 2), share=0.15)
     most = 1.6 * len(index)
     planner = Planner(CandidateIndex(index), VIEW, memory=most)
@@ -148,7 +148,7 @@ def test_what_an_evicted_gaussian_had_replaced_comes_again() -> None:
     assert planner.memory.held_bytes == pytest.approx(0.0, abs=1e-6)
 
 
-def test_a_client_whose_memory_holds_not_even_one_record_gets_nothing_and_is_done() -> None:
+def test_a_client_without_room_for_one_record_gets_nothing() -> None:
     index = scenes.random_index(7, shape=(3, 1, 1))
     planner = Planner(CandidateIndex(index), VIEW, memory=1.0)
     planner.on_pose(0.0, index.grid.centers[0], [1, 0, 0, 0])

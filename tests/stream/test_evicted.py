@@ -14,9 +14,9 @@ from gsvis.abr.config import AbrConfig
 from gsvis.abr.policies import POLICIES
 from gsvis.errors import ProtocolError
 from gsvis.package.layout import RECORD_BYTES
-from gsvis.stream import Hello, Receiver, Session, StreamedScene, parse_client
+from gsvis.stream import Receiver, Session, StreamedScene
 from gsvis.stream.batch import Sections
-from tests.stream.worlds import package_of
+from tests.stream.worlds import greet, package_of
 
 VIEW = FieldOfView.from_degrees(70, 50, margin=5)
 
@@ -28,16 +28,6 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> dict[str, StreamedScene]
     yield made
     for scene in made.values():
         scene.package.close()
-
-
-def greeted(scene: StreamedScene, receiver: Receiver, config: AbrConfig) -> Session:
-    hello = parse_client(receiver.hello(VIEW).to_bytes(), most_hello=scene.most_hello)
-    assert isinstance(hello, Hello)
-    assert hello.memory == receiver.memory
-    session = Session.from_hello(scene, hello, config)
-    assert receiver.resume(session.welcome(0.0).data)
-    session.on_ack(0.0, 0)
-    return session
 
 
 def held_bytes(scene: StreamedScene, receiver: Receiver) -> float:
@@ -65,7 +55,7 @@ def test_a_client_with_little_memory_agrees_with_its_server(
     memory = int(share * (RECORD_BYTES * scene.about.gaussians + scene.about.term_bits / 8 * scene.about.terms))
     config, receiver = AbrConfig(policy=policy, start_rate=1e5), Receiver(scene.header, memory=memory)
     centers = scene.index.grid.centers
-    session, evicted, sent = greeted(scene, receiver, config), 0, 0
+    session, evicted, sent = greet(scene, receiver, VIEW, config), 0, 0
     for k in range(80):
         t = k / 10
         if k % 8 == 0:
@@ -75,7 +65,7 @@ def test_a_client_with_little_memory_agrees_with_its_server(
         if message is None:
             continue
         if rng.random() < 0.1:  # the link breaks, and the message is lost
-            session = greeted(scene, receiver, config)
+            session = greet(scene, receiver, VIEW, config)
             continue
         received = receiver.receive(message.data)
         session.on_ack(t, received.sequence)
@@ -91,7 +81,7 @@ def test_memory_is_what_makes_a_server_evict(scenes: dict[str, StreamedScene]) -
     scene = scenes["rgb"]
     for memory, expected in ((0, False), (6000, True)):
         receiver = Receiver(scene.header, memory=memory)
-        session, evicted = greeted(scene, receiver, AbrConfig()), 0
+        session, evicted = greet(scene, receiver, VIEW), 0
         for k in range(60):
             session.on_pose(k / 10, scene.index.grid.centers[k // 10 % len(scene.index.grid)], [1.0, 0.0, k % 7, 0.0])
             message = session.next_message(k / 10, 3000.0)

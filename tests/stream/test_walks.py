@@ -11,10 +11,10 @@ from gsvis.abr.classes import FieldOfView
 from gsvis.abr.config import AbrConfig
 from gsvis.abr.policies import POLICIES
 from gsvis.abr.predict import exponential
-from gsvis.stream import Hello, Receiver, Session, StreamedScene, parse_client
+from gsvis.stream import Hello, Receiver, Session, StreamedScene
 from gsvis.stream.batch import Sections
 from gsvis.stream.session import PIECE
-from tests.stream.worlds import package_of
+from tests.stream.worlds import greet, package_of
 
 VIEW = FieldOfView.from_degrees(80, 60, margin=8)
 FEW = settings(max_examples=12)
@@ -32,16 +32,6 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> dict[str, StreamedScene]
         scene.package.close()
 
 
-def greeted(scene: StreamedScene, receiver: Receiver, config: AbrConfig) -> Session:
-    """A new connection of a client."""
-    hello = parse_client(receiver.hello(VIEW).to_bytes(), most_hello=scene.most_hello)
-    assert isinstance(hello, Hello)
-    session = Session.from_hello(scene, hello, config)
-    assert receiver.resume(session.welcome(0.0).data)
-    session.on_ack(0.0, 0)
-    return session
-
-
 @FEW
 @given(st.integers(0, 10_000), st.sampled_from(["rgb", "hsl", "bare"]), st.sampled_from(POLICIES))
 def test_nothing_is_sent_twice_and_nothing_is_lost(
@@ -52,7 +42,7 @@ def test_nothing_is_sent_twice_and_nothing_is_lost(
     place, spin = rng.uniform(-2, 2, 3), rng.normal(0, 0.5, 3)
     gaussians: list[int] = []
     terms: list[int] = []
-    session, way, k = greeted(scene, receiver, config), [], 0
+    session, way, k = greet(scene, receiver, VIEW, config), [], 0
     for k in range(60):
         t = k / 10
         session.on_pose(t, place + rng.normal(0, 0.3, 3), exponential(spin * t))
@@ -66,7 +56,7 @@ def test_nothing_is_sent_twice_and_nothing_is_lost(
             session.on_ack(t, received.sequence)
         if rng.random() < 0.1:  # the link breaks, and what was on its way is gone
             way = []
-            session = greeted(scene, receiver, config)
+            session = greet(scene, receiver, VIEW, config)
     for message in way:
         received = receiver.receive(message.data)
         gaussians += received.gaussians.tolist()

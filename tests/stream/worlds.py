@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from gsvis.abr.classes import FieldOfView
+from gsvis.abr.config import AbrConfig
 from gsvis.package import Package, PackageInfo, write_package
+from gsvis.stream import Hello, Receiver, Session, StreamedScene, parse_client
 from tests.package.worlds import colors_of, levels_of, stores_of
 
 
@@ -12,3 +15,14 @@ def package_of(folder: Path, n: int = 400, variant: str = "rgb", seed: int = 0, 
     levels, (exact, colors) = levels_of(n, seed), colors_of(n, variant, seed)
     given = stores_of(folder.parent / f"{folder.name}-stores", levels, exact) if stores else {}
     return write_package(folder, levels, colors, info=PackageInfo((0, -1, 0), 0.5), **given)
+
+
+def greet(scene: StreamedScene, receiver: Receiver, view: FieldOfView, config: AbrConfig | None = None) -> Session:
+    """Return the session of a new connection of a client, with WELCOME acknowledged."""
+    hello = parse_client(receiver.hello(view).to_bytes(), most_hello=scene.most_hello)
+    assert isinstance(hello, Hello)
+    assert hello.memory == receiver.memory
+    session = Session.from_hello(scene, hello, config)
+    assert receiver.resume(session.welcome(0.0).data)
+    session.on_ack(0.0, 0)
+    return session

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 import subprocess
 from pathlib import Path
 
@@ -13,22 +12,14 @@ import pytest
 from gsvis.abr.classes import FieldOfView
 from gsvis.stream import Quality, Receiver, Session, StreamedScene
 from tests.stream.worlds import package_of
+from tests.viewer.bundles import NEEDS_NODE, bundle
 
-VIEWER = Path(__file__).parents[2] / "viewer"
-ESBUILD = VIEWER / "node_modules" / ".bin" / "esbuild"
-
-pytestmark = [
-    pytest.mark.skipif(shutil.which("node") is None, reason="needs node"),
-    pytest.mark.skipif(not ESBUILD.exists(), reason="needs esbuild: npm ci in viewer/"),
-]
+pytestmark = NEEDS_NODE
 
 
 @pytest.fixture(scope="module")
 def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("records") / "records.mjs"
-    command = [str(ESBUILD), "test/records.ts", "--bundle", "--platform=node", "--format=esm", f"--outfile={out}"]
-    subprocess.run(command, cwd=VIEWER, check=True, capture_output=True)
-    return out
+    return bundle("records", tmp_path_factory.mktemp("records"))
 
 
 @pytest.mark.parametrize("variant", ["rgb", "hsl"])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import json
-import shutil
 import socket
 import subprocess
 import sys
@@ -27,24 +26,15 @@ from gsvis.color.evaluate import evaluate
 from gsvis.stream import Hello, Receiver, StreamedScene, parse_client
 from tests.serve.servers import PATIENCE, VIEW, patient, serving, slow_link, until
 from tests.stream.worlds import package_of
+from tests.viewer.bundles import NEEDS_NODE, bundle
 
 EYE = (0.25, -1.5, 0.5)
-VIEWER = Path(__file__).parents[2] / "viewer"
-ESBUILD = VIEWER / "node_modules" / ".bin" / "esbuild"
-
-pytestmark = [
-    pytest.mark.skipif(shutil.which("node") is None, reason="needs node"),
-    pytest.mark.skipif(not ESBUILD.exists(), reason="needs esbuild: npm ci in viewer/"),
-]
+pytestmark = NEEDS_NODE
 
 
 @pytest.fixture(scope="module")
 def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The client of viewer/test, bundled."""
-    out = tmp_path_factory.mktemp("client") / "client.mjs"
-    options = ["--bundle", "--platform=node", "--format=esm", "--log-level=error", f"--outfile={out}"]
-    subprocess.run([ESBUILD, VIEWER / "test" / "client.ts", *options], check=True, timeout=PATIENCE)
-    return out
+    return bundle("client", tmp_path_factory.mktemp("client"))
 
 
 @pytest.fixture(scope="module", params=["rgb", "hsl"])

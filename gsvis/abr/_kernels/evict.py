@@ -7,14 +7,9 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from gsvis._kernels.bits import lowest
+from gsvis._kernels.bits import has, lowest
 
 _OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
-
-
-@njit(inline="always")
-def _has(words, i):
-    return (words[i >> 6] >> np.uint64(i & 63)) & np.uint64(1) != 0
 
 
 @njit(inline="always")
@@ -32,7 +27,7 @@ def held_terms_of(words, held_terms, term_offsets):
             g = 64 * w + np.int64(lowest(rest))
             rest &= rest - one
             for t in range(term_offsets[g], term_offsets[g + 1]):
-                count += 1 if _has(held_terms, t) else 0
+                count += 1 if has(held_terms, t) else 0
     return count
 
 
@@ -74,12 +69,12 @@ def evict(order, masks, needed, sizes, held, term_offsets, links, out):
                 _remove(gaussians, g)
                 _remove(gone, g)
                 for t in range(term_offsets[g], term_offsets[g + 1]):
-                    if _has(held_terms, t):
+                    if has(held_terms, t):
                         _remove(held_terms, t)
                         freed += sizes[1] if g == first else 0.0  # the others were dropped before
                 for k in range(offsets[g], offsets[g + 1]):
                     x = ending[ranks[k]]
-                    if _has(gone, x):
+                    if has(gone, x):
                         _remove(gone, x)
                         out[count] = x
                         count += 1

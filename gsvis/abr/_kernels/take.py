@@ -7,15 +7,10 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from gsvis._kernels.bits import lowest
+from gsvis._kernels.bits import has, lowest
 from gsvis.abr._kernels.plan import DONE, SEVERAL, UNKNOWN
 
 _OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
-
-
-@njit(inline="always")
-def _has(words, i):
-    return (words[i >> 6] >> np.uint64(i & 63)) & np.uint64(1) != 0
 
 
 @njit(inline="always")
@@ -178,17 +173,17 @@ def _drop_replaced(g, held, cell, links, areas, out, dropped):
             if waits[e] != UNKNOWN and waits[e] != y:
                 continue
             x = np.int64(ending[e])
-            if _has(gone, x):
+            if has(gone, x):
                 waits[e] = DONE
                 continue
             total, missing, largest, first = 0.0, 0.0, 0.0, np.int64(UNKNOWN)
             for m in range(starts[e], starts[e + 1]):
                 h = np.int64(ids[m])
-                if not _has(candidates, h):
+                if not has(candidates, h):
                     continue
                 area = max(np.float64(areas[h]), 1e-30)
                 total += area
-                if not _has(gaussians, h) and not _has(gone, h):
+                if not has(gaussians, h) and not has(gone, h):
                     missing += area
                     if area > largest:
                         largest, first = area, h
@@ -202,7 +197,7 @@ def _drop_replaced(g, held, cell, links, areas, out, dropped):
             _put(gone, x)
             queue[waiting] = x
             waiting += 1
-            if _has(gaussians, x):
+            if has(gaussians, x):
                 out_dropped[dropped] = x
                 dropped += 1
         if done == waiting:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.config import AbrConfig
@@ -80,9 +80,10 @@ class Layers(Sender):
         self._half = max(float(np.linalg.norm(high - low)) / 2.0, 1e-9)
         self._seen: tuple[Pose, F64] | None = None
 
-    def look(self, t: float, pose: Pose) -> None:
-        """Take in a pose; see `Sender`."""
-        self._predictor.observe(t, pose.position, pose.quat)
+    def on_pose(self, t: float, position: ArrayLike, quat: ArrayLike) -> None:
+        """Take a pose, also for the predictor; see `Delivery`."""
+        super().on_pose(t, position, quat)
+        self._predictor.observe(t, position, quat)
 
     def urgency(self, t: float, pose: Pose) -> F64:
         """Return the utility of each layer of a segment for each byte; see `Sender`."""

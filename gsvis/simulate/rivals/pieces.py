@@ -6,6 +6,7 @@ the scene frame, is what a rule knows of its place. What is urgent is decided by
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -67,7 +68,7 @@ class Pieces:
         return len(self.nbytes)
 
 
-class Sender:
+class Sender(ABC):
     """Send pieces on request. Rivals say which is the most urgent for a pose.
 
     The first message of the client brings a header; pieces follow when all of it has arrived. A piece is split into
@@ -118,7 +119,6 @@ class Sender:
     def on_pose(self, t: float, position: ArrayLike, quat: ArrayLike) -> None:
         """Take a pose; see `Delivery`."""
         self._pose, self._urgency = Pose.from_arrays(position, quat), None
-        self.look(t, self._pose)
 
     def on_ack(self, t: float, sequence: int) -> None:
         """Take an acknowledgement; see `Delivery`."""
@@ -143,12 +143,9 @@ class Sender:
                 self._put(t, piece, int(p.nbytes[piece]), p.gaussians[piece], p.dropped[piece])
         return self._parcels.popleft() if self._parcels else None
 
-    def look(self, t: float, pose: Pose) -> None:
-        """Take in a pose; a rival with a predictor overrides this."""
-
+    @abstractmethod
     def urgency(self, t: float, pose: Pose) -> F64:
         """Return (K,) the urgency of each piece, larger first; -inf for what is not wanted."""
-        raise NotImplementedError
 
     def describe(self) -> dict[str, Any]:
         """Return facts for reports; see `Delivery`."""

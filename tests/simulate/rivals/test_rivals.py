@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from gsvis.abr import BandwidthTrace, FieldOfView
+from gsvis.abr import BandwidthTrace, FieldOfView, Pose
 from gsvis.package.contents import Contents
 from gsvis.simulate import Link, Playback, Stage, WholeFile, play, watch
 from gsvis.simulate.baselines import terms_of
@@ -121,8 +121,8 @@ def test_playcanvas_wants_less_of_what_is_far(measured: Measured) -> None:
     middle = measured.segments.boxes.mean(axis=(0, 1))
     reach = np.ptp(measured.segments.boxes, axis=(0, 1)).max()
     for away in (0.0, reach + 10.0, reach + 1000.0):
-        stream.on_pose(0.0, middle - [0.0, 0.0, away], STILL)
-        wanted = np.isfinite(stream.urgency(0.0, stream._pose)).reshape(3, 5)  # type: ignore[arg-type]
+        eye = middle - [0.0, 0.0, away]
+        wanted = np.isfinite(stream.urgency(0.0, Pose.from_arrays(eye, STILL))).reshape(3, 5)
         assert np.array_equal(wanted, np.sort(wanted, axis=0)[::-1])  # lower levels before higher ones
         drained.append(int(wanted.sum()))
     assert drained[0] > drained[1] > drained[2] == 5  # the coarsest level is always wanted
@@ -132,13 +132,10 @@ def test_spark_asks_for_the_nearer_and_for_what_is_ahead(measured: Measured) -> 
     stream = LeafStream(measured.contents, measured.files, QUICK.view, "spark")
     middle = stream._boxes.mean(axis=1)
     eye = middle[2] - [0.0, 0.0, 500.0]  # far along the axis: all leaves ahead
-    stream.on_pose(0.0, eye, STILL)
-    ahead = stream.urgency(0.0, stream._pose)  # type: ignore[arg-type]
-    stream.on_pose(0.1, eye, [0.0, 1.0, 0.0, 0.0])  # looks back
-    behind = stream.urgency(0.1, stream._pose)  # type: ignore[arg-type]
+    ahead = stream.urgency(0.0, Pose.from_arrays(eye, STILL))
+    behind = stream.urgency(0.1, Pose.from_arrays(eye, [0.0, 1.0, 0.0, 0.0]))  # looks back
     np.testing.assert_allclose(behind, 0.2 * ahead, rtol=1e-6)
-    stream.on_pose(0.2, eye - [0.0, 0.0, 500.0], STILL)
-    further = stream.urgency(0.2, stream._pose)  # type: ignore[arg-type]
+    further = stream.urgency(0.2, Pose.from_arrays(eye - [0.0, 0.0, 500.0], STILL))
     assert (further < ahead).all()
 
 
@@ -164,8 +161,9 @@ def test_utility_prefers_what_is_in_view_and_near(measured: Measured) -> None:
     along_x = np.array([np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0])
     delivery = Layers(measured.contents, QUICK.view, BYTES, segments=segments)
     ahead = segments.means[segments.of == 2].max(axis=0)[0]
-    delivery.on_pose(0.0, [ahead, *segments.means[:, 1:].mean(axis=0)], along_x)
-    found = delivery.urgency(0.0, delivery._pose).reshape(3, 5)  # type: ignore[arg-type]
+    eye = [ahead, *segments.means[:, 1:].mean(axis=0)]
+    delivery.on_pose(0.0, eye, along_x)  # observed, and predicted from
+    found = delivery.urgency(0.0, Pose.from_arrays(eye, along_x)).reshape(3, 5)
     assert found[:, 3:].min() > found[:, :2].max()
     assert (found > 0).all()  # what is behind still comes, last
 
