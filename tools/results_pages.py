@@ -122,6 +122,7 @@ PAGES = {
             "abr_planning",
             "server_load",
             "stream_codec",
+            "client_memory",
             "group_codec",
             "package_codec_showroom",
             "package_codec_nika",
