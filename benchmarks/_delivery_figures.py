@@ -20,6 +20,7 @@ __all__ = [
     "figures_of",
     "means_of_frames",
     "report",
+    "targets_of",
     "throughput",
 ]
 
@@ -89,6 +90,51 @@ def figures_of(rows: Rows, classes: list[int]) -> list[dict[str, Any]]:
                     name = f"the same, lower end of its interval, {where}"
                     out.append({**_figure(name, apart.low, f"over {apart.pairs} walks"), "target": 0.0})
     return out
+
+
+def targets_of(rows: Rows, classes: list[int]) -> list[dict[str, Any]]:
+    """Figures with a target: first images, bytes until 35 dB, terms without filling, PSNR beside the whole file."""
+    out: list[dict[str, Any]] = []
+    for scene in sorted({row["scene"] for row in rows}):
+        for rate in classes:
+            some, where = chosen(rows, scene=scene, **{"class": rate}), f"{rate} Mbit/s, {scene}"
+            ours = chosen(some, system=OURS)
+            for key, least, targets in (("first", 20, {3: 0.3, 10: 0.1}), ("good", 35, {3: 2.0, 10: 0.5})):
+                seconds = median_of(ours, f"seconds_to_{key}_image")
+                name = f"{least} dB after, median, {where}"
+                out.append({**_figure(name, 1e9 if seconds is None else seconds, "s", "lower"),
+                            "target": targets.get(rate)})  # fmt: skip
+            rivals = [name for name in systems_of(some) if name in OTHERS]
+            others = {name: median_of(chosen(some, system=name), "bytes_to_35") for name in rivals}
+            nbytes, mine = {k: v for k, v in others.items() if v is not None}, median_of(ours, "bytes_to_35")
+            if nbytes and mine is not None:
+                least = min(nbytes, key=lambda name: nbytes[name])
+                figure = _figure(
+                    f"bytes until 35 dB, {where}, of those of the best rival", mine / nbytes[least], least, "lower"
+                )
+                out.append({**figure, "target": 0.5})
+            bare = chosen(some, system="gsvis, links not filled")
+            if bare and by_walk(bare, "terms").any():
+                figure = _figure(f"SRBFs sent in 30 s, links not filled, {where}", by_walk(bare, "term_share").mean(),
+                                 "of all", "lower")  # fmt: skip
+                out.append({**figure, "target": 0.35 if rate == 10 else None})
+            share = _final_share(ours, chosen(some, system="whole file"))
+            if share is not None:
+                name = f"final PSNR, {where}, of the whole file's, worst walk in which it arrives"
+                out.append({**_figure(name, share, "at most 50 dB each"), "target": 0.9})
+    return out
+
+
+def _final_share(ours: Rows, whole: Rows) -> float | None:
+    """The least share of the whole file's final PSNR that ours has, in sessions in which the file has arrived."""
+    found = []
+    for mine, theirs in zip(ours, whole, strict=False):
+        assert (mine["walk"], mine["link"]) == (theirs["walk"], theirs["link"])
+        content = np.flatnonzero(theirs["curves"]["content"])
+        if len(content) and theirs["figures"]["seconds_to_first_image"] is not None:
+            last = content[-1]
+            found.append(min(mine["curves"]["psnr"][last], MOST_DB) / min(theirs["curves"]["psnr"][last], MOST_DB))
+    return min(found) if found else None
 
 
 def _figure(name: str, reached: float, unit: str, better: str = "higher") -> dict[str, Any]:

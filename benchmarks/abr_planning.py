@@ -216,7 +216,7 @@ def main() -> None:
             details[name] = {"cold_ms": first, "ticks_ms": along, "plans": planner.plans, "ticks": len(along)}
             details[name]["sent_bytes"] = sent
         rounds = [together(index, walks, min(args.seconds, 10.0)) for _ in range(3)]
-        say(f"{scene_name}: 50 clients, a tick of one, mean", np.mean(np.median(rounds, axis=0)) / CLIENTS, 1.0)
+        say(f"{scene_name}: 50 clients, a tick of one, mean", np.mean(np.median(rounds, axis=0)) / CLIENTS, 0.5)
         say(f"{scene_name}: the same, least of three", np.mean(np.min(rounds, axis=0)) / CLIENTS, None)
         candidates = CandidateIndex(index).in_cell(index.cell_of(walks[0].positions[0]))
         say(f"{scene_name}: bare, reading once what is ranked", bare(candidates), None)

@@ -34,7 +34,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _delivery_figures import CLASSES, figures_of, means_of_frames, report
+from _delivery_figures import CLASSES, figures_of, means_of_frames, report, targets_of
 from _delivery_systems import OURS, SCENES, SYSTEMS, Scene, place
 from _harness import add_arguments, need, realdata, write_result
 
@@ -121,7 +121,8 @@ def main() -> None:
         "What is each idea of the stream worth, and how do the ways of others deliver the same scene over the same"
         " links?"
     )
-    write_result(options.out, question, figures_of(rows, options.classes), details)
+    figures = figures_of(rows, options.classes) + targets_of(rows, options.classes)
+    write_result(options.out, question, figures, details)
 
 
 def _walks(options: argparse.Namespace, kind: str) -> int:

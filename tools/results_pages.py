@@ -124,6 +124,7 @@ PAGES = {
             "stream_codec",
             "client_memory",
             "group_codec",
+            "group_codec_flowers",
             "package_codec_showroom",
             "package_codec_nika",
             "package_edit_showroom",

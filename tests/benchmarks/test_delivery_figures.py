@@ -52,6 +52,22 @@ def test_the_best_rival_is_no_ablation_of_ours(figures: Any, rows: list[dict[str
     assert figures.best_rival(figures.chosen(rows, system=figures.OURS)) is None
 
 
+def test_figures_with_a_target_are_of_ours_beside_the_fewest_bytes_and_the_worst_final_view(
+    figures: Any, rows: list[dict[str, Any]]
+) -> None:
+    for row in rows:
+        row["bytes_to_35"] = {figures.OURS: 1e6, "whole file": 4e6, "leaves, spark": 2e6}.get(row["system"])
+        if row["system"] == figures.OURS and row["walk"] == "b":
+            row["curves"] = {**row["curves"], "psnr": [0.0, 20.0, 30.0, 30.0]}
+    found = {row["name"]: row for row in figures.targets_of(rows, [10])}
+    assert found["20 dB after, median, 10 Mbit/s, s"]["reached"] == 1.0
+    assert found["35 dB after, median, 10 Mbit/s, s"]["reached"] == 1e9  # never
+    assert found["bytes until 35 dB, 10 Mbit/s, s, of those of the best rival"]["reached"] == 0.5
+    final = found["final PSNR, 10 Mbit/s, s, of the whole file's, worst walk in which it arrives"]
+    assert final["reached"] == pytest.approx(0.75)
+    assert not any("SRBFs" in name for name in found)
+
+
 def test_differences_are_over_walks(figures: Any, rows: list[dict[str, Any]]) -> None:
     found = {row["name"]: row for row in figures.figures_of(rows, [10])}
     apart = found["QoE of a step, 10 Mbit/s, s, gsvis minus the best rival"]
