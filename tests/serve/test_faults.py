@@ -23,6 +23,7 @@ from gsvis.stream.wire import FAULTS, ServerFault
 from tests.serve.servers import (
     PATIENCE,
     VIEW,
+    advance,
     advance_until,
     after_one_batch,
     frame,
@@ -241,7 +242,7 @@ def test_more_poses_than_are_looked_at_are_passed_over(plain: Path) -> None:
         until(lambda: server.metrics.received.value("PoseAt") == 60)
         until(lambda: server.metrics.skipped.value() == 50)  # no time has passed: a second's worth is looked at
         assert server.metrics.clients.value() == 1
-        server.clock.advance(1.0)  # type: ignore[attr-defined]
+        advance(server, 1.0)
         for k in range(12):
             ws.send(pose(ms=60 + k))
         until(lambda: server.metrics.skipped.value() == 52)
@@ -253,7 +254,7 @@ def test_one_that_never_reads_is_cut(plain: Path) -> None:
         batches = server.metrics.batches.value()
         ws.send(pose())  # and not one acknowledgement
         until(lambda: server.metrics.batches.value() > batches)
-        server.clock.advance(30.0)  # type: ignore[attr-defined]
+        advance(server, 30.0)
         until(lambda: server.metrics.closed.value("late") == 1)
         until(lambda: server.metrics.clients.value() == 1)  # the seat goes after the last words
 
