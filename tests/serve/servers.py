@@ -196,11 +196,11 @@ def give_up(url: str, config: ClientConfig | None = None) -> None:
 
 
 class SlowLink:
-    """A link between clients and a server, of a rate, that can be held up."""
+    """A link between clients and a server, of a rate, that can be held up; it may stall by itself after some bytes."""
 
-    def __init__(self, url: str, bytes_per_s: float) -> None:
+    def __init__(self, url: str, bytes_per_s: float, most_bytes: float = float("inf")) -> None:
         parts = urlsplit(url)
-        self._to, self._rate = (parts.hostname, parts.port), bytes_per_s
+        self._to, self._rate, self._left = (parts.hostname, parts.port), bytes_per_s, most_bytes
         self._listener = socket.create_server(("127.0.0.1", 0))
         self.url = f"ws://127.0.0.1:{self._listener.getsockname()[1]}{parts.path}"
         self._open, self.is_free = threading.Event(), False
@@ -243,13 +243,17 @@ class SlowLink:
                 near.close()
                 far.close()
                 continue
-            for source, sink in ((near, far), (far, near)):
+            for source, sink, is_down in ((near, far, False), (far, near, True)):
                 source.settimeout(None)
-                threading.Thread(target=self._carry, args=(source, sink), daemon=True).start()
+                threading.Thread(target=self._carry, args=(source, sink, is_down), daemon=True).start()
 
-    def _carry(self, source: socket.socket, sink: socket.socket) -> None:
+    def _carry(self, source: socket.socket, sink: socket.socket, is_down: bool) -> None:
         try:
             while data := source.recv(4096):
+                self._left -= len(data) if is_down else 0
+                if self._left < 0:
+                    self._left = float("inf")
+                    self.stall()
                 time.sleep(len(data) / self._rate)
                 self._open.wait()
                 sink.sendall(data)
@@ -262,8 +266,8 @@ class SlowLink:
 
 
 @contextmanager
-def slow_link(url: str, bytes_per_s: float) -> Iterator[SlowLink]:
-    link = SlowLink(url, bytes_per_s)
+def slow_link(url: str, bytes_per_s: float, most_bytes: float = float("inf")) -> Iterator[SlowLink]:
+    link = SlowLink(url, bytes_per_s, most_bytes)
     try:
         yield link
     finally:
