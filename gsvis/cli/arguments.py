@@ -290,13 +290,13 @@ class Color(Where):
     """Visible sets of this scene (gsvis pvs): they hold from where each Gaussian is seen."""
     variant: Annotated[Literal["hsl", "hsl-l", "hsv", "yuv", "axis", "axes", "axes-split", "rgb"], PLAIN] = "rgb"
     """How colors are split; the first four are the paper's. (default: rgb)"""
-    max_terms: Annotated[int | None, TERMS, hint("8")] = None
+    max_terms: Annotated[int | None, TERMS, hint("24")] = None
     """Most terms of each function of a Gaussian; 0 leaves base colors alone."""
     mean_terms: Annotated[float | None, MEAN_TERMS, hint("2")] = None
     """Terms a Gaussian on average; they go where they lower errors most. all: every term that lowers an error."""
     no_refine: Flag = False
     """Leave terms on the grid that they are chosen from: quicker, and worse."""
-    views: Annotated[int, COUNTED] = 96
+    views: Annotated[int, COUNTED] = 256
     """Views that measure how much each Gaussian counts."""
     held_out: Annotated[int, WHOLE] = 8
     """Further views, for the comparison with SH; 0 for none."""

@@ -71,7 +71,7 @@ class Prepare(Where):
     """Largest number of times that a set is mended and certified again."""
     variant: Annotated[Literal["rgb", "hsl"], PLAIN] = "rgb"
     """How colors are split. (default: rgb)"""
-    max_terms: Annotated[int | None, TERMS, hint("8")] = None
+    max_terms: Annotated[int | None, TERMS, hint("24")] = None
     """Most terms of each function of a Gaussian; 0 leaves base colors alone."""
     mean_terms: Annotated[float | None, MEAN_TERMS, hint("2")] = None
     """Terms a Gaussian on average; they go where they lower errors most. all: every term that lowers an error."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -95,7 +96,6 @@ def _check_arguments(command: Prepare) -> PrepareConfig:
     from gsvis.prepare import PrepareConfig
     from gsvis.prepare.colors import ColorConfig
     from gsvis.prepare.work_folder import WorkFolder
-    from gsvis.scene.view_sampling import ViewSampling
 
     check_source(command.scene, command.lod)
     if command.photos is not None and not Path(command.photos).exists():
@@ -123,7 +123,7 @@ def _check_arguments(command: Prepare) -> PrepareConfig:
         cells=command.cells or PrepareConfig.cells,
         cell_size=command.cell_size,
         sets=sets_config(size=command.face_size, limit=command.limit, max_inner=command.max_inner),
-        colors=ColorConfig(fit_config(command), ViewSampling(seed=command.seed)),
+        colors=ColorConfig(fit_config(command), replace(ColorConfig.views, seed=command.seed)),
         epsilon=command.epsilon or PrepareConfig.epsilon,
         epsilon_from="given" if command.epsilon else PrepareConfig.epsilon_from,
         meters_per_unit=command.meters_per_unit or 0.0,

@@ -7,7 +7,7 @@ error. Nothing here renders.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -61,7 +61,7 @@ class FitConfig:
     """
 
     variant: str = DEFAULT_VARIANT
-    max_terms: int = 8
+    max_terms: int = 24
     mean_terms: float | None = 2.0
     refine: bool = True
     decays: tuple[float, ...] = (1.5, 6.0)
@@ -201,24 +201,43 @@ def _fit(pursuit: Pursuit, g: Gaussians, faces: F32, importance: F64, price: flo
 def _price(pursuit: Pursuit, g: Gaussians, faces: F32, importance: F64, mean_terms: float, progress: Progress) -> float:
     """Return the price of a term at which Gaussians have `mean_terms` on average.
 
-    Uses bisection on the error curves of a sample of every k-th Gaussian by importance, because a few Gaussians hold
-    most of it.
+    Uses the error curves of a sample of every k-th Gaussian by importance, because a few Gaussians hold most of it.
+    The price at which few terms suffice comes first: more terms can only raise it, so that long curves are fitted only
+    where they are worth that much.
     """
     order = np.argsort(importance, kind="stable")
     ids = np.sort(order[np.linspace(0, len(g) - 1, min(len(g), _SAMPLE)).astype(np.int64)])
-    gains: list[F64] = []
-    progress("price", 0, len(ids))
-    for start in range(0, len(ids), _CHUNK):
-        chosen = ids[start : start + _CHUNK]
-        fitted = _fit(pursuit, g[chosen], faces[chosen], importance[chosen], 0.0)
-        gains.extend(importance[chosen][:, None] * curve.astype(np.float64) for curve in fitted.curves)
-        progress("price", min(start + _CHUNK, len(ids)), len(ids))
-    terms = np.arange(gains[0].shape[1])
+    few = max(4, int(np.ceil(2 * mean_terms)))
+    stages = [few, pursuit.config.max_terms] if few < pursuit.config.max_terms else [pursuit.config.max_terms]
+    price, done, total = 0.0, 0, len(ids) * len(stages)
+    progress("price", 0, total)
+    for most in stages:
+        limited = Pursuit(replace(pursuit.config, max_terms=most))
+        costs: list[F64] = []
+        for start in range(0, len(ids), _CHUNK):
+            chosen = ids[start : start + _CHUNK]
+            fitted = _fit(limited, g[chosen], faces[chosen], importance[chosen], price)
+            costs.extend(importance[chosen][:, None] * curve.astype(np.float64) for curve in fitted.curves)
+            done += len(chosen)
+            progress("price", done, total)
+        price = _least_price(costs, mean_terms, len(ids))
+    return price
+
+
+def _least_price(costs: list[F64], mean_terms: float, count: int) -> float:
+    """Return the least price at which `count` Gaussians have at most `mean_terms` on average, by bisection.
+
+    Args:
+        costs: For each part of the Gaussians and each function, (n, K + 1) importance times error with 0, 1, ... terms.
+        mean_terms: Number of terms, on average.
+        count: Number of Gaussians.
+    """
+    terms = np.arange(costs[0].shape[1])
 
     def mean(price: float) -> float:
-        return sum([float((costs + price * terms).argmin(axis=1).sum()) for costs in gains]) / len(ids)
+        return sum([float((cost + price * terms).argmin(axis=1).sum()) for cost in costs]) / count
 
-    high = max(float(costs[:, 0].max()) for costs in gains)
+    high = max(float(cost[:, 0].max()) for cost in costs)
     low = high * 1e-15
     if high <= 0.0 or mean(low) <= mean_terms:
         return low

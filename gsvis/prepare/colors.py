@@ -31,8 +31,9 @@ __all__ = ["ColorConfig", "ColorPreparation", "find_kept", "prepare_colors"]
 U8 = NDArray[np.uint8]
 F64 = NDArray[np.float64]
 
-_PLAN = 1  # increase it when the same plan gives another result
+_PLAN = 2  # increase it when the same plan gives another result
 _BLOCK = 8192  # Gaussians traced between two saves
+_VIEWS = ViewSampling(256)
 _FOUND = "found.npz"  # the one file that is kept
 
 
@@ -50,7 +51,7 @@ class ColorConfig:
     """
 
     fit: FitConfig = field(default_factory=FitConfig)
-    views: ViewSampling = field(default_factory=ViewSampling)
+    views: ViewSampling = _VIEWS
     rays_per_face: int = 1
 
     def __post_init__(self) -> None:
@@ -121,10 +122,13 @@ def prepare_colors(
         return ColorPreparation(fit, everywhere, ones, None, "none needed: no color depends on direction")
     if navigable is None:
         raise ValueError("navigable: expected the space where eyes may be, got None; give one, such as a box")
+    from gsvis.prepare.importance import direction_weights, importance_from_views
+
     kept = None if keep is None else KeptWork.beside(keep, _plan(g, navigable, config, given))
     n = len(union)
     like: dict[str, Any] = {
-        "sets": ((n, NUM_FACES // 8), np.uint8), "traced": ((1,), np.int64), "importance": ((n,), np.float64)
+        "sets": ((n, NUM_FACES // 8), np.uint8), "traced": ((1,), np.int64), "importance": ((n,), np.float64),
+        "shares": ((n, NUM_FACES), np.uint8),
     }  # fmt: skip
     found = {} if kept is None else kept.read_arrays(_FOUND, like)
     if given is None and config.rays_per_face > 0:
@@ -139,17 +143,16 @@ def prepare_colors(
     if views is None:
         found["importance"] = np.ones(len(union))
         sources = sources.replace(" and gathered from the views of the fit", "")
-    elif "importance" not in found:
-        from gsvis.prepare.importance import importance_from_views
-
+    elif "importance" not in found or "shares" not in found:
         seen = importance_from_views(g, views, progress=progress)
         found["sets"] |= seen.sets
-        found["importance"] = seen.importance
+        found["importance"], found["shares"] = seen.importance, seen.shares
         if kept is not None:
             kept.keep_arrays(_FOUND, found)
     directions = found["sets"] if given is None else found["sets"] | given
     sources += "" if levels_record(g) is None else ", in each level"
-    fit = fit_srbf(union, directions, config.fit, importance=found["importance"], progress=progress)
+    weights = direction_weights(directions, found.get("shares"))
+    fit = fit_srbf(union, weights, config.fit, importance=found["importance"], progress=progress)
     return ColorPreparation(fit, directions, found["importance"], views, sources)
 
 

@@ -19,9 +19,11 @@ from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels, as_levels, level_scenes, union_of
 
-__all__ = ["ViewImportance", "importance_from_views"]
+__all__ = ["ViewImportance", "direction_weights", "importance_from_views"]
 
 _FLOOR = 1e-4
+_EVEN = 0.7  # share of a color's weight that is the same for all directions of its set; the rest follows the views
+_OUTSIDE = 0.003  # weight of a direction outside the set; a color that nothing bounds there can be far off
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +43,12 @@ class ViewImportance:
         return np.packbits(self.faces > 0, axis=1, bitorder="little")
 
     @property
+    def shares(self) -> NDArray[np.uint8]:
+        """(N, 80) share of each face in the sum over all faces, 255 for all of it; zeros for a Gaussian never seen."""
+        summed = np.maximum(self.faces.sum(axis=1), np.float32(1e-30))
+        return np.asarray(np.rint(self.faces * (255.0 / summed)[:, None]), np.uint8)
+
+    @property
     def importance(self) -> NDArray[np.float64]:
         """(N,) growth of an image's mean squared error for a squared color error of 1, plus a small floor.
 
@@ -49,6 +57,29 @@ class ViewImportance:
         summed = self.faces.sum(axis=1, dtype=np.float64)
         floor = _FLOOR * float(summed.mean()) if len(summed) else 0.0
         return np.asarray(summed + floor)
+
+
+def direction_weights(sets: NDArray[np.uint8], shares: NDArray[np.uint8] | None) -> NDArray[np.float32]:
+    """Return (N, 80) weights of the faces in the fit of each color.
+
+    Most of the weight is the same for all directions of a set. The rest follows how much of the images is seen from
+    each, because few terms should err where few look. The least of it lies outside the set: a view between those that
+    were drawn may look from there.
+
+    Args:
+        sets: (N, 10) uint8 direction sets.
+        shares: `ViewImportance.shares`, or None to weigh all directions of a set the same.
+    """
+    inside = np.unpackbits(sets, axis=1, bitorder="little")
+    weights = np.maximum(inside, np.float32(_OUTSIDE), dtype=np.float32)
+    if shares is not None:
+        seen = shares.any(axis=1)
+        total = shares[seen].sum(axis=1, dtype=np.float32)
+        weights[seen] *= _EVEN
+        counts = inside[seen].sum(axis=1, dtype=np.float32)
+        weights[seen] += shares[seen] * ((1.0 - _EVEN) * counts / total)[:, None].astype(np.float32)
+    weights[~inside.any(axis=1)] = 0.0
+    return np.asarray(weights, np.float32)
 
 
 def importance_from_views(g: Gaussians | Levels, cameras: Cameras, *, progress: Progress = silent) -> ViewImportance:

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from gsvis.color import VARIANTS, FitConfig, SrbfFit, evaluate_along, fit_srbf, reference, srbf
 from gsvis.color._kernels.fit import fit_lobes
 from gsvis.color._kernels.refine import refine, work
+from gsvis.color._pursuit import Pursuit
 from gsvis.color.fit import sample_colors
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.icosphere import face_directions, face_shares, icosphere
@@ -116,6 +117,30 @@ def test_a_gaussian_is_fitted_alike_in_any_company() -> None:
     right = fit_srbf(g[order], faces[order], config).colors
     for name in ("base", "offsets", "functions", "centers", "decays", "intensities"):
         np.testing.assert_array_equal(getattr(left, name), getattr(right, name))
+
+
+@pytest.mark.parametrize("emphasis", [0.0, 0.01])
+def test_one_lobe_more_never_makes_a_fit_worse(emphasis: float) -> None:
+    """Also where no joint fit falls along its prefixes; such a fit once lost all its lobes."""
+    g = scene(40, spread=0.4)
+    pursuit = Pursuit(FitConfig(max_terms=16, mean_terms=None, emphasis=emphasis))
+    weights = np.ones((40, 320), np.float32)
+    curves = pursuit.fit(sample_colors(g), weights, np.ones(40), 0.0, np.zeros(40, bool)).curves[0]
+    assert (np.diff(curves, axis=1) <= 1e-6 * curves[:, :1]).all()
+    assert (curves[:, 16] < 0.2 * curves[:, 0]).all()
+
+
+def test_the_price_is_that_of_whole_curves() -> None:
+    """Long curves are fitted only where they can be worth the price that few terms have."""
+    g, faces = scene(600), caps(600).astype(np.float32)
+    importance = np.random.default_rng(0).lognormal(sigma=2.0, size=600)
+    config = FitConfig(mean_terms=2.0, max_terms=12)
+    pursuit = Pursuit(config)
+    found = fit_srbf(g, faces, config, importance=importance)
+    weights = np.repeat(faces, 4, axis=1) * SHARES.astype(np.float32)
+    curves = pursuit.fit(sample_colors(g), weights, importance, 0.0, np.zeros(600, bool)).curves[0]
+    costs = importance[:, None] * curves + found.price * np.arange(13)
+    assert abs(costs.argmin(axis=1).mean() - 0.98 * 2.0) < 0.01
 
 
 @pytest.mark.parametrize("wanted", [0.5, 2.0])

@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit, prange
 
 from gsvis.color._kernels.lobes import LANES, dots, gram, lobes
-from gsvis.color._kernels.refine import copy, falls_along, refine, settle, work
+from gsvis.color._kernels.refine import copy, error_after, falls_along, refine, settle, work
 
 __all__ = ["fit_lobes", "settle_lobes"]
 
@@ -73,6 +73,18 @@ def _take_away(rows, targets, intensities, terms, channels, count, left):
                 row[d] -= factor * lobe[d]
 
 
+@njit(cache=True, nogil=True, fastmath=True)
+def _append(w, points, left, padded, total, terms, channels, start, lobe, intensities, limits):
+    """Add a lobe to `terms` lobes that stay as they are; it alone moves, and fits what they leave."""
+    for i in range(3):
+        w.alone[0, i] = start[i]
+    refine(w, points, left, padded, total, np.int64(1), channels, w.alone, w.own, limits)
+    for i in range(3):
+        lobe[terms, i] = w.alone[0, i]
+    for c in range(channels):
+        intensities[terms, c] = w.own[0, c]
+
+
 @njit(cache=True, nogil=True, fastmath=True, error_model="numpy")  # the same as in a parallel loop
 def _fit_block(
     block, directions, dictionary, starts, targets, weights, importance, most, price, limits, v, a, counts, curves
@@ -86,6 +98,7 @@ def _fit_block(
     left, seen = np.zeros((channels, width), np.float32), np.zeros(width, np.int64)
     atoms, norms = np.zeros((len(dictionary), width), np.float32), np.zeros(len(dictionary), np.float32)
     lobe, intensities = np.zeros((terms_at_most, 3)), np.zeros((terms_at_most, channels))
+    old_lobe, old_intensities = np.zeros_like(lobe), np.zeros_like(intensities)
     for g in range(_BLOCK * block, min(n, _BLOCK * (block + 1))):
         counts[g] = 0
         count, padded, weight = _gather(directions, weights[g], targets[g], points, seen, rows)
@@ -109,6 +122,8 @@ def _fit_block(
         emphasis = limits[5]
         for k in range(at_most):
             chosen = _choose(atoms, norms, left, channels, count)
+            copy(lobe, k, 3, old_lobe)
+            copy(intensities, k, channels, old_intensities)
             for i in range(3):
                 lobe[k, i] = starts[chosen, i]
             for _ in range(_PATIENCE):
@@ -120,7 +135,16 @@ def _fit_block(
                 if falls_along(w, total, k + 1, channels, intensities):
                     break
                 emphasis = min(4.0 * emphasis, 1.0)
-            mean = settle(w, total, k + 1, channels, scaled, intensities, np.bool_(False)) / weight
+            error = settle(w, total, k + 1, channels, scaled, intensities, np.bool_(False))
+            if error > mean * weight:
+                copy(old_lobe, k, 3, lobe)
+                copy(old_intensities, k, channels, intensities)
+                _append(w, points, left, padded, mean * weight, k, channels, starts[chosen], lobe, intensities, scaled)
+                lobes(points, padded, lobe, k + 1, w.rows)
+                gram(w.rows, 4 * (k + 1), padded, w.scratch, w.inner)
+                dots(w.rows, 4 * (k + 1), rows, channels, padded, w.scratch, w.outer)
+                error = error_after(w, total, k + 1, channels, intensities)
+            mean = error / weight
             _take_away(w.rows, rows, intensities, k + 1, channels, count, left)
             curves[g, k + 1 :] = mean
             cost = importance[g] * mean + price * (k + 1)
@@ -132,7 +156,7 @@ def _fit_block(
                         v[g, j, i] = lobe[j, i]
                     for c in range(channels):
                         a[g, j, c] = intensities[j, c]
-            if importance[g] * mean <= price:
+            if best <= price * (k + 2):  # not even a perfect term more is worth its price
                 break
 
 

@@ -13,13 +13,14 @@ from numba import njit
 
 from gsvis.color._kernels.lobes import dots, gram, lobes
 
-__all__ = ["Work", "best_intensities", "copy", "falls_along", "refine", "settle", "work"]
+__all__ = ["Work", "best_intensities", "copy", "error_after", "falls_along", "refine", "settle", "work"]
 
 _ATTEMPTS = 4
 _ATTEMPTS_TO_SETTLE = 16
 
 Work = namedtuple(
-    "Work", "rows inner outer inner2 outer2 small wide normal damped slope step trial intensities scratch factors"
+    "Work",
+    "rows inner outer inner2 outer2 small wide normal damped slope step trial intensities scratch factors alone own",
 )
 
 
@@ -31,6 +32,7 @@ def work(most_terms, directions, channels):
     return Work(
         z((p, directions), np.float32), z((p, p)), z((p, channels)), z((p, p)), z((p, channels)), z((k, k)), z((k, n)),
         z((n, n)), z((n, n)), z((n, 1)), z((n, 1)), z((k, 3)), z((k, channels)), z(16, np.float32), z(p),
+        z((1, 3)), z((1, channels)),
     )  # fmt: skip
 
 
@@ -260,12 +262,32 @@ def falls_along(w, total, terms, channels, intensities):
 
 
 @njit(cache=True, nogil=True, fastmath=True)
+def error_after(w, total, terms, channels, intensities):
+    """Return the squared error after all lobes; inner and outer hold plain inner products."""
+    error = total
+    for k in range(terms):
+        error += _change(w, k, channels, intensities)
+    return max(error, 0.0)
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _fit_in_turn(w, terms, channels, ridge, intensities):
+    """Give each lobe the best intensity for what its predecessors leave; the error then falls along them."""
+    for k in range(terms):
+        for c in range(channels):
+            left = w.outer[k, c]
+            for j in range(k):
+                left -= w.inner[k, j] * intensities[j, c]
+            intensities[k, c] = left / (w.inner[k, k] + ridge)
+
+
+@njit(cache=True, nogil=True, fastmath=True)
 def settle(w, total, terms, channels, limits, intensities, anew):
     """Make the squared error fall from each lobe to the next; return the error after all of them.
 
     Lobes that cancel each other can raise the error on the way. The intensities are then fitted again with more
-    emphasis on the shorter prefixes: in the limit each lobe has the intensity that is best for it and its predecessors
-    alone.
+    emphasis on the shorter prefixes. In the limit, which is the last attempt, each lobe has the intensity that is best
+    for what its predecessors leave.
 
     Args:
         w: Work space; inner and outer hold plain inner products of the lobes.
@@ -280,7 +302,9 @@ def settle(w, total, terms, channels, limits, intensities, anew):
     for attempt in range(_ATTEMPTS_TO_SETTLE):
         if attempt > 0:
             emphasis = max(3.0 * emphasis, 0.03)
-        if attempt > 0 or anew:
+        if attempt == _ATTEMPTS_TO_SETTLE - 1:
+            _fit_in_turn(w, terms, channels, limits[0], intensities)
+        elif attempt > 0 or anew:
             copy(w.inner, terms, terms, w.inner2)
             copy(w.outer, terms, channels, w.outer2)
             _count_prefixes(terms, emphasis, w.factors)
@@ -291,8 +315,6 @@ def settle(w, total, terms, channels, limits, intensities, anew):
             change = _change(w, k, channels, intensities)
             if change > 1e-7 * total:
                 falls = False
-                if attempt == _ATTEMPTS_TO_SETTLE - 1:  # rounding has destroyed what is left of them
-                    intensities[k:terms] = 0.0
                 break
             error += change
         if falls:
