@@ -1,4 +1,4 @@
-"""A package on disk, open for reading: records, levels, colors, visible sets and active terms of a scene.
+"""A package on disk, open for reading: records, levels, colors and visible sets of a scene.
 
 Opening reads only the manifest. Each part is checked against its name when it is read; `verify` reads all parts. Ids
 are places in the order of the package. Scene frame and units.
@@ -23,6 +23,7 @@ from gsvis.errors import FormatError, SceneError
 from gsvis.files.limits import Budget
 from gsvis.files.output import TEMPORARY, output_errors
 from gsvis.package.active_terms import ActiveTerms
+from gsvis.package.cell_terms import CellTerms
 from gsvis.package.codec import ChunkTable, base_colors
 from gsvis.package.contents import Contents, base_places
 from gsvis.package.layout import RECORD_BYTES, TermLayout
@@ -189,20 +190,30 @@ class Package:
         return store
 
     @cached_property
-    def active_terms(self) -> ActiveTerms:
-        """The store of active terms.
+    def epsilon(self) -> float | None:
+        """Contribution above which a term is active in a cell; None if cells do not choose terms.
 
         Raises:
-            SceneError: If the package has no active terms.
-            FormatError: If the store is damaged, or belongs to another scene, other terms or other cells.
+            FormatError: If the package has version 2 and its lists of active terms are damaged.
         """
-        store = ActiveTerms(self._join(self.manifest.active_terms, "active.terms.arrow"))
-        self._opened.callback(store.close)
-        if store.info.scene != self.manifest.scene or store.info.terms != self.manifest.terms:
-            raise self._fault("active_terms", f"those of {self.manifest.terms:,} terms", f"{store.info.terms:,}")
-        if self.manifest.visibility is not None and len(store) != len(self.visibility):
-            raise self._fault("active_terms", f"those of {len(self.visibility):,} cells", f"{len(store):,}")
-        return store
+        lists = self.manifest.active_terms
+        if lists is None:
+            return self.manifest.info.epsilon
+        with ActiveTerms(self._join(lists, "active.terms.arrow")) as store:
+            return store.epsilon
+
+    @cached_property
+    def active_terms(self) -> CellTerms:
+        """The terms that each cell needs, found from the visible sets when they are asked for.
+
+        Raises:
+            SceneError: If the package has no visible sets, or its cells do not choose terms.
+            FormatError: If a part is damaged.
+        """
+        if self.epsilon is None:
+            raise SceneError(f"{self.path}: the package has no epsilon; prepare it with visibility")
+        contents = self.contents
+        return CellTerms(contents.gaussians(), contents.colors().dequantize(), self.visibility, self.epsilon)
 
     def verify(self, *, progress: Progress = silent) -> Verified:
         """Read, check and decode the whole package.
@@ -231,8 +242,7 @@ class Package:
         if m.visibility is not None:
             self.visibility.verify()
             cells = len(self.visibility)
-        if m.active_terms is not None:
-            self.active_terms.verify()
+        _ = self.epsilon
         names = {part.name for part in parts}
         strays = sum(path.name not in names for path in self._parts.folder.iterdir()) if parts else 0
         size = (self.path / MANIFEST).stat().st_size

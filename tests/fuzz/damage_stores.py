@@ -41,7 +41,7 @@ from tests.fuzz.containers import (
 )
 from tests.fuzz.damage import LINK, PIPE, Damaged
 from tests.fuzz.targets import Case
-from tests.package.worlds import colors_of, levels_of, stores_of
+from tests.package.worlds import levels_of, sets_of
 
 __all__ = ["DAMAGE"]
 
@@ -247,12 +247,10 @@ def with_part(case: Case, name: str, data: bytes) -> Case:
 
 
 @cache
-def blobs(seed: int, cells: int) -> tuple[bytes, bytes]:
-    """Stores of another scene, or for other cells."""
-    levels, (exact, _) = levels_of(packages.N, seed), colors_of(packages.N, "rgb", seed)
+def other_sets() -> bytes:
+    """Visible sets of another scene."""
     with TemporaryDirectory() as folder:
-        made = stores_of(Path(folder), levels, exact, cells)
-        return made["visibility"].read_bytes(), made["active_terms"].read_bytes()
+        return sets_of(Path(folder), levels_of(packages.N, 1)).read_bytes()
 
 
 def manifests() -> Damaged:
@@ -305,9 +303,7 @@ def whole_packages() -> Damaged:
         "a chunk of one more": columns(table, more("count")),
         "levels out of order": columns(table, crossed),
         "one more term": columns(block, more("terms")),
-        "sets of another scene": blob("visibility", blobs(1, 9)[0]),
-        "terms of another scene": blob("active_terms", blobs(1, 9)[1]),
-        "terms for other cells": blob("active_terms", blobs(0, 8)[1]),
+        "sets of another scene": blob("visibility", other_sets()),
         "no manifest": {name: data for name, data in case.items() if name != MANIFEST},
         "a longer part": {**case, block: case[block] + b"\0"},
     }
