@@ -183,7 +183,7 @@ class Manifest:
                 yield from blob.parts
 
     def sizes(self) -> dict[str, int]:
-        """Return the bytes of the parts by content: "records", "chunks", "terms", "visibility", and old "active_terms"."""
+        """Return the bytes of the parts by content: "records", "chunks", "terms", "visibility", old "active_terms"."""
         sizes = {
             "records": sum(block.gaussians.nbytes for block in self.blocks),
             "chunks": sum(part.nbytes for part, _ in self.tables),
@@ -284,7 +284,7 @@ class Manifest:
         found = cls(
             info, scene, names, tuple(level.integer("count", 1, _MOST) for level in levels), grids,
             tuple((Part.from_fields(row), row.integer("count", 1, _MOST)) for row in _objects(fields, "chunks")),
-            tuple(_block(row) for row in _objects(fields, "blocks")),
+            tuple(_block(row, "arrow" if version == 2 else "bin") for row in _objects(fields, "blocks")),
             _blob(fields, "visibility"), _blob(fields, "active_terms") if version == 2 else None, version,
         )  # fmt: skip
         for key, claimed, counted in (("gaussians", "gaussians", found.gaussians), ("terms", "terms", found.terms)):
@@ -297,9 +297,10 @@ def _objects(fields: Fields, key: str) -> list[Fields]:
     return [Fields(fields.path, f"{fields.where(key)}[{k}]", row) for k, row in enumerate(fields.items(key))]
 
 
-def _block(row: Fields) -> Block:
-    parts = tuple((Part.from_fields(part), part.integer("count", 1, _MOST)) for part in _objects(row, "term_parts"))
-    return Block(Part.from_fields(row), parts, row.integer("count", 1, _MOST), row.integer("terms", 0, _MOST))
+def _block(row: Fields, suffix: str) -> Block:
+    rows = _objects(row, "term_parts")
+    parts = tuple((Part.from_fields(part, suffix), part.integer("count", 1, _MOST)) for part in rows)
+    return Block(Part.from_fields(row, suffix), parts, row.integer("count", 1, _MOST), row.integer("terms", 0, _MOST))
 
 
 def _blob(fields: Fields, key: str) -> Blob | None:

@@ -7,20 +7,17 @@ files. The store of visible sets is cut into parts without change.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from os import PathLike
 from pathlib import Path
-
-import numpy as np
-from numpy.typing import NDArray
 
 from gsvis import _check
 from gsvis.color.records import QuantizedColors
 from gsvis.errors import FormatError
 from gsvis.files.atomic import atomic_path
 from gsvis.files.limits import open_regular
+from gsvis.package.blocks import write_blocks
 from gsvis.package.contents import Contents
-from gsvis.package.manifest import MANIFEST, Blob, Block, Manifest, PackageInfo
+from gsvis.package.manifest import MANIFEST, Blob, Manifest, PackageInfo
 from gsvis.package.package import PARTS, Package, columns_of
 from gsvis.package.parts import MOST_BYTES, Part, PartFolder
 from gsvis.progress import Progress, silent
@@ -68,7 +65,7 @@ def write_package(
     if visibility is not None:
         VisibilityStore.open(visibility, scene=levels.union).close()
     parts = PartFolder(target / PARTS)
-    blocks = tuple(_blocks(parts, contents, progress))
+    blocks = tuple(write_blocks(parts, contents, progress))
     tables = []
     for start in range(0, len(contents.table), _ROWS):
         rows = slice(start, min(start + _ROWS, len(contents.table)))
@@ -96,27 +93,6 @@ def check_target(target: Path) -> None:
         others = sorted(p.name for p in target.iterdir() if p.name not in (PARTS, MANIFEST) and p.name[:1] != ".")
         if others and not (target / MANIFEST).exists():
             raise FormatError(target, "", "a package or an empty folder", f"{others[0]!r}", "choose another name")
-
-
-def _blocks(parts: PartFolder, contents: Contents, progress: Progress) -> Iterator[Block]:
-    total, width = len(contents.starts) - 1, max(1, contents.term_records.shape[1])
-    progress("package", 0, total)
-    for k in range(total):
-        some = slice(int(contents.starts[k]), int(contents.starts[k + 1]))
-        columns = _planes("r", contents.records[some]) | {"terms": contents.term_counts[some]}
-        gaussians = parts.write_columns("gaussians", columns)
-        low, high = contents.term_offsets[[some.start, some.stop]].tolist()
-        rows, terms = MOST_BYTES // width, []
-        for start in range(low, high, rows):
-            records = contents.term_records[start : min(start + rows, high)]
-            terms.append((parts.write_columns("terms", _planes("t", records)), len(records)))
-        yield Block(gaussians, tuple(terms), some.stop - some.start, high - low)
-        progress("package", k + 1, total)
-
-
-def _planes(letter: str, rows: NDArray[np.uint8]) -> dict[str, NDArray[np.uint8]]:
-    """Return each byte of the records as a column; similar bytes are then adjacent and compress better."""
-    return {f"{letter}{k}": rows[:, k] for k in range(rows.shape[1])}
 
 
 def _blob(parts: PartFolder, path: Path) -> Blob:
