@@ -25,16 +25,6 @@ _SHAPE = 256 + 64  # probabilities of opacity and order, which come first
 
 _OPACITY, _ORDER, _MIDDLE, _SMALLEST, _TOP, _ROTATION, _COLOR, _PATH = 0, 1, 2, 3, 4, 5, 8, 12  # fields of a record
 _FIELDS = 13
-    0,
-    1,
-    2,
-    3,
-    4,
-    5,
-    8,
-    12,
-    13,
-)  # of a record
 
 
 class Fields(NamedTuple):
