@@ -279,8 +279,8 @@ def whole_packages() -> Damaged:
         return f"parts/{row['sha256']}.{suffix}"
 
     def blob(key: str, data: bytes) -> Case:
-        ((row,), (suffix,)) = manifest[key]["parts"], {name.rpartition(".")[2] for name in case if name.endswith("bin")}
-        return with_part(case, part_of(row, suffix), data)
+        (row,) = manifest[key]["parts"]
+        return with_part(case, part_of(row, "bin"), data)
 
     def columns(name: str, change: Callable[[Columns], None]) -> Case:
         return with_part(case, name, rewritten(case[name], change))
@@ -296,20 +296,27 @@ def whole_packages() -> Damaged:
     def crossed(found: Columns) -> None:
         found["first_level"], found["last_level"] = found["last_level"], found["first_level"]
 
-    table, block = part_of(manifest["chunks"][0]), part_of(manifest["blocks"][0])
+    (first, *_) = (row for row in manifest["blocks"] if row["term_parts"])
+    table, block, terms = part_of(manifest["chunks"][0]), part_of(first, "bin"), part_of(first["term_parts"][0], "bin")
+    changed = json.loads(case[MANIFEST])
+    changed["terms"] += 1
+    changed["blocks"][manifest["blocks"].index(first)]["terms"] += 1
+    one_more = {**case, MANIFEST: sealed_manifest(changed)}
     rest = {name: data for name, data in case.items() if name != block}
     found = {
         "a part that is a folder": {**rest, f"{block}/x": b""},
         "a chunk of one more": columns(table, more("count")),
         "levels out of order": columns(table, crossed),
-        "one more term": columns(block, more("terms")),
+        "one more term": one_more,
+        "a part of another kind": with_part(case, block, case[terms]),
+        "a part with the bytes of another": with_part(case, block, case[block][:16] + bytes(len(case[block]) - 16)),
         "sets of another scene": blob("visibility", other_sets()),
         "no manifest": {name: data for name, data in case.items() if name != MANIFEST},
         "a longer part": {**case, block: case[block] + b"\0"},
     }
     if os.name == "posix":
         found["a part that is a pipe"] = {**rest, block + PIPE: b""}
-        found["a part that is a link"] = {**rest, "beside.arrow": case[block], block + LINK: b"../beside.arrow"}
+        found["a part that is a link"] = {**rest, "beside.bin": case[block], block + LINK: b"../beside.bin"}
     return found
 
 

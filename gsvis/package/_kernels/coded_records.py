@@ -35,6 +35,7 @@ class Fields(NamedTuple):
         rotation: Bits of a component of the quaternion.
         scale: Bits of a log-scale.
         colors: Bytes of the base color, 3 or 4.
+        counts: Bits of the number of terms, 0 to 8.
         logs: (256,) int32, 64 log2 of an opacity of 0 to 255.
         sums: (S,) int32, 64 log2(1 + 2^(-i / 64)).
     """
@@ -43,6 +44,7 @@ class Fields(NamedTuple):
     rotation: int
     scale: int
     colors: int
+    counts: int
     logs: NDArray[np.int32]
     sums: NDArray[np.int32]
 
@@ -116,12 +118,11 @@ def _take_record(words, i, fields, v, low_bits):
 
 
 @njit(**OPTIONS)
-def _put_record(words, i, fields, v, low_bits):
-    """Write a record from its fields."""
+def _put_record(words, i, fields, v, low_bits, bits):
+    """Write a record from its fields; `bits` (2,) uint64 is room to work in."""
     position, rotation, scale, levels = fields.position, fields.rotation, fields.scale, DEPTH // 3
     width, head, mask = position + rotation + scale, 8 * (1 + fields.colors), (np.int64(1) << scale) - 1
-    bits = np.zeros(2, np.uint64)
-    bits[0] = np.uint64(v[_OPACITY])
+    bits[0], bits[1] = np.uint64(v[_OPACITY]), np.uint64(0)
     for k in range(fields.colors):
         put(bits, 8 * (1 + k), v[_COLOR + k])
     largest, top = min(v[_ORDER] >> 1, 2), v[_TOP]
@@ -211,12 +212,13 @@ def code(words, terms, low_bits, rows, fields, data, writing):
     paths = colors + 256 * (1 + _CONTEXTS)
     counts = paths + DEPTH * _GRADES * _GRADES
     chances, nodes = np.full(counts + 256 * 10, START, np.uint32), np.full((1 << DEPTH, 3), -1, np.int64)
-    v, i, count = np.zeros(_FIELDS, np.int64), 0, np.int64(0)
+    v, i, count, most = np.zeros(_FIELDS, np.int64), 0, np.int64(0), (1 << fields.counts) - 1
+    color, bits = v[_COLOR : _COLOR + 4], np.zeros(2, np.uint64)
     low, span, at = begin(data, writing)
     for row in range(len(rows.counts)):
         stride, least, strength = rows.strides[row], rows.lows[row], np.int64(0)
         for place in range(rows.counts[row]):
-            before, few = v[_ORDER], min(count, 9)
+            before, few = v[_ORDER], min(count, 9, most)
             if writing:
                 _take_record(words, i, fields, v, low_bits)
                 count = np.int64(terms[i])
@@ -230,13 +232,12 @@ def code(words, terms, low_bits, rows, fields, data, writing):
             for k in range(_ROTATION, _ROTATION + 3):
                 tree = rotations + ((k - _ROTATION) << rotation)
                 v[k], low, span, at = code_tree(low, span, at, chances, tree, v[k], rotation, data, writing)
-            color = v[_COLOR : _COLOR + 4]
             low, span, at = _code_color(low, span, at, chances, colors, color, fields.colors, data, writing)
             v[_PATH], low, span, at = _code_path(low, span, at, chances, paths, v[_PATH], nodes, row, data, writing)
             tree = counts + 256 * few
-            count, low, span, at = code_tree(low, span, at, chances, tree, count, 8, data, writing)
+            count, low, span, at = code_tree(low, span, at, chances, tree, count, fields.counts, data, writing)
             if not writing:
-                _put_record(words, i, fields, v, low_bits)
+                _put_record(words, i, fields, v, low_bits, bits)
                 terms[i] = np.uint8(count)
             i += 1
     return end(low, at, data, writing)
