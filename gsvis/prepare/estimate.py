@@ -244,9 +244,11 @@ class _Estimator:
     def _fidelity(self, exact: SrbfColors | None, store: VisibilityStore | None) -> None:
         stages, views = self.stages, self.config.fidelity_views
         what = f"{views.count:,} views of {views.width} x {views.height}, {_IMAGES} images of each"
-        known = exact is not None and store is not None
-        name = stages.fidelity_name(self.levels, exact, store.path) if known else None
-        if name is not None and stages.work.whole(name):
+        if (
+            exact is not None
+            and store is not None
+            and stages.work.whole(stages.fidelity_name(self.levels, exact, store.path))
+        ):
             self.found.append(StageEstimate("fidelity", "done", what, 0.0, 4000))
             return
         seconds = _IMAGES * views.count * self.view_seconds(views)
