@@ -48,7 +48,7 @@ def end(low, at, data, writing):
     return at + TAIL
 
 
-@njit(**OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def code_tree(low, span, at, chances, start, value, bits, data, writing):
     """Write or read a value of so many bits, highest first, by 2^bits probabilities from `start` on.
 
@@ -92,7 +92,7 @@ def code_tree(low, span, at, chances, start, value, bits, data, writing):
     return node - (1 << bits), low, span, at
 
 
-@njit(**OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _read_tree(low, span, at, chances, start, bits, data):
     """Read a value; see `code_tree`. No branch depends on a bit, which a processor could not foresee."""
     node, first = np.uint64(1), np.uint64(start)

@@ -65,7 +65,7 @@ def _grade(count):
     return 6 if count < 9 else 7 if count < 14 else 8 if count < 24 else 9
 
 
-@njit(**OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _code_path(low, span, at, chances, start, path, nodes, stamp, data, writing):
     """Write or read a path of DEPTH bits through the octree of a chunk; return it.
 
@@ -162,7 +162,7 @@ def _code_color(low, span, at, chances, start, c, colors, data, writing):
     return low, span, at
 
 
-@njit(**OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _code_shape(low, span, at, chances, fields, before, v, data, writing):
     """Write or read opacity, order and ratios of the scales; return the state. `before` is the order before."""
     scale = fields.scale
@@ -175,7 +175,7 @@ def _code_shape(low, span, at, chances, fields, before, v, data, writing):
     return low, span, at
 
 
-@njit(**OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _code_top(low, span, at, chances, fields, expected, top, data, writing):
     """Write or read the largest scale, by the expected one if that is not -1; return it and the state."""
     scale, whole = fields.scale, _SHAPE + (2 << fields.scale)

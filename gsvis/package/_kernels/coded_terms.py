@@ -43,7 +43,7 @@ def _near(value, bits):
     return min(max(value, -6), 6) + 6
 
 
-@njit(**OPTIONS)
+@njit(forceinline=True, **OPTIONS)
 def _code_field(low, span, at, chances, context, value, bits, data, writing):
     """Write or read a field of 0 to 16 bits in a context; return it and the state."""
     rest, start = max(bits - 8, 0), context * 512
