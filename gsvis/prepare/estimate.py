@@ -47,7 +47,7 @@ _STEP = 0.03  # seconds of each training step
 _BASE_FIT, _TERMS_FIT, _RECORDS = 6e-5, 2.5e-4, 6e-6
 
 _CHUNK = 31.0 / 200.0  # bytes for each Gaussian
-_PACKED = 0.97  # size of records after zstd, over their raw size
+_PACKED = 0.82  # size of coded records over their raw size
 _VIEWS_TIMED = 4
 _IMAGES = 5  # of a view that measures what a client gets
 
