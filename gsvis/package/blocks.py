@@ -97,11 +97,11 @@ def _read_coded(
 ) -> Rows:
     try:
         part = block.gaussians
-        records, counts = decode_gaussians(parts.read_bytes(part), block.count, table, of_records)
+        records, counts = decode_gaussians(parts.content_of(part), block.count, table, of_records)
         _check_terms(parts, block, counts)
         firsts, pieces, low = _firsts(counts), [np.zeros((0, of_terms.nbytes), np.uint8)], 0
         for part, count in block.terms:
-            pieces.append(decode_terms(parts.read_bytes(part), firsts[low : low + count], of_terms))
+            pieces.append(decode_terms(parts.content_of(part), firsts[low : low + count], of_terms))
             low += count
     except FormatError:
         raise

@@ -246,7 +246,7 @@ class Package:
         folder = Path(self._opened.enter_context(tempfile.TemporaryDirectory(prefix="gsvis-")))
         with output_errors(folder, remedy=TEMPORARY), (folder / name).open("wb") as file:
             for part in blob.parts:
-                file.write(self._parts.read_bytes(part))
+                file.write(self._parts.content_of(part))
         return folder / name
 
     def _fault(self, where: str, expected: str, got: str) -> FormatError:
