@@ -7,6 +7,7 @@ import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -362,3 +363,34 @@ def test_the_cost_is_measured_by_drawing() -> None:
     assert (cost.views, cost.width, cost.height) == (1, 64, 48)
     with pytest.raises(ValueError, match="cameras"):
         measure_cost(levels, exact, colors, cameras[:0])
+
+
+def test_a_manifest_that_promises_too_much_is_refused_before_memory_is_taken(tmp_path: Path) -> None:
+    written(tmp_path / "s", 60).close()
+    most = 1 << 30
+
+    def gaussians(value: dict[str, Any]) -> None:
+        value["blocks"][0].update(count=most)
+        value.update(gaussians=sum(block["count"] for block in value["blocks"]))
+
+    def terms(value: dict[str, Any]) -> None:
+        block = next(block for block in value["blocks"] if block["term_parts"])
+        block["term_parts"][0].update(count=most)
+        block.update(terms=most)
+        value.update(terms=sum(block["terms"] for block in value["blocks"]))
+
+    for change in (gaussians, terms):
+        with pytest.raises(FormatError, match="exhaust memory"):
+            reread(tmp_path / "s", change)
+
+
+@pytest.mark.usefixtures("many_parts")
+def test_blocks_that_cut_a_chunk_are_refused(tmp_path: Path) -> None:
+    written(tmp_path / "s").close()
+
+    def change(value: dict[str, Any]) -> None:
+        value["blocks"][0]["count"] += 1
+        value["blocks"][1]["count"] -= 1
+
+    with pytest.raises(FormatError, match="chunks that end where blocks end"):
+        reread(tmp_path / "s", change)
