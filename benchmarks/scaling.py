@@ -43,7 +43,7 @@ def disk(path: Path) -> dict[str, Any]:
     """Bytes of a package by what they are for."""
     with Package.open(path) as package:
         m = package.manifest
-        blobs = {"visible sets": m.visibility, "active terms": m.active_terms}
+        blobs = {"visible sets": m.visibility, "lists of active terms": m.active_terms}
         parts = {part.name: part.nbytes for part in m.parts()}
         return {
             "gaussians": m.gaussians,

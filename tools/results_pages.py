@@ -127,6 +127,7 @@ PAGES = {
             "group_codec_flowers",
             "package_codec_showroom",
             "package_codec_nika",
+            "disk_size",
             "package_edit_showroom",
             "package_edit_nika",
             "shaped_link",

@@ -99,7 +99,7 @@ def _compare(scene: str, lod: int | None, package: Package, status: Status) -> t
         if space is None:
             raise SceneError(f"{scene}: {why_not}")
         cameras = PrepareConfig.fidelity_views.cameras(source.whole, space)
-    has_sets, has_active = package.manifest.visibility is not None, package.manifest.active_terms is not None
+    has_sets, has_active = package.manifest.visibility is not None, package.epsilon is not None
     found = measure_fidelity(
         source.gaussians,
         package.contents,
@@ -208,8 +208,8 @@ def size_rows(manifest: Manifest) -> list[tuple[str, str]]:
     sizes, n = manifest.sizes(), max(1, manifest.gaussians)
     records = sizes["records"] + sizes["chunks"]
     rows = [("  records", f"{size_of(records)}, {records / n:.1f} bytes a Gaussian")]
-    for name, label in (("terms", "terms"), ("visibility", "visible sets"), ("active_terms", "active terms")):
-        if sizes[name]:
+    for name, label in (("terms", "terms"), ("visibility", "visible sets"), ("active_terms", "lists of active terms")):
+        if sizes.get(name):
             rows.append((f"  {label}", size_of(sizes[name])))
     return rows
 

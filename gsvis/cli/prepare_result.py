@@ -21,7 +21,6 @@ _CALLED = {
     "levels": "levels",
     "sets": "visible sets",
     "colors": "colors",
-    "terms": "active terms",
     "cost": "cost of rounding",
     "fidelity": "what a client gets",
     "package": "package",

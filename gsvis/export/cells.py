@@ -87,7 +87,7 @@ def rows_of_package(package: Package, g: Gaussians, blocks: Blocks, progress: Pr
         return rows_of_scene(g, blocks)
     sets, areas, weights = package.visibility, _areas(g), class_weights(package.visibility)
     top = _top(blocks.sums(np.arange(len(g)), areas))
-    shares = None if package.manifest.active_terms is None else _shares(package, blocks)
+    shares = None if package.epsilon is None else _shares(package, blocks)
     rows = []
     progress("sets", 0, len(sets))
     for cell in range(len(sets)):

@@ -1,7 +1,7 @@
 """The file format of a scene for streaming: records in parts of bounded size, each named by the hash of its content.
 
-levels = in_package_order(levels)          # before visible sets, colors and active terms are built for its union
-write_package("scene.gsvis", levels, quantize(colors), visibility="scene.pvs", active_terms="scene.terms.arrow")
+levels = in_package_order(levels)          # before visible sets and colors are built for its union
+write_package("scene.gsvis", levels, quantize(colors), info=PackageInfo(epsilon=0.02), visibility="scene.pvs")
 with Package.open("scene.gsvis") as package:
     some = package.contents.gaussians([4, 8, 15])
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gsvis.color.evaluate import Evaluator
 from gsvis.color.srbf import SrbfColors
-from gsvis.package.active_terms import ActiveTerms
+from gsvis.package.cell_terms import CellTerms
 from gsvis.package.contents import Contents
 from gsvis.package.fidelity import Fidelity
 from gsvis.progress import Progress, silent
@@ -48,7 +48,7 @@ def measure_fidelity(
     *,
     exact: ExactLevel | None = None,
     sets: VisibilityStore | None = None,
-    active: ActiveTerms | None = None,
+    active: CellTerms | None = None,
     progress: Progress = silent,
 ) -> Fidelity:
     """Measure how near what a client holds at the end comes to a scene, in views.
@@ -59,7 +59,7 @@ def measure_fidelity(
         cameras: C > 0 views that nothing was fitted to.
         exact: The highest level before rounding; without it only the last step is known apart.
         sets: Visible sets of the package; None leaves out what a cell needs.
-        active: Active terms of its cells; None with `sets` means that no terms are sent.
+        active: The terms that its cells need; None with `sets` means that no terms are sent.
         progress: Called with stage "fidelity", in views.
 
     Raises:
@@ -93,7 +93,7 @@ class _Drawing:
         contents: Contents,
         exact: ExactLevel | None,
         sets: VisibilityStore | None,
-        active: ActiveTerms | None,
+        active: CellTerms | None,
     ) -> None:
         self._scene, self._exact, self._sets, self._active = scene, exact, sets, active
         if exact is not None and len(exact.gaussians) != len(exact.colors):

@@ -27,7 +27,8 @@ from gsvis.package.parts import Part
 
 __all__ = ["MANIFEST", "VERSION", "Blob", "Block", "Cost", "Manifest", "PackageInfo"]
 
-FORMAT, VERSION = "gsvis-package", 2
+FORMAT, VERSION = "gsvis-package", 3
+_OLDEST = 2
 MANIFEST = "manifest.json"
 _MOST_BYTES = 1 << 30
 _MOST = (1 << 31) - 1
@@ -62,6 +63,7 @@ class PackageInfo:
         cost: Cost of rounding; None if it was not measured.
         provenance: Any JSON values.
         fidelity: How near what a client gets comes to the scene; None if it was not measured.
+        epsilon: Contribution above which a term is active in a cell; None if cells do not choose terms.
 
     Raises:
         ValueError: If a value is out of its range.
@@ -72,12 +74,15 @@ class PackageInfo:
     cost: Cost | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
     fidelity: Fidelity | None = None
+    epsilon: float | None = None
 
     def __post_init__(self) -> None:
         up = _check.unit_vectors("up", np.reshape(np.asarray(self.up, np.float64), (1, -1)))[0]
         object.__setattr__(self, "up", tuple(float(v) for v in up))
         if not 0.0 <= self.meters_per_unit < np.inf:
             raise ValueError(f"meters_per_unit: expected a finite number >= 0, got {self.meters_per_unit!r}")
+        if self.epsilon is not None and not 0.0 <= self.epsilon < np.inf:
+            raise ValueError(f"epsilon: expected a finite number >= 0, got {self.epsilon!r}")
         try:
             kept = json.loads(json.dumps(dict(self.provenance), allow_nan=False))
         except (TypeError, ValueError) as error:
@@ -128,7 +133,8 @@ class Manifest:
         tables: Parts with the rows of chunks, and the number of rows in each part.
         blocks: Blocks of Gaussians and terms.
         visibility: The store of visible sets, or None.
-        active_terms: The store of active terms, or None.
+        active_terms: Lists of active terms, which packages of version 2 hold; None in others.
+        version: Version of the format.
     """
 
     info: PackageInfo
@@ -140,6 +146,7 @@ class Manifest:
     blocks: tuple[Block, ...]
     visibility: Blob | None = None
     active_terms: Blob | None = None
+    version: int = VERSION
 
     @property
     def gaussians(self) -> int:
@@ -176,19 +183,18 @@ class Manifest:
                 yield from blob.parts
 
     def sizes(self) -> dict[str, int]:
-        """Return the bytes of the parts by content: "records", "chunks", "terms", "visibility" and "active_terms"."""
-        return {
+        """Return the bytes of the parts by content: "records", "chunks", "terms", "visibility", old "active_terms"."""
+        sizes = {
             "records": sum(block.gaussians.nbytes for block in self.blocks),
             "chunks": sum(part.nbytes for part, _ in self.tables),
             "terms": sum(part.nbytes for block in self.blocks for part, _ in block.terms),
             "visibility": 0 if self.visibility is None else self.visibility.nbytes,
-            "active_terms": 0 if self.active_terms is None else self.active_terms.nbytes,
         }
+        return sizes if self.active_terms is None else {**sizes, "active_terms": self.active_terms.nbytes}
 
     def to_json(self) -> bytes:
-        """Return the bytes of the file; the same manifest gives the same bytes."""
-        layout = RecordLayout.from_variant(self.grids.variant)
-        blobs = {"visibility": self.visibility, "active_terms": self.active_terms}
+        """Return the bytes of the file, in the newest version; the same manifest gives the same bytes."""
+        layout, sets = RecordLayout.from_variant(self.grids.variant), self.visibility
         value = {
             "format": FORMAT,
             "version": VERSION,
@@ -214,10 +220,8 @@ class Manifest:
                 }
                 for block in self.blocks
             ],
-            **{
-                name: None if blob is None else {"bytes": blob.nbytes, "parts": [p.as_dict() for p in blob.parts]}
-                for name, blob in blobs.items()
-            },
+            "visibility": None if sets is None else {"bytes": sets.nbytes, "parts": [p.as_dict() for p in sets.parts]},
+            "epsilon": self.info.epsilon,
             "provenance": self.info.provenance,
         }
         if self.info.fidelity is not None:
@@ -238,22 +242,22 @@ class Manifest:
         if fields.raw("format") != FORMAT:
             raise FormatError(path, "format", FORMAT, repr(fields.raw("format"))[:60], "is this a package?")
         version = fields.integer("version", 1, 1 << 30)
-        if version != VERSION:
+        if not _OLDEST <= version <= VERSION:
             remedy = "update gsvis" if version > VERSION else "prepare the package again"
-            raise FormatError(path, "version", f"{VERSION}", f"{version}", remedy)
+            raise FormatError(path, "version", f"{_OLDEST} to {VERSION}", f"{version}", remedy)
         value = dict(fields.value)
         digest = value.pop("sha256", None)
         try:
             if digest != _digest(value):
                 raise FormatError(path, "sha256", "the hash of the rest", repr(digest)[:20], DAMAGED)
-            return cls._of(fields)
+            return cls._of(fields, version)
         except RecursionError as error:
             raise FormatError(path, "", "JSON", "objects nested too deeply", DAMAGED) from error
         except ValueError as error:
             raise FormatError(path, "", "valid values", str(error), DAMAGED) from error
 
     @classmethod
-    def _of(cls, fields: Fields) -> Manifest:
+    def _of(cls, fields: Fields, version: int) -> Manifest:
         scene, quantized = fields.text("scene"), fields.child("quantization")
         colors = quantized.child("colors")
         name = colors.text("variant", PACKED_VARIANTS)
@@ -275,12 +279,13 @@ class Manifest:
         up = fields.numbers("up", 3).tolist()
         fidelity = Fidelity.from_fields(fields.child("fidelity")) if "fidelity" in fields else None
         meters, provenance = fields.number("meters_per_unit"), fields.child("provenance").value
-        info = PackageInfo((up[0], up[1], up[2]), meters, measured, provenance, fidelity)
+        epsilon = fields.number("epsilon") if "epsilon" in fields else None
+        info = PackageInfo((up[0], up[1], up[2]), meters, measured, provenance, fidelity, epsilon)
         found = cls(
             info, scene, names, tuple(level.integer("count", 1, _MOST) for level in levels), grids,
             tuple((Part.from_fields(row), row.integer("count", 1, _MOST)) for row in _objects(fields, "chunks")),
-            tuple(_block(row) for row in _objects(fields, "blocks")),
-            _blob(fields, "visibility"), _blob(fields, "active_terms"),
+            tuple(_block(row, "arrow" if version == 2 else "bin") for row in _objects(fields, "blocks")),
+            _blob(fields, "visibility"), _blob(fields, "active_terms") if version == 2 else None, version,
         )  # fmt: skip
         for key, claimed, counted in (("gaussians", "gaussians", found.gaussians), ("terms", "terms", found.terms)):
             if fields.integer(claimed, 0, _MOST) != counted:
@@ -292,9 +297,10 @@ def _objects(fields: Fields, key: str) -> list[Fields]:
     return [Fields(fields.path, f"{fields.where(key)}[{k}]", row) for k, row in enumerate(fields.items(key))]
 
 
-def _block(row: Fields) -> Block:
-    parts = tuple((Part.from_fields(part), part.integer("count", 1, _MOST)) for part in _objects(row, "term_parts"))
-    return Block(Part.from_fields(row), parts, row.integer("count", 1, _MOST), row.integer("terms", 0, _MOST))
+def _block(row: Fields, suffix: str) -> Block:
+    rows = _objects(row, "term_parts")
+    parts = tuple((Part.from_fields(part, suffix), part.integer("count", 1, _MOST)) for part in rows)
+    return Block(Part.from_fields(row, suffix), parts, row.integer("count", 1, _MOST), row.integer("terms", 0, _MOST))
 
 
 def _blob(fields: Fields, key: str) -> Blob | None:

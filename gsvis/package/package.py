@@ -1,4 +1,4 @@
-"""A package on disk, open for reading: records, levels, colors, visible sets and active terms of a scene.
+"""A package on disk, open for reading: records, levels, colors and visible sets of a scene.
 
 Opening reads only the manifest. Each part is checked against its name when it is read; `verify` reads all parts. Ids
 are places in the order of the package. Scene frame and units.
@@ -23,10 +23,12 @@ from gsvis.errors import FormatError, SceneError
 from gsvis.files.limits import Budget
 from gsvis.files.output import TEMPORARY, output_errors
 from gsvis.package.active_terms import ActiveTerms
+from gsvis.package.blocks import read_blocks
+from gsvis.package.cell_terms import CellTerms
 from gsvis.package.codec import ChunkTable, base_colors
 from gsvis.package.contents import Contents, base_places
 from gsvis.package.layout import RECORD_BYTES, TermLayout
-from gsvis.package.manifest import MANIFEST, Blob, Block, Manifest
+from gsvis.package.manifest import MANIFEST, Blob, Manifest
 from gsvis.package.parts import PartFolder
 from gsvis.progress import Progress, silent
 from gsvis.pvs.store import VisibilityStore
@@ -133,13 +135,11 @@ class Package:
         table = ChunkTable.concatenate([self._table(columns) for columns in tables])
         pairs = [np.stack([columns["first_level"], columns["last_level"]], axis=1) for columns in tables]
         levels = np.concatenate([np.zeros((0, 2), np.uint8), *pairs])
-        blocks = [self.block(block, budget) for block in m.blocks]
+        starts = np.concatenate([[0], np.cumsum([block.count for block in m.blocks])]).astype(np.int64)
+        blocks = read_blocks(self._parts, m, table, starts, budget)
         empty = [np.zeros((0, width), np.uint8) for width in self._widths]
         records, terms = (np.concatenate([empty[k], *(b[k] for b in blocks)]) for k in range(2))
         counts = np.concatenate([np.zeros(0, np.uint8), *(b[2] for b in blocks)])
-        starts = np.concatenate([[0], np.cumsum([block.count for block in m.blocks])]).astype(np.int64)
-        if int(table.counts.sum(dtype=np.int64)) != m.gaussians:
-            raise self._fault("chunks", f"{m.gaussians:,} Gaussians", f"{table.counts.sum():,}")
         if (levels[:, 0] > levels[:, 1]).any() or levels.max(initial=0) >= len(m.names):
             raise self._fault("chunks", f"levels in order, below {len(m.names)}", "others")
         found = Contents(m.names, table, levels, records, counts, terms, m.grids, starts)
@@ -147,32 +147,6 @@ class Package:
         if members != list(m.counts):
             raise self._fault("levels", f"{m.counts} Gaussians", f"{members}")
         return found
-
-    def block(self, block: Block, budget: Budget | None = None) -> tuple[U8, U8, U8]:
-        """Return the records (M, 16), the terms (T, B) and the numbers of terms (M,) of one block.
-
-        Args:
-            block: A block of the manifest.
-            budget: Memory budget to claim from; None gives each part a budget of its own.
-
-        Raises:
-            FormatError: If one of its parts is missing or damaged.
-        """
-        wide, narrow = self._widths
-        types: dict[str, type[np.generic]] = {**{f"r{k}": np.uint8 for k in range(wide)}, "terms": np.uint8}
-        columns = self._parts.read_columns(block.gaussians, "gaussians", types, block.count, budget)
-        counts: U8 = columns["terms"]
-        if int(counts.sum(dtype=np.int64)) != block.num_terms:
-            got = f"{counts.sum(dtype=np.int64):,}"
-            raise self._fault(f"part {block.gaussians.name[:12]}...", f"{block.num_terms:,} terms", got)
-        pieces = [np.zeros((0, narrow), np.uint8)]
-        for part, count in block.terms:
-            read = self._parts.read_columns(part, "terms", {f"t{b}": np.uint8 for b in range(narrow)}, count, budget)
-            pieces.append(_stack(read, "t", narrow))
-        terms = np.concatenate(pieces)
-        if len(terms) != block.num_terms:
-            raise self._fault("term_parts", f"{block.num_terms:,} terms", f"{len(terms):,}")
-        return _stack(columns, "r", wide), terms, counts
 
     @cached_property
     def visibility(self) -> VisibilityStore:
@@ -189,20 +163,30 @@ class Package:
         return store
 
     @cached_property
-    def active_terms(self) -> ActiveTerms:
-        """The store of active terms.
+    def epsilon(self) -> float | None:
+        """Contribution above which a term is active in a cell; None if cells do not choose terms.
 
         Raises:
-            SceneError: If the package has no active terms.
-            FormatError: If the store is damaged, or belongs to another scene, other terms or other cells.
+            FormatError: If the package has version 2 and its lists of active terms are damaged.
         """
-        store = ActiveTerms(self._join(self.manifest.active_terms, "active.terms.arrow"))
-        self._opened.callback(store.close)
-        if store.info.scene != self.manifest.scene or store.info.terms != self.manifest.terms:
-            raise self._fault("active_terms", f"those of {self.manifest.terms:,} terms", f"{store.info.terms:,}")
-        if self.manifest.visibility is not None and len(store) != len(self.visibility):
-            raise self._fault("active_terms", f"those of {len(self.visibility):,} cells", f"{len(store):,}")
-        return store
+        lists = self.manifest.active_terms
+        if lists is None:
+            return self.manifest.info.epsilon
+        with ActiveTerms(self._join(lists, "active.terms.arrow")) as store:
+            return store.epsilon
+
+    @cached_property
+    def active_terms(self) -> CellTerms:
+        """The terms that each cell needs, found from the visible sets when they are asked for.
+
+        Raises:
+            SceneError: If the package has no visible sets, or its cells do not choose terms.
+            FormatError: If a part is damaged.
+        """
+        if self.epsilon is None:
+            raise SceneError(f"{self.path}: the package has no epsilon; prepare it with visibility")
+        contents = self.contents
+        return CellTerms(contents.gaussians(), contents.colors().dequantize(), self.visibility, self.epsilon)
 
     def verify(self, *, progress: Progress = silent) -> Verified:
         """Read, check and decode the whole package.
@@ -231,8 +215,7 @@ class Package:
         if m.visibility is not None:
             self.visibility.verify()
             cells = len(self.visibility)
-        if m.active_terms is not None:
-            self.active_terms.verify()
+        _ = self.epsilon
         names = {part.name for part in parts}
         strays = sum(path.name not in names for path in self._parts.folder.iterdir()) if parts else 0
         size = (self.path / MANIFEST).stat().st_size
@@ -263,7 +246,7 @@ class Package:
         folder = Path(self._opened.enter_context(tempfile.TemporaryDirectory(prefix="gsvis-")))
         with output_errors(folder, remedy=TEMPORARY), (folder / name).open("wb") as file:
             for part in blob.parts:
-                file.write(self._parts.read_bytes(part))
+                file.write(self._parts.content_of(part))
         return folder / name
 
     def _fault(self, where: str, expected: str, got: str) -> FormatError:
@@ -274,9 +257,3 @@ def columns_of(table: ChunkTable, levels: U8) -> dict[str, NDArray[Any]]:
     """Return a table of chunks, with the (C, 2) first and last level of each chunk, as columns of a part."""
     values = [*table.origins.T, *table.steps.T, table.lows, table.strides, table.counts, *levels.T]
     return dict(zip(_TABLE, values, strict=True))
-
-
-def _stack(columns: dict[str, Any], letter: str, width: int) -> U8:
-    if width == 0:
-        return np.zeros((len(next(iter(columns.values()))), 0), np.uint8)
-    return np.stack([columns[f"{letter}{k}"] for k in range(width)], axis=1)

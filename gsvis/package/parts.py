@@ -136,7 +136,7 @@ class PartFolder:
             raise FormatError(path, "", "content that fits its name", f"SHA-256 {digest[:12]}...", DAMAGED)
         return path
 
-    def read_bytes(self, part: Part) -> bytes:
+    def content_of(self, part: Part) -> bytes:
         """Return the bytes of a part.
 
         Raises:

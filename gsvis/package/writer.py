@@ -1,27 +1,23 @@
 """Write a package: first the parts, each named by the hash of its content, then the manifest.
 
 A killed run resumes: a part that exists with the right content is not written again. The same scene gives the same
-files. The stores of visible sets and active terms are cut into parts without change.
+files. The store of visible sets is cut into parts without change.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from os import PathLike
 from pathlib import Path
-
-import numpy as np
-from numpy.typing import NDArray
 
 from gsvis import _check
 from gsvis.color.records import QuantizedColors
 from gsvis.errors import FormatError
 from gsvis.files.atomic import atomic_path
 from gsvis.files.limits import open_regular
-from gsvis.package.active_terms import ActiveTerms
+from gsvis.package.blocks import write_blocks
 from gsvis.package.contents import Contents
-from gsvis.package.manifest import MANIFEST, Blob, Block, Manifest, PackageInfo
+from gsvis.package.manifest import MANIFEST, Blob, Manifest, PackageInfo
 from gsvis.package.package import PARTS, Package, columns_of
 from gsvis.package.parts import MOST_BYTES, Part, PartFolder
 from gsvis.progress import Progress, silent
@@ -41,7 +37,6 @@ def write_package(
     *,
     info: PackageInfo | None = None,
     visibility: str | PathLike[str] | None = None,
-    active_terms: str | PathLike[str] | None = None,
     progress: Progress = silent,
 ) -> Package:
     """Write a scene as a package.
@@ -53,15 +48,13 @@ def write_package(
         colors: Rounded colors of their union.
         info: Up axis, meters per unit, measured cost, provenance; None means `PackageInfo()`.
         visibility: The store of visible sets of `levels.union`; None for no visible sets.
-        active_terms: The store of active terms of `levels.union`, with as many terms as `colors`; None for no active
-            terms.
         progress: Called with stage "package", in blocks of the scene.
 
     Returns:
         The open package.
 
     Raises:
-        ValueError: If lengths do not match, the order is another one, or active terms come without visible sets.
+        ValueError: If lengths do not match, or the order is another one.
         FormatError: If a store was built for another scene, or the folder holds something else.
         OSError: If the folder cannot be written.
     """
@@ -69,17 +62,18 @@ def write_package(
     check_target(target)
     contents = Contents.from_levels(levels, colors)
     scene = scene_hash(levels.union)
-    _check_stores(levels, contents, visibility, active_terms)
+    if visibility is not None:
+        VisibilityStore.open(visibility, scene=levels.union).close()
     parts = PartFolder(target / PARTS)
-    blocks = tuple(_blocks(parts, contents, progress))
+    blocks = tuple(write_blocks(parts, contents, progress))
     tables = []
     for start in range(0, len(contents.table), _ROWS):
         rows = slice(start, min(start + _ROWS, len(contents.table)))
         table, first_last = contents.table[rows], contents.chunk_levels[rows]
         tables.append((parts.write_columns("chunks", columns_of(table, first_last)), len(table)))
-    blobs = [None if path is None else _blob(parts, _check.path("path", path)) for path in (visibility, active_terms)]
+    sets = None if visibility is None else _blob(parts, _check.path("visibility", visibility))
     manifest = Manifest(
-        info or PackageInfo(), scene, levels.names, levels.counts, colors.grids, tuple(tables), blocks, *blobs
+        info or PackageInfo(), scene, levels.names, levels.counts, colors.grids, tuple(tables), blocks, sets
     )
     with atomic_path(target / MANIFEST) as partial:
         partial.write_bytes(manifest.to_json())
@@ -99,46 +93,6 @@ def check_target(target: Path) -> None:
         others = sorted(p.name for p in target.iterdir() if p.name not in (PARTS, MANIFEST) and p.name[:1] != ".")
         if others and not (target / MANIFEST).exists():
             raise FormatError(target, "", "a package or an empty folder", f"{others[0]!r}", "choose another name")
-
-
-def _check_stores(
-    levels: Levels,
-    contents: Contents,
-    visibility: str | PathLike[str] | None,
-    active_terms: str | PathLike[str] | None,
-) -> None:
-    if visibility is None:
-        if active_terms is not None:
-            raise ValueError("visibility: expected the store that the active terms were built for, got None")
-        return
-    with VisibilityStore.open(visibility, scene=levels.union) as sets:
-        if active_terms is None:
-            return
-        with ActiveTerms.open(active_terms, scene=levels.union, sets=sets) as active:
-            if active.info.terms != len(contents.term_records):
-                wanted, got = f"those of {len(contents.term_records):,} terms", f"{active.info.terms:,}"
-                raise FormatError(active.path, "terms", wanted, got, "build them for the colors of the package")
-
-
-def _blocks(parts: PartFolder, contents: Contents, progress: Progress) -> Iterator[Block]:
-    total, width = len(contents.starts) - 1, max(1, contents.term_records.shape[1])
-    progress("package", 0, total)
-    for k in range(total):
-        some = slice(int(contents.starts[k]), int(contents.starts[k + 1]))
-        columns = _planes("r", contents.records[some]) | {"terms": contents.term_counts[some]}
-        gaussians = parts.write_columns("gaussians", columns)
-        low, high = contents.term_offsets[[some.start, some.stop]].tolist()
-        rows, terms = MOST_BYTES // width, []
-        for start in range(low, high, rows):
-            records = contents.term_records[start : min(start + rows, high)]
-            terms.append((parts.write_columns("terms", _planes("t", records)), len(records)))
-        yield Block(gaussians, tuple(terms), some.stop - some.start, high - low)
-        progress("package", k + 1, total)
-
-
-def _planes(letter: str, rows: NDArray[np.uint8]) -> dict[str, NDArray[np.uint8]]:
-    """Return each byte of the records as a column; similar bytes are then adjacent and compress better."""
-    return {f"{letter}{k}": rows[:, k] for k in range(rows.shape[1])}
 
 
 def _blob(parts: PartFolder, path: Path) -> Blob:

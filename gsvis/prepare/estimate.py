@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gsvis.color.records import bytes_per_term, quantize
+from gsvis.color.records import bytes_per_term
 from gsvis.color.srbf import SrbfColors
 from gsvis.color.storage import load_srbf
 from gsvis.package import RECORD_BYTES
@@ -45,11 +45,9 @@ _LEVELS_START = 8.0  # seconds until torch and the kernels of training are loade
 _STEP = 0.03  # seconds of each training step
 # Seconds for each Gaussian and core.
 _BASE_FIT, _TERMS_FIT, _RECORDS = 6e-5, 2.5e-4, 6e-6
-_TERM_OF_CELL = 6e-8  # seconds for each term that a cell sees
 
 _CHUNK = 31.0 / 200.0  # bytes for each Gaussian
-_PACKED = 0.97  # size of records after zstd, over their raw size
-_ACTIVE_BITS = 1.5  # bits for an active term in a cell
+_PACKED = 0.82  # size of coded records over their raw size
 _VIEWS_TIMED = 4
 _IMAGES = 5  # of a view that measures what a client gets
 
@@ -142,17 +140,15 @@ class _Estimator:
     def all(self) -> PreparationEstimate:
         """Return the estimate of all stages."""
         self._levels()
-        store, share, disk, memory = self._sets()
+        store, disk, memory = self._sets()
         exact = self._colors(store)
         terms = exact.num_terms if exact is not None else self._expect_terms()
-        known = self._terms(store, exact, share, terms)
         self._cost(exact)
-        self._fidelity(exact, known)
+        self._fidelity(exact, store)
         if store is not None:
             store.close()
         term_bytes = int(terms * bytes_per_term(self.config.colors.fit.variant, "wire"))
-        active = int(_ACTIVE_BITS / 8.0 * share * terms * len(self.stages.grid()))
-        nbytes = int(self.union * (_PACKED * RECORD_BYTES + _CHUNK)) + term_bytes + disk + active
+        nbytes = int(self.union * (_PACKED * RECORD_BYTES + _CHUNK)) + term_bytes + disk
         what = f"{self.union:,} records, {terms:,} terms"
         self.found.append(StageEstimate("package", "to do", what, _RECORDS * self.union, 0))
         return PreparationEstimate(
@@ -192,8 +188,8 @@ class _Estimator:
         what = f"{sizes}; {config.iterations:,} steps each"
         self.found.append(StageEstimate("levels", state, what, seconds, nbytes))
 
-    def _sets(self) -> tuple[VisibilityStore | None, float, int, int]:
-        """Return the store if it exists, the mean share of Gaussians that a cell sees, bytes on disk, and memory."""
+    def _sets(self) -> tuple[VisibilityStore | None, int, int]:
+        """Return the store if it exists, bytes on disk, and memory."""
         stages, grid = self.stages, self.stages.grid()
         name = stages.sets_name(self.levels, grid) if self.known is not None else "none"
         what = f"{len(grid):,} cells of side {grid.cell_size:.3g}"
@@ -202,7 +198,7 @@ class _Estimator:
             store = VisibilityStore.open(path)
             size = path.stat().st_size
             self.found.append(StageEstimate("sets", "done", what, 0.0, size))
-            return store, float(np.mean(store.visible_counts)) / store.gaussians, size, 0
+            return store, size, 0
         cost = estimate_pvs(
             self.levels, grid, stages.space, stages.work.at(name), self.config.sets,
             workers=self.workers, progress=stages.progress,
@@ -212,8 +208,7 @@ class _Estimator:
         if cost.finished:
             what += f", {cost.finished:,} of them found"
         self.found.append(StageEstimate("sets", state, what, cost.seconds, disk))
-        share = min(1.0, cost.visible / len(self.levels.union))
-        return None, share, disk, cost.memory
+        return None, disk, cost.memory
 
     def _colors(self, store: VisibilityStore | None) -> SrbfColors | None:
         """Return the colors if they exist."""
@@ -237,21 +232,6 @@ class _Estimator:
         self.found.append(StageEstimate("colors", "to do", what, seconds, nbytes))
         return None
 
-    def _terms(self, store: VisibilityStore | None, exact: SrbfColors | None, share: float, terms: int) -> str | None:
-        """Return the name of the file of active terms if it exists."""
-        stages, cells = self.stages, len(self.stages.grid())
-        what = f"{terms:,} terms, {cells:,} cells, epsilon {self.config.epsilon:g}"
-        if store is not None and exact is not None:
-            name = stages.terms_name(self.levels, quantize(exact, "wire").dequantize(), store.path)
-            if stages.work.whole(name):
-                size = stages.work.at(name).stat().st_size
-                self.found.append(StageEstimate("terms", "done", what, 0.0, size))
-                return name
-        seconds = cells * share * terms * _TERM_OF_CELL
-        nbytes = int(_ACTIVE_BITS / 8.0 * share * terms * cells)
-        self.found.append(StageEstimate("terms", "to do", what, seconds, nbytes))
-        return None
-
     def _cost(self, exact: SrbfColors | None) -> None:
         views = self.config.cost_views
         what = f"{views.count:,} views of {views.width} x {views.height}"
@@ -261,11 +241,14 @@ class _Estimator:
         seconds = 2.0 * views.count * self.view_seconds(views)
         self.found.append(StageEstimate("cost", "to do", what, seconds, 100))
 
-    def _fidelity(self, exact: SrbfColors | None, active: str | None) -> None:
+    def _fidelity(self, exact: SrbfColors | None, store: VisibilityStore | None) -> None:
         stages, views = self.stages, self.config.fidelity_views
         what = f"{views.count:,} views of {views.width} x {views.height}, {_IMAGES} images of each"
-        name = None if exact is None or active is None else stages.fidelity_name(self.levels, exact, active)
-        if name is not None and stages.work.whole(name):
+        if (
+            exact is not None
+            and store is not None
+            and stages.work.whole(stages.fidelity_name(self.levels, exact, store.path))
+        ):
             self.found.append(StageEstimate("fidelity", "done", what, 0.0, 4000))
             return
         seconds = _IMAGES * views.count * self.view_seconds(views)

@@ -1,4 +1,4 @@
-"""Prepare a package from a scene: levels, visible sets, colors, active terms, measurements, then records.
+"""Prepare a package from a scene: levels, visible sets, colors, measurements, then records.
 
 All ids follow the order of the package. Intermediate results stay beside the package. So a killed run resumes, and a
 run after an edit repeats only what the edit changed. The bytes of the package do not depend on the number of workers
@@ -92,7 +92,7 @@ def prepare_package(
         about: JSON values to store in the provenance of the package.
         workers: The workers that build visible sets; None means this process.
         progress: Called with the stages "order", or "views" or "photos", "prune", "train NAME" and "measure"; then with
-            "cells", "store", "importance", "price", "fit", "terms", "cost", "fidelity" and
+            "cells", "store", "importance", "price", "fit", "cost", "fidelity" and
             "package".
 
     Returns:
@@ -113,19 +113,16 @@ def prepare_package(
         with VisibilityStore.open(sets, scene=levels.union) as store:
             exact, directions = stages.colors(levels, store)
             packed = quantize(exact, "wire")
-            active = stages.terms(levels, packed, store)
             cost = stages.cost(levels, exact, packed)
-            fidelity = stages.fidelity(levels, exact, packed, store, active)
+            fidelity = stages.fidelity(levels, exact, packed, store)
         began = time.perf_counter()
         views = choose_start_views(levels.level(len(levels) - 1), space, seed=config.level_views.seed)
         provenance = {
             **(about or {}), "config": config.as_dict(), "levels": quality, "directions": directions,
             "views": describe_poses(views),
         }  # fmt: skip
-        info = PackageInfo(_axis(space), config.meters_per_unit, cost, provenance, fidelity)
-        with write_package(
-            target, levels, packed, info=info, visibility=sets, active_terms=active, progress=progress
-        ) as package:
+        info = PackageInfo(_axis(space), config.meters_per_unit, cost, provenance, fidelity, config.epsilon)
+        with write_package(target, levels, packed, info=info, visibility=sets, progress=progress) as package:
             manifest = package.manifest
         sizes = {part.name: part.nbytes for part in manifest.parts()}
         kept = {name: size for name, size in sizes.items() if name in before}

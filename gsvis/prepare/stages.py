@@ -29,8 +29,8 @@ from gsvis.files.fields import parse_object
 from gsvis.files.limits import read_whole
 from gsvis.io.levels import MAP, levels_info, load_levels, save_levels
 from gsvis.package import Contents, Cost, ExactLevel, Fidelity, in_package_order, measure_cost, measure_fidelity
-from gsvis.package.active_terms import ActiveTerms, colors_hash
-from gsvis.prepare.active_terms import build_active_terms
+from gsvis.package.active_terms import colors_hash
+from gsvis.package.cell_terms import CellTerms
 from gsvis.prepare.colors import find_kept, prepare_colors
 from gsvis.prepare.config import PrepareConfig
 from gsvis.prepare.levels import make_levels
@@ -48,7 +48,7 @@ from gsvis.train.level_views import LevelViews, draw_views, load_photograph_view
 
 __all__ = ["StageRecord", "Stages"]
 
-_VERSIONS = {"levels": 2, "sets": 2, "colors": 1, "terms": 1, "cost": 1, "fidelity": 1}  # increase when results change
+_VERSIONS = {"levels": 2, "sets": 2, "colors": 1, "cost": 1, "fidelity": 2}  # increase when results change
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class StageRecord:
     """The record of a stage in this run.
 
     Attributes:
-        name: "levels", "sets", "colors", "terms", "cost", "fidelity" or "package".
+        name: "levels", "sets", "colors", "cost", "fidelity" or "package".
         reused: Whether the whole result existed already.
         seconds: Time that it took in this run.
     """
@@ -184,32 +184,6 @@ class Stages:
             path = self.work.at(name)
             return load_srbf(path)[1], str(srbf_info(path).provenance.get("directions"))
 
-    def terms_name(self, levels: Levels, rounded: SrbfColors, sets: Path) -> str:
-        """Return the name of the file of active terms."""
-        key = self._key(
-            "terms",
-            scene=scene_hash(levels.union),
-            colors=colors_hash(rounded),
-            sets=digest_of_folder(sets).split()[0],
-            epsilon=[self.config.epsilon, self.config.epsilon_from],
-        )
-        return f"active-{key}.terms.arrow"
-
-    def terms(self, levels: Levels, packed: QuantizedColors, store: VisibilityStore) -> Path:
-        """Return the path of the store of active terms."""
-        rounded = packed.dequantize()
-        name = self.terms_name(levels, rounded, store.path)
-        with self._stage("terms") as done:
-            if not self.work.whole(name):
-                done.append(True)
-                path, config = self.work.at(name), self.config
-                build_active_terms(
-                    rounded, levels.union, store, config.epsilon, path,
-                    provenance=config.epsilon_from, progress=self.progress,
-                ).close()  # fmt: skip
-                self.work.seal_file(name)
-        return self.work.at(name)
-
     def cost_name(self, levels: Levels, exact: SrbfColors) -> str:
         """Return the name of the file of the cost of rounding."""
         views, space = asdict(self.config.cost_views), space_hash(self.space)
@@ -229,34 +203,33 @@ class Stages:
                 self.work.seal_file(name)
             return Cost(**parse_object(self.work.at(name), read_whole(self.work.at(name))).value)
 
-    def fidelity_name(self, levels: Levels, exact: SrbfColors, active: str) -> str:
+    def fidelity_name(self, levels: Levels, exact: SrbfColors, sets: Path) -> str:
         """Return the name of the file of what a client gets."""
         key = self._key(
             "fidelity",
             scene=scene_hash(self.highest),
             levels=_content(levels),
             colors=colors_hash(exact),
-            active=active,
+            sets=digest_of_folder(sets).split()[0],
+            epsilon=self.config.epsilon,
             views=asdict(self.config.fidelity_views),
             space=space_hash(self.space),
         )
         return f"fidelity-{key}.json"
 
-    def fidelity(
-        self, levels: Levels, exact: SrbfColors, packed: QuantizedColors, store: VisibilityStore, active: Path
-    ) -> Fidelity:
+    def fidelity(self, levels: Levels, exact: SrbfColors, packed: QuantizedColors, store: VisibilityStore) -> Fidelity:
         """Return how near what a client gets comes to the scene as it came, in views that are used for nothing else."""
-        name = self.fidelity_name(levels, exact, active.name)
+        name = self.fidelity_name(levels, exact, store.path)
         with self._stage("fidelity") as done:
             if not self.work.whole(name):
                 done.append(True)
                 member, contents = levels.member(len(levels) - 1), Contents.from_levels(levels, packed)
-                with ActiveTerms.open(active) as terms:
-                    found = measure_fidelity(
-                        self.highest, contents, self.config.fidelity_views.cameras(levels, self.space),
-                        exact=ExactLevel(levels.union[member], exact[member]), sets=store, active=terms,
-                        progress=self.progress,
-                    )  # fmt: skip
+                terms = CellTerms(contents.gaussians(), packed.dequantize(), store, self.config.epsilon)
+                found = measure_fidelity(
+                    self.highest, contents, self.config.fidelity_views.cameras(levels, self.space),
+                    exact=ExactLevel(levels.union[member], exact[member]), sets=store, active=terms,
+                    progress=self.progress,
+                )  # fmt: skip
                 with atomic_path(self.work.at(name)) as partial:
                     partial.write_text(json.dumps(found.as_dict()), encoding="ascii")
                 self.work.seal_file(name)

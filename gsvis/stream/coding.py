@@ -12,6 +12,7 @@ from functools import cache, cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis._kernels.records import logarithms
 from gsvis.color.records import Grids
 from gsvis.package.codec import ChunkTable
 from gsvis.package.contents import Contents
@@ -206,16 +207,8 @@ def layout_of(grids: Grids, steps: Steps | None) -> records.Layout:
     of, limits = RecordLayout.from_variant(grids.variant), steps or Steps(0, 0)
     colors = of.packed_from - 1
     return records.Layout(
-        *of.bits, colors, steps is not None, limits.place, limits.turn, *_logarithms(), _differences(colors == 3)
+        *of.bits, colors, steps is not None, limits.place, limits.turn, *logarithms(), _differences(colors == 3)
     )
-
-
-@cache
-def _logarithms() -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Return 64 log2 of 0 to 255, and 64 log2(1 + 2^(-i / 64)) down to 0; both rounded."""
-    logs = np.rint(64 * np.log2(np.maximum(np.arange(256.0), 1.0)))
-    sums = np.rint(64 * np.log2(1 + np.exp2(-np.arange(512) / 64)))
-    return logs.astype(np.int32), sums.astype(np.int32)
 
 
 @cache

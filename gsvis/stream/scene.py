@@ -190,7 +190,7 @@ def _scene_index(package: Package, cache: Cache[Any], nbytes: tuple[float, float
     if manifest.visibility is not None:
         sets = package.visibility
         sets.cache = cache
-        active = None if manifest.active_terms is None else package.active_terms
+        active = None if package.epsilon is None else package.active_terms
         cones = None if active is None else term_cones(contents, active.epsilon)
         return SceneIndex.from_levels(
             contents.levels(),

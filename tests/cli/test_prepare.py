@@ -74,7 +74,7 @@ def test_a_scene_becomes_a_package_with_levels_and_tables(tmp_path: Path, capsys
     assert main(["verify", str(target)]) == 0
     assert "0.5" in capsys.readouterr().out
     again, _ = run(capsys, SCENE, "-o", target, *QUICK, "--meters-per-unit", "0.5")
-    assert again.count("there already") == 7
+    assert again.count("there already") == 6
     assert main(["unpack", str(target), "-o", str(tmp_path / "levels"), "--json"]) == 0
     out = tmp_path / "again.gsvis"
     capsys.readouterr()
@@ -93,7 +93,7 @@ def test_one_document_for_a_result_and_for_an_estimate(tmp_path: Path, capsys: C
     assert list(tmp_path.iterdir()) == []
     assert (asked["format"], asked["version"]) == ("gsvis-preparation-estimate", 1)
     assert asked["load"] is None or asked["load"] >= 0.0
-    assert [stage["state"] for stage in asked["stages"]] == ["given", *["to do"] * 6]
+    assert [stage["state"] for stage in asked["stages"]] == ["given", *["to do"] * 5]
     found = json.loads(run(capsys, *words, "--json")[0])
     assert (found["format"], found["version"]) == ("gsvis-preparation", 1)
     assert [stage["name"] for stage in found["stages"]] == [stage["name"] for stage in asked["stages"]]
@@ -104,7 +104,7 @@ def test_one_document_for_a_result_and_for_an_estimate(tmp_path: Path, capsys: C
     assert found["meters_per_unit"] == 0.0
     text, _ = run(capsys, *words, "--dry-run")
     assert "Nothing was written." in text
-    assert text.count("done") == 5
+    assert text.count("done") == 4
 
 
 def test_it_says_what_is_kept_when_it_is_stopped(

@@ -17,7 +17,7 @@ from gsvis.pvs.store import VisibilityStore
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.procedural import random_scene
 from tests.export.test_needs import decode, store_of, two_heaps
-from tests.package.worlds import colors_of, levels_of, stores_of
+from tests.package.worlds import colors_of, levels_of, sets_of
 
 SMALL = StreamedOptions(leaf=64)
 
@@ -86,9 +86,9 @@ def test_the_document_is_as_the_format_has_it(tmp_path: Path) -> None:
 
 
 def test_a_package_brings_its_visible_sets_and_its_colors(tmp_path: Path) -> None:
-    levels, (exact, colors) = levels_of(400), colors_of(400)
-    stores = stores_of(tmp_path / "stores", levels, exact)
-    with write_package(tmp_path / "s.gsvis", levels, colors, **stores) as package:
+    levels, (_, colors) = levels_of(400), colors_of(400)
+    sets = sets_of(tmp_path / "stores", levels)
+    with write_package(tmp_path / "s.gsvis", levels, colors, visibility=sets) as package:
         found = write_streamed_sog(tmp_path / "s", package, SMALL)
     header, cells, _ = sidecar_of(tmp_path / "s")
     assert (found.cells, len(cells), header["leaves"]) == (9, header["cells"], found.leaves)

@@ -21,7 +21,7 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from gsvis.scene.procedural import random_scene
 from tests.export.test_needs import store_of
-from tests.package.worlds import colors_of, levels_of, stores_of
+from tests.package.worlds import colors_of, levels_of, sets_of
 
 PLAIN = TilesOptions(leaf=64, compression="none")
 TO_TILES = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # glTF's +y up to the +z up of tiles
@@ -210,8 +210,8 @@ def test_a_package_without_visible_sets_is_refused_at_once(tmp_path: Path) -> No
 
 def test_a_package_brings_its_visible_sets_and_up(tmp_path: Path) -> None:
     levels = levels_of(300)
-    colors, quantized = colors_of(len(levels.union))
-    write_package(tmp_path / "p.gsvis", levels, quantized, **stores_of(tmp_path, levels, colors)).close()
+    _, quantized = colors_of(len(levels.union))
+    write_package(tmp_path / "p.gsvis", levels, quantized, visibility=sets_of(tmp_path, levels)).close()
     with Package.open(tmp_path / "p.gsvis") as package:
         found = write_tiles(tmp_path / "t", package, TilesOptions(leaf=64, request_volumes=True))
         assert found.cells == len(package.visibility) > 1

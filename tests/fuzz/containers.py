@@ -367,11 +367,24 @@ def sealed_journal(data: bytes) -> bytes:
     return data[:4] + struct.pack("<I", zlib.crc32(data[8:])) + data[8:]
 
 
+def change_coded(rng: Random, data: bytes) -> bytes:
+    """One change of a coded part: of anything, of what its head says, or of words without a change of their number."""
+    way = rng.randrange(3)
+    if way == 0 or len(data) < 32:
+        return change_bytes(rng, data)
+    if way == 1:
+        return change_bytes(rng, data[:16]) + data[16:]
+    at = rng.randrange(16, len(data))
+    piece = rng.randbytes(min(rng.choice((1, 4, 64)), len(data) - at))
+    return data[:at] + piece + data[at + len(piece) :]
+
+
 KINDS.update(
     {
         "arrow": change_arrow,
         "active": change_active,
         "pvs": change_container,
+        "coded": change_coded,
         "manifest": change_manifest,
         "view": change_view,
         "sighting": change_sighting,

@@ -41,7 +41,7 @@ from tests.fuzz.containers import (
 )
 from tests.fuzz.damage import LINK, PIPE, Damaged
 from tests.fuzz.targets import Case
-from tests.package.worlds import colors_of, levels_of, stores_of
+from tests.package.worlds import levels_of, sets_of
 
 __all__ = ["DAMAGE"]
 
@@ -247,12 +247,10 @@ def with_part(case: Case, name: str, data: bytes) -> Case:
 
 
 @cache
-def blobs(seed: int, cells: int) -> tuple[bytes, bytes]:
-    """Stores of another scene, or for other cells."""
-    levels, (exact, _) = levels_of(packages.N, seed), colors_of(packages.N, "rgb", seed)
+def other_sets() -> bytes:
+    """Visible sets of another scene."""
     with TemporaryDirectory() as folder:
-        made = stores_of(Path(folder), levels, exact, cells)
-        return made["visibility"].read_bytes(), made["active_terms"].read_bytes()
+        return sets_of(Path(folder), levels_of(packages.N, 1)).read_bytes()
 
 
 def manifests() -> Damaged:
@@ -281,8 +279,8 @@ def whole_packages() -> Damaged:
         return f"parts/{row['sha256']}.{suffix}"
 
     def blob(key: str, data: bytes) -> Case:
-        ((row,), (suffix,)) = manifest[key]["parts"], {name.rpartition(".")[2] for name in case if name.endswith("bin")}
-        return with_part(case, part_of(row, suffix), data)
+        (row,) = manifest[key]["parts"]
+        return with_part(case, part_of(row, "bin"), data)
 
     def columns(name: str, change: Callable[[Columns], None]) -> Case:
         return with_part(case, name, rewritten(case[name], change))
@@ -298,22 +296,27 @@ def whole_packages() -> Damaged:
     def crossed(found: Columns) -> None:
         found["first_level"], found["last_level"] = found["last_level"], found["first_level"]
 
-    table, block = part_of(manifest["chunks"][0]), part_of(manifest["blocks"][0])
+    (first, *_) = (row for row in manifest["blocks"] if row["term_parts"])
+    table, block, terms = part_of(manifest["chunks"][0]), part_of(first, "bin"), part_of(first["term_parts"][0], "bin")
+    changed = json.loads(case[MANIFEST])
+    changed["terms"] += 1
+    changed["blocks"][manifest["blocks"].index(first)]["terms"] += 1
+    one_more = {**case, MANIFEST: sealed_manifest(changed)}
     rest = {name: data for name, data in case.items() if name != block}
     found = {
         "a part that is a folder": {**rest, f"{block}/x": b""},
         "a chunk of one more": columns(table, more("count")),
         "levels out of order": columns(table, crossed),
-        "one more term": columns(block, more("terms")),
-        "sets of another scene": blob("visibility", blobs(1, 9)[0]),
-        "terms of another scene": blob("active_terms", blobs(1, 9)[1]),
-        "terms for other cells": blob("active_terms", blobs(0, 8)[1]),
+        "one more term": one_more,
+        "a part of another kind": with_part(case, block, case[terms]),
+        "a part with the bytes of another": with_part(case, block, case[block][:16] + bytes(len(case[block]) - 16)),
+        "sets of another scene": blob("visibility", other_sets()),
         "no manifest": {name: data for name, data in case.items() if name != MANIFEST},
         "a longer part": {**case, block: case[block] + b"\0"},
     }
     if os.name == "posix":
         found["a part that is a pipe"] = {**rest, block + PIPE: b""}
-        found["a part that is a link"] = {**rest, "beside.arrow": case[block], block + LINK: b"../beside.arrow"}
+        found["a part that is a link"] = {**rest, "beside.bin": case[block], block + LINK: b"../beside.bin"}
     return found
 
 

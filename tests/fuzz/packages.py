@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import zipfile
 from pathlib import Path
 from random import Random
 from tempfile import TemporaryDirectory
@@ -26,6 +27,7 @@ from tests.stream.worlds import package_of
 __all__ = ["TARGETS"]
 
 N = 40
+OLD = Path(__file__).parents[1] / "package" / "data" / "version2.zip"
 
 
 def packages() -> list[Case]:
@@ -34,6 +36,8 @@ def packages() -> list[Case]:
         for variant, stores in (("rgb", True), ("hsl", False)):
             package_of(Path(folder) / variant, N, variant, stores=stores).close()
             found.append(files_in(Path(folder) / variant))
+        with zipfile.ZipFile(OLD) as archive:  # a package of version 2, with lists of active terms
+            found.append({name: archive.read(name) for name in archive.namelist()})
     return found
 
 
@@ -97,12 +101,12 @@ def change_package(rng: Random, case: Case, target: Target) -> Case:
 
 def _rows(manifest: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
     """All objects of a manifest that name a part, and the kind of it."""
-    rows = [("arrow", row) for row in manifest["chunks"]]
+    rows, kind = [("arrow", row) for row in manifest["chunks"]], "arrow" if manifest["version"] == 2 else "coded"
     for block in manifest["blocks"]:
-        rows += [("arrow", block), *(("arrow", row) for row in block["term_parts"])]
-    for key, kind in (("visibility", "pvs"), ("active_terms", "active")):
+        rows += [(kind, block), *((kind, row) for row in block["term_parts"])]
+    for key, of_store in (("visibility", "pvs"), ("active_terms", "active")):
         if manifest.get(key):
-            rows += [(kind, row) for row in manifest[key]["parts"]]
+            rows += [(of_store, row) for row in manifest[key]["parts"]]
     return rows
 
 
@@ -116,7 +120,7 @@ TARGETS = [
         in_package,
         (FormatError, FileNotFoundError),
         change=change_package,
-        modules=(P + "package", P + "parts", P + "contents", P + "codec", P + "manifest"),
+        modules=(P + "package", P + "parts", P + "contents", P + "codec", P + "manifest", P + "blocks", P + "coded"),
         weight=1.5,
     ),
 ]

@@ -35,7 +35,7 @@ from gsvis.train.initial import gaussians_from_points
 from gsvis.train.trainer import TrainConfig, Trainer
 from tests.fuzz.cameras import files_in
 from tests.fuzz.targets import Case, Target, change_files
-from tests.package.worlds import colors_of, levels_of, stores_of
+from tests.package.worlds import colors_of, levels_of, lists_of
 from tests.train.photo_files import cameras, cloud, pictures
 
 __all__ = ["TARGETS"]
@@ -90,8 +90,8 @@ def in_colors(folder: Path, case: Case) -> None:
 def both_stores() -> tuple[bytes, bytes]:
     levels, (exact, _) = levels_of(N), colors_of(N)
     with TemporaryDirectory() as folder:
-        made = stores_of(Path(folder), levels, exact, CELLS)
-        return made["visibility"].read_bytes(), made["active_terms"].read_bytes()
+        lists = lists_of(Path(folder), levels, exact, CELLS)
+        return lists.with_name("w.pvs").read_bytes(), lists.read_bytes()
 
 
 def in_visibility(folder: Path, case: Case) -> None:

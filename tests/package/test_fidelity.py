@@ -33,7 +33,7 @@ from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from tests.damage import OTHERS, places, replaced, without
-from tests.package.worlds import colors_of, levels_of, stores_of
+from tests.package.worlds import EPSILON, colors_of, levels_of, sets_of
 
 COUNT = 300
 
@@ -115,9 +115,8 @@ def test_without_exact_values_only_the_end_is_known(world: World) -> None:
 
 
 def test_what_a_cell_needs_is_its_set_and_its_active_terms(world: World, tmp_path: Path) -> None:
-    stores = stores_of(tmp_path, world.levels, world.packed.dequantize())
-    given = {"visibility": stores["visibility"], "active_terms": stores["active_terms"]}
-    with write_package(tmp_path / "s", world.levels, world.packed, **given) as package:
+    info, sets = PackageInfo(epsilon=EPSILON), sets_of(tmp_path, world.levels)
+    with write_package(tmp_path / "s", world.levels, world.packed, info=info, visibility=sets) as package:
         found = world.measure(sets=package.visibility, active=package.active_terms)
         silent = world.measure(sets=package.visibility)
         grid, decoded, colors = package.visibility.grid, world.contents.gaussians(), world.packed.dequantize()

@@ -35,7 +35,7 @@ from gsvis.scene.cameras import Cameras
 from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
-from tests.package.worlds import NAMES, colors_of, levels_of, stores_of
+from tests.package.worlds import EPSILON, NAMES, colors_of, levels_of, sets_of
 
 
 @pytest.fixture
@@ -49,10 +49,10 @@ def files(folder: Path) -> dict[str, bytes]:
 
 
 def written(folder: Path, n: int = 400, variant: str = "rgb", *, stores: bool = False) -> Package:
-    levels, (exact, colors) = levels_of(n), colors_of(n, variant)
-    given: dict[str, Any] = stores_of(folder.parent / "stores", levels, exact) if stores else {}
-    info = PackageInfo((0, -1, 0), 0.5, Cost(50.0, 47.0, 3, 64, 48), {"scene": "a test"})
-    return write_package(folder, levels, colors, info=info, **given)
+    levels, (_, colors) = levels_of(n), colors_of(n, variant)
+    sets, epsilon = (sets_of(folder.parent / "stores", levels), EPSILON) if stores else (None, None)
+    info = PackageInfo((0, -1, 0), 0.5, Cost(50.0, 47.0, 3, 64, 48), {"scene": "a test"}, epsilon=epsilon)
+    return write_package(folder, levels, colors, info=info, visibility=sets)
 
 
 def test_the_folder_of_parts_is_listed_once_while_parts_are_written(
@@ -193,35 +193,27 @@ def test_a_part_that_is_there_but_damaged_is_written_again(tmp_path: Path) -> No
     assert files(tmp_path / "s") == good
 
 
-def test_visible_sets_and_active_terms_travel_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_visible_sets_travel_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("gsvis.package.writer.MOST_BYTES", 500)
     with written(tmp_path / "s.gsvis", stores=True) as package:
         assert package.manifest.visibility is not None
         assert len(package.manifest.visibility.parts) > 3
         found = package.verify()
         assert found.cells == 9
-        sets, active = package.visibility, package.active_terms
+        sets = package.visibility
         assert sets.path.read_bytes() == (tmp_path / "stores" / "w.pvs").read_bytes()
-        assert active.path.read_bytes() == (tmp_path / "stores" / "w.terms.arrow").read_bytes()
         folder = sets.path.parent
-        assert len(active.active_ids(3)) > 0
     assert not folder.exists()
 
 
 def test_stores_of_another_scene_are_refused(tmp_path: Path) -> None:
-    levels, (exact, colors) = levels_of(), colors_of(400)
-    given: dict[str, Any] = stores_of(tmp_path / "stores", levels, exact)
+    (_, colors), sets = colors_of(400), sets_of(tmp_path / "stores", levels_of())
     with pytest.raises(FormatError, match="scene"):
-        write_package(tmp_path / "s", levels_of(400, seed=1), colors, visibility=given["visibility"])
-    with pytest.raises(ValueError, match="visibility: expected"):
-        write_package(tmp_path / "s", levels, colors, active_terms=given["active_terms"])
-    fewer = colors_of(400, seed=7)[1]
-    with pytest.raises(FormatError, match="terms"):
-        write_package(tmp_path / "s", levels, fewer, **given)
+        write_package(tmp_path / "s", levels_of(400, seed=1), colors, visibility=sets)
     with written(tmp_path / "s.gsvis") as package:
         with pytest.raises(SceneError, match="no sets"):
             _ = package.visibility
-        with pytest.raises(SceneError, match="no active"):
+        with pytest.raises(SceneError, match="no epsilon"):
             _ = package.active_terms
 
 
@@ -274,11 +266,12 @@ def test_a_manifest_that_contradicts_itself_is_refused(tmp_path: Path) -> None:
     written(tmp_path / "s", 60, stores=True).close()
     reread(tmp_path / "s", lambda value: None)
     for change, message in (
-        (lambda v: v.update(version=3), "update gsvis"),
+        (lambda v: v.update(version=4), "update gsvis"),
         (lambda v: v.update(version=1), "prepare the package again"),
         (lambda v: v.update(version=0), "version"),
         (lambda v: v.update(format="other"), "is this a package"),
         (lambda v: v.update(gaussians=61), "gaussians"),
+        (lambda v: v.update(epsilon=-1), "epsilon"),
         (lambda v: v.update(terms=1), "terms"),
         (lambda v: v.update(up=[0, 0, 0]), "up"),
         (lambda v: v.update(meters_per_unit=-1), "meters_per_unit"),
@@ -370,3 +363,34 @@ def test_the_cost_is_measured_by_drawing() -> None:
     assert (cost.views, cost.width, cost.height) == (1, 64, 48)
     with pytest.raises(ValueError, match="cameras"):
         measure_cost(levels, exact, colors, cameras[:0])
+
+
+def test_a_manifest_that_promises_too_much_is_refused_before_memory_is_taken(tmp_path: Path) -> None:
+    written(tmp_path / "s", 60).close()
+    most = 1 << 30
+
+    def gaussians(value: dict[str, Any]) -> None:
+        value["blocks"][0].update(count=most)
+        value.update(gaussians=sum(block["count"] for block in value["blocks"]))
+
+    def terms(value: dict[str, Any]) -> None:
+        block = next(block for block in value["blocks"] if block["term_parts"])
+        block["term_parts"][0].update(count=most)
+        block.update(terms=most)
+        value.update(terms=sum(block["terms"] for block in value["blocks"]))
+
+    for change in (gaussians, terms):
+        with pytest.raises(FormatError, match="exhaust memory"):
+            reread(tmp_path / "s", change)
+
+
+@pytest.mark.usefixtures("many_parts")
+def test_blocks_that_cut_a_chunk_are_refused(tmp_path: Path) -> None:
+    written(tmp_path / "s").close()
+
+    def change(value: dict[str, Any]) -> None:
+        value["blocks"][0]["count"] += 1
+        value["blocks"][1]["count"] -= 1
+
+    with pytest.raises(FormatError, match="chunks that end where blocks end"):
+        reread(tmp_path / "s", change)

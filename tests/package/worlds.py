@@ -18,6 +18,7 @@ from gsvis.scene.procedural import random_scene
 from tests.color.samples import random_colors
 
 NAMES = ("low", "medium", "high")
+EPSILON = 0.03
 
 
 def levels_of(n: int = 400, seed: int = 0) -> Levels:
@@ -34,8 +35,8 @@ def colors_of(n: int, variant: str = "rgb", seed: int = 0) -> tuple[SrbfColors, 
     return exact, quantize(exact, "wire")
 
 
-def stores_of(folder: Path, levels: Levels, colors: SrbfColors, cells: int = 9) -> dict[str, Path]:
-    """Visible sets and active terms of a scene, as `write_package` takes them."""
+def sets_of(folder: Path, levels: Levels, cells: int = 9) -> Path:
+    """Return the path of visible sets of a scene."""
     rng, g = np.random.default_rng(5), levels.union
     coords = np.stack(np.unravel_index(np.sort(rng.choice(60, cells, replace=False)), (4, 5, 3)), axis=1)
     low, high = g.bounds(1.0)
@@ -45,6 +46,11 @@ def stores_of(folder: Path, levels: Levels, colors: SrbfColors, cells: int = 9) 
     sets = [CellSet(ids := np.flatnonzero(row), (ids % 2).astype(np.uint8), 4) for row in seen]
     folder.mkdir(parents=True, exist_ok=True)
     write_store(folder / "w.pvs", grid, info, sets, np.zeros((len(g), 10), np.uint8))
-    with VisibilityStore.open(folder / "w.pvs") as store:
-        build_active_terms(colors, g, store, 0.03, folder / "w.terms.arrow").close()
-    return {"visibility": folder / "w.pvs", "active_terms": folder / "w.terms.arrow"}
+    return folder / "w.pvs"
+
+
+def lists_of(folder: Path, levels: Levels, colors: SrbfColors, cells: int = 9) -> Path:
+    """Return the path of lists of the terms that the cells of `sets_of` need."""
+    with VisibilityStore.open(sets_of(folder, levels, cells)) as store:
+        build_active_terms(colors, levels.union, store, EPSILON, folder / "w.terms.arrow").close()
+    return folder / "w.terms.arrow"

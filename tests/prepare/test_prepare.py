@@ -44,7 +44,7 @@ CONFIG = PrepareConfig(
     fidelity_views=replace(FEW, stream=5),
     meters_per_unit=0.5,
 )
-STAGES = ["levels", "sets", "colors", "terms", "cost", "fidelity", "package"]
+STAGES = ["levels", "sets", "colors", "cost", "fidelity", "package"]
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +90,7 @@ def test_a_package_holds_everything_that_a_server_needs(made: tuple[Path, Prepar
         checked = package.verify()
         assert (checked.gaussians, checked.terms, checked.strays) == (found.manifest.gaussians, found.manifest.terms, 0)
         assert 0 < checked.cells <= 4
-        assert package.active_terms.info.epsilon == CONFIG.epsilon
+        assert package.epsilon == package.active_terms.epsilon == CONFIG.epsilon
         info = package.manifest.info
     assert found.manifest.counts[-1] == len(rooms.gaussians)
     assert found.manifest.terms > 0
@@ -121,22 +121,22 @@ def test_nothing_is_made_twice(again: Path, rooms: OccluderScene) -> None:
 
 
 def test_an_option_changes_only_what_depends_on_it(again: Path, rooms: OccluderScene) -> None:
-    assert new(prepare(rooms, again, replace(CONFIG, epsilon=0.3))) == ["terms", "fidelity", "package"]
+    assert new(prepare(rooms, again, replace(CONFIG, epsilon=0.3))) == ["fidelity"]
     assert new(prepare(rooms, again, replace(CONFIG, epsilon=0.3, meters_per_unit=2.0))) == []  # parts, that is
     flat = replace(CONFIG, epsilon=0.3, colors=replace(CONFIG.colors, fit=FitConfig(max_terms=0)))
     stages: list[str] = []
     found = prepare(rooms, again, flat, progress=lambda stage, done, total: stages.append(stage))
-    assert new(found) == ["colors", "terms", "cost", "fidelity", "package"]
+    assert new(found) == ["colors", "cost", "fidelity", "package"]
     assert "importance" not in stages  # what views found serves every fit
     assert found.manifest.terms == 0
     assert new(prepare(rooms, again, replace(flat, cells=1)))[0] == "sets"
     kept = {path.name.partition("-")[0] for path in found.work.iterdir() if not path.name.endswith(".sha256")}
-    pieces = {"levels", "sets", "colors", "active", "cost", "fidelity"}
+    pieces = {"levels", "sets", "colors", "cost", "fidelity"}
     assert kept == {"gsvis", "plan.json", "directions.partial", *pieces}
     assert len([path for path in found.work.iterdir() if path.name.endswith(".pvs")]) == 1  # old pieces have gone
 
 
-@pytest.mark.parametrize("stop", ["train medium", "viewpoints", "cells", "importance", "terms", "package"])
+@pytest.mark.parametrize("stop", ["train medium", "viewpoints", "cells", "importance", "fidelity", "package"])
 def test_a_run_that_is_stopped_goes_on_and_gives_the_same_bytes(
     stop: str, made: tuple[Path, Prepared], rooms: OccluderScene, tmp_path: Path
 ) -> None:
@@ -163,7 +163,7 @@ def test_a_run_that_is_stopped_goes_on_and_gives_the_same_bytes(
         assert not {"views", "prune"} & set(stages)
     if stop in ("viewpoints", "cells"):
         assert min(done for stage, done in calls if stage == stop) == 1
-    if stop in ("terms", "package"):
+    if stop in ("fidelity", "package"):
         assert not {"viewpoints", "cells", "importance", "fit"} & set(stages)
 
 
@@ -181,12 +181,12 @@ def test_damage_in_what_is_kept_is_seen_and_mended(
     made: tuple[Path, Prepared], again: Path, rooms: OccluderScene
 ) -> None:
     work = again.with_name("rooms.gsvis.work")
-    for pattern in ("*.pvs", "levels-*/low.ply", "cost-*.json", "fidelity-*.json", "active-*.arrow"):
+    for pattern in ("*.pvs", "levels-*/low.ply", "cost-*.json", "fidelity-*.json"):
         (path,) = work.glob(pattern)
         data = bytearray(path.read_bytes())
         data[len(data) // 2] ^= 1
         path.write_bytes(data)
-    assert new(prepare(rooms, again)) == ["levels", "sets", "terms", "cost", "fidelity"]
+    assert new(prepare(rooms, again)) == ["levels", "sets", "cost", "fidelity"]
     assert files(again) == files(made[0])
 
 
@@ -237,7 +237,7 @@ def test_an_edit_of_the_scene_is_seen(tmp_path: Path) -> None:
     corner = g.means[:, 0] < g.means[:, 0].min() + 0.3
     moved = Gaussians(g.means + 0.01 * corner[:, None], g.quats, g.scales, g.opacities, g.sh0, g.shN)
     found = prepare_package(moved, tmp_path / "s.gsvis", many.navigable, plain, about={"scene": "rooms"})
-    assert new(found) == ["sets", "colors", "terms", "cost", "fidelity", "package"]
+    assert new(found) == ["sets", "colors", "cost", "fidelity", "package"]
     with Package.open(tmp_path / "s.gsvis") as package:
         assert package.verify().strays == 0
 
@@ -251,12 +251,12 @@ def test_an_estimate_says_what_is_there_and_writes_nothing(
     work = again.with_name("rooms.gsvis.work")
     before = files(tmp_path)
     done = estimate_preparation(rooms.gaussians, again, rooms.navigable, CONFIG)
-    assert [stage.state for stage in done.stages] == [*["done"] * 6, "to do"]
+    assert [stage.state for stage in done.stages] == [*["done"] * 5, "to do"]
     assert done.seconds < 1
     held = sum(p.stat().st_size for p in again.rglob("*") if p.is_file())
     assert 0.3 * held < done.nbytes < 3 * held
     other = estimate_preparation(rooms.gaussians, again, rooms.navigable, replace(CONFIG, epsilon=0.3))
-    assert [s.name for s in other.stages if s.state == "to do"] == ["terms", "fidelity", "package"]
+    assert [s.name for s in other.stages if s.state == "to do"] == ["fidelity", "package"]
     fresh = estimate_preparation(rooms.gaussians, tmp_path / "new.gsvis", rooms.navigable, CONFIG)
     assert {stage.state for stage in fresh.stages} == {"to do"}
     assert fresh.seconds > 10.0

@@ -6,20 +6,21 @@ from pathlib import Path
 
 import numpy as np
 
-from gsvis.package import Package, write_package
+from gsvis.package import Package, PackageInfo, write_package
 from gsvis.scene.paths import HeadPath
 from gsvis.simulate import Stage, ViewingConfig
 from gsvis.stream import StreamedScene
-from tests.package.worlds import colors_of, levels_of, stores_of
+from tests.package.worlds import EPSILON, colors_of, levels_of, sets_of
 
 QUICK = ViewingConfig(seconds=2.0, fine=1.0, every=0.5, width=48, height=36)
 
 
 def package_of(folder: Path, n: int = 600, *, stores: bool = True, seed: int = 0) -> Package:
     levels = levels_of(n, seed)
-    exact, colors = colors_of(n, "rgb", seed)
-    made = stores_of(folder / "stores", levels, exact) if stores else {}
-    return write_package(folder / "scene.gsvis", levels, colors, **made)
+    _, colors = colors_of(n, "rgb", seed)
+    sets = sets_of(folder / "stores", levels) if stores else None
+    info = PackageInfo(epsilon=EPSILON if stores else None)
+    return write_package(folder / "scene.gsvis", levels, colors, info=info, visibility=sets)
 
 
 def street(folder: Path, n: int = 600, *, stores: bool = True) -> tuple[StreamedScene, Stage]:

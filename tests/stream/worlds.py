@@ -8,13 +8,14 @@ from gsvis.abr.classes import FieldOfView
 from gsvis.abr.config import AbrConfig
 from gsvis.package import Package, PackageInfo, write_package
 from gsvis.stream import Hello, Receiver, Session, StreamedScene, parse_client
-from tests.package.worlds import colors_of, levels_of, stores_of
+from tests.package.worlds import EPSILON, colors_of, levels_of, sets_of
 
 
 def package_of(folder: Path, n: int = 400, variant: str = "rgb", seed: int = 0, *, stores: bool = True) -> Package:
-    levels, (exact, colors) = levels_of(n, seed), colors_of(n, variant, seed)
-    given = stores_of(folder.parent / f"{folder.name}-stores", levels, exact) if stores else {}
-    return write_package(folder, levels, colors, info=PackageInfo((0, -1, 0), 0.5), **given)
+    levels, (_, colors) = levels_of(n, seed), colors_of(n, variant, seed)
+    sets = sets_of(folder.parent / f"{folder.name}-stores", levels) if stores else None
+    info = PackageInfo((0, -1, 0), 0.5, epsilon=EPSILON if stores else None)
+    return write_package(folder, levels, colors, info=info, visibility=sets)
 
 
 def greet(scene: StreamedScene, receiver: Receiver, view: FieldOfView, config: AbrConfig | None = None) -> Session:

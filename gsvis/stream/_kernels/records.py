@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from gsvis._kernels.records import put, take, weight
 from gsvis.stream._kernels.coder import LEAST, RAW, begin, next_bits, next_symbol
 
 _OPTIONS: dict[str, Any] = {"cache": True, "nogil": True}
@@ -76,31 +77,6 @@ class Chunks(NamedTuple):
 
 
 @njit(inline="always")
-def _take(low, high, bit, width):
-    """Return some bits of a record of two words."""
-    if bit >= 64:
-        word = high >> np.uint64(bit - 64)
-    elif bit + width <= 64 or bit == 0:
-        word = low >> np.uint64(bit)
-    else:
-        word = (low >> np.uint64(bit)) | (high << np.uint64(64 - bit))
-    return np.int64(word & np.uint64((1 << width) - 1))
-
-
-@njit(inline="always")
-def _sum(a, b, sums):
-    """Return 64 log2(2^(a / 64) + 2^(b / 64))."""
-    return max(a, b) + sums[min(abs(a - b), len(sums) - 1)]
-
-
-@njit(inline="always")
-def _weight(middle, smallest, opacity, stride, layout):
-    """Return 64 log2 of the strength of a Gaussian whose largest scale is 1."""
-    a, b = -middle * stride, -smallest * stride
-    return layout.logs[opacity] + _sum(_sum(a, b, layout.sums), a + b, layout.sums)
-
-
-@njit(inline="always")
 def _place_limit(size, middle, opacity, stride, layout):
     """Return log2 of the longest step of a coordinate: less for long and opaque Gaussians, at most the middle scale."""
     long = middle * stride
@@ -150,7 +126,7 @@ def operations(words, ids, rows, chunks, layout, offsets, out):
         low, high, row = words[i, 0], words[i, 1], rows[i]
         opacity, stride = np.int64(low & np.uint64(255)), chunks.strides[row]
         for k in range(3):
-            s[k] = _take(low, high, head + k * width + position + rotation, scale)
+            s[k] = take(low, high, head + k * width + position + rotation, scale)
         largest = 0 if s[0] >= s[1] and s[0] >= s[2] else (1 if s[1] >= s[2] else 2)
         a, b = (1 if largest == 0 else 0), (1 if largest == 2 else 2)
         order = 2 * largest
@@ -162,12 +138,12 @@ def operations(words, ids, rows, chunks, layout, offsets, out):
         out[at + 2] = offsets[MIDDLE] + middle
         out[at + 3] = offsets[SMALLEST] + smallest
         at += 4
-        weight = _weight(middle, smallest, opacity, stride, layout)
+        strong = weight(middle, smallest, opacity, stride, layout.logs, layout.sums)
         if row != before:
             out[at] = offsets[FIRST] + s[largest]
             at += 1
         else:
-            expected = (((strength - weight) >> 1) - chunks.lows[row]) // stride
+            expected = (((strength - strong) >> 1) - chunks.lows[row]) // stride
             off = s[largest] - min(max(expected, 0), (1 << scale) - 1) + BELOW
             table = offsets[LARGEST + _gap(ids[i] - last)]
             if 0 <= off < STEPS - 1:
@@ -178,10 +154,10 @@ def operations(words, ids, rows, chunks, layout, offsets, out):
                 out[at] = RAW | (scale << 16) | s[largest]
             at += 1
         size = chunks.lows[row] + s[largest] * stride
-        before, last, strength = row, ids[i], 2 * size + weight
+        before, last, strength = row, ids[i], 2 * size + strong
         turn = _turn(size, middle, stride, layout)
         for k in range(3):
-            value = ((_take(low, high, head + k * width + position, rotation) - half) >> turn) + half
+            value = ((take(low, high, head + k * width + position, rotation) - half) >> turn) + half
             out[at] = offsets[ROTATION + TURNS * k + turn] + value
             at += 1
         first = np.int64((low >> np.uint64(8 * (1 + lead))) & np.uint64(255))
@@ -208,7 +184,7 @@ def operations(words, ids, rows, chunks, layout, offsets, out):
             if layout.coarse:
                 left -= min(max(limit - chunks.steps[row, k], 0), position)
             if left:
-                value = _take(low, high, head + k * width, position) >> (position - left)
+                value = take(low, high, head + k * width, position) >> (position - left)
                 out[at] = RAW | (left << 16) | value
                 at += 1
     return at
@@ -246,7 +222,7 @@ def read(words, ids, rows, chunks, layout, code, out):
         order, x, y, at = next_symbol(words, x, y, at, ORDER, slots, tables, offsets, spans)
         middle, x, y, at = next_symbol(words, x, y, at, MIDDLE, slots, tables, offsets, spans)
         smallest, x, y, at = next_symbol(words, x, y, at, SMALLEST, slots, tables, offsets, spans)
-        weight = _weight(middle, smallest, opacity, stride, layout)
+        strong = weight(middle, smallest, opacity, stride, layout.logs, layout.sums)
         if row != before:
             top, x, y, at = next_symbol(words, x, y, at, FIRST, slots, tables, offsets, spans)
         else:
@@ -255,10 +231,10 @@ def read(words, ids, rows, chunks, layout, code, out):
             if top == STEPS - 1:
                 top, x, y, at = next_bits(words, x, y, at, scale)
             else:
-                expected = (((strength - weight) >> 1) - chunks.lows[row]) // stride
+                expected = (((strength - strong) >> 1) - chunks.lows[row]) // stride
                 top = (min(max(expected, 0), mask) + top - BELOW) & mask
         size = chunks.lows[row] + top * stride
-        before, last, strength = row, ids[i], 2 * size + weight
+        before, last, strength = row, ids[i], 2 * size + strong
         largest = order >> 1
         a, b = (1 if largest == 0 else 0), (1 if largest == 2 else 2)
         if order & 1:
@@ -269,39 +245,27 @@ def read(words, ids, rows, chunks, layout, code, out):
         for k in range(3):
             value, x, y, at = next_symbol(words, x, y, at, ROTATION + TURNS * k + turn, slots, tables, offsets, spans)
             value = (((value - half) << turn) + half) & ((1 << rotation) - 1)
-            _put(bits, head + k * width + position, value)
-            _put(bits, head + k * width + position + rotation, s[k])
+            put(bits, head + k * width + position, value)
+            put(bits, head + k * width + position + rotation, s[k])
         first, x, y, at = next_symbol(words, x, y, at, COLOR, slots, tables, offsets, spans)
-        _put(bits, 8 * (1 + lead), first)
+        put(bits, 8 * (1 + lead), first)
         base = first if layout.colors == 3 else 0
         value, x, y, at = next_symbol(words, x, y, at, SECOND + (first >> 5), slots, tables, offsets, spans)
-        _put(bits, 8, (value + base) & 255)
+        put(bits, 8, (value + base) & 255)
         value, x, y, at = next_symbol(words, x, y, at, THIRD + layout.before[value], slots, tables, offsets, spans)
-        _put(bits, 8 * (4 - lead), (value + base) & 255)
+        put(bits, 8 * (4 - lead), (value + base) & 255)
         if layout.colors == 4:
             value, x, y, at = next_symbol(words, x, y, at, FOURTH + (first >> 5), slots, tables, offsets, spans)
-            _put(bits, 32, value)
+            put(bits, 32, value)
         limit = _place_limit(size, middle, opacity, stride, layout)
         for k in range(3):
             left = position
             if layout.coarse:
                 left -= min(max(limit - chunks.steps[row, k], 0), position)
             value, x, y, at = next_bits(words, x, y, at, left)
-            _put(bits, head + k * width, value << (position - left))
+            put(bits, head + k * width, value << (position - left))
         out[i, 0], out[i, 1] = bits[0], bits[1]
     return at == len(words) and x == np.uint64(LEAST) and y == np.uint64(LEAST)
-
-
-@njit(inline="always")
-def _put(bits, bit, value):
-    """Add a value to a record of two words, at a place where it is zero."""
-    word = np.uint64(value)
-    if bit >= 64:
-        bits[1] |= word << np.uint64(bit - 64)
-    else:
-        bits[0] |= word << np.uint64(bit)
-        if bit > 48:
-            bits[1] |= word >> np.uint64(64 - bit)
 
 
 @njit(**_OPTIONS)
@@ -325,7 +289,7 @@ def coarsen(words, rows, chunks, layout, rounding, out):
         stride = chunks.strides[row]
         opacity = _round(np.int64(low & np.uint64(255)), rounding.opacity, 0, 255)
         for k in range(3):
-            s[k] = _take(low, high, head + k * width + position + rotation, scale)
+            s[k] = take(low, high, head + k * width + position + rotation, scale)
         top = max(s[0], s[1], s[2])
         middle, smallest = top, np.int64(0)
         for k in range(3):  # shapes relative to the largest, which stays
@@ -338,13 +302,13 @@ def coarsen(words, rows, chunks, layout, rounding, out):
         limit = _place_limit(size, middle, opacity, stride, layout)
         for k in range(layout.colors):
             color = np.int64((low >> np.uint64(8 * (1 + k))) & np.uint64(255))
-            _put(bits, 8 * (1 + k), _round(color, rounding.color, 0, 255))
+            put(bits, 8 * (1 + k), _round(color, rounding.color, 0, 255))
         for k in range(3):
             at = head + k * width
             left_out = min(max(limit - chunks.steps[row, k], 0), position)
-            _put(bits, at, _round(_take(low, high, at, position), left_out, 0, (1 << position) - 1))
-            _put(bits, at + position, _round(_take(low, high, at + position, rotation), turn, half, 2 * half + 1))
-            _put(bits, at + position + rotation, s[k])
+            put(bits, at, _round(take(low, high, at, position), left_out, 0, (1 << position) - 1))
+            put(bits, at + position, _round(take(low, high, at + position, rotation), turn, half, 2 * half + 1))
+            put(bits, at + position + rotation, s[k])
         out[i, 0], out[i, 1] = bits[0], bits[1]
 
 

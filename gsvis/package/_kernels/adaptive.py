@@ -1,0 +1,111 @@
+"""Kernels of the coder of parts: bits under probabilities that adapt, and trees of them for whole values.
+
+One function writes and reads, so both sides do the same. The state is three numbers: the lowest value (when reading:
+the value read, less the lowest), the range, and the next word. A probability has 25 bits, and below them 7 bits that
+count what it has seen; it moves by one part in the count. All arithmetic is of integers. Reading beyond the end gives
+zeros.
+
+References:
+    Rissanen and Langdon, "Arithmetic coding", IBM Journal of Research and Development 23(2), 1979; Mahoney, "Adaptive
+    weighing of context models for lossless data compression", Florida Tech CS-2005-16, section 2 (adaptive bits).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+OPTIONS: dict[str, Any] = {"cache": True, "nogil": True}
+
+START = 1 << 31  # a probability of one half that has seen nothing
+TAIL = 2  # words after the last bit
+_MOST = 127  # what a probability counts to
+_SURE = (1 << 25) - 1
+_RATES = np.array([131072 // (2 * seen + 3) for seen in range(_MOST + 1)], np.int64)
+_WORD, _LEAST = np.uint64(32), np.uint64(1 << 32)
+_FULL = np.uint64((1 << 64) - 1)
+
+
+@njit(**OPTIONS)
+def begin(data, writing):
+    """Return the state before the first bit."""
+    if writing:
+        return np.uint64(0), _FULL, 0
+    low = np.uint64(0)
+    for k in range(2):
+        low = low << _WORD | (np.uint64(data[k]) if k < len(data) else np.uint64(0))
+    return low, _FULL, 2
+
+
+@njit(**OPTIONS)
+def end(low, at, data, writing):
+    """Write the rest; return the number of words, or -1 if others were written than read."""
+    if not writing:
+        return at if at == len(data) else -1
+    data[at], data[at + 1] = np.uint32(low >> _WORD), np.uint32(low & np.uint64(0xFFFFFFFF))
+    return at + TAIL
+
+
+@njit(forceinline=True, **OPTIONS)
+def code_tree(low, span, at, chances, start, value, bits, data, writing):
+    """Write or read a value of so many bits, highest first, by 2^bits probabilities from `start` on.
+
+    Args:
+        low: Lowest value.
+        span: Range.
+        at: Next word.
+        chances: (P,) uint32.
+        start: First probability.
+        value: The value; without meaning when reading.
+        bits: Its bits.
+        data: (W,) uint32, the words; enough when writing.
+        writing: Whether to write.
+
+    Returns:
+        The value and the state.
+    """
+    if not writing:
+        return _read_tree(low, span, at, chances, start, bits, data)
+    node = np.int64(1)
+    for k in range(bits - 1, -1, -1):
+        held = np.int64(chances[start + node])
+        seen, whole, bit = held & _MOST, held >> 7, value >> k & 1
+        part = (span >> np.uint64(16)) * np.uint64(held >> 16 | 1)
+        if bit:
+            span = part
+        else:
+            span, low = span - part, low + part
+            if low < part:  # carry
+                last = at - 1
+                while data[last] == np.uint32(0xFFFFFFFF):
+                    data[last] = np.uint32(0)
+                    last -= 1
+                data[last] += np.uint32(1)
+        whole += ((bit * _SURE - whole) * _RATES[seen]) >> 16
+        chances[start + node] = np.uint32(whole << 7 | min(seen + 1, _MOST))
+        if span < _LEAST:
+            data[at] = np.uint32(low >> _WORD)
+            low, span, at = low << _WORD, span << _WORD, at + 1
+        node = node << 1 | bit
+    return node - (1 << bits), low, span, at
+
+
+@njit(forceinline=True, **OPTIONS)
+def _read_tree(low, span, at, chances, start, bits, data):
+    """Read a value; see `code_tree`. No branch depends on a bit, which a processor could not foresee."""
+    node, first = np.uint64(1), np.uint64(start)
+    for _ in range(bits):
+        held = np.uint64(chances[first + node])
+        seen, whole = held & np.uint64(_MOST), np.int64(held >> np.uint64(7))
+        part = (span >> np.uint64(16)) * (held >> np.uint64(16) | np.uint64(1))
+        bit = low < part
+        low, span = (low, part) if bit else (low - part, span - part)
+        whole += (((_SURE if bit else 0) - whole) * _RATES[seen]) >> 16
+        chances[first + node] = np.uint32(np.uint64(whole) << np.uint64(7) | min(seen + np.uint64(1), np.uint64(_MOST)))
+        if span < _LEAST:
+            low = low << _WORD | (np.uint64(data[at]) if at < len(data) else np.uint64(0))
+            span, at = span << _WORD, at + 1
+        node = node << np.uint64(1) | np.uint64(bit)
+    return np.int64(node) - (1 << bits), low, span, at

@@ -1,0 +1,269 @@
+"""Kernel of coded records: one function writes and reads the records of a part, field by field.
+
+Gaussians of a chunk are sorted by strength, so the strength of the one before, with the opacity and the shape, predicts
+the largest scale. The upper bits of a place are coded as a path through an octree of the chunk's box, by how many
+Gaussians went either way before; the lower bits are noise, and stand apart. All arithmetic is of integers.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from gsvis._kernels.records import put, take, weight
+from gsvis.package._kernels.adaptive import OPTIONS, START, begin, code_tree, end
+
+DEPTH = 12  # bits of the path in the octree
+STEPS = 6  # bits of the distance of the largest scale from the expected one; the last value is for any other
+BELOW = 47
+_GRADES = 10  # of counts
+_CONTEXTS = 16 + 128 + 8  # of the second, third and fourth component of a color
+_SHAPE = 256 + 64  # probabilities of opacity and order, which come first
+
+_OPACITY, _ORDER, _MIDDLE, _SMALLEST, _TOP, _ROTATION, _COLOR, _PATH = 0, 1, 2, 3, 4, 5, 8, 12  # fields of a record
+_FIELDS = 13
+
+
+class Fields(NamedTuple):
+    """What the kernel knows of records.
+
+    Attributes:
+        position: Bits of a coordinate.
+        rotation: Bits of a component of the quaternion.
+        scale: Bits of a log-scale.
+        colors: Bytes of the base color, 3 or 4.
+        counts: Bits of the number of terms, 0 to 8.
+        logs: (256,) int32, 64 log2 of an opacity of 0 to 255.
+        sums: (S,) int32, 64 log2(1 + 2^(-i / 64)).
+    """
+
+    position: int
+    rotation: int
+    scale: int
+    colors: int
+    counts: int
+    logs: NDArray[np.int32]
+    sums: NDArray[np.int32]
+
+
+class Rows(NamedTuple):
+    """Rows of chunks: (C,) int64 lows and strides, and the number of Gaussians of each, in this part."""
+
+    lows: NDArray[np.int64]
+    strides: NDArray[np.int64]
+    counts: NDArray[np.int64]
+
+
+@njit(inline="always")
+def _grade(count):
+    """Return 0 to 9 for a count: itself below 6, then by ever wider steps."""
+    if count < 6:
+        return count
+    return 6 if count < 9 else 7 if count < 14 else 8 if count < 24 else 9
+
+
+@njit(forceinline=True, **OPTIONS)
+def _code_path(low, span, at, chances, start, path, nodes, stamp, data, writing):
+    """Write or read a path of DEPTH bits through the octree of a chunk; return it.
+
+    Args:
+        low: State of the coder, as `span` and `at`.
+        span: Its range.
+        at: Its next word.
+        chances: Probabilities.
+        start: First probability, of DEPTH * 100.
+        path: The path; without meaning when reading.
+        nodes: (2^DEPTH, 3) int64: stamp of the chunk, and how many went either way at each node.
+        stamp: Number of the chunk.
+        data: The words.
+        writing: Whether to write.
+    """
+    node = np.int64(1)
+    for depth in range(DEPTH):
+        if nodes[node, 0] != stamp:
+            nodes[node, 0], nodes[node, 1], nodes[node, 2] = stamp, 0, 0
+        place = start + (depth * _GRADES + _grade(nodes[node, 1])) * _GRADES + _grade(nodes[node, 2])
+        way = path >> (DEPTH - 1 - depth) & 1
+        bit, low, span, at = code_tree(low, span, at, chances, place - 1, way, 1, data, writing)
+        nodes[node, 1 + bit] += 1
+        node = node << 1 | bit
+    return node - (1 << DEPTH), low, span, at
+
+
+@njit(**OPTIONS)
+def _take_record(words, i, fields, v, low_bits):
+    """Write the fields of a record to `v` and the lower bits of its places to `low_bits`; see `code` for both."""
+    position, rotation, scale, levels = fields.position, fields.rotation, fields.scale, DEPTH // 3
+    width, head, first, last = position + rotation + scale, 8 * (1 + fields.colors), words[i, 0], words[i, 1]
+    v[_OPACITY] = np.int64(first & np.uint64(255))
+    for k in range(fields.colors):
+        v[_COLOR + k] = np.int64((first >> np.uint64(8 * (1 + k))) & np.uint64(255))
+    bit = head + position + rotation
+    x, y = take(first, last, bit, scale), take(first, last, bit + width, scale)
+    z = take(first, last, bit + 2 * width, scale)
+    largest = 0 if x >= y and x >= z else (1 if y >= z else 2)
+    top, a, b = (x, y, z) if largest == 0 else ((y, x, z) if largest == 1 else (z, x, y))
+    v[_ORDER], v[_TOP] = 2 * largest + np.int64(a < b), top
+    v[_MIDDLE], v[_SMALLEST] = top - max(a, b), top - min(a, b)
+    v[_PATH] = 0
+    for k in range(3):
+        place = take(first, last, head + k * width, position)
+        v[_ROTATION + k] = take(first, last, head + k * width + position, rotation)
+        low_bits[i, k] = place & ((1 << (position - levels)) - 1)
+        for level in range(levels):
+            v[_PATH] |= (place >> (position - 1 - level) & 1) << (DEPTH - 1 - 3 * level - k)
+
+
+@njit(**OPTIONS)
+def _put_record(words, i, fields, v, low_bits, bits):
+    """Write a record from its fields; `bits` (2,) uint64 is room to work in."""
+    position, rotation, scale, levels = fields.position, fields.rotation, fields.scale, DEPTH // 3
+    width, head, mask = position + rotation + scale, 8 * (1 + fields.colors), (np.int64(1) << scale) - 1
+    bits[0], bits[1] = np.uint64(v[_OPACITY]), np.uint64(0)
+    for k in range(fields.colors):
+        put(bits, 8 * (1 + k), v[_COLOR + k])
+    largest, top = min(v[_ORDER] >> 1, 2), v[_TOP]
+    a, b = (1 if largest == 0 else 0), (1 if largest == 2 else 2)
+    if v[_ORDER] & 1:
+        a, b = b, a
+    for k in range(3):
+        place = np.int64(0)
+        for level in range(levels):
+            place = place << 1 | (v[_PATH] >> (DEPTH - 1 - 3 * level - k) & 1)
+        put(bits, head + k * width, place << (position - levels) | np.int64(low_bits[i, k]))
+        put(bits, head + k * width + position, v[_ROTATION + k])
+        below = 0 if k == largest else (v[_MIDDLE] if k == a else v[_SMALLEST])
+        put(bits, head + k * width + position + rotation, (top - below) & mask)
+    words[i, 0], words[i, 1] = bits[0], bits[1]
+
+
+@njit(**OPTIONS)
+def _code_color(low, span, at, chances, start, c, colors, data, writing):
+    """Write or read the components of a base color, c, and return the state: one leads, the others are given by it.
+
+    Of three, the second leads and the first and the third are differences from it. Of four, the third leads.
+    """
+    lead = 1 if colors == 3 else 2
+    c[lead], low, span, at = code_tree(low, span, at, chances, start, c[lead], 8, data, writing)
+    base, start = (c[lead] if colors == 3 else 0), start + 256
+    value, tree = (c[0] - base) & 255, start + 256 * (c[lead] >> 4)
+    second, low, span, at = code_tree(low, span, at, chances, tree, value, 8, data, writing)
+    start += 256 * 16
+    value, tree = (c[3 - lead] - base) & 255, start + 256 * (second >> 1)
+    third, low, span, at = code_tree(low, span, at, chances, tree, value, 8, data, writing)
+    start += 256 * 128
+    if colors == 4:
+        tree = start + 256 * (c[lead] >> 5)
+        c[3], low, span, at = code_tree(low, span, at, chances, tree, c[3], 8, data, writing)
+    c[0], c[3 - lead] = (second + base) & 255, (third + base) & 255
+    return low, span, at
+
+
+@njit(forceinline=True, **OPTIONS)
+def _code_shape(low, span, at, chances, fields, before, v, data, writing):
+    """Write or read opacity, order and ratios of the scales; return the state. `before` is the order before."""
+    scale = fields.scale
+    v[_OPACITY], low, span, at = code_tree(low, span, at, chances, 0, v[_OPACITY], 8, data, writing)
+    place = 256 + 8 * before
+    v[_ORDER], low, span, at = code_tree(low, span, at, chances, place, v[_ORDER], 3, data, writing)
+    v[_MIDDLE], low, span, at = code_tree(low, span, at, chances, _SHAPE, v[_MIDDLE], scale, data, writing)
+    place = _SHAPE + (1 << scale)
+    v[_SMALLEST], low, span, at = code_tree(low, span, at, chances, place, v[_SMALLEST], scale, data, writing)
+    return low, span, at
+
+
+@njit(forceinline=True, **OPTIONS)
+def _code_top(low, span, at, chances, fields, expected, top, data, writing):
+    """Write or read the largest scale, by the expected one if that is not -1; return it and the state."""
+    scale, whole = fields.scale, _SHAPE + (2 << fields.scale)
+    other = (1 << STEPS) - 1
+    if expected >= 0:
+        off = top - expected + BELOW
+        off = off if 0 <= off < other else other
+        place = whole + (1 << scale)
+        off, low, span, at = code_tree(low, span, at, chances, place, off, STEPS, data, writing)
+        if off != other:
+            return (expected + off - BELOW) & ((1 << scale) - 1), low, span, at
+    return code_tree(low, span, at, chances, whole, top, scale, data, writing)
+
+
+@njit(**OPTIONS)
+def code(words, terms, low_bits, rows, fields, data, writing):
+    """Write the records of a part as words of 32 bits, or read them from there.
+
+    Args:
+        words: (G, 2) uint64, the records.
+        terms: (G,) uint8, number of terms of each.
+        low_bits: (G, 3) uint16, the bits of places below the octree, which stand apart.
+        rows: Rows of the chunks of the part, G Gaussians in all.
+        fields: Layout of the records.
+        data: (W,) uint32, the words; enough when writing.
+        writing: Whether to write `data` and `low_bits`, or else `words` and `terms`.
+
+    Returns:
+        The number of words; -1 if reading found others than were written.
+    """
+    scale, rotation = fields.scale, fields.rotation
+    rotations = _SHAPE + (3 << scale) + (1 << STEPS)
+    colors = rotations + (3 << rotation)
+    paths = colors + 256 * (1 + _CONTEXTS)
+    counts = paths + DEPTH * _GRADES * _GRADES
+    chances, nodes = np.full(counts + 256 * 10, START, np.uint32), np.full((1 << DEPTH, 3), -1, np.int64)
+    v, i, count, most = np.zeros(_FIELDS, np.int64), 0, np.int64(0), (1 << fields.counts) - 1
+    color, bits = v[_COLOR : _COLOR + 4], np.zeros(2, np.uint64)
+    low, span, at = begin(data, writing)
+    for row in range(len(rows.counts)):
+        stride, least, strength = rows.strides[row], rows.lows[row], np.int64(0)
+        for place in range(rows.counts[row]):
+            before, few = v[_ORDER], min(count, 9, most)
+            if writing:
+                _take_record(words, i, fields, v, low_bits)
+                count = np.int64(terms[i])
+            low, span, at = _code_shape(low, span, at, chances, fields, before, v, data, writing)
+            strong = weight(v[_MIDDLE], v[_SMALLEST], v[_OPACITY], stride, fields.logs, fields.sums)
+            expected = np.int64(-1)
+            if place:
+                expected = min(max((((strength - strong) >> 1) - least) // stride, 0), (1 << scale) - 1)
+            v[_TOP], low, span, at = _code_top(low, span, at, chances, fields, expected, v[_TOP], data, writing)
+            strength = 2 * (least + v[_TOP] * stride) + strong
+            for k in range(_ROTATION, _ROTATION + 3):
+                tree = rotations + ((k - _ROTATION) << rotation)
+                v[k], low, span, at = code_tree(low, span, at, chances, tree, v[k], rotation, data, writing)
+            low, span, at = _code_color(low, span, at, chances, colors, color, fields.colors, data, writing)
+            v[_PATH], low, span, at = _code_path(low, span, at, chances, paths, v[_PATH], nodes, row, data, writing)
+            tree = counts + 256 * few
+            count, low, span, at = code_tree(low, span, at, chances, tree, count, fields.counts, data, writing)
+            if not writing:
+                _put_record(words, i, fields, v, low_bits, bits)
+                terms[i] = np.uint8(count)
+            i += 1
+    return end(low, at, data, writing)
+
+
+@njit(**OPTIONS)
+def pack(values, bits, out):
+    """Write the low bits of values as one string of bits, lowest first; `out` is of uint8 zeros."""
+    at = 0
+    for i in range(len(values)):
+        value, left = np.int64(values[i]), bits
+        while left > 0:
+            free = 8 - (at & 7)
+            out[at >> 3] |= np.uint8((value << (at & 7)) & 255)
+            used = min(free, left)
+            value, left, at = value >> used, left - used, at + used
+
+
+@njit(**OPTIONS)
+def unpack(data, bits, out):
+    """Write the values that `pack` packed; `data` has enough bytes."""
+    at = 0
+    for i in range(len(out)):
+        value, have = np.int64(0), 0
+        while have < bits:
+            used = min(8 - (at & 7), bits - have)
+            value |= (np.int64(data[at >> 3]) >> (at & 7) & ((1 << used) - 1)) << have
+            have, at = have + used, at + used
+        out[i] = value

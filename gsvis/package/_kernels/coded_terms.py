@@ -1,0 +1,118 @@
+"""Kernel of coded terms: one function writes and reads the terms of a part, field by field.
+
+One intensity leads: the second of three, or the only one. The others are coded as differences from it. Fields of more
+than eight bits are coded in two halves. All arithmetic is of integers.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from gsvis.package._kernels.adaptive import OPTIONS, START, begin, code_tree, end
+
+_CONTEXTS = 1 + 9 + 8 + 9 + 8 + 16 + 13
+
+
+class TermFields(NamedTuple):
+    """Bits of the fields of a term; `others` is whether there are three intensities."""
+
+    function: int
+    polar: int
+    azimuth: int
+    decay: int
+    intensity: int
+    others: bool
+
+
+@njit(inline="always")
+def _upper(value, bits, most):
+    """Return the upper bits of a value of so many bits, `most` of them."""
+    return value >> (bits - most) if bits > most else value << (most - bits)
+
+
+@njit(inline="always")
+def _near(value, bits):
+    """Return a difference, which is modulo 2^bits, cut to -6 to 6, plus 6; of its upper six bits if it has more."""
+    if bits > 6:
+        value, bits = value >> (bits - 6), 6
+    if value >> (bits - 1):
+        value -= 1 << bits
+    return min(max(value, -6), 6) + 6
+
+
+@njit(forceinline=True, **OPTIONS)
+def _code_field(low, span, at, chances, context, value, bits, data, writing):
+    """Write or read a field of 0 to 16 bits in a context; return it and the state."""
+    rest, start = max(bits - 8, 0), context * 512
+    upper, low, span, at = code_tree(low, span, at, chances, start, value >> rest, bits - rest, data, writing)
+    if rest == 0:
+        return upper, low, span, at
+    lower, low, span, at = code_tree(
+        low, span, at, chances, start + 256, value & ((1 << rest) - 1), rest, data, writing
+    )
+    return upper << rest | lower, low, span, at
+
+
+@njit(**OPTIONS)
+def code(records, firsts, fields, data, writing):
+    """Write the terms of a part as words of 32 bits, or read them from there.
+
+    Args:
+        records: (M, B) uint8, the terms.
+        firsts: (M,) bool, whether a term is the first of its Gaussian.
+        fields: Bits of the fields.
+        data: (W,) uint32, the words; enough when writing.
+        writing: Whether to write `data`, or else `records`.
+
+    Returns:
+        The number of words; -1 if reading found others than were written.
+    """
+    f, p, a, d, n = fields.function, fields.polar, fields.azimuth, fields.decay, fields.intensity
+    mask, width = (np.int64(1) << n) - 1, records.shape[1]
+    leads, decays, polars, azimuths, others, lasts = 1, 10, 18, 27, 35, 51
+    chances = np.full(512 * _CONTEXTS, START, np.uint32)
+    low, span, at = begin(data, writing)
+    function, polar, azimuth, decay = np.int64(0), np.int64(0), np.int64(0), np.int64(0)
+    first, lead, last, of_before = np.int64(0), np.int64(0), np.int64(0), np.int64(0)
+    for i in range(len(records)):
+        if writing:
+            word = np.uint64(0)
+            for k in range(width):
+                word |= np.uint64(records[i, k]) << np.uint64(8 * k)
+            function = np.int64(word & np.uint64((1 << f) - 1))
+            polar = np.int64(word >> np.uint64(f)) & ((1 << p) - 1)
+            azimuth = np.int64(word >> np.uint64(f + p)) & ((1 << a) - 1)
+            decay = np.int64(word >> np.uint64(f + p + a)) & ((1 << d) - 1)
+            first = np.int64(word >> np.uint64(f + p + a + d)) & mask
+            lead = np.int64(word >> np.uint64(f + p + a + d + n)) & mask if fields.others else first
+            last = np.int64(word >> np.uint64(f + p + a + d + 2 * n)) & mask if fields.others else np.int64(0)
+        context = leads if firsts[i] else leads + 1 + of_before
+        of_polar = polars if firsts[i] else polars + 1 + of_before
+        function, low, span, at = _code_field(low, span, at, chances, 0, function, f, data, writing)
+        lead, low, span, at = _code_field(low, span, at, chances, context, lead, n, data, writing)
+        of_before = _upper(lead, n, 3)
+        decay, low, span, at = _code_field(low, span, at, chances, decays + of_before, decay, d, data, writing)
+        polar, low, span, at = _code_field(low, span, at, chances, of_polar, polar, p, data, writing)
+        context = azimuths + _upper(polar, p, 3)
+        azimuth, low, span, at = _code_field(low, span, at, chances, context, azimuth, a, data, writing)
+        if fields.others:
+            other, context = (first - lead) & mask, others + _upper(lead, n, 4)
+            other, low, span, at = _code_field(low, span, at, chances, context, other, n, data, writing)
+            first, context = (other + lead) & mask, lasts + _near(other, n)
+            other, low, span, at = _code_field(low, span, at, chances, context, (last - lead) & mask, n, data, writing)
+            last = (other + lead) & mask
+        if not writing:
+            word = np.uint64(function) | np.uint64(polar) << np.uint64(f) | np.uint64(azimuth) << np.uint64(f + p)
+            word |= np.uint64(decay) << np.uint64(f + p + a)
+            if fields.others:
+                word |= np.uint64(first) << np.uint64(f + p + a + d)
+                word |= np.uint64(lead) << np.uint64(f + p + a + d + n)
+                word |= np.uint64(last) << np.uint64(f + p + a + d + 2 * n)
+            else:
+                word |= np.uint64(lead) << np.uint64(f + p + a + d)
+            for k in range(width):
+                records[i, k] = np.uint8((word >> np.uint64(8 * k)) & np.uint64(255))
+    return end(low, at, data, writing)

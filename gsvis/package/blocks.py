@@ -1,0 +1,146 @@
+"""Write and read the blocks of a package: records of Gaussians and of their terms, as parts.
+
+Parts are coded since version 3 of the format. Those of version 2 have each byte of the records as an Arrow column.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.errors import FormatError
+from gsvis.files.limits import DAMAGED, Budget
+from gsvis.package.codec import ChunkTable
+from gsvis.package.coded import decode_gaussians, decode_terms, encode_gaussians, encode_terms, memory_of
+from gsvis.package.contents import Contents
+from gsvis.package.layout import RECORD_BYTES, RecordLayout, TermLayout
+from gsvis.package.manifest import Block, Manifest
+from gsvis.package.parts import MOST_BYTES, PartFolder
+from gsvis.progress import Progress
+
+__all__ = ["Rows", "read_blocks", "write_blocks"]
+
+U8 = NDArray[np.uint8]
+Rows = tuple[U8, U8, U8]
+"""The records (M, 16), the terms (T, B) and the numbers of terms (M,) of a block."""
+
+
+def write_blocks(parts: PartFolder, contents: Contents, progress: Progress) -> Iterator[Block]:
+    """Write the blocks of a scene, and yield them.
+
+    Args:
+        parts: The folder.
+        contents: The scene.
+        progress: Called with stage "package", in blocks.
+    """
+    total, width = len(contents.starts) - 1, max(1, contents.term_records.shape[1])
+    of_terms, rows, chunks = TermLayout.from_grids(contents.grids), MOST_BYTES // width, contents.table.starts
+    progress("package", 0, total)
+    for k in range(total):
+        some = slice(int(contents.starts[k]), int(contents.starts[k + 1]))
+        counts = contents.term_counts[some]
+        table = contents.table[slice(*np.searchsorted(chunks, [some.start, some.stop]).tolist())]
+        gaussians = parts.write_bytes(encode_gaussians(contents.records[some], counts, table, contents.layout))
+        low, high = contents.term_offsets[[some.start, some.stop]].tolist()
+        firsts, terms = _firsts(counts), []
+        for start in range(low, high, rows):
+            end = min(start + rows, high)
+            data = encode_terms(contents.term_records[start:end], firsts[start - low : end - low], of_terms)
+            terms.append((parts.write_bytes(data), end - start))
+        yield Block(gaussians, tuple(terms), some.stop - some.start, high - low)
+        progress("package", k + 1, total)
+
+
+def read_blocks(
+    parts: PartFolder, manifest: Manifest, table: ChunkTable, starts: NDArray[np.int64], budget: Budget
+) -> list[Rows]:
+    """Return the records of all blocks, in order.
+
+    Args:
+        parts: The folder.
+        manifest: The manifest.
+        table: Rows of all chunks.
+        starts: (B + 1,) first Gaussian of each block, and N.
+        budget: Memory budget to claim from.
+
+    Raises:
+        FormatError: If a part is missing, damaged, or does not fit the others.
+    """
+    layout, coded = TermLayout.from_grids(manifest.grids), manifest.version > 2
+    for block in manifest.blocks if coded else ():
+        budget.claim(memory_of(block.count, block.num_terms, layout.nbytes), "manifest")
+    if int(table.starts[-1]) != manifest.gaussians:
+        got = f"{int(table.starts[-1]):,}"
+        raise FormatError(parts.folder, "chunks", f"{manifest.gaussians:,} Gaussians", got, DAMAGED)
+    if not coded:
+        return [_read_columns(parts, block, (RECORD_BYTES, layout.nbytes), budget) for block in manifest.blocks]
+    heads = np.searchsorted(table.starts, starts)
+    if not np.array_equal(table.starts[heads], starts):
+        raise FormatError(parts.folder, "chunks", "chunks that end where blocks end", "others", DAMAGED)
+    of_records = RecordLayout.from_variant(manifest.grids.variant)
+
+    def read(k: int) -> Rows:
+        block, rows = manifest.blocks[k], table[slice(int(heads[k]), int(heads[k + 1]))]
+        return _read_coded(parts, block, rows, of_records, layout)
+
+    with ThreadPoolExecutor(max(1, min(8, os.cpu_count() or 1))) as pool:  # kernels run without the GIL
+        return list(pool.map(read, range(len(manifest.blocks))))
+
+
+def _read_coded(
+    parts: PartFolder, block: Block, table: ChunkTable, of_records: RecordLayout, of_terms: TermLayout
+) -> Rows:
+    try:
+        part = block.gaussians
+        records, counts = decode_gaussians(parts.content_of(part), block.count, table, of_records)
+        _check_terms(parts, block, counts)
+        firsts, pieces, low = _firsts(counts), [np.zeros((0, of_terms.nbytes), np.uint8)], 0
+        for part, count in block.terms:
+            pieces.append(decode_terms(parts.content_of(part), firsts[low : low + count], of_terms))
+            low += count
+    except FormatError:
+        raise
+    except ValueError as error:
+        raise FormatError(parts.folder / part.name, "", "a coded part", str(error), DAMAGED) from error
+    return records, np.concatenate(pieces), counts
+
+
+def _read_columns(parts: PartFolder, block: Block, widths: tuple[int, int], budget: Budget) -> Rows:
+    """Return a block of version 2."""
+    wide, narrow = widths
+    types: dict[str, type[np.generic]] = {**{f"r{k}": np.uint8 for k in range(wide)}, "terms": np.uint8}
+    columns = parts.read_columns(block.gaussians, "gaussians", types, block.count, budget)
+    counts: U8 = columns["terms"]
+    _check_terms(parts, block, counts)
+    pieces = [np.zeros((0, narrow), np.uint8)]
+    for part, count in block.terms:
+        read = parts.read_columns(part, "terms", {f"t{b}": np.uint8 for b in range(narrow)}, count, budget)
+        pieces.append(_stack(read, "t", narrow))
+    return _stack(columns, "r", wide), np.concatenate(pieces), counts
+
+
+def _check_terms(parts: PartFolder, block: Block, counts: U8) -> None:
+    """Raise unless a block has as many terms as its Gaussians and its parts have."""
+    found, listed = int(counts.sum(dtype=np.int64)), sum(count for _, count in block.terms)
+    if found != block.num_terms or listed != block.num_terms:
+        path, got = parts.folder / block.gaussians.name, f"{found:,}, and {listed:,} in parts"
+        raise FormatError(path, "terms", f"{block.num_terms:,} terms", got, DAMAGED)
+
+
+def _firsts(counts: U8) -> NDArray[np.bool_]:
+    """Return (T,) whether each term is the first of its Gaussian, from the (M,) numbers of terms."""
+    ends = np.cumsum(counts, dtype=np.int64)
+    firsts = np.zeros(int(ends[-1]) if len(ends) else 0, np.bool_)
+    firsts[(ends - counts)[counts > 0]] = True
+    return firsts
+
+
+def _stack(columns: dict[str, Any], letter: str, width: int) -> U8:
+    if width == 0:
+        return np.zeros((len(next(iter(columns.values()))), 0), np.uint8)
+    return np.stack([columns[f"{letter}{k}"] for k in range(width)], axis=1)

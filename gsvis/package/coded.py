@@ -1,0 +1,149 @@
+"""Encode the records and the terms of a part as bytes, and decode them; docs/design/049 has the measurements.
+
+A part has a head of 16 bytes: "GSVc", the version of the code, the kind (0 Gaussians, 1 terms), the bits of a number of
+terms, a zero, how many rows it has, and how many words of the coder follow. After the words of a part of Gaussians
+stand the lower bits of places. Probabilities begin anew in every part, so parts depend on nothing but the rows of their
+chunks. This module knows no file.
+"""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis._kernels.records import logarithms
+from gsvis.package._kernels import coded_records, coded_terms
+from gsvis.package.codec import ChunkTable
+from gsvis.package.layout import RECORD_BYTES, RecordLayout, TermLayout
+
+__all__ = ["decode_gaussians", "decode_terms", "encode_gaussians", "encode_terms", "memory_of"]
+
+U8 = NDArray[np.uint8]
+U32 = NDArray[np.uint32]
+
+_HEAD = struct.Struct("<4sBBBBII")
+_MAGIC, _VERSION = b"GSVc", 1
+_GAUSSIANS, _TERMS = 0, 1
+_LEVELS = coded_records.DEPTH // 3
+
+
+def memory_of(gaussians: int, terms: int, width: int) -> int:
+    """Return the bytes of memory that decoded Gaussians and terms of so many bytes take."""
+    return gaussians * (RECORD_BYTES + 1 + 6) + terms * (width + 1)
+
+
+def encode_gaussians(records: U8, counts: U8, table: ChunkTable, layout: RecordLayout) -> bytes:
+    """Return the bytes of a part.
+
+    Args:
+        records: (G, 16) uint8; bits that the layout gives no meaning are 0.
+        counts: (G,) uint8, number of terms of each.
+        table: Rows of their chunks.
+        layout: Layout of the records.
+    """
+    low, bits = np.zeros((len(records), 3), np.uint16), layout.position - _LEVELS
+    pairs = np.ascontiguousarray(records).view("<u8").reshape(-1, 2)
+    words = np.zeros(64 * len(records) + 8, np.uint32)
+    count_bits = int(counts.max(initial=0)).bit_length()
+    rows, fields = _rows(table), _fields(layout, count_bits)
+    used = coded_records.code(pairs, np.ascontiguousarray(counts), low, rows, fields, words, True)
+    packed = np.zeros(_low_bytes(len(records), bits), np.uint8)
+    coded_records.pack(low.reshape(-1), bits, packed)
+    return _joined(_GAUSSIANS, count_bits, words[:used], len(records)) + packed.tobytes()
+
+
+def decode_gaussians(data: bytes, count: int, table: ChunkTable, layout: RecordLayout) -> tuple[U8, U8]:
+    """Return the (G, 16) records and the (G,) numbers of terms of a part; any result can be drawn.
+
+    Args:
+        data: Bytes of the part.
+        count: G.
+        table: Rows of the chunks of the part.
+        layout: Layout of the records.
+
+    Raises:
+        ValueError: If the bytes are no such part, or have another number of Gaussians.
+    """
+    bits = layout.position - _LEVELS
+    words, rest, count_bits = _split(data, _GAUSSIANS, count)
+    if len(rest) != _low_bytes(count, bits) or int(table.counts.sum(dtype=np.int64)) != count:
+        raise ValueError(f"expected the places of {count:,} Gaussians, got {len(rest):,} bytes")
+    low, pairs = np.empty((count, 3), np.uint16), np.empty((count, 2), np.uint64)
+    coded_records.unpack(rest, bits, low.reshape(-1))
+    counts = np.empty(count, np.uint8)
+    if coded_records.code(pairs, counts, low, _rows(table), _fields(layout, count_bits), words, False) != len(words):
+        raise ValueError(f"expected {count:,} Gaussians in {len(words):,} words, got others")
+    return pairs.astype("<u8", copy=False).view(np.uint8).reshape(-1, RECORD_BYTES), counts
+
+
+def encode_terms(records: U8, firsts: NDArray[np.bool_], layout: TermLayout) -> bytes:
+    """Return the bytes of a part.
+
+    Args:
+        records: (M, B) uint8.
+        firsts: (M,) whether each is the first term of its Gaussian.
+        layout: Layout of the terms.
+    """
+    words = np.zeros(32 * len(records) + 8, np.uint32)
+    used = coded_terms.code(np.ascontiguousarray(records), firsts, _term_fields(layout), words, True)
+    return _joined(_TERMS, 0, words[:used], len(records))
+
+
+def decode_terms(data: bytes, firsts: NDArray[np.bool_], layout: TermLayout) -> U8:
+    """Return the (M, B) records of the terms of a part; any result can be drawn.
+
+    Args:
+        data: Bytes of the part.
+        firsts: (M,) whether each is the first term of its Gaussian.
+        layout: Layout of the terms.
+
+    Raises:
+        ValueError: If the bytes are no such part, or have another number of terms.
+    """
+    words, rest, _ = _split(data, _TERMS, len(firsts))
+    out = np.empty((len(firsts), layout.nbytes), np.uint8)
+    if len(rest) or coded_terms.code(out, firsts, _term_fields(layout), words, False) != len(words):
+        raise ValueError(f"expected {len(firsts):,} terms in {len(words):,} words, got others")
+    return out
+
+
+def _joined(kind: int, count_bits: int, words: U32, count: int) -> bytes:
+    return _HEAD.pack(_MAGIC, _VERSION, kind, count_bits, 0, count, len(words)) + words.astype("<u4").tobytes()
+
+
+def _split(data: bytes, kind: int, count: int) -> tuple[U32, U8, int]:
+    """Return the words of a part, the bytes after them, and the bits of a number of terms.
+
+    Raises:
+        ValueError: If the head is another one, or states more words than there are.
+    """
+    if len(data) < _HEAD.size:
+        raise ValueError(f"expected a head of {_HEAD.size} bytes, got {len(data)}")
+    magic, version, found, count_bits, zero, rows, words = _HEAD.unpack_from(data)
+    if (magic, version, found, zero) != (_MAGIC, _VERSION, kind, 0) or count_bits > 8 * (kind == _GAUSSIANS):
+        raise ValueError(f"expected a part of kind {kind}, version {_VERSION}, got {data[:8]!r}")
+    end = _HEAD.size + 4 * words
+    if rows != count or end > len(data):
+        raise ValueError(f"expected {count:,} rows and at most {len(data):,} bytes, got {rows:,} and {end:,}")
+    content = np.frombuffer(data, "<u4", words, _HEAD.size).astype(np.uint32)
+    return content, np.frombuffer(data, np.uint8, offset=end), count_bits
+
+
+def _low_bytes(count: int, bits: int) -> int:
+    return -(-3 * count * bits // 8)
+
+
+def _rows(table: ChunkTable) -> coded_records.Rows:
+    return coded_records.Rows(*(column.astype(np.int64) for column in (table.lows, table.strides, table.counts)))
+
+
+def _fields(layout: RecordLayout, count_bits: int) -> coded_records.Fields:
+    return coded_records.Fields(*layout.bits, layout.packed_from - 1, count_bits, *logarithms())
+
+
+def _term_fields(layout: TermLayout) -> coded_terms.TermFields:
+    return coded_terms.TermFields(
+        layout.function, layout.theta, layout.phi, layout.decay, layout.intensity, layout.intensities == 3
+    )

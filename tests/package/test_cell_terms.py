@@ -1,0 +1,57 @@
+"""The terms that cells need are found anew as lists held them, and packages of version 2 are read."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsvis.export.static import write_static
+from gsvis.package import Contents, Package
+from gsvis.package.active_terms import ActiveTerms
+from tests.package.worlds import EPSILON, colors_of, levels_of, lists_of
+from tests.stream.worlds import package_of
+
+OLD = Path(__file__).parent / "data" / "version2.zip"
+
+
+@pytest.fixture
+def old(tmp_path: Path) -> Path:
+    """The folder of a package of version 2: 120 Gaussians, 9 cells, with lists of active terms."""
+    with zipfile.ZipFile(OLD) as archive:
+        archive.extractall(tmp_path / "old")
+    return tmp_path / "old"
+
+
+def test_cells_need_the_terms_that_lists_of_the_same_scene_hold(tmp_path: Path) -> None:
+    with package_of(tmp_path / "p", 300) as package:
+        levels, colors = package.contents.levels(), package.contents.colors().dequantize()
+        with ActiveTerms.open(lists_of(tmp_path / "s", levels, colors)) as lists:
+            assert len(lists) == len(package.active_terms) == 9
+            for cell in range(9):
+                assert np.array_equal(lists.active_ids(cell), package.active_terms.active_ids(cell))
+
+
+def test_a_package_of_version_2_is_read(old: Path) -> None:
+    with Package.open(old) as package:
+        found = package.verify()
+        assert (found.gaussians, found.cells, found.strays) == (120, 9, 0)
+        assert package.manifest.version == 2
+        assert package.manifest.sizes()["active_terms"] > 0
+        assert package.epsilon == EPSILON
+        made = Contents.from_levels(levels_of(120), colors_of(120)[1])
+        for name in ("records", "term_counts", "term_records", "chunk_levels"):
+            assert np.array_equal(getattr(package.contents, name), getattr(made, name))
+
+
+def test_a_static_scene_of_version_2_has_the_same_bytes(old: Path, tmp_path: Path) -> None:
+    """The lists of version 2 were made before rounding; no term of this scene is that near to epsilon."""
+    with Package.open(old) as package:
+        lists = ActiveTerms.open(package._join(package.manifest.active_terms, "lists.arrow"))
+        write_static(tmp_path / "found", package)
+        package.active_terms = lists  # type: ignore[assignment]
+        write_static(tmp_path / "listed", package)
+    names = sorted(p.relative_to(tmp_path / "found") for p in (tmp_path / "found").rglob("*") if p.is_file())
+    assert [p for p in names if (tmp_path / "found" / p).read_bytes() != (tmp_path / "listed" / p).read_bytes()] == []
