@@ -388,14 +388,19 @@ def _word_means(values: NDArray[Any], words: int) -> F32:
 def _links(index: SceneIndex) -> plan.Links:
     """Return which Gaussians replace which."""
     ending = np.flatnonzero(np.diff(index.replacement_offsets)).astype(np.int32)
+    starts = np.append(index.replacement_offsets[ending], len(index.replacement_ids))
     offsets, owners = index.replaced
     ranks = np.searchsorted(ending, owners).astype(np.int32)
-    only = np.full(len(index), plan.SEVERAL, np.int32)
+    areas = np.maximum(index.areas.astype(np.float64), 1e-30)
+    every = np.add.reduceat(areas[index.replacement_ids], starts[:-1]) if len(ending) else np.zeros(0)
     counts = np.diff(offsets)
-    only[counts == 0], only[counts == 1] = -1, ranks[offsets[:-1][counts == 1]]
+    units = np.ceil(plan.UNITS * np.repeat(areas, counts) / every[ranks]).astype(np.int32)
+    only, only_units = np.full(len(index), plan.SEVERAL, np.int32), np.zeros(len(index), np.int32)
+    one = counts == 1
+    only[counts == 0], only[one], only_units[one] = -1, ranks[offsets[:-1][one]], units[offsets[:-1][one]]
     return plan.Links(
-        only=only, offsets=offsets, ranks=ranks, ending=ending, ids=index.replacement_ids,
-        starts=np.append(index.replacement_offsets[ending], len(index.replacement_ids)),
+        only=only, offsets=offsets, ranks=ranks, units=units, only_units=only_units, ending=ending, starts=starts,
+        ids=index.replacement_ids,
     )  # fmt: skip
 
 

@@ -399,13 +399,14 @@ class Planner:
     def _enter(self, here: Candidates, cell_ahead: int) -> None:
         """Switch to the units of a cell, from another cell or from filling."""
         before, self._here = self._near, here
-        if before is None or before[0] is not here:
+        is_new = before is None or before[0] is not here
+        if is_new:
             self._filled, self._shells = _SHELLS, []
+        if is_new or self._stage >= _SHELLS:
+            self._waits[:] = kernels.UNKNOWN  # other candidates
         shells = 0 if self._complete else self.candidates.num_shells(here.cell)
         self._stages = _SHELLS + shells if self.config.fill else _AROUND
         if before is not None and before[0] is here and before[1] == cell_ahead:
-            if self._stage >= _SHELLS:
-                self._waits[:] = kernels.UNKNOWN
             self._cell, self._stage = before[2], _NEEDS
             return
         if cell_ahead == here.cell:
@@ -419,7 +420,6 @@ class Planner:
 
     def _cell_for(self, here: Candidates, owing: Words, active: Words) -> kernels.Cell:
         """Return candidates as this client sees them."""
-        self._waits[:] = kernels.UNKNOWN
         owed, held = owing.copy(), self.holdings.words.terms
         if held.any():
             forget_paid(here.words, active, held, self.candidates.index.term_offsets, owed)

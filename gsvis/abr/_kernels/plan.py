@@ -19,6 +19,7 @@ _OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"
 _SAMPLE, _SPARE = 16, 1.5
 NEVER = 1 << 30  # the key of what is never sent
 UNKNOWN, DONE = -1, -2  # in `Cell.waits`: to be checked; replaced
+UNITS = 1 << 24  # of area, of all replacements of a Gaussian
 SEVERAL = -2  # in `Links.only`
 
 
@@ -35,7 +36,7 @@ class Cell(NamedTuple):
     ahead: Any  # (S,) uint64, what the cell sees that the viewer is about to enter
     checked: Any  # (S,) uint64, Gaussians that owe only terms which are not active for the eye
     checked_at: Any  # (S,) float32, `View.travelled` when the first of them were checked
-    waits: Any  # (E,) int32, a replacement that each waits for; -2 - k if it waits for any k of them
+    waits: Any  # (E,) int32, units of area that have to arrive before each is checked again
     share: Any  # of the area of its replacements that must be held before a Gaussian is dropped
 
 
@@ -94,6 +95,8 @@ class Links(NamedTuple):
     only: Any  # (N,) number, in [0, E), of the one that each replaces; -1 for none, `SEVERAL` for more
     offsets: Any  # (N + 1,) into `ranks`
     ranks: Any  # numbers of all that each replaces
+    units: Any  # int32 for each of `ranks`: area of the Gaussian in `UNITS` of what it replaces, rounded up
+    only_units: Any  # (N,) int32, the same for `only`; 0 for none and for more
     ending: Any  # (E,) ids of the replaced
     starts: Any  # (E + 1,) into `ids`
     ids: Any  # replacements of each
