@@ -232,13 +232,13 @@ class Session:
         fresh = np.empty(min(len(gaussians), len(scene.chunk_rows)), np.int32)
         chunks = fresh[: kernels.first_times(gaussians, contents.chunks, self._has_row, fresh)]
         owners, coding = scene.owners[terms], self.scene.coding
-        records, of = _gather(contents.records, gaussians), contents.chunks[gaussians]
+        of = contents.chunks[gaussians]
         sections = Sections(
             sequence=self._sequence,
             chunks=self._starts[chunks],
             rows=scene.chunk_rows[chunks],
             gaussians=gaussians,
-            records=coding.encode_records(records, gaussians.astype(np.int64), of, scene.chunk_numbers),
+            records=coding.encode_some(scene.parts, gaussians, of, scene.chunk_numbers),
             terms=terms,
             owners=owners,
             term_records=coding.encode_terms(_gather(contents.term_records, terms), owners),
