@@ -149,7 +149,7 @@ class Planner:
         """Whether the next batch only fills an idle link; False if a pose came after the last batch."""
         if self._here is None or self._fresh:
             return False
-        return (self._stage > _DETAILS or (self._stage == _DETAILS and self._is_used_up)) and not self.done
+        return (self._stage > _DETAILS or (self._is_used_up and self._next_stage > _DETAILS)) and not self.done
 
     @property
     def _is_used_up(self) -> bool:
@@ -157,7 +157,9 @@ class Planner:
 
     @property
     def _next_stage(self) -> int:
-        return self._stage + 1 if self._stage < _AROUND else max(self._filled, self._stage + 1)
+        if self._stage < _AROUND and self.candidates.index.num_terms:
+            return self._stage + 1
+        return max(self._filled, self._stage + 1)
 
     def on_pose(self, t: float, position: ArrayLike, quat: ArrayLike) -> None:
         """Update the pose of the client at time t; ignore one that is older than the last.

@@ -100,6 +100,8 @@ class Links(NamedTuple):
     ending: Any  # (E,) ids of the replaced
     starts: Any  # (E + 1,) into `ids`
     ids: Any  # replacements of each
+    areas: Any  # float32 for each of `ids`, above 0
+    every: Any  # (E,) float64, sum of these areas for each
 
 
 class Taken(NamedTuple):

@@ -129,7 +129,7 @@ def take(plan, place, cell, held, view, records, links, budget, out):
                 if e >= 0 and waits[e] > 0:
                     waits[e] = _less(waits[e], only_units[g])
                 if e == SEVERAL or (e >= 0 and waits[e] == UNKNOWN):
-                    dropped = _drop_replaced(g, held, cell, links, areas, out, dropped)
+                    dropped = _drop_replaced(g, held, cell, links, out, dropped)
                     rest &= ~gone[w]
                 continue
             start, stop, kept_back = term_offsets[g], term_offsets[g + 1], False
@@ -162,7 +162,7 @@ def take(plan, place, cell, held, view, records, links, budget, out):
 
 
 @njit(**_OPTIONS)
-def _drop_replaced(g, held, cell, links, areas, out, dropped):
+def _drop_replaced(g, held, cell, links, out, dropped):
     """Mark as gone what g replaces, where enough of the other replacements is held or cannot be seen from the cell.
 
     Enough is a share of their area, `Cell.share`. A Gaussian that is gone counts as held, so what it was to replace is
@@ -171,7 +171,8 @@ def _drop_replaced(g, held, cell, links, areas, out, dropped):
     """
     gaussians, gone, candidates, waits = held.gaussians, held.gone, cell.candidates, cell.waits
     offsets, ranks, ending, starts, ids = links.offsets, links.ranks, links.ending, links.starts, links.ids
-    queue, out_dropped, spare, units = out.queue, out.dropped, 1.0 - cell.share, links.units
+    queue, out_dropped, spare, one = out.queue, out.dropped, 1.0 - cell.share, np.uint64(1)
+    units, sizes, every = links.units, links.areas, links.every
     waiting, done, y = 0, 0, g
     while True:
         for k in range(offsets[y], offsets[y + 1]):
@@ -184,17 +185,14 @@ def _drop_replaced(g, held, cell, links, areas, out, dropped):
             if has(gone, x):
                 waits[e] = DONE
                 continue
-            every, total, missing = 0.0, 0.0, 0.0
+            total, missing = 0.0, 0.0
             for m in range(starts[e], starts[e + 1]):
-                h = np.int64(ids[m])
-                area = max(np.float64(areas[h]), 1e-30)
-                every += area
-                if has(candidates, h):
-                    total += area
-                    if not has(gaussians, h) and not has(gone, h):
-                        missing += area
+                w, bit = ids[m] >> 6, np.uint64(ids[m] & 63)
+                counts, lacks = candidates[w], candidates[w] & ~(gaussians[w] | gone[w])
+                total += np.float64((counts >> bit) & one) * sizes[m]
+                missing += np.float64((lacks >> bit) & one) * sizes[m]
             if missing > spare * total:
-                waits[e] = max(np.int64((missing - spare * total) / every * UNITS) - 1, 1)
+                waits[e] = max(np.int64((missing - spare * total) / every[e] * UNITS) - 1, 1)
                 continue
             waits[e] = DONE
             _put(gone, x)
