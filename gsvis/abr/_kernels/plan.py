@@ -269,25 +269,24 @@ def _choose(units, runs, ahead, table, limit, work):
     masks, codes, buckets, chosen = units.masks, units.codes, work.buckets, work.chosen
     starts, run_slots = runs
     free, due, sides, own = work.free, work.due, work.sides, len(table) // 4
-    filled, every = 0, True
+    keys, filled, skipped = table.reshape(-1), 0, False
     for r in range(len(run_slots)):
         s = run_slots[r]
         rest, fresh = free[s] | due[s], free[s]
         if not rest:
             continue
-        before = filled
-        for u in range(starts[r], starts[r + 1]):
-            near = sides[s] != 0 if codes[u] < own else masks[u] & ahead[s] != 0
-            kind, side = GEOMETRY if masks[u] & fresh else TERMS, INSIDE if near else OUTSIDE
-            key = table[codes[u], kind, side] + buckets[u]
-            if key < limit:
-                chosen[filled] = u
-                filled += 1 if masks[u] & rest else 0
-            elif every and key < NEVER and masks[u] & rest:
-                every = False
+        before, in_view, others = filled, sides[s] != 0, ahead[s]
+        for u in range(starts[r], starts[r + 1]):  # without branches: half of the units are chosen
+            code, mask = codes[u], masks[u]
+            near = in_view if code < own else (mask & others) != 0
+            kind, side = GEOMETRY if mask & fresh else TERMS, INSIDE if near else OUTSIDE
+            key, left = keys[4 * np.int64(code) + 2 * kind + side] + buckets[u], (mask & rest) != 0
+            chosen[filled] = u
+            filled += left & (key < limit)
+            skipped |= left & (key >= limit) & (key < NEVER)
         if sides[s] == 1 and filled > before:
             sides[s] = 3
-    return filled, every
+    return filled, not skipped
 
 
 @njit(**_OPTIONS)
