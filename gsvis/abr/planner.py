@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from gsvis import _check
 from gsvis.abr._kernels import plan as kernels
 from gsvis.abr._kernels.evict import owe_again
-from gsvis.abr._kernels.take import forget_paid, take
+from gsvis.abr._kernels.take import forget_paid, is_left, take
 from gsvis.abr.candidates import CandidateIndex, Candidates
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.config import AbrConfig
@@ -332,13 +332,10 @@ class Planner:
             forget_paid(rest.words, rest.active, held.terms, shared.index.term_offsets, rest.owed)
             rest.candidates[:] = near.union
         s = len(rest.owed)  # all words that have Gaussians; packed sets are longer
-        left = shared.highest[:s] & ~held.gone[:s] & (~held.gaussians[:s] | rest.owed)
-        places = np.flatnonzero(left)
-        left = left[places]
         while self._next_stage < self._stages:
             self._stage = self._filled = self._next_stage
             cells = self._shells[self._stage - _SHELLS]
-            if any((shared.words_of(cell)[places] & left).any() for cell in cells):
+            if any(is_left(shared.words_of(cell), shared.highest, held, rest.owed) for cell in cells):
                 break
         else:
             self._filled = self._stages

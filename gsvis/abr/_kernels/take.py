@@ -29,6 +29,16 @@ def forget_paid(words, active, held, term_offsets, owed):
                 owed[s] = 0
 
 
+@njit(**_OPTIONS)
+def is_left(seen, wanted, held, owed):
+    """Return whether one of the Gaussians in `seen` and `wanted` (W,), not gone, is not held or owes terms (S,)."""
+    gaussians, _, gone = held
+    for w in range(len(owed)):
+        if seen[w] & wanted[w] & ~gone[w] & (~gaussians[w] | owed[w]):
+            return True
+    return False
+
+
 @njit(inline="always")
 def _left(active, held, start, stop):
     """Return whether a bit in [start, stop) is in `active` and not in `held`."""
