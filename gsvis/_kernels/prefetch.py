@@ -12,7 +12,7 @@ from numba.extending import intrinsic
 __all__ = ["prefetch"]
 
 
-@intrinsic  # type: ignore[misc]
+@intrinsic
 def prefetch(typing: Any, array: Any, index: Any) -> Any:
     """Load the line of `array[index]`, one-dimensional and contiguous, into the cache; wait for nothing."""
 

@@ -1,7 +1,7 @@
 """Turns of the clients of one thread: between two of them the event loop looks at all sockets.
 
-Without turns, a loop with fifty busy clients plans for all of them before it reads an acknowledgement. The sessions would
-then measure the server instead of their links.
+Without turns, a loop with fifty busy clients plans for all of them before it reads an acknowledgement. The sessions
+would then measure the server instead of their links.
 """
 
 from __future__ import annotations

@@ -33,10 +33,10 @@ def forget_paid(words, active, held, term_offsets, owed):
 def is_left(seen, wanted, held, owed):
     """Return whether one of the Gaussians in `seen` and `wanted` (W,), not gone, is not held or owes terms (S,)."""
     gaussians, _, gone = held
-    for w in range(len(owed)):
-        if seen[w] & wanted[w] & ~gone[w] & (~gaussians[w] | owed[w]):
-            return True
-    return False
+    w = 0
+    while w < len(owed) and not seen[w] & wanted[w] & ~gone[w] & (~gaussians[w] | owed[w]):
+        w += 1
+    return w < len(owed)
 
 
 @njit(inline="always")
