@@ -7,6 +7,8 @@ for each number of viewers: the rate that reached them, how late the server look
 megabyte. The machine may be busy with other things; CPU seconds count only those of the server, so `viewers by CPU`
 says what a whole core would carry.
 
+With --stay none comes back: then the warm-up and the measurement have to end before the link has carried the scene.
+
 Given: a package, the number of viewers, links of 10 Mbit/s, synthetic walks.
 Measured: rate that reaches the viewers, delay, CPU seconds of the server.
 Defaults chosen on: showroom LOD 3.
@@ -45,9 +47,9 @@ IDLE_S = 0.5  # a viewer that has been sent nothing for so long has all that its
 class Viewer:
     """One viewer behind a link of its own."""
 
-    def __init__(self, url: str, stops: np.ndarray, up: np.ndarray, seed: int) -> None:
+    def __init__(self, url: str, stops: np.ndarray, up: np.ndarray, seed: int, idle_s: float) -> None:
         rng = np.random.default_rng(seed)
-        self._url, self._up, self._turn = url, up, rng.uniform(0.0, 6.28)
+        self._url, self._up, self._turn, self._idle_s = url, up, rng.uniform(0.0, 6.28), idle_s
         apart = np.linalg.norm(stops - stops[rng.integers(len(stops))], axis=1)
         self._stops = stops[np.argsort(apart)[:8]]
         self.bytes, self.opened = 0, 0
@@ -80,7 +82,7 @@ class Viewer:
             self._last = time.monotonic()
             sending = asyncio.create_task(self._send_poses(ws))
             try:
-                while (now := time.monotonic()) < until and now - self._last < IDLE_S:
+                while (now := time.monotonic()) < until and now - self._last < self._idle_s:
                     try:
                         data = await asyncio.wait_for(ws.recv(), 0.25)
                     except asyncio.TimeoutError:
@@ -111,12 +113,14 @@ class Viewer:
             await asyncio.sleep(0.1)
 
 
-async def crowd(url: str, count: int, package: Path, seconds: float, warm: float) -> dict[str, Any]:
+async def crowd(
+    url: str, count: int, package: Path, seconds: float, warm: float, idle_s: float = IDLE_S
+) -> dict[str, Any]:
     """Rates of viewers between the warm-up and the end, and what the server counted in between."""
     with Package.open(package) as opened:
         grid = opened.visibility.grid
         centers, up = grid.centers, grid.up
-    viewers = [Viewer(url, centers, up, seed) for seed in range(count)]
+    viewers = [Viewer(url, centers, up, seed, idle_s) for seed in range(count)]
     begin = time.monotonic()
     running = [asyncio.create_task(viewer.run(begin + warm + seconds)) for viewer in viewers]
     await asyncio.sleep(warm)
@@ -169,7 +173,7 @@ def memory_of(pid: int) -> float:
     return int(Path(f"/proc/{pid}/statm").read_text(encoding="utf-8").split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
-def measured(package: Path, count: int, core: int, seconds: float, warm: float) -> dict[str, Any]:
+def measured(package: Path, count: int, core: int, seconds: float, warm: float, idle_s: float) -> dict[str, Any]:
     """One number of viewers against a fresh server."""
     command = [sys.executable, "-m", "gsvis", "serve", str(package), "--port", "0", "--json"]
     command += ["--clients", "400", "--per-address", "400"]  # all viewers are on this machine
@@ -195,7 +199,7 @@ def measured(package: Path, count: int, core: int, seconds: float, warm: float) 
                 await asyncio.sleep(max(seconds - 0.3, 0.5))
                 marks.append((time.monotonic(), cpu_of(server.pid)))
 
-            found, _ = await asyncio.gather(crowd(url, count, package, seconds, warm), watch())
+            found, _ = await asyncio.gather(crowd(url, count, package, seconds, warm, idle_s), watch())
             return found
 
         found = asyncio.run(both())
@@ -225,12 +229,13 @@ def main() -> None:
     parser.add_argument("--viewers", type=int, nargs="+", default=[10, 25, 50, 75, 100])
     parser.add_argument("--seconds", type=float, default=10.0)
     parser.add_argument("--warm", type=float, default=10.0, help="seconds before anything counts")
+    parser.add_argument("--stay", action="store_true", help="viewers that have everything do not begin again")
     parser.add_argument("--core", type=int, default=0)
     args = parser.parse_args()
     need(args.package, "what `gsvis prepare` made")
     figures, details = [], {"package": args.package.name, "mbit_per_s": MBIT, "load_before": os.getloadavg()[0]}
     for count in args.viewers:
-        found = measured(args.package, count, args.core, args.seconds, args.warm)
+        found = measured(args.package, count, args.core, args.seconds, args.warm, np.inf if args.stay else IDLE_S)
         details[str(count)] = found
         for label, key, target, unit, better in (
             ("median rate of a viewer", "median_mbit_per_s", 0.9 * MBIT if count <= 60 else None, "Mbit/s", "higher"),

@@ -144,7 +144,7 @@ class CandidateIndex:
         mixed[(np.flatnonzero(np.diff(pairs)) + 1) >> 6] = True
         self._traits = kernels.Traits(strengths(index, self.pixel_area), pairs, mixed)
         self._owners = np.repeat(np.arange(len(index), dtype=np.int32), np.diff(index.term_offsets))
-        self._scratch = threading.local()
+        self._scratch, self._shell_counts = threading.local(), dict[int, int]()
         all_of_them = pack(np.arange(len(index)), len(index))
         units = self._split(
             all_of_them, np.zeros(len(index), np.uint8), np.array([np.mean(index.class_weights)], np.float32)
@@ -205,8 +205,10 @@ class CandidateIndex:
 
     def num_shells(self, cell: int) -> int:
         """Return the number of shells around a cell."""
-        grid = self.index.grid
-        return 1 - (1 + len(grid.neighbors(cell)) - len(grid)) // _SHELL
+        if cell not in self._shell_counts:
+            grid = self.index.grid
+            self._shell_counts[cell] = 1 - (1 + len(grid.neighbors(cell)) - len(grid)) // _SHELL
+        return self._shell_counts[cell]
 
     def words_of(self, cell: int) -> Words:
         """Return the visible set (W,) of a cell, packed; cache it, since cells share neighbors.
@@ -388,14 +390,19 @@ def _word_means(values: NDArray[Any], words: int) -> F32:
 def _links(index: SceneIndex) -> plan.Links:
     """Return which Gaussians replace which."""
     ending = np.flatnonzero(np.diff(index.replacement_offsets)).astype(np.int32)
+    starts = np.append(index.replacement_offsets[ending], len(index.replacement_ids))
     offsets, owners = index.replaced
     ranks = np.searchsorted(ending, owners).astype(np.int32)
-    only = np.full(len(index), plan.SEVERAL, np.int32)
-    counts = np.diff(offsets)
-    only[counts == 0], only[counts == 1] = -1, ranks[offsets[:-1][counts == 1]]
+    areas, counts = np.maximum(index.areas, np.float32(1e-30)).astype(np.float64), np.diff(offsets)
+    theirs = areas[index.replacement_ids]
+    every = np.add.reduceat(theirs, starts[:-1]) if len(ending) else np.zeros(0)
+    units = np.ceil(plan.UNITS * np.repeat(areas, counts) / every[ranks]).astype(np.int32)
+    only, only_units = np.full(len(index), plan.SEVERAL, np.int32), np.zeros(len(index), np.int32)
+    one = counts == 1
+    only[counts == 0], only[one], only_units[one] = -1, ranks[offsets[:-1][one]], units[offsets[:-1][one]]
     return plan.Links(
-        only=only, offsets=offsets, ranks=ranks, ending=ending, ids=index.replacement_ids,
-        starts=np.append(index.replacement_offsets[ending], len(index.replacement_ids)),
+        only=only, offsets=offsets, ranks=ranks, units=units, only_units=only_units, ending=ending, starts=starts,
+        ids=index.replacement_ids, areas=theirs.astype(np.float32), every=every,
     )  # fmt: skip
 
 

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from gsvis import _check
 from gsvis.abr._kernels import plan as kernels
 from gsvis.abr._kernels.evict import owe_again
-from gsvis.abr._kernels.take import forget_paid, take
+from gsvis.abr._kernels.take import forget_paid, is_left, take
 from gsvis.abr.candidates import CandidateIndex, Candidates
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.config import AbrConfig
@@ -149,7 +149,7 @@ class Planner:
         """Whether the next batch only fills an idle link; False if a pose came after the last batch."""
         if self._here is None or self._fresh:
             return False
-        return (self._stage > _DETAILS or (self._stage == _DETAILS and self._is_used_up)) and not self.done
+        return (self._stage > _DETAILS or (self._is_used_up and self._next_stage > _DETAILS)) and not self.done
 
     @property
     def _is_used_up(self) -> bool:
@@ -157,7 +157,9 @@ class Planner:
 
     @property
     def _next_stage(self) -> int:
-        return self._stage + 1 if self._stage < _AROUND else max(self._filled, self._stage + 1)
+        if self._stage < _AROUND and self.candidates.index.num_terms:
+            return self._stage + 1
+        return max(self._filled, self._stage + 1)
 
     def on_pose(self, t: float, position: ArrayLike, quat: ArrayLike) -> None:
         """Update the pose of the client at time t; ignore one that is older than the last.
@@ -330,13 +332,10 @@ class Planner:
             forget_paid(rest.words, rest.active, held.terms, shared.index.term_offsets, rest.owed)
             rest.candidates[:] = near.union
         s = len(rest.owed)  # all words that have Gaussians; packed sets are longer
-        left = shared.highest[:s] & ~held.gone[:s] & (~held.gaussians[:s] | rest.owed)
-        places = np.flatnonzero(left)
-        left = left[places]
         while self._next_stage < self._stages:
             self._stage = self._filled = self._next_stage
             cells = self._shells[self._stage - _SHELLS]
-            if any((shared.words_of(cell)[places] & left).any() for cell in cells):
+            if any(is_left(shared.words_of(cell), shared.highest, held, rest.owed) for cell in cells):
                 break
         else:
             self._filled = self._stages
@@ -399,13 +398,14 @@ class Planner:
     def _enter(self, here: Candidates, cell_ahead: int) -> None:
         """Switch to the units of a cell, from another cell or from filling."""
         before, self._here = self._near, here
-        if before is None or before[0] is not here:
+        is_new = before is None or before[0] is not here
+        if is_new:
             self._filled, self._shells = _SHELLS, []
+        if is_new or self._stage >= _SHELLS:
+            self._waits[:] = kernels.UNKNOWN  # other candidates
         shells = 0 if self._complete else self.candidates.num_shells(here.cell)
         self._stages = _SHELLS + shells if self.config.fill else _AROUND
         if before is not None and before[0] is here and before[1] == cell_ahead:
-            if self._stage >= _SHELLS:
-                self._waits[:] = kernels.UNKNOWN
             self._cell, self._stage = before[2], _NEEDS
             return
         if cell_ahead == here.cell:
@@ -419,7 +419,6 @@ class Planner:
 
     def _cell_for(self, here: Candidates, owing: Words, active: Words) -> kernels.Cell:
         """Return candidates as this client sees them."""
-        self._waits[:] = kernels.UNKNOWN
         owed, held = owing.copy(), self.holdings.words.terms
         if held.any():
             forget_paid(here.words, active, held, self.candidates.index.term_offsets, owed)

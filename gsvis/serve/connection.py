@@ -272,6 +272,11 @@ class Connection:
             if (wait := self._idle_for(now)) > 0.0:
                 await self._wait(wait)
                 continue
+            if self._setting.planners is None:
+                await self._setting.pace.turns.take()
+                self._take_in()
+                if self._idle_for(self._setting.measure()) > 0.0:
+                    continue
             self._planned, self._fresh = now, False
             message, seconds = await self._apart(self._plan)
             self._dry = message is None
@@ -288,17 +293,13 @@ class Connection:
             return _ROUND
         if self._dry:
             return max(self._planned + tick - now, 0.0)
-        return 0.0 if session.room(self._piece_s) > 0.0 else _ROUND  # an acknowledgement wakes the loop
-
-    @property
-    def _piece_s(self) -> float:
-        """Seconds of the link that a batch takes; more if the server is late, since small batches cost as much."""
-        return self._setting.pace.stretched(self._setting.config.piece)
+        session.piece = self._setting.pace.stretched(self._setting.config.piece)  # small batches cost as much
+        return 0.0 if session.room() > 0.0 else _ROUND  # an acknowledgement wakes the loop
 
     def _plan(self) -> tuple[Message | None, float]:
         """Return the next batch and the seconds that planning took; may run in another thread."""
         session, began = self._session, self._setting.measure()
-        budget = min(session.room(self._piece_s), float(self._setting.limits.batch_bytes))
+        budget = min(session.room(), float(self._setting.limits.batch_bytes))
         message = session.next_message(began, budget)
         return message, self._setting.measure() - began
 

@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from gsvis import _check
+from gsvis.serve.turns import Turns
 from gsvis.stream.wire import LEAST_HELLO
 
 __all__ = ["Limits", "Pace", "RateBucket", "Seats", "Viewer"]
@@ -182,6 +183,9 @@ class Pace:
     A batch costs a server about the same for any number of records. A late server sends fewer and larger batches, so
     that clients get the same bytes, a little less often.
 
+    Attributes:
+        turns: Turns of the clients that are planned for in the thread of the event loop.
+
     Examples:
         >>> pace = Pace()
         >>> pace.stretched(0.05)
@@ -196,7 +200,7 @@ class Pace:
     _MOST = 4.0  # largest factor
 
     def __init__(self) -> None:
-        self._late = 0.0
+        self._late, self.turns = 0.0, Turns()
 
     def observe(self, late: float) -> None:
         """Record that something ran late by this many seconds."""

@@ -125,7 +125,7 @@ class Metrics:
         parts_bytes: Bytes of these answers.
         faults: Damaged parts and other faults of scenes, by scene.
         planning: Seconds from the decision to send until the batch is encoded.
-        late: Seconds by which the event loop runs late, measured five times a second.
+        late: Seconds by which the event loop runs late, with the wait for a turn, measured five times a second.
     """
 
     def __init__(self) -> None:

@@ -162,6 +162,7 @@ class Server:
         while True:
             due = loop.time() + _LOOK_S
             await asyncio.sleep(_LOOK_S)
+            await self._pace.turns.take()
             late = max(0.0, loop.time() - due)
             self.metrics.late.observe(late)
             self._pace.observe(late)

@@ -140,6 +140,28 @@ class Coding:
         """
         return self._write(self._of_records(rows, ids, of, chunks))
 
+    def split_records(self, contents: Contents) -> NDArray[np.uint16]:
+        """Return (N, 16) uint16, all records of a package, prepared for `encode_some`."""
+        return self._split(contents.records, contents.chunks, chunks_of(contents.table))
+
+    def encode_some(
+        self, parts: NDArray[np.uint16], ids: NDArray[np.int32], of: NDArray[np.int32], chunks: records.Chunks
+    ) -> U8:
+        """Return some records of Gaussians, coded; the same bytes as from `encode_records`.
+
+        Args:
+            parts: All records of the package, from `split_records`.
+            ids: (G,) ids, ascending.
+            of: (G,) the row of each Gaussian's chunk.
+            chunks: Rows of chunks.
+        """
+        if not len(ids):
+            return np.zeros(0, np.uint8)
+        out = np.empty(records.MOST_OPERATIONS * len(ids) + 4, np.uint16)
+        code = self.tables
+        first = records.write(parts, ids, of, chunks, self.layout, code.offsets, code.symbols, out)
+        return out[first:].view(np.uint8)
+
     def decode_records(self, data: U8, ids: I64, of: NDArray[np.int32], chunks: records.Chunks) -> U8 | None:
         """Return the (G, 16) uint8 records that were coded; None if these are none."""
         out = np.empty((len(ids), 2), np.uint64)
@@ -166,8 +188,14 @@ class Coding:
 
     def _of_records(self, rows: U8, ids: I64, of: NDArray[np.int32], chunks: records.Chunks) -> NDArray[np.uint32]:
         out = np.empty(records.MOST_OPERATIONS * len(rows), np.uint32)
-        count = records.operations(_pairs(rows), ids, of, chunks, self.layout, self.tables.offsets, out)
-        return out[:count]
+        parts = self._split(rows, of, chunks)
+        return out[: records.operations(parts, ids, of, chunks, self.layout, self.tables.offsets, out)]
+
+    def _split(self, rows: U8, of: NDArray[np.int32], chunks: records.Chunks) -> NDArray[np.uint16]:
+        out, offsets = np.empty((len(rows), records.ROW), np.uint16), self.tables.offsets
+        assert offsets[records.TABLES] <= 1 << 16, "symbols of records have 16 bits"
+        records.split(_pairs(rows), of, chunks, self.layout, offsets, out)
+        return out
 
     def _of_terms(self, rows: U8, owners: NDArray[np.int32]) -> NDArray[np.uint32]:
         out = np.empty(terms.MOST_OPERATIONS * len(rows), np.uint32)

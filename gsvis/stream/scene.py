@@ -43,6 +43,7 @@ class StreamedScene:
         owners: (T,) int32, the Gaussian of each term.
         chunk_rows: (C,) of `CHUNK_ROW`, as sent.
         chunk_numbers: Rows of chunks, as the coder needs them.
+        parts: (N, 16) uint16, the records of Gaussians, prepared to be coded many times.
         ending: Number of Gaussians that others replace.
     """
 
@@ -60,6 +61,7 @@ class StreamedScene:
             self.contents, steps = coarsen(self.contents, quality)
         self.coding = coding = Coding.from_contents(self.contents, steps)
         self.chunk_numbers = chunks_of(self.contents.table)
+        self.parts = coding.split_records(self.contents)
         counts = self.contents.term_counts
         self.owners = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
         self.chunk_rows = _chunk_rows(self.contents)

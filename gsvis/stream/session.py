@@ -68,6 +68,7 @@ class Session:
         config: Settings of planner and estimator.
         planner: Chooses the records.
         meter: Measures the bytes in flight and the time of transfers.
+        piece: Seconds that the link should take for one message; `AbrConfig.piece` unless changed.
         wire_bytes: Bytes of all messages so far.
         record_bytes: Bytes of the records of all batches so far.
         filling_bytes: Bytes of the messages that only filled an idle link.
@@ -84,7 +85,7 @@ class Session:
     ) -> None:
         self.scene, self.config = scene, config or AbrConfig()
         self.planner = Planner(scene.candidates, view, self.config, holdings=holdings, memory=memory)
-        self.meter = LinkMeter()
+        self.meter, self.piece = LinkMeter(), self.config.piece
         self._throughput = estimator(self.config.estimator, self.config.start_rate)
         self.wire_bytes, self.record_bytes, self.filling_bytes = 0, 0.0, 0
         self._sequence, self._overhead = 0, _FIRST
@@ -166,17 +167,14 @@ class Session:
         """
         return self._free(self._filling_window if self.filling else self.config.window)
 
-    def room(self, seconds: float | None = None) -> float:
+    def room(self) -> float:
         """Return the bytes that the next message should have.
-
-        Args:
-            seconds: Seconds that the link should take for it; None means `config.piece`.
 
         Returns:
             0 if the allowance is so small that the message should wait for the next acknowledgement. Never 0 with
             nothing in flight, so that the session retries a link that seems dead.
         """
-        size = max(self.rate * (self.config.piece if seconds is None else seconds), PIECE)
+        size = max(self.rate * self.piece, PIECE)
         room = max(self.allowance(), PIECE) if self.outstanding == 0 else self.allowance()
         return min(size, room) if room >= 0.5 * size else 0.0
 
@@ -209,7 +207,7 @@ class Session:
 
     @property
     def _filling_window(self) -> float:
-        return min(self.config.window, 2.0 * self.config.piece)
+        return min(self.config.window, 2.0 * self.piece)
 
     def _free(self, window: float) -> float:
         """Return the bytes by which more may be in flight, for seconds of the link beside a round trip."""
@@ -232,13 +230,13 @@ class Session:
         fresh = np.empty(min(len(gaussians), len(scene.chunk_rows)), np.int32)
         chunks = fresh[: kernels.first_times(gaussians, contents.chunks, self._has_row, fresh)]
         owners, coding = scene.owners[terms], self.scene.coding
-        records, of = _gather(contents.records, gaussians), contents.chunks[gaussians]
+        of = contents.chunks[gaussians]
         sections = Sections(
             sequence=self._sequence,
             chunks=self._starts[chunks],
             rows=scene.chunk_rows[chunks],
             gaussians=gaussians,
-            records=coding.encode_records(records, gaussians.astype(np.int64), of, scene.chunk_numbers),
+            records=coding.encode_some(scene.parts, gaussians, of, scene.chunk_numbers),
             terms=terms,
             owners=owners,
             term_records=coding.encode_terms(_gather(contents.term_records, terms), owners),

@@ -58,9 +58,10 @@ class Tables:
         size = (spans >> 16).astype(np.uint64)
         bits = np.frexp(np.maximum(size.astype(np.float64) - 1, 0))[1].astype(np.uint64)
         size = np.maximum(size, 1)
-        inverses = ((np.uint64(1) << (bits + np.uint64(32))) - np.uint64(1)) // size + np.uint64(1)
-        symbols = (spans & 0xFFF).astype(np.uint64) | size << np.uint64(12) | bits << np.uint64(25)
-        symbols |= inverses << np.uint64(29)
+        shifts = bits + np.uint64(32)
+        inverses = ((np.uint64(1) << shifts) - np.uint64(1)) // size + np.uint64(1)
+        symbols = (spans & 0xFFF).astype(np.uint64) | size << np.uint64(12) | shifts << np.uint64(25)
+        symbols |= inverses << np.uint64(31)
         return cls(offsets, levels, symbols, coder.Decoder(slots, rows, offsets, spans))
 
     @classmethod

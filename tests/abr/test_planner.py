@@ -189,6 +189,31 @@ def test_those_of_a_level_alone_go_when_enough_of_what_replaces_them_is_there(se
 
 
 @FEW
+@given(st.integers(0, 10_000), st.sampled_from(("medium", "low")), st.booleans())
+def test_none_waits_for_longer_than_it_has_to_while_views_change(seed, regime, fill) -> None:
+    """What a batch replaces in part stays only if more than the spare share of area is missing."""
+    index, rng = scenes.random_index(seed), np.random.default_rng(seed)
+    store, view = CandidateIndex(index), some_view(index, seed, regime)
+    share = float(rng.choice([0.3, 0.6, 1.0]))
+    planner = aimed(store, view, "utility", config=AbrConfig(fill=fill, replaced=share))
+    near = [view.cell, *index.grid.neighbors(view.cell).tolist()]
+    replaced = np.repeat(np.arange(len(index)), np.diff(index.replacement_offsets))
+    for _ in range(20):
+        batch = planner.take(300.0)
+        held, gone = planner.holdings.received, ids_of(planner.holdings.gone)
+        candidates = ids_of(planner._cell.candidates)
+        for x in np.unique(replaced[np.isin(index.replacement_ids, batch.gaussians)]).tolist():
+            low, high = index.replacement_offsets[x : x + 2]
+            wanted = np.intersect1d(index.replacement_ids[low:high], candidates)
+            missing = wanted[~np.isin(wanted, np.union1d(held, gone))]
+            enough = index.areas[missing].sum() <= (1.0 - share - 1e-5) * index.areas[wanted].sum()
+            assert x in gone or not enough
+        if rng.random() < 0.5:
+            other = some_view(index, int(rng.integers(1000)), regime)
+            planner.aim(view.cell, other.eye, other.planes, regime, eyes=other.eyes, cell_ahead=int(rng.choice(near)))
+
+
+@FEW
 @given(st.integers(0, 10_000))
 def test_under_high_bandwidth_nothing_is_sent_that_the_highest_level_has_not(seed) -> None:
     index = scenes.random_index(seed)

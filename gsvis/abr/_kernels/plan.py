@@ -19,6 +19,7 @@ _OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"
 _SAMPLE, _SPARE = 16, 1.5
 NEVER = 1 << 30  # the key of what is never sent
 UNKNOWN, DONE = -1, -2  # in `Cell.waits`: to be checked; replaced
+UNITS = 1 << 24  # of area, of all replacements of a Gaussian
 SEVERAL = -2  # in `Links.only`
 
 
@@ -35,7 +36,7 @@ class Cell(NamedTuple):
     ahead: Any  # (S,) uint64, what the cell sees that the viewer is about to enter
     checked: Any  # (S,) uint64, Gaussians that owe only terms which are not active for the eye
     checked_at: Any  # (S,) float32, `View.travelled` when the first of them were checked
-    waits: Any  # (E,) int32, a replacement that each waits for; -2 - k if it waits for any k of them
+    waits: Any  # (E,) int32, units of area that have to arrive before each is checked again
     share: Any  # of the area of its replacements that must be held before a Gaussian is dropped
 
 
@@ -94,9 +95,13 @@ class Links(NamedTuple):
     only: Any  # (N,) number, in [0, E), of the one that each replaces; -1 for none, `SEVERAL` for more
     offsets: Any  # (N + 1,) into `ranks`
     ranks: Any  # numbers of all that each replaces
+    units: Any  # int32 for each of `ranks`: area of the Gaussian in `UNITS` of what it replaces, rounded up
+    only_units: Any  # (N,) int32, the same for `only`; 0 for none and for more
     ending: Any  # (E,) ids of the replaced
     starts: Any  # (E + 1,) into `ids`
     ids: Any  # replacements of each
+    areas: Any  # float32 for each of `ids`, above 0
+    every: Any  # (E,) float64, sum of these areas for each
 
 
 class Taken(NamedTuple):
@@ -264,25 +269,24 @@ def _choose(units, runs, ahead, table, limit, work):
     masks, codes, buckets, chosen = units.masks, units.codes, work.buckets, work.chosen
     starts, run_slots = runs
     free, due, sides, own = work.free, work.due, work.sides, len(table) // 4
-    filled, every = 0, True
+    keys, filled, skipped = table.reshape(-1), 0, False
     for r in range(len(run_slots)):
         s = run_slots[r]
         rest, fresh = free[s] | due[s], free[s]
         if not rest:
             continue
-        before = filled
-        for u in range(starts[r], starts[r + 1]):
-            near = sides[s] != 0 if codes[u] < own else masks[u] & ahead[s] != 0
-            kind, side = GEOMETRY if masks[u] & fresh else TERMS, INSIDE if near else OUTSIDE
-            key = table[codes[u], kind, side] + buckets[u]
-            if key < limit:
-                chosen[filled] = u
-                filled += 1 if masks[u] & rest else 0
-            elif every and key < NEVER and masks[u] & rest:
-                every = False
+        before, in_view, others = filled, sides[s] != 0, ahead[s]
+        for u in range(starts[r], starts[r + 1]):  # without branches: half of the units are chosen
+            code, mask = codes[u], masks[u]
+            near = in_view if code < own else (mask & others) != 0
+            kind, side = GEOMETRY if mask & fresh else TERMS, INSIDE if near else OUTSIDE
+            key, left = keys[4 * np.int64(code) + 2 * kind + side] + buckets[u], (mask & rest) != 0
+            chosen[filled] = u
+            filled += left & (key < limit)
+            skipped |= left & (key >= limit) & (key < NEVER)
         if sides[s] == 1 and filled > before:
             sides[s] = 3
-    return filled, every
+    return filled, not skipped
 
 
 @njit(**_OPTIONS)

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from gsvis._kernels.bits import has, lowest
-from gsvis.abr._kernels.plan import DONE, SEVERAL, UNKNOWN
+from gsvis.abr._kernels.plan import DONE, SEVERAL, UNITS, UNKNOWN
 
 _OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
 
@@ -27,6 +27,16 @@ def forget_paid(words, active, held, term_offsets, owed):
             w = np.int64(words[s])
             if not _left(active, held, term_offsets[64 * w], term_offsets[min(64 * w + 64, count)]):
                 owed[s] = 0
+
+
+@njit(**_OPTIONS)
+def is_left(seen, wanted, held, owed):
+    """Return whether one of the Gaussians in `seen` and `wanted` (W,), not gone, is not held or owes terms (S,)."""
+    gaussians, _, gone = held
+    w = 0
+    while w < len(owed) and not seen[w] & wanted[w] & ~gone[w] & (~gaussians[w] | owed[w]):
+        w += 1
+    return w < len(owed)
 
 
 @njit(inline="always")
@@ -75,6 +85,12 @@ def _is_active(centers, place, cosine, width, gain, looks):
     return found
 
 
+@njit(inline="always")
+def _less(wait, units):
+    """Return what a Gaussian waits for after some units of area have arrived."""
+    return wait - units if wait > units else UNKNOWN
+
+
 @njit(**_OPTIONS)
 def take(plan, place, cell, held, view, records, links, budget, out):
     """Take the next records of a plan that fit into a budget, and mark them as held.
@@ -98,7 +114,7 @@ def take(plan, place, cell, held, view, records, links, budget, out):
     gaussians, held_terms, gone = held
     sizes, term_offsets, term_sizes, centers, centers_of, cosines, widths, areas = records
     eyes, bodies, toward = view.eyes, view.bodies, np.empty((len(view.eyes), 4), np.float32)
-    only, waits = links.only, cell.waits
+    only, only_units, waits = links.only, links.only_units, cell.waits
     out_gaussians, out_terms = out.gaussians, out.terms
     size, varied = np.float64(sizes[0]) if len(sizes) else 0.0, len(sizes) > 1
     found, found_terms, dropped, total = 0, 0, np.int64(0), 0.0  # a literal would compile `_drop_replaced` twice
@@ -120,8 +136,10 @@ def take(plan, place, cell, held, view, records, links, budget, out):
                 found += 1
                 gaussians[w] |= one << low
                 e = np.int64(only[g])
-                if e == SEVERAL or (e >= 0 and (waits[e] == g or (waits[e] < 0 and waits[e] != DONE))):
-                    dropped = _drop_replaced(g, held, cell, links, areas, out, dropped)
+                if e >= 0 and waits[e] > 0:
+                    waits[e] = _less(waits[e], only_units[g])
+                if e == SEVERAL or (e >= 0 and waits[e] == UNKNOWN):
+                    dropped = _drop_replaced(g, held, cell, links, out, dropped)
                     rest &= ~gone[w]
                 continue
             start, stop, kept_back = term_offsets[g], term_offsets[g + 1], False
@@ -154,44 +172,37 @@ def take(plan, place, cell, held, view, records, links, budget, out):
 
 
 @njit(**_OPTIONS)
-def _drop_replaced(g, held, cell, links, areas, out, dropped):
+def _drop_replaced(g, held, cell, links, out, dropped):
     """Mark as gone what g replaces, where enough of the other replacements is held or cannot be seen from the cell.
 
     Enough is a share of their area, `Cell.share`. A Gaussian that is gone counts as held, so what it was to replace is
-    checked too. What still waits remembers in `waits` a missing replacement that is larger than all that may be
-    missing, or how many have to arrive at least, and is not checked again before.
+    checked too. What still waits remembers in `waits` how much area has to arrive at least, in units that are rounded
+    down, and is not checked again before.
     """
     gaussians, gone, candidates, waits = held.gaussians, held.gone, cell.candidates, cell.waits
     offsets, ranks, ending, starts, ids = links.offsets, links.ranks, links.ending, links.starts, links.ids
-    queue, out_dropped, spare = out.queue, out.dropped, 1.0 - cell.share
+    queue, out_dropped, spare, one = out.queue, out.dropped, 1.0 - cell.share, np.uint64(1)
+    units, sizes, every = links.units, links.areas, links.every
     waiting, done, y = 0, 0, g
     while True:
         for k in range(offsets[y], offsets[y + 1]):
             e = ranks[k]
-            if waits[e] < DONE:
-                waits[e] = waits[e] + 1 if waits[e] < DONE - 1 else UNKNOWN
-            if waits[e] != UNKNOWN and waits[e] != y:
+            if waits[e] > 0:
+                waits[e] = _less(waits[e], units[k])
+            if waits[e] != UNKNOWN:
                 continue
             x = np.int64(ending[e])
             if has(gone, x):
                 waits[e] = DONE
                 continue
-            total, missing, largest, first = 0.0, 0.0, 0.0, np.int64(UNKNOWN)
+            total, missing = 0.0, 0.0
             for m in range(starts[e], starts[e + 1]):
-                h = np.int64(ids[m])
-                if not has(candidates, h):
-                    continue
-                area = max(np.float64(areas[h]), 1e-30)
-                total += area
-                if not has(gaussians, h) and not has(gone, h):
-                    missing += area
-                    if area > largest:
-                        largest, first = area, h
+                w, bit = ids[m] >> 6, np.uint64(ids[m] & 63)
+                counts, lacks = candidates[w], candidates[w] & ~(gaussians[w] | gone[w])
+                total += np.float64((counts >> bit) & one) * sizes[m]
+                missing += np.float64((lacks >> bit) & one) * sizes[m]
             if missing > spare * total:
-                if largest > spare * total:
-                    waits[e] = first
-                else:
-                    waits[e] = DONE - max(np.int64((missing - spare * total) / largest), 1)
+                waits[e] = max(np.int64((missing - spare * total) / every[e] * UNITS) - 1, 1)
                 continue
             waits[e] = DONE
             _put(gone, x)

@@ -81,26 +81,33 @@ def next_bits(words, state, other, at, count):
 
 
 @njit(inline="always")
-def _push(operation, state, at, symbols, out):
+def push(operation, state, at, symbols, out):
     """Write an operation before all others; return its state, and the place of the first word."""
+    out[at - 1] = np.uint16(state & np.uint64(0xFFFF))
     if operation & np.uint32(RAW):
         bits = np.uint64((operation >> np.uint32(16)) & np.uint32(31))
         full = (state >> (np.uint64(32) - bits)) != np.uint64(0)
-        out[at - 1] = np.uint16(state & np.uint64(0xFFFF))
-        at -= full
-        state >>= np.uint64(full) << np.uint64(4)
+        state = state >> np.uint64(16) if full else state
         state = (state << bits) | np.uint64(operation & np.uint32(0xFFFF))
     else:
         symbol = symbols[operation]
         size = (symbol >> np.uint64(12)) & np.uint64(0x1FFF)
         full = state >= size << np.uint64(32 - BITS)
-        out[at - 1] = np.uint16(state & np.uint64(0xFFFF))
-        at -= full
-        state >>= np.uint64(full) << np.uint64(4)
-        shift, start = (symbol >> np.uint64(25)) & np.uint64(15), symbol & np.uint64(0xFFF)
-        quotient = ((state * (symbol >> np.uint64(29))) >> np.uint64(32)) >> shift
-        state = (quotient << np.uint64(BITS)) + state - quotient * size + start
-    return state, at
+        state = state >> np.uint64(16) if full else state
+        shift, start = (symbol >> np.uint64(25)) & np.uint64(63), symbol & np.uint64(0xFFF)
+        quotient = (state * (symbol >> np.uint64(31))) >> shift
+        state = quotient * (np.uint64(TOTAL) - size) + (state + start)
+    return state, at - full
+
+
+@njit(inline="always")
+def put_states(first, second, at, out):
+    """Write the states that a decoder begins with before all words; return the place of the first word."""
+    for state in (second, first):
+        out[at - 1] = np.uint16(state >> np.uint64(16))
+        out[at - 2] = np.uint16(state & np.uint64(0xFFFF))
+        at -= 2
+    return at
 
 
 @njit(**_OPTIONS)
@@ -113,7 +120,7 @@ def write(operations, symbols, out):
         operations: (M,) uint32: numbers of symbols, counted over all tables; or RAW, the number of raw bits from bit
             16 on, and the bits.
         symbols: (S,) uint64: where each symbol begins in its table (12 bits); its size, not 0 for those that occur
-            (13); the number of bits of size - 1 (4); and 2^(32 + that) / size, rounded up (33).
+            (13); 32 and the number of bits of size - 1 (6); and 2^(that) / size, rounded up (33).
         out: uint16, at least four more than operations.
 
     Returns:
@@ -122,16 +129,12 @@ def write(operations, symbols, out):
     first, second, at, i = np.uint64(LEAST), np.uint64(LEAST), len(out), len(operations)
     if i & 1:
         i -= 1
-        first, at = _push(operations[i], first, at, symbols, out)
+        first, at = push(operations[i], first, at, symbols, out)
     while i > 0:
-        second, at = _push(operations[i - 1], second, at, symbols, out)
-        first, at = _push(operations[i - 2], first, at, symbols, out)
+        second, at = push(operations[i - 1], second, at, symbols, out)
+        first, at = push(operations[i - 2], first, at, symbols, out)
         i -= 2
-    for state in (second, first):
-        out[at - 1] = np.uint16(state >> np.uint64(16))
-        out[at - 2] = np.uint16(state & np.uint64(0xFFFF))
-        at -= 2
-    return at
+    return put_states(first, second, at, out)
 
 
 @njit(**_OPTIONS)

@@ -13,12 +13,14 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from gsvis._kernels.prefetch import prefetch
 from gsvis._kernels.records import put, take, weight
-from gsvis.stream._kernels.coder import LEAST, RAW, begin, next_bits, next_symbol
+from gsvis.stream._kernels.coder import LEAST, RAW, begin, next_bits, next_symbol, push, put_states
 
 _OPTIONS: dict[str, Any] = {"cache": True, "nogil": True}
 
 MOST_OPERATIONS = 17  # of a record
+ROW = 16  # parts of a record, see `split`
 
 OPACITY, ORDER, MIDDLE, SMALLEST, FIRST = range(5)  # tables
 LARGEST = 5  # and the six after it: by how far the id before is away
@@ -100,12 +102,100 @@ def _gap(distance):
     return k
 
 
+@njit(inline="always")
+def _split(low, high, row, chunks, layout, offsets, s, out):
+    """Write to `out` (ROW,) what can be known of a record without the one before; `s` (3,) is scratch.
+
+    That is: opacity and order, the differences of the scales, the largest scale; symbols of the quaternion and of the
+    color; coordinates; the strength, in two parts.
+    """
+    position, rotation, scale = layout.position, layout.rotation, layout.scale
+    width, head = position + rotation + scale, 8 * (1 + layout.colors)
+    lead, half = 1 if layout.colors == 3 else 2, (1 << (rotation - 1)) - 1
+    opacity, stride = np.int64(low & np.uint64(255)), chunks.strides[row]
+    for k in range(3):
+        s[k] = take(low, high, head + k * width + position + rotation, scale)
+    largest = 0 if s[0] >= s[1] and s[0] >= s[2] else (1 if s[1] >= s[2] else 2)
+    a, b = (1 if largest == 0 else 0), (1 if largest == 2 else 2)
+    order = 2 * largest
+    if s[a] < s[b]:
+        a, b, order = b, a, order + 1
+    middle, smallest = s[largest] - s[a], s[largest] - s[b]
+    size = chunks.lows[row] + s[largest] * stride
+    turn = _turn(size, middle, stride, layout)
+    out[0], out[1], out[2], out[3] = opacity | order << 8, middle, smallest, s[largest]
+    for k in range(3):
+        value = ((take(low, high, head + k * width + position, rotation) - half) >> turn) + half
+        out[4 + k] = offsets[ROTATION + TURNS * k + turn] + value
+    first = np.int64((low >> np.uint64(8 * (1 + lead))) & np.uint64(255))
+    out[7] = offsets[COLOR] + first
+    second, out[10] = np.int64(0), 0
+    for k in range(layout.colors):
+        if k == lead:
+            continue
+        place = k if k < lead else k - 1
+        value = np.int64((low >> np.uint64(8 * (1 + k))) & np.uint64(255))
+        if layout.colors == 3:
+            value = (value - first) & 255
+        if place == 0:
+            out[8], second = offsets[SECOND + (first >> 5)] + value, value
+        elif place == 1:
+            out[9] = offsets[THIRD + layout.before[second]] + value
+        else:
+            out[10] = offsets[FOURTH + (first >> 5)] + value
+    for k in range(3):
+        out[11 + k] = take(low, high, head + k * width, position)
+    strength = 2 * size + weight(middle, smallest, opacity, stride, layout.logs, layout.sums)
+    out[14], out[15] = strength & 0xFFFF, (strength >> 16) & 0xFFFF
+
+
 @njit(**_OPTIONS)
-def operations(words, ids, rows, chunks, layout, offsets, out):
+def split(words, rows, chunks, layout, offsets, out):
+    """Write what can be known of each record without the one before, to encode it many times; see `operations`.
+
+    Args:
+        words: (N, 2) uint64, the records.
+        rows: (N,) int32, row of the chunk of each.
+        chunks: Rows of chunks.
+        layout: Layout of the records.
+        offsets: (TABLES + 1,) int64, first symbol of each table, at most 2^16.
+        out: (N, ROW) uint16.
+    """
+    s = np.empty(3, np.int64)
+    for i in range(len(words)):
+        _split(words[i, 0], words[i, 1], rows[i], chunks, layout, offsets, s, out[i])
+
+
+@njit(inline="always")
+def _strength(low, high):
+    """Return a strength from its two parts."""
+    return np.int64(np.int32(np.uint32(low) | np.uint32(high) << np.uint32(16)))
+
+
+@njit(inline="always")
+def _top(top, strength, before, low, stride, most):
+    """Return the symbol of the largest scale of a record in its table; `STEPS` - 1 if raw bits follow.
+
+    Args:
+        top: The largest scale.
+        strength: Strength of the record.
+        before: Strength of the record before it in its chunk.
+        low: Of the row of the chunk.
+        stride: Of the row of the chunk.
+        most: Largest value of a scale.
+    """
+    strong = strength - 2 * (low + top * stride)
+    expected = (((before - strong) >> 1) - low) // stride
+    off = top - min(max(expected, 0), most) + BELOW
+    return off if 0 <= off < STEPS - 1 else np.int64(STEPS - 1)
+
+
+@njit(**_OPTIONS)
+def operations(parts, ids, rows, chunks, layout, offsets, out):
     """Write what the coder does for each record, in the order of decoding.
 
     Args:
-        words: (G, 2) uint64, the records.
+        parts: (G, ROW) uint16 of `split`.
         ids: (G,) int64, ascending.
         rows: (G,) int32, row of the chunk of each.
         chunks: Rows of chunks.
@@ -117,77 +207,99 @@ def operations(words, ids, rows, chunks, layout, offsets, out):
     Returns:
         The number of operations.
     """
-    position, rotation, scale = layout.position, layout.rotation, layout.scale
-    width, head = position + rotation + scale, 8 * (1 + layout.colors)
-    lead, half = 1 if layout.colors == 3 else 2, (1 << (rotation - 1)) - 1
-    at, before, strength, last = 0, -1, np.int64(0), np.int64(0)
-    s, p = np.empty(3, np.int64), np.empty(3, np.int64)
-    for i in range(len(words)):
-        low, high, row = words[i, 0], words[i, 1], rows[i]
-        opacity, stride = np.int64(low & np.uint64(255)), chunks.strides[row]
-        for k in range(3):
-            s[k] = take(low, high, head + k * width + position + rotation, scale)
-        largest = 0 if s[0] >= s[1] and s[0] >= s[2] else (1 if s[1] >= s[2] else 2)
-        a, b = (1 if largest == 0 else 0), (1 if largest == 2 else 2)
-        order = 2 * largest
-        if s[a] < s[b]:
-            a, b, order = b, a, order + 1
-        middle, smallest = s[largest] - s[a], s[largest] - s[b]
-        out[at] = offsets[OPACITY] + opacity
-        out[at + 1] = offsets[ORDER] + order
-        out[at + 2] = offsets[MIDDLE] + middle
-        out[at + 3] = offsets[SMALLEST] + smallest
+    lows, strides, steps, at = chunks.lows, chunks.strides, chunks.steps, 0
+    position, most = layout.position, (1 << layout.scale) - 1
+    for i in range(len(parts)):
+        row, top, before = rows[i], np.int64(parts[i, 3]), i - 1
+        low, stride = lows[row], strides[row]
+        out[at] = offsets[OPACITY] + (parts[i, 0] & 255)
+        out[at + 1] = offsets[ORDER] + (parts[i, 0] >> 8)
+        out[at + 2] = offsets[MIDDLE] + parts[i, 1]
+        out[at + 3] = offsets[SMALLEST] + parts[i, 2]
         at += 4
-        strong = weight(middle, smallest, opacity, stride, layout.logs, layout.sums)
-        if row != before:
-            out[at] = offsets[FIRST] + s[largest]
-            at += 1
+        if i == 0 or row != rows[i - 1]:
+            out[at] = offsets[FIRST] + top
         else:
-            expected = (((strength - strong) >> 1) - chunks.lows[row]) // stride
-            off = s[largest] - min(max(expected, 0), (1 << scale) - 1) + BELOW
-            table = offsets[LARGEST + _gap(ids[i] - last)]
-            if 0 <= off < STEPS - 1:
-                out[at] = table + off
-            else:
-                out[at] = table + STEPS - 1
+            mine, other = _strength(parts[i, 14], parts[i, 15]), _strength(parts[before, 14], parts[before, 15])
+            symbol = _top(top, mine, other, low, stride, most)
+            out[at] = offsets[LARGEST + _gap(ids[i] - ids[i - 1])] + symbol
+            if symbol == STEPS - 1:
                 at += 1
-                out[at] = RAW | (scale << 16) | s[largest]
+                out[at] = RAW | (layout.scale << 16) | top
+        at += 1
+        for k in range(4, 7 + layout.colors):
+            out[at] = parts[i, k]
             at += 1
-        size = chunks.lows[row] + s[largest] * stride
-        before, last, strength = row, ids[i], 2 * size + strong
-        turn = _turn(size, middle, stride, layout)
-        for k in range(3):
-            value = ((take(low, high, head + k * width + position, rotation) - half) >> turn) + half
-            out[at] = offsets[ROTATION + TURNS * k + turn] + value
-            at += 1
-        first = np.int64((low >> np.uint64(8 * (1 + lead))) & np.uint64(255))
-        for k in range(layout.colors):
-            p[0] = np.int64((low >> np.uint64(8 * (1 + k))) & np.uint64(255))
-            if k == lead:
-                continue
-            place = k if k < lead else k - 1
-            value = p[0]
-            if layout.colors == 3:
-                value = (p[0] - first) & 255
-            if place == 0:
-                out[at + 1] = offsets[SECOND + (first >> 5)] + value
-                p[1] = value
-            elif place == 1:
-                out[at + 2] = offsets[THIRD + layout.before[p[1]]] + value
-            else:
-                out[at + 3] = offsets[FOURTH + (first >> 5)] + value
-        out[at] = offsets[COLOR] + first
-        at += layout.colors
-        limit = _place_limit(size, middle, opacity, stride, layout)
+        limit, opacity = np.int64(0), np.int64(parts[i, 0]) & 255
+        if layout.coarse:
+            limit = _place_limit(low + top * stride, np.int64(parts[i, 1]), opacity, stride, layout)
         for k in range(3):
             left = position
             if layout.coarse:
-                left -= min(max(limit - chunks.steps[row, k], 0), position)
+                left -= min(max(limit - steps[row, k], 0), position)
             if left:
-                value = take(low, high, head + k * width, position) >> (position - left)
-                out[at] = RAW | (left << 16) | value
+                out[at] = RAW | (left << 16) | (np.int64(parts[i, 11 + k]) >> (position - left))
                 at += 1
     return at
+
+
+@njit(**_OPTIONS)
+def write(parts, ids, rows, chunks, layout, offsets, symbols, out):
+    """Write records as `coder.write` writes their `operations`, in one pass from the last to the first.
+
+    Args:
+        parts: (N, ROW) uint16 of `split`, for all records of a scene.
+        ids: (G,) int32, ascending: the records to write.
+        rows: (G,) int32, row of the chunk of each.
+        chunks: Rows of chunks.
+        layout: Layout of the records.
+        offsets: (TABLES + 1,) int64, first symbol of each table.
+        symbols: See `coder.write`.
+        out: uint16, at least four more than operations.
+
+    Returns:
+        The place of the first word.
+    """
+    lows, strides, steps, flat = chunks.lows, chunks.strides, chunks.steps, parts.reshape(-1)
+    position, most = layout.position, (1 << layout.scale) - 1
+    x, y, at = np.uint64(LEAST), np.uint64(LEAST), len(out)  # states of the next operation, and of the one after it
+    for i in range(len(ids) - 1, -1, -1):
+        prefetch(flat, ROW * np.int64(ids[max(i - 8, 0)]))
+        g, row = np.int64(ids[i]), rows[i]
+        low, stride, top, opacity = lows[row], strides[row], np.int64(parts[g, 3]), np.int64(parts[g, 0]) & 255
+        limit = np.int64(0)
+        if layout.coarse:
+            limit = _place_limit(low + top * stride, np.int64(parts[g, 1]), opacity, stride, layout)
+        for k in range(2, -1, -1):
+            left = position
+            if layout.coarse:
+                left -= min(max(limit - steps[row, k], 0), position)
+            if left:
+                value = np.int64(parts[g, 11 + k]) >> (position - left)
+                z, at = push(np.uint32(RAW | (left << 16) | value), x, at, symbols, out)
+                x, y = y, z
+        if layout.colors == 4:
+            z, at = push(np.uint32(parts[g, 10]), x, at, symbols, out)
+            x, y = y, z
+        for k in range(9, 3, -1):
+            z, at = push(np.uint32(parts[g, k]), x, at, symbols, out)
+            x, y = y, z
+        symbol = offsets[FIRST] + top
+        if i > 0 and row == rows[i - 1]:
+            f = np.int64(ids[i - 1])
+            mine, other = _strength(parts[g, 14], parts[g, 15]), _strength(parts[f, 14], parts[f, 15])
+            symbol = _top(top, mine, other, low, stride, most)
+            if symbol == STEPS - 1:
+                z, at = push(np.uint32(RAW | (layout.scale << 16) | top), x, at, symbols, out)
+                x, y = y, z
+            symbol += offsets[LARGEST + _gap(g - f)]
+        z, at = push(np.uint32(symbol), x, at, symbols, out)
+        x, at = push(np.uint32(offsets[SMALLEST] + parts[g, 2]), y, at, symbols, out)
+        y, at = push(np.uint32(offsets[MIDDLE] + parts[g, 1]), z, at, symbols, out)
+        z, at = push(np.uint32(offsets[ORDER] + (parts[g, 0] >> 8)), x, at, symbols, out)
+        x, at = push(np.uint32(offsets[OPACITY] + opacity), y, at, symbols, out)
+        x, y = z, x
+    return put_states(y, x, at, out)
 
 
 @njit(**_OPTIONS)
