@@ -99,6 +99,7 @@ PAGES = {
         (
             "color_quality_flowers",
             "color_quality_nika",
+            "color_held_out",
             "color_fit",
             "omp",
             "color_evaluate",
