@@ -44,7 +44,7 @@ _WEIGHED_VIEW = 2.0  # a view that measures importance
 _LEVELS_START = 8.0  # seconds until torch and the kernels of training are loaded
 _STEP = 0.03  # seconds of each training step
 # Seconds for each Gaussian and core.
-_BASE_FIT, _TERMS_FIT, _RECORDS = 6e-5, 2.5e-4, 6e-6
+_BASE_FIT, _TERMS_FIT, _RECORDS = 6e-5, 5e-4, 6e-6
 
 _CHUNK = 31.0 / 200.0  # bytes for each Gaussian
 _PACKED = 0.82  # size of coded records over their raw size

@@ -16,11 +16,11 @@ from gsvis.color.fit import FitConfig
 from gsvis.color.variants import DEFAULT_VARIANT, VARIANTS
 from gsvis.io import load_scene, save_scene
 from gsvis.package.active_terms import ActiveTerms
+from gsvis.prepare.colors import ColorConfig
 from gsvis.prepare.fitted_colors import PRECISION_NAMES
 from gsvis.pvs import VisibilityStore
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.procedural import two_rooms
-from gsvis.scene.view_sampling import ViewSampling
 from tests.cli.halted import Halted
 
 Capture = pytest.CaptureFixture[str]
@@ -197,7 +197,7 @@ def test_the_help_states_the_defaults_and_choices_of_the_library(capsys: Capture
     text = " ".join(capsys.readouterr().out.split())
     assert "{" + ",".join(VARIANTS) + "}" in text
     assert "{" + ",".join(PRECISION_NAMES) + "}" in text
-    values = (DEFAULT_VARIANT, FitConfig.max_terms, f"{FitConfig.mean_terms:g}", ViewSampling.count, "wire")
+    values = (DEFAULT_VARIANT, FitConfig.max_terms, f"{FitConfig.mean_terms:g}", ColorConfig.views.count, "wire")
     for value in values:
         assert f"(default: {value})" in text
 
