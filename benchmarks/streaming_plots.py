@@ -6,6 +6,7 @@ Mean over walks and links. Ours and its rivals; with `--variants` ours with othe
 
 Given: a JSON file of `streaming_rivals.py`.
 Measured: nothing; this draws.
+Defaults chosen on: none.
 """
 
 from __future__ import annotations
