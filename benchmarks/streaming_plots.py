@@ -1,4 +1,4 @@
-"""Draw figures 9 to 14 of the paper, and PSNR against bytes, from what `streaming_rivals.py` measured.
+"""What do figures 9 to 14 of the paper, and PSNR against bytes, look like for the systems of `streaming_rivals.py`?
 
 One PNG for each scene and class of link, with a panel for each figure: QoE of a step (9), PSNR (10) and latency (11)
 against seconds, throughput (12 and 14), the share of the Gaussians that a client holds (13), and PSNR against bytes.
