@@ -19,7 +19,6 @@ from typing import Any
 
 from _delivery_systems import OTHERS, OURS
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from gsvis.report.theme import LIGHT
@@ -48,7 +47,7 @@ def draw_lines(axes: Axes, curves: Curves, names: Sequence[str], x: str, y: str,
 def draw_class(details: dict[str, Any], key: str, names: Sequence[str], out: Path) -> None:
     """Write the panels of a scene and a class of link."""
     figure = Figure(figsize=(15.0, 8.4), dpi=110, layout="constrained")
-    canvas, panels = FigureCanvasAgg(figure), figure.subplots(2, 3)
+    panels = figure.subplots(2, 3)
     curves, over_bytes, carried = (details[part][key] for part in ("curves", "over_bytes", "throughput"))
     rates: Curves = {
         name: {"second": list(range(1, 1 + len(row["mbit_per_s"]))), "rate": row["mbit_per_s"]}
@@ -73,7 +72,7 @@ def draw_class(details: dict[str, Any], key: str, names: Sequence[str], out: Pat
     handles, labels = panels[0, 1].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=6, frameon=False)
     figure.suptitle(f"{key}, mean over {len(details['walks'])} walks")
-    canvas.print_png(out)  # type: ignore[no-untyped-call]
+    figure.savefig(out)
     print(out)
 
 

@@ -87,7 +87,7 @@ def encode_terms(records: U8, firsts: NDArray[np.bool_], layout: TermLayout) -> 
         layout: Layout of the terms.
     """
     words = np.zeros(32 * len(records) + 8, np.uint32)
-    used = coded_terms.code(np.ascontiguousarray(records), firsts, _term_fields(layout), words, True)
+    used = coded_terms.code(np.ascontiguousarray(records), firsts, layout.fields, words, True)
     return _joined(_TERMS, 0, words[:used], len(records))
 
 
@@ -104,7 +104,7 @@ def decode_terms(data: bytes, firsts: NDArray[np.bool_], layout: TermLayout) -> 
     """
     words, rest, _ = _split(data, _TERMS, len(firsts))
     out = np.empty((len(firsts), layout.nbytes), np.uint8)
-    if len(rest) or coded_terms.code(out, firsts, _term_fields(layout), words, False) != len(words):
+    if len(rest) or coded_terms.code(out, firsts, layout.fields, words, False) != len(words):
         raise ValueError(f"expected {len(firsts):,} terms in {len(words):,} words, got others")
     return out
 
@@ -141,9 +141,3 @@ def _rows(table: ChunkTable) -> coded_records.Rows:
 
 def _fields(layout: RecordLayout, count_bits: int) -> coded_records.Fields:
     return coded_records.Fields(*layout.bits, layout.packed_from - 1, count_bits, *logarithms())
-
-
-def _term_fields(layout: TermLayout) -> coded_terms.TermFields:
-    return coded_terms.TermFields(
-        layout.function, layout.theta, layout.phi, layout.decay, layout.intensity, layout.intensities == 3
-    )

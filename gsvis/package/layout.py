@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis._kernels.terms import TermFields
 from gsvis.color.records import Grids, has_scales
 from gsvis.color.variants import variant
 
@@ -112,6 +113,11 @@ class TermLayout:
         if sum(layout.widths) > 64:
             raise ValueError(f"precision: expected terms of at most 64 bits, got {sum(layout.widths)}; use 'wire'")
         return layout
+
+    @property
+    def fields(self) -> TermFields:
+        """The same for kernels."""
+        return TermFields(self.function, self.theta, self.phi, self.decay, self.intensity, self.intensities == 3)
 
     @property
     def widths(self) -> NDArray[np.int64]:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis._kernels.records import logarithms
+from gsvis._kernels.terms import TermFields
 from gsvis.color.records import Grids
 from gsvis.package.codec import ChunkTable
 from gsvis.package.contents import Contents
@@ -116,10 +117,9 @@ class Coding:
         return layout_of(self.grids, self.steps)
 
     @cached_property
-    def fields(self) -> terms.TermFields:
+    def fields(self) -> TermFields:
         """Bits of the fields of terms."""
-        of = TermLayout.from_grids(self.grids)
-        return terms.TermFields(of.function, of.theta, of.phi, of.decay, of.intensity, of.intensities == 3)
+        return TermLayout.from_grids(self.grids).fields
 
     def mean_bytes(self, contents: Contents) -> tuple[float, float]:
         """Return about how many bytes a Gaussian and a term of a package take, ids not counted."""

@@ -6,41 +6,13 @@ than eight bits are coded in two halves. All arithmetic is of integers.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numba import njit
 
+from gsvis._kernels.terms import near, upper_bits
 from gsvis.package._kernels.adaptive import OPTIONS, START, begin, code_tree, end
 
 _CONTEXTS = 1 + 9 + 8 + 9 + 8 + 16 + 13
-
-
-class TermFields(NamedTuple):
-    """Bits of the fields of a term; `others` is whether there are three intensities."""
-
-    function: int
-    polar: int
-    azimuth: int
-    decay: int
-    intensity: int
-    others: bool
-
-
-@njit(inline="always")
-def _upper(value, bits, most):
-    """Return the upper bits of a value of so many bits, `most` of them."""
-    return value >> (bits - most) if bits > most else value << (most - bits)
-
-
-@njit(inline="always")
-def _near(value, bits):
-    """Return a difference, which is modulo 2^bits, cut to -6 to 6, plus 6; of its upper six bits if it has more."""
-    if bits > 6:
-        value, bits = value >> (bits - 6), 6
-    if value >> (bits - 1):
-        value -= 1 << bits
-    return min(max(value, -6), 6) + 6
 
 
 @njit(forceinline=True, **OPTIONS)
@@ -93,15 +65,15 @@ def code(records, firsts, fields, data, writing):
         of_polar = polars if firsts[i] else polars + 1 + of_before
         function, low, span, at = _code_field(low, span, at, chances, 0, function, f, data, writing)
         lead, low, span, at = _code_field(low, span, at, chances, context, lead, n, data, writing)
-        of_before = _upper(lead, n, 3)
+        of_before = upper_bits(lead, n, 3)
         decay, low, span, at = _code_field(low, span, at, chances, decays + of_before, decay, d, data, writing)
         polar, low, span, at = _code_field(low, span, at, chances, of_polar, polar, p, data, writing)
-        context = azimuths + _upper(polar, p, 3)
+        context = azimuths + upper_bits(polar, p, 3)
         azimuth, low, span, at = _code_field(low, span, at, chances, context, azimuth, a, data, writing)
         if fields.others:
-            other, context = (first - lead) & mask, others + _upper(lead, n, 4)
+            other, context = (first - lead) & mask, others + upper_bits(lead, n, 4)
             other, low, span, at = _code_field(low, span, at, chances, context, other, n, data, writing)
-            first, context = (other + lead) & mask, lasts + _near(other, n)
+            first, context = (other + lead) & mask, lasts + near(other, n)
             other, low, span, at = _code_field(low, span, at, chances, context, (last - lead) & mask, n, data, writing)
             last = (other + lead) & mask
         if not writing:

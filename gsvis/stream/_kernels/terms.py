@@ -6,11 +6,12 @@ second of three, or the only one. The others are coded as differences from it. A
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numba import njit
 
+from gsvis._kernels.terms import near, upper_bits
 from gsvis.stream._kernels.coder import LEAST, RAW, begin, next_bits, next_symbol
 
 _OPTIONS: dict[str, Any] = {"cache": True, "nogil": True}
@@ -24,33 +25,6 @@ AZIMUTH = POLAR + 1  # by the polar angle
 OTHER = AZIMUTH + 8  # by the leading intensity
 LAST = OTHER + 16  # by the other one
 TABLES = LAST + 13
-
-
-class TermFields(NamedTuple):
-    """Bits of the fields of a term; `others` is whether there are three intensities."""
-
-    function: int
-    polar: int
-    azimuth: int
-    decay: int
-    intensity: int
-    others: bool
-
-
-@njit(inline="always")
-def _six(value, bits):
-    """Return the upper six bits of a value of so many bits."""
-    return value >> (bits - 6) if bits > 6 else value << (6 - bits)
-
-
-@njit(inline="always")
-def _near(value, bits):
-    """Return a difference, which is modulo 2^bits, cut to -6 to 6, plus 6; of its upper six bits if it has more."""
-    if bits > 6:
-        value, bits = value >> (bits - 6), 6
-    if value >> (bits - 1):
-        value -= 1 << bits
-    return min(max(value, -6), 6) + 6
 
 
 @njit(inline="always")
@@ -92,16 +66,16 @@ def operations(records, owners, fields, offsets, out):
         first = np.int64(word >> np.uint64(f + p + a + d)) & mask
         lead = np.int64(word >> np.uint64(f + p + a + d + n)) & mask if fields.others else first
         at = _add(out, at, offsets[table], lead, n, 6)
-        upper = _six(lead, n)
+        upper = upper_bits(lead, n, 6)
         table = LEAD + 1 + (upper >> 3)
         at = _add(out, at, offsets[DECAY + (upper >> 3)], decay, d, 6)
         at = _add(out, at, offsets[POLAR], polar, p, 6)
-        at = _add(out, at, offsets[AZIMUTH + (_six(polar, p) >> 3)], azimuth, a, 7)
+        at = _add(out, at, offsets[AZIMUTH + (upper_bits(polar, p, 6) >> 3)], azimuth, a, 7)
         if fields.others:
             last = np.int64(word >> np.uint64(f + p + a + d + 2 * n)) & mask
             other = (first - lead) & mask
             at = _add(out, at, offsets[OTHER + (upper >> 2)], other, n, 6)
-            at = _add(out, at, offsets[LAST + _near(other, n)], (last - lead) & mask, n, 6)
+            at = _add(out, at, offsets[LAST + near(other, n)], (last - lead) & mask, n, 6)
     return at
 
 
@@ -141,16 +115,18 @@ def read(words, owners, fields, code, out):
         if f:
             function, x, y, at = _next(words, x, y, at, 0, f, 6, slots, tables, offsets, spans)
         lead, x, y, at = _next(words, x, y, at, table, n, 6, slots, tables, offsets, spans)
-        upper = _six(lead, n)
+        upper = upper_bits(lead, n, 6)
         table = LEAD + 1 + (upper >> 3)
         decay, x, y, at = _next(words, x, y, at, DECAY + (upper >> 3), d, 6, slots, tables, offsets, spans)
         polar, x, y, at = _next(words, x, y, at, POLAR, p, 6, slots, tables, offsets, spans)
-        azimuth, x, y, at = _next(words, x, y, at, AZIMUTH + (_six(polar, p) >> 3), a, 7, slots, tables, offsets, spans)
+        azimuth, x, y, at = _next(
+            words, x, y, at, AZIMUTH + (upper_bits(polar, p, 6) >> 3), a, 7, slots, tables, offsets, spans
+        )
         word = np.uint64(function) | np.uint64(polar) << np.uint64(f) | np.uint64(azimuth) << np.uint64(f + p)
         word |= np.uint64(decay) << np.uint64(f + p + a)
         if fields.others:
             rest, x, y, at = _next(words, x, y, at, OTHER + (upper >> 2), n, 6, slots, tables, offsets, spans)
-            last, x, y, at = _next(words, x, y, at, LAST + _near(rest, n), n, 6, slots, tables, offsets, spans)
+            last, x, y, at = _next(words, x, y, at, LAST + near(rest, n), n, 6, slots, tables, offsets, spans)
             word |= np.uint64((rest + lead) & mask) << np.uint64(f + p + a + d)
             word |= np.uint64(lead) << np.uint64(f + p + a + d + n)
             word |= np.uint64((last + lead) & mask) << np.uint64(f + p + a + d + 2 * n)
