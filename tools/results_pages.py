@@ -129,6 +129,7 @@ PAGES = {
             "package_codec_showroom",
             "package_codec_nika",
             "disk_size",
+            "client_ends",
             "package_edit_showroom",
             "package_edit_nika",
             "shaped_link",
