@@ -293,7 +293,7 @@ class Color(Where):
     max_terms: Annotated[int | None, TERMS, hint("24")] = None
     """Most terms of each function of a Gaussian; 0 leaves base colors alone."""
     mean_terms: Annotated[float | None, MEAN_TERMS, hint("2")] = None
-    """Terms a Gaussian on average; they go where they lower errors most. all: all that help (slow; lower --max-terms)."""
+    """Terms a Gaussian on average; they go where they lower errors most. all: all that help (slow)."""
     no_refine: Flag = False
     """Leave terms on the grid that they are chosen from: quicker, and worse."""
     views: Annotated[int, COUNTED] = 256

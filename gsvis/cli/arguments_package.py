@@ -74,7 +74,7 @@ class Prepare(Where):
     max_terms: Annotated[int | None, TERMS, hint("24")] = None
     """Most terms of each function of a Gaussian; 0 leaves base colors alone."""
     mean_terms: Annotated[float | None, MEAN_TERMS, hint("2")] = None
-    """Terms a Gaussian on average; they go where they lower errors most. all: all that help (slow; lower --max-terms)."""
+    """Terms a Gaussian on average; they go where they lower errors most. all: all that help (slow)."""
     epsilon: Annotated[float | None, CHANGE, hint("0.02")] = None
     """Smallest change of a color for which a term is sent; gsvis color --epsilon auto finds it for a scene."""
     up: Annotated[str | None, arg(metavar="AXIS", help_behavior_hint="(default: the likely one)")] = None
