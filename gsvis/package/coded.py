@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from gsvis._kernels.records import logarithms
 from gsvis.package._kernels import coded_records, coded_terms
 from gsvis.package.codec import ChunkTable
-from gsvis.package.layout import RECORD_BYTES, RecordLayout, TermLayout
+from gsvis.package.layout import RECORD_BYTES, RecordLayout, TermLayout, term_fields
 
 __all__ = ["decode_gaussians", "decode_terms", "encode_gaussians", "encode_terms", "memory_of"]
 
@@ -87,7 +87,7 @@ def encode_terms(records: U8, firsts: NDArray[np.bool_], layout: TermLayout) -> 
         layout: Layout of the terms.
     """
     words = np.zeros(32 * len(records) + 8, np.uint32)
-    used = coded_terms.code(np.ascontiguousarray(records), firsts, layout.fields, words, True)
+    used = coded_terms.code(np.ascontiguousarray(records), firsts, term_fields(layout), words, True)
     return _joined(_TERMS, 0, words[:used], len(records))
 
 
@@ -104,7 +104,7 @@ def decode_terms(data: bytes, firsts: NDArray[np.bool_], layout: TermLayout) -> 
     """
     words, rest, _ = _split(data, _TERMS, len(firsts))
     out = np.empty((len(firsts), layout.nbytes), np.uint8)
-    if len(rest) or coded_terms.code(out, firsts, layout.fields, words, False) != len(words):
+    if len(rest) or coded_terms.code(out, firsts, term_fields(layout), words, False) != len(words):
         raise ValueError(f"expected {len(firsts):,} terms in {len(words):,} words, got others")
     return out
 

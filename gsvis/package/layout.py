@@ -17,7 +17,7 @@ from gsvis._kernels.terms import TermFields
 from gsvis.color.records import Grids, has_scales
 from gsvis.color.variants import variant
 
-__all__ = ["PACKED_VARIANTS", "RECORD_BYTES", "RecordLayout", "TermLayout", "check_packed"]
+__all__ = ["PACKED_VARIANTS", "RECORD_BYTES", "RecordLayout", "TermLayout", "check_packed", "term_fields"]
 
 RECORD_BYTES = 16
 """Bytes of geometry and base color of a Gaussian."""
@@ -115,11 +115,6 @@ class TermLayout:
         return layout
 
     @property
-    def fields(self) -> TermFields:
-        """The same for kernels."""
-        return TermFields(self.function, self.theta, self.phi, self.decay, self.intensity, self.intensities == 3)
-
-    @property
     def widths(self) -> NDArray[np.int64]:
         """(4 + I,) bits of function, polar angle, azimuth, decay and each intensity, lowest bits first."""
         return np.array(
@@ -130,3 +125,9 @@ class TermLayout:
     def nbytes(self) -> int:
         """Bytes of a term's record."""
         return -(-int(self.widths.sum()) // 8)
+
+
+def term_fields(layout: TermLayout) -> TermFields:
+    """Return the layout of a term as kernels take it."""
+    bits = layout.function, layout.theta, layout.phi, layout.decay, layout.intensity
+    return TermFields(*bits, layout.intensities == 3)

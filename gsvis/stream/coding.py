@@ -17,7 +17,7 @@ from gsvis._kernels.terms import TermFields
 from gsvis.color.records import Grids
 from gsvis.package.codec import ChunkTable
 from gsvis.package.contents import Contents
-from gsvis.package.layout import RecordLayout, TermLayout
+from gsvis.package.layout import RecordLayout, TermLayout, term_fields
 from gsvis.stream._kernels import coder, records, terms
 from gsvis.stream.tables import Tables
 
@@ -119,7 +119,7 @@ class Coding:
     @cached_property
     def fields(self) -> TermFields:
         """Bits of the fields of terms."""
-        return TermLayout.from_grids(self.grids).fields
+        return term_fields(TermLayout.from_grids(self.grids))
 
     def mean_bytes(self, contents: Contents) -> tuple[float, float]:
         """Return about how many bytes a Gaussian and a term of a package take, ids not counted."""
