@@ -2,7 +2,8 @@
 
 A chunk is a run of up to 256 Gaussians with a box and a range of scales. Its row of the `ChunkTable` is sent once,
 before the first of its records. A chunk ends before a Gaussian that is far away or of another size, because it would
-make the records of the others coarse. Scene frame and units. This module knows no file.
+make the records of the others coarse. Centers that lie on a lattice of a SOG file stay there: their chunk has its
+steps. Scene frame and units. This module knows no file.
 """
 
 from __future__ import annotations
@@ -16,10 +17,20 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.package._kernels import records as kernels
+from gsvis.package.lattice import Lattices, symlog
 from gsvis.package.layout import RECORD_BYTES, RecordLayout
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["CHUNK", "ChunkTable", "Geometry", "build_chunks", "chunk_starts", "decode_records", "encode_records"]
+__all__ = [
+    "CHUNK",
+    "MOST_BITS",
+    "ChunkTable",
+    "Geometry",
+    "build_chunks",
+    "chunk_starts",
+    "decode_records",
+    "encode_records",
+]
 
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
@@ -28,6 +39,9 @@ I64 = NDArray[np.int64]
 CHUNK = 256
 """Most Gaussians in a chunk."""
 
+MOST_BITS = 14
+"""Most bits of a place on an axis."""
+
 STEP = 1.0 / 16.0
 """Coarsest step of a coordinate, as a share of the largest standard deviation of a chunk's smallest Gaussian."""
 
@@ -35,6 +49,11 @@ SPREAD = 10 * 64
 """Most difference between the largest scales of two Gaussians of a chunk, in 1/64 octaves."""
 
 _CUT_PLACES = (1 << 13) - 1  # from the layout with the fewest bits, so that chunks do not depend on the variant
+_ON_LATTICE = (1 << MOST_BITS) - 1  # a layout with fewer bits leaves wider chunks linear
+_MORE = 2.0  # times as many chunks as without lattices are too many
+MOST_LOG = 88.0
+"""Largest symmetric logarithm of a coordinate: that of the largest float32 is below it."""
+
 _ROOTS = np.exp2(np.arange(64) / 64.0)
 
 
@@ -44,10 +63,13 @@ class ChunkTable:
 
     Args:
         origins: (C, 3) float32, lowest corner of each chunk's box.
-        steps: (C, 3) float32, >= 0; place p means origin + p * step, computed in float64.
+        steps: (C, 3) float32. Where all three are >= 0, place p means the coordinate origin + p * step, computed in
+            float64. Where all three are < 0, the chunk is logarithmic: origin - p * step is the symmetric logarithm u
+            of the coordinate, and sign(u) (exp(|u|) - 1) is the coordinate.
         lows: (C,) int16, lowest log-scale in 1/64 octaves.
         strides: (C,) uint8, >= 1, steps of log-scales in 1/64 octaves.
         counts: (C,) uint16, Gaussians of each chunk, 1 to `CHUNK`.
+        bits: (C, 3) uint8, bits of a place on each axis, 0 to 14.
 
     Raises:
         ValueError: If a shape, a length or a value is wrong.
@@ -58,6 +80,7 @@ class ChunkTable:
     lows: NDArray[np.int16]
     strides: U8
     counts: NDArray[np.uint16]
+    bits: U8
 
     def __post_init__(self) -> None:
         arrays = {
@@ -66,9 +89,11 @@ class ChunkTable:
             "lows": _check.integers("lows", self.lows, ("C",), np.int16),
             "strides": _check.integers("strides", self.strides, ("C",), np.uint8),
             "counts": _check.integers("counts", self.counts, ("C",), np.uint16),
+            "bits": _check.integers("bits", self.bits, ("C", 3), np.uint8),
         }
         _check.same_length(**arrays)
-        _check.in_range("steps", arrays["steps"], 0.0, np.inf)
+        _check.in_range("bits", arrays["bits"], 0, MOST_BITS)
+        _check_steps(arrays["origins"], arrays["steps"], arrays["bits"])
         _check.in_range("strides", arrays["strides"], 1, 255)
         _check.in_range("counts", arrays["counts"], 1, CHUNK)
         for name, array in arrays.items():
@@ -81,8 +106,9 @@ class ChunkTable:
         """Return one table with the rows of several; an empty list gives a table without rows."""
         if not parts:
             none = np.zeros((0, 3), np.float32)
-            return cls(none, none, np.zeros(0, np.int16), np.zeros(0, np.uint8), np.zeros(0, np.uint16))
-        names = ("origins", "steps", "lows", "strides", "counts")
+            low, stride, count = np.zeros(0, np.int16), np.zeros(0, np.uint8), np.zeros(0, np.uint16)
+            return cls(none, none, low, stride, count, np.zeros((0, 3), np.uint8))
+        names = ("origins", "steps", "lows", "strides", "counts", "bits")
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
     def __len__(self) -> int:
@@ -90,7 +116,13 @@ class ChunkTable:
 
     def __getitem__(self, rows: slice | NDArray[np.integer]) -> ChunkTable:
         """Return the rows at a slice or an index array."""
-        return ChunkTable(self.origins[rows], self.steps[rows], self.lows[rows], self.strides[rows], self.counts[rows])
+        origins, steps, lows, strides = self.origins[rows], self.steps[rows], self.lows[rows], self.strides[rows]
+        return ChunkTable(origins, steps, lows, strides, self.counts[rows], self.bits[rows])
+
+    @property
+    def logarithmic(self) -> NDArray[np.bool_]:
+        """(C,) whether places of each chunk count steps of a symmetric logarithm."""
+        return np.asarray(self.steps[:, 0] < 0.0)
 
     @property
     def starts(self) -> I64:
@@ -118,13 +150,14 @@ class Geometry(NamedTuple):
     opacities: F32
 
 
-def chunk_starts(g: Gaussians, *, cuts: ArrayLike = (), finest: float = 0.0) -> I64:
+def chunk_starts(g: Gaussians, *, cuts: ArrayLike = (), finest: float = 0.0, lattices: Lattices | None = None) -> I64:
     """Return (C,) int64, the first Gaussian of each chunk.
 
     Args:
         g: N Gaussians, in an order in which neighbors are near each other.
         cuts: Ascending ids before which a chunk always ends.
         finest: Least scale that positions are made for, scene units; smaller Gaussians are placed no more finely.
+        lattices: Those that the centers lie on. There are cuts wherever the next one lies on another.
 
     Raises:
         ValueError: If `cuts` are not ascending or out of range.
@@ -137,20 +170,31 @@ def chunk_starts(g: Gaussians, *, cuts: ArrayLike = (), finest: float = 0.0) -> 
     allowed = np.maximum(g.scales.max(axis=1, initial=0.0).astype(np.float64), finest) * STEP
     pieces = [np.zeros(0, np.int64)]
     for low, high in pairwise(bounds.tolist()):
-        some, found = slice(low, high), np.empty(high - low, np.int64)
-        means = g.means[some].astype(np.float64)
-        count = kernels.chunk_starts(means, largest[some], allowed[some], _CUT_PLACES, CHUNK, SPREAD, found)
-        pieces.append(low + found[:count])
+        some = slice(low, high)
+        found = _starts_of(g.means[some].astype(np.float64), largest[some], allowed[some], _CUT_PLACES)
+        if lattices is not None and high > low and lattices.of[low] >= 0:
+            places = lattices.places[some].astype(np.float64)
+            exact = _starts_of(places, largest[some], np.ones(high - low), _ON_LATTICE)
+            found = exact if len(exact) <= _MORE * len(found) + 1 else found
+        pieces.append(low + found)
     return np.concatenate(pieces)
 
 
-def build_chunks(g: Gaussians, layout: RecordLayout, *, starts: ArrayLike | None = None) -> ChunkTable:
+def _starts_of(places: NDArray[np.float64], largest: NDArray[np.int32], steps: NDArray[np.float64], most: int) -> I64:
+    found = np.empty(len(places), np.int64)
+    return found[: kernels.chunk_starts(places, largest, steps, most, CHUNK, SPREAD, found)]
+
+
+def build_chunks(
+    g: Gaussians, layout: RecordLayout, *, starts: ArrayLike | None = None, lattices: Lattices | None = None
+) -> ChunkTable:
     """Build the table of the chunks of Gaussians.
 
     Args:
         g: N Gaussians.
         layout: Layout of the records.
         starts: (C,) the first Gaussian of each chunk, ascending from 0; None means `chunk_starts(g)`.
+        lattices: Those that the centers lie on. A chunk that lies on one is logarithmic, if its bits suffice.
 
     Raises:
         ValueError: If the starts do not ascend from 0, or a chunk is larger than `CHUNK`.
@@ -172,7 +216,21 @@ def build_chunks(g: Gaussians, layout: RecordLayout, *, starts: ArrayLike | None
     lows = np.minimum.reduceat(levels.min(axis=1), heads)
     ranges = np.maximum.reduceat(levels.max(axis=1), heads) - lows
     strides = np.maximum(1, -(-ranges // ((1 << layout.scale) - 1)))
-    return ChunkTable(low.astype(np.float32), steps, lows.astype(np.int16), strides.astype(np.uint8), counts)
+    origins, bits = low.astype(np.float32), np.full((len(heads), 3), layout.position, np.uint8)
+    if lattices is not None:
+        _lay_on(lattices, heads, places, origins, steps, bits)
+    return ChunkTable(origins, steps, lows.astype(np.int16), strides.astype(np.uint8), counts, bits)
+
+
+def _lay_on(lattices: Lattices, heads: I64, most: int, origins: F32, steps: F32, bits: U8) -> None:
+    """Write origins, steps and bits of the chunks that lie on a lattice and have places up to `most` there."""
+    low, high = (of.reduceat(lattices.places, heads, axis=0) for of in (np.minimum, np.maximum))
+    least, last = (of.reduceat(lattices.of, heads) for of in (np.minimum, np.maximum))
+    rows = np.flatnonzero((least >= 0) & (least == last) & (high - low <= most).all(axis=1))
+    of, low, high = least[rows], low[rows], high[rows]
+    origins[rows] = lattices.offsets[of] + low * lattices.steps[of]
+    steps[rows] = -lattices.steps[of]
+    bits[rows] = np.frexp((high - low).astype(np.float64))[1]  # 0 for 0
 
 
 def encode_records(
@@ -194,21 +252,34 @@ def encode_records(
     base = _check.integers("colors", colors, (len(g), 4 if layout.color_scale else 3), np.uint8)
     levels = np.empty((len(g), 3), np.int32)
     kernels.log_scales(g.scales, levels)
-    places = (1 << layout.position) - 1
-    away = g.means.astype(np.float64) - table.origins[rows]
+    places = _places(g, table, rows, layout)
     above = levels.min(axis=1, initial=1 << 20) - table.lows[rows]
     reach = ((1 << layout.scale) - 1) * table.strides[rows].astype(np.int32)
     over = levels.max(axis=1, initial=-(1 << 20)) - table.lows[rows] - reach
-    if (away < 0).any() or (away > table.steps[rows].astype(np.float64) * places).any():
-        raise ValueError("g: expected Gaussians within the boxes of their chunks, got one outside")
     if (above < 0).any() or (over > 0).any():
         raise ValueError("g: expected scales within the ranges of their chunks, got one outside")
     out = np.zeros((len(g), RECORD_BYTES), np.uint8)
-    kernels.encode(
-        rows, table.origins, table.steps, table.lows, table.strides, g.means, g.quats, levels, g.opacities, base,
-        layout.bits, out,
-    )  # fmt: skip
+    kernels.encode(rows, places, table.lows, table.strides, g.quats, levels, g.opacities, base, layout.bits, out)
     return out
+
+
+def _places(g: Gaussians, table: ChunkTable, rows: NDArray[np.int32], layout: RecordLayout) -> NDArray[np.int32]:
+    """Return the (N, 3) places of Gaussians in their chunks.
+
+    Raises:
+        ValueError: If one is outside of its chunk.
+    """
+    curved, steps = table.logarithmic[rows], np.abs(table.steps[rows].astype(np.float64))
+    means = g.means.astype(np.float64)
+    means[curved] = symlog(means[curved])
+    away = means - table.origins[rows]
+    along = np.rint(np.divide(away, steps, out=np.zeros_like(away), where=steps > 0.0))
+    most = (np.int64(1) << table.bits[rows].astype(np.int64)) - 1
+    straight = ~curved[:, None]
+    outside = np.where(straight, (away < 0) | (away > steps * most), (along < 0) | (along > most))
+    if outside.any() or table.bits.max(initial=0) > layout.position:
+        raise ValueError("g: expected Gaussians within the boxes of their chunks, got one outside")
+    return np.asarray(np.minimum(along, most), np.int32)
 
 
 def decode_records(
@@ -237,6 +308,17 @@ def decode_records(
         layout.packed_from, _ROOTS, *found,
     )  # fmt: skip
     return found
+
+
+def _check_steps(origins: F32, steps: F32, bits: U8) -> None:
+    """Raise unless each chunk is linear, or logarithmic with coordinates that float32 has."""
+    curved = (steps < 0.0).any(axis=1)
+    ends = origins.astype(np.float64) - steps.astype(np.float64) * ((np.int64(1) << bits.astype(np.int64)) - 1)
+    reach = np.maximum(np.abs(origins), np.abs(ends)).max(axis=1, initial=0.0)
+    wrong = curved & ((steps >= 0.0).any(axis=1) | (reach > MOST_LOG))
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise ValueError(f"steps: expected all >= 0, or all < 0 and at most {MOST_LOG:g} away, got {steps[row]}")
 
 
 def base_colors(records: U8, layout: RecordLayout) -> U8:

@@ -43,13 +43,13 @@ def encode_gaussians(records: U8, counts: U8, table: ChunkTable, layout: RecordL
         table: Rows of their chunks.
         layout: Layout of the records.
     """
-    low, bits = np.zeros((len(records), 3), np.uint16), layout.position - _LEVELS
+    low, bits = np.zeros((len(records), 3), np.uint16), _low_bits(table)
     pairs = np.ascontiguousarray(records).view("<u8").reshape(-1, 2)
     words = np.zeros(64 * len(records) + 8, np.uint32)
     count_bits = int(counts.max(initial=0)).bit_length()
     rows, fields = _rows(table), _fields(layout, count_bits)
     used = coded_records.code(pairs, np.ascontiguousarray(counts), low, rows, fields, words, True)
-    packed = np.zeros(_low_bytes(len(records), bits), np.uint8)
+    packed = np.zeros(_bytes_of(bits), np.uint8)
     coded_records.pack(low.reshape(-1), bits, packed)
     return _joined(_GAUSSIANS, count_bits, words[:used], len(records)) + packed.tobytes()
 
@@ -66,9 +66,9 @@ def decode_gaussians(data: bytes, count: int, table: ChunkTable, layout: RecordL
     Raises:
         ValueError: If the bytes are no such part, or have another number of Gaussians.
     """
-    bits = layout.position - _LEVELS
     words, rest, count_bits = _split(data, _GAUSSIANS, count)
-    if len(rest) != _low_bytes(count, bits) or int(table.counts.sum(dtype=np.int64)) != count:
+    bits = _low_bits(table)
+    if len(bits) != 3 * count or len(rest) != _bytes_of(bits):
         raise ValueError(f"expected the places of {count:,} Gaussians, got {len(rest):,} bytes")
     low, pairs = np.empty((count, 3), np.uint16), np.empty((count, 2), np.uint64)
     coded_records.unpack(rest, bits, low.reshape(-1))
@@ -131,12 +131,19 @@ def _split(data: bytes, kind: int, count: int) -> tuple[U32, U8, int]:
     return content, np.frombuffer(data, np.uint8, offset=end), count_bits
 
 
-def _low_bytes(count: int, bits: int) -> int:
-    return -(-3 * count * bits // 8)
+def _low_bits(table: ChunkTable) -> U8:
+    """Return (3 G,) how many bits of each coordinate of a place stand below the octree."""
+    below = np.maximum(table.bits, _LEVELS) - np.uint8(_LEVELS)
+    return np.repeat(below, table.counts, axis=0).reshape(-1)
+
+
+def _bytes_of(bits: U8) -> int:
+    return -(-int(bits.sum(dtype=np.int64)) // 8)
 
 
 def _rows(table: ChunkTable) -> coded_records.Rows:
-    return coded_records.Rows(*(column.astype(np.int64) for column in (table.lows, table.strides, table.counts)))
+    columns = table.lows, table.strides, table.counts, table.bits
+    return coded_records.Rows(*(column.astype(np.int64) for column in columns))
 
 
 def _fields(layout: RecordLayout, count_bits: int) -> coded_records.Fields:

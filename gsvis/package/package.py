@@ -27,7 +27,7 @@ from gsvis.package.blocks import read_blocks
 from gsvis.package.cell_terms import CellTerms
 from gsvis.package.codec import ChunkTable, base_colors
 from gsvis.package.contents import Contents, base_places
-from gsvis.package.layout import RECORD_BYTES, TermLayout
+from gsvis.package.layout import RECORD_BYTES, RecordLayout, TermLayout
 from gsvis.package.manifest import MANIFEST, Blob, Manifest
 from gsvis.package.parts import PartFolder
 from gsvis.progress import Progress, silent
@@ -234,8 +234,10 @@ class Package:
 
     def _table(self, columns: dict[str, Any]) -> ChunkTable:
         origins, steps = (np.stack([columns[f"{of}_{axis}"] for axis in "xyz"], axis=1) for of in ("origin", "step"))
+        bits = np.full(origins.shape, RecordLayout.from_variant(self.manifest.grids.variant).position, np.uint8)
         try:
-            return ChunkTable(origins, steps, columns["low"], columns["stride"], columns["count"])
+            _check.in_range("steps", steps, 0.0, np.inf)
+            return ChunkTable(origins, steps, columns["low"], columns["stride"], columns["count"], bits)
         except ValueError as error:
             raise self._fault("chunks", "valid rows", str(error)) from error
 

@@ -29,7 +29,10 @@ def decode_one(
         word = bits >> (axis * width)
         place = word & ((1 << layout.position) - 1)
         turn = (word >> layout.position) & ((1 << layout.rotation) - 1)
-        value = float(table.origins[row, axis]) + place * float(table.steps[row, axis])
+        step = float(table.steps[row, axis])
+        value = float(table.origins[row, axis]) + place * abs(step)
+        if step < 0:
+            value = math.copysign(math.expm1(min(abs(value), 700.0)), value)
         mean.append(min(max(value, -_LARGEST), _LARGEST))
         vector.append((turn - half) * (_SQRT_HALF / half))
         size = (word >> (layout.position + layout.rotation)) & ((1 << layout.scale) - 1)
@@ -60,9 +63,11 @@ def encode_one(
     sign = -1.0 if best[0] < 0 else 1.0
     half, bits = (1 << (layout.rotation - 1)) - 1, 0
     for axis in range(3):
-        step, place = float(table.steps[row, axis]), 0
-        if step > 0:
-            place = min(round((float(mean[axis]) - float(table.origins[row, axis])) / step), (1 << layout.position) - 1)
+        step, place, x = float(table.steps[row, axis]), 0, float(mean[axis])
+        if step != 0:
+            along = math.copysign(math.log1p(abs(x)), x) if step < 0 else x
+            place = round((along - float(table.origins[row, axis])) / abs(step))
+            place = min(place, (1 << int(table.bits[row, axis])) - 1)
         turn = min(max(round(sign * best[1 + axis] / _SQRT_HALF * half) + half, 0), 2 * half)
         size = min((logs[axis] - low + stride // 2) // stride, (1 << layout.scale) - 1)
         word = place | turn << layout.position | size << (layout.position + layout.rotation)

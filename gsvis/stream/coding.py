@@ -6,6 +6,7 @@ A server makes the tables once from all records of a scene and sends them in WEL
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
@@ -68,9 +69,13 @@ class Steps:
 
 def chunks_of(table: ChunkTable) -> records.Chunks:
     """Return what coding needs of the rows of chunks."""
-    bits = np.ascontiguousarray(table.steps).view(np.uint32).astype(np.int64)
+    bits = np.ascontiguousarray(np.abs(table.steps)).view(np.uint32).astype(np.int64)
     steps = (bits >> 23) - 127 + (bits & 0x7FFFFF > 0)
-    return records.Chunks(table.lows.astype(np.int64), table.strides.astype(np.int64), steps)
+    curved, wide = table.logarithmic, table.bits.astype(np.int64)
+    ends = table.origins - table.steps.astype(np.float64) * ((np.int64(1) << wide) - 1)
+    reach = np.ceil(np.maximum(np.abs(table.origins), np.abs(ends)) * math.log2(math.e))  # log2 of what stretches steps
+    steps[curved] += reach[curved].astype(np.int64)
+    return records.Chunks(table.lows.astype(np.int64), table.strides.astype(np.int64), steps, wide)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis import _check
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.holdings import Holdings
 from gsvis.color.srbf import SrbfColors
@@ -151,8 +152,12 @@ class Receiver:
         if not fresh.any():
             return self._starts, self._rows, self._table
         r, first = s.rows[fresh], s.chunks[fresh]
-        columns = (np.ascontiguousarray(r[name]) for name in ("origin", "step", "low", "stride", "count"))
-        table = ChunkTable.concatenate([self._table, ChunkTable(*columns)])
+        origins, steps, lows, strides, counts = (
+            np.ascontiguousarray(r[name]) for name in ("origin", "step", "low", "stride", "count")
+        )
+        bits = np.full((len(r), 3), self.about.coding.layout.position, np.uint8)
+        _check.in_range("step", steps, 0.0, np.inf)
+        table = ChunkTable.concatenate([self._table, ChunkTable(origins, steps, lows, strides, counts, bits)])
         places = np.searchsorted(self._starts, first)
         starts = np.insert(self._starts, places, first)
         rows = np.insert(self._rows, places, np.arange(len(self._table), len(table), dtype=np.int32))

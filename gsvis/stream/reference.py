@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from itertools import pairwise
 
+from gsvis.package.codec import ChunkTable
+
 __all__ = ["PlainReader", "decode_values", "encode_values", "read_record", "read_term", "table_slots"]
 
 
@@ -99,7 +101,7 @@ def table_slots(levels: list[int]) -> list[int]:
 def read_record(
     reader: PlainReader,
     bits: tuple[int, int, int],
-    chunk: tuple[int, int, list[float]],
+    chunk: tuple[ChunkTable, int],
     before: tuple[int, int] | None,
     limits: tuple[int, int] | None = None,
 ) -> tuple[bytes, int]:
@@ -108,12 +110,13 @@ def read_record(
     Args:
         reader: At the record.
         bits: Bits of a coordinate, of a component of the quaternion, and of a log-scale.
-        chunk: Lowest log-scale, stride, and steps of the coordinates of its chunk.
+        chunk: A table, and the row of its chunk.
         before: How far the id before in the same chunk is away, and its strength; None if there is none.
         limits: `Steps` of the scene, if it leaves bits out.
     """
     position, rotation, scale = bits
-    low, stride, steps = chunk
+    table, row = chunk
+    low, stride = int(table.lows[row]), int(table.strides[row])
     opacity, order, middle, smallest = (reader.symbol(k) for k in range(4))
     a, b = -middle * stride, -smallest * stride
     weight = _logarithm(opacity) + _add(_add(a, b), a + b)
@@ -140,17 +143,26 @@ def read_record(
     third = reader.symbol(44 + min(max(((first + 128) % 256 - 128) // 4, -8), 8) + 8)
     word = 0
     for k in range(3):
-        left = position
+        wide = left = int(table.bits[row, k])
         if limits is not None:
             limit = min(limits[0] - (middle * stride) // 2 - _logarithm(opacity), size - middle * stride) // 64
-            fraction, exponent = math.frexp(steps[k])
-            step = -127 if steps[k] == 0 else exponent - 1 + (fraction > 0.5)
-            left -= min(max(limit - step, 0), position)
-        place = reader.bits(left) << (position - left)
+            left -= min(max(limit - _longest_step(table, row, k), 0), wide)
+        place = reader.bits(left) << (wide - left)
         field = place | turns[k] << position | scales[k] << (position + rotation)
         word |= field << (k * sum(bits))
     color = bytes([opacity, (first + second) % 256, second, (third + second) % 256])
     return color + word.to_bytes(12, "little"), 2 * size + weight
+
+
+def _longest_step(table: ChunkTable, row: int, axis: int) -> int:
+    """Return log2 of the longest step of a coordinate, rounded up."""
+    step, origin = float(table.steps[row, axis]), float(table.origins[row, axis])
+    fraction, exponent = math.frexp(abs(step))
+    found: int = -127 if step == 0 else exponent - 1 + (fraction > 0.5)
+    if step >= 0:
+        return found
+    end = origin - step * (2 ** int(table.bits[row, axis]) - 1)
+    return int(found + math.ceil(max(abs(origin), abs(end)) * math.log2(math.e)))
 
 
 def _logarithm(opacity: int) -> int:

@@ -98,7 +98,8 @@ class Reader:
 
     def table(self) -> ChunkTable:
         c = self.chunks
-        return ChunkTable(*(np.ascontiguousarray(c[k]) for k in ("origin", "step", "low", "stride", "count")))
+        columns = (np.ascontiguousarray(c[k]) for k in ("origin", "step", "low", "stride", "count"))
+        return ChunkTable(*columns, np.full((len(c), 3), 14, np.uint8))
 
 
 def ids_in_package(package: Package) -> np.ndarray:

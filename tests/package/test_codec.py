@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -120,10 +122,10 @@ def test_any_subset_decodes_as_it_does_among_all(layout: RecordLayout) -> None:
 @given(data=st.binary(min_size=16, max_size=16), origin=st.floats(-(2.0**127), 2.0**127, width=32))
 def test_any_bytes_decode_to_something_that_can_be_drawn(data: bytes, origin: float) -> None:
     steps = np.array([[3e38, 1e-45, 0.0]], np.float32)
-    table = ChunkTable([[origin] * 3], steps, [32767], [255], [1])
+    table = ChunkTable([[origin] * 3], steps, [32767], [255], [1], [[14] * 3])
     for layout in LAYOUTS:
         for low in (-32768, 0, 32767):
-            rows = ChunkTable(table.origins, table.steps, [low], [255], [1])
+            rows = replace(table, lows=[low])
             found = decode_records(np.frombuffer(data, np.uint8)[None], rows, layout)
             Gaussians(*found, np.zeros((1, 1, 3)))
 
@@ -160,7 +162,7 @@ def test_what_does_not_fit_is_refused() -> None:
     with pytest.raises(ValueError, match="starts: expected chunks"):
         build_chunks(g, layout, starts=[1])
     with pytest.raises(ValueError, match="strides"):
-        ChunkTable(table.origins, table.steps, table.lows, np.zeros(len(table), np.uint8), table.counts)
+        replace(table, strides=np.zeros(len(table), np.uint8))
 
 
 def test_layouts_use_at_most_128_bits() -> None:

@@ -9,10 +9,14 @@ import numpy as np
 from gsvis.color.records import QuantizedColors, quantize
 from gsvis.color.srbf import SrbfColors
 from gsvis.package import in_package_order
+from gsvis.package.codec import ChunkTable
+from gsvis.package.lattice import from_symlog, symlog
+from gsvis.package.layout import RecordLayout
 from gsvis.prepare.active_terms import build_active_terms
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.store import CellSet, StoreInfo, VisibilityStore, write_store
 from gsvis.scene.content import scene_hash
+from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from gsvis.scene.procedural import random_scene
 from tests.color.samples import random_colors
@@ -28,6 +32,26 @@ def levels_of(n: int = 400, seed: int = 0) -> Levels:
     first[:3] = 0, 1, 2
     last = np.maximum(first, rng.integers(0, 3, n)).astype(np.uint8)
     return in_package_order(Levels(random_scene(rng, n), first, last, NAMES))
+
+
+def on_lattice(g: Gaussians, places: int = 65535) -> Gaussians:
+    """The same Gaussians, with centers rounded as a SOG file rounds them."""
+    logs = symlog(g.means)
+    low, high = logs.min(axis=0), logs.max(axis=0)
+    rounded = low + (high - low) * (np.rint((logs - low) / (high - low) * places) / places)
+    return Gaussians(from_symlog(rounded).astype(np.float32), g.quats, g.scales, g.opacities, g.sh0, g.shN)
+
+
+def without_wide_places(records: np.ndarray, table: ChunkTable, layout: RecordLayout) -> np.ndarray:
+    """The same records (N, 16), without bits of places that their chunks do not have."""
+    found, bits = records.copy(), np.repeat(table.bits, table.counts, axis=0)
+    for i in range(len(found)):
+        word = int.from_bytes(found[i].tobytes(), "little")
+        for axis in range(3):
+            at = 8 * layout.packed_from + axis * sum(layout.bits)
+            word &= ~(((1 << layout.position) - (1 << int(bits[i, axis]))) << at)
+        found[i] = np.frombuffer(word.to_bytes(16, "little"), np.uint8)
+    return found
 
 
 def colors_of(n: int, variant: str = "rgb", seed: int = 0) -> tuple[SrbfColors, QuantizedColors]:

@@ -18,7 +18,7 @@ from gsvis.stream._kernels import coder, records, terms
 from gsvis.stream.coding import Coding, Quality, Steps, chunks_of, coarsen, table_sizes
 from gsvis.stream.reference import PlainReader, read_record, read_term, table_slots
 from gsvis.stream.tables import MOST_LEVEL, Tables
-from tests.package.worlds import colors_of, levels_of
+from tests.package.worlds import colors_of, levels_of, without_wide_places
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -36,16 +36,18 @@ def coded(variant: str, coarse: bool) -> tuple[Contents, Coding]:
     return contents, Coding.from_contents(contents, steps)
 
 
-def hostile_table(rng: np.random.Generator, n: int) -> ChunkTable:
-    """Chunks of n Gaussians with any lows, strides and steps."""
+def hostile_table(rng: np.random.Generator, n: int, position: int) -> ChunkTable:
+    """Chunks of n Gaussians with any lows, strides and steps, linear and logarithmic."""
     counts = []
     while sum(counts) < n:
         counts.append(min(int(rng.integers(1, 30)), n - sum(counts)))
     c = len(counts)
     steps = rng.choice([0.0, 1e-45, 1e-20, 3e-3, 1.0, 1e30], (c, 3)).astype(np.float32)
+    origins, curved = np.zeros((c, 3), np.float32), rng.random(c) < 0.3
+    origins[curved], steps[curved] = rng.uniform(-40, 40, (curved.sum(), 3)), -rng.choice([1e-30, 1e-4, 1e-3])
     return ChunkTable(
-        np.zeros((c, 3), np.float32), steps, rng.integers(-(2**15), 2**15, c).astype(np.int16),
-        rng.integers(1, 256, c).astype(np.uint8), np.array(counts, np.uint16),
+        origins, steps, rng.integers(-(2**15), 2**15, c).astype(np.int16),
+        rng.integers(1, 256, c).astype(np.uint8), np.array(counts, np.uint16), rng.integers(0, position + 1, (c, 3)),
     )  # fmt: skip
 
 
@@ -78,8 +80,9 @@ def any_code(grids: Grids, steps: Steps | None, rng: np.random.Generator) -> Cod
 @settings(max_examples=40)
 def test_any_records_and_terms_come_back(variant: str, seed: int, n: int) -> None:
     rng, grids = np.random.default_rng(seed), contents_of(variant).grids
-    code, table = any_code(grids, None, rng), hostile_table(rng, n)
-    rows = rng.integers(0, 256, (n, 16)).astype(np.uint8)
+    layout = RecordLayout.from_variant(variant)
+    code, table = any_code(grids, None, rng), hostile_table(rng, n, layout.position)
+    rows = without_wide_places(rng.integers(0, 256, (n, 16)).astype(np.uint8), table, layout)
     ids, of, chunks = np.arange(n), table.of_all(), chunks_of(table)
     data = code.encode_records(rows, ids, of, chunks)
     kept = rows
@@ -87,9 +90,9 @@ def test_any_records_and_terms_come_back(variant: str, seed: int, n: int) -> Non
         kept = rows.copy()
         kept[:, 15] &= 127
     assert np.array_equal(code.decode_records(data, ids, of, chunks), kept)
-    layout = TermLayout.from_grids(grids)
-    words = rng.integers(0, 2 ** int(layout.widths.sum()), n).astype("<u8")
-    packed, owners = words.view(np.uint8).reshape(-1, 8)[:, : layout.nbytes], np.sort(rng.integers(0, n + 1, n))
+    of_terms = TermLayout.from_grids(grids)
+    words = rng.integers(0, 2 ** int(of_terms.widths.sum()), n).astype("<u8")
+    packed, owners = words.view(np.uint8).reshape(-1, 8)[:, : of_terms.nbytes], np.sort(rng.integers(0, n + 1, n))
     coded_terms = code.encode_terms(packed, owners.astype(np.int32))
     assert np.array_equal(code.decode_terms(coded_terms, owners), packed)
 
@@ -112,9 +115,8 @@ def test_the_plain_twin_reads_the_same(coarse: bool, seed: int, share: float) ->
         for k in range(len(ids)):
             row = int(of[k])
             before = (int(ids[k] - ids[k - 1]), strength) if k and of[k - 1] == row else None
-            chunk = int(table.lows[row]), int(table.strides[row]), table.steps[row].tolist()
             bits = RecordLayout.from_variant("rgb").bits
-            record, strength = read_record(reader, bits, chunk, before, limits)
+            record, strength = read_record(reader, bits, (table, row), before, limits)
             assert record == contents.records[ids[k]].tobytes()
         reader.end()
     owners = np.repeat(np.arange(len(contents)), contents.term_counts)
@@ -134,7 +136,8 @@ def test_any_bytes_are_read_or_refused(variant: str, seed: int, n: int, size: in
     """Also with tables that lack symbols, and with rows of chunks that make no sense."""
     rng, grids = np.random.default_rng(seed), contents_of(variant).grids
     code = coded(variant, bool(rng.integers(2)))[1] if sparse else any_code(grids, Steps(300, 300), rng)
-    table, data = hostile_table(rng, n), rng.integers(0, 256, size).astype(np.uint8)
+    table = hostile_table(rng, n, RecordLayout.from_variant(variant).position)
+    data = rng.integers(0, 256, size).astype(np.uint8)
     for found, width in (
         (code.decode_records(data, np.arange(n), table.of_all(), chunks_of(table)), 16),
         (code.decode_terms(data, np.zeros(n, np.int64)), TermLayout.from_grids(grids).nbytes),

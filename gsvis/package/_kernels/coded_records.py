@@ -50,11 +50,12 @@ class Fields(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """Rows of chunks: (C,) int64 lows and strides, and the number of Gaussians of each, in this part."""
+    """Rows of chunks: (C,) int64 lows, strides and numbers of Gaussians, and (C, 3) int64 bits of places."""
 
     lows: NDArray[np.int64]
     strides: NDArray[np.int64]
     counts: NDArray[np.int64]
+    bits: NDArray[np.int64]
 
 
 @njit(inline="always")
@@ -94,8 +95,8 @@ def _code_path(low, span, at, chances, start, path, nodes, stamp, data, writing)
 
 
 @njit(**OPTIONS)
-def _take_record(words, i, fields, v, low_bits):
-    """Write the fields of a record to `v` and the lower bits of its places to `low_bits`; see `code` for both."""
+def _take_record(words, i, fields, wide, v, low_bits):
+    """Write the fields of a record to `v` and the lower bits of its places, of `wide` (3,) bits, to `low_bits`."""
     position, rotation, scale, levels = fields.position, fields.rotation, fields.scale, DEPTH // 3
     width, head, first, last = position + rotation + scale, 8 * (1 + fields.colors), words[i, 0], words[i, 1]
     v[_OPACITY] = np.int64(first & np.uint64(255))
@@ -112,13 +113,15 @@ def _take_record(words, i, fields, v, low_bits):
     for k in range(3):
         place = take(first, last, head + k * width, position)
         v[_ROTATION + k] = take(first, last, head + k * width + position, rotation)
-        low_bits[i, k] = place & ((1 << (position - levels)) - 1)
+        below = max(wide[k] - levels, 0)
+        low_bits[i, k] = place & ((1 << below) - 1)
+        upper = (place >> below) << max(levels - wide[k], 0)
         for level in range(levels):
-            v[_PATH] |= (place >> (position - 1 - level) & 1) << (DEPTH - 1 - 3 * level - k)
+            v[_PATH] |= (upper >> (levels - 1 - level) & 1) << (DEPTH - 1 - 3 * level - k)
 
 
 @njit(**OPTIONS)
-def _put_record(words, i, fields, v, low_bits, bits):
+def _put_record(words, i, fields, wide, v, low_bits, bits):
     """Write a record from its fields; `bits` (2,) uint64 is room to work in."""
     position, rotation, scale, levels = fields.position, fields.rotation, fields.scale, DEPTH // 3
     width, head, mask = position + rotation + scale, 8 * (1 + fields.colors), (np.int64(1) << scale) - 1
@@ -133,7 +136,8 @@ def _put_record(words, i, fields, v, low_bits, bits):
         place = np.int64(0)
         for level in range(levels):
             place = place << 1 | (v[_PATH] >> (DEPTH - 1 - 3 * level - k) & 1)
-        put(bits, head + k * width, place << (position - levels) | np.int64(low_bits[i, k]))
+        place = place >> max(levels - wide[k], 0) << max(wide[k] - levels, 0)
+        put(bits, head + k * width, place | np.int64(low_bits[i, k]))
         put(bits, head + k * width + position, v[_ROTATION + k])
         below = 0 if k == largest else (v[_MIDDLE] if k == a else v[_SMALLEST])
         put(bits, head + k * width + position + rotation, (top - below) & mask)
@@ -216,11 +220,11 @@ def code(words, terms, low_bits, rows, fields, data, writing):
     color, bits = v[_COLOR : _COLOR + 4], np.zeros(2, np.uint64)
     low, span, at = begin(data, writing)
     for row in range(len(rows.counts)):
-        stride, least, strength = rows.strides[row], rows.lows[row], np.int64(0)
+        stride, least, strength, wide = rows.strides[row], rows.lows[row], np.int64(0), rows.bits[row]
         for place in range(rows.counts[row]):
             before, few = v[_ORDER], min(count, 9, most)
             if writing:
-                _take_record(words, i, fields, v, low_bits)
+                _take_record(words, i, fields, wide, v, low_bits)
                 count = np.int64(terms[i])
             low, span, at = _code_shape(low, span, at, chances, fields, before, v, data, writing)
             strong = weight(v[_MIDDLE], v[_SMALLEST], v[_OPACITY], stride, fields.logs, fields.sums)
@@ -237,7 +241,7 @@ def code(words, terms, low_bits, rows, fields, data, writing):
             tree = counts + 256 * few
             count, low, span, at = code_tree(low, span, at, chances, tree, count, fields.counts, data, writing)
             if not writing:
-                _put_record(words, i, fields, v, low_bits, bits)
+                _put_record(words, i, fields, wide, v, low_bits, bits)
                 terms[i] = np.uint8(count)
             i += 1
     return end(low, at, data, writing)
@@ -245,10 +249,10 @@ def code(words, terms, low_bits, rows, fields, data, writing):
 
 @njit(**OPTIONS)
 def pack(values, bits, out):
-    """Write the low bits of values as one string of bits, lowest first; `out` is of uint8 zeros."""
+    """Write so many low bits of each value as one string of bits, lowest first; `out` is of uint8 zeros."""
     at = 0
     for i in range(len(values)):
-        value, left = np.int64(values[i]), bits
+        value, left = np.int64(values[i]), np.int64(bits[i])
         while left > 0:
             free = 8 - (at & 7)
             out[at >> 3] |= np.uint8((value << (at & 7)) & 255)
@@ -261,9 +265,9 @@ def unpack(data, bits, out):
     """Write the values that `pack` packed; `data` has enough bytes."""
     at = 0
     for i in range(len(out)):
-        value, have = np.int64(0), 0
-        while have < bits:
-            used = min(8 - (at & 7), bits - have)
+        value, have, whole = np.int64(0), np.int64(0), np.int64(bits[i])
+        while have < whole:
+            used = min(8 - (at & 7), whole - have)
             value |= (np.int64(data[at >> 3]) >> (at & 7) & ((1 << used) - 1)) << have
             have, at = have + used, at + used
         out[i] = value

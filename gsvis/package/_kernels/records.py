@@ -1,7 +1,8 @@
 """Kernels of the package: chunks of Gaussians, records of 16 bytes, places along a Morton curve.
 
 Arrays are checked and contiguous. Decoding uses only integers, exact float64 products and correctly rounded
-operations, so any client that follows `reference.py` gets the same bits.
+operations, so any client that follows `reference.py` gets the same bits; with a logarithmic chunk, coordinates within
+the rounding of one exponential.
 """
 
 from __future__ import annotations
@@ -94,16 +95,14 @@ def chunk_starts(means, largest, steps, places, most, spread, starts):
 
 
 @njit(cache=True, nogil=True)
-def encode(chunk, origins, steps, lows, strides, means, quats, levels, opacities, colors, bits, out):
+def encode(chunk, places, lows, strides, quats, levels, opacities, colors, bits, out):
     """Write the records (N, 16), zero before, of Gaussians of the given chunks.
 
     Args:
         chunk: (N,) row of the chunk of each Gaussian.
-        origins: (C, 3) float32, lowest corners.
-        steps: (C, 3) float32, steps of the coordinates.
+        places: (N, 3) int32, in the box of the chunk.
         lows: (C,) int16, lowest log-scale in 1/64 octave.
         strides: (C,) uint8, steps of log-scales.
-        means: (N, 3) float32.
         quats: (N, 4) float32, unit, wxyz.
         levels: (N, 3) int32 log-scales.
         opacities: (N,) float32.
@@ -112,7 +111,7 @@ def encode(chunk, origins, steps, lows, strides, means, quats, levels, opacities
         out: (N, 16) uint8.
     """
     position, rotation, scale = bits
-    places, half, sizes = (1 << position) - 1, (1 << (rotation - 1)) - 1, (1 << scale) - 1
+    half, sizes = (1 << (rotation - 1)) - 1, (1 << scale) - 1
     width, first = position + rotation + scale, 1 + colors.shape[1]
     forms = np.empty((4, 4))
     for i in range(len(chunk)):
@@ -132,13 +131,13 @@ def encode(chunk, origins, steps, lows, strides, means, quats, levels, opacities
                 best = f
         sign = -1.0 if forms[best, 0] < 0.0 else 1.0
         for k in range(3):
-            place = np.int64(0)
-            if steps[c, k] > 0.0:
-                along = (np.float64(means[i, k]) - np.float64(origins[c, k])) / np.float64(steps[c, k])
-                place = min(np.int64(np.rint(along)), places)
             turn = np.int64(np.rint(sign * forms[best, 1 + k] / SQRT_HALF * half)) + half
             size = np.int64((levels[i, k] - int(lows[c]) + int(strides[c]) // 2) // int(strides[c]))
-            word = place | (min(max(turn, 0), 2 * half) << position) | (min(size, sizes) << (position + rotation))
+            word = (
+                np.int64(places[i, k])
+                | (min(max(turn, 0), 2 * half) << position)
+                | (min(size, sizes) << (position + rotation))
+            )
             bit = k * width
             word <<= bit & 7
             byte = first + (bit >> 3)
@@ -155,7 +154,7 @@ def decode(chunk, origins, steps, lows, strides, records, bits, first, roots, me
     Args:
         chunk: (M,) row of the chunk of each Gaussian.
         origins: (C, 3) float32, lowest corners.
-        steps: (C, 3) float32, steps of the coordinates.
+        steps: (C, 3) float32, steps of the coordinates; below 0, of their symmetric logarithms.
         lows: (C,) int16, lowest log-scale in 1/64 octave.
         strides: (C,) uint8, steps of log-scales.
         records: (M, 16) uint8.
@@ -187,7 +186,10 @@ def decode(chunk, origins, steps, lows, strides, records, bits, first, roots, me
             size = (word >> (position + rotation)) & ((1 << scale) - 1)
             level = min(max(int(lows[c]) + size * int(strides[c]), LEAST_LOG), MOST_LOG)
             scales[i, k] = np.float32(np.ldexp(roots[level & 63], level >> 6))
-            value = np.float64(origins[c, k]) + np.float64(place) * np.float64(steps[c, k])
+            step = np.float64(steps[c, k])
+            value = np.float64(origins[c, k]) + np.float64(place) * abs(step)
+            if step < 0.0:
+                value = np.copysign(np.expm1(abs(value)), value)
             means[i, k] = np.float32(min(max(value, -LARGEST), LARGEST))
             v[k] = np.float64(turn - half) * unit
         rest = 1.0 - (v[0] * v[0] + v[1] * v[1] + v[2] * v[2])

@@ -71,11 +71,19 @@ class Rounding(NamedTuple):
 
 
 class Chunks(NamedTuple):
-    """Rows of chunks as kernels need them: (C,) int64 lows and strides, (C, 3) int64 log2 of steps, rounded up."""
+    """Rows of chunks as kernels need them.
+
+    Attributes:
+        lows: (C,) int64.
+        strides: (C,) int64.
+        steps: (C, 3) int64, log2 of the longest step of each coordinate, rounded up.
+        bits: (C, 3) int64, bits of a place.
+    """
 
     lows: NDArray[np.int64]
     strides: NDArray[np.int64]
     steps: NDArray[np.int64]
+    bits: NDArray[np.int64]
 
 
 @njit(inline="always")
@@ -208,7 +216,7 @@ def operations(parts, ids, rows, chunks, layout, offsets, out):
         The number of operations.
     """
     lows, strides, steps, at = chunks.lows, chunks.strides, chunks.steps, 0
-    position, most = layout.position, (1 << layout.scale) - 1
+    bits, most = chunks.bits, (1 << layout.scale) - 1
     for i in range(len(parts)):
         row, top, before = rows[i], np.int64(parts[i, 3]), i - 1
         low, stride = lows[row], strides[row]
@@ -234,11 +242,11 @@ def operations(parts, ids, rows, chunks, layout, offsets, out):
         if layout.coarse:
             limit = _place_limit(low + top * stride, np.int64(parts[i, 1]), opacity, stride, layout)
         for k in range(3):
-            left = position
+            left = bits[row, k]
             if layout.coarse:
-                left -= min(max(limit - steps[row, k], 0), position)
+                left -= min(max(limit - steps[row, k], 0), left)
             if left:
-                out[at] = RAW | (left << 16) | (np.int64(parts[i, 11 + k]) >> (position - left))
+                out[at] = RAW | (left << 16) | (np.int64(parts[i, 11 + k]) >> (bits[row, k] - left))
                 at += 1
     return at
 
@@ -261,7 +269,7 @@ def write(parts, ids, rows, chunks, layout, offsets, symbols, out):
         The place of the first word.
     """
     lows, strides, steps, flat = chunks.lows, chunks.strides, chunks.steps, parts.reshape(-1)
-    position, most = layout.position, (1 << layout.scale) - 1
+    bits, most = chunks.bits, (1 << layout.scale) - 1
     x, y, at = np.uint64(LEAST), np.uint64(LEAST), len(out)  # states of the next operation, and of the one after it
     for i in range(len(ids) - 1, -1, -1):
         prefetch(flat, ROW * np.int64(ids[max(i - 8, 0)]))
@@ -271,11 +279,11 @@ def write(parts, ids, rows, chunks, layout, offsets, symbols, out):
         if layout.coarse:
             limit = _place_limit(low + top * stride, np.int64(parts[g, 1]), opacity, stride, layout)
         for k in range(2, -1, -1):
-            left = position
+            left = bits[row, k]
             if layout.coarse:
-                left -= min(max(limit - steps[row, k], 0), position)
+                left -= min(max(limit - steps[row, k], 0), left)
             if left:
-                value = np.int64(parts[g, 11 + k]) >> (position - left)
+                value = np.int64(parts[g, 11 + k]) >> (bits[row, k] - left)
                 z, at = push(np.uint32(RAW | (left << 16) | value), x, at, symbols, out)
                 x, y = y, z
         if layout.colors == 4:
@@ -371,11 +379,11 @@ def read(words, ids, rows, chunks, layout, code, out):
             put(bits, 32, value)
         limit = _place_limit(size, middle, opacity, stride, layout)
         for k in range(3):
-            left = position
+            left = chunks.bits[row, k]
             if layout.coarse:
-                left -= min(max(limit - chunks.steps[row, k], 0), position)
+                left -= min(max(limit - chunks.steps[row, k], 0), left)
             value, x, y, at = next_bits(words, x, y, at, left)
-            put(bits, head + k * width, value << (position - left))
+            put(bits, head + k * width, value << (chunks.bits[row, k] - left))
         out[i, 0], out[i, 1] = bits[0], bits[1]
     return at == len(words) and x == np.uint64(LEAST) and y == np.uint64(LEAST)
 
@@ -417,8 +425,9 @@ def coarsen(words, rows, chunks, layout, rounding, out):
             put(bits, 8 * (1 + k), _round(color, rounding.color, 0, 255))
         for k in range(3):
             at = head + k * width
-            left_out = min(max(limit - chunks.steps[row, k], 0), position)
-            put(bits, at, _round(take(low, high, at, position), left_out, 0, (1 << position) - 1))
+            wide = chunks.bits[row, k]
+            left_out = min(max(limit - chunks.steps[row, k], 0), wide)
+            put(bits, at, _round(take(low, high, at, position), left_out, 0, (1 << wide) - 1))
             put(bits, at + position, _round(take(low, high, at + position, rotation), turn, half, 2 * half + 1))
             put(bits, at + position + rotation, s[k])
         out[i, 0], out[i, 1] = bits[0], bits[1]

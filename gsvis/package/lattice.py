@@ -1,0 +1,151 @@
+"""Find the lattices on which the centers of Gaussians lie: SOG keeps 16 bits of the logarithm of each coordinate.
+
+A coordinate x has the symmetric logarithm u = sign(x) log(1 + |x|). In a SOG file, u is one of 65,536 values with even
+steps on each axis. Whoever knows the steps can keep such centers exactly, in fewer bits than a box of a chunk takes.
+They are found in the centers alone, so it does not matter through which files a scene came. Scene frame and units.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["Lattices", "find_lattices", "from_symlog", "symlog"]
+
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+
+RUN = 256
+"""Gaussians of a run in which a lattice shows."""
+
+_RUNS = 256  # runs that are looked at
+_MOST = 64  # lattices of a scene
+_DIFFERENT = 32  # least different values of a coordinate in a run
+_NEAR = 0.05  # of a step: how far from its lattice a center may lie
+_LEAST_STEP = 16.0  # in units of the rounding of float32: below it no lattice can be told
+_PARTS = 32  # most steps between the two nearest of a run
+_SHARE = 0.01  # least share of the Gaussians that a lattice has
+
+
+@dataclass(frozen=True, eq=False)
+class Lattices:
+    """K lattices, and the places of N centers on them.
+
+    Attributes:
+        offsets: (K, 3) symmetric logarithm at place 0.
+        steps: (K, 3) of the symmetric logarithm, > 0.
+        of: (N,) lattice of each center; -1 for those that lie on none.
+        places: (N, 3) place of each center on its lattice; 0 for those that lie on none.
+    """
+
+    offsets: F64
+    steps: F64
+    of: NDArray[np.int16]
+    places: NDArray[np.int32]
+
+    def __len__(self) -> int:
+        """Number of lattices."""
+        return len(self.steps)
+
+    def __getitem__(self, ids: ArrayLike) -> Lattices:
+        """Return the same lattices with some of the centers."""
+        chosen = np.asarray(ids)
+        return Lattices(self.offsets, self.steps, self.of[chosen], self.places[chosen])
+
+
+def symlog(x: ArrayLike) -> F64:
+    """Return the symmetric logarithm of coordinates, sign(x) log(1 + |x|)."""
+    x64 = np.asarray(x, np.float64)
+    return np.asarray(np.sign(x64) * np.log1p(np.abs(x64)))
+
+
+def from_symlog(u: ArrayLike) -> F64:
+    """Return the coordinates with these symmetric logarithms."""
+    u64 = np.asarray(u, np.float64)
+    with np.errstate(over="ignore"):
+        return np.asarray(np.sign(u64) * np.expm1(np.abs(u64)))
+
+
+def find_lattices(means: NDArray[np.float32]) -> Lattices:
+    """Return the lattices of centers, those with most first; a scene that never was in a SOG file has none.
+
+    Args:
+        means: (N, 3) centers, in an order in which neighbors are near each other.
+    """
+    n = len(means)
+    of, places = np.full(n, -1, np.int16), np.zeros((n, 3), np.int32)
+    logs, rest, found = symlog(means), np.arange(n), list[tuple[F64, F64]]()
+    while len(found) < _MOST and len(rest) >= RUN:
+        lattice = _common(logs[rest])
+        if lattice is None:
+            break
+        offset, step = lattice
+        along = (logs[rest] - offset) / step
+        on = (np.abs(along - np.rint(along)) < _NEAR).all(axis=1) & (np.abs(along) < 1 << 30).all(axis=1)
+        if on.sum() < max(RUN, _SHARE * n):
+            break
+        of[rest[on]], places[rest[on]] = len(found), np.rint(along[on]).astype(np.int32)
+        found.append(lattice)
+        rest = rest[~on]
+    offsets, steps = (np.array([pair[k] for pair in found]).reshape(-1, 3) for k in range(2))
+    return Lattices(offsets, steps, of, places)
+
+
+def _common(logs: F64) -> tuple[F64, F64] | None:
+    """Return offset and step (3,) of the lattice on which most runs of (N, 3) logarithms lie; None if there is none."""
+    count = len(logs) // RUN
+    runs = [slice(RUN * k, RUN * (k + 1)) for k in np.unique(np.linspace(0, count - 1, _RUNS).astype(int)).tolist()]
+    steps = np.array([[_step(np.sort(logs[run, axis])) for axis in range(3)] for run in runs])
+    good = np.flatnonzero((steps > 0.0).all(axis=1))
+    if len(good) == 0:
+        return None
+    alike = [int((np.abs(steps[good] / steps[k] - 1.0) < 1e-3).all(axis=1).sum()) for k in good]
+    best = int(good[int(np.argmax(alike))])
+    near = np.concatenate([logs[runs[k]] for k in good])
+    fits = [_fit(near[:, axis], logs[runs[best], axis], float(steps[best, axis])) for axis in range(3)]
+    offset, step = (np.array([fit[k] for fit in fits]) for k in range(2))
+    return offset, step
+
+
+def _step(u: F64) -> float:
+    """Return the largest step of which all distances of ascending values are multiples; 0 if there is none."""
+    noise = 2.0**-23 * (1.0 - np.exp(-np.abs(u).max()))
+    gaps = np.diff(u)
+    gaps = gaps[gaps > 4.0 * noise]
+    if len(gaps) < _DIFFERENT - 1:
+        return 0.0
+    least = float(gaps.min())
+    for parts in range(1, 1 + _PARTS):
+        step = least / parts
+        for some in (gaps[gaps <= least * 24.0 / min(parts, 24)], gaps, np.cumsum(gaps)):
+            times = np.rint(some / step)
+            if np.abs(some / step - times).max() > 0.2:
+                break
+            step = float((some * times).sum() / (times * times).sum())
+        else:
+            off = np.cumsum(gaps) / step
+            if step > _LEAST_STEP * noise and np.sqrt(np.mean((off - np.rint(off)) ** 2)) < _NEAR:
+                return step
+    return 0.0
+
+
+def _fit(u: F64, run: F64, step: float) -> tuple[float, float]:
+    """Return offset and step of the lattice of a run, made exact by all values that lie on it, first near and then far.
+
+    Both are rounded far below the rounding of float32, so that an edit of some Gaussians seldom changes them.
+    """
+    offset = float(np.median(run))
+    offset = float(run[np.argmin(np.abs(run - offset))])
+    for reach, far in ((1 << 11, 0.2), (1 << 14, 0.1), (1 << 17, 0.1), (1 << 17, 0.02)):
+        some = u[np.abs(u - offset) < reach * step]
+        times = np.rint((some - offset) / step)
+        on = np.abs((some - offset) / step - times) < far
+        x, y = times[on], some[on] - offset
+        spread = float(((x - x.mean()) ** 2).sum())
+        if spread > 0.0:
+            step = float(((x - x.mean()) * (y - y.mean())).sum()) / spread
+        offset += float((y - step * x).mean())
+    offset -= step * np.floor(offset / step)
+    return round(offset * 2.0**44) / 2.0**44, round(step * 2.0**54) / 2.0**54

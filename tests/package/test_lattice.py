@@ -1,0 +1,101 @@
+"""Lattices of SOG files are found in the centers, chunks keep such centers, and other scenes have none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gsvis.package import in_package_order
+from gsvis.package.codec import build_chunks, chunk_starts, decode_records, encode_records
+from gsvis.package.lattice import find_lattices, from_symlog, symlog
+from gsvis.package.layout import RecordLayout
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.levels import Levels
+from gsvis.scene.procedural import random_scene
+from tests.package.worlds import on_lattice
+
+LAYOUTS = [RecordLayout.from_variant(name) for name in ("rgb", "hsl")]
+
+
+def cloud(n: int, away: float = 0.0) -> Gaussians:
+    """Gaussians around the middle, and one in a hundred far out."""
+    rng = np.random.default_rng(n)
+    g = random_scene(rng, n)
+    means = rng.normal(size=(n, 3)) + away
+    means[::100] *= rng.uniform(1, 1000, (len(means[::100]), 1))
+    return Gaussians(means, *parts(g))
+
+
+def scanned(n: int = 6000, away: float = 0.0) -> Gaussians:
+    return on_lattice(cloud(n, away), 32767)
+
+
+def along_curve(g: Gaussians) -> Gaussians:
+    return in_package_order(Levels.single(g)).union
+
+
+def test_the_symmetric_logarithm_has_an_inverse() -> None:
+    x = np.array([-1e30, -3.5, -1e-6, 0.0, 1e-6, 3.5, 1e30])
+    np.testing.assert_allclose(from_symlog(symlog(x)), x, rtol=1e-12)
+    np.testing.assert_allclose(symlog([np.e - 1.0, 1.0 - np.e]), [1.0, -1.0])
+
+
+def test_a_lattice_is_found_with_every_center_on_it() -> None:
+    g = along_curve(scanned())
+    found = find_lattices(g.means)
+    assert len(found) == 1
+    assert (found.of == 0).all()
+    logs = symlog(g.means)
+    np.testing.assert_allclose(found.steps[0], np.ptp(logs, axis=0) / 32767, rtol=1e-6)
+    assert (np.ptp(found.places, axis=0) == 32767).all()
+    made = from_symlog(found.offsets[0] + found.steps[0] * found.places)
+    np.testing.assert_allclose(made, g.means, rtol=1e-5, atol=1e-6)
+
+
+def test_two_files_have_two_lattices_and_what_lies_on_none_stays_apart() -> None:
+    left, right, free = scanned(20000), scanned(30000, 9.0), cloud(5000, 60.0)
+    together = Gaussians.concatenate([along_curve(g) for g in (left, right, free)])
+    found = find_lattices(together.means)
+    assert len(found) == 2
+    for came, lattice in zip(np.split(found.of, [20000, 50000]), (1, 0, -1), strict=True):  # most Gaussians first
+        assert (came == lattice).mean() > 0.99
+
+
+def parts(g: Gaussians) -> tuple[np.ndarray, ...]:
+    return g.quats, g.scales, g.opacities, g.sh0, g.shN
+
+
+@pytest.mark.parametrize("n", [0, 1, 255, 3000])
+def test_other_scenes_have_none(n: int) -> None:
+    rng = np.random.default_rng(n)
+    assert len(find_lattices(random_scene(rng, max(n, 1)).means[:n])) == 0
+    assert len(find_lattices(np.zeros((n, 3), np.float32))) == 0
+    assert len(find_lattices(np.rint(rng.normal(size=(n, 3)) * 3).astype(np.float32))) == 0
+    assert len(find_lattices((1e30 * rng.normal(size=(n, 3))).astype(np.float32))) == 0
+
+
+@pytest.mark.parametrize("layout", LAYOUTS, ids=["rgb", "hsl"])
+def test_records_keep_centers_of_a_lattice_in_fewer_bits(layout: RecordLayout) -> None:
+    g = along_curve(scanned())
+    lattices = find_lattices(g.means)
+    starts = chunk_starts(g, lattices=lattices)
+    table = build_chunks(g, layout, starts=starts, lattices=lattices)
+    on = np.repeat(table.logarithmic, table.counts)
+    assert on.mean() > (0.5 if layout.color_scale else 0.9)  # with fewer bits more chunks are too wide
+    assert len(starts) <= 1.25 * len(chunk_starts(g)) + 1
+    assert np.average(table.bits.sum(axis=1), weights=table.counts) < 3 * layout.position - 2
+    colors = np.zeros((len(g), 4 if layout.color_scale else 3), np.uint8)
+    found = decode_records(encode_records(g, colors, table, layout), table, layout)
+    np.testing.assert_allclose(found.means[on], g.means[on], rtol=1e-5, atol=1e-6)
+    plain = build_chunks(g, layout, starts=starts)
+    rounded = decode_records(encode_records(g, colors, plain, layout), plain, layout)
+    assert np.abs(rounded.means[on] - g.means[on]).max() > 1e-4
+
+
+def test_chunks_that_reach_too_far_on_their_lattice_stay_linear() -> None:
+    g = along_curve(on_lattice(random_scene(np.random.default_rng(3), 700)))
+    lattices = find_lattices(g.means)
+    assert len(lattices) == 1
+    table = build_chunks(g, LAYOUTS[0], starts=chunk_starts(g, lattices=lattices), lattices=lattices)
+    assert not table.logarithmic.all()
+    assert (table.bits[~table.logarithmic] == 14).all()
