@@ -19,6 +19,7 @@ from gsvis.io._build import bytes_of_scene, exp_scales, gaussians_from, largest_
 from gsvis.io._sog_files import FolderStore, Store, ZipStore
 from gsvis.io._webp import MAX_PIXELS, decode_plane, plane_size
 from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.symlog import from_symlog
 
 __all__ = ["SogMeta", "load_sog", "read_sog"]
 
@@ -188,7 +189,7 @@ def _means(meta: SogMeta, store: Store, budget: Budget) -> F32:
     with np.errstate(all="ignore"):
         for axis in range(3):
             position = low[axis] + (high[axis] - low[axis]) * (np.arange(65536) / 65535.0)
-            levels = (np.sign(position) * np.expm1(np.abs(position))).astype(np.float32)
+            levels = from_symlog(position).astype(np.float32)
             means[:, axis] = levels[steps[:, axis]]
     return means
 

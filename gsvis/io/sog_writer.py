@@ -19,6 +19,7 @@ from gsvis.files.atomic import atomic_path
 from gsvis.io._quantize import codebook_of, nearest_entry, palette_of
 from gsvis.io._webp import MAX_PIXELS, encode_plane
 from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.symlog import symlog
 
 __all__ = ["encode_sog", "save_sog"]
 
@@ -99,8 +100,7 @@ def _as_plane(values: U8) -> U8:
 
 
 def _means(scene: Gaussians, planes: dict[str, U8]) -> dict[str, Any]:
-    means = scene.means.astype(np.float64)
-    position = np.sign(means) * np.log1p(np.abs(means))
+    position = symlog(scene.means)
     low, high = position.min(axis=0), position.max(axis=0)
     unit = (position - low) / np.where(high > low, high - low, 1.0)
     steps = np.rint(unit * 65535.0).astype(np.uint16)

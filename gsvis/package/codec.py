@@ -17,13 +17,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.package._kernels import records as kernels
-from gsvis.package.lattice import Lattices, symlog
+from gsvis.package.lattice import Lattices
 from gsvis.package.layout import RECORD_BYTES, RecordLayout
 from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.symlog import symlog
 
 __all__ = [
     "CHUNK",
-    "MOST_BITS",
     "ChunkTable",
     "Geometry",
     "build_chunks",
@@ -39,9 +39,6 @@ I64 = NDArray[np.int64]
 CHUNK = 256
 """Most Gaussians in a chunk."""
 
-MOST_BITS = 14
-"""Most bits of a place on an axis."""
-
 STEP = 1.0 / 16.0
 """Coarsest step of a coordinate, as a share of the largest standard deviation of a chunk's smallest Gaussian."""
 
@@ -49,11 +46,10 @@ SPREAD = 10 * 64
 """Most difference between the largest scales of two Gaussians of a chunk, in 1/64 octaves."""
 
 _CUT_PLACES = (1 << 13) - 1  # from the layout with the fewest bits, so that chunks do not depend on the variant
-_ON_LATTICE = (1 << MOST_BITS) - 1  # a layout with fewer bits leaves wider chunks linear
-_MORE = 2.0  # times as many chunks as without lattices are too many
-MOST_LOG = 88.0
-"""Largest symmetric logarithm of a coordinate: that of the largest float32 is below it."""
-
+_MOST_BITS = 14  # of a place on an axis
+_ON_LATTICE = (1 << _MOST_BITS) - 1  # a layout with fewer bits leaves wider chunks linear
+_MORE = 2.0  # most chunks that a lattice may need, as a multiple of those without it
+_MOST_SYMLOG = 88.0  # of a coordinate in a logarithmic chunk; the largest float32 has 88.7
 _ROOTS = np.exp2(np.arange(64) / 64.0)
 
 
@@ -92,7 +88,7 @@ class ChunkTable:
             "bits": _check.integers("bits", self.bits, ("C", 3), np.uint8),
         }
         _check.same_length(**arrays)
-        _check.in_range("bits", arrays["bits"], 0, MOST_BITS)
+        _check.in_range("bits", arrays["bits"], 0, _MOST_BITS)
         _check_steps(arrays["origins"], arrays["steps"], arrays["bits"])
         _check.in_range("strides", arrays["strides"], 1, 255)
         _check.in_range("counts", arrays["counts"], 1, CHUNK)
@@ -157,7 +153,7 @@ def chunk_starts(g: Gaussians, *, cuts: ArrayLike = (), finest: float = 0.0, lat
         g: N Gaussians, in an order in which neighbors are near each other.
         cuts: Ascending ids before which a chunk always ends.
         finest: Least scale that positions are made for, scene units; smaller Gaussians are placed no more finely.
-        lattices: Those that the centers lie on. There are cuts wherever the next one lies on another.
+        lattices: Those that the centers lie on; a chunk also ends before a center of another lattice.
 
     Raises:
         ValueError: If `cuts` are not ascending or out of range.
@@ -166,6 +162,8 @@ def chunk_starts(g: Gaussians, *, cuts: ArrayLike = (), finest: float = 0.0, lat
     bounds = np.concatenate([[0], _check.integers("cuts", np.asarray(cuts, np.int64), ("K",)), [n]])
     if (np.diff(bounds) < 0).any():
         raise ValueError(f"cuts: expected rising ids from 0 to {n}, got others")
+    if lattices is not None:
+        bounds = np.sort(np.concatenate([bounds, 1 + np.flatnonzero(np.diff(lattices.of))]))
     largest = kernels.log_scales(g.scales, np.empty((n, 3), np.int32))
     allowed = np.maximum(g.scales.max(axis=1, initial=0.0).astype(np.float64), finest) * STEP
     pieces = [np.zeros(0, np.int64)]
@@ -223,14 +221,16 @@ def build_chunks(
 
 
 def _lay_on(lattices: Lattices, heads: I64, most: int, origins: F32, steps: F32, bits: U8) -> None:
-    """Write origins, steps and bits of the chunks that lie on a lattice and have places up to `most` there."""
+    """Write origins, steps and bits of chunks on a lattice that have places up to `most` and are not too far away."""
     low, high = (of.reduceat(lattices.places, heads, axis=0) for of in (np.minimum, np.maximum))
     least, last = (of.reduceat(lattices.of, heads) for of in (np.minimum, np.maximum))
     rows = np.flatnonzero((least >= 0) & (least == last) & (high - low <= most).all(axis=1))
-    of, low, high = least[rows], low[rows], high[rows]
-    origins[rows] = lattices.offsets[of] + low * lattices.steps[of]
-    steps[rows] = -lattices.steps[of]
-    bits[rows] = np.frexp((high - low).astype(np.float64))[1]  # 0 for 0
+    wide = np.frexp((high[rows] - low[rows]).astype(np.float64))[1]  # 0 for 0
+    step = lattices.steps[least[rows]]
+    origin = lattices.offsets[least[rows]] + low[rows] * step
+    near = (np.maximum(np.abs(origin), np.abs(origin + (1 << wide) * step)) < _MOST_SYMLOG).all(axis=1)
+    rows = rows[near]
+    origins[rows], steps[rows], bits[rows] = origin[near], -step[near], wide[near]
 
 
 def encode_records(
@@ -315,10 +315,11 @@ def _check_steps(origins: F32, steps: F32, bits: U8) -> None:
     curved = (steps < 0.0).any(axis=1)
     ends = origins.astype(np.float64) - steps.astype(np.float64) * ((np.int64(1) << bits.astype(np.int64)) - 1)
     reach = np.maximum(np.abs(origins), np.abs(ends)).max(axis=1, initial=0.0)
-    wrong = curved & ((steps >= 0.0).any(axis=1) | (reach > MOST_LOG))
+    wrong = curved & ((steps >= 0.0).any(axis=1) | (reach > _MOST_SYMLOG))
     if wrong.any():
         row = int(np.argmax(wrong))
-        raise ValueError(f"steps: expected all >= 0, or all < 0 and at most {MOST_LOG:g} away, got {steps[row]}")
+        expected = f"all >= 0, or all < 0 and logarithms up to {_MOST_SYMLOG:g}"
+        raise ValueError(f"steps: expected {expected}, got {steps[row]}")
 
 
 def base_colors(records: U8, layout: RecordLayout) -> U8:

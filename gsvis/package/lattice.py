@@ -12,21 +12,21 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Lattices", "find_lattices", "from_symlog", "symlog"]
+from gsvis.scene.symlog import symlog
+
+__all__ = ["Lattices", "find_lattices"]
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
-RUN = 256
-"""Gaussians of a run in which a lattice shows."""
-
+_RUN = 256  # Gaussians of a run in which a lattice shows
 _RUNS = 256  # runs that are looked at
 _MOST = 64  # lattices of a scene
-_DIFFERENT = 32  # least different values of a coordinate in a run
+_DIFFERENT = 32  # fewest different values of a coordinate in a run
 _NEAR = 0.05  # of a step: how far from its lattice a center may lie
-_LEAST_STEP = 16.0  # in units of the rounding of float32: below it no lattice can be told
+_LEAST_STEP = 16.0  # smallest step of a lattice, in roundings of float32
 _PARTS = 32  # most steps between the two nearest of a run
-_SHARE = 0.01  # least share of the Gaussians that a lattice has
+_SHARE = 0.01  # smallest share of the Gaussians that a lattice has
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,19 +55,6 @@ class Lattices:
         return Lattices(self.offsets, self.steps, self.of[chosen], self.places[chosen])
 
 
-def symlog(x: ArrayLike) -> F64:
-    """Return the symmetric logarithm of coordinates, sign(x) log(1 + |x|)."""
-    x64 = np.asarray(x, np.float64)
-    return np.asarray(np.sign(x64) * np.log1p(np.abs(x64)))
-
-
-def from_symlog(u: ArrayLike) -> F64:
-    """Return the coordinates with these symmetric logarithms."""
-    u64 = np.asarray(u, np.float64)
-    with np.errstate(over="ignore"):
-        return np.asarray(np.sign(u64) * np.expm1(np.abs(u64)))
-
-
 def find_lattices(means: NDArray[np.float32]) -> Lattices:
     """Return the lattices of centers, those with most first; a scene that never was in a SOG file has none.
 
@@ -77,14 +64,14 @@ def find_lattices(means: NDArray[np.float32]) -> Lattices:
     n = len(means)
     of, places = np.full(n, -1, np.int16), np.zeros((n, 3), np.int32)
     logs, rest, found = symlog(means), np.arange(n), list[tuple[F64, F64]]()
-    while len(found) < _MOST and len(rest) >= RUN:
+    while len(found) < _MOST and len(rest) >= _RUN:
         lattice = _common(logs[rest])
         if lattice is None:
             break
         offset, step = lattice
         along = (logs[rest] - offset) / step
         on = (np.abs(along - np.rint(along)) < _NEAR).all(axis=1) & (np.abs(along) < 1 << 30).all(axis=1)
-        if on.sum() < max(RUN, _SHARE * n):
+        if on.sum() < max(_RUN, _SHARE * n):
             break
         of[rest[on]], places[rest[on]] = len(found), np.rint(along[on]).astype(np.int32)
         found.append(lattice)
@@ -95,8 +82,8 @@ def find_lattices(means: NDArray[np.float32]) -> Lattices:
 
 def _common(logs: F64) -> tuple[F64, F64] | None:
     """Return offset and step (3,) of the lattice on which most runs of (N, 3) logarithms lie; None if there is none."""
-    count = len(logs) // RUN
-    runs = [slice(RUN * k, RUN * (k + 1)) for k in np.unique(np.linspace(0, count - 1, _RUNS).astype(int)).tolist()]
+    count = len(logs) // _RUN
+    runs = [slice(_RUN * k, _RUN * (k + 1)) for k in np.unique(np.linspace(0, count - 1, _RUNS).astype(int)).tolist()]
     steps = np.array([[_step(np.sort(logs[run, axis])) for axis in range(3)] for run in runs])
     good = np.flatnonzero((steps > 0.0).all(axis=1))
     if len(good) == 0:

@@ -20,6 +20,7 @@ _MODULES = (
     "sh",
     "similarity",
     "solid",
+    "symlog",
     "view_sampling",
 )
 

@@ -89,7 +89,7 @@ def test_damage_and_other_parts_are_refused() -> None:
         good[:-1],
         good + b"\0",
         other,
-        good[:4] + b"\x63" + good[5:],
+        good[:4] + b"\2" + good[5:],
         good[:6] + b"\11" + good[7:],
     ):
         with pytest.raises(ValueError, match="expected"):

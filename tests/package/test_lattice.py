@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from gsvis.package import in_package_order
 from gsvis.package.codec import build_chunks, chunk_starts, decode_records, encode_records
-from gsvis.package.lattice import find_lattices, from_symlog, symlog
+from gsvis.package.lattice import Lattices, find_lattices
 from gsvis.package.layout import RecordLayout
+from gsvis.package.reference import decode_one, encode_one
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from gsvis.scene.procedural import random_scene
+from gsvis.scene.symlog import from_symlog, symlog
 from tests.package.worlds import on_lattice
 
 LAYOUTS = [RecordLayout.from_variant(name) for name in ("rgb", "hsl")]
@@ -99,3 +103,50 @@ def test_chunks_that_reach_too_far_on_their_lattice_stay_linear() -> None:
     table = build_chunks(g, LAYOUTS[0], starts=chunk_starts(g, lattices=lattices), lattices=lattices)
     assert not table.logarithmic.all()
     assert (table.bits[~table.logarithmic] == 14).all()
+
+
+@pytest.mark.parametrize("layout", LAYOUTS, ids=["rgb", "hsl"])
+def test_the_plain_twin_writes_and_reads_the_same(layout: RecordLayout) -> None:
+    g = along_curve(scanned())
+    lattices = find_lattices(g.means)
+    table = build_chunks(g, layout, starts=chunk_starts(g, lattices=lattices), lattices=lattices)
+    colors = np.zeros((len(g), 4 if layout.color_scale else 3), np.uint8)
+    records, rows = encode_records(g, colors, table, layout), table.of_all()
+    found = decode_records(records, table, layout)
+    some = np.flatnonzero(table.logarithmic[rows])[::97]
+    assert len(some) > 20
+    for i in some:
+        chunk = table, int(rows[i])
+        one = encode_one(g.means[i], g.quats[i], g.scales[i], g.opacities[i], bytes(colors[i]), chunk, layout)
+        assert one == records[i].tobytes()
+        np.testing.assert_allclose(decode_one(one, *chunk, layout)[0], found.means[i], rtol=2e-7)
+
+
+def test_a_chunk_ends_where_another_lattice_begins() -> None:
+    g = along_curve(scanned(600))
+    of = np.repeat([0, 1, -1], 200).astype(np.int16)
+    places = np.zeros((600, 3), np.int32)
+    starts = chunk_starts(g, lattices=Lattices(np.zeros((2, 3)), np.ones((2, 3)), of, places))
+    assert {0, 200, 400} <= set(starts.tolist())
+
+
+def test_what_is_farther_than_a_logarithmic_chunk_reaches_stays_linear() -> None:
+    n = 300
+    rng = np.random.default_rng(2)
+    logs = 88.0 + 1e-3 * rng.integers(-200, 200, (n, 3))
+    g = random_scene(rng, n)
+    g = Gaussians(from_symlog(logs), *parts(g))
+    places = np.rint(logs / 1e-3).astype(np.int32)
+    lattices = Lattices(np.zeros((1, 3)), np.full((1, 3), 1e-3), np.zeros(n, np.int16), places)
+    table = build_chunks(g, LAYOUTS[0], starts=[0, 200], lattices=lattices)
+    assert not table.logarithmic.any()
+
+
+def test_steps_that_mean_nothing_are_refused() -> None:
+    table = build_chunks(cloud(10), LAYOUTS[0], starts=[0])
+    mixed, flat, small, large = [-1e-3, 1e-3, -1e-3], [-1e-3, 0.0, -1e-3], [-1e-3] * 3, [-1.0] * 3
+    for steps, origin in ((mixed, 0.0), (flat, 0.0), (small, 89.0), (large, 0.0)):
+        with pytest.raises(ValueError, match="steps: expected all >= 0, or all < 0 and logarithms up to 88"):
+            replace(table, steps=np.array([steps], np.float32), origins=np.full((1, 3), origin, np.float32))
+    with pytest.raises(ValueError, match="bits"):
+        replace(table, bits=[[15, 0, 0]])

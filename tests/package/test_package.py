@@ -86,7 +86,7 @@ def test_what_is_read_is_what_was_written(tmp_path: Path, variant: str) -> None:
         read = package.contents
         for name in ("records", "term_counts", "term_records", "chunk_levels", "starts"):
             np.testing.assert_array_equal(getattr(read, name), getattr(made, name), err_msg=name)
-        for name in ("origins", "steps", "lows", "strides", "counts"):
+        for name in ("origins", "steps", "lows", "strides", "counts", "bits"):
             np.testing.assert_array_equal(getattr(read.table, name), getattr(made.table, name), err_msg=name)
         np.testing.assert_array_equal(read.first, levels.first)
         np.testing.assert_array_equal(read.last, levels.last)

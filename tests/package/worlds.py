@@ -10,7 +10,6 @@ from gsvis.color.records import QuantizedColors, quantize
 from gsvis.color.srbf import SrbfColors
 from gsvis.package import in_package_order
 from gsvis.package.codec import ChunkTable
-from gsvis.package.lattice import from_symlog, symlog
 from gsvis.package.layout import RecordLayout
 from gsvis.prepare.active_terms import build_active_terms
 from gsvis.pvs.cells import CellGrid
@@ -19,6 +18,7 @@ from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from gsvis.scene.procedural import random_scene
+from gsvis.scene.symlog import from_symlog, symlog
 from tests.color.samples import random_colors
 
 NAMES = ("low", "medium", "high")

@@ -169,6 +169,19 @@ def test_a_client_refuses_ids_beyond_its_scene(scene: StreamedScene) -> None:
         assert len(receiver.shown()) == 0
 
 
+def test_a_client_refuses_rows_of_chunks_that_the_protocol_does_not_have(scene: StreamedScene) -> None:
+    first, row = np.zeros(1, np.int64), scene.chunk_rows[:1].copy()
+    row["step"] = -1e-3
+    for rows, refused in ((scene.chunk_rows[:1], False), (row, True)):
+        receiver, none = Receiver(scene.header), np.zeros(0, np.uint8)
+        data = Sections(1, first, rows, NONE, none, NONE, NONE, none, NONE).to_message(scene.about)
+        if refused:
+            with pytest.raises(ProtocolError, match="step: expected values in"):
+                receiver.receive(data)
+        else:
+            receiver.receive(data)
+
+
 def test_a_welcome_that_promises_billions_is_refused(scene: StreamedScene) -> None:
     most = 1 << 28
     with pytest.raises(ProtocolError, match="WELCOME: gaussians: expected an integer"):
