@@ -111,7 +111,7 @@ def encode_scene(levels: Levels) -> BareScene:
     ids = order.permutation
     g = Gaussians(union.means[ids], union.quats[ids], union.scales[ids], union.opacities[ids], union.sh0[ids])
     layout = RecordLayout.from_variant("rgb")
-    table = build_chunks(g, layout, starts=order.chunks)
+    table = build_chunks(g, layout, starts=order.chunks, lattices=order.lattices)
     heads = ids[table.starts[:-1]]
     grids, places = _base_colors(g.sh0[:, 0])
     degree = union.sh_degree

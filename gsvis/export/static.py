@@ -30,7 +30,7 @@ from gsvis.export.cells import CellRows, gains_of_package, replaced_rows, rows_o
 from gsvis.export.start import Start, start_poses
 from gsvis.files.atomic import atomic_path, remove_all_partials
 from gsvis.files.limits import digest_of, read_whole
-from gsvis.package.codec import ChunkTable
+from gsvis.package.codec import ChunkTable, packed_bits
 from gsvis.package.layout import RECORD_BYTES, TermLayout
 from gsvis.package.package import Package
 from gsvis.progress import Progress, silent
@@ -52,10 +52,10 @@ REACH = 8
 CHUNK_ROW = np.dtype(
     [
         ("origin", "<f4", 3), ("step", "<f4", 3), ("low", "<i2"), ("count", "<u2"), ("stride", "u1"),
-        ("first_level", "u1"), ("last_level", "u1"), ("reach", "u1"),
+        ("first_level", "u1"), ("last_level", "u1"), ("bits", "<u2"), ("reach", "u1"),
     ]
 )  # fmt: skip
-"""Type of a row of `chunks`, 32 bytes: as on the wire, and a bound of the largest standard deviation."""
+"""Type of a row of `chunks`, 34 bytes: as on the wire, and a bound of the largest standard deviation."""
 
 _OURS = re.compile(rf"(?:{'|'.join(KINDS)})-[0-9a-f]{{16}}\.bin")
 _MOST_JSON = 16 << 20
@@ -274,6 +274,7 @@ def _chunk_rows(table: ChunkTable, levels: U8, g: Gaussians) -> NDArray[np.void]
     for name, values in (
         ("origin", table.origins), ("step", table.steps), ("low", table.lows), ("count", table.counts),
         ("stride", table.strides), ("first_level", levels[:, 0]), ("last_level", levels[:, 1]),
+        ("bits", packed_bits(table.bits)),
         ("reach", np.clip(np.ceil((logs - table.lows) / REACH), 0, 255)),
     ):  # fmt: skip
         rows[name] = values

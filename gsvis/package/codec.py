@@ -30,6 +30,9 @@ __all__ = [
     "chunk_starts",
     "decode_records",
     "encode_records",
+    "lay_linear",
+    "packed_bits",
+    "unpack_bits",
 ]
 
 F32 = NDArray[np.float32]
@@ -207,17 +210,22 @@ def build_chunks(
     levels = np.empty((n, 3), np.int32)
     kernels.log_scales(g.scales, levels)
     places = (1 << layout.position) - 1
-    low, high = (np.asarray(of.reduceat(g.means, heads, axis=0), np.float64) for of in (np.minimum, np.maximum))
-    steps = ((high - low) / places).astype(np.float32)
-    short = steps.astype(np.float64) * places < high - low  # rounded down: the last step would not reach the end
-    steps = np.where(short, np.nextafter(steps, np.float32(np.inf)), steps)
+    origins, steps = _boxes(g.means, heads, places)
     lows = np.minimum.reduceat(levels.min(axis=1), heads)
     ranges = np.maximum.reduceat(levels.max(axis=1), heads) - lows
     strides = np.maximum(1, -(-ranges // ((1 << layout.scale) - 1)))
-    origins, bits = low.astype(np.float32), np.full((len(heads), 3), layout.position, np.uint8)
+    bits = np.full((len(heads), 3), layout.position, np.uint8)
     if lattices is not None:
         _lay_on(lattices, heads, places, origins, steps, bits)
     return ChunkTable(origins, steps, lows.astype(np.int16), strides.astype(np.uint8), counts, bits)
+
+
+def _boxes(means: F32, heads: I64, places: int) -> tuple[F32, F32]:
+    """Return origins and steps (C, 3) of the boxes around chunks, with so many steps along each side."""
+    low, high = (np.asarray(of.reduceat(means, heads, axis=0), np.float64) for of in (np.minimum, np.maximum))
+    steps = ((high - low) / places).astype(np.float32)
+    short = steps.astype(np.float64) * places < high - low  # rounded down: the last step would not reach the end
+    return low.astype(np.float32), np.where(short, np.nextafter(steps, np.float32(np.inf)), steps)
 
 
 def _lay_on(lattices: Lattices, heads: I64, most: int, origins: F32, steps: F32, bits: U8) -> None:
@@ -252,7 +260,7 @@ def encode_records(
     base = _check.integers("colors", colors, (len(g), 4 if layout.color_scale else 3), np.uint8)
     levels = np.empty((len(g), 3), np.int32)
     kernels.log_scales(g.scales, levels)
-    places = _places(g, table, rows, layout)
+    places = _places(g.means, table, rows, layout)
     above = levels.min(axis=1, initial=1 << 20) - table.lows[rows]
     reach = ((1 << layout.scale) - 1) * table.strides[rows].astype(np.int32)
     over = levels.max(axis=1, initial=-(1 << 20)) - table.lows[rows] - reach
@@ -263,14 +271,14 @@ def encode_records(
     return out
 
 
-def _places(g: Gaussians, table: ChunkTable, rows: NDArray[np.int32], layout: RecordLayout) -> NDArray[np.int32]:
-    """Return the (N, 3) places of Gaussians in their chunks.
+def _places(centers: F32, table: ChunkTable, rows: NDArray[np.int32], layout: RecordLayout) -> NDArray[np.int32]:
+    """Return the (N, 3) places of centers in their chunks.
 
     Raises:
         ValueError: If one is outside of its chunk.
     """
     curved, steps = table.logarithmic[rows], np.abs(table.steps[rows].astype(np.float64))
-    means = g.means.astype(np.float64)
+    means = centers.astype(np.float64)
     means[curved] = symlog(means[curved])
     away = means - table.origins[rows]
     along = np.rint(np.divide(away, steps, out=np.zeros_like(away), where=steps > 0.0))
@@ -308,6 +316,53 @@ def decode_records(
         layout.packed_from, _ROOTS, *found,
     )  # fmt: skip
     return found
+
+
+def lay_linear(records: U8, table: ChunkTable, layout: RecordLayout) -> tuple[U8, ChunkTable]:
+    """Return records and chunks with places in boxes, in all bits of the layout; all but the centers stays as it was.
+
+    Args:
+        records: (N, 16) uint8, which fill the table in order.
+        table: Rows of the chunks.
+        layout: Layout of the records.
+    """
+    heads = np.flatnonzero(table.logarithmic)
+    if not len(heads):
+        return records, table
+    rows = table.of_all()
+    some = np.flatnonzero(table.logarithmic[rows])
+    means = decode_records(records[some], table, layout, chunks=rows[some]).means
+    origins, steps, bits = table.origins.copy(), table.steps.copy(), table.bits.copy()
+    counts = table.counts[heads].astype(np.int64)
+    origins[heads], steps[heads] = _boxes(means, np.cumsum(counts) - counts, (1 << layout.position) - 1)
+    bits[heads] = layout.position
+    laid = ChunkTable(origins, steps, table.lows, table.strides, table.counts, bits)
+    out = records.copy()
+    places = _places(means, laid, rows[some], layout)
+    kernels.put_places(out.view("<u8").reshape(-1, 2), some, places, layout.bits, layout.packed_from)
+    return out, laid
+
+
+def packed_bits(bits: U8) -> NDArray[np.uint16]:
+    """Return (C,) uint16: bits (C, 3) of places on x, y and z, four bits each, lowest first."""
+    return np.asarray(bits.astype(np.uint16) @ np.array([1, 16, 256], np.uint16), np.uint16)
+
+
+def unpack_bits(packed: ArrayLike, most: int) -> U8:
+    """Return the (C, 3) bits of `packed_bits`.
+
+    Args:
+        packed: (C,) uint16.
+        most: Most bits of a place.
+
+    Raises:
+        ValueError: If one has more bits, or a bit above them is set.
+    """
+    words = np.asarray(packed, np.uint16)
+    _check.in_range("bits", words, 0, 0xFFF)
+    bits = np.stack([words & 15, words >> 4 & 15, words >> 8], axis=1).astype(np.uint8)
+    _check.in_range("bits", bits, 0, most)
+    return bits
 
 
 def _check_steps(origins: F32, steps: F32, bits: U8) -> None:

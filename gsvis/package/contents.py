@@ -77,7 +77,7 @@ class Contents:
         counts = np.diff(colors.offsets)
         _check.in_range("colors", counts, 0, 255)
         layout = RecordLayout.from_variant(colors.grids.variant)
-        table = build_chunks(g, layout, starts=order.chunks)
+        table = build_chunks(g, layout, starts=order.chunks, lattices=order.lattices)
         heads = table.starts[:-1]
         base = colors.base.astype(np.uint8)
         if layout.color_scale:

@@ -1,7 +1,7 @@
-"""The order of a package: by level, then along a Morton curve, then within a chunk by coverage. Also where parts begin.
+"""The order of a package: by level, by lattice, along a Morton curve, then within a chunk by coverage.
 
-Gaussians with the same levels are adjacent, and neighbors in space are near each other. The order depends only on the
-Gaussians, not on their order in the input. Scene frame and units.
+Also where parts begin. Gaussians with the same levels are adjacent, and neighbors in space on one lattice are near each
+other. The order depends only on the Gaussians, not on their order in the input. Scene frame and units.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from gsvis.package._kernels import records as kernels
 from gsvis.package.codec import chunk_starts
+from gsvis.package.lattice import Lattices, find_lattices
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 
@@ -35,13 +36,16 @@ class PackageOrder:
     Attributes:
         permutation: (N,) ids of the Gaussians in the order of the package.
         starts: (P + 1,) where parts begin, and N. A part is a cell of the curve, or neighboring cells of one parent.
-            Its Gaussians have the same first and last level. So an edit changes only the parts that it lies in.
+            Its Gaussians have the same first and last level and lie on the same lattice. So an edit changes only the
+            parts that it lies in.
         chunks: (C,) where chunks begin.
+        lattices: The lattices of the centers, in the order of the package.
     """
 
     permutation: I64
     starts: I64
     chunks: I64
+    lattices: Lattices
 
     @classmethod
     def from_levels(cls, levels: Levels) -> PackageOrder:
@@ -51,15 +55,17 @@ class PackageOrder:
         keys = levels.first.astype(np.int64) * 16 + (15 - levels.last)
         order = np.lexsort((codes, keys))
         order = _by_content(union, codes, keys, order)
-        codes, keys = codes[order], keys[order]
+        lattices = find_lattices(union.means[order])
+        order, lattices = _by_lattice(order, keys[order], lattices)
+        codes, keys = codes[order], keys[order] * (len(lattices) + 1) + lattices.of
         cuts = [0]
-        groups = np.append(np.flatnonzero(np.diff(keys, prepend=-1)), len(keys)).tolist()
+        groups = np.append(np.flatnonzero(np.diff(keys, prepend=-2)), len(keys)).tolist()
         for low, high in pairwise(groups):
             cuts += [end for _, end in _parts(codes, low, high, _TOP)]
-        chunks = chunk_starts(union[order], cuts=cuts[1:-1], finest=_finest(union))
+        chunks = chunk_starts(union[order], cuts=cuts[1:-1], finest=_finest(union), lattices=lattices)
         inside = np.repeat(np.arange(len(chunks)), np.diff(np.append(chunks, len(order))))
-        order = order[np.lexsort((-_strengths(union)[order], inside))]
-        return cls(order, np.array(cuts, np.int64), chunks)
+        inner = np.lexsort((-_strengths(union)[order], inside))
+        return cls(order[inner], np.array(cuts, np.int64), chunks, lattices[inner])
 
 
 def in_package_order(levels: Levels) -> Levels:
@@ -123,6 +129,12 @@ def _by_content(g: Gaussians, codes: U64, keys: I64, order: I64) -> I64:
     order = order.copy()
     order[tied] = some[np.lexsort((*content.T[::-1], codes[some], keys[some]))]
     return order
+
+
+def _by_lattice(order: I64, keys: I64, lattices: Lattices) -> tuple[I64, Lattices]:
+    """Return an order and the lattices in it, with the Gaussians of equal keys sorted by their lattice."""
+    sorted_ = np.lexsort((lattices.of, keys))
+    return order[sorted_], lattices[sorted_]
 
 
 def _parts(codes: U64, low: int, high: int, shift: int) -> list[tuple[int, int]]:

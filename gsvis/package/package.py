@@ -49,6 +49,7 @@ _TABLE: dict[str, type[np.generic]] = {
     "first_level": np.uint8,
     "last_level": np.uint8,
 }
+_BITS: dict[str, type[np.generic]] = {f"bits_{axis}": np.uint8 for axis in "xyz"}  # since version 3 of the format
 
 
 @dataclass(frozen=True)
@@ -131,7 +132,8 @@ class Package:
         """
         m = self.manifest
         budget = self._budget()
-        tables = [self._parts.read_columns(part, "chunks", _TABLE, rows, budget) for part, rows in m.tables]
+        types = _TABLE if m.version == 2 else {**_TABLE, **_BITS}
+        tables = [self._parts.read_columns(part, "chunks", types, rows, budget) for part, rows in m.tables]
         table = ChunkTable.concatenate([self._table(columns) for columns in tables])
         pairs = [np.stack([columns["first_level"], columns["last_level"]], axis=1) for columns in tables]
         levels = np.concatenate([np.zeros((0, 2), np.uint8), *pairs])
@@ -234,9 +236,14 @@ class Package:
 
     def _table(self, columns: dict[str, Any]) -> ChunkTable:
         origins, steps = (np.stack([columns[f"{of}_{axis}"] for axis in "xyz"], axis=1) for of in ("origin", "step"))
-        bits = np.full(origins.shape, RecordLayout.from_variant(self.manifest.grids.variant).position, np.uint8)
+        most = RecordLayout.from_variant(self.manifest.grids.variant).position
+        bits = np.full(origins.shape, most, np.uint8)
         try:
-            _check.in_range("steps", steps, 0.0, np.inf)
+            if self.manifest.version > 2:
+                bits = np.stack([columns[name] for name in _BITS], axis=1)
+                _check.in_range("bits", bits, 0, most)
+            else:
+                _check.in_range("steps", steps, 0.0, np.inf)
             return ChunkTable(origins, steps, columns["low"], columns["stride"], columns["count"], bits)
         except ValueError as error:
             raise self._fault("chunks", "valid rows", str(error)) from error
@@ -257,5 +264,5 @@ class Package:
 
 def columns_of(table: ChunkTable, levels: U8) -> dict[str, NDArray[Any]]:
     """Return a table of chunks, with the (C, 2) first and last level of each chunk, as columns of a part."""
-    values = [*table.origins.T, *table.steps.T, table.lows, table.strides, table.counts, *levels.T]
-    return dict(zip(_TABLE, values, strict=True))
+    values = [*table.origins.T, *table.steps.T, table.lows, table.strides, table.counts, *levels.T, *table.bits.T]
+    return dict(zip([*_TABLE, *_BITS], values, strict=True))

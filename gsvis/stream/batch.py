@@ -29,10 +29,10 @@ U8 = NDArray[np.uint8]
 CHUNK_ROW = np.dtype(
     [
         ("origin", "<f4", 3), ("step", "<f4", 3), ("low", "<i2"), ("count", "<u2"), ("stride", "u1"),
-        ("first_level", "u1"), ("last_level", "u1"),
+        ("first_level", "u1"), ("last_level", "u1"), ("bits", "<u2"),
     ]
 )  # fmt: skip
-"""Type of the row of a chunk, 31 bytes."""
+"""Type of the row of a chunk, 33 bytes."""
 
 MOST_BYTES = 1 << 28
 """Most bytes of a batch."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from gsvis._kernels.records import logarithms
 from gsvis._kernels.terms import TermFields
 from gsvis.color.records import Grids
-from gsvis.package.codec import ChunkTable
+from gsvis.package.codec import ChunkTable, lay_linear
 from gsvis.package.contents import Contents
 from gsvis.package.layout import RecordLayout, TermLayout, term_fields
 from gsvis.stream._kernels import coder, records, terms
@@ -215,12 +215,14 @@ class Coding:
 
 
 def coarsen(contents: Contents, quality: Quality) -> tuple[Contents, Steps]:
-    """Return a package with rounded records, and which bits are left out.
+    """Return a package with rounded records in boxes, and which bits are left out.
 
     Args:
         contents: The records of a package.
         quality: How to round.
     """
+    laid, table = lay_linear(contents.records, contents.table, contents.layout)
+    contents = replace(contents, records=laid, table=table)
     scales = np.log2(np.maximum(contents.gaussians().scales.astype(np.float64), 1e-30))
     if not len(scales):
         scales = np.zeros((1, 3))

@@ -11,12 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gsvis import _check
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.holdings import Holdings
 from gsvis.color.srbf import SrbfColors
 from gsvis.errors import ProtocolError
-from gsvis.package.codec import ChunkTable
+from gsvis.package.codec import ChunkTable, unpack_bits
 from gsvis.scene.gaussians import Gaussians
 from gsvis.stream.batch import Sections
 from gsvis.stream.coding import chunks_of
@@ -155,8 +154,7 @@ class Receiver:
         origins, steps, lows, strides, counts = (
             np.ascontiguousarray(r[name]) for name in ("origin", "step", "low", "stride", "count")
         )
-        bits = np.full((len(r), 3), self.about.coding.layout.position, np.uint8)
-        _check.in_range("step", steps, 0.0, np.inf)
+        bits = unpack_bits(r["bits"], self.about.coding.layout.position)
         table = ChunkTable.concatenate([self._table, ChunkTable(origins, steps, lows, strides, counts, bits)])
         places = np.searchsorted(self._starts, first)
         starts = np.insert(self._starts, places, first)

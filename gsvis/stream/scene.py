@@ -16,6 +16,7 @@ from gsvis.abr.index import SceneIndex, SceneTerms
 from gsvis.color.activation import Activation
 from gsvis.color.srbf import unit_vectors
 from gsvis.files.cache import Cache
+from gsvis.package.codec import packed_bits
 from gsvis.package.contents import Contents
 from gsvis.package.layout import RECORD_BYTES
 from gsvis.package.package import Package
@@ -174,7 +175,7 @@ def _chunk_rows(contents: Contents) -> NDArray[np.void]:
     for name, values in (
         ("origin", table.origins), ("step", table.steps), ("low", table.lows), ("count", table.counts),
         ("stride", table.strides), ("first_level", contents.chunk_levels[:, 0]),
-        ("last_level", contents.chunk_levels[:, 1]),
+        ("last_level", contents.chunk_levels[:, 1]), ("bits", packed_bits(table.bits)),
     ):  # fmt: skip
         rows[name] = values
     return rows

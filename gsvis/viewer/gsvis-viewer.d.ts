@@ -54,7 +54,8 @@ export interface Batch {
   rows: Uint32Array; // (G), the row of each Gaussian's chunk
   means: Float32Array; // (3 G)
   firstRow: number;
-  chunks: Float32Array; // (8 C): origin xyz, low, step xyz, stride
+  chunks: Float32Array; // (8 C): origin xyz, low, step xyz, stride; steps < 0: logarithmic
+  boxes: Float32Array; // (6 C): low and high corner of each chunk
   chunkLevels: Uint8Array; // (2 C): first and last level
   firstTerm: number;
   terms: Uint32Array; // (2 M), the bits of each term's record, lowest first

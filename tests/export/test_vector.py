@@ -24,7 +24,7 @@ VECTOR = Path(__file__).with_name("vector.json")
 
 
 def recorded(folder: Path) -> dict[str, Any]:
-    with package_of(folder / "p.gsvis", 300) as package:
+    with package_of(folder / "p.gsvis", 300, lattice=True) as package:
         write_static(folder / "package", package, StaticOptions(name="package"))
         found = {"package": spelled(folder / "package", package)}
     write_static(folder / "bare", random_scene(np.random.default_rng(7), 150, sh_degree=2), StaticOptions(name="bare"))

@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 
 from gsvis.package import in_package_order
-from gsvis.package.codec import build_chunks, chunk_starts, decode_records, encode_records
+from gsvis.package.codec import (
+    build_chunks,
+    chunk_starts,
+    decode_records,
+    encode_records,
+    lay_linear,
+    packed_bits,
+    unpack_bits,
+)
 from gsvis.package.lattice import Lattices, find_lattices
 from gsvis.package.layout import RecordLayout
 from gsvis.package.reference import decode_one, encode_one
@@ -128,6 +136,36 @@ def test_a_chunk_ends_where_another_lattice_begins() -> None:
     places = np.zeros((600, 3), np.int32)
     starts = chunk_starts(g, lattices=Lattices(np.zeros((2, 3)), np.ones((2, 3)), of, places))
     assert {0, 200, 400} <= set(starts.tolist())
+
+
+@pytest.mark.parametrize("layout", LAYOUTS, ids=["rgb", "hsl"])
+def test_records_are_laid_in_boxes_and_keep_all_but_their_centers(layout: RecordLayout) -> None:
+    g = along_curve(Gaussians.concatenate([scanned(3000), cloud(300, away=40.0)]))
+    lattices = find_lattices(g.means)
+    table = build_chunks(g, layout, starts=chunk_starts(g, lattices=lattices), lattices=lattices)
+    assert 0 < table.logarithmic.sum() < len(table)
+    colors = np.random.default_rng(4).integers(0, 256, (len(g), 4 if layout.color_scale else 3)).astype(np.uint8)
+    records = encode_records(g, colors, table, layout)
+    laid, boxes = lay_linear(records, table, layout)
+    assert not boxes.logarithmic.any()
+    assert (boxes.bits == layout.position).all()
+    before, after = decode_records(records, table, layout), decode_records(laid, boxes, layout)
+    for name in ("quats", "scales", "opacities"):
+        np.testing.assert_array_equal(getattr(after, name), getattr(before, name))
+    np.testing.assert_array_equal(laid[:, : layout.packed_from], records[:, : layout.packed_from])
+    assert (np.abs(after.means - before.means) <= 0.51 * boxes.steps[boxes.of_all()] + 1e-5).all()
+    same = ~table.logarithmic[table.of_all()]
+    np.testing.assert_array_equal(laid[same], records[same])
+    assert lay_linear(laid, boxes, layout)[0] is laid
+
+
+def test_bits_of_places_are_packed_four_by_four() -> None:
+    bits = np.array([[0, 0, 0], [14, 1, 13], [3, 14, 2]], np.uint8)
+    assert packed_bits(bits).tolist() == [0, 14 | 1 << 4 | 13 << 8, 3 | 14 << 4 | 2 << 8]
+    np.testing.assert_array_equal(unpack_bits(packed_bits(bits), 14), bits)
+    for word in (15, 14 << 8, 1 << 12):
+        with pytest.raises(ValueError, match="bits: expected values in"):
+            unpack_bits([word], 13)
 
 
 def test_what_is_farther_than_a_logarithmic_chunk_reaches_stays_linear() -> None:

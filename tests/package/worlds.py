@@ -25,13 +25,14 @@ NAMES = ("low", "medium", "high")
 EPSILON = 0.03
 
 
-def levels_of(n: int = 400, seed: int = 0) -> Levels:
-    """Random levels in the order of a package."""
+def levels_of(n: int = 400, seed: int = 0, *, lattice: bool = False) -> Levels:
+    """Random levels in the order of a package, with centers on the lattice of a SOG file where asked for."""
     rng = np.random.default_rng(seed)
     first = rng.integers(0, 3, n).astype(np.uint8)
     first[:3] = 0, 1, 2
     last = np.maximum(first, rng.integers(0, 3, n)).astype(np.uint8)
-    return in_package_order(Levels(random_scene(rng, n), first, last, NAMES))
+    g = random_scene(rng, n)
+    return in_package_order(Levels(on_lattice(g, 2047) if lattice else g, first, last, NAMES))
 
 
 def on_lattice(g: Gaussians, places: int = 65535) -> Gaussians:

@@ -170,16 +170,27 @@ def test_a_client_refuses_ids_beyond_its_scene(scene: StreamedScene) -> None:
 
 
 def test_a_client_refuses_rows_of_chunks_that_the_protocol_does_not_have(scene: StreamedScene) -> None:
-    first, row = np.zeros(1, np.int64), scene.chunk_rows[:1].copy()
-    row["step"] = -1e-3
-    for rows, refused in ((scene.chunk_rows[:1], False), (row, True)):
-        receiver, none = Receiver(scene.header), np.zeros(0, np.uint8)
-        data = Sections(1, first, rows, NONE, none, NONE, NONE, none, NONE).to_message(scene.about)
-        if refused:
-            with pytest.raises(ProtocolError, match="step: expected values in"):
-                receiver.receive(data)
-        else:
-            receiver.receive(data)
+    first, none = np.zeros(1, np.int64), np.zeros(0, np.uint8)
+
+    def receive(**values: object) -> None:
+        row = scene.chunk_rows[:1].copy()
+        for name, value in values.items():
+            row[name] = value
+        Receiver(scene.header).receive(
+            Sections(1, first, row, NONE, none, NONE, NONE, none, NONE).to_message(scene.about)
+        )
+
+    receive()
+    receive(origin=1.0, step=-1e-3)  # a logarithmic chunk
+    for values, message in (
+        ({"step": (1.0, -1e-3, -1e-3)}, "steps: expected all >= 0, or all < 0"),
+        ({"origin": 80.0, "step": -1e-3}, "steps: expected all >= 0, or all < 0 and logarithms up to 88"),
+        ({"origin": np.nan}, "origins: expected"),
+        ({"bits": 0xEEF}, "bits: expected values in"),
+        ({"bits": 0x1000}, "bits: expected values in"),
+    ):
+        with pytest.raises(ProtocolError, match=message):
+            receive(**values)
 
 
 def test_a_welcome_that_promises_billions_is_refused(scene: StreamedScene) -> None:

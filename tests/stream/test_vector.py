@@ -30,7 +30,7 @@ def package_of(folder: Path) -> Any:
     sys.path.insert(0, str(Path(__file__).parents[2]))
     from tests.stream.worlds import package_of
 
-    return package_of(folder, 240, "hsl", seed=4)
+    return package_of(folder, 300, "hsl", seed=4, lattice=True)
 
 
 def drawn(receiver: Receiver) -> dict[str, Any]:

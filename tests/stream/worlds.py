@@ -11,8 +11,10 @@ from gsvis.stream import Hello, Receiver, Session, StreamedScene, parse_client
 from tests.package.worlds import EPSILON, colors_of, levels_of, sets_of
 
 
-def package_of(folder: Path, n: int = 400, variant: str = "rgb", seed: int = 0, *, stores: bool = True) -> Package:
-    levels, (_, colors) = levels_of(n, seed), colors_of(n, variant, seed)
+def package_of(
+    folder: Path, n: int = 400, variant: str = "rgb", seed: int = 0, *, stores: bool = True, lattice: bool = False
+) -> Package:
+    levels, (_, colors) = levels_of(n, seed, lattice=lattice), colors_of(n, variant, seed)
     sets = sets_of(folder.parent / f"{folder.name}-stores", levels) if stores else None
     info = PackageInfo((0, -1, 0), 0.5, epsilon=EPSILON if stores else None)
     return write_package(folder, levels, colors, info=info, visibility=sets)

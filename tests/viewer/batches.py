@@ -18,10 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.package import Package
+from gsvis.package.codec import ChunkTable
 from gsvis.package.contents import Contents
 from gsvis.package.layout import TermLayout
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import quats_from_rotations
+from gsvis.scene.symlog import from_symlog
 
 I64 = NDArray[np.int64]
 
@@ -59,6 +61,7 @@ class Batches:
             first=first, firstRow=first_row, firstTerm=first_term,
             ids=ids.astype("<u4"), records=np.ascontiguousarray(made.records[ids]).view("<u4"),
             rows=self._rows[made.chunks[ids]].astype("<u4"), means=made.gaussians(ids).means, chunks=rows.astype("<f4"),
+            boxes=boxes_of(table),
             chunkLevels=made.chunk_levels[new], terms=bits.view("<u4"),
             owners=np.repeat(self._slots[ids], counts).astype("<u4"),
             gone=self._slots[np.asarray(gone, np.int64)].astype("<u4"),
@@ -91,6 +94,14 @@ class Batches:
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "scene.bin").write_bytes(self._data)
         (folder / "scene.json").write_text(json.dumps({"header": header, "batches": self._batches}))
+
+
+def boxes_of(table: ChunkTable) -> NDArray[np.float32]:
+    """Return (C, 6), the low and the high corner of each chunk."""
+    low = table.origins.astype(np.float64)
+    high = low + np.abs(table.steps.astype(np.float64)) * ((1 << table.bits.astype(np.int64)) - 1)
+    ends = np.concatenate([low, high], axis=1)
+    return np.where(table.logarithmic[:, None], from_symlog(ends), ends).astype("<f4")
 
 
 def camera_dicts(cameras: Cameras) -> list[dict[str, Any]]:

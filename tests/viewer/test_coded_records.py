@@ -22,18 +22,20 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return bundle("records", tmp_path_factory.mktemp("records"))
 
 
+@pytest.mark.parametrize("lattice", [False, True])
 @pytest.mark.parametrize("variant", ["rgb", "hsl"])
 @pytest.mark.parametrize("quality", [None, Quality(), Quality(place=2.0, turn=9.0, opacity=3, shape=3, color=3)])
 def test_the_page_decodes_what_the_package_has(
-    program: Path, tmp_path: Path, variant: str, quality: Quality | None
+    program: Path, tmp_path: Path, variant: str, quality: Quality | None, lattice: bool
 ) -> None:
-    with package_of(tmp_path / "s.gsvis", 3000, variant, stores=False) as package:
+    with package_of(tmp_path / "s.gsvis", 3000, variant, stores=False, lattice=lattice) as package:
         scene = StreamedScene.open(package, quality=quality)
         session = Session(scene, FieldOfView.from_degrees(110, 90))
         session.on_pose(0.0, [0, 0, 0], [1, 0, 0, 0])
         message = session.next_message(0.0, 60_000.0)
         assert message is not None
         contents = scene.contents
+    assert contents.table.logarithmic.any() == (lattice and quality is None)
     received = Receiver(scene.header).receive(message.data)
     assert min(len(received.gaussians), len(received.terms)) > 200
     for name, data in (("welcome", scene.header), ("batch", message.data)):

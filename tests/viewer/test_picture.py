@@ -22,6 +22,7 @@ from gsvis.scene.levels import Levels
 from gsvis.scene.procedural import two_rooms
 from gsvis.scene.sh import SH_C0
 from tests.color.samples import random_colors
+from tests.package.worlds import on_lattice
 from tests.viewer.batches import Batches, camera_dicts
 from tests.viewer.browser import browser_page, served, viewer_files
 
@@ -32,9 +33,10 @@ TARGETS = ((6.0, 2.3, 1.2), (2.2, 3.1, 0.7), (1.0, 1.0, 1.0))
 PAGES = Path(__file__).parent / "pages"
 
 
-def scene_of(sh_degree: int = 0) -> Levels:
+def scene_of(sh_degree: int = 0, *, lattice: bool = False) -> Levels:
     """Two rooms in the order of a package: every second Gaussian is of the lower level too."""
     g = two_rooms(COUNT, sh_degree=sh_degree).gaussians
+    g = on_lattice(g) if lattice else g
     first = (np.arange(len(g)) % 2).astype(np.uint8)
     return in_package_order(Levels(g, first, np.ones(len(g), np.uint8), ("low", "high")))
 
@@ -65,10 +67,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("viewer")
     for path in [*PAGES.iterdir(), *viewer_files().glob("*.js")]:
         shutil.copy(path, root)
-    levels = scene_of()
-    for name, variant, most in (("flat", "rgb", 0), ("terms", "rgb", 5), ("hsl", "hsl", 3)):
-        batches = Batches(contents_of(levels, variant, most))
-        for part in np.array_split(np.arange(len(levels.union)), 5):
+    for name, variant, most in (("flat", "rgb", 0), ("terms", "rgb", 5), ("hsl", "hsl", 3), ("lattice", "rgb", 5)):
+        contents = contents_of(scene_of(lattice=name == "lattice"), variant, most)
+        assert contents.table.logarithmic.any() == (name == "lattice")
+        batches = Batches(contents)
+        for part in np.array_split(np.arange(len(contents)), 5):
             batches.add(part)
         batches.save(root / name)
     bare = scene_of(3)
@@ -103,8 +106,8 @@ def truths(name: str, cameras: Cameras) -> F32:
         made = contents_of(levels, "rgb", 0).gaussians()
         g = Gaussians(made.means, made.quats, made.scales, made.opacities, made.sh0, harmonics_of(levels.union)[2])
         return rasterize(g, cameras).images
-    kinds = {"flat": ("rgb", 0), "terms": ("rgb", 5), "hsl": ("hsl", 3)}
-    made_ = contents_of(scene_of(), *kinds[name])
+    kinds = {"flat": ("rgb", 0), "terms": ("rgb", 5), "hsl": ("hsl", 3), "lattice": ("rgb", 5)}
+    made_ = contents_of(scene_of(lattice=name == "lattice"), *kinds[name])
     return rasterize(made_.gaussians(), cameras, colors=made_.colors().dequantize()).images
 
 
@@ -118,7 +121,7 @@ def canvases(page: Any, cameras: Cameras) -> list[F32]:
     ("name", "precision", "least"),
     [
         ("flat", "half", 50.0), ("flat", "bytes", 45.0), ("terms", "half", 42.0), ("terms", "bytes", 36.0),
-        ("hsl", "half", 42.0), ("bare", "half", 42.0),
+        ("hsl", "half", 42.0), ("lattice", "half", 42.0), ("bare", "half", 42.0),
     ],
 )  # fmt: skip
 def test_the_canvas_shows_what_the_rasterizer_draws(

@@ -125,7 +125,7 @@ test("what no further try can heal fails, with words for people and the code", (
     [errorOf(4, "a token is needed"), 4, /a token is needed/],
     [errorOf(2, "HELLO: expected version 3, got 2"), 2, /another version.*reload/],
     [changed(welcome, 1, 4), 2, /another version.*expected version 3, got 4/],
-    [reworded('"gaussians":240,', '"gaussians":2e8,'), 3, /needs 1001 MB/],
+    [reworded('"gaussians":300,', '"gaussians":2e8,'), 3, /needs 1001 MB/],
   ] as const) {
     const stage = new Stage();
     stage.connection.start();

@@ -97,11 +97,11 @@ test("a header that contradicts itself is refused", () => {
 
 test("a scene larger than allowed is refused before anything is reserved", () => {
   assert.throws(
-    () => new Receiver(reworded('"gaussians":240,', '"gaussians":2e8,')),
+    () => new Receiver(reworded('"gaussians":300,', '"gaussians":2e8,')),
     /WELCOME: this scene needs 1001 MB .* more than 537/,
   );
   assert.throws(() => new Receiver(welcome, 1000), /needs 1 MB/);
-  assert.ok(new Receiver(welcome, 5 * 240 + 154));
+  assert.ok(new Receiver(welcome, 5 * 300 + 199));
 });
 
 test("codes are read as the page says, and strings that are none are refused", () => {

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-__all__ = ["chunk_starts", "decode", "encode", "morton"]
+__all__ = ["chunk_starts", "decode", "encode", "morton", "put_places"]
 
 SQRT_HALF = 0.7071067811865476
 LEAST_LOG, MOST_LOG = -126 * 64, 128 * 64 - 1  # in 1/64 octave: what float32 holds without going denormal
@@ -92,6 +92,26 @@ def chunk_starts(means, largest, steps, places, most, spread, starts):
         for k in range(3):
             low[k], high[k] = min(low[k], means[i, k]), max(high[k], means[i, k])
     return count
+
+
+@njit(cache=True, nogil=True)
+def put_places(words, ids, places, bits, first):
+    """Write other places into records; no place crosses the middle of a record.
+
+    Args:
+        words: (N, 2) uint64, the records.
+        ids: (M,) the records to change.
+        places: (M, 3) int32.
+        bits: Bits of a coordinate, of a component of a quaternion, and of a log-scale.
+        first: Byte at which the bit string begins.
+    """
+    position, rotation, scale = bits
+    for i in range(len(ids)):
+        for k in range(3):
+            bit = 8 * first + k * (position + rotation + scale)
+            mask = np.uint64((1 << position) - 1) << np.uint64(bit & 63)
+            word = words[ids[i], bit >> 6] & ~mask
+            words[ids[i], bit >> 6] = word | np.uint64(places[i, k]) << np.uint64(bit & 63)
 
 
 @njit(cache=True, nogil=True)

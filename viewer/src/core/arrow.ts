@@ -6,53 +6,53 @@ const SCHEMA = 1;
 
 /** A table of a flatbuffer whose every access is checked to lie within the bytes. */
 class Table {
-  private readonly data: DataView;
-  private readonly at: number;
+  readonly #data: DataView;
+  readonly #at: number;
 
   constructor(data: DataView, at: number) {
-    this.data = data;
-    this.at = at;
+    this.#data = data;
+    this.#at = at;
   }
 
   /** Return where a field is, or 0 if it is absent. */
-  private place(field: number): number {
-    const vtable = this.at - this.data.getInt32(this.at, true);
-    if (4 + 2 * field >= this.data.getUint16(vtable, true)) return 0;
-    const offset = this.data.getUint16(vtable + 4 + 2 * field, true);
-    return offset === 0 ? 0 : this.at + offset;
+  #place(field: number): number {
+    const vtable = this.#at - this.#data.getInt32(this.#at, true);
+    if (4 + 2 * field >= this.#data.getUint16(vtable, true)) return 0;
+    const offset = this.#data.getUint16(vtable + 4 + 2 * field, true);
+    return offset === 0 ? 0 : this.#at + offset;
   }
 
   byte(field: number): number {
-    const place = this.place(field);
-    return place === 0 ? 0 : this.data.getUint8(place);
+    const place = this.#place(field);
+    return place === 0 ? 0 : this.#data.getUint8(place);
   }
 
   long(field: number): bigint {
-    const place = this.place(field);
-    return place === 0 ? 0n : this.data.getBigInt64(place, true);
+    const place = this.#place(field);
+    return place === 0 ? 0n : this.#data.getBigInt64(place, true);
   }
 
-  private target(place: number): number {
+  #target(place: number): number {
     if (place === 0) throw new RangeError("absent");
-    return place + this.data.getUint32(place, true);
+    return place + this.#data.getUint32(place, true);
   }
 
   table(field: number): Table {
-    return new Table(this.data, this.target(this.place(field)));
+    return new Table(this.#data, this.#target(this.#place(field)));
   }
 
   tables(field: number): Table[] {
-    const place = this.place(field);
+    const place = this.#place(field);
     if (place === 0) return [];
-    const at = this.target(place), count = this.data.getUint32(at, true);
-    if (4 * count > this.data.byteLength) throw new RangeError("too many");
-    return Array.from({ length: count }, (_, k) => new Table(this.data, this.target(at + 4 + 4 * k)));
+    const at = this.#target(place), count = this.#data.getUint32(at, true);
+    if (4 * count > this.#data.byteLength) throw new RangeError("too many");
+    return Array.from({ length: count }, (_, k) => new Table(this.#data, this.#target(at + 4 + 4 * k)));
   }
 
   text(field: number): string {
-    const at = this.target(this.place(field)), length = this.data.getUint32(at, true);
-    if (at + 4 + length > this.data.byteLength) throw new RangeError("too long");
-    const bytes = new Uint8Array(this.data.buffer, this.data.byteOffset + at + 4, length);
+    const at = this.#target(this.#place(field)), length = this.#data.getUint32(at, true);
+    if (at + 4 + length > this.#data.byteLength) throw new RangeError("too long");
+    const bytes = new Uint8Array(this.#data.buffer, this.#data.byteOffset + at + 4, length);
     return new TextDecoder("utf-8", { fatal: true }).decode(bytes);
   }
 }

@@ -6,7 +6,7 @@ import type { Header } from "./types.ts";
 import { BATCH, FAULTS, ProtocolError } from "./wire.ts";
 
 /** Bytes of the row of a chunk. */
-export const CHUNK_BYTES = 31;
+export const CHUNK_BYTES = 33;
 const MOST_BYTES = 2 ** 28;
 const MOST_ORDER = 24;
 const IDS_AT = 22; // bytes before the string of bits
@@ -15,7 +15,7 @@ const IDS_AT = 22; // bytes before the string of bits
 export interface Sections {
   sequence: number;
   chunks: Uint32Array; // (C) first id of each chunk
-  rows: Uint8Array; // (31 C)
+  rows: Uint8Array; // (33 C)
   gaussians: Uint32Array; // (G)
   records: Uint8Array; // coded
   terms: Uint32Array; // (M)

@@ -1,5 +1,7 @@
 // The rows of chunks that have come: boxes that records are relative to, by rising first ids.
 import { CHUNK_BYTES } from "./batch.ts";
+import { hasBox } from "./boxes.ts";
+import { recordLayout } from "./tables.ts";
 import type { Header } from "./types.ts";
 
 const MOST_MEMBERS = 256;
@@ -12,28 +14,35 @@ export interface Chunks {
   rows: Uint32Array<ArrayBuffer>;
   counts: Uint16Array<ArrayBuffer>;
   table: Float32Array<ArrayBuffer>; // (8 C) as in `Batch`
+  bits: Uint16Array<ArrayBuffer>; // of places on x, y and z, four bits each
 }
 
 /** Return no chunks. */
 export function noChunks(): Chunks {
   return {
     starts: new Uint32Array(0), rows: new Uint32Array(0), counts: new Uint16Array(0), table: new Float32Array(0),
+    bits: new Uint16Array(0),
   };
 }
 
-/** Return the chunks with new ones, whose rows are 31 bytes each. `refuse` raises for what does not fit the scene. */
+/** Return the chunks with new ones, whose rows are 33 bytes each. `refuse` raises for what does not fit the scene. */
 export function addChunks(
   before: Chunks, fresh: Uint32Array, bytes: Uint8Array, about: Header, refuse: Refuse,
 ): Chunks {
   if (fresh.length === 0) return before;
   const held = before.starts.length, n = held + fresh.length;
   if (n > about.chunks) refuse(`expected at most ${about.chunks} chunks, got ${n}`);
-  const table = new Float32Array(8 * n), counts = new Uint16Array(n);
+  const table = new Float32Array(8 * n), counts = new Uint16Array(n), bits = new Uint16Array(n);
+  const most = recordLayout(about.colors.variant).position;
   table.set(before.table);
   counts.set(before.counts);
+  bits.set(before.bits);
   const data = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
   for (let k = 0; k < fresh.length; k++) {
-    readRow(data, CHUNK_BYTES * k, table.subarray(8 * (held + k), 8 * (held + k + 1)), about.levels.length, refuse);
+    const row = held + k;
+    bits[row] = data.getUint16(CHUNK_BYTES * k + 31, true);
+    readRow(data, CHUNK_BYTES * k, table.subarray(8 * row, 8 * (row + 1)), about.levels.length, refuse);
+    if (!hasBox(table, row, bits[row], most)) refuse("expected chunks with a box, got others");
     counts[held + k] = data.getUint16(CHUNK_BYTES * k + 26, true);
     if (counts[held + k] < 1 || counts[held + k] > MOST_MEMBERS) {
       refuse(
@@ -53,7 +62,7 @@ export function addChunks(
     }
   }
   if (starts[n - 1] + counts[rows[n - 1]] > about.gaussians) refuse("expected chunks of this scene, got others");
-  return { starts, rows, counts, table };
+  return { starts, rows, counts, table, bits };
 }
 
 /** Read a row to its eight numbers of the table, and check it. */
@@ -61,11 +70,6 @@ function readRow(data: DataView, at: number, to: Float32Array, levels: number, r
   for (let i = 0; i < 3; i++) {
     to[i] = data.getFloat32(at + 4 * i, true);
     to[4 + i] = data.getFloat32(at + 12 + 4 * i, true);
-    if (
-      !Number.isFinite(to[i]) || !(to[4 + i] >= 0 && to[4 + i] < Infinity)
-    ) {
-      refuse("expected chunks with a box, got others");
-    }
   }
   to[3] = data.getInt16(at + 24, true);
   to[7] = data.getUint8(at + 28);

@@ -1,5 +1,7 @@
 // Records of Gaussians and terms as the wire has them: symbols of tables and raw bits (docs/streaming.md, "Coding").
 import { readCodes, wordsOf } from "./bits.ts";
+import { bitsOf } from "./boxes.ts";
+import type { Chunks } from "./chunks.ts";
 import { recordLayout, termWidths } from "./tables.ts";
 import type { ColorTables } from "./types.ts";
 import { ProtocolError } from "./wire.ts";
@@ -154,10 +156,11 @@ function put(words: Uint32Array, bit: number, value: number): void {
 /**
  * Return records of Gaussians, four words each; null unless the bytes are such.
  *
- * `rows` and `chunks` are as in `Batch`; ids rise.
+ * `rows` and `table` are as in `Batch`; ids rise.
  */
 export function readRecords(
-  bytes: Uint8Array, ids: Uint32Array, rows: Uint32Array, chunks: Float32Array, { colors, tables, steps }: Code,
+  bytes: Uint8Array, ids: Uint32Array, rows: Uint32Array, { table: chunks, bits }: Pick<Chunks, "table" | "bits">,
+  { colors, tables, steps }: Code,
 ): Uint32Array | null {
   const { position, rotation, scale, from, colorScale } = recordLayout(colors.variant);
   if (bytes.length % 2 || (bytes.length > 0) !== (ids.length > 0)) return null;
@@ -199,9 +202,12 @@ export function readRecords(
     if (colorScale) put(out, at + 32, reader.symbol(COLOR + 26 + (first >> 5)));
     const limit = steps ? Math.min(steps.place - (long >> 1) - LOGS[opacity], size - long) >> 6 : 0;
     for (let k = 0; k < 3; k++) {
-      const step = exponents[8 * row + 4 + k], log2 = (step >>> 23) - 127 + (step & 0x7fffff ? 1 : 0);
-      const gone = steps ? clamp(limit - log2, 0, position) : 0;
-      put(out, at + from + k * width, reader.bits(position - gone) << gone);
+      const step = exponents[8 * row + 4 + k], wide = bitsOf(bits[row], k), low = chunks[8 * row + k];
+      const log2 = ((step >>> 23) & 255) - 127 + (step & 0x7fffff ? 1 : 0);
+      const high = low - (2 ** wide - 1) * chunks[8 * row + 4 + k]; // of a logarithmic chunk, whose steps stretch
+      const stretch = step >>> 31 ? Math.ceil(Math.max(Math.abs(low), Math.abs(high)) * Math.LOG2E) : 0;
+      const gone = steps ? clamp(limit - log2 - stretch, 0, wide) : 0;
+      put(out, at + from + k * width, reader.bits(wide - gone) << gone);
     }
   }
   return ids.length === 0 || reader.isAtEnd ? out : null;

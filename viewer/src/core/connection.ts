@@ -51,41 +51,41 @@ const AGAIN: ReadonlySet<number> = new Set([FAULTS.tooMany, FAULTS.flood, FAULTS
 /** One client of one address, until `close`. */
 export class Connection {
   receiver: Receiver | null = null;
-  private readonly options: ConnectionOptions;
-  private readonly events: SourceEvents;
-  private readonly connect: (url: string) => Socket;
-  private readonly clock: Clock;
-  private readonly meter: Meter;
-  private readonly timers = new Map<string, () => void>();
-  private socket: Socket | null = null;
-  private phase: "waiting" | "opening" | "open" | "greeted" | "streaming" | "ended" = "waiting";
+  readonly #options: ConnectionOptions;
+  readonly #events: SourceEvents;
+  readonly #connect: (url: string) => Socket;
+  readonly #clock: Clock;
+  readonly #meter: Meter;
+  readonly #timers = new Map<string, () => void>();
+  #socket: Socket | null = null;
+  #phase: "waiting" | "opening" | "open" | "greeted" | "streaming" | "ended" = "waiting";
   private state: SourceState["kind"] | "" = "";
   private view: View | null = null;
-  private asked: View | null = null; // the view of the last HELLO
+  #asked: View | null = null; // the view of the last HELLO
   private pose: Pose | null = null;
-  private isNewPose = false;
-  private posedAt = -Infinity;
-  private greetedAt = 0;
-  private roundTrip = 0; // from HELLO to WELCOME, milliseconds
-  private wait = FIRST_WAIT_MS;
-  private bad = 0;
-  private isDoubted = false; // the server refused the holdings once
-  private saidHoldings = false;
-  private reconnects = -1;
-  private wallAt = 0;
+  #isNewPose = false;
+  #posedAt = -Infinity;
+  #greetedAt = 0;
+  #roundTrip = 0; // from HELLO to WELCOME, milliseconds
+  #wait = FIRST_WAIT_MS;
+  #bad = 0;
+  #isDoubted = false; // the server refused the holdings once
+  #saidHoldings = false;
+  #reconnects = -1;
+  #wallAt = 0;
 
   constructor(options: ConnectionOptions, events: SourceEvents, connect: (url: string) => Socket, clock: Clock) {
-    this.options = options;
-    this.events = events;
-    this.connect = connect;
-    this.clock = clock;
-    this.meter = new Meter(clock, (bytes, rate) => this.report(bytes, rate));
+    this.#options = options;
+    this.#events = events;
+    this.#connect = connect;
+    this.#clock = clock;
+    this.#meter = new Meter(clock, (bytes, rate) => this.report(bytes, rate));
   }
 
   /** Connect, and stay connected. */
   start(): void {
-    this.wallAt = this.clock.wall();
-    this.open();
+    this.#wallAt = this.#clock.wall();
+    this.#open();
   }
 
   /** Take where the eye is; poses go out when they change, at most 15 a second, and every second. */
@@ -94,8 +94,8 @@ export class Connection {
     const [now, before] = [pose, this.pose].map((p) => p && [...p.position, ...p.rotation]);
     if (before?.every((value, k) => value === now?.[k])) return;
     this.pose = { position: [...pose.position], rotation: [...pose.rotation] };
-    this.isNewPose = true;
-    this.sayPose();
+    this.#isNewPose = true;
+    this.#sayPose();
   }
 
   /**
@@ -104,219 +104,221 @@ export class Connection {
   setView(view: View): void {
     if (!isView(view)) return;
     this.view = { ...view };
-    if (this.phase === "open") this.greet();
-    if (this.phase === "greeted" || this.phase === "streaming") this.later("resize", RESIZE_MS, () => this.resize());
+    if (this.#phase === "open") this.#greet();
+    if (this.#phase === "greeted" || this.#phase === "streaming") {
+      this.#later("resize", RESIZE_MS, () => this.#resize());
+    }
   }
 
   /** Try again now, instead of waiting. */
   retry(): void {
-    if (this.phase === "waiting") this.open();
+    if (this.#phase === "waiting") this.#open();
   }
 
   /** The device is on a network again: what was open is likely dead. */
   renew(): void {
-    if (this.phase === "ended") return;
-    this.drop();
-    this.open();
+    if (this.#phase === "ended") return;
+    this.#drop();
+    this.#open();
   }
 
   /** Leave. */
   close(): void {
-    if (this.phase === "ended") return;
-    this.drop();
-    this.end();
-    this.meter.stop();
+    if (this.#phase === "ended") return;
+    this.#drop();
+    this.#end();
+    this.#meter.stop();
   }
 
-  private open(): void {
-    this.phase = "opening";
-    this.cancel("again");
-    if (this.state !== "streaming" && this.state !== "complete") this.say({ kind: "connecting" });
+  #open(): void {
+    this.#phase = "opening";
+    this.#cancel("again");
+    if (this.state !== "streaming" && this.state !== "complete") this.#say({ kind: "connecting" });
     let socket: Socket;
     try {
-      socket = this.connect(this.options.url);
+      socket = this.#connect(this.#options.url);
     } catch (error) {
-      this.fail(`The browser does not connect to ${hostOf(this.options.url)}: ${(error as Error).message}`);
+      this.#fail(`The browser does not connect to ${hostOf(this.#options.url)}: ${(error as Error).message}`);
       return;
     }
-    this.socket = socket;
+    this.#socket = socket;
     socket.binaryType = "arraybuffer";
     socket.onopen = () => {
-      if (socket !== this.socket) return;
-      this.phase = "open";
-      if (this.view !== null) this.greet();
-      else this.later("view", VIEW_MS, () => this.greet());
+      if (socket !== this.#socket) return;
+      this.#phase = "open";
+      if (this.view !== null) this.#greet();
+      else this.#later("view", VIEW_MS, () => this.#greet());
     };
     socket.onmessage = (event) => {
-      if (socket === this.socket) this.hear(event.data as unknown);
+      if (socket === this.#socket) this.#hear(event.data as unknown);
     };
     socket.onclose = (event) => {
-      if (socket === this.socket) this.lose(this.reasonOf(event));
+      if (socket === this.#socket) this.#lose(this.#reasonOf(event));
     };
-    this.later("open", OPEN_MS, () => this.lose(this.silence()));
+    this.#later("open", OPEN_MS, () => this.#lose(this.#silence()));
   }
 
   /** Send the token, HELLO and the pose. */
-  private greet(): void {
-    this.cancel("view");
+  #greet(): void {
+    this.#cancel("view");
     const held = this.receiver?.holdings() ?? new Uint8Array(0);
-    this.asked = this.view ?? USUAL;
-    this.saidHoldings = held.length > 0;
-    this.phase = "greeted";
-    this.greetedAt = this.clock.now();
-    if (this.options.token !== null) this.send(tokenOf(this.options.token));
-    this.send(hello(this.asked, this.options.reach, this.saidHoldings ? this.receiver?.about.identity : "", held));
-    this.isNewPose = true;
-    this.posedAt = -Infinity;
-    this.sayPose();
+    this.#asked = this.view ?? USUAL;
+    this.#saidHoldings = held.length > 0;
+    this.#phase = "greeted";
+    this.#greetedAt = this.#clock.now();
+    if (this.#options.token !== null) this.send(tokenOf(this.#options.token));
+    this.send(hello(this.#asked, this.#options.reach, this.#saidHoldings ? this.receiver?.about.identity : "", held));
+    this.#isNewPose = true;
+    this.#posedAt = -Infinity;
+    this.#sayPose();
   }
 
   /** Take in a message of the server. */
-  private hear(data: unknown): void {
+  #hear(data: unknown): void {
     try {
       if (!(data instanceof ArrayBuffer)) throw new ProtocolError("message: expected bytes, got text");
       if (data.byteLength > MOST_MESSAGE) {
         throw new ProtocolError(`message: expected at most ${MOST_MESSAGE} bytes, got ${data.byteLength}`);
       }
       const message = new Uint8Array(data);
-      this.meter.add(message.length);
-      if (message[0] === ERROR) this.hearError(message);
-      else if (this.phase === "streaming") this.hearBatch(message);
-      else this.hearWelcome(message);
+      this.#meter.add(message.length);
+      if (message[0] === ERROR) this.#hearError(message);
+      else if (this.#phase === "streaming") this.#hearBatch(message);
+      else this.#hearWelcome(message);
     } catch (error) {
-      this.refuse(error as Error);
+      this.#refuse(error as Error);
     }
   }
 
-  private hearWelcome(message: Uint8Array): void {
-    if (this.phase !== "greeted") throw new ProtocolError("message: expected nothing before HELLO, got some");
+  #hearWelcome(message: Uint8Array): void {
+    if (this.#phase !== "greeted") throw new ProtocolError("message: expected nothing before HELLO, got some");
     const isKept = this.receiver !== null && this.receiver.resume(message);
-    if (!isKept) this.receiver = new Receiver(message, this.options.mostBytes);
+    if (!isKept) this.receiver = new Receiver(message, this.#options.mostBytes);
     this.send(ack(0));
-    this.phase = "streaming";
-    this.roundTrip = this.clock.now() - this.greetedAt;
-    this.isDoubted = false;
-    this.reconnects++;
-    this.cancel("open");
-    this.later("steady", STEADY_MS, () => { this.wait = FIRST_WAIT_MS; });
-    this.events.header((this.receiver as Receiver).about, !isKept);
-    if (this.state !== "complete") this.say({ kind: "streaming" });
-    this.settle();
-    this.meter.report();
-    if (this.view !== null) this.later("resize", RESIZE_MS, () => this.resize());
+    this.#phase = "streaming";
+    this.#roundTrip = this.#clock.now() - this.#greetedAt;
+    this.#isDoubted = false;
+    this.#reconnects++;
+    this.#cancel("open");
+    this.#later("steady", STEADY_MS, () => { this.#wait = FIRST_WAIT_MS; });
+    this.#events.header((this.receiver as Receiver).about, !isKept);
+    if (this.state !== "complete") this.#say({ kind: "streaming" });
+    this.#settle();
+    this.#meter.report();
+    if (this.view !== null) this.#later("resize", RESIZE_MS, () => this.#resize());
   }
 
-  private hearBatch(message: Uint8Array): void {
+  #hearBatch(message: Uint8Array): void {
     const receiver = this.receiver as Receiver;
     // before the work of decoding: the server measures the link
     if (sequenceOf(message) === receiver.next) this.send(ack(receiver.next));
     const batch = receiver.receive(message);
-    this.bad = 0;
-    this.wait = FIRST_WAIT_MS;
-    this.events.batch(batch);
-    this.say({ kind: "streaming" });
-    this.settle();
-    this.meter.touch();
+    this.#bad = 0;
+    this.#wait = FIRST_WAIT_MS;
+    this.#events.batch(batch);
+    this.#say({ kind: "streaming" });
+    this.#settle();
+    this.#meter.touch();
   }
 
-  private hearError(message: Uint8Array): void {
+  #hearError(message: Uint8Array): void {
     const { code, line } = parseError(message);
     const isOfHoldings = code === FAULTS.malformed || code === FAULTS.tooLarge;
-    if (isOfHoldings && this.phase === "greeted" && this.saidHoldings && !this.isDoubted) {
-      this.isDoubted = true; // perhaps it is the holdings that the server cannot read: begin with nothing, once
+    if (isOfHoldings && this.#phase === "greeted" && this.#saidHoldings && !this.#isDoubted) {
+      this.#isDoubted = true; // perhaps it is the holdings that the server cannot read: begin with nothing, once
       this.receiver = null;
-      this.lose(line);
+      this.#lose(line);
     } else if (AGAIN.has(code)) {
-      if (code === FAULTS.flood) this.wait = LONGEST_WAIT_MS;
-      this.lose(line || "The server ended the connection.");
+      if (code === FAULTS.flood) this.#wait = LONGEST_WAIT_MS;
+      this.#lose(line || "The server ended the connection.");
     } else {
-      this.fail(`${code === FAULTS.version ? ANOTHER_VERSION : "The server refuses this viewer"}: ${line}`, code);
+      this.#fail(`${code === FAULTS.version ? ANOTHER_VERSION : "The server refuses this viewer"}: ${line}`, code);
     }
   }
 
   /** Close a connection whose server breaks the protocol; some such errors no further try can heal. */
-  private refuse(error: Error): void {
+  #refuse(error: Error): void {
     if (!(error instanceof ProtocolError)) {
-      this.fail(
+      this.#fail(
         error instanceof RangeError ? "This scene is too large for the memory of this device."
           : `The viewer failed: ${error.message}`
       );
     } else if (error.code === FAULTS.version || error.code === FAULTS.tooLarge) {
-      this.fail(error.code === FAULTS.version ? `${ANOTHER_VERSION}: ${error.message}` : error.message, error.code);
-    } else if (++this.bad >= MOST_BAD) {
-      this.fail(`The server sends what this viewer does not understand: ${error.message}`, error.code);
+      this.#fail(error.code === FAULTS.version ? `${ANOTHER_VERSION}: ${error.message}` : error.message, error.code);
+    } else if (++this.#bad >= MOST_BAD) {
+      this.#fail(`The server sends what this viewer does not understand: ${error.message}`, error.code);
     } else {
-      this.lose(error.message);
+      this.#lose(error.message);
     }
   }
 
   /** Drop a connection and try again after a while. */
-  private lose(message: string): void {
-    this.drop();
-    this.phase = "waiting";
-    const wait = this.wait * (0.5 + 0.5 * this.clock.random());
-    this.wait = Math.min(2 * this.wait, LONGEST_WAIT_MS);
-    this.say({ kind: "waiting", seconds: wait / 1000, message });
-    this.later("again", wait, () => this.open());
+  #lose(message: string): void {
+    this.#drop();
+    this.#phase = "waiting";
+    const wait = this.#wait * (0.5 + 0.5 * this.#clock.random());
+    this.#wait = Math.min(2 * this.#wait, LONGEST_WAIT_MS);
+    this.#say({ kind: "waiting", seconds: wait / 1000, message });
+    this.#later("again", wait, () => this.#open());
   }
 
-  private fail(message: string, code?: number): void {
-    this.drop();
-    this.end();
-    this.say(code === undefined ? { kind: "failed", message } : { kind: "failed", message, code });
+  #fail(message: string, code?: number): void {
+    this.#drop();
+    this.#end();
+    this.#say(code === undefined ? { kind: "failed", message } : { kind: "failed", message, code });
   }
 
-  private end(): void {
-    this.phase = "ended";
-    for (const name of [...this.timers.keys()]) this.cancel(name);
+  #end(): void {
+    this.#phase = "ended";
+    for (const name of [...this.#timers.keys()]) this.#cancel(name);
   }
 
   /** Let go of the socket; a server that still listens hears BYE. */
-  private drop(): void {
-    const socket = this.socket;
+  #drop(): void {
+    const socket = this.#socket;
     if (socket === null) return;
-    if (this.phase === "greeted" || this.phase === "streaming") this.send(bye());
-    this.socket = null;
+    if (this.#phase === "greeted" || this.#phase === "streaming") this.send(bye());
+    this.#socket = null;
     socket.onopen = socket.onmessage = socket.onclose = null;
     try {
       socket.close(1000);
     } catch { /* it was never open */ }
-    for (const name of ["open", "view", "pose", "quiet", "steady", "resize", "asleep"]) this.cancel(name);
+    for (const name of ["open", "view", "pose", "quiet", "steady", "resize", "asleep"]) this.#cancel(name);
   }
 
   private send(data: Uint8Array<ArrayBuffer>): void {
     try {
-      this.socket?.send(data);
+      this.#socket?.send(data);
     } catch { /* it is closing: `onclose` says so */ }
   }
 
   /** Send the pose if it is due, and look again when it will be. */
-  private sayPose(): void {
-    const { pose, socket } = this, now = this.clock.now();
-    this.lookAtClock();
-    if (pose === null || socket === null || (this.phase !== "greeted" && this.phase !== "streaming")) return;
-    const due = this.posedAt + (this.isNewPose ? POSE_MS : STILL_MS);
+  #sayPose(): void {
+    const { pose } = this, socket = this.#socket, now = this.#clock.now();
+    this.#lookAtClock();
+    if (pose === null || socket === null || (this.#phase !== "greeted" && this.#phase !== "streaming")) return;
+    const due = this.#posedAt + (this.#isNewPose ? POSE_MS : STILL_MS);
     if (now >= due && socket.bufferedAmount <= MOST_BUFFERED) {
-      const isFirst = this.posedAt === -Infinity;
+      const isFirst = this.#posedAt === -Infinity;
       this.send(poseAt(now, pose));
-      this.isNewPose = false;
-      this.posedAt = now;
-      if (isFirst && this.phase === "streaming") this.settle();
+      this.#isNewPose = false;
+      this.#posedAt = now;
+      if (isFirst && this.#phase === "streaming") this.#settle();
     }
-    const next = Math.max(this.posedAt + (this.isNewPose ? POSE_MS : STILL_MS) - now, 1);
-    this.later("pose", Number.isFinite(next) ? next : STILL_MS, () => this.sayPose());
+    const next = Math.max(this.#posedAt + (this.#isNewPose ? POSE_MS : STILL_MS) - now, 1);
+    this.#later("pose", Number.isFinite(next) ? next : STILL_MS, () => this.#sayPose());
   }
 
   /** Begin anew after the machine has slept. */
-  private lookAtClock(): void {
-    const wall = this.clock.wall(), passed = wall - this.wallAt;
-    this.wallAt = wall;
-    if (passed > ASLEEP_MS && this.phase === "streaming") this.later("asleep", 0, () => this.renew());
+  #lookAtClock(): void {
+    const wall = this.#clock.wall(), passed = wall - this.#wallAt;
+    this.#wallAt = wall;
+    if (passed > ASLEEP_MS && this.#phase === "streaming") this.#later("asleep", 0, () => this.renew());
   }
 
   /** Ask anew if the view sees well beyond what HELLO said, or much less. */
-  private resize(): void {
-    const { view, asked } = this;
+  #resize(): void {
+    const { view } = this, asked = this.#asked;
     if (view === null || asked === null) return;
     const more = Math.max(...(["left", "right", "up", "down"] as const).map((side) => view[side] - asked[side]));
     const area = (of: View) => (of.left + of.right) * (of.up + of.down);
@@ -324,49 +326,50 @@ export class Connection {
   }
 
   /** Say `complete` once nothing more has come for a while; `streaming` holds until then. */
-  private settle(): void {
-    const quiet = (this.receiver?.gaussians === 0 ? EMPTY_MS : QUIET_MS) + 3 * this.roundTrip;
-    if (this.receiver?.isWhole) this.say({ kind: "complete" });
-    else if (this.posedAt > -Infinity) this.later("quiet", quiet, () => this.say({ kind: "complete" }));
+  #settle(): void {
+    const quiet = (this.receiver?.gaussians === 0 ? EMPTY_MS : QUIET_MS) + 3 * this.#roundTrip;
+    if (this.receiver?.isWhole) this.#say({ kind: "complete" });
+    else if (this.#posedAt > -Infinity) this.#later("quiet", quiet, () => this.#say({ kind: "complete" }));
   }
 
-  private say(state: SourceState): void {
+  #say(state: SourceState): void {
     if (state.kind === this.state && state.kind !== "waiting") return;
     this.state = state.kind;
-    this.events.state(state);
+    this.#events.state(state);
   }
 
   private report(bytes: number, rate: number): void {
     const { receiver } = this;
-    this.events.traffic({
+    this.#events.traffic({
       bytes, rate, gaussians: receiver?.gaussians ?? 0, terms: receiver?.terms ?? 0,
-      replaced: receiver?.replaced ?? 0, reconnects: Math.max(this.reconnects, 0),
+      replaced: receiver?.replaced ?? 0, reconnects: Math.max(this.#reconnects, 0),
     });
   }
 
-  private reasonOf(event: CloseEvent): string {
+  #reasonOf(event: CloseEvent): string {
     if (event.reason) return `The server ended the connection: ${event.reason.slice(0, 120)}`;
     if (event.code === 1012) return "The server restarts.";
-    return this.phase === "opening" ? this.silence() : "The connection to the server was lost.";
+    return this.#phase === "opening" ? this.#silence() : "The connection to the server was lost.";
   }
 
   /** Return the line for no answer: to a page, a server that is absent looks like one that refuses it. */
-  private silence(): string {
-    return `${hostOf(this.options.url)} does not answer${this.reconnects < 0 ? ", or does not let this page in" : ""}.`;
+  #silence(): string {
+    const also = this.#reconnects < 0 ? ", or does not let this page in" : "";
+    return `${hostOf(this.#options.url)} does not answer${also}.`;
   }
 
   /** Do work after some time, once, instead of what was to be done under this name. */
-  private later(name: string, milliseconds: number, work: () => void): void {
-    this.cancel(name);
-    this.timers.set(name, this.clock.after(milliseconds, () => {
-      this.timers.delete(name);
+  #later(name: string, milliseconds: number, work: () => void): void {
+    this.#cancel(name);
+    this.#timers.set(name, this.#clock.after(milliseconds, () => {
+      this.#timers.delete(name);
       work();
     }));
   }
 
-  private cancel(name: string): void {
-    this.timers.get(name)?.();
-    this.timers.delete(name);
+  #cancel(name: string): void {
+    this.#timers.get(name)?.();
+    this.#timers.delete(name);
   }
 }
 

@@ -2,6 +2,7 @@
 import { CHUNK_BYTES, parseBatch } from "./batch.ts";
 import type { Sections } from "./batch.ts";
 import { add, has } from "./bits.ts";
+import { writeBox } from "./boxes.ts";
 import { addChunks, noChunks, rowsOf } from "./chunks.ts";
 import type { Chunks } from "./chunks.ts";
 import { readRecords, readTerms } from "./coding.ts";
@@ -22,13 +23,13 @@ export class Receiver {
   gaussians = 0;
   terms = 0;
   replaced = 0;
-  private skipped = 0; // Gaussians replaced before they came
+  #skipped = 0; // Gaussians replaced before they came
   private sequence = 0;
   private chunks: Chunks = noChunks();
-  private readonly layout: RecordLayout;
-  private readonly slots: Uint32Array; // of each Gaussian, from 1; 0 if it has not come
-  private readonly sent: Uint32Array; // packed sets
-  private readonly sentTerms: Uint32Array;
+  readonly #layout: RecordLayout;
+  readonly #slots: Uint32Array; // of each Gaussian, from 1; 0 if it has not come
+  readonly #sent: Uint32Array; // packed sets
+  readonly #sentTerms: Uint32Array;
   private readonly gone: Uint32Array;
 
   /** Raises ProtocolError if the message is no WELCOME, or its scene needs more than `mostBytes`. */
@@ -39,11 +40,11 @@ export class Receiver {
       const sizes = `${Math.ceil(needed / 1e6)} MB before its first Gaussian, more than ${Math.ceil(mostBytes / 1e6)}`;
       throw new ProtocolError(`WELCOME: this scene needs ${sizes}`, FAULTS.tooLarge);
     }
-    this.layout = recordLayout(colors.variant);
-    this.slots = new Uint32Array(gaussians);
-    this.sent = new Uint32Array(Math.ceil(gaussians / 32));
+    this.#layout = recordLayout(colors.variant);
+    this.#slots = new Uint32Array(gaussians);
+    this.#sent = new Uint32Array(Math.ceil(gaussians / 32));
     this.gone = new Uint32Array(Math.ceil(gaussians / 32));
-    this.sentTerms = new Uint32Array(Math.ceil(terms / 32));
+    this.#sentTerms = new Uint32Array(Math.ceil(terms / 32));
   }
 
   /** The number that the next batch must have. */
@@ -53,13 +54,13 @@ export class Receiver {
 
   /** Whether every Gaussian has come or is replaced, and every term has come. */
   get isWhole(): boolean {
-    return this.gaussians + this.skipped === this.about.gaussians && this.terms === this.about.terms;
+    return this.gaussians + this.#skipped === this.about.gaussians && this.terms === this.about.terms;
   }
 
   /** Return the holdings for a HELLO; no bytes if nothing has come. */
   holdings(): Uint8Array<ArrayBuffer> {
-    if (this.gaussians + this.skipped === 0) return new Uint8Array(0);
-    return holdings(this.about.gaussians, this.about.terms, [this.sent, this.sentTerms, this.gone]);
+    if (this.gaussians + this.#skipped === 0) return new Uint8Array(0);
+    return holdings(this.about.gaussians, this.about.terms, [this.#sent, this.#sentTerms, this.gone]);
   }
 
   /** Accept the WELCOME of a new connection; false if it is of another scene, which needs a new receiver. */
@@ -78,27 +79,27 @@ export class Receiver {
     if (s.sequence !== this.next) refuse(`expected number ${this.next}`);
     const chunks = addChunks(this.chunks, s.chunks, s.rows, this.about, refuse);
     const rows = rowsOf(s.gaussians, chunks, refuse);
-    this.check(s, refuse);
+    this.#check(s, refuse);
     const code = this.about.code;
     if (code === null) throw new Error("a WELCOME has a code");
-    const records = readRecords(s.records, s.gaussians, rows, chunks.table, code);
+    const records = readRecords(s.records, s.gaussians, rows, chunks, code);
     const terms = readTerms(s.termRecords, s.owners, code);
     if (records === null || terms === null) return refuse("expected records, got other bytes");
-    return this.enter(s, chunks, rows, records, terms);
+    return this.#enter(s, chunks, rows, records, terms);
   }
 
   /** Raise unless the ids of a batch are new, terms have a Gaussian, and no Gaussian is replaced twice. */
-  private check(s: Sections, refuse: (what: string) => never): void {
+  #check(s: Sections, refuse: (what: string) => never): void {
     for (const id of s.gaussians) {
-      if (has(this.sent, id)) refuse(`expected each Gaussian once, got ${id} again`);
+      if (has(this.#sent, id)) refuse(`expected each Gaussian once, got ${id} again`);
       if (has(this.gone, id)) refuse(`expected no Gaussian that is replaced, got ${id}`);
     }
-    for (const id of s.terms) if (has(this.sentTerms, id)) refuse(`expected each term once, got ${id} again`);
+    for (const id of s.terms) if (has(this.#sentTerms, id)) refuse(`expected each term once, got ${id} again`);
     for (const id of s.gone) if (has(this.gone, id)) refuse(`expected each replaced Gaussian once, got ${id} again`);
     let at = 0; // owners and ids rise
     for (const owner of s.owners) {
       while (at < s.gaussians.length && s.gaussians[at] < owner) at++;
-      if (!has(this.sent, owner) && s.gaussians[at] !== owner) {
+      if (!has(this.#sent, owner) && s.gaussians[at] !== owner) {
         refuse(
           `expected terms of Gaussians that have come, got one of ${owner}`
         );
@@ -107,35 +108,38 @@ export class Receiver {
   }
 
   /** Keep a checked batch and return what is new in it. */
-  private enter(
+  #enter(
     s: Sections, chunks: Chunks, rows: Uint32Array, records: Uint32Array, terms: Uint32Array,
   ): Batch {
     const g = s.gaussians.length, first = this.gaussians, firstTerm = this.terms, firstRow = this.chunks.starts.length;
     const means = new Float32Array(3 * g);
     for (let i = 0; i < g; i++) {
-      decodeMean(records, i, chunks.table, rows[i], this.layout, means);
-      this.slots[s.gaussians[i]] = first + i + 1;
-      add(this.sent, s.gaussians[i]);
+      decodeMean(records, i, chunks.table, rows[i], this.#layout, means);
+      this.#slots[s.gaussians[i]] = first + i + 1;
+      add(this.#sent, s.gaussians[i]);
     }
-    for (const id of s.terms) add(this.sentTerms, id);
+    for (const id of s.terms) add(this.#sentTerms, id);
     for (const id of s.gone) add(this.gone, id);
-    const gone = s.gone.filter((id) => this.slots[id] > 0).map((id) => this.slots[id] - 1);
-    const chunkLevels = new Uint8Array(2 * s.chunks.length);
+    const gone = s.gone.filter((id) => this.#slots[id] > 0).map((id) => this.#slots[id] - 1);
+    const chunkLevels = new Uint8Array(2 * s.chunks.length), boxes = new Float32Array(6 * s.chunks.length);
     for (let k = 0; k < s.chunks.length; k++) {
       chunkLevels.set(
         s.rows.subarray(CHUNK_BYTES * k + 29, CHUNK_BYTES * k + 31), 2 * k,
       );
+    }
+    for (let k = 0, row = firstRow; k < s.chunks.length; k++, row++) {
+      writeBox(chunks.table, row, chunks.bits[row], boxes, k);
     }
     this.chunks = chunks;
     this.sequence = s.sequence;
     this.gaussians += g;
     this.terms += s.terms.length;
     this.replaced += gone.length;
-    this.skipped += s.gone.length - gone.length;
+    this.#skipped += s.gone.length - gone.length;
     return {
       first, ids: s.gaussians, records, rows, means, firstRow, chunks: chunks.table.slice(8 * firstRow),
-      chunkLevels,
-      firstTerm, terms, owners: s.owners.map((id) => this.slots[id] - 1), gone, harmonics: null,
+      boxes, chunkLevels,
+      firstTerm, terms, owners: s.owners.map((id) => this.#slots[id] - 1), gone, harmonics: null,
     };
   }
 }

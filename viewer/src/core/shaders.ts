@@ -38,6 +38,11 @@ Chunk chunkOf(uint row) {
   float rest = floor(b.w / 256.);
   return Chunk(a.xyz, b.xyz, a.w, b.w - 256. * rest, mod(rest, 16.), floor(rest / 16.));
 }
+vec3 awayFrom(vec3 eye, Chunk c, vec3 places) { // steps below 0 are those of sign(x) log(1 + |x|)
+  if (c.step.x >= 0.) return (c.origin - eye) + places * c.step;
+  vec3 u = c.origin - places * c.step;
+  return sign(u) * (exp(abs(u)) - 1.) - eye;
+}
 `;
 
 /** Project each Gaussian of the order: its center and the half axes of one standard deviation, in pixels. */
@@ -62,7 +67,7 @@ void main() {
   ivec2 own = texel(place);
   uvec4 record = texelFetch(records, own, 0);
   Chunk chunk = chunkOf(texelFetch(links, own, 0).x);
-  vec3 point = axes * ((chunk.origin - eye) + vec3(places(record)) * chunk.step);
+  vec3 point = axes * awayFrom(eye, chunk, vec3(places(record)));
   float opacity = float(record.x & 255u) / 255.;
   if (point.z <= 0.01 || opacity * 255. < 0.999) return;
 
@@ -268,7 +273,7 @@ void main() {
   uvec4 record = texelFetch(records, own, 0);
   uvec2 link = texelFetch(links, own, 0).xy;
   Chunk chunk = chunkOf(link.x);
-  vec3 away = (chunk.origin - eye) + vec3(places(record)) * chunk.step;
+  vec3 away = awayFrom(eye, chunk, vec3(places(record)));
   float distance_ = length(away);
   vec3 x = distance_ > 0. ? away / distance_ : vec3(0., 0., 1.), color;
   if (mode == 1) color = ramp(float(record.x & 255u) / 255.);

@@ -56,8 +56,8 @@ export class Sorter {
   /** Give a batch away; its arrays may not be used after this. */
   append(batch: Batch): void {
     const buffers = [
-      batch.records, batch.rows, batch.ids, batch.chunks, batch.chunkLevels, batch.terms, batch.owners, batch.gone,
-      batch.harmonics,
+      batch.records, batch.rows, batch.ids, batch.chunks, batch.boxes, batch.chunkLevels, batch.terms, batch.owners,
+      batch.gone, batch.harmonics,
     ];
     const owned = new Set<ArrayBuffer>();
     for (const array of buffers) if (array && array.buffer.byteLength) owned.add(array.buffer as ArrayBuffer);

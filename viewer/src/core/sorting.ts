@@ -1,6 +1,8 @@
 // All Gaussians that have arrived, as the sort Worker keeps them: records, rows, ids, and which have been replaced. It
 // culls chunks, sorts what is left back to front, and gives everything back when the GPU has lost it.
 import { axesOf, sameCamera } from "./camera.ts";
+import { decodeMean, recordLayout } from "./tables.ts";
+import type { RecordLayout } from "./tables.ts";
 import type { Batch, Camera } from "./types.ts";
 
 const PAGE = 1 << 16;
@@ -16,6 +18,7 @@ interface Page {
   rows: Uint32Array; // (PAGE), GONE for those replaced
   ids: Uint32Array;
   slots: Uint32Array | null; // null: slots are places
+  means: Float32Array | null; // (3 PAGE) centers, where the chunk is logarithmic
   harmonics: Uint8Array | null;
 }
 
@@ -31,10 +34,12 @@ export interface Region {
 export class SortedScene {
   readonly hsl: boolean;
   readonly harmonicBytes: number; // of one Gaussian
+  readonly #layout: RecordLayout;
   pages: Page[] = [];
   count = 0; // places in use
   gone = 0;
   chunks = new Float32Array(8 * 256);
+  boxes = new Float32Array(6 * 256);
   levels = new Uint8Array(2 * 256);
   widest = new Uint16Array(256); // largest log-scale in each chunk so far
   sizes = new Uint16Array(256); // Gaussians of each chunk that have arrived
@@ -43,8 +48,10 @@ export class SortedScene {
   owners: Uint32Array = new Uint32Array(0);
   termCount = 0;
   renumbered = false;
-  #classes = new Uint8Array(0); // of each chunk: 1 if it may be seen
-  #depths = new Float32Array(0); // of each chunk: depth of its origin, and of one step along x, y, z
+  #classes = new Uint8Array(0); // of each chunk: 1 if it may be seen, 2 if it is logarithmic too
+  // Of each chunk: depth of its origin, and of one step along x, y, z; of a logarithmic one, those of the origin of the
+  // scene and of a unit.
+  #depths = new Float32Array(0);
   #keys = new Uint32Array(0);
   #places = new Uint32Array(0);
   #within = new Uint32Array(0);
@@ -56,6 +63,7 @@ export class SortedScene {
 
   constructor(variant: "rgb" | "hsl", harmonicBytes = 0) {
     this.hsl = variant === "hsl";
+    this.#layout = recordLayout(variant);
     this.harmonicBytes = harmonicBytes;
   }
 
@@ -70,6 +78,7 @@ export class SortedScene {
       const page = this.pages[this.pages.length - 1];
       page.records.set(batch.records.subarray(4 * from, 4 * (from + take)), 4 * at);
       page.rows.set(batch.rows.subarray(from, from + take), at);
+      this.#place(page, at, at + take);
       page.ids.set(batch.ids.subarray(from, from + take), at);
       if (page.slots) for (let k = 0; k < take; k++) page.slots[at + k] = batch.first + from + k;
       if (page.harmonics && batch.harmonics) {
@@ -87,9 +96,18 @@ export class SortedScene {
   #newPage(): Page {
     return {
       records: new Uint32Array(4 * PAGE), rows: new Uint32Array(PAGE), ids: new Uint32Array(PAGE),
-      slots: this.renumbered ? new Uint32Array(PAGE) : null,
+      slots: this.renumbered ? new Uint32Array(PAGE) : null, means: null,
       harmonics: this.harmonicBytes ? new Uint8Array(this.harmonicBytes * PAGE) : null,
     };
+  }
+
+  /** Decode the centers of those places of a page whose chunk is logarithmic. */
+  #place(page: Page, from: number, to: number): void {
+    for (let i = from; i < to; i++) {
+      if (!(this.chunks[8 * page.rows[i] + 4] < 0)) continue;
+      page.means ??= new Float32Array(3 * PAGE);
+      decodeMean(page.records, i, this.chunks, page.rows[i], this.#layout, page.means);
+    }
   }
 
   /** From here on slots are no longer places. */
@@ -102,15 +120,17 @@ export class SortedScene {
     const rows = batch.chunks.length / 8, total = batch.firstRow + rows;
     if (total > this.widest.length) {
       const room = Math.max(total, this.widest.length * 2);
-      const chunks = new Float32Array(8 * room), levels = new Uint8Array(2 * room);
+      const chunks = new Float32Array(8 * room), levels = new Uint8Array(2 * room), boxes = new Float32Array(6 * room);
       const widest = new Uint16Array(room), sizes = new Uint16Array(room);
       chunks.set(this.chunks);
+      boxes.set(this.boxes);
       levels.set(this.levels);
       widest.set(this.widest);
       sizes.set(this.sizes);
-      Object.assign(this, { chunks, levels, widest, sizes });
+      Object.assign(this, { chunks, boxes, levels, widest, sizes });
     }
     this.chunks.set(batch.chunks, 8 * batch.firstRow);
+    this.boxes.set(batch.boxes, 6 * batch.firstRow);
     this.levels.set(batch.chunkLevels, 2 * batch.firstRow);
     this.rowCount = Math.max(this.rowCount, total);
   }
@@ -191,25 +211,21 @@ export class SortedScene {
         a * r[0] + b * r[3] + c * r[6], a * r[1] + b * r[4] + c * r[7], a * r[2] + b * r[5] + c * r[8], d,
       ],
     );
-    const { chunks, widest, levels } = this, steps = this.hsl ? 8191 : 16383;
+    const { chunks, boxes, widest, levels } = this;
     for (let row = first; row < this.rowCount; row++) {
-      const k = 8 * row, sx = chunks[k + 4], sy = chunks[k + 5], sz = chunks[k + 6];
-      const x = chunks[k] - ex, y = chunks[k + 1] - ey, z = chunks[k + 2] - ez;
-      const size = 2 ** ((chunks[k + 3] + widest[row] * chunks[k + 7]) / 64), half = steps / 2;
+      const k = 8 * row, curved = chunks[k + 4] < 0, [x, y, z, hx, hy, hz] = boxes.subarray(6 * row, 6 * row + 6);
+      const size = 2 ** ((chunks[k + 3] + widest[row] * chunks[k + 7]) / 64);
       const own = (2 << levels[2 * row + 1]) - (1 << levels[2 * row]);
       let shown = (own & region.levels) !== 0;
       for (let p = 0; shown && p < 5; p++) {
         const [a, b, c, d] = planes[p];
-        const most = a * x + b * y + c * z + half * (
-          a * sx + b * sy + c * sz + Math.abs(a * sx) + Math.abs(b * sy) + Math.abs(c * sz)
-        );
+        const most = a * ((a > 0 ? hx : x) - ex) + b * ((b > 0 ? hy : y) - ey) + c * ((c > 0 ? hz : z) - ez);
         shown = most + d * size >= (p === 4 ? NEAR : 0);
       }
-      this.#classes[row] = shown ? 1 : 0;
-      this.#depths[4 * row] = r[6] * x + r[7] * y + r[8] * z;
-      this.#depths[4 * row + 1] = r[6] * sx;
-      this.#depths[4 * row + 2] = r[7] * sy;
-      this.#depths[4 * row + 3] = r[8] * sz;
+      this.#classes[row] = shown ? (curved ? 2 : 1) : 0;
+      this.#depths[4 * row] = curved
+        ? -r[6] * ex - r[7] * ey - r[8] * ez : r[6] * (x - ex) + r[7] * (y - ey) + r[8] * (z - ez);
+      for (let i = 0; i < 3; i++) this.#depths[4 * row + 1 + i] = r[6 + i] * (curved ? 1 : chunks[k + 4 + i]);
     }
   }
 
@@ -220,16 +236,21 @@ export class SortedScene {
     let found = this.#found;
     const begin = found;
     for (let place = first; place < this.count; ) {
-      const page = this.pages[Math.floor(place / PAGE)], { rows, records } = page;
+      const page = this.pages[Math.floor(place / PAGE)], { rows, records, means } = page;
       const start = place % PAGE, end = Math.min(PAGE, this.count - (place - start)), base = place - start;
       for (let i = start; i < end; i++) {
         const row = rows[i];
         if (row === GONE || classes[row] === 0) continue;
-        const a = records[4 * i + 1], b = records[4 * i + 2], c = records[4 * i + 3], d = 4 * row;
-        const z = hsl
-          ? depths[d] + depths[d + 1] * ((a >>> 8) & 8191) + depths[d + 2] * ((b >>> 5) & 8191) +
-            depths[d + 3] * ((c >>> 2) & 8191)
-          : depths[d] + depths[d + 1] * (a & 16383) + depths[d + 2] * (b & 16383) + depths[d + 3] * (c & 16383);
+        const d = 4 * row;
+        let x = 0, y = 0, w = 0;
+        if (classes[row] === 2) {
+          [x, y, w] = [means![3 * i], means![3 * i + 1], means![3 * i + 2]];
+        } else {
+          const a = records[4 * i + 1], b = records[4 * i + 2], c = records[4 * i + 3];
+          if (hsl) [x, y, w] = [(a >>> 8) & 8191, (b >>> 5) & 8191, (c >>> 2) & 8191];
+          else [x, y, w] = [a & 16383, b & 16383, c & 16383];
+        }
+        const z = depths[d] + depths[d + 1] * x + depths[d + 2] * y + depths[d + 3] * w;
         if (z <= NEAR) continue;
         floats[found] = z;
         places[found++] = base + i;
@@ -326,10 +347,12 @@ export class SortedScene {
     const none = new Uint32Array(0), nothing = { ids: none, means: new Float32Array(0), gone: none };
     const batches: Batch[] = [{
       ...nothing, first: 0, records: none, rows: none, harmonics: null, firstRow: 0,
-      chunks: this.chunks.slice(0, 8 * this.rowCount), chunkLevels: this.levels.slice(0, 2 * this.rowCount),
+      chunks: this.chunks.slice(0, 8 * this.rowCount), boxes: new Float32Array(0),
+      chunkLevels: this.levels.slice(0, 2 * this.rowCount),
       firstTerm: 0, terms: none, owners: none,
     }];
-    const rest = { ...nothing, firstRow: this.rowCount, chunks: new Float32Array(0), chunkLevels: new Uint8Array(0) };
+    const empty = new Float32Array(0);
+    const rest = { ...nothing, firstRow: this.rowCount, chunks: empty, boxes: empty, chunkLevels: new Uint8Array(0) };
     this.pages.forEach((page, k) => {
       const used = Math.min(PAGE, this.count - k * PAGE);
       batches.push({
@@ -363,6 +386,7 @@ export class SortedScene {
       const page = this.pages[this.pages.length - 1], each = this.harmonicBytes;
       for (let k = 0; k < 4; k++) page.records[4 * at + k] = from.records[4 * i + k];
       page.rows[at] = from.rows[i];
+      this.#place(page, at, at + 1);
       page.ids[at] = from.ids[i];
       if (page.slots && from.slots) page.slots[at] = from.slots[i];
       if (page.harmonics && from.harmonics) {

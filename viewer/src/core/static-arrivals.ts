@@ -17,50 +17,52 @@ export class Arrivals {
   terms = 0;
   replaced = 0;
   readonly firstSlot: Uint32Array; // slot of the first Gaussian of each held block
-  private readonly rowOf: Int32Array; // row of each chunk, -1 before it is sent
+  readonly #rowOf: Int32Array; // row of each chunk, -1 before it is sent
   private rows = 0;
-  private waiting: Replaced[] = [];
-  private readonly layout: RecordLayout;
-  private readonly bytesOfHarmonics: number;
+  #waiting: Replaced[] = [];
+  readonly #layout: RecordLayout;
+  readonly #bytesOfHarmonics: number;
 
   constructor(private readonly blocks: Blocks, private readonly held: Holdings) {
     const { header } = blocks.scene;
     this.firstSlot = new Uint32Array(blocks.count);
-    this.rowOf = new Int32Array(header.chunks).fill(-1);
-    this.layout = recordLayout(header.colors.variant);
-    this.bytesOfHarmonics = header.harmonics === null ? 0 : 3 * ((header.harmonics.degree + 1) ** 2 - 1);
+    this.#rowOf = new Int32Array(header.chunks).fill(-1);
+    this.#layout = recordLayout(header.colors.variant);
+    this.#bytesOfHarmonics = header.harmonics === null ? 0 : 3 * ((header.harmonics.degree + 1) ** 2 - 1);
   }
 
   /** Return the batch of a run of records. Without harmonics of a scene that has them, they are 0. */
   addRecords(run: Run, data: Uint8Array, harmonics: Uint8Array | null): Batch {
-    const { blocks, layout } = this, count = blocks.start[run.end] - blocks.start[run.first];
+    const { blocks } = this, layout = this.#layout, count = blocks.start[run.end] - blocks.start[run.first];
     const ids = new Uint32Array(count), rows = new Uint32Array(count), means = new Float32Array(3 * count);
     const records = new Uint32Array(data.slice(0, 16 * count).buffer);
     const firstRow = this.rows, fresh: number[] = [];
     for (let b = run.first, at = 0; b < run.end; b++) {
       const chunk = blocks.chunk[b];
-      if (this.rowOf[chunk] < 0) {
-        this.rowOf[chunk] = this.rows++;
+      if (this.#rowOf[chunk] < 0) {
+        this.#rowOf[chunk] = this.rows++;
         fresh.push(chunk);
       }
       this.firstSlot[b] = this.gaussians + at;
       this.held.records[b] = HELD;
       for (let k = 0; k < blocks.size(b); k++, at++) {
         ids[at] = blocks.firstId[b] + k;
-        rows[at] = this.rowOf[chunk];
+        rows[at] = this.#rowOf[chunk];
         decodeMean(records, at, blocks.rows, chunk, layout, means);
       }
     }
     const chunks = new Float32Array(8 * fresh.length), chunkLevels = new Uint8Array(2 * fresh.length);
+    const boxes = new Float32Array(6 * fresh.length);
     fresh.forEach((chunk, k) => {
       chunks.set(blocks.rows.subarray(8 * chunk, 8 * chunk + 8), 8 * k);
+      boxes.set(blocks.boxes.subarray(6 * chunk, 6 * chunk + 6), 6 * k);
       chunkLevels.set(blocks.levels.subarray(2 * chunk, 2 * chunk + 2), 2 * k);
     });
-    const bytes = this.bytesOfHarmonics * count;
+    const bytes = this.#bytesOfHarmonics * count;
     const own = bytes === 0 ? null : harmonics === null ? new Uint8Array(bytes).fill(128) : harmonics.slice(0, bytes);
     const first = this.gaussians;
     this.gaussians += count;
-    return { ...this.empty(), first, ids, records, rows, means, firstRow, chunks, chunkLevels, harmonics: own };
+    return { ...this.#empty(), first, ids, records, rows, means, firstRow, chunks, boxes, chunkLevels, harmonics: own };
   }
 
   /** Return the batch of a run of terms whose records are held. */
@@ -96,7 +98,7 @@ export class Arrivals {
     }
     const firstTerm = this.terms;
     this.terms += total;
-    return { ...this.empty(), firstTerm, terms, owners };
+    return { ...this.#empty(), firstTerm, terms, owners };
   }
 
   /** Take what replaces the Gaussians of a held block: its row in `replaced`. */
@@ -110,14 +112,14 @@ export class Arrivals {
     for (let k = 0; k < size; k++) {
       const needs = new Uint32Array(row[k]);
       for (let j = 0; j < needs.length; j++, at += 4) needs[j] = view.getUint32(at, true);
-      if (needs.length > 0) this.waiting.push({ slot: this.firstSlot[block] + k, needs });
+      if (needs.length > 0) this.#waiting.push({ slot: this.firstSlot[block] + k, needs });
     }
   }
 
   /** Return a batch with what is replaced by now, given what the cell sees; null where nothing is. */
   sweep(seen: Uint8Array): Batch | null {
     const gone: number[] = [], left: Replaced[] = [];
-    for (const each of this.waiting) {
+    for (const each of this.#waiting) {
       let some = false, all = true;
       for (const b of each.needs) {
         if (this.held.records[b] === HELD) some = true;
@@ -127,17 +129,18 @@ export class Arrivals {
       else left.push(each);
     }
     if (gone.length === 0) return null;
-    this.waiting = left;
+    this.#waiting = left;
     this.replaced += gone.length;
-    return { ...this.empty(), gone: Uint32Array.from(gone).sort() };
+    return { ...this.#empty(), gone: Uint32Array.from(gone).sort() };
   }
 
-  private empty(): Batch {
+  #empty(): Batch {
     const none = (): Uint32Array => new Uint32Array(0);
     return {
       first: this.gaussians, ids: none(), records: none(), rows: none(), means: new Float32Array(0),
       firstRow: this.rows,
-      chunks: new Float32Array(0), chunkLevels: new Uint8Array(0), firstTerm: this.terms, terms: none(), owners: none(),
+      chunks: new Float32Array(0), boxes: new Float32Array(0), chunkLevels: new Uint8Array(0), firstTerm: this.terms,
+      terms: none(), owners: none(),
       gone: none(),
       harmonics: null,
     };

@@ -1,7 +1,9 @@
 // The chunks of a static scene and the blocks that follow from them: what is fetched together, where it lies, how large
 // it is.
-import { BLOCK } from "./static-scene.ts";
+import { hasBox, writeBox } from "./boxes.ts";
+import { BLOCK, CHUNK_BYTES } from "./static-scene.ts";
 import type { StaticScene } from "./static-scene.ts";
+import { recordLayout } from "./tables.ts";
 
 const REACH = 8; // 1/64 octaves
 
@@ -11,6 +13,7 @@ export class Blocks {
   readonly firstId: Uint32Array; // id of the first Gaussian of each block
   readonly start: Uint32Array; // (B + 1) place of its first Gaussian in the files
   readonly rows: Float32Array; // (8 C) as in `Batch.chunks`
+  readonly boxes: Float32Array; // (6 C) as in `Batch.boxes`
   readonly levels: Uint8Array; // (2 C) first and last level
   // (5 C): center of each chunk, radius of its box and half the largest standard deviation, mean square of their
   // distance from the center
@@ -22,30 +25,33 @@ export class Blocks {
 
   constructor(readonly scene: StaticScene, data: Uint8Array) {
     const { header } = scene, view = new DataView(data.buffer, data.byteOffset, data.byteLength);
-    const places = header.colors.variant === "hsl" ? (1 << 13) - 1 : (1 << 14) - 1;
+    const most = recordLayout(header.colors.variant).position;
     const c = header.chunks;
     this.top = header.levels.length - 1;
     this.rows = new Float32Array(8 * c);
+    this.boxes = new Float32Array(6 * c);
     this.levels = new Uint8Array(2 * c);
     this.spheres = new Float32Array(5 * c);
     const counts = new Uint16Array(c);
     for (let k = 0; k < c; k++) {
-      const at = 32 * k, low = view.getInt16(at + 24, true);
+      const at = CHUNK_BYTES * k, low = view.getInt16(at + 24, true), bits = view.getUint16(at + 31, true);
       let square = 0;
       for (let axis = 0; axis < 3; axis++) {
-        const origin = view.getFloat32(at + 4 * axis, true), step = view.getFloat32(at + 12 + 4 * axis, true),
-          half = (places * step) / 2;
-        if (!Number.isFinite(origin) || !(step >= 0)) {
-          throw new Error(`chunks: row ${k}: expected a box, got none; export the scene again`);
-        }
-        this.rows[8 * k + axis] = origin;
-        this.rows[8 * k + 4 + axis] = step;
-        this.spheres[5 * k + axis] = origin + half;
+        this.rows[8 * k + axis] = view.getFloat32(at + 4 * axis, true);
+        this.rows[8 * k + 4 + axis] = view.getFloat32(at + 12 + 4 * axis, true);
+      }
+      if (!hasBox(this.rows, k, bits, most)) {
+        throw new Error(`chunks: row ${k}: expected a box, got none; export the scene again`);
+      }
+      writeBox(this.rows, k, bits, this.boxes, k);
+      for (let axis = 0; axis < 3; axis++) {
+        const start = this.boxes[6 * k + axis], half = (this.boxes[6 * k + 3 + axis] - start) / 2;
+        this.spheres[5 * k + axis] = start + half;
         square += half * half;
       }
       this.rows[8 * k + 3] = low;
       this.rows[8 * k + 7] = view.getUint8(at + 28);
-      this.spheres[5 * k + 3] = Math.sqrt(square) + 0.5 * 2 ** ((low + REACH * view.getUint8(at + 31)) / 64);
+      this.spheres[5 * k + 3] = Math.sqrt(square) + 0.5 * 2 ** ((low + REACH * view.getUint8(at + 33)) / 64);
       this.spheres[5 * k + 4] = square / 3;
       this.levels[2 * k] = view.getUint8(at + 29);
       this.levels[2 * k + 1] = view.getUint8(at + 30);
@@ -64,13 +70,13 @@ export class Blocks {
     this.chunk = new Uint32Array(this.count);
     this.firstId = new Uint32Array(this.count);
     this.start = new Uint32Array(this.count + 1);
-    this.lay(counts);
+    this.#lay(counts);
   }
 
   /**
    * Place the blocks: of each run of chunks with equal levels the first 64 of every chunk, then the next 64, and on.
    */
-  private lay(counts: Uint16Array): void {
+  #lay(counts: Uint16Array): void {
     const ids = new Float64Array(counts.length + 1);
     for (let k = 0; k < counts.length; k++) ids[k + 1] = ids[k] + counts[k];
     let block = 0, place = 0;

@@ -12,20 +12,20 @@ export interface CellRow {
 }
 
 export class Cells {
-  private readonly boxes: Int32Array; // (3 C)
-  private readonly starts: Float64Array; // (C + 1) bytes in `cells`
-  private readonly byBox = new Map<string, number>();
+  readonly #boxes: Int32Array; // (3 C)
+  readonly #starts: Float64Array; // (C + 1) bytes in `cells`
+  readonly #byBox = new Map<string, number>();
 
   constructor(private readonly scene: StaticScene, data: Uint8Array) {
     const view = new DataView(data.buffer, data.byteOffset, data.byteLength), count = scene.cells.count;
-    this.boxes = new Int32Array(3 * count);
-    this.starts = new Float64Array(count + 1);
+    this.#boxes = new Int32Array(3 * count);
+    this.#starts = new Float64Array(count + 1);
     for (let k = 0; k < count; k++) {
-      for (let axis = 0; axis < 3; axis++) this.boxes[3 * k + axis] = view.getUint32(16 * k + 4 * axis, true);
-      this.starts[k + 1] = this.starts[k] + view.getUint32(16 * k + 12, true);
-      this.byBox.set(this.key(k, 0, 0, 0), k);
+      for (let axis = 0; axis < 3; axis++) this.#boxes[3 * k + axis] = view.getUint32(16 * k + 4 * axis, true);
+      this.#starts[k + 1] = this.#starts[k] + view.getUint32(16 * k + 12, true);
+      this.#byBox.set(this.#key(k, 0, 0, 0), k);
     }
-    if (this.starts[count] !== scene.files.get("cells")?.bytes) {
+    if (this.#starts[count] !== scene.files.get("cells")?.bytes) {
       throw new Error(
         "grid: expected rows that fill the file of cells, got others; export the scene again"
       );
@@ -37,14 +37,14 @@ export class Cells {
     const { origin, size, count } = this.scene.cells;
     if (!(size > 0) || count === 1) return 0;
     const box = position.map((v, axis) => Math.floor((v - origin[axis]) / size));
-    const found = this.byBox.get(box.join());
+    const found = this.#byBox.get(box.join());
     if (found !== undefined) return found;
     let best = 0, least = Infinity;
     for (let k = 0; k < count; k++) {
       let square = 0;
       for (let axis = 0; axis < 3; axis++) {
         square += (
-          origin[axis] + size * (this.boxes[3 * k + axis] + 0.5) - position[axis]
+          origin[axis] + size * (this.#boxes[3 * k + axis] + 0.5) - position[axis]
         ) ** 2;
       }
       if (square < least) [best, least] = [k, square];
@@ -56,7 +56,7 @@ export class Cells {
   beside(cell: number): number[] {
     const found: number[] = [];
     for (const [x, y, z] of [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]] as const) {
-      const other = this.byBox.get(this.key(cell, x, y, z));
+      const other = this.#byBox.get(this.#key(cell, x, y, z));
       if (other !== undefined && other !== cell) found.push(other);
     }
     return found;
@@ -64,11 +64,11 @@ export class Cells {
 
   /** Return where the row of a cell lies. */
   range(cell: number): [number, number] {
-    return [this.starts[cell], this.starts[cell + 1]];
+    return [this.#starts[cell], this.#starts[cell + 1]];
   }
 
-  private key(cell: number, x: number, y: number, z: number): string {
-    return [this.boxes[3 * cell] + x, this.boxes[3 * cell + 1] + y, this.boxes[3 * cell + 2] + z].join();
+  #key(cell: number, x: number, y: number, z: number): string {
+    return [this.#boxes[3 * cell] + x, this.#boxes[3 * cell + 1] + y, this.#boxes[3 * cell + 2] + z].join();
   }
 }
 

@@ -19,29 +19,29 @@ const AGAIN_MS = 30_000; // before scene.json is read anew
 
 export class StaticHost {
   private readonly stop = new AbortController();
-  private readonly link: Link;
-  private readonly parts: Parts;
-  private session: StaticSession | null = null;
-  private pose: Pose | null = null;
-  private view: View | null = null;
-  private looked = -Infinity;
-  private restarts = 0;
-  private readonly meter: Meter;
+  readonly #link: Link;
+  readonly #parts: Parts;
+  #session: StaticSession | null = null;
+  #pose: Pose | null = null;
+  #view: View | null = null;
+  #looked = -Infinity;
+  #restarts = 0;
+  readonly #meter: Meter;
 
   constructor(
     private readonly post: (report: Report) => void, private readonly clock: Clock,
     make: (events: PartEvents, stop: AbortSignal) => Parts,
   ) {
-    this.link = new Link(() => clock.now() / 1000);
-    this.meter = new Meter(clock, (bytes, rate) => this.report(bytes, rate));
-    this.parts = make({
+    this.#link = new Link(() => clock.now() / 1000);
+    this.#meter = new Meter(clock, (bytes, rate) => this.report(bytes, rate));
+    this.#parts = make({
       bytes: (count) => {
-        this.link.add(count);
-        this.meter.add(count);
-        this.meter.touch();
+        this.#link.add(count);
+        this.#meter.add(count);
+        this.#meter.touch();
       },
       waiting: (seconds, message) => this.post({ kind: "state", state: { kind: "waiting", seconds, message } }),
-      resumed: () => this.session?.report(),
+      resumed: () => this.#session?.report(),
     }, this.stop.signal);
   }
 
@@ -49,87 +49,87 @@ export class StaticHost {
   async start(): Promise<void> {
     this.post({ kind: "state", state: { kind: "connecting" } });
     try {
-      await this.open(await this.parts.scene());
+      await this.open(await this.#parts.scene());
     } catch (error) {
-      this.fail(error);
+      this.#fail(error);
     }
   }
 
   setPose(pose: Pose): void {
     if (!isPose(pose)) return;
-    this.pose = pose;
-    this.session?.setPose(pose);
+    this.#pose = pose;
+    this.#session?.setPose(pose);
   }
 
   setView(view: View): void {
     if (!isView(view)) return;
-    this.view = view;
-    this.session?.setView(view);
+    this.#view = view;
+    this.#session?.setView(view);
   }
 
   close(): void {
-    this.session?.close();
+    this.#session?.close();
     this.stop.abort();
-    this.meter.stop();
+    this.#meter.stop();
   }
 
   private async open(text: string): Promise<void> {
     const scene = parseScene(text);
     this.post({ kind: "header", header: scene.header, fresh: true });
     let session: StaticSession | null = null;
-    const mine = (): boolean => session !== null && this.session === session;
-    session = await StaticSession.open(scene, this.parts, this.link, {
+    const mine = (): boolean => session !== null && this.#session === session;
+    session = await StaticSession.open(scene, this.#parts, this.#link, {
       header: () => undefined,
       batch: (batch) => {
         if (!mine()) return;
         this.post({ kind: "batch", batch });
-        this.meter.touch();
+        this.#meter.touch();
       },
       state: (state) => { if (mine()) this.post({ kind: "state", state }); },
       traffic: () => undefined,
-      gone: () => { if (mine()) void this.renew(); },
+      gone: () => { if (mine()) void this.#renew(); },
     });
     if (this.stop.signal.aborted) return;
-    this.session = session;
+    this.#session = session;
     session.report();
-    if (this.view !== null) session.setView(this.view);
-    if (this.pose !== null) session.setPose(this.pose);
+    if (this.#view !== null) session.setView(this.#view);
+    if (this.#pose !== null) session.setPose(this.#pose);
   }
 
   /** A file is missing: perhaps the site was written anew under the same address. */
-  private async renew(): Promise<void> {
-    const before = this.session;
-    if (before === null || this.clock.now() - this.looked < AGAIN_MS) return;
-    this.looked = this.clock.now();
+  async #renew(): Promise<void> {
+    const before = this.#session;
+    if (before === null || this.clock.now() - this.#looked < AGAIN_MS) return;
+    this.#looked = this.clock.now();
     let text: string;
     try {
-      text = await this.parts.scene();
-      if (parseScene(text).header.identity === before.scene.header.identity || this.session !== before) return;
+      text = await this.#parts.scene();
+      if (parseScene(text).header.identity === before.scene.header.identity || this.#session !== before) return;
     } catch {
       before.report(); // the scene goes on without what is missing
       return;
     }
-    this.restarts++;
+    this.#restarts++;
     before.close();
     try {
       await this.open(text);
     } catch (error) {
-      this.fail(error);
+      this.#fail(error);
     }
   }
 
   private report(bytes: number, rate: number): void {
-    const got = this.session?.arrivals;
+    const got = this.#session?.arrivals;
     this.post({
       kind: "traffic",
       traffic: {
         bytes, rate, gaussians: got?.gaussians ?? 0, terms: got?.terms ?? 0, replaced: got?.replaced ?? 0,
-        reconnects: this.restarts,
+        reconnects: this.#restarts,
       },
     });
   }
 
-  private fail(error: unknown): void {
+  #fail(error: unknown): void {
     if (this.stop.signal.aborted) return;
     this.post(
       { kind: "state", state: { kind: "failed", message: error instanceof Error ? error.message : String(error) } }

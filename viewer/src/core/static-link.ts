@@ -7,10 +7,10 @@ const WEIGHT = 0.4; // of the last measurement in the mean
 export class Link {
   throughput = START;
   roundTrip = 0.05;
-  private under = 0;
-  private since = 0;
-  private pending = 0; // bytes since `since`
-  private measured = false;
+  #under = 0;
+  #since = 0;
+  #pending = 0; // bytes since `since`
+  #measured = false;
 
   /** `now` returns seconds. */
   constructor(private readonly now: () => number) {}
@@ -18,27 +18,27 @@ export class Link {
   /** Run a request and measure it. */
   async measure<T>(request: () => Promise<T>): Promise<T> {
     const began = this.now();
-    if (this.under++ === 0) [this.since, this.pending] = [began, 0];
+    if (this.#under++ === 0) [this.#since, this.#pending] = [began, 0];
     try {
       const found = await request(), took = this.now() - began;
-      this.roundTrip = this.measured ? Math.min(this.roundTrip, took) : took;
-      this.measured = true;
+      this.roundTrip = this.#measured ? Math.min(this.roundTrip, took) : took;
+      this.#measured = true;
       return found;
     } finally {
-      this.under--;
-      this.settle();
+      this.#under--;
+      this.#settle();
     }
   }
 
   /** Count bytes that have arrived. */
   add(count: number): void {
-    this.pending += count;
+    this.#pending += count;
   }
 
-  private settle(): void {
-    const seconds = this.now() - this.since;
-    if (seconds < WINDOW || this.pending === 0) return;
-    this.throughput += WEIGHT * (this.pending / seconds - this.throughput);
-    [this.since, this.pending] = [this.now(), 0];
+  #settle(): void {
+    const seconds = this.now() - this.#since;
+    if (seconds < WINDOW || this.#pending === 0) return;
+    this.throughput += WEIGHT * (this.#pending / seconds - this.throughput);
+    [this.#since, this.#pending] = [this.now(), 0];
   }
 }

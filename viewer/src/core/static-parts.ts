@@ -37,13 +37,13 @@ const LONGEST = 20; // seconds between tries
 /** Files below an address. */
 export class HttpParts implements Parts {
   ranges = true;
-  private known = false; // whether a range has been asked for
-  private probe: Promise<unknown> = Promise.resolve();
-  private readonly whole = new Map<string, Promise<Uint8Array>>();
+  #known = false; // whether a range has been asked for
+  #probe: Promise<unknown> = Promise.resolve();
+  readonly #whole = new Map<string, Promise<Uint8Array>>();
   private readonly fetch: typeof fetch;
   private readonly sleep: (seconds: number) => Promise<void>;
   private readonly random: () => number;
-  private down = 0; // requests that wait for the link
+  #down = 0; // requests that wait for the link
 
   constructor(
     private readonly base: string, private readonly events: PartEvents, private readonly stop: AbortSignal,
@@ -55,8 +55,8 @@ export class HttpParts implements Parts {
   }
 
   async scene(): Promise<string> {
-    return this.attempt("scene.json", async () => {
-      const answer = await this.ask("scene.json", {}, "no-cache");
+    return this.#attempt("scene.json", async () => {
+      const answer = await this.#ask("scene.json", {}, "no-cache");
       return new TextDecoder().decode(await this.body(answer));
     });
   }
@@ -64,43 +64,43 @@ export class HttpParts implements Parts {
   async read(file: StaticFile, start: number, end: number): Promise<Uint8Array> {
     if (end <= start) return new Uint8Array(0);
     if (end > file.bytes) throw new PartError("cut", `${file.name}: expected ${file.bytes} bytes, asked for ${end}`);
-    if (start === 0 && end === file.bytes) return this.readWhole(file);
-    if (this.ranges && !this.known) {
-      const first = this.probe.then(() => this.known || !this.ranges ? undefined : this.readRange(file, start, end));
-      this.probe = first.catch(() => undefined); // the others wait until it is known whether ranges work
+    if (start === 0 && end === file.bytes) return this.#readWhole(file);
+    if (this.ranges && !this.#known) {
+      const first = this.#probe.then(() => this.#known || !this.ranges ? undefined : this.#readRange(file, start, end));
+      this.#probe = first.catch(() => undefined); // the others wait until it is known whether ranges work
       const found = await first;
       if (found !== undefined) return found;
     }
-    if (this.ranges) return this.readRange(file, start, end);
-    return (await this.readWhole(file)).slice(start, end);
+    if (this.ranges) return this.#readRange(file, start, end);
+    return (await this.#readWhole(file)).slice(start, end);
   }
 
-  private readWhole(file: StaticFile): Promise<Uint8Array> {
-    const found = this.whole.get(file.name);
+  #readWhole(file: StaticFile): Promise<Uint8Array> {
+    const found = this.#whole.get(file.name);
     if (found !== undefined) return found;
-    const made = this.attempt(file.name, async () => {
-      const data = await this.body(await this.ask(file.name, {}));
+    const made = this.#attempt(file.name, async () => {
+      const data = await this.body(await this.#ask(file.name, {}));
       if (data.length !== file.bytes) {
         throw new PartError("cut", `${file.name}: expected ${file.bytes} bytes, got ${data.length}`);
       }
       return data;
     });
-    this.whole.set(file.name, made);
-    made.catch(() => this.whole.delete(file.name)); // it may be asked for again
+    this.#whole.set(file.name, made);
+    made.catch(() => this.#whole.delete(file.name)); // it may be asked for again
     return made;
   }
 
-  private async readRange(file: StaticFile, start: number, end: number): Promise<Uint8Array> {
-    const found = await this.attempt(file.name, async () => {
-      const answer = await this.ask(file.name, { Range: `bytes=${start}-${end - 1}` });
+  async #readRange(file: StaticFile, start: number, end: number): Promise<Uint8Array> {
+    const found = await this.#attempt(file.name, async () => {
+      const answer = await this.#ask(file.name, { Range: `bytes=${start}-${end - 1}` });
       const data = await this.body(answer);
-      this.known = true;
+      this.#known = true;
       if (answer.status !== 206) {
         this.ranges = false;
         if (data.length !== file.bytes) {
           throw new PartError("cut", `${file.name}: expected ${file.bytes} bytes, got ${data.length}`);
         }
-        this.whole.set(file.name, Promise.resolve(data));
+        this.#whole.set(file.name, Promise.resolve(data));
         return data.slice(start, end);
       }
       const said = /^bytes (\d+)-(\d+)\/(\d+|\*)$/.exec(answer.headers.get("content-range") ?? "");
@@ -117,7 +117,7 @@ export class HttpParts implements Parts {
     return found;
   }
 
-  private async ask(name: string, headers: Record<string, string>, cache: RequestCache = "default"): Promise<Response> {
+  async #ask(name: string, headers: Record<string, string>, cache: RequestCache = "default"): Promise<Response> {
     const answer = await this.fetch(
       new URL(name, this.base).href, { headers, cache, signal: this.stop, credentials: "same-origin" },
     );
@@ -136,7 +136,7 @@ export class HttpParts implements Parts {
   }
 
   /** Try until it works: a link that is down for ever, a server that errs or cuts a few times, what is missing once. */
-  private async attempt<T>(name: string, work: () => Promise<T>): Promise<T> {
+  async #attempt<T>(name: string, work: () => Promise<T>): Promise<T> {
     let errors = 0, waited = false;
     try {
       for (let tries = 0; ; tries++) {
@@ -152,14 +152,14 @@ export class HttpParts implements Parts {
             Math.max(failed ? error.seconds : 0, 0.25 * 2 ** Math.min(tries, 10)) * (0.75 + 0.5 * this.random()),
           );
           if (!cut && !failed) {
-            if (!waited) [waited, this.down] = [true, this.down + 1];
+            if (!waited) [waited, this.#down] = [true, this.#down + 1];
             this.events.waiting(seconds, `${name}: no connection`);
           }
           await this.sleep(seconds);
         }
       }
     } finally {
-      if (waited && --this.down === 0) this.events.resumed();
+      if (waited && --this.#down === 0) this.events.resumed();
     }
   }
 }
@@ -177,11 +177,11 @@ export class HeldParts implements Parts {
   constructor(private readonly files: ReadonlyMap<string, Blob>, private readonly events: PartEvents) {}
 
   async scene(): Promise<string> {
-    return this.find("scene.json").text();
+    return this.#find("scene.json").text();
   }
 
   async read(file: StaticFile, start: number, end: number): Promise<Uint8Array> {
-    const found = this.find(file.name);
+    const found = this.#find(file.name);
     if (found.size !== file.bytes) {
       throw new PartError("cut", `${file.name}: expected ${file.bytes} bytes, got ${found.size}`);
     }
@@ -190,7 +190,7 @@ export class HeldParts implements Parts {
     return data;
   }
 
-  private find(name: string): Blob {
+  #find(name: string): Blob {
     const found = this.files.get(name);
     if (found === undefined) throw new PartError("missing", `${name}: the page does not hold it`);
     return found;

@@ -4,6 +4,8 @@ import { type Fields, integer, list, number, object, refuse, triple } from "./js
 import type { HarmonicTables, Header, Pose } from "./types.ts";
 
 export const BLOCK = 64;
+/** Bytes of a row of `chunks`. */
+export const CHUNK_BYTES = 34;
 const MOST = 1 << 28;
 const FARTHEST = 1e30;
 const WHERE = "scene.json";
@@ -79,7 +81,7 @@ function checkSizes(scene: StaticScene): void {
   const { header, files } = scene;
   const k = header.harmonics === null ? 0 : (header.harmonics.degree + 1) ** 2 - 1;
   const wanted: [string, number][] = [
-    ["chunks", 32 * header.chunks], ["records", 16 * header.gaussians], ["grid", 16 * scene.cells.count],
+    ["chunks", CHUNK_BYTES * header.chunks], ["records", 16 * header.gaussians], ["grid", 16 * scene.cells.count],
   ];
   if (k > 0) wanted.push(["harmonics", 3 * k * header.gaussians]);
   if (header.terms > 0) {

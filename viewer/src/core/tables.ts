@@ -1,5 +1,6 @@
 // The tables that base colors and terms point into, and records decoded on the CPU: for tests, picking, and slow paths.
 import { take } from "./bits.ts";
+import { fromLog } from "./boxes.ts";
 import type { ColorTables } from "./types.ts";
 
 const KNEE = 0.5; // half the width of the interval in which base colors have even steps
@@ -123,10 +124,9 @@ export function decodeMean(
 ): void {
   const width = layout.position + layout.rotation + layout.scale;
   for (let k = 0; k < 3; k++) {
-    const value = chunks[8 * row + k] + take(
-      records, 128 * i + layout.from + k * width, layout.position,
-    ) * chunks[8 * row + 4 + k];
-    means[3 * i + k] = Math.min(Math.max(value, -LARGEST), LARGEST);
+    const place = take(records, 128 * i + layout.from + k * width, layout.position), step = chunks[8 * row + 4 + k];
+    const value = chunks[8 * row + k] + place * Math.abs(step);
+    means[3 * i + k] = Math.min(Math.max(step < 0 ? fromLog(value) : value, -LARGEST), LARGEST);
   }
 }
 

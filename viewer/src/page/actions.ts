@@ -13,21 +13,21 @@ interface Action {
 }
 
 export class Actions {
-  private readonly all = new Map<string, Action>();
-  private readonly watchers: (() => void)[] = [];
+  readonly #all = new Map<string, Action>();
+  readonly #watchers: (() => void)[] = [];
 
   add(action: Action): void {
-    this.all.set(action.id, action);
+    this.#all.set(action.id, action);
   }
 
   get(id: string): Action {
-    const action = this.all.get(id);
+    const action = this.#all.get(id);
     if (!action) throw new Error(`no action is named ${id}`);
     return action;
   }
 
   list(): Action[] {
-    return [...this.all.values()];
+    return [...this.#all.values()];
   }
 
   /** Run an action if it is available; then everything that shows its state looks again. */
@@ -44,11 +44,11 @@ export class Actions {
   }
 
   watch(look: () => void): void {
-    this.watchers.push(look);
+    this.#watchers.push(look);
     look();
   }
 
   changed(): void {
-    for (const look of this.watchers) look();
+    for (const look of this.#watchers) look();
   }
 }

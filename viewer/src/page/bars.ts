@@ -12,7 +12,7 @@ const WIDE_ONLY = new Set(["statistics", "share", "picture", "full"]); // phones
 export class TitleBar {
   readonly element = make("header", { class: "title" });
   private readonly state = make("p", { class: "state" });
-  private readonly progress = make(
+  readonly #progress = make(
     "div",
     {
       class: "progress", role: "progressbar", "aria-label": "Loading", "aria-valuemin": 0, "aria-valuemax": 100,
@@ -24,17 +24,17 @@ export class TitleBar {
     const back = home
       ? make("a", { class: "tool", href: home, "aria-label": "All scenes", title: "All scenes" }, icon("back"))
       : null;
-    this.element.append(...(back ? [back] : []), make("div", {}, make("h1", {}, name), this.state), this.progress);
+    this.element.append(...(back ? [back] : []), make("div", {}, make("h1", {}, name), this.state), this.#progress);
   }
 
   show(kind: string, text: string, share: number): void {
     this.element.dataset.state = kind;
     setText(this.state, text);
     const loading = kind === "connecting" || kind === "streaming";
-    this.progress.hidden = !loading;
+    this.#progress.hidden = !loading;
     const percent = Math.round(100 * Math.min(Math.max(share, 0), 1));
-    this.progress.setAttribute("aria-valuenow", String(percent));
-    this.progress.style.setProperty("--share", `${percent}%`);
+    this.#progress.setAttribute("aria-valuenow", String(percent));
+    this.#progress.style.setProperty("--share", `${percent}%`);
   }
 }
 
@@ -56,23 +56,23 @@ interface DockTargets {
 
 export class Dock {
   readonly element = make("div", { class: "dock", role: "group", "aria-label": "Moving" });
-  private readonly modes: { element: HTMLElement; refresh(): void };
-  private readonly label = make("output", { class: "view-name" });
+  readonly #modes: { element: HTMLElement; refresh(): void };
+  readonly #label = make("output", { class: "view-name" });
   private readonly views = make("div", { class: "views", role: "group", "aria-label": "Views" });
 
   constructor(actions: Actions, private readonly targets: DockTargets) {
-    this.modes = choices<Mode>("mode", "Way to move", [
+    this.#modes = choices<Mode>("mode", "Way to move", [
       { value: "orbit", label: "Orbit", icon: "orbit" }, { value: "fly", label: "Fly", icon: "fly" },
       { value: "walk", label: "Walk", icon: "walk" },
     ], targets.mode, targets.setMode);
-    this.views.append(actionButton(actions, "previous"), this.label, actionButton(actions, "next"));
-    this.element.append(this.modes.element, actionButton(actions, "home"), this.views);
+    this.views.append(actionButton(actions, "previous"), this.#label, actionButton(actions, "next"));
+    this.element.append(this.#modes.element, actionButton(actions, "home"), this.views);
   }
 
   refresh(): void {
-    this.modes.refresh();
+    this.#modes.refresh();
     const { count, label } = this.targets.views();
     this.views.hidden = count < 2;
-    setText(this.label, label);
+    setText(this.#label, label);
   }
 }

@@ -26,16 +26,16 @@ interface DriveTargets {
 export class Drive {
   readonly navigator: Navigator;
   readonly joystick = new Joystick(() => this.wake());
-  private readonly gamepads: Gamepads;
-  private keyboard: Keyboard | null = null;
-  private running = false;
-  private last = 0;
-  private timer = 0;
+  readonly #gamepads: Gamepads;
+  #keyboard: Keyboard | null = null;
+  #running = false;
+  #last = 0;
+  #timer = 0;
 
   constructor(private readonly targets: DriveTargets) {
     const frame = frameFromUp([0, 0, 1]);
     this.navigator = new Navigator(frame, rigFromTarget([0, 0, 0], frame.north, frame, NORMAL_FOV));
-    this.gamepads = new Gamepads((action) => targets.actions.run(action), () => this.wake());
+    this.#gamepads = new Gamepads((action) => targets.actions.run(action), () => this.wake());
     const reduced = matchMedia("(prefers-reduced-motion: reduce)");
     const calm = (): void => void (this.navigator.calm = reduced.matches);
     reduced.addEventListener("change", calm);
@@ -50,8 +50,8 @@ export class Drive {
       canvas,
       { navigator, wake, click: (x, y, event) => targets.click(x, y, event.altKey), doubleClick: targets.doubleClick },
     );
-    this.keyboard?.stop();
-    this.keyboard = new Keyboard(canvas, {
+    this.#keyboard?.stop();
+    this.#keyboard = new Keyboard(canvas, {
       actions: targets.actions, mode: () => navigator.mode, wake, view: targets.view, escape: targets.escape,
       zoom: (factor) => (navigator.zoom(factor), this.wake()),
       pickCenter: () => targets.click(canvas.clientWidth / 2, canvas.clientHeight / 2, true),
@@ -60,33 +60,33 @@ export class Drive {
 
   /** Move until nothing is held and the view is at rest. */
   wake(): void {
-    if (this.running) return;
-    this.running = true;
-    this.last = performance.now();
-    requestAnimationFrame((now) => this.tick(now));
+    if (this.#running) return;
+    this.#running = true;
+    this.#last = performance.now();
+    requestAnimationFrame((now) => this.#tick(now));
   }
 
-  private tick(now: number): void {
-    const seconds = Math.min(Math.max((now - this.last) / 1000, 0), LONGEST_FRAME);
-    this.last = now;
+  #tick(now: number): void {
+    const seconds = Math.min(Math.max((now - this.#last) / 1000, 0), LONGEST_FRAME);
+    this.#last = now;
     const moved = this.navigator.step(seconds, this.held());
-    if (moved) this.report();
-    if (moved || this.keyboard?.busy || this.joystick.busy || this.gamepads.connected || this.navigator.flying) {
-      requestAnimationFrame((next) => this.tick(next));
+    if (moved) this.#report();
+    if (moved || this.#keyboard?.busy || this.joystick.busy || this.#gamepads.connected || this.navigator.flying) {
+      requestAnimationFrame((next) => this.#tick(next));
     } else {
-      this.running = false;
+      this.#running = false;
     }
   }
 
-  private report(): void {
+  #report(): void {
     this.targets.moved();
-    clearTimeout(this.timer);
-    this.timer = window.setTimeout(() => this.targets.rested(), REST_MS);
+    clearTimeout(this.#timer);
+    this.#timer = window.setTimeout(() => this.targets.rested(), REST_MS);
   }
 
   private held(): Held {
-    const held = this.keyboard?.held() ?? { ahead: 0, aside: 0, above: 0, turn: 0, tilt: 0, fast: false };
-    const pad = this.gamepads.read();
+    const held = this.#keyboard?.held() ?? { ahead: 0, aside: 0, above: 0, turn: 0, tilt: 0, fast: false };
+    const pad = this.#gamepads.read();
     held.ahead += this.joystick.ahead;
     held.aside += this.joystick.aside;
     if (!pad) return held;

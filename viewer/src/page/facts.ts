@@ -36,7 +36,7 @@ const MOST_DIRECTIONS = 1000;
 const MOST_KEPT = 200; // answers
 
 export class Facts {
-  private readonly kept = new Map<string, Promise<unknown>>();
+  readonly #kept = new Map<string, Promise<unknown>>();
 
   /** `base` is an address that ends with a slash, null where there is no server to ask. */
   constructor(private readonly base: string | null) {}
@@ -46,38 +46,38 @@ export class Facts {
   }
 
   async floor(): Promise<Floor | null> {
-    return readFloor(await this.ask("floor"));
+    return readFloor(await this.#ask("floor"));
   }
 
   async cells(): Promise<Cells | null> {
-    return readCells(await this.ask("cells"));
+    return readCells(await this.#ask("cells"));
   }
 
   /** Views that the package proposes, the best first. */
   async views(): Promise<StartPose[]> {
-    return readPoses(fields(await this.ask("cells"))?.views);
+    return readPoses(fields(await this.#ask("cells"))?.views);
   }
 
   async why(id: number): Promise<Why | null> {
-    return readWhy(await this.ask(`why/${id}`));
+    return readWhy(await this.#ask(`why/${id}`));
   }
 
-  private ask(path: string): Promise<unknown> {
+  #ask(path: string): Promise<unknown> {
     if (!this.base) return Promise.resolve(null);
-    const known = this.kept.get(path);
+    const known = this.#kept.get(path);
     if (known) return known;
     const answer = fetch(this.base + path, { headers: { accept: "application/json" } })
       .then((response): unknown => {
         if (response.ok) return response.json();
-        if (response.status !== 404) this.kept.delete(path); // not known for good: asked again
+        if (response.status !== 404) this.#kept.delete(path); // not known for good: asked again
         return null;
       })
       .catch(() => {
-        this.kept.delete(path);
+        this.#kept.delete(path);
         return null;
       });
-    if (this.kept.size >= MOST_KEPT) this.kept.clear();
-    this.kept.set(path, answer);
+    if (this.#kept.size >= MOST_KEPT) this.#kept.clear();
+    this.#kept.set(path, answer);
     return answer;
   }
 }

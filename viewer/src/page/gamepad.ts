@@ -25,7 +25,7 @@ export function readPad(pad: PadState): Held {
 }
 
 export class Gamepads {
-  private readonly before = new Map<string, boolean>();
+  readonly #before = new Map<string, boolean>();
 
   constructor(private readonly run: (action: string) => void, wake: () => void) {
     window.addEventListener("gamepadconnected", wake);
@@ -33,26 +33,26 @@ export class Gamepads {
 
   /** Whether any gamepad must be looked at, frame by frame. */
   get connected(): boolean {
-    return this.pads().length > 0;
+    return this.#pads().length > 0;
   }
 
   read(): Held | null {
     let held: Held | null = null;
-    for (const pad of this.pads()) {
+    for (const pad of this.#pads()) {
       const one = readPad(pad);
       held ??= one;
       if (Object.values(one).some((value) => value !== 0 && value !== false)) held = one;
       for (const [index, action] of Object.entries(ACTIONS)) {
         const pressed = pad.buttons[Number(index)]?.pressed ?? false;
         const key = `${pad.index} ${index}`;
-        if (pressed && !this.before.get(key)) this.run(action);
-        this.before.set(key, pressed);
+        if (pressed && !this.#before.get(key)) this.run(action);
+        this.#before.set(key, pressed);
       }
     }
     return held;
   }
 
-  private pads(): Gamepad[] {
+  #pads(): Gamepad[] {
     if (document.hidden || !navigator.getGamepads) return [];
     return navigator.getGamepads().filter(
       (pad): pad is Gamepad => pad !== null && pad.connected && pad.mapping === "standard",

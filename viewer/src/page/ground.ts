@@ -51,18 +51,18 @@ export class FloorGround implements Ground {
 
   step(from: Vec3, to: Vec3): Vec3 {
     let at = from;
-    const whole = this.place(subtract(to, from));
+    const whole = this.#place(subtract(to, from));
     const pieces = clamp(Math.ceil(Math.hypot(whole[0], whole[1]) / MOST_STEP), 1, 256);
     const [first, second] = [whole[0] / pieces, whole[1] / pieces];
     for (let piece = 0; piece < pieces; piece++) {
-      at = this.move(at, first, second) ?? this.move(at, first, 0) ?? this.move(at, 0, second) ?? at;
+      at = this.#move(at, first, second) ?? this.#move(at, first, 0) ?? this.#move(at, 0, second) ?? at;
     }
     return at;
   }
 
   nearest(eye: Vec3): Vec3 {
     const { columns, rows, heights } = this.floor;
-    const [x, y, height] = this.locate(eye);
+    const [x, y, height] = this.#locate(eye);
     let best = Infinity;
     let found: Vec3 | null = null;
     for (let row = 0; row < rows; row++) {
@@ -73,7 +73,7 @@ export class FloorGround implements Ground {
         const away = Math.hypot(square[0] - x, square[1] - y, (level - height) / this.floor.side);
         if (away < best) {
           best = away;
-          found = this.position(square[0], square[1], level);
+          found = this.#position(square[0], square[1], level);
         }
       }
     }
@@ -81,17 +81,17 @@ export class FloorGround implements Ground {
   }
 
   /** Return the eye after a small step in squares, or null where nobody can stand. */
-  private move(at: Vec3, first: number, second: number): Vec3 | null {
-    const [x, y, height] = this.locate(at);
-    const level = this.height(x + first, y + second);
-    const here = this.height(x, y);
+  #move(at: Vec3, first: number, second: number): Vec3 | null {
+    const [x, y, height] = this.#locate(at);
+    const level = this.#height(x + first, y + second);
+    const here = this.#height(x, y);
     if (!Number.isFinite(level)) return null;
     if (Number.isFinite(here) && Math.abs(level - here) > this.climb) return null;
     if (first === 0 && second === 0) return at;
-    return this.position(x + first, y + second, Number.isFinite(here) ? level : height);
+    return this.#position(x + first, y + second, Number.isFinite(here) ? level : height);
   }
 
-  private height(x: number, y: number): number {
+  #height(x: number, y: number): number {
     const { columns, rows, heights } = this.floor;
     const [column, row] = [Math.floor(x), Math.floor(y)];
     if (column < 0 || row < 0 || column >= columns || row >= rows) return NaN;
@@ -99,17 +99,17 @@ export class FloorGround implements Ground {
   }
 
   /** Return squares along both axes and the height. */
-  private locate(eye: Vec3): Vec3 {
+  #locate(eye: Vec3): Vec3 {
     const offset = subtract(eye, this.floor.origin);
-    const [x, y] = this.place(offset);
+    const [x, y] = this.#place(offset);
     return [x, y, dot(offset, this.floor.up)];
   }
 
-  private place(offset: Vec3): [number, number] {
+  #place(offset: Vec3): [number, number] {
     return [dot(offset, this.floor.first) / this.floor.side, dot(offset, this.floor.second) / this.floor.side];
   }
 
-  private position(x: number, y: number, height: number): Vec3 {
+  #position(x: number, y: number, height: number): Vec3 {
     const { origin, side, first, second, up } = this.floor;
     return add(add(origin, scale(first, x * side)), add(scale(second, y * side), scale(up, height)));
   }

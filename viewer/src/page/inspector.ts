@@ -22,7 +22,7 @@ const TITLE = "Why is this here?";
 export class Inspector {
   readonly mark = make("i", { class: "mark", hidden: true, "aria-hidden": "true" });
   on = false; // clicks ask
-  private asked = 0;
+  #asked = 0;
 
   constructor(private readonly targets: InspectorTargets) {}
 
@@ -30,9 +30,9 @@ export class Inspector {
     const { side, speak } = this.targets;
     const facts = this.targets.facts();
     const viewer = this.targets.viewer();
-    const turn = ++this.asked;
+    const turn = ++this.#asked;
     const pick = await viewer?.pick(x, y);
-    if (!viewer || viewer !== this.targets.viewer() || turn !== this.asked) return;
+    if (!viewer || viewer !== this.targets.viewer() || turn !== this.#asked) return;
     if (!pick) {
       side.open("why", TITLE, note("Nothing is here: no Gaussian reaches this pixel."));
       return;

@@ -23,47 +23,47 @@ interface KeyTargets {
 }
 
 export class Keyboard {
-  private readonly down = new Set<string>();
-  private readonly tapped = new Set<string>(); // pressed since the last look: counts even if it is up again
-  private fast = false;
-  private readonly life = new AbortController();
+  readonly #down = new Set<string>();
+  readonly #tapped = new Set<string>(); // pressed since the last look: counts even if it is up again
+  #fast = false;
+  readonly #life = new AbortController();
 
   constructor(private readonly canvas: HTMLElement, private readonly targets: KeyTargets) {
-    const { signal } = this.life;
-    window.addEventListener("keydown", (event) => this.press(event), { signal });
-    window.addEventListener("keyup", (event) => this.release(event), { signal });
+    const { signal } = this.#life;
+    window.addEventListener("keydown", (event) => this.#press(event), { signal });
+    window.addEventListener("keyup", (event) => this.#release(event), { signal });
     window.addEventListener("blur", () => this.clear(), { signal });
     document.addEventListener("visibilitychange", () => this.clear(), { signal });
   }
 
   stop(): void {
-    this.life.abort();
+    this.#life.abort();
   }
 
   get busy(): boolean {
-    return this.down.size + this.tapped.size > 0;
+    return this.#down.size + this.#tapped.size > 0;
   }
 
   /** Sum of all held keys. */
   held(): Held {
-    const sum: Held = { ahead: 0, aside: 0, above: 0, turn: 0, tilt: 0, fast: this.fast };
+    const sum: Held = { ahead: 0, aside: 0, above: 0, turn: 0, tilt: 0, fast: this.#fast };
     const arrows = this.targets.mode() === "orbit" ? ARROWS.orbit : ARROWS.other;
-    for (const code of new Set([...this.down, ...this.tapped])) {
+    for (const code of new Set([...this.#down, ...this.#tapped])) {
       const moves: Partial<Held> = (arrows as Record<string, Partial<Held>>)[code] ?? MOVES[code] ?? {};
       for (const axis of ["ahead", "aside", "above", "turn", "tilt"] as const) sum[axis] += moves[axis] ?? 0;
     }
-    this.tapped.clear();
+    this.#tapped.clear();
     return sum;
   }
 
   clear(): void {
-    this.down.clear();
-    this.tapped.clear();
-    this.fast = false;
+    this.#down.clear();
+    this.#tapped.clear();
+    this.#fast = false;
   }
 
-  private press(event: KeyboardEvent): void {
-    this.fast = event.shiftKey;
+  #press(event: KeyboardEvent): void {
+    this.#fast = event.shiftKey;
     if (event.ctrlKey || event.metaKey || event.altKey || event.defaultPrevented) return;
     const target = event.target instanceof Element ? event.target : null;
     if (target?.closest("dialog")) return;
@@ -72,15 +72,15 @@ export class Keyboard {
     const onScene = target === this.canvas || target === document.body;
     const letter = event.code.startsWith("Key") && event.code in MOVES;
     if (letter || (onScene && (event.code in MOVES || event.code in ARROWS.orbit))) {
-      this.down.add(event.code);
-      this.tapped.add(event.code);
+      this.#down.add(event.code);
+      this.#tapped.add(event.code);
       this.targets.wake();
       return event.preventDefault();
     }
-    if (!event.repeat && this.once(event, onScene)) event.preventDefault();
+    if (!event.repeat && this.#once(event, onScene)) event.preventDefault();
   }
 
-  private once(event: KeyboardEvent, onScene: boolean): boolean {
+  #once(event: KeyboardEvent, onScene: boolean): boolean {
     const { targets } = this;
     if (/^[1-9]$/.test(event.key)) targets.view(Number(event.key) - 1);
     else if (onScene && (event.key === "+" || event.key === "=")) targets.zoom(1 / 1.25);
@@ -94,8 +94,8 @@ export class Keyboard {
     return true;
   }
 
-  private release(event: KeyboardEvent): void {
-    this.fast = event.shiftKey;
-    this.down.delete(event.code);
+  #release(event: KeyboardEvent): void {
+    this.#fast = event.shiftKey;
+    this.#down.delete(event.code);
   }
 }

@@ -13,14 +13,14 @@ interface NoticeTargets {
 export class Notices {
   readonly card = make("section", { class: "card", role: "alert", hidden: true });
   readonly line = make("p", { class: "toast", role: "status", "aria-live": "polite" });
-  private timer = 0;
+  #timer = 0;
 
   constructor(private readonly targets: NoticeTargets) {}
 
   /** Show a card until `clear`. */
   stop(message: Message): void {
     const parts: Node[] = [make("h2", {}, message.title), make("p", {}, message.text)];
-    if (message.token) parts.push(this.tokenForm());
+    if (message.token) parts.push(this.#tokenForm());
     if (message.detail) {
       parts.push(
         make(
@@ -45,12 +45,12 @@ export class Notices {
 
   /** Say something for some seconds, or until another line comes. */
   say(text: string, lasting = false): void {
-    clearTimeout(this.timer);
+    clearTimeout(this.#timer);
     setText(this.line, text);
-    if (text && !lasting) this.timer = window.setTimeout(() => setText(this.line, ""), PASSES);
+    if (text && !lasting) this.#timer = window.setTimeout(() => setText(this.line, ""), PASSES);
   }
 
-  private tokenForm(): HTMLFormElement {
+  #tokenForm(): HTMLFormElement {
     const input = make(
       "input", { type: "password", id: "token", name: "token", required: true, autocomplete: "current-password" },
     );

@@ -29,11 +29,11 @@ export function edgesOf(cells: Cells): { at: Vec3; axis: number }[] {
 
 export class Overlay {
   readonly element = make("canvas", { class: "overlay", "aria-hidden": "true", hidden: true });
-  private cells: Cells | null = null;
+  #cells: Cells | null = null;
   private edges: { at: Vec3; axis: number }[] = [];
 
   set(cells: Cells | null): void {
-    this.cells = cells;
+    this.#cells = cells;
     this.edges = cells && cells.boxes.length <= MOST_BOXES ? edgesOf(cells) : [];
   }
 
@@ -42,7 +42,7 @@ export class Overlay {
   }
 
   draw(rig: Rig, frame: Frame): void {
-    const { element, cells } = this;
+    const { element } = this, cells = this.#cells;
     const context = element.hidden || !cells ? null : element.getContext("2d");
     if (!context || !cells) return;
     const ratio = Math.min(devicePixelRatio || 1, 2);

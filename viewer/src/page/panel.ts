@@ -26,27 +26,27 @@ interface Part {
 
 export class Panel {
   readonly element = make("div", { class: "panel" });
-  private readonly legend = make("p", { class: "legend" });
-  private readonly buttons: HTMLElement; // made once: each of them watches the actions as long as the page lives
-  private parts: Part[] = [];
+  readonly #legend = make("p", { class: "legend" });
+  readonly #buttons: HTMLElement; // made once: each of them watches the actions as long as the page lives
+  #parts: Part[] = [];
 
   constructor(private readonly targets: PanelTargets) {
     const names = ["statistics", "share", "picture", "full", "help"];
-    this.buttons = make("div", { class: "actions" }, ...names.map((id) => actionButton(targets.actions, id, true)));
+    this.#buttons = make("div", { class: "actions" }, ...names.map((id) => actionButton(targets.actions, id, true)));
   }
 
   /** Build the panel anew for a scene. */
   fill(header: Header | null): void {
     const { targets } = this;
     const viewer = targets.viewer();
-    this.parts = [];
-    const add = (part: Part): HTMLElement => (this.parts.push(part), part.element);
+    this.#parts = [];
+    const add = (part: Part): HTMLElement => (this.#parts.push(part), part.element);
     const sections: Node[] = [];
     if (viewer && header) {
       const paints = PAINTS.filter((paint) => !paint.fits || paint.fits(header));
       sections.push(
-        add(choices("paint", "Color shows", paints, () => viewer.paint, (paint) => this.setPaint(paint), "chips")),
-        this.legend,
+        add(choices("paint", "Color shows", paints, () => viewer.paint, (paint) => this.#setPaint(paint), "chips")),
+        this.#legend,
       );
       if (header.levels.length > 1) sections.push(this.levels(viewer, header, add));
       const detailed = header.terms > 0 || header.harmonics !== null;
@@ -74,16 +74,16 @@ export class Panel {
         { value: "auto", label: "System" }, { value: "light", label: "Light" }, { value: "dark", label: "Dark" },
       ],
         () => theme.chosen, (chosen) => theme.choose(chosen)))),
-      this.buttons,
+      this.#buttons,
     );
     this.element.replaceChildren(...sections);
     this.refresh();
   }
 
   refresh(): void {
-    for (const part of this.parts) part.refresh();
+    for (const part of this.#parts) part.refresh();
     const viewer = this.targets.viewer();
-    if (viewer) this.showLegend(viewer.paint);
+    if (viewer) this.#showLegend(viewer.paint);
   }
 
   /** Take the next way to color. */
@@ -92,22 +92,22 @@ export class Panel {
     if (!viewer?.header) return null;
     const header = viewer.header;
     const values = PAINTS.filter((paint) => !paint.fits || paint.fits(header)).map((paint) => paint.value);
-    this.setPaint(values[(values.indexOf(viewer.paint) + 1) % values.length]);
+    this.#setPaint(values[(values.indexOf(viewer.paint) + 1) % values.length]);
     return PAINTS.find((paint) => paint.value === viewer.paint)?.label ?? null;
   }
 
-  private setPaint(paint: Paint): void {
+  #setPaint(paint: Paint): void {
     const viewer = this.targets.viewer();
     if (viewer) viewer.paint = paint;
     this.refresh();
     this.targets.actions.changed();
   }
 
-  private showLegend(paint: Paint): void {
+  #showLegend(paint: Paint): void {
     const { text, low, high } = LEGENDS[paint];
     const ramp = make("i", { class: `ramp ${paint}` });
     const bar = low ? make("span", { class: "bar" }, make("small", {}, low), ramp, make("small", {}, high)) : null;
-    this.legend.replaceChildren(make("span", {}, text), ...(bar ? [bar] : []));
+    this.#legend.replaceChildren(make("span", {}, text), ...(bar ? [bar] : []));
   }
 
   private levels(viewer: ViewerLike, header: Header, add: (part: Part) => HTMLElement): HTMLElement {

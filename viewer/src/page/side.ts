@@ -5,31 +5,31 @@ import { icon } from "./icons.ts";
 
 export class Side {
   readonly element = make("section", { class: "side", hidden: true, "aria-labelledby": "side-title" });
-  private readonly title = make("h2", { id: "side-title" });
-  private readonly body = make(
+  readonly #title = make("h2", { id: "side-title" });
+  readonly #body = make(
     "div", { class: "side-body", tabindex: 0, role: "group", "aria-labelledby": "side-title" },
   );
-  private name = "";
-  private opener: Element | null = null;
+  #name = "";
+  #opener: Element | null = null;
 
   constructor(private readonly changed: () => void) {
     const close = make(
       "button", { type: "button", class: "tool", "aria-label": "Close the panel", title: "Close (Esc)" }, icon("close"),
     );
     on(close, "click", () => this.close());
-    this.element.append(make("header", {}, this.title, close), this.body);
+    this.element.append(make("header", {}, this.#title, close), this.#body);
   }
 
   shows(name: string): boolean {
-    return !this.element.hidden && this.name === name;
+    return !this.element.hidden && this.#name === name;
   }
 
   open(name: string, title: string, ...content: Node[]): void {
-    if (this.element.hidden) this.opener = document.activeElement;
-    this.name = name;
-    this.title.textContent = title;
-    this.body.replaceChildren(...content);
-    this.body.scrollTop = 0;
+    if (this.element.hidden) this.#opener = document.activeElement;
+    this.#name = name;
+    this.#title.textContent = title;
+    this.#body.replaceChildren(...content);
+    this.#body.scrollTop = 0;
     this.element.hidden = false;
     document.documentElement.dataset.side = name;
     this.changed();
@@ -41,7 +41,7 @@ export class Side {
     const inside = this.element.contains(document.activeElement);
     this.element.hidden = true;
     delete document.documentElement.dataset.side;
-    if (inside && this.opener instanceof HTMLElement) this.opener.focus();
+    if (inside && this.#opener instanceof HTMLElement) this.#opener.focus();
     this.changed();
     return true;
   }

@@ -12,13 +12,13 @@ const ROWS = {
 
 export class StatisticsCard {
   readonly element = make("section", { class: "statistics", "aria-label": "Statistics", hidden: true });
-  private readonly values = new Map<string, HTMLElement>();
+  readonly #values = new Map<string, HTMLElement>();
 
   constructor() {
     const list = make("dl");
     for (const [key, label] of Object.entries(ROWS)) {
       const value = make("dd", { "data-figure": key }, "–");
-      this.values.set(key, value);
+      this.#values.set(key, value);
       list.append(make("div", {}, make("dt", {}, label), value));
     }
     this.element.append(list);
@@ -37,7 +37,7 @@ export class StatisticsCard {
   }
 
   private set(key: keyof typeof ROWS, text: string): void {
-    const value = this.values.get(key);
+    const value = this.#values.get(key);
     if (value) setText(value, text);
   }
 }

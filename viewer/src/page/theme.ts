@@ -8,15 +8,15 @@ const KEY = "gsvis-theme";
 
 export class ThemeChoice {
   chosen: Theme = THEMES.find((theme) => theme === read()) ?? "auto";
-  private readonly system = matchMedia("(prefers-color-scheme: light)");
+  readonly #system = matchMedia("(prefers-color-scheme: light)");
 
   constructor(private readonly changed: () => void) {
-    this.system.addEventListener("change", () => this.apply());
-    this.apply();
+    this.#system.addEventListener("change", () => this.#apply());
+    this.#apply();
   }
 
   get dark(): boolean {
-    return this.chosen === "dark" || (this.chosen === "auto" && !this.system.matches);
+    return this.chosen === "dark" || (this.chosen === "auto" && !this.#system.matches);
   }
 
   /** What lies behind the scene. */
@@ -27,10 +27,10 @@ export class ThemeChoice {
   choose(theme: Theme): void {
     this.chosen = theme;
     write(theme);
-    this.apply();
+    this.#apply();
   }
 
-  private apply(): void {
+  #apply(): void {
     document.documentElement.dataset.theme = this.dark ? "dark" : "light";
     this.changed();
   }

@@ -44,106 +44,107 @@ const CLIMB_M = 0.7; // from square to square of a floor
 
 export class ViewPage {
   private readonly root: HTMLElement;
-  private canvas = make("canvas");
-  private viewer: ViewerLike | null = null;
+  #canvas = make("canvas");
+  #viewer: ViewerLike | null = null;
   private header: Header | null = null;
-  private facts: Facts;
-  private surroundings: Surroundings = { floor: null, cells: null, poses: [] };
+  #facts: Facts;
+  #surroundings: Surroundings = { floor: null, cells: null, poses: [] };
   private settings: Settings = { views: [], background: null };
-  private ready: Promise<unknown>;
+  #ready: Promise<unknown>;
   private views: View[] = [];
-  private view = 0;
-  private placed = false;
+  #view = 0;
+  #placed = false;
   private focused = false;
-  private release: () => void = () => undefined;
-  private start: Rig | null = null;
-  private ownHash = "";
+  #release: () => void = () => undefined;
+  #start: Rig | null = null;
+  #ownHash = "";
   private token: string | null;
 
-  private readonly actions = new Actions();
-  private readonly theme: ThemeChoice;
+  readonly #actions = new Actions();
+  readonly #theme: ThemeChoice;
   private readonly title: TitleBar;
-  private readonly dock: Dock;
-  private readonly side = new Side(() => this.actions.changed());
-  private readonly panel: Panel;
-  private readonly figures = new StatisticsCard();
-  private readonly help: Help;
-  private readonly notices: Notices;
-  private readonly immersion = new Immersion(() => this.actions.changed());
-  private readonly overlay = new Overlay();
-  private readonly spoken = make("p", { class: "hidden", role: "status", "aria-live": "polite" });
-  private readonly inspector: Inspector;
-  private readonly drive: Drive;
+  readonly #dock: Dock;
+  readonly #side = new Side(() => this.#actions.changed());
+  readonly #panel: Panel;
+  readonly #figures = new StatisticsCard();
+  readonly #help: Help;
+  readonly #notices: Notices;
+  readonly #immersion = new Immersion(() => this.#actions.changed());
+  readonly #overlay = new Overlay();
+  readonly #spoken = make("p", { class: "hidden", role: "status", "aria-live": "polite" });
+  readonly #inspector: Inspector;
+  readonly #drive: Drive;
   private readonly navigator: Navigator;
 
   constructor(private scene: SceneAddress, private readonly page: PageAddress, private readonly core: Core) {
     this.root = document.querySelector("main") ?? document.body.appendChild(make("main"));
     this.token = page.token;
-    this.facts = factsOf(scene);
-    this.theme = new ThemeChoice(() => this.showBackground());
-    this.notices = new Notices(
-      { retry: () => this.restart(), token: (token) => ((this.token = token), this.restart()) },
+    this.#facts = factsOf(scene);
+    this.#theme = new ThemeChoice(() => this.#showBackground());
+    this.#notices = new Notices(
+      { retry: () => this.#restart(), token: (token) => ((this.token = token), this.#restart()) },
     );
-    this.drive = new Drive({
-      actions: this.actions, moved: () => this.sendCamera(), rested: () => (this.panel.refresh(), this.writeAddress()),
-      click: (x, y, withAlt) => void (this.inspector.on || withAlt ? this.inspector.inspect(x, y) : undefined),
-      doubleClick: (x, y) => void this.goTo(x, y), view: (index) => this.goToView(index),
-      escape: () => this.side.close() || this.stopInspecting(),
+    this.#drive = new Drive({
+      actions: this.#actions, moved: () => this.#sendCamera(),
+      rested: () => (this.#panel.refresh(), this.#writeAddress()),
+      click: (x, y, withAlt) => void (this.#inspector.on || withAlt ? this.#inspector.inspect(x, y) : undefined),
+      doubleClick: (x, y) => void this.goTo(x, y), view: (index) => this.#goToView(index),
+      escape: () => this.#side.close() || this.#stopInspecting(),
     });
-    this.navigator = this.drive.navigator;
-    this.inspector = new Inspector({
-      side: this.side, facts: () => this.facts, viewer: () => this.viewer, header: () => this.header,
-      place: () => ({ rig: this.navigator.shown, frame: this.navigator.frame }), speak: (text) => this.speak(text),
+    this.navigator = this.#drive.navigator;
+    this.#inspector = new Inspector({
+      side: this.#side, facts: () => this.#facts, viewer: () => this.#viewer, header: () => this.header,
+      place: () => ({ rig: this.navigator.shown, frame: this.navigator.frame }), speak: (text) => this.#speak(text),
     });
-    defineActions(this.actions, this.commands());
+    defineActions(this.#actions, this.#commands());
     this.title = new TitleBar(scene.name, scene.root);
-    this.dock = new Dock(this.actions, {
+    this.#dock = new Dock(this.#actions, {
       mode: () => this.navigator.mode, setMode: (mode) => this.setMode(mode),
       views: () => ({
-        count: this.views.length, label: this.views[this.view]?.name ?? `${this.view + 1} of ${this.views.length}`,
+        count: this.views.length, label: this.views[this.#view]?.name ?? `${this.#view + 1} of ${this.views.length}`,
       }),
     });
-    this.panel = new Panel({
-      viewer: () => this.viewer, actions: this.actions, theme: this.theme,
+    this.#panel = new Panel({
+      viewer: () => this.#viewer, actions: this.#actions, theme: this.#theme,
       fov: {
         degrees: () => this.navigator.shown.fovY / DEGREES,
-        choose: (degrees) => (this.navigator.setFov(degrees * DEGREES), this.drive.wake()),
+        choose: (degrees) => (this.navigator.setFov(degrees * DEGREES), this.#drive.wake()),
       },
       cells: {
-        known: () => this.overlay.known, shown: () => !this.overlay.element.hidden,
-        show: (shown) => this.showCells(shown),
+        known: () => this.#overlay.known, shown: () => !this.#overlay.element.hidden,
+        show: (shown) => this.#showCells(shown),
       },
       pace: { factor: () => this.navigator.pace, choose: (factor) => void (this.navigator.pace = factor) },
     });
-    this.help = new Help(this.actions);
-    this.build();
-    this.ready = this.prepare();
+    this.#help = new Help(this.#actions);
+    this.#build();
+    this.#ready = this.#prepare();
     this.open();
-    setInterval(() => this.look(), LOOKS_MS);
+    setInterval(() => this.#look(), LOOKS_MS);
   }
 
-  private build(): void {
+  #build(): void {
     document.title = `${this.scene.name} · gsvis`;
     if (this.page.bare) document.documentElement.dataset.bare = "";
     this.root.replaceChildren(
-      this.canvas, this.overlay.element, this.inspector.mark, this.title.element, toolBar(this.actions),
-      this.figures.element, this.side.element,
-      this.drive.joystick.element, this.dock.element, this.notices.line, this.notices.card, this.spoken,
+      this.#canvas, this.#overlay.element, this.#inspector.mark, this.title.element, toolBar(this.#actions),
+      this.#figures.element, this.#side.element,
+      this.#drive.joystick.element, this.#dock.element, this.#notices.line, this.#notices.card, this.#spoken,
       make(
         "p", { id: "keys", class: "hidden" },
         "Drag or use the arrow keys to look around, W A S D to move, question mark for help.",
-      ), this.help.element,
+      ), this.#help.element,
     );
     this.setMode("orbit");
-    this.panel.fill(null);
-    this.actions.watch(() => this.dock.refresh());
-    window.addEventListener("hashchange", () => this.followHash());
-    document.addEventListener("fullscreenchange", () => this.actions.changed());
-    window.addEventListener("resize", () => (this.viewer?.resize(), this.drawCells()));
+    this.#panel.fill(null);
+    this.#actions.watch(() => this.#dock.refresh());
+    window.addEventListener("hashchange", () => this.#followHash());
+    document.addEventListener("fullscreenchange", () => this.#actions.changed());
+    window.addEventListener("resize", () => (this.#viewer?.resize(), this.#drawCells()));
   }
 
   /** Load settings and facts; neither can stop the scene from being shown. */
-  private async prepare(): Promise<void> {
+  async #prepare(): Promise<void> {
     const settings = async (): Promise<void> => {
       if (!this.page.settings) return;
       try {
@@ -151,329 +152,331 @@ export class ViewPage {
         if (!response.ok) throw new Error(`settings: the server answered ${response.status}`);
         this.settings = readSettings(await response.json());
       } catch (error) {
-        this.notices.say(`The settings could not be used. ${error instanceof Error ? error.message : ""}`.trim());
+        this.#notices.say(`The settings could not be used. ${error instanceof Error ? error.message : ""}`.trim());
       }
     };
-    const known = proposedPoses(this.scene).then((poses) => survey(this.facts, poses));
-    [this.surroundings] = await Promise.all([known, settings()]);
-    this.overlay.set(this.surroundings.cells);
+    const known = proposedPoses(this.scene).then((poses) => survey(this.#facts, poses));
+    [this.#surroundings] = await Promise.all([known, settings()]);
+    this.#overlay.set(this.#surroundings.cells);
   }
 
   /** Open the scene in a fresh canvas. */
   private open(): void {
     this.header = null;
-    this.canvas.replaceWith((this.canvas = make("canvas", {
+    this.#canvas.replaceWith((this.#canvas = make("canvas", {
       tabindex: 0, role: "application", "aria-label": `Scene ${this.scene.name}`, "aria-describedby": "keys",
     })));
-    this.drive.listen(this.canvas);
+    this.#drive.listen(this.#canvas);
     try {
       const { source, release } = holdPoses(this.core.makeSource(this.scene, this.token));
-      this.release = release;
-      this.viewer = this.core.makeViewer(this.canvas, { source, background: this.background });
+      this.#release = release;
+      this.#viewer = this.core.makeViewer(this.#canvas, { source, background: this.background });
     } catch (error) {
       const message = error instanceof Error ? error.message : String(error);
-      this.showState("failed", "Stopped", 0);
-      this.notices.stop(offersWebGL() ? explainFailure(message) : { ...NO_WEBGL, detail: message });
+      this.#showState("failed", "Stopped", 0);
+      this.#notices.stop(offersWebGL() ? explainFailure(message) : { ...NO_WEBGL, detail: message });
       return;
     }
-    const { viewer } = this;
-    viewer.addEventListener("header", () => void this.takeHeader(viewer));
-    viewer.addEventListener("state", () => this.takeState());
-    viewer.addEventListener("contextlost", () => this.notices.say(LOST_CONTEXT, true));
-    viewer.addEventListener("contextrestored", () => this.notices.say(""));
+    const viewer = this.#viewer;
+    viewer.addEventListener("header", () => void this.#takeHeader(viewer));
+    viewer.addEventListener("state", () => this.#takeState());
+    viewer.addEventListener("contextlost", () => this.#notices.say(LOST_CONTEXT, true));
+    viewer.addEventListener("contextrestored", () => this.#notices.say(""));
     viewer.addEventListener(
-      "problem", (event) => this.notices.say(event instanceof CustomEvent ? String(event.detail) : ""),
+      "problem", (event) => this.#notices.say(event instanceof CustomEvent ? String(event.detail) : ""),
     );
-    this.takeState();
-    if (viewer.header) void this.takeHeader(viewer);
+    this.#takeState();
+    if (viewer.header) void this.#takeHeader(viewer);
   }
 
-  private restart(): void {
-    this.viewer?.dispose();
-    this.viewer = null;
-    this.notices.clear();
+  #restart(): void {
+    this.#viewer?.dispose();
+    this.#viewer = null;
+    this.#notices.clear();
     this.open();
-    this.canvas.focus();
+    this.#canvas.focus();
   }
 
   /** Show the same scene from elsewhere, such as a stream after it has been prepared; the view stays. */
   change(scene: SceneAddress): void {
     this.scene = scene;
-    this.facts = factsOf(scene);
-    this.ready = this.prepare();
-    this.restart();
-    this.notices.say("The scene is prepared: it is streamed from now on.");
+    this.#facts = factsOf(scene);
+    this.#ready = this.#prepare();
+    this.#restart();
+    this.#notices.say("The scene is prepared: it is streamed from now on.");
   }
 
-  private async takeHeader(viewer: ViewerLike): Promise<void> {
+  async #takeHeader(viewer: ViewerLike): Promise<void> {
     const header = viewer.header;
     if (!header) return;
-    await this.ready;
+    await this.#ready;
     // connected again: all stays as it is
-    if (this.viewer !== viewer || this.header?.identity === header.identity) return;
+    if (this.#viewer !== viewer || this.header?.identity === header.identity) return;
     this.header = header;
-    const { navigator, surroundings } = this;
+    const { navigator } = this, surroundings = this.#surroundings;
     navigator.reframe(frameFromUp(header.up));
     navigator.meter = guessMeter(header, surroundings.cells);
     if (surroundings.floor) navigator.standOn(new FloorGround(surroundings.floor, CLIMB_M * navigator.meter));
-    if (!this.placed) this.place();
-    this.sendCamera();
-    this.release();
-    this.panel.fill(header);
-    this.actions.changed();
-    this.showBackground();
+    if (!this.#placed) this.place();
+    this.#sendCamera();
+    this.#release();
+    this.#panel.fill(header);
+    this.#actions.changed();
+    this.#showBackground();
   }
 
   private place(): void {
-    const first = begin(location.hash, this.settings.views, this.navigator.frame, this.surroundings);
-    this.views = this.settings.views.length ? this.settings.views : viewsFromPoses(this.surroundings.poses);
-    this.placed = true;
+    const first = begin(location.hash, this.settings.views, this.navigator.frame, this.#surroundings);
+    this.views = this.settings.views.length ? this.settings.views : viewsFromPoses(this.#surroundings.poses);
+    this.#placed = true;
     this.focused = first.focused;
     const mode = first.mode === "walk" && !this.navigator.canStandAt(first.rig.eye) ? "fly" : first.mode;
     this.navigator.mode = mode;
     this.navigator.place(first.rig);
     this.setMode(mode);
-    this.start = begin("", this.settings.views, this.navigator.frame, this.surroundings).rig;
-    if (first.problem) this.notices.say(first.problem);
+    this.#start = begin("", this.settings.views, this.navigator.frame, this.#surroundings).rig;
+    if (first.problem) this.#notices.say(first.problem);
   }
 
   /** Find out how far away lies what is looked at, where no view has said it. */
   private async focus(): Promise<void> {
-    if (this.focused || !this.viewer) return;
+    if (this.focused || !this.#viewer) return;
     this.focused = true;
-    const pick = await this.viewer.pick(this.canvas.clientWidth / 2, this.canvas.clientHeight / 2);
+    const pick = await this.#viewer.pick(this.#canvas.clientWidth / 2, this.#canvas.clientHeight / 2);
     if (pick) this.navigator.refocus(pick.depth);
     else this.focused = false;
   }
 
-  private takeState(): void {
-    const state = this.viewer?.statistics.state;
-    if (!state || !this.viewer) return;
+  #takeState(): void {
+    const state = this.#viewer?.statistics.state;
+    if (!state || !this.#viewer) return;
     document.documentElement.dataset.state = state.kind;
     if (state.kind === "failed") {
       const code = "code" in state && typeof state.code === "number" ? state.code : undefined;
-      this.notices.stop(explainFailure(state.message, code));
+      this.#notices.stop(explainFailure(state.message, code));
     } else {
-      this.notices.clear();
+      this.#notices.clear();
     }
-    if (state.kind === "waiting") this.notices.say(
+    if (state.kind === "waiting") this.#notices.say(
       "The connection is lost. What has arrived stays; the rest comes when the server is back.", true,
     );
-    else if (this.notices.line.textContent?.startsWith("The connection is lost")) this.notices.say("Connected again.");
+    else if (this.#notices.line.textContent?.startsWith("The connection is lost")) {
+      this.#notices.say("Connected again.");
+    }
     if ((state.kind === "streaming" || state.kind === "complete") && "message" in state && state.message) {
-      this.notices.say(String(state.message));
+      this.#notices.say(String(state.message));
     }
     if (state.kind === "complete") void this.focus();
-    if (state.kind === "complete") this.speak("All that can be seen from here has arrived.");
-    this.look();
+    if (state.kind === "complete") this.#speak("All that can be seen from here has arrived.");
+    this.#look();
   }
 
   /** Show what has changed in the figures. */
-  private look(): void {
-    if (!this.viewer || document.hidden) return;
-    const now = this.viewer.statistics;
-    this.showState(
+  #look(): void {
+    if (!this.#viewer || document.hidden) return;
+    const now = this.#viewer.statistics;
+    this.#showState(
       now.state.kind, describeState(now.state, now.gaussians), this.header ? now.gaussians / this.header.gaussians : 0,
     );
-    if (!this.figures.element.hidden) this.figures.show(now, this.header);
+    if (!this.#figures.element.hidden) this.#figures.show(now, this.header);
   }
 
-  private showState(kind: string, text: string, share: number): void {
+  #showState(kind: string, text: string, share: number): void {
     this.title.show(kind, text, share);
     document.documentElement.dataset.state = kind;
   }
 
   private get background(): [number, number, number] {
-    return this.settings.background ?? this.theme.background;
+    return this.settings.background ?? this.#theme.background;
   }
 
-  private showBackground(): void {
-    if (this.viewer) this.viewer.background = this.background;
+  #showBackground(): void {
+    if (this.#viewer) this.#viewer.background = this.background;
   }
 
   // Motion
 
-  private sendCamera(): void {
+  #sendCamera(): void {
     const { shown, frame } = this.navigator;
-    if (!this.viewer || !this.placed) return;
-    this.viewer.camera = { position: shown.eye, rotation: rotation(shown, frame), fovY: shown.fovY };
-    this.inspector.mark.hidden = true;
-    this.drawCells();
+    if (!this.#viewer || !this.#placed) return;
+    this.#viewer.camera = { position: shown.eye, rotation: rotation(shown, frame), fovY: shown.fovY };
+    this.#inspector.mark.hidden = true;
+    this.#drawCells();
   }
 
-  private showCells(shown: boolean): void {
-    this.overlay.element.hidden = !shown;
-    this.drawCells();
+  #showCells(shown: boolean): void {
+    this.#overlay.element.hidden = !shown;
+    this.#drawCells();
   }
 
-  private drawCells(): void {
-    this.overlay.draw(this.navigator.shown, this.navigator.frame);
+  #drawCells(): void {
+    this.#overlay.draw(this.navigator.shown, this.navigator.frame);
   }
 
-  private writeAddress(): void {
-    if (!this.placed) return;
-    this.ownHash = writeHash(this.navigator.shown, this.navigator.frame, this.navigator.mode);
+  #writeAddress(): void {
+    if (!this.#placed) return;
+    this.#ownHash = writeHash(this.navigator.shown, this.navigator.frame, this.navigator.mode);
     try {
-      history.replaceState(null, "", this.ownHash);
+      history.replaceState(null, "", this.#ownHash);
     } catch {
       // too many changes for this browser, or a page from a disk: the view is not in the address
     }
   }
 
-  private followHash(): void {
-    if (location.hash === this.ownHash) return;
+  #followHash(): void {
+    if (location.hash === this.#ownHash) return;
     const asked = readHash(location.hash);
-    if (asked instanceof Error) return this.notices.say(BAD_HASH);
+    if (asked instanceof Error) return this.#notices.say(BAD_HASH);
     if (!asked) return;
     if (asked.mode) this.setMode(asked.mode);
     this.navigator.flyTo(rigFromView(asked, this.navigator.frame));
-    this.drive.wake();
+    this.#drive.wake();
   }
 
   private setMode(mode: Mode): void {
     if (mode === "orbit" && this.navigator.mode !== "orbit") this.focused = false;
     this.navigator.setMode(mode);
     document.documentElement.dataset.mode = mode;
-    this.speak(`Way to move: ${mode}`);
-    if (this.placed) {
+    this.#speak(`Way to move: ${mode}`);
+    if (this.#placed) {
       void this.focus();
-      this.writeAddress();
+      this.#writeAddress();
     }
-    this.dock.refresh();
-    this.drive.wake();
+    this.#dock.refresh();
+    this.#drive.wake();
   }
 
-  private goToView(index: number): void {
+  #goToView(index: number): void {
     const view = this.views[index];
     if (!view) return;
-    this.view = index;
+    this.#view = index;
     if (this.navigator.mode === "walk" && !this.navigator.canStandAt(view.eye)) this.setMode("fly");
     this.navigator.flyTo(rigFromView(view, this.navigator.frame));
-    this.speak(`View ${view.name ?? index + 1}`);
-    this.actions.changed();
-    this.drive.wake();
+    this.#speak(`View ${view.name ?? index + 1}`);
+    this.#actions.changed();
+    this.#drive.wake();
   }
 
-  private goHome(): void {
-    if (this.start) this.navigator.flyTo(this.start);
-    this.view = 0;
-    this.drive.wake();
+  #goHome(): void {
+    if (this.#start) this.navigator.flyTo(this.#start);
+    this.#view = 0;
+    this.#drive.wake();
   }
 
   private async goTo(x: number, y: number): Promise<void> {
-    const pick = await this.viewer?.pick(x, y);
+    const pick = await this.#viewer?.pick(x, y);
     if (!pick) return;
     this.navigator.goTo(pick.position);
-    this.drive.wake();
+    this.#drive.wake();
   }
 
-  private speak(text: string): void {
-    this.spoken.textContent = text;
+  #speak(text: string): void {
+    this.#spoken.textContent = text;
   }
 
-  private stopInspecting(): boolean {
-    if (!this.inspector.on) return false;
-    this.actions.run("inspect");
+  #stopInspecting(): boolean {
+    if (!this.#inspector.on) return false;
+    this.#actions.run("inspect");
     return true;
   }
 
   /** What buttons and keys can ask for. */
-  private commands(): Commands {
+  #commands(): Commands {
     const root = document.documentElement;
     return {
-      inspecting: () => this.inspector.on,
+      inspecting: () => this.#inspector.on,
       toggleInspecting: () => {
-        this.inspector.on = !this.inspector.on;
-        this.canvas.classList.toggle("inspecting", this.inspector.on);
-        this.notices.say(this.inspector.on ? "Click a point of the scene to see why it is here." : "");
+        this.#inspector.on = !this.#inspector.on;
+        this.#canvas.classList.toggle("inspecting", this.#inspector.on);
+        this.#notices.say(this.#inspector.on ? "Click a point of the scene to see why it is here." : "");
       },
-      optionsShown: () => this.side.shows("options"),
+      optionsShown: () => this.#side.shows("options"),
       toggleOptions: () => {
-        if (this.side.shows("options")) this.side.close();
-        else this.side.open("options", "Options", this.panel.element);
-        this.panel.refresh();
+        if (this.#side.shows("options")) this.#side.close();
+        else this.#side.open("options", "Options", this.#panel.element);
+        this.#panel.refresh();
       },
-      statisticsShown: () => !this.figures.element.hidden,
+      statisticsShown: () => !this.#figures.element.hidden,
       toggleStatistics: () => {
-        this.figures.element.hidden = !this.figures.element.hidden;
-        this.look();
+        this.#figures.element.hidden = !this.#figures.element.hidden;
+        this.#look();
       },
-      share: () => void this.share(),
-      savePicture: () => void this.savePicture(),
-      cellsKnown: () => this.overlay.known,
+      share: () => void this.#share(),
+      savePicture: () => void this.#savePicture(),
+      cellsKnown: () => this.#overlay.known,
       toggleCells: () => {
-        this.showCells(Boolean(this.overlay.element.hidden));
-        this.panel.refresh();
+        this.#showCells(Boolean(this.#overlay.element.hidden));
+        this.#panel.refresh();
       },
       nextPaint: () => {
-        const label = this.panel.nextPaint();
-        if (label) this.notices.say(`Color shows: ${label}`);
+        const label = this.#panel.nextPaint();
+        if (label) this.#notices.say(`Color shows: ${label}`);
       },
-      goHome: () => this.goHome(),
+      goHome: () => this.#goHome(),
       views: () => this.views.length,
-      stepView: (by) => this.goToView((this.view + by + this.views.length) % Math.max(this.views.length, 1)),
+      stepView: (by) => this.#goToView((this.#view + by + this.views.length) % Math.max(this.views.length, 1)),
       nextMode: () => this.setMode(MODES[(MODES.indexOf(this.navigator.mode) + 1) % MODES.length]),
       toggleTheme: () => {
-        this.theme.choose(this.theme.dark ? "light" : "dark");
-        this.panel.refresh();
+        this.#theme.choose(this.#theme.dark ? "light" : "dark");
+        this.#panel.refresh();
       },
       toggleBare: () => {
         if (root.dataset.bare === undefined) root.dataset.bare = "";
         else delete root.dataset.bare;
       },
-      vrOffered: () => this.immersion.offered && this.viewer?.enterXr !== undefined,
-      vrOn: () => this.immersion.on,
-      toggleVr: () => void this.toggleVr(),
-      help: () => this.help.open(),
-      toggleFull: () => void this.toggleFull(),
+      vrOffered: () => this.#immersion.offered && this.#viewer?.enterXr !== undefined,
+      vrOn: () => this.#immersion.on,
+      toggleVr: () => void this.#toggleVr(),
+      help: () => this.#help.open(),
+      toggleFull: () => void this.#toggleFull(),
     };
   }
 
-  private async toggleVr(): Promise<void> {
+  async #toggleVr(): Promise<void> {
     try {
-      await this.immersion.toggle(async (session) => {
-        this.actions.changed();
-        await this.viewer?.enterXr?.(session);
+      await this.#immersion.toggle(async (session) => {
+        this.#actions.changed();
+        await this.#viewer?.enterXr?.(session);
       });
     } catch (error) {
-      this.notices.say(`The headset could not be used. ${error instanceof Error ? error.message : ""}`.trim());
+      this.#notices.say(`The headset could not be used. ${error instanceof Error ? error.message : ""}`.trim());
     }
-    this.actions.changed();
+    this.#actions.changed();
   }
 
-  private async toggleFull(): Promise<void> {
+  async #toggleFull(): Promise<void> {
     try {
       if (document.fullscreenElement) await document.exitFullscreen();
       else await document.documentElement.requestFullscreen();
     } catch {
-      this.notices.say("The browser does not allow full screen here.");
+      this.#notices.say("The browser does not allow full screen here.");
     }
   }
 
-  private async share(): Promise<void> {
-    this.writeAddress();
+  async #share(): Promise<void> {
+    this.#writeAddress();
     try {
       await navigator.clipboard.writeText(location.href);
-      this.notices.say("The link to this view is copied.");
+      this.#notices.say("The link to this view is copied.");
     } catch {
-      this.notices.say("The address of this page holds the view; copy it from there.");
+      this.#notices.say("The address of this page holds the view; copy it from there.");
     }
   }
 
-  private async savePicture(): Promise<void> {
-    const { viewer } = this;
+  async #savePicture(): Promise<void> {
+    const viewer = this.#viewer;
     if (!viewer) return;
     let picture: Blob;
     try {
       picture = await viewer.screenshot();
     } catch (error) {
-      return this.notices.say(`The picture could not be made. ${error instanceof Error ? error.message : ""}`.trim());
+      return this.#notices.say(`The picture could not be made. ${error instanceof Error ? error.message : ""}`.trim());
     }
     const url = URL.createObjectURL(picture);
     const link = make("a", { href: url, download: `${this.scene.name.replace(/[^\w.-]+/g, "_") || "scene"}.png` });
     link.click();
     setTimeout(() => URL.revokeObjectURL(url), 10_000);
-    this.notices.say("The picture is saved.");
+    this.#notices.say("The picture is saved.");
   }
 }
 
