@@ -292,7 +292,7 @@ class Color(Where):
     """How colors are split; the first four are the paper's. (default: rgb)"""
     max_terms: Annotated[int | None, TERMS, hint("24")] = None
     """Most terms of each function of a Gaussian; 0 leaves base colors alone."""
-    mean_terms: Annotated[float | None, MEAN_TERMS, hint("2")] = None
+    mean_terms: Annotated[float | None, MEAN_TERMS, hint("3")] = None
     """Terms a Gaussian on average; they go where they lower errors most. all: all that help (slow)."""
     no_refine: Flag = False
     """Leave terms on the grid that they are chosen from: quicker, and worse."""

@@ -73,7 +73,7 @@ class Prepare(Where):
     """How colors are split. (default: rgb)"""
     max_terms: Annotated[int | None, TERMS, hint("24")] = None
     """Most terms of each function of a Gaussian; 0 leaves base colors alone."""
-    mean_terms: Annotated[float | None, MEAN_TERMS, hint("2")] = None
+    mean_terms: Annotated[float | None, MEAN_TERMS, hint("3")] = None
     """Terms a Gaussian on average; they go where they lower errors most. all: all that help (slow)."""
     epsilon: Annotated[float | None, CHANGE, hint("0.02")] = None
     """Smallest change of a color for which a term is sent; gsvis color --epsilon auto finds it for a scene."""

@@ -62,7 +62,7 @@ class FitConfig:
 
     variant: str = DEFAULT_VARIANT
     max_terms: int = 24
-    mean_terms: float | None = 2.0
+    mean_terms: float | None = 3.0
     refine: bool = True
     decays: tuple[float, ...] = (1.5, 6.0)
     ridge: float = 1e-5

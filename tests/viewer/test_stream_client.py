@@ -127,7 +127,7 @@ def test_after_a_kill_it_comes_back_with_what_it_holds(package: Path, program: P
     with Package.open(package) as opened:
         first = len(StreamedScene.open(opened).header)
     with (
-        slow_link(f"ws://127.0.0.1:{port}/stream", 100_000.0, first + 20_000) as link,
+        slow_link(f"ws://127.0.0.1:{port}/stream", 100_000.0, first + 26_000) as link,
         client_of(program, link.url, tmp_path) as client,
     ):
         until(lambda: client.state["kind"] == "waiting")  # nobody is there yet
