@@ -49,7 +49,7 @@ class AbrConfig:
     predictor: str = "kalman"
     lead: float = 0.25
     ahead: float = 1.0
-    epsilon: float = 0.15
+    epsilon: float = 0.2
     first_epsilon: float = 0.3
     parallax: float = 0.03
     picture: float = 0.1
