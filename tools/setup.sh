@@ -40,7 +40,7 @@ if [ ${#missing[@]} -gt 0 ]; then
     fi
     say "installing ${missing[*]} with apt-get"
     log=$(mktemp)
-    { apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "${missing[@]}"; } \
+    { apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get -o DPkg::Lock::Timeout=120 install -y -qq --no-install-recommends "${missing[@]}"; } \
         >"$log" 2>&1 || { cat "$log" >&2; stop "apt-get could not install ${missing[*]}"; }
     rm -f "$log"
 fi
