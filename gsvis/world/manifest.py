@@ -62,7 +62,7 @@ class Grid:
         """
         where = _check.floats("points", points, ("M", 3), np.float64)[:, self.axes]
         steps = (where - np.array(self.origin)[list(self.axes)]) / self.side
-        squares = np.floor(np.clip(steps, -1.0, np.array(self.shape))).astype(np.int64)
+        squares: I64 = np.floor(np.clip(steps, -1.0, np.array(self.shape))).astype(np.int64)
         out = ((squares < 0) | (squares >= np.array(self.shape))).any(axis=1)
         squares[out] = -1
         return squares
@@ -70,12 +70,12 @@ class Grid:
 
 @dataclass(frozen=True)
 class Piece:
-    """A node that stands around a tile, and the part of it whose ids the tile's table counts.
+    """A part of a node that stands around a tile, whose ids the tile's table counts.
 
     Attributes:
-        node: Number of the node.
+        node: Number of the node. A tile can have several pieces, with other ids and other levels.
         level: Highest of its levels that stands there.
-        runs: (first id, count) of the ids of these levels in the package of the node, ascending.
+        runs: (first id, count) of ids of these levels in the package of the node, ascending.
     """
 
     node: int
@@ -311,13 +311,13 @@ class _Reader:
         return Tile(coords, *_box(row), *_package(row), levels, gaussians, cells, beyond)
 
     def _beyond(self, fields: Fields, number: int, nodes: list[tuple[int, ...]]) -> BeyondTable:
-        pieces, taken = [], {number}
+        pieces, stands = list[Piece](), {number: number}  # the node that stands for each tile
         for row in _objects(fields, "pieces"):
-            node = row.integer("node", 0, len(nodes) - 1)
-            if taken & set(nodes[node]):
-                raise FormatError(row.path, row.where("node"), "a part of the world once", f"node {node}", DAMAGED)
-            taken |= set(nodes[node])
-            runs, end = [], 0
+            node, end = row.integer("node", 0, len(nodes) - 1), 0
+            if any(stands.get(tile, node) != node for tile in nodes[node]) or node == number:
+                raise FormatError(row.path, row.where("node"), "each tile in one node", f"node {node}", DAMAGED)
+            stands |= dict.fromkeys(nodes[node], node)
+            runs = []
             for run in row.items("runs"):
                 first, count = _pair(Fields(row.path, row.trail, {"runs": run}), "runs", 0, _MOST)
                 if first < end or count < 1:
@@ -325,6 +325,7 @@ class _Reader:
                 end = first + count
                 runs.append((first, count))
             pieces.append(Piece(node, row.integer("level", 0, 15), tuple(runs)))
+        _check_apart(fields, pieces)
         return BeyondTable(_sha256(fields), fields.integer("bytes", 0, 1 << 50), tuple(pieces))
 
     def _district(self, row: Fields, tiles: int, grid: Grid) -> District:
@@ -355,6 +356,14 @@ class _Reader:
 
     def _fault(self, where: str, expected: str, got: str) -> FormatError:
         return FormatError(self.fields.path, where, expected, got, DAMAGED)
+
+
+def _check_apart(fields: Fields, pieces: list[Piece]) -> None:
+    """Raise if an id of a node is in two pieces."""
+    for node in {piece.node for piece in pieces}:
+        runs = sorted(run for piece in pieces if piece.node == node for run in piece.runs)
+        if any(first + count > after for (first, count), (after, _) in pairwise(runs)):
+            raise FormatError(fields.path, fields.where("pieces"), "each id once", f"two of node {node}", DAMAGED)
 
 
 def _tile_as_dict(tile: Tile) -> dict[str, Any]:
