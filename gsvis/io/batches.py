@@ -5,6 +5,7 @@ A batch is named by plain numbers, so that another process can read it. Memory h
 
 from __future__ import annotations
 
+import hashlib
 import os
 from dataclasses import dataclass
 
@@ -33,6 +34,7 @@ class Batch:
         start: First row, or number of the file.
         count: Number of Gaussians; -1 where only reading tells.
         nbytes: Bytes on disk, about.
+        stamp: Size and time of the file, so that a batch of a changed file is another one.
     """
 
     path: str
@@ -41,6 +43,7 @@ class Batch:
     start: int
     count: int
     nbytes: int
+    stamp: str
 
 
 def list_batches(path: str | os.PathLike[str], lod: int | None = None) -> list[Batch]:
@@ -58,19 +61,17 @@ def list_batches(path: str | os.PathLike[str], lod: int | None = None) -> list[B
     where = os.fspath(_check.path("path", path))
     if check_scene(where, lod):
         level, files = streamed_files(where, lod)
-        return [Batch(where, level, "file", number, count, nbytes) for number, count, nbytes in files]
+        return [Batch(where, level, "file", number, count, *_size_and_stamp(at)) for number, count, at in files]
+    nbytes, stamp = _size_and_stamp(where)
+    found = None
     if os.path.isfile(where):
         with open_regular(where) as stream:
-            size = os.fstat(stream.fileno()).st_size
             found = ply_rows(where, stream) if stream.peek(3)[:3] == b"ply" else None
-        whole = Batch(where, None, "whole", 0, -1, size)
-        if found is None:
-            return [whole]
-        count, width = found
-        starts = range(0, count, ROWS)
-        rows = (min(ROWS, count - start) for start in starts)
-        return [Batch(where, None, "rows", start, some, some * width) for start, some in zip(starts, rows, strict=True)]
-    return [Batch(where, None, "whole", 0, -1, 0)]
+    if found is None:
+        return [Batch(where, None, "whole", 0, -1, nbytes, stamp)]
+    count, width = found
+    counts = [(start, min(ROWS, count - start)) for start in range(0, count, ROWS)]
+    return [Batch(where, None, "rows", start, some, some * width, stamp) for start, some in counts]
 
 
 def read_batch(batch: Batch) -> Gaussians:
@@ -88,3 +89,12 @@ def read_batch(batch: Batch) -> Gaussians:
     if len(found) != batch.count:
         raise FormatError(batch.path, f"row {batch.start:,}", f"{batch.count:,} rows", f"{len(found):,}")
     return found
+
+
+def _size_and_stamp(path: str | os.PathLike[str]) -> tuple[int, str]:
+    """Return the bytes of a file, or of all files in a folder, and a text that changes with them."""
+    folder = os.fspath(path)
+    files = sorted(entry.path for entry in os.scandir(folder)) if os.path.isdir(folder) else [folder]
+    found = [os.stat(file) for file in files]
+    digest = hashlib.sha256(repr([(each.st_size, each.st_mtime_ns) for each in found]).encode())
+    return sum(each.st_size for each in found), digest.hexdigest()[:16]

@@ -67,8 +67,10 @@ def load_streamed_sog(path: str | os.PathLike[str], lod: int | None = None) -> G
     return parts[0] if len(parts) == 1 else Gaussians.concatenate(parts)
 
 
-def streamed_files(path: str | os.PathLike[str], lod: int | None = None) -> tuple[int, list[tuple[int, int, int]]]:
-    """Return the level of detail, and for each file of it its number, the Gaussians of its leaves and its bytes.
+def streamed_files(path: str | os.PathLike[str], lod: int | None = None) -> tuple[int, list[tuple[int, int, Path]]]:
+    """Return the level of detail, and for each file of it its number, the Gaussians of its leaves, and where it lies.
+
+    Where it lies is a zip, or the folder of a meta.json.
 
     The environment, if there is one, comes last, with a count of -1.
 
@@ -82,9 +84,9 @@ def streamed_files(path: str | os.PathLike[str], lod: int | None = None) -> tupl
     """
     tree, level = _open_level(path, lod)
     found = [
-        (file, sum(count for _, count in runs), tree.nbytes(file)) for file, runs in sorted(tree.runs[level].items())
+        (file, sum(count for _, count in runs), tree.home(file)) for file, runs in sorted(tree.runs[level].items())
     ]
-    return level, [*found, *([(_ENVIRONMENT, -1, 0)] if tree.environment else [])]
+    return level, [*found, *([(_ENVIRONMENT, -1, _home(tree.at(tree.environment)))] if tree.environment else [])]
 
 
 def load_streamed_file(path: str | os.PathLike[str], lod: int, file: int) -> Gaussians:
@@ -183,15 +185,17 @@ class _Tree:
         names = [self.files[file] for file in sorted(self.runs[lod])]
         return [name for name in names if not self.at(name).is_file()]
 
-    def nbytes(self, file: int) -> int:
-        """Return the bytes of a file, or of all files in its folder."""
-        path = self.at(self.files[file])
-        files = path.parent.iterdir() if path.suffix.lower() == ".json" else [path]
-        return sum(each.stat().st_size for each in files if each.is_file())
+    def home(self, file: int) -> Path:
+        """Return the zip of a file, or the folder of its meta.json."""
+        return _home(self.at(self.files[file]))
 
     def at(self, name: str) -> Path:
         """Return the path of a file that the tree names; raise if a link leads out of the folder."""
         return inside(self.path, name, self.folder, name)
+
+
+def _home(path: Path) -> Path:
+    return path.parent if path.suffix.lower() == ".json" else path
 
 
 def _scene(tree: _Tree, name: str) -> Gaussians:

@@ -14,8 +14,9 @@ from numba import get_num_threads, set_num_threads
 
 __all__ = ["Processes", "limit_threads", "one_at_a_time", "use_threads"]
 
-one_at_a_time = threading.Lock()
-"""Held while a task runs: kernels must not run from two threads under numba's default threading layer."""
+one_at_a_time = threading.RLock()
+"""Held while a task runs, also by a task inside of another one: kernels must not run from two threads under numba's
+default threading layer."""
 
 _threads: list[int] = []  # at most one entry: threads that kernels of this process may use
 

@@ -104,6 +104,7 @@ class Job:
         store: Address of the store.
         version: Version of gsvis that sent it.
         machine: Kind of processor that the results are for.
+        max_memory: Bytes that the worker may use; None sets no limit. Decides no result.
     """
 
     task: Task
@@ -112,6 +113,7 @@ class Job:
     store: str
     version: str
     machine: str
+    max_memory: int | None = None
 
 
 class Given:
@@ -121,13 +123,17 @@ class Given:
         store: The store.
         inputs: The results of the tasks that it needs, in order.
         cache: Folder for copies of remote objects.
+        max_memory: Bytes that the task may use; None sets no limit.
 
     Attributes:
         inputs: The results.
+        max_memory: The limit.
     """
 
-    def __init__(self, store: ObjectStore, inputs: tuple[Result, ...], cache: Path) -> None:
-        self._store, self.inputs, self._cache = store, inputs, cache
+    def __init__(
+        self, store: ObjectStore, inputs: tuple[Result, ...], cache: Path, max_memory: int | None = None
+    ) -> None:
+        self._store, self.inputs, self._cache, self.max_memory = store, inputs, cache, max_memory
 
     def __len__(self) -> int:
         return len(self.inputs)
@@ -189,7 +195,7 @@ def perform(job: Job) -> Result:
         shutil.rmtree(out, ignore_errors=True)
         for folder in (out, cached, work / "kept"):
             folder.mkdir(parents=True, exist_ok=True)
-        facts = run(dict(job.task.params), Given(store, job.inputs, cached), out, work / "kept")
+        facts = run(dict(job.task.params), Given(store, job.inputs, cached, job.max_memory), out, work / "kept")
         paths = sorted(path for path in out.rglob("*") if path.is_file())
         files = {path.relative_to(out).as_posix(): store.put(path) for path in paths}
         facts = json.loads(json.dumps(facts, allow_nan=False))
@@ -309,9 +315,8 @@ class _Run:
             number = heapq.heappop(self.ready)
             task = self.tasks[number]
             inputs = tuple(self.results[name] for name in task.needs)
-            job = Job(
-                task, key_of(task, inputs, machine_kind()), inputs, self.store.address, _version(), machine_kind()
-            )
+            key, machine = key_of(task, inputs, machine_kind()), machine_kind()
+            job = Job(task, key, inputs, self.store.address, _version(), machine, self.crew.max_memory)
             found = find_result(self.store, job.key)
             if found is not None:
                 self._finish(number, found)
@@ -352,6 +357,8 @@ class _Crew:
         self._executor, count = workers.executor, workers.count
         self._processes = Processes(count) if workers.executor is None and count > 1 else None
         self.in_flight = 2 * count if workers.executor is not None else count
+        here = workers.executor is None
+        self.max_memory = None if workers.max_memory is None else workers.max_memory // (count if here else 1)
 
     def __enter__(self) -> _Crew:
         return self
