@@ -8,7 +8,7 @@ the world do not depend on workers, on order, or on kills. docs/design/057-world
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any
@@ -214,9 +214,16 @@ class WorldBuild:
 
     @cached_property
     def packages(self) -> list[Result]:
-        """The packages of the tiles."""
-        found = self._run([*self._level_tasks, *self._package_tasks], "tiles")
-        return [found[f"tile {k}"] for k in range(len(self.tiles))]
+        """The packages of all tiles."""
+        return self.prepared(range(len(self.tiles)))
+
+    def prepared(self, some: Iterable[int]) -> list[Result]:
+        """Return the packages of some tiles."""
+        names = [f"tile {k}" for k in some]
+        _ = self.nodes
+        wanted = [task for task in self._package_tasks if task.name in set(names)]
+        found = self._run([*self._level_tasks, *wanted], "tiles")
+        return [found[name] for name in names]
 
     def district(self, number: int) -> Result:
         """Return the result of a district."""
