@@ -87,7 +87,7 @@ def test_damaged_objects_are_made_again(damage: str, tmp_path: Path) -> None:
         path.write_bytes(b"" if damage == "cut" else b"7")
     again = Task("reader", f"{HERE}:join", {}, ("(leaf 0 leaf 1)",))
     if damage == "other":  # found when it is read; then it is gone and the next run makes it again
-        with pytest.raises(FormatError, match="content that fits its name.*run the same again"):
+        with pytest.raises(FormatError, match=r"content that fits its name.*run the same again"):
             run_graph([*tree(4), again], store)
     assert run_graph([*tree(4), again], store)["reader"].facts == {"value": 1}
 
@@ -121,7 +121,7 @@ def test_a_dead_process_is_replaced_and_its_work_is_found(tmp_path: Path) -> Non
 
 def test_processes_that_die_again_and_again_end_with_one_line(tmp_path: Path) -> None:
     task = Task("victim", f"{HERE}:die", {"tries": str(tmp_path / "tries"), "deaths": 99})
-    with pytest.raises(GsvisError, match="workers died again and again.*what is finished is kept"):
+    with pytest.raises(GsvisError, match=r"workers died again and again.*what is finished is kept"):
         run_graph([task], open_store(tmp_path / "store"), Workers(2))
 
 

@@ -194,7 +194,7 @@ def test_a_missing_or_damaged_part_is_named(copy: Path) -> None:
     with pytest.raises(FormatError, match="content that fits the name of the folder"):
         world.package(1)
     shutil.rmtree(folder)
-    with pytest.raises(FormatError, match="node 1: expected a package in .*, got no such package; prepare"):
+    with pytest.raises(FormatError, match=r"node 1: expected a package in .*, got no such package; prepare"):
         world.package(1)
 
 
@@ -219,16 +219,18 @@ def test_strays_are_counted_and_removed_by_the_next_run(scene: Scene, city: Path
 
 
 def test_surroundings_that_do_not_fit_the_memory_are_refused(scene: Scene, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"tile \d-\d: expected at most 0.2 GB for a worker, got .* raise --max-memory"):
+    with pytest.raises(
+        ValueError, match=r"tile \d-\d: expected at most 0.2 GB for a worker, got .* raise --max-memory"
+    ):
         prepare_world([scene], tmp_path / "city.gsworld", cities.config(), workers=Workers(1, max_memory=200_000_000))
 
 
 def test_something_else_is_not_replaced(tmp_path: Path) -> None:
     (tmp_path / "photos").mkdir()
     (tmp_path / "photos" / "cat.jpg").write_bytes(b"cat")
-    with pytest.raises(FormatError, match="a world or an empty folder, got 'cat.jpg'"):
+    with pytest.raises(FormatError, match=r"a world or an empty folder, got 'cat.jpg'"):
         check_world_target(tmp_path / "photos")
-    with pytest.raises(FormatError, match="a world with a world.json, got a folder without"):
+    with pytest.raises(FormatError, match=r"a world with a world.json, got a folder without"):
         World.open(tmp_path / "photos")
 
 

@@ -1,0 +1,70 @@
+"""`gsvis world` and `gsvis verify` on worlds: from a scene to a whole world, and one line for what is wrong."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from gsvis.cli import main
+from tests.world import cities
+
+SMALL = ["--levels", "none", "--tile", "2500", "--cells", "1", "--face-size", "24", "--limit", "0.05", "--workers", "1"]
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> str:
+    return cities.write(cities.street(), tmp_path_factory.mktemp("scene") / "street.ply")[0]
+
+
+def test_a_scene_becomes_a_world_that_is_whole(scene: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    out = str(tmp_path / "city.gsworld")
+    assert main(["world", scene, "-o", out, *SMALL, "--dry-run", "--json"]) == 0
+    expected = json.loads(capfd.readouterr().out)
+    assert not list(tmp_path.iterdir())
+    assert main(["world", scene, "-o", out, *SMALL, "--json"]) == 0
+    made = json.loads(capfd.readouterr().out)
+    assert made["gaussians"] == expected["gaussians"] == len(cities.street())
+    assert made["tiles"] >= expected["tiles"] >= 1
+    assert main(["verify", out, "--json"]) == 0
+    found = json.loads(capfd.readouterr().out)
+    assert found["tiles"] == made["tiles"]
+    assert found["cells"] == made["cells"] > 0
+    assert main(["verify", out]) == 0
+    assert "Every part is whole." in capfd.readouterr().out
+    assert main(["world", scene, "-o", out, *SMALL, "--discard"]) == 0
+    assert "tiles" in capfd.readouterr().out
+    assert [path.name for path in tmp_path.iterdir()] == ["city.gsworld"]
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (["--scheduler", "10.0.0.5"], "expected an address such as tcp://10.0.0.5:8786"),
+        (["--scheduler", "tcp://127.0.0.1:1", "--workers", "2"], "--workers: expected none with --scheduler, got 2"),
+        (["--lod", "1"], "--lod: expected one number, or one for each streamed scene, which are 0"),
+        (["--up", "north"], "north"),
+        (["--levels", "0.5", "0.3"], "--levels: expected each below the next"),
+    ],
+)
+def test_wrong_arguments_end_with_one_line(
+    scene: str, tmp_path: Path, capfd: pytest.CaptureFixture[str], more: list[str], message: str
+) -> None:
+    assert main(["world", scene, "-o", str(tmp_path / "c.gsworld"), *more]) == 2
+    error = capfd.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+
+
+def test_wrong_scenes_end_with_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    out = ["-o", str(tmp_path / "c.gsworld")]
+    for scenes, message in (
+        ([], "SCENE: expected at least one scene, got none"),
+        (["builtin:two_rooms"], "SCENE: expected a scene file, got builtin:two_rooms"),
+        ([str(tmp_path / "none.ply")], "no such file or folder"),
+    ):
+        assert main(["world", *scenes, *out]) == 2
+        error = capfd.readouterr().err
+        assert message in error
+        assert error.count("\n") == 1

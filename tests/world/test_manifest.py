@@ -1,0 +1,105 @@
+"""The manifest of a world: what is written is read, and what contradicts itself is refused."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gsvis.errors import FormatError
+from gsvis.world.manifest import BeyondTable, District, Grid, Piece, Tile, WorldManifest
+
+A, B, C = ("a" * 64, "b" * 64, "c" * 64)
+LOW, HIGH = (0.0, 0.0, 0.0), (1.0, 2.0, 3.0)
+
+
+def example() -> WorldManifest:
+    pieces = (Piece(1, 1, ((0, 4), (6, 2))), Piece(1, 0, ((4, 2),)), Piece(2, 0, ((0, 3),)))
+    tiles = (
+        Tile((0, 0), LOW, HIGH, A, 10, (("low", 2), ("high", 6)), 8, 3, BeyondTable(B, 5, pieces)),
+        Tile((1, 0), LOW, HIGH, B, 10, (("low", 2), ("high", 6)), 8, 0),
+        Tile(None, LOW, HIGH, C, 10, (("high", 5),), 5, 0),
+    )
+    districts = (
+        District(1, (0, 0), (0,), LOW, HIGH, 0.1, A, 4, 3),
+        District(1, (1, 0), (1,), LOW, HIGH, 0.1, B, 4, 3),
+        District(2, (0, 0), (0, 1), LOW, HIGH, 0.2, C, 4, 3),
+    )
+    grid = Grid((0.0, -1.0, 5.0), 2.0, (0, 1), (2, 1))
+    return WorldManifest((0.0, 0.0, 1.0), 0.5, grid, tiles, districts, {"made_by": "a test"})
+
+
+def write(path: Path, change: Callable[[dict[str, Any]], object]) -> Path:
+    """A changed manifest, under a hash of its own."""
+    value = json.loads(example().to_json())
+    del value["sha256"]
+    change(value)
+    text = json.dumps(value, sort_keys=True, separators=(",", ":"))
+    path.write_text(json.dumps({**value, "sha256": hashlib.sha256(text.encode()).hexdigest()}))
+    return path
+
+
+def test_what_is_written_is_read(tmp_path: Path) -> None:
+    example().write(tmp_path / "world.json")
+    found = WorldManifest.read(tmp_path / "world.json")
+    assert found == example()
+    assert found.to_json() == example().to_json()
+    assert len(found) == 6
+    assert found.node(3) == found.districts[0]
+    assert found.tiles[0].beyond is not None
+    assert found.tiles[0].beyond.count == 11
+    assert found.tiles[0].beyond.pieces[0].ids().tolist() == [0, 1, 2, 3, 6, 7]
+
+
+def test_points_are_found_in_tiles() -> None:
+    points = [[0.0, -1.0, 99.0], [1.999, 0.9, 0.0], [2.0, 0.0, 0.0], [4.0, 0.0, 0.0], [0.0, -1.001, 0.0], [1e300, 0, 0]]
+    assert example().tiles_at(points).tolist() == [0, 0, 1, -1, -1, -1]
+    assert example().tiles_at(np.zeros((0, 3))).tolist() == []
+
+
+def test_unknown_nodes_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"node: expected a number in \[0, 6\), got 6"):
+        example().node(6)
+
+
+def test_a_changed_byte_is_found(tmp_path: Path) -> None:
+    path = tmp_path / "world.json"
+    path.write_bytes(example().to_json().replace(b'"bytes": 10', b'"bytes": 11', 1))
+    with pytest.raises(FormatError, match="the hash of the rest"):
+        WorldManifest.read(path)
+
+
+BAD: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
+    "format": (lambda v: v.update(format="gsvis-package"), "is this a world"),
+    "newer": (lambda v: v.update(version=2), "at most 1, got 2; update gsvis"),
+    "up": (lambda v: v.update(up=[0, 0, 2]), "a unit axis"),
+    "twice": (lambda v: v["tiles"].__setitem__(1, v["tiles"][0] | {"beyond": None}), "each square once"),
+    "order": (lambda v: (v["tiles"][0].update(beyond=None), v["tiles"].reverse()), "outside as the last|each square"),
+    "square": (lambda v: v["tiles"][1].update(coords=[2, 0]), r"a square within \(2, 1\)"),
+    "no tile": (lambda v: v.update(tiles=[], districts=[]), "1 to 1,048,576 tiles"),
+    "digest": (lambda v: v["tiles"][0]["package"].update(sha256="../../x"), "64 hexadecimal digits"),
+    "box": (lambda v: v["tiles"][0].update(low=[9, 9, 9]), "a corner above"),
+    "level": (lambda v: v["tiles"][0].update(levels=[]), "1 to 16 levels"),
+    "node": (lambda v: v["tiles"][0]["beyond"]["pieces"][0].update(node=6), "an integer from 0 to 5"),
+    "itself": (lambda v: v["tiles"][0]["beyond"]["pieces"][0].update(node=0), "each tile in one node"),
+    "district": (lambda v: v["tiles"][0]["beyond"]["pieces"][2].update(node=4), "each tile in one node"),
+    "around": (lambda v: v["tiles"][0]["beyond"]["pieces"][2].update(node=5), "each tile in one node"),
+    "runs": (lambda v: v["tiles"][0]["beyond"]["pieces"][0].update(runs=[[6, 2], [0, 4]]), "ascending runs"),
+    "ids": (lambda v: v["tiles"][0]["beyond"]["pieces"][1].update(runs=[[3, 2]]), "each id once"),
+    "member": (lambda v: v["districts"][2].update(tiles=[0, 3]), "numbers of tiles below 3"),
+    "size": (lambda v: v["districts"].reverse(), "each district once, the smallest first"),
+    "side": (lambda v: v["grid"].update(side=0.0), "a number > 0"),
+    "axes": (lambda v: v["grid"].update(axes=[1, 1]), "two axes, ascending"),
+}
+
+
+@pytest.mark.parametrize("fault", BAD)
+def test_contradictions_are_refused(tmp_path: Path, fault: str) -> None:
+    change, message = BAD[fault]
+    with pytest.raises(FormatError, match=message):
+        WorldManifest.read(write(tmp_path / "world.json", change))

@@ -1,0 +1,98 @@
+"""Tiling: every row ends in one tile, whatever the order of rows and files, and flyaways do not stretch the grid."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsvis.errors import SceneError
+from gsvis.files.objects import open_store
+from gsvis.io import batches, load_scene
+from gsvis.io.batches import list_batches, read_batch
+from gsvis.io.ply import save_ply
+from gsvis.progress import silent
+from gsvis.pvs.workers import Workers
+from gsvis.scene.content import scene_hash
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.procedural import random_scene
+from gsvis.world.build import WorldBuild
+from gsvis.world.rows import content_order, load_gaussians
+from gsvis.world.tiling import TilingConfig
+from tests.world import cities
+
+
+def built(scenes: list[tuple[str, None]], folder: Path, most: int = 700) -> WorldBuild:
+    return WorldBuild(scenes, cities.config(most=most), open_store(folder), Workers(), silent)
+
+
+def tiles_of(build: WorldBuild) -> dict[object, Gaussians]:
+    """The rows of each tile."""
+    store = build.store
+    return {
+        coords: load_gaussians(store.path_of(build.made[f"rows {k}"].files["rows"], Path()))
+        for k, coords in enumerate(build.tiles)
+    }
+
+
+def test_every_row_ends_in_one_tile(tmp_path: Path) -> None:
+    g = cities.street()
+    tiles = tiles_of(built([cities.write(g, tmp_path / "s.ply")], tmp_path / "work"))
+    together = Gaussians.concatenate(list(tiles.values()))
+    stored = load_scene(tmp_path / "s.ply")  # a PLY keeps logarithms of scales
+    assert scene_hash(together[content_order(together)]) == scene_hash(stored[content_order(stored)])
+    for coords, rows in tiles.items():
+        assert len(rows) <= 700 or coords is None
+
+
+@pytest.mark.parametrize("rows", [97, 1000])
+def test_the_order_and_the_cut_of_rows_change_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rows: int
+) -> None:
+    g = cities.street()
+    wanted = tiles_of(built([cities.write(g, tmp_path / "s.ply")], tmp_path / "one"))
+    shuffled = g[np.random.default_rng(1).permutation(len(g))]
+    monkeypatch.setattr(batches, "ROWS", rows)
+    found = tiles_of(built([cities.write(shuffled, tmp_path / "t.ply")], tmp_path / "two"))
+    assert {k: scene_hash(v) for k, v in found.items()} == {k: scene_hash(v) for k, v in wanted.items()}
+
+
+def test_flyaways_do_not_stretch_the_grid(tmp_path: Path) -> None:
+    near = random_scene(np.random.default_rng(0), 3000)
+    rng = np.random.default_rng(2)
+    away = random_scene(rng, 40).transform(np.eye(3), [0.0, 0.0, 0.0], 1e4)
+    build = built([cities.write(Gaussians.concatenate([near, away]), tmp_path / "s.ply")], tmp_path / "work")
+    assert build.grid["grid"]["side"] * max(build.grid["grid"]["shape"]) < 10.0 * float(np.ptp(near.bounds(0.98)))
+    assert build.tiles[-1] is None
+    assert build.made[f"rows {len(build.tiles) - 1}"].facts["gaussians"] >= 30
+
+
+def test_a_scene_without_anything_to_see_is_refused(tmp_path: Path) -> None:
+    g = random_scene(np.random.default_rng(0), 100)
+    dark = Gaussians(g.means, g.quats, g.scales, np.full(100, 1e-4), g.sh0)
+    with pytest.raises(SceneError, match="nothing to see"):
+        _ = built([cities.write(dark, tmp_path / "s.ply")], tmp_path / "work").grid
+
+
+def test_options_are_checked() -> None:
+    for bad in ({"most": 0}, {"coverage": 1.0}, {"up": "up"}):
+        with pytest.raises(ValueError, match="expected"):
+            TilingConfig(**bad)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("degree", [0, 3])
+def test_batches_of_a_ply_are_the_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, degree: int) -> None:
+    save_ply(random_scene(np.random.default_rng(0), 1000, degree), tmp_path / "s.ply")
+    monkeypatch.setattr(batches, "ROWS", 300)
+    found = list_batches(tmp_path / "s.ply")
+    assert [each.count for each in found] == [300, 300, 300, 100]
+    joined = Gaussians.concatenate([read_batch(each) for each in found])
+    assert scene_hash(joined) == scene_hash(load_scene(tmp_path / "s.ply"))
+
+
+def test_equal_centers_are_ordered_by_the_rest() -> None:
+    g = random_scene(np.random.default_rng(0), 50, 1)
+    twice = Gaussians.concatenate([g, Gaussians(g.means, g.quats, g.scales, g.opacities, g.sh0 + 1.0, g.shN)])
+    mixed = twice[np.random.default_rng(1).permutation(100)]
+    assert scene_hash(twice[content_order(twice)]) == scene_hash(mixed[content_order(mixed)])
