@@ -29,11 +29,10 @@ __all__ = ["World"]
 
 @dataclass(frozen=True)
 class World:
-    """Make a world of scenes of any size: tiles, each a package, and districts for what is far."""
+    """Make a world of scenes of any size: tiles, each a package, and districts."""
 
     scenes: Annotated[Positional[tuple[str, ...]], SCENES, arg(help_behavior_hint="")]
-    """Files or folders, as for gsvis convert. All lie in one frame. A PLY is read in pieces, a streamed SOG file by
-    file; other formats one scene at a time."""
+    """Files or folders, as for gsvis convert, all in one frame; PLY or streamed SOG if they do not fit the memory."""
     out: Annotated[str, arg(aliases=["-o"], metavar="DIR", help_behavior_hint="(required)")]
     """Folder of the world, such as city.gsworld; city.gsworld.work beside it keeps work for the next run."""
     lod: Annotated[tuple[int, ...] | None, LODS, hint("the finest that is there")] = None
@@ -43,7 +42,7 @@ class World:
     far: Annotated[int, COUNTED] = 8_192
     """Most Gaussians of a district, which stands for a tile or a square of tiles from afar."""
     angle: Annotated[float, RADIANS] = 0.006
-    """Tiles and districts may stand in for what is as far away that their Gaussians are this far apart."""
+    """Lower levels and districts stand in from where their spacing is below this angle."""
     levels: Annotated[tuple[float, ...], SHARES_OR_NONE, hint("0.25 0.5")] = (0.25, 0.5)
     """Size of each lower level as a share of a tile's, lowest first; none for the tiles alone."""
     steps: Annotated[int, STEPS] = 250
@@ -68,7 +67,7 @@ class World:
     """Memory limit of all processes together, such as 4GB or 2GiB."""
     scheduler: Annotated[str | None, arg(metavar="ADDRESS", help_behavior_hint="(default: this machine)")] = None
     """Dask scheduler whose workers do the work, such as tcp://10.0.0.5:8786. They must reach the scenes and --store."""
-    store: Annotated[str | None, arg(metavar="URL", help_behavior_hint="(default: the folder beside DIR)")] = None
+    store: Annotated[str | None, arg(metavar="DIR or URL", help_behavior_hint="(default: beside DIR)")] = None
     """Where results of tasks lie: a shared folder or a URL of fsspec, such as s3://bucket/city."""
     dry_run: Flag = False
     """Print tiles, time, memory, disk and core hours, and write nothing."""

@@ -9,6 +9,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from gsvis._extras import require
 from gsvis.cli import version
 from gsvis.cli.arguments import World
 from gsvis.cli.pvs import local_workers, sets_config
@@ -105,6 +106,7 @@ def _check_arguments(command: World) -> WorldConfig:
         check_address(command.scheduler)
     levels = None
     if command.levels:
+        require("levels: training them", "torch")
         count = len(command.levels)
         names = ("low", "medium")[:count] if count <= 2 else tuple(f"level{k}" for k in range(count))
         reuse = LevelsConfig.reuse if count == 2 else (0.9,) * count

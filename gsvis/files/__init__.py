@@ -9,6 +9,7 @@ _MODULES = (
     "folders",
     "limits",
     "locks",
+    "objects",
     "output",
     "resume",
     "sections",

@@ -1,27 +1,69 @@
 """Worlds: many packages over one frame, so that no step and no process holds more than a piece of a city.
 
+    prepare_world([("a.ply", None), ("b.ply", None)], "city.gsworld")
     world = World.open("city.gsworld")
     with world.package(world.tile_at(eye)) as package: ...
 
-A package alone is a world of one tile. docs/design/057-worlds.md says why worlds are so.
+A package alone is a world of one tile. docs/design/057-worlds.md says why worlds are so, 058-graphs-of-tasks.md how
+they are made. What makes worlds is imported on first use, so that a server needs no torch.
 """
 
 from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 from gsvis.world.beyond import Beyond, Seen
 from gsvis.world.manifest import BeyondTable, District, Grid, Piece, Tile, WorldManifest
 from gsvis.world.world import VerifiedWorld, World, is_world
 
+if TYPE_CHECKING:
+    from gsvis.world.config import WorldConfig
+    from gsvis.world.estimate import WorldEstimate, estimate_world
+    from gsvis.world.graph import Given, Result, Task, run_graph
+    from gsvis.world.prepare import PreparedWorld, prepare_world
+    from gsvis.world.tiling import TilingConfig
+
 __all__ = [
     "Beyond",
     "BeyondTable",
     "District",
+    "Given",
     "Grid",
     "Piece",
+    "PreparedWorld",
+    "Result",
     "Seen",
+    "Task",
     "Tile",
+    "TilingConfig",
     "VerifiedWorld",
     "World",
+    "WorldConfig",
+    "WorldEstimate",
     "WorldManifest",
+    "estimate_world",
     "is_world",
+    "prepare_world",
+    "run_graph",
 ]
+
+_HOMES = {
+    "config": ("WorldConfig",),
+    "estimate": ("WorldEstimate", "estimate_world"),
+    "graph": ("Given", "Result", "Task", "run_graph"),
+    "prepare": ("PreparedWorld", "prepare_world"),
+    "tiling": ("TilingConfig",),
+}
+
+
+def __getattr__(name: str) -> Any:
+    for home, names in _HOMES.items():
+        if name in names:
+            value = globals()[name] = getattr(import_module(f"{__name__}.{home}"), name)
+            return value
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

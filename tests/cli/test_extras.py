@@ -65,6 +65,10 @@ COMMANDS = {
     "prepare": ["prepare", "IN/rooms.ply", "-o", "OUT/a.gsvis", *TINY],
     "prepare --levels none": ["prepare", "IN/rooms.ply", "-o", "OUT/b.gsvis", *TINY, "--levels", "none"],
     "prepare --dry-run": ["prepare", "IN/rooms.ply", "-o", "OUT/c.gsvis", *TINY, "--levels", "none", "--dry-run"],
+    "world": ["world", "IN/rooms.ply", "-o", "OUT/a.gsworld"],
+    "world --levels none": ["world", "IN/rooms.ply", "-o", "OUT/b.gsworld", "--levels", "none", "--cells", "1", "--face-size",
+                            "16", "--limit", "0.05", "--workers", "1", "--tile", "5000"],
+    "world --dry-run": ["world", "IN/rooms.ply", "-o", "OUT/c.gsworld", "--levels", "none", "--dry-run"],
     "verify": ["verify", "IN/rooms.gsvis"],
     "unpack": ["unpack", "IN/rooms.gsvis", "-o", "OUT/unpacked"],
     "export": ["export", "IN/rooms.gsvis", "-o", "OUT/site"],
@@ -83,8 +87,9 @@ NEEDS = {
     "render --depth": "matplotlib",
     "space": "skimage",
     "train": "torch",
+    "world": "torch",
 }
-SLOW = {"color --report", "levels", "pvs-report", "prepare", "train"}
+SLOW = {"color --report", "levels", "pvs-report", "prepare", "train", "world"}
 """Run only where they have to be refused: their own tests run them with everything installed."""
 
 
