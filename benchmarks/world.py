@@ -49,7 +49,16 @@ def main() -> None:
     given = add_arguments(parser).parse_args()
     need(given.work, "a folder for the worlds with --work")
     scene = realdata() / "scenes" / "showroom" / "lod-meta.json"
-    runs = [run(scene, count, given, count == max(given.copies)) for count in given.copies]
+    builds = [start(scene, count, given) for count in given.copies]
+    runs = [run(build) for build in builds]
+    write(given, runs)  # the sample takes longest
+    if given.sample:
+        runs[-1] |= sample(builds[-1], given.sample)
+        write(given, runs)
+
+
+def write(given: argparse.Namespace, runs: list[dict[str, Any]]) -> None:
+    """Write the figures."""
     figures: list[dict[str, Any]] = []
     if len(runs) > 1:
         figures = [
@@ -62,8 +71,8 @@ def main() -> None:
     write_result(given.out, "What do worlds cost in processor time and in memory?", figures, details)
 
 
-def run(scene: Path, copies: int, given: argparse.Namespace, sampled: bool) -> dict[str, Any]:
-    """One world: seconds of processor of each stage, and the peak of memory; with the packages of a sample of tiles."""
+def start(scene: Path, copies: int, given: argparse.Namespace) -> WorldBuild:
+    """Write the copies, and return a preparation of which nothing has run."""
     folder = given.work / f"copies-{copies}"
     if not folder.is_dir():
         write_copies(str(scene), given.lod, copies, folder)
@@ -72,32 +81,37 @@ def run(scene: Path, copies: int, given: argparse.Namespace, sampled: bool) -> d
     scenes = [(str(path), None) for path in sorted(folder.glob("*.ply"))]
     package = PrepareConfig(levels=None, cells=given.cells)
     config = WorldConfig(tiling=TilingConfig(most=given.most), package=package)
-    build = WorldBuild(scenes, config, open_store(store), Workers(given.workers), silent)
-    with watch_memory(0.2) as early:
+    return WorldBuild(scenes, config, open_store(store), Workers(given.workers), silent)
+
+
+def run(build: WorldBuild) -> dict[str, Any]:
+    """Seconds of processor of each stage but the packages, and the peak of memory."""
+    with watch_memory(0.2) as peak:
         made = build.made
     cpu = {stage: sum(made[name].cpu for name in made if name.split()[0] in names) for stage, names in STAGES.items()}
-    total = sum(result.facts["gaussians"] for name, result in made.items() if name.startswith("rows"))
-    found: dict[str, Any] = {
-        "copies": copies, "gaussians": total, "tiles": len(build.tiles), "districts": len(build.districts),
-        "largest_tile": max(made[f"rows {k}"].facts["gaussians"] for k in range(len(build.tiles))),
-        "cpu_s": cpu, "peak_pss": early.bytes,
+    rows = [made[f"rows {k}"].facts["gaussians"] for k in range(len(build.tiles))]
+    return {
+        "gaussians": sum(rows), "tiles": len(rows), "largest_tile": max(rows), "districts": len(build.districts),
+        "cpu_s": cpu, "peak_pss": peak.bytes,
     }  # fmt: skip
-    if given.sample and sampled:
-        nodes = build.nodes
-        order = sorted(nodes, key=lambda k: -made[f"rows {k}"].facts["gaussians"])
-        with watch_memory(0.2) as late:
-            results = build.prepared(order[: given.sample])
-        found["sample"] = [
-            {
-                "gaussians": made[f"rows {k}"].facts["gaussians"], "nodes_around": len(nodes[k]),
-                "around": sum(count for piece in result.facts["pieces"] for _, count in piece["runs"]),
-                "cells": result.facts["cells"], "cpu_s": result.cpu, "bytes": result.facts["bytes"],
-                "beyond_bytes": result.files["beyond"][1] if "beyond" in result.files else 0,
-            }
-            for k, result in zip(order, results, strict=False)
-        ]  # fmt: skip
-        found["sample_peak_pss"] = late.bytes
-    return found
+
+
+def sample(build: WorldBuild, count: int) -> dict[str, Any]:
+    """Packages of the fullest tiles with a space, and the peak of memory."""
+    nodes, made = build.nodes, build.made
+    order = sorted(nodes, key=lambda k: -made[f"rows {k}"].facts["gaussians"])[:count]
+    with watch_memory(0.2) as peak:
+        results = build.prepared(order)
+    tiles = [
+        {
+            "gaussians": made[f"rows {k}"].facts["gaussians"], "nodes_around": len(nodes[k]),
+            "around": sum(number for piece in result.facts["pieces"] for _, number in piece["runs"]),
+            "cells": result.facts["cells"], "cpu_s": result.cpu, "bytes": result.facts["bytes"],
+            "beyond_bytes": result.files["beyond"][1] if "beyond" in result.files else 0,
+        }
+        for k, result in zip(order, results, strict=True)
+    ]  # fmt: skip
+    return {"sample": tiles, "sample_peak_pss": peak.bytes}
 
 
 def exponents(runs: list[dict[str, Any]]) -> dict[str, float]:

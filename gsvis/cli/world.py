@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -71,8 +72,11 @@ def _check_scenes(command: World) -> list[tuple[str, int | None]]:
     """Raise unless each scene is there and of a known format; return its path and LOD."""
     if not command.scenes:
         raise ValueError("SCENE: expected at least one scene, got none; gsvis world SCENE [SCENE ...] -o DIR")
-    streamed = []
+    streamed, seen = [], set[str]()
     for scene in command.scenes:
+        if os.path.realpath(scene) in seen:
+            raise ValueError(f"SCENE: expected each scene once, got {scene} twice; leave one out")
+        seen.add(os.path.realpath(scene))
         if is_builtin(scene) or is_levels(scene):
             raise ValueError(f"SCENE: expected a scene file, got {scene}; write it as a PLY first")
         streamed.append(check_scene(scene))

@@ -57,12 +57,13 @@ def test_wrong_arguments_end_with_one_line(
     assert error.count("\n") == 1
 
 
-def test_wrong_scenes_end_with_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_wrong_scenes_end_with_one_line(scene: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     out = ["-o", str(tmp_path / "c.gsworld")]
     for scenes, message in (
         ([], "SCENE: expected at least one scene, got none"),
         (["builtin:two_rooms"], "SCENE: expected a scene file, got builtin:two_rooms"),
         ([str(tmp_path / "none.ply")], "no such file or folder"),
+        ([scene, scene], "SCENE: expected each scene once"),
     ):
         assert main(["world", *scenes, *out]) == 2
         error = capfd.readouterr().err
