@@ -28,6 +28,7 @@ from typing import Any
 from gsvis.errors import BackendError, GsvisError, OutputError
 from gsvis.files.locks import try_lock
 from gsvis.files.objects import FolderStore, ObjectStore, StoredObject, open_store
+from gsvis.files.output import output_errors
 from gsvis.progress import Progress, silent
 from gsvis.pvs.processes import Processes, limit_threads, one_at_a_time
 from gsvis.pvs.workers import Workers
@@ -319,6 +320,7 @@ class _Run:
             job = Job(task, key, inputs, self.store.address, _version(), machine, self.crew.max_memory)
             found = find_result(self.store, job.key)
             if found is not None:
+                _forget_work(self.store, key)
                 self._finish(number, found)
             else:
                 waiting[self.crew.submit(job)] = number
@@ -386,6 +388,12 @@ class _Crew:
             self._processes.end(kill=True)
 
 
+def _forget_work(store: ObjectStore, key: str) -> None:
+    """Remove the folder of a finished task, which a worker that was killed at its end has left in a shared folder."""
+    if isinstance(store, FolderStore) and (store.folder / "work" / key).is_dir():
+        shutil.rmtree(store.folder / "work" / key, ignore_errors=True)
+
+
 @contextmanager
 def _work_folder(store: ObjectStore, key: str) -> Iterator[Path]:
     """Yield the folder of a task: that of a killed attempt where nobody works in it, or a new one.
@@ -394,8 +402,9 @@ def _work_folder(store: ObjectStore, key: str) -> Iterator[Path]:
     """
     root = store.folder / "work" if isinstance(store, FolderStore) else Path(tempfile.gettempdir()) / "gsvis-work"
     folder = root / key
-    folder.mkdir(parents=True, exist_ok=True)
-    descriptor = os.open(folder / "lock", os.O_CREAT | os.O_RDWR, 0o666)
+    with output_errors(root):
+        folder.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(folder / "lock", os.O_CREAT | os.O_RDWR, 0o666)
     try:
         if try_lock(descriptor) == "held":
             yield folder

@@ -43,11 +43,14 @@ COMMANDS = {
     "levels": "levels {ply} -o {out} --iterations 2 --size 24x20 --views 2 --held-out 1",
     "prepare": "prepare {ply} -o {out}/a.gsvis --levels none --cells 2 --face-size 16 --limit 0.05 --max-inner 1"
     " --workers 1 --max-terms 0",
+    "world": "world {ply} -o {out}/a.gsworld --levels none --cells 1 --face-size 16 --limit 0.05 --workers 1"
+    " --tile 5000",
     "unpack": "unpack {package} -o {out}",
     "simulate": "simulate {package} --path {walk} -o {out} --as-is --seconds 1 --every 0.5 --width 32 --height 24"
     " --whole-file {ply}",
 }
-RESUMED = (".partial-", ".checkpoint", ".gsvis")  # what is kept of unfinished work, and parts that lie there already
+# What is kept of unfinished work, and parts that lie there already.
+RESUMED = (".partial-", ".checkpoint", ".gsvis", ".gsworld.work")
 
 
 @pytest.fixture(scope="module")

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import json
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -69,3 +73,25 @@ def test_wrong_scenes_end_with_one_line(scene: str, tmp_path: Path, capfd: pytes
         error = capfd.readouterr().err
         assert message in error
         assert error.count("\n") == 1
+
+
+def test_a_run_that_is_killed_again_and_again_ends_with_the_same_bytes(scene: str, tmp_path: Path) -> None:
+    def start(out: Path) -> subprocess.Popen[bytes]:
+        words = ["-m", "gsvis", "world", scene, "-o", str(out), *SMALL]
+        return subprocess.Popen([sys.executable, *words], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+    whole, killed = tmp_path / "whole.gsworld", tmp_path / "killed.gsworld"
+    assert start(whole).wait() == 0
+    notes = tmp_path / "killed.gsworld.work" / "notes"
+    for wanted in (2, 9, 16):  # kill when so many tasks are finished
+        process = start(killed)
+        deadline = time.monotonic() + 120.0
+        while process.poll() is None and time.monotonic() < deadline:
+            if notes.is_dir() and sum(path.suffix == ".json" for path in notes.iterdir()) >= wanted:
+                break
+            time.sleep(0.005)
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    assert start(killed).wait() == 0
+    assert cities.content(killed) == cities.content(whole)
+    assert not any(path.is_dir() for path in (tmp_path / "killed.gsworld.work" / "work").iterdir())
