@@ -136,6 +136,7 @@ PAGES = {
             "scaling",
         ),
     ),
+    "world": Page("Worlds", ("world_borders", "world_borders_far", "world")),
     "edit": Page("Editing scenes", ("cut", "cut_unseen", "clean")),
     "viewer": Page(
         "The viewer",
