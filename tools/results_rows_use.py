@@ -92,23 +92,6 @@ USE = (
         ),
     ),
     Section(
-        "Does a city in tiles look like one scene?",
-        "world",
-        (
-            Row(
-                "Street across 3 borders: how many of 60 frames fall below 35 dB that one package has above?",
-                (
-                    "world_borders: frames below 35 dB that one package has above",
-                    "world_borders: median PSNR of the world less that of one package",
-                    "world_borders_far: frames below 35 dB that one package has above",
-                    "world_borders_far: median PSNR of the world less that of one package",
-                ),
-                ours="{0:.0f}, median {1:+.1f} dB; with districts at 30 mrad {2:.0f}, {3:+.1f} dB",
-                peer="one package of the whole",
-            ),
-        ),
-    ),
-    Section(
         "Does editing keep what matters?",
         "edit",
         (
