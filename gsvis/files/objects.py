@@ -20,7 +20,7 @@ from typing import Any, TypeVar
 from gsvis._extras import require
 from gsvis.errors import BackendError, FormatError, GsvisError
 from gsvis.files.atomic import atomic_path, remove_all_partials
-from gsvis.files.limits import DAMAGED, digest_of
+from gsvis.files.limits import DAMAGED, digest_of, read_whole
 from gsvis.files.output import output_errors
 from gsvis.files.resume import seal, unseal
 
@@ -123,8 +123,8 @@ class FolderStore(ObjectStore):
 
     def note(self, name: str) -> bytes | None:
         try:
-            return unseal((self.folder / _NOTES / _checked(name)).read_bytes())
-        except OSError:
+            return unseal(read_whole(self.folder / _NOTES / _checked(name)))
+        except (OSError, FormatError):
             return None
 
     def sweep(self, notes: Collection[str], objects: Collection[str]) -> None:

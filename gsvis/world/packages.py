@@ -7,6 +7,7 @@ import shutil
 from pathlib import Path
 
 from gsvis.errors import SceneError
+from gsvis.files.limits import read_whole
 from gsvis.package import Package
 from gsvis.prepare.prepare import finish_package, stages_of
 from gsvis.progress import silent
@@ -38,7 +39,7 @@ def prepare_tile(params: Facts, given: Given, out: Path, work: Path) -> Facts:
         return _bare(params, levels, out)
     space = load_space(given.path(1, "space"))
     parts, nodes = _parts(params, given, levels, space)
-    target, about = work / f"{PACKAGE}.gsvis", json.loads(given.path(0, "quality.json").read_text("ascii"))
+    target, about = work / f"{PACKAGE}.gsvis", json.loads(read_whole(given.path(0, "quality.json")))
     stages = stages_of(levels, target, space, config, photos=None, progress=silent)
     if parts:
         stages.around = join_parts(parts)
