@@ -22,10 +22,10 @@ from gsvis.world.config import WorldConfig
 __all__ = ["WorldEstimate", "estimate_world"]
 
 # Seconds of processor for each Gaussian, and for each cell and Gaussian in and around a tile (benchmarks/world.py).
-_TILING, _SPACE_TILE, _DISTRICT = 4e-6, 6.0, 1.5e-5
+_TILING, _SPACE_TILE, _DISTRICT = 4e-6, 0.6, 1.5e-5
 _LEVELS = 1.1e-3
 _CELL, _PACKAGE = 5e-5, 1.2e-4
-_AROUND = 2.5  # Gaussians in and around a tile, in those of the tile
+_AROUND = 7.5  # Gaussians in and around a tile, in those of the tile
 _EFFICIENCY = 0.9  # of workers beside each other
 
 _BASE, _PER_GAUSSIAN = 500 << 20, 1_000  # bytes of a worker, and for each Gaussian that it draws
