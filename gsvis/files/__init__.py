@@ -9,6 +9,7 @@ _MODULES = (
     "folders",
     "limits",
     "locks",
+    "mapped",
     "output",
     "resume",
     "sections",

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from gsvis import _check
 from gsvis.errors import FormatError, SceneError
+from gsvis.files.atomic import atomic_path
 from gsvis.files.limits import Budget
 from gsvis.files.output import TEMPORARY, output_errors
 from gsvis.package.active_terms import ActiveTerms
@@ -89,6 +90,7 @@ class Package:
         self.manifest = Manifest.read(self.path / MANIFEST)
         self._parts = PartFolder(self.path / PARTS)
         self._opened = ExitStack()
+        self._store: Path | None = None
 
     @classmethod
     def open(cls, path: str | PathLike[str]) -> Package:
@@ -158,11 +160,30 @@ class Package:
             SceneError: If the package has no visible sets.
             FormatError: If the store is damaged, or belongs to another scene.
         """
-        store = VisibilityStore(self._join(self.manifest.visibility, "sets.pvs"))
+        joined = self._store or self._join(self.manifest.visibility, "sets.pvs")
+        store = VisibilityStore(joined)
         self._opened.callback(store.close)
         if store.info.scene != self.manifest.scene or store.gaussians != len(self):
             raise self._fault("visibility", f"sets of {self.manifest.scene[:12]}...", f"{store.info.scene[:12]}...")
         return store
+
+    def keep_store(self, path: Path) -> None:
+        """Read visible sets from a file that stays after `close`; write it from the parts if it is missing.
+
+        Raises:
+            SceneError: If the package has no visible sets.
+            FormatError: If a part is damaged.
+            OutputError: If the file cannot be written.
+        """
+        if not path.is_file():
+            with atomic_path(path) as partial:
+                self._write_joined(self.manifest.visibility, partial)
+        self._store = path
+
+    def forget_records(self) -> None:
+        """Free the memory of the records and of what was decoded from them; they are read again when needed."""
+        for name in ("contents", "active_terms"):
+            self.__dict__.pop(name, None)
 
     @cached_property
     def epsilon(self) -> float | None:
@@ -250,13 +271,17 @@ class Package:
 
     def _join(self, blob: Blob | None, name: str) -> Path:
         """Write a store as one file in a temporary folder and return its path; `close` removes the folder."""
-        if blob is None:
-            raise SceneError(f"{self.path}: the package has no {name.split('.')[0]}; prepare it with visibility")
         folder = Path(self._opened.enter_context(tempfile.TemporaryDirectory(prefix="gsvis-")))
-        with output_errors(folder, remedy=TEMPORARY), (folder / name).open("wb") as file:
+        with output_errors(folder, remedy=TEMPORARY):
+            self._write_joined(blob, folder / name)
+        return folder / name
+
+    def _write_joined(self, blob: Blob | None, path: Path) -> None:
+        if blob is None:
+            raise SceneError(f"{self.path}: the package has no {path.name.split('.')[-2]}; prepare it with visibility")
+        with path.open("wb") as file:
             for part in blob.parts:
                 file.write(self._parts.content_of(part))
-        return folder / name
 
     def _fault(self, where: str, expected: str, got: str) -> FormatError:
         return FormatError(self.path, where, expected, got, _REMEDY)
