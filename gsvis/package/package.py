@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import tempfile
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
@@ -132,25 +132,29 @@ class Package:
         Raises:
             FormatError: If a part is missing, damaged, or does not fit the others.
         """
-        m = self.manifest
-        budget = self._budget()
-        types = _TABLE if m.version == 2 else {**_TABLE, **_BITS}
-        tables = [self._parts.read_columns(part, "chunks", types, rows, budget) for part, rows in m.tables]
-        table = ChunkTable.concatenate([self._table(columns) for columns in tables])
-        pairs = [np.stack([columns["first_level"], columns["last_level"]], axis=1) for columns in tables]
-        levels = np.concatenate([np.zeros((0, 2), np.uint8), *pairs])
-        starts = np.concatenate([[0], np.cumsum([block.count for block in m.blocks])]).astype(np.int64)
-        blocks = read_blocks(self._parts, m, table, starts, budget)
-        empty = [np.zeros((0, width), np.uint8) for width in self._widths]
-        records, terms = (np.concatenate([empty[k], *(b[k] for b in blocks)]) for k in range(2))
-        counts = np.concatenate([np.zeros(0, np.uint8), *(b[2] for b in blocks)])
-        if (levels[:, 0] > levels[:, 1]).any() or levels.max(initial=0) >= len(m.names):
-            raise self._fault("chunks", f"levels in order, below {len(m.names)}", "others")
-        found = Contents(m.names, table, levels, records, counts, terms, m.grids, starts)
+        m, budget = self.manifest, self._budget()
+        table, levels = self._read_chunks(budget)
+        found = self._decode(m, table, levels, budget)
         members = [int(((found.first <= k) & (k <= found.last)).sum()) for k in range(len(m.names))]
         if members != list(m.counts):
             raise self._fault("levels", f"{m.counts} Gaussians", f"{members}")
         return found
+
+    def part_of(self, gaussian: int) -> tuple[Contents, int]:
+        """Return the records of the part that holds a Gaussian, and the id of the first of them; read nothing else.
+
+        Raises:
+            ValueError: If there is no such Gaussian.
+            FormatError: If a part that is read is missing, damaged, or does not fit the others.
+        """
+        if not 0 <= gaussian < len(self):
+            raise ValueError(f"gaussian: expected an id below {len(self):,}, got {gaussian}")
+        m, budget = self.manifest, self._budget()
+        starts = np.cumsum([0, *(block.count for block in m.blocks)])
+        k = int(np.searchsorted(starts, gaussian, "right")) - 1
+        table, levels = self._read_chunks(budget)
+        some = slice(*np.searchsorted(table.starts, starts[k : k + 2]).tolist())
+        return self._decode(replace(m, blocks=(m.blocks[k],)), table[some], levels[some], budget), int(starts[k])
 
     @cached_property
     def visibility(self) -> VisibilityStore:
@@ -248,6 +252,26 @@ class Package:
     def _widths(self) -> tuple[int, int]:
         """Bytes of a Gaussian's record and of a term's record."""
         return RECORD_BYTES, TermLayout.from_grids(self.manifest.grids).nbytes
+
+    def _read_chunks(self, budget: Budget) -> tuple[ChunkTable, U8]:
+        """Return the rows of all chunks, and the (C, 2) levels of each."""
+        m = self.manifest
+        types = _TABLE if m.version == 2 else {**_TABLE, **_BITS}
+        tables = [self._parts.read_columns(part, "chunks", types, rows, budget) for part, rows in m.tables]
+        pairs = [np.stack([columns["first_level"], columns["last_level"]], axis=1) for columns in tables]
+        levels = np.concatenate([np.zeros((0, 2), np.uint8), *pairs])
+        if (levels[:, 0] > levels[:, 1]).any() or levels.max(initial=0) >= len(m.names):
+            raise self._fault("chunks", f"levels in order, below {len(m.names)}", "others")
+        return ChunkTable.concatenate([self._table(columns) for columns in tables]), levels
+
+    def _decode(self, m: Manifest, table: ChunkTable, levels: U8, budget: Budget) -> Contents:
+        """Return the records of the blocks of a manifest, whose chunks are these."""
+        starts = np.concatenate([[0], np.cumsum([block.count for block in m.blocks])]).astype(np.int64)
+        blocks = read_blocks(self._parts, m, table, starts, budget)
+        empty = [np.zeros((0, width), np.uint8) for width in self._widths]
+        records, terms = (np.concatenate([empty[k], *(b[k] for b in blocks)]) for k in range(2))
+        counts = np.concatenate([np.zeros(0, np.uint8), *(b[2] for b in blocks)])
+        return Contents(m.names, table, levels, records, counts, terms, m.grids, starts)
 
     def _budget(self) -> Budget:
         """Return the memory budget of all parts together, from their size on disk; a part named twice counts once."""
