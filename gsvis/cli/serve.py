@@ -62,9 +62,7 @@ def run_serve(command: Serve) -> None:
     ) as scenes:
         try:
             listener = None if child is None else child.socket()
-            server = Server(
-                scenes, config, address, planners=command.planners, listener=listener, siblings=siblings
-            )
+            server = Server(scenes, config, address, planners=command.planners, listener=listener, siblings=siblings)
         except OSError as error:
             if error.filename is None:  # OpenSSL rejects a certificate without naming the file
                 raise BackendError(f"TLS: {error}; check --ssl-certfile and --ssl-keyfile") from error

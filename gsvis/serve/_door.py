@@ -41,7 +41,7 @@ class Door:
         proxies: Proxies to trust about client addresses; their own addresses have no limit.
         tls: None for plain connections.
         is_ahead: Returns whether another process that listens to the same socket has fewer viewers; it then gets a
-            moment to take a new connection first.
+            moment to take a new connection first. None if there is no other process.
 
     Attributes:
         guards: All connections.
@@ -54,7 +54,7 @@ class Door:
         inner: Callable[[], Any],
         proxies: Proxies,
         tls: ssl.SSLContext | None = None,
-        is_ahead: Callable[[], bool] = lambda: False,
+        is_ahead: Callable[[], bool] | None = None,
     ) -> None:
         self._is_ahead = is_ahead
         self._listener, self._means, self._limits, self._log = listener, means, means.limits, means.log
@@ -101,15 +101,16 @@ class Door:
     async def _next(self) -> tuple[socket.socket, Any]:
         """Return the next connection and its peer; raise BlockingIOError if another process takes it first."""
         loop = asyncio.get_running_loop()
-        if not self._is_ahead():
+        if self._is_ahead is None:
             return await loop.sock_accept(self._listener)
-        there = loop.create_future()
-        loop.add_reader(self._listener, lambda: there.done() or there.set_result(None))
+        there = asyncio.Event()
+        loop.add_reader(self._listener, there.set)
         try:
-            await there
+            await there.wait()
         finally:
             loop.remove_reader(self._listener)
-        await asyncio.sleep(_YIELD_S)
+        if self._is_ahead():
+            await asyncio.sleep(_YIELD_S)
         return self._listener.accept()
 
     def _make_do(self, error: OSError) -> None:

@@ -233,11 +233,16 @@ class Connection:
         try:
             scene = await asyncio.shield(opening)
         except asyncio.CancelledError:
-            opening.add_done_callback(lambda done: done.exception() or served.leave(setting.clock.now()))
+            opening.add_done_callback(self._leave_late)
             raise
         setting.metrics.scenes_opened.add(of=served.name)
         setting.log("ready", scene=served.name, gaussians=served.gaussians, client=self.number)
         return scene
+
+    def _leave_late(self, opening: asyncio.Future[StreamedScene]) -> None:
+        """Leave a scene that opened after its viewer had gone."""
+        if not opening.cancelled() and opening.exception() is None:
+            self._served.leave(self._setting.clock.now())
 
     async def _first(self) -> object:
         """Return the first message that is no TOKEN; one TOKEN may come before it, needed or not."""

@@ -123,11 +123,9 @@ class Server:
     def _open_door(self, inner: Callable[[], Any], tls: ssl.SSLContext | None) -> Door:
         proxies = Proxies(self.config.proxies)
         means = Means(self.config.limits, self.clock, self._log, self.metrics)
-        return Door(self._socket, means, inner, proxies, tls, is_ahead=self._is_ahead)
-
-    def _is_ahead(self) -> bool:
-        """Return whether another process of the server has fewer viewers."""
-        return self._siblings is not None and self._siblings.is_ahead(int(self.metrics.clients.value()))
+        siblings, clients = self._siblings, self.metrics.clients
+        is_ahead = None if siblings is None else lambda: siblings.is_ahead(int(clients.value()))
+        return Door(self._socket, means, inner, proxies, tls, is_ahead)
 
     @property
     def url(self) -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -59,11 +59,7 @@ class Siblings:
             seats: Number of viewers of each address.
             health: Scenes that are served, and scenes that are refused.
         """
-        families = [
-            [f.name, f.documentation, f.type, [[s.name, s.labels, s.value] for s in f.samples]]
-            for f in metrics.registry.collect()
-        ]
-        value = {"seats": seats, "health": health, "families": families}
+        value = {"seats": seats, "health": health, "families": _families_of(metrics)}
         with suppress(OSError), atomic_path(self.path, sweep=False) as partial:
             partial.write_text(json.dumps(value))
         self._others = list(self._read())
@@ -84,30 +80,11 @@ class Siblings:
 
     def text(self, metrics: Metrics) -> str:
         """Return the text of `/metrics` for all processes: sums, and for `process_*` a label `process`."""
-        merged: dict[str, Metric] = {}
-        own = [[f.name, f.documentation, f.type, [[s.name, s.labels, s.value] for s in f.samples]]
-               for f in metrics.registry.collect()]  # fmt: skip
-        sources = [(self.number, own, True)]
-        living = self._living()
-        sources += [(said.number, said.value["families"], said in living) for said in self._others]
-        totals: dict[str, dict[tuple[str, str], tuple[dict[str, str], float]]] = {}
-        for number, families, is_alive in sources:
-            for name, about, kind, samples in families:
-                if not is_alive and (kind not in _SUMMED or name.startswith("process_")):
-                    continue
-                merged.setdefault(name, Metric(name, about, kind))
-                found = totals.setdefault(name, {})
-                for sample, labels, value in samples:
-                    if sample.endswith("_created"):
-                        continue
-                    labels = {**labels, "process": str(number)} if name.startswith("process_") else labels
-                    key = sample, json.dumps(labels, sort_keys=True)
-                    before = found[key][1] if key in found and kind != "info" else 0.0
-                    found[key] = labels, before + value
-        for name, found in totals.items():
-            for (sample, _), (labels, value) in found.items():
-                merged[name].add_sample(sample, labels, value)
-        return prometheus_client.generate_latest(_Merged(merged)).decode()
+        living, found = self._living(), dict[str, _Family]()
+        _add(found, _families_of(metrics), self.number, is_alive=True)
+        for said in self._others:
+            _add(found, said.value["families"], said.number, is_alive=said in living)
+        return prometheus_client.generate_latest(_Merged(found.values())).decode()
 
     def _read(self) -> Iterator[_Said]:
         for path in sorted(self.folder.glob("process-*.json")):
@@ -119,20 +96,56 @@ class Siblings:
     def _living(self) -> list[_Said]:
         """Return what the other processes said that live: for each number the newest, unless it is old."""
         newest: dict[int, _Said] = {}
-        for said in self._others:
+        for said in sorted(self._others, key=lambda each: -each.age_s):
             if said.number != self.number and said.age_s < _STALE_S:
-                if said.number not in newest or said.age_s < newest[said.number].age_s:
-                    newest[said.number] = said
+                newest[said.number] = said
         return list(newest.values())
 
 
+class _Family:
+    """The samples of one metric, summed over processes."""
+
+    def __init__(self, name: str, about: str, kind: str) -> None:
+        self.name, self.about, self.kind = name, about, kind
+        self.samples: dict[str, tuple[str, dict[str, str], float]] = {}
+
+    def add(self, name: str, labels: dict[str, str], value: float) -> None:
+        key = json.dumps([name, labels], sort_keys=True)
+        before = self.samples[key][2] if key in self.samples and self.kind != "info" else 0.0
+        self.samples[key] = name, labels, before + value
+
+
 class _Merged(CollectorRegistry):
-    def __init__(self, families: dict[str, Metric]) -> None:
+    def __init__(self, families: Iterable[_Family]) -> None:
         super().__init__()
-        self._families = families
+        self._families = list(families)
 
     def collect(self) -> Iterator[Metric]:
-        yield from self._families.values()
+        for family in self._families:
+            metric = Metric(family.name, family.about, family.kind)
+            for sample in family.samples.values():
+                metric.add_sample(*sample)
+            yield metric
+
+
+def _families_of(metrics: Metrics) -> list[Any]:
+    """Return the metrics of this process as JSON holds them."""
+    return [
+        [f.name, f.documentation, f.type, [[s.name, s.labels, s.value] for s in f.samples]]
+        for f in metrics.registry.collect()
+    ]
+
+
+def _add(found: dict[str, _Family], families: list[Any], number: int, *, is_alive: bool) -> None:
+    """Add the metrics of a process; of one that has ended, only what it counted."""
+    for name, about, kind, samples in families:
+        of_process = name.startswith("process_")
+        if not is_alive and (of_process or kind not in _SUMMED):
+            continue
+        family = found.setdefault(name, _Family(name, about, kind))
+        for sample, labels, value in samples:
+            if not sample.endswith("_created"):
+                family.add(sample, {**labels, "process": str(number)} if of_process else labels, value)
 
 
 def _age_of(path: Path) -> float:

@@ -134,6 +134,7 @@ def test_children_end_when_the_supervisor_is_killed(plain: Path) -> None:
 
 def test_one_process_ends_with_the_same_status(plain: Path) -> None:
     with many(plain, count=1) as server:
+        server.ask("/healthz")
         server.process.terminate()
         assert server.process.wait(PATIENCE) == 0
 
@@ -171,7 +172,7 @@ def test_counters_of_the_dead_count_and_their_gauges_do_not(tmp_path: Path) -> N
         metrics.clients.set(2)
         metrics.sent_bytes.add(100)
         metrics.late.observe(0.01)
-        found = Siblings(tmp_path, number, age=lambda path: ages[path.name])
+        found = Siblings(tmp_path, number, age=lambda path: ages.get(path.name, 1.0))
         found.path = tmp_path / f"process-{number}-{name}.json"
         ages[found.path.name] = 5.0 if name == "old" else 1.0
         found.publish(metrics, {"a": 2}, (1, 0))
