@@ -15,6 +15,7 @@ EXTRAS = {
     "dask": "cluster",
     "distributed": "cluster",
     "flip_evaluator": "metrics",
+    "fsspec": "cluster",
     "gsplat": "cuda",
     "lpips": "metrics",
     "matplotlib": "report",

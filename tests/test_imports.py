@@ -29,6 +29,7 @@ ROOMS = (
     "abr",
     "stream",
     "simulate",
+    "world",
     "edit",
     "export",
     "serve",

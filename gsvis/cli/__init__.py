@@ -41,6 +41,7 @@ _ABOUT = """Ray-traced visibility for trained 3D Gaussian Splatting scenes, on t
   gsvis cut scene.ply -o walk.ply --path walk.csv   keep what a walk can see
   gsvis paint scene.ply -o seen.ply --by visibility
   gsvis prepare scene.ply -o scene.gsvis     a package that can be served
+  gsvis world a.ply b.ply -o city.gsworld    many packages, out of core
   gsvis verify scene.gsvis                   is a package whole?
   gsvis unpack scene.gsvis -o levels         a package back to PLYs
   gsvis export scene.gsvis -o site           a site for any file server

@@ -19,6 +19,7 @@ from gsvis.cli.arguments_simulate import Simulate
 from gsvis.cli.arguments_space import Space
 from gsvis.cli.arguments_view import View
 from gsvis.cli.arguments_where import Where
+from gsvis.cli.arguments_world import World
 from gsvis.cli.readers import (
     BYTES,
     CELLS,
@@ -76,6 +77,7 @@ __all__ = [
     "Unpack",
     "Verify",
     "View",
+    "World",
 ]
 
 
@@ -418,6 +420,7 @@ Command = (
     | Cut
     | Paint
     | Prepare
+    | World
     | Verify
     | Unpack
     | Export

@@ -99,10 +99,10 @@ class Prepare(Where):
 
 @dataclass(frozen=True)
 class Verify:
-    """Read, check and decode every part of a package."""
+    """Read, check and decode every part of a package, or of all packages of a world."""
 
     package: Annotated[Positional[str], arg(metavar="PACKAGE", help_behavior_hint="")]
-    """Folder of a package, such as scene.gsvis."""
+    """Folder of a package, such as scene.gsvis, or of a world, such as city.gsworld."""
     scene: Annotated[str | None, arg(metavar="SCENE", help_behavior_hint="(default: what gsvis prepare found)")] = None
     """The scene from which it was made: measure how near what a client gets comes to it."""
     lod: Annotated[int | None, WHOLE, hint("the finest that is there")] = None

@@ -12,6 +12,7 @@ from gsvis.cli.terminal import Status, facts, print_json, show, size_of
 from gsvis.errors import FormatError, SceneError
 from gsvis.io.levels import MAP, levels_info
 from gsvis.package import Fidelity, Manifest, Package, Spread, unpack_package
+from gsvis.world import World, is_world
 
 __all__ = ["fidelity_table", "run_unpack", "run_verify", "size_rows"]
 
@@ -36,6 +37,9 @@ def run_verify(command: Verify) -> None:
     """
     if command.scene is None and command.lod is not None:
         raise ValueError(f"--lod: expected none without --scene, got {command.lod}; leave it out")
+    if is_world(command.package):
+        _verify_world(command)
+        return
     if command.scene is not None:
         check_source(command.scene, command.lod)
     with Status() as status, Package.open(command.package) as package:
@@ -76,6 +80,27 @@ def run_verify(command: Verify) -> None:
     strays = [f" {found.strays:,} files beside the parts belong to no part of it."] if found.strays else []
     whole = " Every part is whole."
     show(facts(command.package, rows), *fidelity_table(fidelity, name), whole, *strays, *remarks)
+
+
+def _verify_world(command: Verify) -> None:
+    """Verify a world and print what it holds."""
+    if command.scene is not None:
+        raise ValueError(f"--scene: expected none for a world, got {command.scene}; leave it out")
+    with Status() as status:
+        found = World.open(command.package).verify(progress=status)
+    if command.json:
+        document = {"format": "gsvis-world-verification", "version": 1, "world": command.package}
+        print_json({**document, **asdict(found)})
+        return
+    rows = [
+        ("Gaussians", f"{found.gaussians:,}"),
+        ("tiles", f"{found.tiles:,}"),
+        ("districts", f"{found.districts:,}"),
+        ("cells", f"{found.cells:,}"),
+        ("size", size_of(found.nbytes)),
+    ]
+    strays = [f" {found.strays:,} packages and tables belong to no part of it."] if found.strays else []
+    show(facts(command.package, rows), " Every part is whole.", *strays)
 
 
 def _compare(scene: str, lod: int | None, package: Package, status: Status) -> tuple[Fidelity, str, list[str]]:

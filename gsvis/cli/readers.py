@@ -46,8 +46,10 @@ __all__ = [
     "PLAIN",
     "POINT",
     "PORT",
+    "RADIANS",
     "RATE",
     "SCALE",
+    "SCENES",
     "SECONDS",
     "SHARE",
     "SHARES",
@@ -246,6 +248,8 @@ SHARES_OR_NONE = _spec("*", "S [S ...]|none", _read_shares_or_none)
 NAMES = _spec("*", "NAME [NAME ...]", _read_names)
 LODS = _spec(1, "N[,N...]", _read_lods)
 PATHS = _spec("*", "IN [IN ...] [OUT]", tuple)
+SCENES = _spec("*", "SCENE [SCENE ...]", tuple)
+RADIANS = _number("R", float, 1e-5, 1.0, "radians in [1e-5, 1]")
 PACKAGES = _spec("*", "PACKAGE [PACKAGE ...]", _read_packages)
 ORIGINS = _spec("*", "ORIGIN [ORIGIN ...]", tuple)
 HOSTS = _spec("*", "NAME [NAME ...]", tuple)

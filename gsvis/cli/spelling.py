@@ -77,13 +77,14 @@ def misspelling(arguments: Sequence[str]) -> str | None:
 
 
 def paths_first(arguments: Sequence[str]) -> list[str]:
-    """Return the arguments of `gsvis convert` with its paths before its options; those of other commands unchanged.
+    """Return the arguments of `gsvis convert` and `world` with paths before options; those of other commands unchanged.
 
     `tyro` takes paths of any number only where they stand together.
     """
-    if arguments[:1] != ["convert"]:
+    if arguments[:1] not in (["convert"], ["world"]):
         return list(arguments)
-    kind = next(kind for kind in _kinds() if _kebab(kind.__name__) == "convert")
+    command = arguments[0]
+    kind = next(kind for kind in _kinds() if _kebab(kind.__name__) == command)
     words = {name: option.words for option in _options(kind) for name in option.names}
     paths, options, rest = [], [], list(arguments[1:])
     while rest:
@@ -99,8 +100,8 @@ def paths_first(arguments: Sequence[str]) -> list[str]:
         options += [word, *rest[:count]]
         del rest[:count]
     if any(path.startswith("-") for path in paths):
-        return ["convert", *options, "--", *paths]
-    return ["convert", *paths, *options]
+        return [command, *options, "--", *paths]
+    return [command, *paths, *options]
 
 
 def expand_home(command: Command) -> Command:

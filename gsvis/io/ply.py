@@ -7,6 +7,7 @@ opacity (logit), scale_* (log), rot_* (wxyz). Other columns and elements are ski
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from io import BufferedReader
 from typing import Any
 
@@ -22,7 +23,7 @@ from gsvis.io._ply_rows import CHUNK_BYTES, row_chunks
 from gsvis.io.compressed_ply import is_compressed, read_compressed
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["load_ply", "save_ply"]
+__all__ = ["load_ply", "ply_rows", "save_ply"]
 
 _MEANS = ("x", "y", "z")
 _SH0 = ("f_dc_0", "f_dc_1", "f_dc_2")
@@ -31,11 +32,12 @@ _QUATS = ("rot_0", "rot_1", "rot_2", "rot_3")
 _REQUIRED = (*_MEANS, *_SH0, "opacity", *_SCALES, *_QUATS)
 
 
-def load_ply(path: str | os.PathLike[str]) -> Gaussians:
+def load_ply(path: str | os.PathLike[str], *, rows: tuple[int, int] | None = None) -> Gaussians:
     """Read a PLY of Gaussians, plain or compressed (PlayCanvas).
 
     Args:
         path: The file.
+        rows: First row and the row after the last, of a file for which `ply_rows` counts rows; None reads all.
 
     Returns:
         The scene, in the file's order and frame.
@@ -48,7 +50,39 @@ def load_ply(path: str | os.PathLike[str]) -> Gaussians:
         header = parse_header(path, stream, os.fstat(stream.fileno()).st_size)
         if is_compressed(header):
             return read_compressed(header, stream)
-        return _read(header, stream)
+        return _read(header if rows is None else _cut(header, *rows), stream)
+
+
+def ply_rows(path: str | os.PathLike[str], stream: BufferedReader) -> tuple[int, int] | None:
+    """Return the number of rows of a binary PLY of Gaussians and the bytes of each; None for other kinds of PLY.
+
+    Args:
+        path: The file, for messages.
+        stream: The file, opened for bytes, at its start.
+
+    Raises:
+        FormatError: If the header is damaged, or the file is too short for its rows.
+    """
+    header = parse_header(path, stream, os.fstat(stream.fileno()).st_size)
+    vertex = header.element("vertex")
+    if vertex is None or header.encoding == "ascii" or is_compressed(header):
+        return None
+    row, _ = header.rows_of(vertex)
+    return vertex.count, row.itemsize
+
+
+def _cut(header: PlyHeader, start: int, stop: int) -> PlyHeader:
+    """Return the header of a file that has only some of the rows.
+
+    Raises:
+        FormatError: If the file has fewer rows.
+    """
+    vertex = header.element("vertex")
+    if vertex is None or vertex.row is None or vertex.offset is None or not 0 <= start < stop <= vertex.count:
+        got = f"{0 if vertex is None else vertex.count:,}"
+        raise FormatError(header.path, "element vertex", f"rows {start:,} to {stop:,}", got, "did the file change?")
+    some = replace(vertex, count=stop - start, offset=vertex.offset + start * vertex.row.itemsize)
+    return replace(header, elements=tuple(some if each is vertex else each for each in header.elements))
 
 
 def _read(header: PlyHeader, stream: BufferedReader) -> Gaussians:

@@ -21,10 +21,11 @@ from gsvis.io._sog_files import FolderStore, ZipStore
 from gsvis.io.sog import SogMeta, read_sog
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["list_lods", "load_streamed_sog"]
+__all__ = ["list_lods", "load_streamed_file", "load_streamed_sog", "streamed_files"]
 
 Runs = dict[int, list[tuple[int, int]]]
 _MAX_COUNT = 1 << 40
+_ENVIRONMENT = -1  # in place of the number of a file
 
 
 def list_lods(path: str | os.PathLike[str]) -> tuple[int, ...]:
@@ -56,6 +57,59 @@ def load_streamed_sog(path: str | os.PathLike[str], lod: int | None = None) -> G
         ValueError: If `lod` is not an integer >= 0.
         OSError: If the file cannot be opened.
     """
+    tree, lod = _open_level(path, lod)
+    environment = tree.environment
+    parts = []
+    for file, runs in sorted(tree.runs[lod].items()):
+        parts.append(_pieces(tree, file, runs))
+    if environment:
+        parts.append(_scene(tree, environment))
+    return parts[0] if len(parts) == 1 else Gaussians.concatenate(parts)
+
+
+def streamed_files(path: str | os.PathLike[str], lod: int | None = None) -> tuple[int, list[tuple[int, int, Path]]]:
+    """Return the level of detail, and for each file of it its number, the Gaussians of its leaves, and where it lies.
+
+    Where it lies is a zip, or the folder of a meta.json.
+
+    The environment, if there is one, comes last, with a count of -1.
+
+    Args:
+        path: As for `load_streamed_sog`.
+        lod: As for `load_streamed_sog`.
+
+    Raises:
+        FormatError: As `load_streamed_sog` does.
+        ValueError: If `lod` is not an integer >= 0.
+    """
+    tree, level = _open_level(path, lod)
+    found = [
+        (file, sum(count for _, count in runs), tree.home(file)) for file, runs in sorted(tree.runs[level].items())
+    ]
+    return level, [*found, *([(_ENVIRONMENT, -1, _home(tree.at(tree.environment)))] if tree.environment else [])]
+
+
+def load_streamed_file(path: str | os.PathLike[str], lod: int, file: int) -> Gaussians:
+    """Return the Gaussians that the leaves of one level name in one file.
+
+    Args:
+        path: As for `load_streamed_sog`.
+        lod: The level.
+        file: Number of the file, from `streamed_files`.
+
+    Raises:
+        FormatError: As `load_streamed_sog` does, or if the level has no such file.
+    """
+    tree, level = _open_level(path, lod)
+    if file == _ENVIRONMENT and tree.environment:
+        return _scene(tree, tree.environment)
+    if file not in tree.runs[level]:
+        raise FormatError(tree.path, "filenames", f"a file {file} of LOD {lod}", "none", "did the scene change?")
+    return _pieces(tree, file, tree.runs[level][file])
+
+
+def _open_level(path: str | os.PathLike[str], lod: int | None) -> tuple[_Tree, int]:
+    """Return the tree and the number of a level, after checking that its files are present."""
     if lod is not None:
         _check.positive_int("lod", lod, at_least=0)
     tree = _Tree(path)
@@ -74,12 +128,7 @@ def load_streamed_sog(path: str | os.PathLike[str], lod: int | None = None) -> G
     environment = tree.environment
     if environment and not tree.at(environment).is_file():
         raise FormatError(tree.path, "environment", f"the file {environment}", "none", remedy)
-    parts = []
-    for file, runs in sorted(tree.runs[lod].items()):
-        parts.append(_pieces(tree, file, runs))
-    if environment:
-        parts.append(_scene(tree, environment))
-    return parts[0] if len(parts) == 1 else Gaussians.concatenate(parts)
+    return tree, lod
 
 
 def _some(names: list[str]) -> str:
@@ -136,9 +185,17 @@ class _Tree:
         names = [self.files[file] for file in sorted(self.runs[lod])]
         return [name for name in names if not self.at(name).is_file()]
 
+    def home(self, file: int) -> Path:
+        """Return the zip of a file, or the folder of its meta.json."""
+        return _home(self.at(self.files[file]))
+
     def at(self, name: str) -> Path:
         """Return the path of a file that the tree names; raise if a link leads out of the folder."""
         return inside(self.path, name, self.folder, name)
+
+
+def _home(path: Path) -> Path:
+    return path.parent if path.suffix.lower() == ".json" else path
 
 
 def _scene(tree: _Tree, name: str) -> Gaussians:

@@ -22,7 +22,7 @@ from gsvis.package import Package, PackageInfo, write_package
 from gsvis.package.manifest import MANIFEST, Manifest
 from gsvis.package.writer import check_target
 from gsvis.prepare.config import PrepareConfig
-from gsvis.prepare.stages import StageRecord, Stages
+from gsvis.prepare.stages import StageRecord, Stages, around_of
 from gsvis.prepare.start_views import choose_start_views
 from gsvis.prepare.work_folder import WorkFolder
 from gsvis.progress import Progress, silent
@@ -34,7 +34,7 @@ from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.poses import describe_poses
 
-__all__ = ["Prepared", "check_scene", "prepare_package", "stages_of"]
+__all__ = ["Prepared", "check_scene", "finish_package", "prepare_package", "stages_of"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +52,7 @@ class Prepared:
         work: The folder of work kept between runs.
         work_bytes: Bytes of that folder.
         remarks: Sentences that the user should read.
+        around: The store of what cells see around the scene; None without surroundings.
     """
 
     manifest: Manifest
@@ -64,6 +65,7 @@ class Prepared:
     work: Path
     work_bytes: int
     remarks: tuple[str, ...]
+    around: Path | None = None
 
 
 def prepare_package(
@@ -105,7 +107,33 @@ def prepare_package(
         OSError: If a file cannot be written; finished work is kept.
     """
     stages = stages_of(scene, out, space, config, photos=photos, progress=progress)
-    work, config, target = stages.work, stages.config, _check.path("out", out)
+    return finish_package(stages, out, about=about, workers=workers)
+
+
+def finish_package(
+    stages: Stages,
+    out: str | os.PathLike[str],
+    *,
+    about: Mapping[str, Any] | None = None,
+    workers: Workers | None = None,
+) -> Prepared:
+    """Run all stages and write the package; `prepare_package` with stages that the caller has made.
+
+    With `stages.around`, what cells see around the scene ends in a store of its own, `Prepared.around`, in the working
+    folder.
+
+    Args:
+        stages: The stages, from `stages_of`.
+        out: Folder of the package, as given to `stages_of`.
+        about: JSON values to store in the provenance of the package.
+        workers: The workers that build visible sets; None means this process.
+
+    Raises:
+        GsvisError: As `prepare_package` does.
+        ValueError: If another process prepares the same package.
+        OSError: If a file cannot be written; finished work is kept.
+    """
+    work, config, target, space = stages.work, stages.config, _check.path("out", out), stages.space
     with work.opened():
         before = _parts_of(target)
         levels, quality = stages.levels()
@@ -122,7 +150,7 @@ def prepare_package(
             "views": describe_poses(views),
         }  # fmt: skip
         info = PackageInfo(_axis(space), config.meters_per_unit, cost, provenance, fidelity, config.epsilon)
-        with write_package(target, levels, packed, info=info, visibility=sets, progress=progress) as package:
+        with write_package(target, levels, packed, info=info, visibility=sets, progress=stages.progress) as package:
             manifest = package.manifest
         sizes = {part.name: part.nbytes for part in manifest.parts()}
         kept = {name: size for name, size in sizes.items() if name in before}
@@ -139,6 +167,7 @@ def prepare_package(
         work.folder,
         work.nbytes,
         tuple(stages.remarks),
+        None if stages.around is None else work.folder / around_of(sets.name),
     )
 
 

@@ -34,6 +34,7 @@ from gsvis.package.cell_terms import CellTerms
 from gsvis.prepare.colors import find_kept, prepare_colors
 from gsvis.prepare.config import PrepareConfig
 from gsvis.prepare.levels import make_levels
+from gsvis.prepare.surroundings import Surroundings
 from gsvis.prepare.work_folder import WorkFolder, digest_of_folder
 from gsvis.progress import Progress
 from gsvis.pvs.build import build_pvs
@@ -46,7 +47,7 @@ from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.train.level_views import LevelViews, draw_views, load_photograph_views
 
-__all__ = ["StageRecord", "Stages"]
+__all__ = ["StageRecord", "Stages", "around_of"]
 
 _VERSIONS = {"levels": 2, "sets": 2, "colors": 2, "cost": 1, "fidelity": 2}  # increase when results change
 
@@ -79,6 +80,7 @@ class Stages:
         progress: Called with the progress stages of the functions that run.
         records: Records of the stages so far.
         remarks: Sentences that the user should read.
+        around: What stands around the scene and belongs to other packages; None if nothing does.
     """
 
     scene: Gaussians | Levels
@@ -89,6 +91,7 @@ class Stages:
     progress: Progress
     records: list[StageRecord]
     remarks: list[str]
+    around: Surroundings | None = None
 
     @property
     def trains(self) -> bool:
@@ -142,21 +145,34 @@ class Stages:
         """Return the name of the file of visible sets."""
         cells = {**grid.as_dict(), "coords": hashlib.sha256(grid.coords.astype("<i4").tobytes()).hexdigest()}
         space, config = space_hash(self.space), self.config.sets.as_dict()
-        return f"sets-{self._key('sets', levels=_content(levels), grid=cells, space=space, config=config)}.pvs"
+        around = {} if self.around is None else {"around": self.around.digest}
+        return (
+            f"sets-{self._key('sets', levels=_content(levels), grid=cells, space=space, config=config, **around)}.pvs"
+        )
 
     def sets(self, levels: Levels, workers: Workers | None) -> Path:
         """Return the path of the store of visible sets."""
         grid = self.grid()
         name = self.sets_name(levels, grid)
         with self._stage("sets") as done:
-            if not self.work.whole(name):
+            if not self.work.whole(name) or not (self.around is None or self.work.whole(around_of(name))):
                 done.append(True)
-                path = self.work.at(name)
-                build_pvs(
-                    levels, grid, self.space, path, self.config.sets, workers=workers, progress=self.progress
-                ).close()
-                self.work.seal_file(name)
+                self._find_sets(levels, grid, name, workers)
         return self.work.at(name)
+
+    def _find_sets(self, levels: Levels, grid: CellGrid, name: str, workers: Workers | None) -> None:
+        """Write the store of visible sets, and that of what is seen around the scene."""
+        path, config, around = self.work.at(name), self.config.sets, self.around
+        if around is None:
+            build_pvs(levels, grid, self.space, path, config, workers=workers, progress=self.progress).close()
+        else:
+            both = self.work.at(f"joint-{name}")
+            joint = around.joined(levels)
+            with build_pvs(joint, grid, self.space, both, config, workers=workers, progress=self.progress) as store:
+                around.split(store, levels, path, self.work.at(around_of(name)), progress=self.progress)
+            self.work.seal_file(around_of(name))
+            both.unlink(missing_ok=True)
+        self.work.seal_file(name)
 
     def colors_name(self, levels: Levels, store: VisibilityStore) -> str:
         """Return the name of the file of colors."""
@@ -285,6 +301,11 @@ class Stages:
         began, done = time.perf_counter(), list[bool]()
         yield done
         self.records.append(StageRecord(name, not done, time.perf_counter() - began))
+
+
+def around_of(sets: str) -> str:
+    """Return the name of the store of what is seen around a scene, for the name of its visible sets."""
+    return f"around-{sets}"
 
 
 def _content(levels: Levels) -> dict[str, Any]:

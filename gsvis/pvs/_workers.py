@@ -6,10 +6,7 @@ each worker. If a worker dies, its tasks are submitted again. A result does not 
 
 from __future__ import annotations
 
-import os
 import shutil
-import signal
-import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import (
     FIRST_COMPLETED,
@@ -17,17 +14,14 @@ from concurrent.futures import (
     CancelledError,
     Executor,
     Future,
-    ProcessPoolExecutor,
     wait,
 )
 from contextlib import contextmanager
 from dataclasses import dataclass
-from multiprocessing import get_context, parent_process
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import get_num_threads, set_num_threads
 from numpy.typing import NDArray
 
 from gsvis.errors import GsvisError
@@ -36,13 +30,13 @@ from gsvis.files.output import output_errors
 from gsvis.pvs._journal import pack_sighting, pack_view, unpack_sighting
 from gsvis.pvs.cell_view import Finder
 from gsvis.pvs.config import PvsConfig
+from gsvis.pvs.processes import Processes, limit_threads, one_at_a_time
 from gsvis.pvs.viewpoints import FreeVoxels
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 
 __all__ = [
     "CellTask",
-    "Processes",
     "SceneArrays",
     "Task",
     "ViewpointTask",
@@ -51,7 +45,6 @@ __all__ = [
     "run_here",
     "run_in_processes",
     "run_on",
-    "use_threads",
 ]
 
 Result = tuple[int, bytes]
@@ -63,8 +56,6 @@ _MEMBERSHIP = ("first", "last")  # first and last level of each Gaussian
 _RESTARTS = 3  # consecutive restarts without a finished task
 
 _ready: Cache[Finder] = Cache(max_items=1)  # the last scene and configuration of this process
-_one_at_a_time = threading.Lock()  # kernels must not run from two threads under numba's default threading layer
-_threads: list[int] = []  # at most one entry: threads that kernels of this process may use
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,15 +164,9 @@ def _map(folder: Path) -> dict[str, NDArray[Any]]:
 
 def perform(scene: SceneArrays, task: Task) -> bytes:
     """Run one task and return its packed result; called in the worker."""
-    with _one_at_a_time:
-        if _threads:
-            set_num_threads(min(_threads[0], get_num_threads()))
+    with one_at_a_time:
+        limit_threads()
         return task.perform(scene.finder())
-
-
-def use_threads(count: int | None) -> None:
-    """Set how many threads the kernels of this process may use for tasks; None for all."""
-    _threads[:] = [] if count is None else [count]
 
 
 def forget_scene() -> None:
@@ -271,65 +256,3 @@ def _submit(executor: Executor, scene: Any, tasks: Iterable[Task], in_flight: in
 
 def _is_lost(future: Future[bytes]) -> bool:
     return future.cancelled() or future.exception() is not None
-
-
-class Processes:
-    """Up to `count` processes with one thread each, for several runs; each starts with the first task that needs it.
-
-    Used in a `with` block: an exception in it kills the processes at once.
-    """
-
-    def __init__(self, count: int) -> None:
-        self.count = count
-        self._pool: _Pool | None = None
-
-    def __enter__(self) -> Processes:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *others: object) -> None:
-        self.end(kill=kind is not None)
-
-    def executor(self) -> Executor:
-        """Return the pool; a new one, if there is none."""
-        if self._pool is None:
-            # Spawned, not forked: a forked process would inherit numba's threads in an unusable state.
-            self._pool = _Pool(self.count, mp_context=get_context("spawn"), initializer=_begin)
-        return self._pool
-
-    def end(self, *, kill: bool) -> None:
-        """End the processes; `kill` does not wait for their tasks."""
-        pool, self._pool = self._pool, None
-        if pool is None:
-            return
-        if kill:
-            for process in list((pool._processes or {}).values()):
-                process.kill()
-        pool.shutdown(wait=True, cancel_futures=True)
-
-
-class _Pool(ProcessPoolExecutor):
-    """A pool whose processes ignore Ctrl-C from their start, because they inherit a signal mask."""
-
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        if not hasattr(signal, "pthread_sigmask"):
-            return super().submit(fn, *args, **kwargs)
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        try:
-            return super().submit(fn, *args, **kwargs)
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _begin() -> None:
-    """Initialize a worker process: use one thread, and exit when the parent exits."""
-
-    def watch() -> None:
-        parent = parent_process()
-        assert parent is not None
-        parent.join()  # waits on a pipe that only the parent holds; no polling
-        os._exit(1)
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    use_threads(1)
-    threading.Thread(target=watch, daemon=True).start()

@@ -28,7 +28,6 @@ from gsvis.progress import Progress, silent
 from gsvis.pvs._journal import find_kept, name_cell, name_viewpoint, read_packed, read_view
 from gsvis.pvs._workers import (
     CellTask,
-    Processes,
     Result,
     SceneArrays,
     Task,
@@ -41,6 +40,7 @@ from gsvis.pvs._workers import (
 from gsvis.pvs.cell_view import CellView
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.config import PvsConfig
+from gsvis.pvs.processes import Processes
 from gsvis.pvs.store import CellSet, StoreInfo, StoreWriter, VisibilityStore
 from gsvis.pvs.viewpoints import CellViewpoints, SharedViewpoints
 from gsvis.pvs.workers import Workers, fitting_workers

@@ -14,7 +14,7 @@ from typing import Any
 
 from gsvis._extras import require
 from gsvis.errors import BackendError
-from gsvis.pvs import _workers
+from gsvis.pvs import _workers, processes
 from gsvis.pvs.workers import Workers
 
 __all__ = ["check_address", "connect"]
@@ -63,14 +63,14 @@ def connect(address: str, *, timeout: float = 10.0) -> Iterator[Workers]:
         idempotent = True
 
         def setup(self, worker: Any) -> None:
-            from gsvis.pvs import _workers
+            from gsvis.pvs import processes
 
-            _workers.use_threads(worker.state.nthreads)
+            processes.use_threads(worker.state.nthreads)
 
         def teardown(self, worker: Any) -> None:
-            from gsvis.pvs import _workers
+            from gsvis.pvs import _workers, processes
 
-            _workers.use_threads(None)
+            processes.use_threads(None)
             _workers.forget_scene()
 
     with config.set({"distributed.comm.timeouts.connect": f"{timeout} s"}):
@@ -120,5 +120,6 @@ def _check_versions(client: Any) -> None:
 
 
 def _version() -> str:
-    assert _workers  # checks that the modules of the tasks can be imported
+    assert _workers
+    assert processes
     return version("gsvis")

@@ -96,7 +96,7 @@ def test_the_processes_that_look_find_the_sets_too(job: Job, tmp_path: Path) -> 
 
 
 def test_the_number_of_threads_does_not_change_a_byte(job: Job, tmp_path: Path) -> None:
-    from gsvis.pvs._workers import use_threads
+    from gsvis.pvs.processes import use_threads
 
     use_threads(1)
     try:

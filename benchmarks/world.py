@@ -1,0 +1,111 @@
+"""What do worlds cost: processor time of each stage against their size, and memory of all processes together?
+
+Copies of a scene are cut into tiles out of core. All tiles get rows, spaces, one level and districts; a sample of tiles
+gets its package with what it sees beyond. Exponents are of processor time against Gaussians, between the smallest and
+the largest world.
+
+Given: showroom LOD 3 in copies, turned, mirrored and jittered.
+Measured: seconds of processor of each stage, peak of proportional memory (PSS) of all processes, exponents.
+Defaults chosen on: no scene.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import shutil
+from pathlib import Path
+from typing import Any
+
+from _harness import add_arguments, need, realdata, write_result
+from _memory import watch_memory
+from _worlds import write_copies
+
+from gsvis.files.objects import open_store
+from gsvis.prepare.config import PrepareConfig
+from gsvis.progress import silent
+from gsvis.pvs.workers import Workers
+from gsvis.world.build import WorldBuild
+from gsvis.world.config import WorldConfig
+from gsvis.world.tiling import TilingConfig
+
+STAGES = {
+    "tiling": ("sample", "grid", "split", "rows"),
+    "space": ("space",),
+    "districts": ("levels", "district"),
+}
+
+
+def main() -> None:
+    """Prepare worlds of rising size as far as the sample goes."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--lod", type=int, default=3)
+    parser.add_argument("--copies", type=int, nargs="+", default=[1, 4])
+    parser.add_argument("--most", type=int, default=250_000)
+    parser.add_argument("--cells", type=int, default=2, help="cells of a tile")
+    parser.add_argument("--sample", type=int, default=1, help="tiles that get their package; 0 for none")
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--work", type=Path, help="folder for the worlds, some gigabytes")
+    given = add_arguments(parser).parse_args()
+    need(given.work, "a folder for the worlds with --work")
+    scene = realdata() / "scenes" / "showroom" / "lod-meta.json"
+    runs = [run(scene, count, given) for count in given.copies]
+    figures: list[dict[str, Any]] = []
+    if len(runs) > 1:
+        figures = [
+            {"name": f"exponent of {stage}", "target": 1.05, "reached": value, "unit": "", "better": "lower"}
+            for stage, value in exponents(runs).items()
+        ]
+    peaks = [max(each["peak_pss"], each.get("sample_peak_pss", 0)) for each in runs]
+    figures.append({"name": "peak PSS", "target": 4.0, "reached": max(peaks) / 1e9, "unit": "GB", "better": "lower"})
+    details = {"worlds": runs, "most": given.most, "cells": given.cells, "workers": given.workers}
+    write_result(given.out, "What do worlds cost in processor time and in memory?", figures, details)
+
+
+def run(scene: Path, copies: int, given: argparse.Namespace) -> dict[str, Any]:
+    """One world: seconds of processor of each stage, and the peak of memory."""
+    folder = given.work / f"copies-{copies}"
+    if not folder.is_dir():
+        write_copies(str(scene), given.lod, copies, folder)
+    store = given.work / f"copies-{copies}.work"
+    shutil.rmtree(store, ignore_errors=True)
+    scenes = [(str(path), None) for path in sorted(folder.glob("*.ply"))]
+    package = PrepareConfig(levels=None, cells=given.cells)
+    config = WorldConfig(tiling=TilingConfig(most=given.most), package=package)
+    build = WorldBuild(scenes, config, open_store(store), Workers(given.workers), silent)
+    with watch_memory(0.2) as early:
+        made = build.made
+    cpu = {stage: sum(made[name].cpu for name in made if name.split()[0] in names) for stage, names in STAGES.items()}
+    total = sum(result.facts["gaussians"] for name, result in made.items() if name.startswith("rows"))
+    found: dict[str, Any] = {
+        "copies": copies, "gaussians": total, "tiles": len(build.tiles), "districts": len(build.districts),
+        "largest_tile": max(made[f"rows {k}"].facts["gaussians"] for k in range(len(build.tiles))),
+        "cpu_s": cpu, "peak_pss": early.bytes,
+    }  # fmt: skip
+    if given.sample:
+        nodes = build.nodes
+        order = sorted(nodes, key=lambda k: -made[f"rows {k}"].facts["gaussians"])
+        with watch_memory(0.2) as late:
+            results = build.prepared(order[: given.sample])
+        found["sample"] = [
+            {
+                "gaussians": made[f"rows {k}"].facts["gaussians"], "nodes_around": len(nodes[k]),
+                "around": sum(count for piece in result.facts["pieces"] for _, count in piece["runs"]),
+                "cells": result.facts["cells"], "cpu_s": result.cpu, "bytes": result.facts["bytes"],
+                "beyond_bytes": result.files["beyond"][1] if "beyond" in result.files else 0,
+            }
+            for k, result in zip(order, results, strict=False)
+        ]  # fmt: skip
+        found["sample_peak_pss"] = late.bytes
+    return found
+
+
+def exponents(runs: list[dict[str, Any]]) -> dict[str, float]:
+    """Exponent of processor time of each stage against Gaussians, between the smallest and the largest world."""
+    small, large = runs[0], runs[-1]
+    span = math.log(large["gaussians"] / small["gaussians"])
+    return {stage: math.log(large["cpu_s"][stage] / small["cpu_s"][stage]) / span for stage in STAGES}
+
+
+if __name__ == "__main__":
+    main()

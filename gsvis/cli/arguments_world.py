@@ -1,0 +1,80 @@
+"""The arguments of `gsvis world`; see `gsvis.cli.arguments`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from gsvis.cli.readers import (
+    BYTES,
+    CELLS,
+    COUNTED,
+    DISTANCE,
+    FACE_PIXELS,
+    LODS,
+    RADIANS,
+    SCENES,
+    SHARE,
+    SHARES_OR_NONE,
+    STEPS,
+    WHOLE,
+    Flag,
+    hint,
+)
+
+__all__ = ["World"]
+
+
+@dataclass(frozen=True)
+class World:
+    """Make a world of scenes of any size: tiles, each a package, and districts for what is far."""
+
+    scenes: Annotated[Positional[tuple[str, ...]], SCENES, arg(help_behavior_hint="")]
+    """Files or folders, as for gsvis convert. All lie in one frame. A PLY is read in pieces, a streamed SOG file by
+    file; other formats one scene at a time."""
+    out: Annotated[str, arg(aliases=["-o"], metavar="DIR", help_behavior_hint="(required)")]
+    """Folder of the world, such as city.gsworld; city.gsworld.work beside it keeps work for the next run."""
+    lod: Annotated[tuple[int, ...] | None, LODS, hint("the finest that is there")] = None
+    """Level of detail of a streamed scene; 0 is the finest. One number for all, or one for each, as in 3,2."""
+    tile: Annotated[int, COUNTED] = 250_000
+    """Most Gaussians of a tile, about."""
+    far: Annotated[int, COUNTED] = 8_192
+    """Most Gaussians of a district, which stands for a tile or a square of tiles from afar."""
+    angle: Annotated[float, RADIANS] = 0.006
+    """Tiles and districts may stand in for what is as far away that their Gaussians are this far apart."""
+    levels: Annotated[tuple[float, ...], SHARES_OR_NONE, hint("0.25 0.5")] = (0.25, 0.5)
+    """Size of each lower level as a share of a tile's, lowest first; none for the tiles alone."""
+    steps: Annotated[int, STEPS] = 250
+    """Steps of training for each lower level, one view each."""
+    cells: Annotated[int, CELLS] = 32
+    """Largest number of cells of a tile."""
+    cell_size: Annotated[float | None, DISTANCE, hint("the smallest that --cells allows")] = None
+    """Side of a cell, scene units."""
+    face_size: Annotated[int | None, FACE_PIXELS, hint("512")] = None
+    """Pixels along a side of the six faces around a viewpoint of a cell."""
+    limit: Annotated[float | None, SHARE, hint("0.0015")] = None
+    """The set of a cell is finished when rays prove that it misses at most this share of the light."""
+    up: Annotated[str | None, arg(metavar="AXIS", help_behavior_hint="(default: the likely one)")] = None
+    """Axis that points upwards, such as -y."""
+    meters_per_unit: Annotated[float | None, DISTANCE, hint("not known")] = None
+    """Size of a scene unit, kept in the world."""
+    seed: Annotated[int, WHOLE] = 0
+    """Seed of everything random: the same seed gives the same world."""
+    workers: Annotated[int | None, COUNTED, hint("one for each core")] = None
+    """Processes of this machine. The world is the same for any number."""
+    max_memory: Annotated[int | None, BYTES, hint("no bound")] = None
+    """Memory limit of all processes together, such as 4GB or 2GiB."""
+    scheduler: Annotated[str | None, arg(metavar="ADDRESS", help_behavior_hint="(default: this machine)")] = None
+    """Dask scheduler whose workers do the work, such as tcp://10.0.0.5:8786. They must reach the scenes and --store."""
+    store: Annotated[str | None, arg(metavar="URL", help_behavior_hint="(default: the folder beside DIR)")] = None
+    """Where results of tasks lie: a shared folder or a URL of fsspec, such as s3://bucket/city."""
+    dry_run: Flag = False
+    """Print tiles, time, memory, disk and core hours, and write nothing."""
+    discard: Flag = False
+    """Delete the folder of kept work when the world is complete."""
+    json: Flag = False
+    """Print one JSON document instead of tables."""
+    debug: Flag = False
+    """Show the traceback of an error."""

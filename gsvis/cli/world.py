@@ -1,0 +1,182 @@
+"""`gsvis world`: make a world of tiles from scenes of any size; resume an interrupted run."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from gsvis.cli import version
+from gsvis.cli.arguments import World
+from gsvis.cli.pvs import local_workers, sets_config
+from gsvis.cli.source import check_folder, is_builtin, is_levels, parse_up, title_of
+from gsvis.cli.terminal import Status, busy_note, clock, facts, print_json, show, size_of
+from gsvis.errors import ArgumentError
+from gsvis.io.scenes import check_scene
+from gsvis.pvs.workers import Workers
+
+if TYPE_CHECKING:
+    from gsvis.world.config import WorldConfig
+    from gsvis.world.estimate import WorldEstimate
+    from gsvis.world.prepare import PreparedWorld
+
+__all__ = ["run_world"]
+
+_HIGHEST = "high"
+
+
+def run_world(command: World) -> None:
+    """Prepare a world: check, run what is missing, write the folder, print the result.
+
+    Raises:
+        GsvisError: If a scene cannot be read or used, or the workers or the store cannot be reached.
+        ValueError: If an argument is wrong, or a tile does not fit the memory.
+        FileNotFoundError: If a scene is missing.
+        OSError: If the world cannot be written.
+        KeyboardInterrupt: If the user presses Ctrl-C; the message says what is kept.
+    """
+    from gsvis.world.estimate import estimate_world
+    from gsvis.world.prepare import prepare_world
+
+    scenes, config = _check_scenes(command), _check_arguments(command)
+    with Status() as status:
+        if command.dry_run:
+            count = local_workers(command.workers, None).count
+            estimate = estimate_world(scenes, config, workers=count, progress=status)
+        else:
+            about = {"made_by": f"gsvis {version()}", "scenes": [title_of(path) for path, _ in scenes]}
+            work = Path(f"{command.out}.work")
+            try:
+                with _workers(command) as workers:
+                    made = prepare_world(
+                        scenes, command.out, config,
+                        about=about, store=command.store, workers=workers, progress=status,
+                    )  # fmt: skip
+            except KeyboardInterrupt:
+                kept = f"what was finished is kept in {work.name}; run the same command to resume"
+                raise KeyboardInterrupt(kept) from None
+            if command.discard:
+                shutil.rmtree(made.work, ignore_errors=True)
+    if command.dry_run:
+        _print_estimate(command, estimate)
+    else:
+        _print_result(command, made)
+
+
+def _check_scenes(command: World) -> list[tuple[str, int | None]]:
+    """Raise unless each scene is there and of a known format; return its path and LOD."""
+    if not command.scenes:
+        raise ValueError("SCENE: expected at least one scene, got none; gsvis world SCENE [SCENE ...] -o DIR")
+    streamed = []
+    for scene in command.scenes:
+        if is_builtin(scene) or is_levels(scene):
+            raise ValueError(f"SCENE: expected a scene file, got {scene}; write it as a PLY first")
+        streamed.append(check_scene(scene))
+    lods = command.lod or ()
+    if len(lods) not in (0, 1, sum(streamed)) or (lods and not any(streamed)):
+        raise ValueError(
+            f"--lod: expected one number, or one for each streamed scene, which are {sum(streamed)}, got {len(lods)}"
+        )
+    left = list(lods * sum(streamed) if len(lods) == 1 else lods)
+    return [(path, left.pop(0) if has and left else None) for path, has in zip(command.scenes, streamed, strict=True)]
+
+
+def _check_arguments(command: World) -> WorldConfig:
+    """Check the arguments before work begins; return the settings of the world."""
+    from gsvis.prepare.config import PrepareConfig
+    from gsvis.train.levels import LevelsConfig
+    from gsvis.world.config import WorldConfig
+    from gsvis.world.prepare import check_world_target
+    from gsvis.world.tiling import TilingConfig
+
+    check_folder(Path(command.out).absolute().parent)
+    check_world_target(Path(command.out))
+    parse_up(command.up)
+    for other in ("workers", "max_memory"):
+        if command.scheduler is not None and getattr(command, other) is not None:
+            got = getattr(command, other)
+            raise ValueError(f"--{other.replace('_', '-')}: expected none with --scheduler, got {got}; leave one out")
+    if command.scheduler is not None:
+        from gsvis.pvs.cluster import check_address
+
+        check_address(command.scheduler)
+    levels = None
+    if command.levels:
+        count = len(command.levels)
+        names = ("low", "medium")[:count] if count <= 2 else tuple(f"level{k}" for k in range(count))
+        reuse = LevelsConfig.reuse if count == 2 else (0.9,) * count
+        try:
+            levels = LevelsConfig(
+                command.levels, reuse, (*names, _HIGHEST), iterations=command.steps, seed=command.seed
+            )
+        except ArgumentError as error:
+            raise error.renamed("--levels") from None
+    package = PrepareConfig(
+        levels=levels,
+        level_views=replace(PrepareConfig.level_views, seed=command.seed),
+        cells=command.cells,
+        cell_size=command.cell_size,
+        sets=sets_config(size=command.face_size, limit=command.limit),
+        meters_per_unit=command.meters_per_unit or 0.0,
+    )
+    up = command.up
+    return WorldConfig(TilingConfig(command.tile, up=up), package, command.far, command.angle)
+
+
+@contextmanager
+def _workers(command: World) -> Iterator[Workers]:
+    if command.scheduler is not None:
+        from gsvis.pvs.cluster import connect
+
+        with connect(command.scheduler) as workers:
+            yield workers
+        return
+    yield local_workers(command.workers, command.max_memory)
+
+
+def _print_estimate(command: World, estimate: WorldEstimate) -> None:
+    if command.json:
+        document = {"format": "gsvis-world-estimate", "version": 1, **asdict(estimate)}
+        print_json({**document, "core_hours": estimate.core_hours})
+        return
+    rows = [
+        ("Gaussians", f"{estimate.gaussians:,}"),
+        ("tiles", f"{estimate.tiles:,} of side {estimate.side:.3g}, the fullest {estimate.largest:,}"),
+        ("time", f"about {clock(estimate.seconds)} with {estimate.workers} workers{busy_note(estimate.load)}"),
+        ("core hours", f"about {estimate.core_hours:.2g}"),
+        ("memory", f"about {size_of(estimate.memory)} a worker"),
+        ("world", f"about {size_of(estimate.nbytes)}"),
+        ("kept beside it", f"about {size_of(estimate.work_bytes)}"),
+    ]
+    stages = [(name, clock(seconds)) for name, seconds in estimate.core_seconds.items()]
+    show(facts(f"{command.out}: what it would cost", rows), facts("on one core", stages), " Nothing was written.")
+
+
+def _print_result(command: World, made: PreparedWorld) -> None:
+    m = made.manifest
+    cells = sum(tile.cells for tile in m.tiles)
+    seconds = sum(result.cpu for result in made.results.values())
+    peak = max((result.peak for result in made.results.values()), default=0)
+    if command.json:
+        print_json(
+            {
+                "format": "gsvis-prepared-world", "version": 1, "world": command.out, "gaussians": m.gaussians,
+                "tiles": len(m.tiles), "districts": len(m.districts), "cells": cells, "bytes": made.nbytes,
+                "core_seconds": seconds, "peak_memory_of_a_worker": peak,
+            }
+        )  # fmt: skip
+        return
+    empty = sum(not tile.cells for tile in m.tiles)
+    rows = [
+        ("Gaussians", f"{m.gaussians:,}, all levels together"),
+        ("tiles", f"{len(m.tiles):,}" + (f", {empty} of them without cells" if empty else "")),
+        ("districts", f"{len(m.districts):,}"),
+        ("cells", f"{cells:,}"),
+        ("size", size_of(made.nbytes)),
+        ("time of processors", clock(seconds)),
+        ("memory", f"at most {size_of(peak)} a worker"),
+    ]
+    show(facts(command.out, rows))

@@ -1,0 +1,100 @@
+"""Read a scene of any size in batches: ranges of rows of a PLY, files of a streamed SOG, other formats as a whole.
+
+A batch is named by plain numbers, so that another process can read it. Memory holds one batch. Scene frame.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from dataclasses import dataclass
+
+from gsvis import _check
+from gsvis.errors import FormatError
+from gsvis.files.limits import open_regular
+from gsvis.io.ply import load_ply, ply_rows
+from gsvis.io.scenes import check_scene, load_scene
+from gsvis.io.streamed_sog import load_streamed_file, streamed_files
+from gsvis.scene.gaussians import Gaussians
+
+__all__ = ["ROWS", "Batch", "list_batches", "read_batch"]
+
+ROWS = 1 << 18
+"""Most rows of a batch of a PLY."""
+
+
+@dataclass(frozen=True)
+class Batch:
+    """A part of a scene that is read at once.
+
+    Attributes:
+        path: The scene.
+        lod: Level of detail of a streamed scene; None for others.
+        kind: "rows" of a PLY, "file" of a streamed SOG, or "whole".
+        start: First row, or number of the file.
+        count: Number of Gaussians; -1 where only reading tells.
+        nbytes: Bytes on disk, about.
+        stamp: Size and time of the file, so that a batch of a changed file is another one.
+    """
+
+    path: str
+    lod: int | None
+    kind: str
+    start: int
+    count: int
+    nbytes: int
+    stamp: str
+
+
+def list_batches(path: str | os.PathLike[str], lod: int | None = None) -> list[Batch]:
+    """Return the batches of a scene, in the order of its Gaussians. Reads headers only.
+
+    Args:
+        path: As for `load_scene`.
+        lod: As for `load_scene`.
+
+    Raises:
+        FileNotFoundError: If there is nothing at `path`.
+        FormatError: If the format is unknown, or a header is damaged.
+        ValueError: If `lod` is given for a format with one level.
+    """
+    where = os.fspath(_check.path("path", path))
+    if check_scene(where, lod):
+        level, files = streamed_files(where, lod)
+        return [Batch(where, level, "file", number, count, *_size_and_stamp(at)) for number, count, at in files]
+    nbytes, stamp = _size_and_stamp(where)
+    found = None
+    if os.path.isfile(where):
+        with open_regular(where) as stream:
+            found = ply_rows(where, stream) if stream.peek(3)[:3] == b"ply" else None
+    if found is None:
+        return [Batch(where, None, "whole", 0, -1, nbytes, stamp)]
+    count, width = found
+    counts = [(start, min(ROWS, count - start)) for start in range(0, count, ROWS)]
+    return [Batch(where, None, "rows", start, some, some * width, stamp) for start, some in counts]
+
+
+def read_batch(batch: Batch) -> Gaussians:
+    """Return the Gaussians of a batch.
+
+    Raises:
+        FormatError: If the file is damaged, or is not the one that was listed.
+        OSError: If it cannot be read.
+    """
+    if batch.kind == "file":
+        return load_streamed_file(batch.path, batch.lod or 0, batch.start)
+    if batch.kind == "whole":
+        return load_scene(batch.path, batch.lod)
+    found = load_ply(batch.path, rows=(batch.start, batch.start + batch.count))
+    if len(found) != batch.count:
+        raise FormatError(batch.path, f"row {batch.start:,}", f"{batch.count:,} rows", f"{len(found):,}")
+    return found
+
+
+def _size_and_stamp(path: str | os.PathLike[str]) -> tuple[int, str]:
+    """Return the bytes of a file, or of all files in a folder, and a text that changes with them."""
+    folder = os.fspath(path)
+    files = sorted(entry.path for entry in os.scandir(folder)) if os.path.isdir(folder) else [folder]
+    found = [os.stat(file) for file in files]
+    digest = hashlib.sha256(repr([(each.st_size, each.st_mtime_ns) for each in found]).encode())
+    return sum(each.st_size for each in found), digest.hexdigest()[:16]

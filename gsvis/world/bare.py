@@ -1,0 +1,55 @@
+"""Packages without cells: districts, and tiles in which nobody can be. Base colors alone, no visible sets."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from gsvis.color import quantize
+from gsvis.files.limits import digest_of
+from gsvis.package import Package, PackageInfo, in_package_order, write_package
+from gsvis.package.manifest import MANIFEST, Manifest
+from gsvis.prepare.colors import prepare_colors
+from gsvis.scene.inspection import axis_vector
+from gsvis.scene.levels import Levels
+from gsvis.world.rows import box_of, flatten
+
+__all__ = ["PACKAGE", "facts_of_package", "write_bare_package"]
+
+PACKAGE = "package"
+"""Name of the folder of a package among the files of a result."""
+
+
+def write_bare_package(out: Path, levels: Levels, up: str, meters_per_unit: float) -> tuple[Levels, dict[str, Any]]:
+    """Write levels as a package with base colors.
+
+    Args:
+        out: Folder of a result; the package lies in it.
+        levels: The levels.
+        up: Axis that points upward.
+        meters_per_unit: Meters in a scene unit; 0 if unknown.
+
+    Returns:
+        The levels in the order of the package, and its facts.
+    """
+    flat = Levels(flatten(levels.union), levels.first, levels.last, levels.names)
+    ordered = in_package_order(flat)
+    colors = quantize(prepare_colors(ordered, None).fit.colors, "wire")
+    x, y, z = (float(v) for v in axis_vector(up))
+    info = PackageInfo((x, y, z), meters_per_unit)
+    with write_package(out / PACKAGE, ordered, colors, info=info) as package:
+        return ordered, facts_of_package(package, ordered)
+
+
+def facts_of_package(package: Package, levels: Levels) -> dict[str, Any]:
+    """Return what the manifest of a world says of a package: name, sizes, and the box around its centers."""
+    m: Manifest = package.manifest
+    path = package.path / MANIFEST
+    parts = {part.name: part.nbytes for part in m.parts()}
+    return {
+        "package": digest_of(path),
+        "bytes": path.stat().st_size + sum(parts.values()),
+        "gaussians": m.gaussians,
+        "levels": [[name, count] for name, count in zip(m.names, m.counts, strict=True)],
+        **box_of(levels.union.means),
+    }

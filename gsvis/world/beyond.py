@@ -1,0 +1,103 @@
+"""What the cells of a tile see beyond it: ids in the packages of other nodes, read cell by cell from one store."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.errors import FormatError
+from gsvis.files.limits import DAMAGED, digest_of
+from gsvis.pvs.store import VisibilityStore
+from gsvis.world.manifest import BeyondTable
+
+__all__ = ["Beyond", "Seen"]
+
+I64 = NDArray[np.int64]
+U8 = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What a cell sees of one node.
+
+    Attributes:
+        node: Number of the node.
+        level: Highest of its levels that stands there; ids are of this level and of lower ones.
+        ids: (V,) ids in the package of the node, ascending.
+        classes: (V,) uint8, class of the largest weight of each, as in a store of visible sets.
+    """
+
+    node: int
+    level: int
+    ids: I64
+    classes: U8
+
+
+class Beyond:
+    """The open table of a tile. Cells are those of the visible sets of the tile's package.
+
+    Args:
+        path: The store.
+        table: What the manifest says of it.
+
+    Raises:
+        FormatError: If the store is damaged, or counts other ids than the pieces.
+        OSError: If it cannot be opened.
+    """
+
+    def __init__(self, path: Path, table: BeyondTable) -> None:
+        self.table = table
+        try:
+            self.store = VisibilityStore.open(path)
+        except FileNotFoundError as error:
+            remedy = "prepare the world again"
+            raise FormatError(path, "", "a table of the world", "no such file", remedy) from error
+        if self.store.gaussians != table.count:
+            found = f"{self.store.gaussians:,}"
+            self.store.close()
+            raise FormatError(path, "gaussians", f"{table.count:,} as the pieces have", found, DAMAGED)
+
+    def close(self) -> None:
+        """Close the store."""
+        self.store.close()
+
+    def __len__(self) -> int:
+        """Number of cells."""
+        return len(self.store)
+
+    @cached_property
+    def _starts(self) -> I64:
+        return np.concatenate([[0], np.cumsum([piece.count for piece in self.table.pieces])]).astype(np.int64)
+
+    def of_cell(self, cell: int) -> list[Seen]:
+        """Return what a cell sees of each node, in the order of the pieces; nodes that it does not see are left out.
+
+        Raises:
+            ValueError: If there is no such cell.
+            FormatError: If the store is damaged there.
+        """
+        ids, classes = self.store.classes(cell)
+        cuts = np.searchsorted(ids, self._starts)
+        found = []
+        for k, piece in enumerate(self.table.pieces):
+            some = slice(cuts[k], cuts[k + 1])
+            if some.start < some.stop:
+                places = piece.ids()[ids[some] - self._starts[k]]
+                found.append(Seen(piece.node, piece.level, places, classes[some]))
+        return found
+
+    def verify(self) -> None:
+        """Read and decode the whole store.
+
+        Raises:
+            FormatError: If it is damaged, or its content does not fit its name.
+        """
+        digest = digest_of(self.store.path)
+        if digest != self.table.digest:
+            got = f"SHA-256 {digest[:12]}..."
+            raise FormatError(self.store.path, "", "content that fits its name", got, DAMAGED)
+        self.store.verify()

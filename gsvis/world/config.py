@@ -1,0 +1,45 @@
+"""Options of the preparation of a world."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from gsvis import _check
+from gsvis.prepare.config import PrepareConfig
+from gsvis.world.tiling import TilingConfig
+
+__all__ = ["WorldConfig"]
+
+
+@dataclass(frozen=True)
+class WorldConfig:
+    """Everything that decides the content of a world, besides its scenes.
+
+    Attributes:
+        tiling: How it is cut into tiles.
+        package: Options of the package of each tile; `cells` is for each tile.
+        far: Most Gaussians of a district.
+        angle: Largest spacing of a node over its distance from a tile, radians, from which it may stand in.
+        looks: Eyes in a tile that look for nodes around it, coarsely.
+        resolution: Voxels along the longest side of the space of a tile.
+
+    Raises:
+        ValueError: If a value is out of range.
+    """
+
+    tiling: TilingConfig = field(default_factory=TilingConfig)
+    package: PrepareConfig = field(default_factory=lambda: PrepareConfig(cells=32))
+    far: int = 8_192
+    angle: float = 0.006
+    looks: int = 24
+    resolution: int = 160
+
+    def __post_init__(self) -> None:
+        for name, least in (("far", 16), ("looks", 1), ("resolution", 8)):
+            _check.positive_int(name, getattr(self, name), at_least=least)
+        if not (np.isfinite(self.angle) and 0.0 < self.angle <= 1.0):
+            raise ValueError(f"angle: expected radians in (0, 1], got {self.angle!r}")
+        if self.package.level_size is not None:
+            raise ValueError("package: expected no level_size, got one; tiles have no photos")

@@ -1,0 +1,125 @@
+"""Estimate the preparation of a world: tiles, time, memory, disk and core hours. Keeps nothing.
+
+A sample of the rows gives the tiles. The rest comes from constants: times are rough, they distinguish minutes from
+hours and days. docs/scaling.md says what they were measured on.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gsvis import _check
+from gsvis.files.objects import open_store
+from gsvis.progress import Progress, silent
+from gsvis.pvs.workers import Workers, machine_load
+from gsvis.world.build import WorldBuild
+from gsvis.world.config import WorldConfig
+
+__all__ = ["WorldEstimate", "estimate_world"]
+
+# Seconds of processor for each Gaussian, and for each cell and Gaussian in and around a tile (benchmarks/world.py).
+_TILING, _SPACE_TILE, _DISTRICT = 4e-6, 6.0, 1.5e-5
+_LEVELS = 1.1e-3
+_CELL, _PACKAGE = 5e-5, 1.2e-4
+_AROUND = 2.5  # Gaussians in and around a tile, in those of the tile
+_EFFICIENCY = 0.9  # of workers beside each other
+
+_BASE, _PER_GAUSSIAN = 500 << 20, 1_000  # bytes of a worker, and for each Gaussian that it draws
+_RECORD, _SETS = 16.0, 1.2  # bytes of a package for each Gaussian, and for each cell
+_ROWS = 3  # how often a Gaussian is kept with all its values
+
+
+@dataclass(frozen=True)
+class WorldEstimate:
+    """The expected cost of a world.
+
+    Attributes:
+        gaussians: Gaussians of all scenes.
+        tiles: Tiles with Gaussians.
+        largest: Gaussians of the fullest tile.
+        side: Side of a tile, scene units.
+        core_seconds: Seconds of processor of each stage.
+        seconds: Time with the workers.
+        workers: Number of workers.
+        memory: Peak bytes of a worker.
+        nbytes: Bytes of the world.
+        work_bytes: Bytes of the kept work.
+        load: Processes that used or waited for a core when the estimate began; None if unknown.
+    """
+
+    gaussians: int
+    tiles: int
+    largest: int
+    side: float
+    core_seconds: dict[str, float]
+    seconds: float
+    workers: int
+    memory: int
+    nbytes: int
+    work_bytes: int
+    load: float | None
+
+    @property
+    def core_hours(self) -> float:
+        """Hours of one core."""
+        return sum(self.core_seconds.values()) / 3600.0
+
+
+def estimate_world(
+    scenes: Sequence[tuple[str, int | None]],
+    config: WorldConfig | None = None,
+    *,
+    workers: int = 1,
+    progress: Progress = silent,
+) -> WorldEstimate:
+    """Estimate the cost of `prepare_world` with these arguments. Reads every scene once and writes a temporary sample.
+
+    Args:
+        scenes: As for `prepare_world`.
+        config: Options; None means `WorldConfig()`.
+        workers: Workers of the run; this estimate itself runs here.
+        progress: Called with stage "sampling".
+
+    Raises:
+        SceneError: If the scenes have nothing to see.
+        FormatError: If a scene is damaged.
+    """
+    config, load = config or WorldConfig(), machine_load()
+    _check.positive_int("workers", workers)
+    with tempfile.TemporaryDirectory(prefix="gsvis-") as folder:
+        build = WorldBuild(list(scenes), config, open_store(folder), Workers(), progress)
+        facts = [result.facts for name, result in build.survey.items() if name != "grid"]
+        expected = np.array(build.grid["expected"])
+        side = float(build.grid["grid"]["side"])
+    count, degree = sum(each["gaussians"] for each in facts), max(each["sh_degree"] for each in facts)
+    tiles, cells = int(np.count_nonzero(expected)), config.package.cells
+    largest = int(max(expected.max(), 1))
+    levels = config.package.levels
+    drawn = 1.0 if levels is None else 1.0 + sum(levels.shares)
+    terms = 4.0 if degree else 0.0
+    seconds = {
+        "tiling": _TILING * count,
+        "spaces": _SPACE_TILE * tiles,
+        "levels": 0.0 if levels is None else _LEVELS * count * levels.iterations / 250.0,
+        "districts": _DISTRICT * count,
+        "packages": (_CELL * cells * _AROUND * drawn + _PACKAGE * (1.0 + terms)) * count,
+    }
+    row = 4 * (14 + (3 * (degree + 1) ** 2 - 3))
+    per = _RECORD * drawn + 6.0 * terms + _SETS * cells * _AROUND / 8.0
+    return WorldEstimate(
+        gaussians=count,
+        tiles=tiles,
+        largest=largest,
+        side=side,
+        core_seconds=seconds,
+        seconds=sum(seconds.values()) / max(1.0, _EFFICIENCY * min(workers, tiles)),
+        workers=workers,
+        memory=_BASE + int(_PER_GAUSSIAN * largest * _AROUND * drawn),
+        nbytes=int(per * count),
+        work_bytes=int((_ROWS * row + 2.0 * per) * count),
+        load=load,
+    )

@@ -1,0 +1,435 @@
+"""Graphs of pure tasks named by content. The same graph runs here, on processes, on any executor, and on Dask.
+
+A task is a function, JSON values, and the results of other tasks. Its key is the hash of these, so a result is found
+again wherever it was made, and equal inputs end in equal bytes. Results lie in an `ObjectStore`: workers read and write
+it themselves, and only keys and small facts go through a scheduler. A note under the key is written last: it is the
+journal. docs/design/058-graphs-of-tasks.md has the reasons.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import heapq
+import json
+import logging
+import os
+import shutil
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict, dataclass, field
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from gsvis.errors import BackendError, GsvisError, OutputError
+from gsvis.files.locks import try_lock
+from gsvis.files.objects import FolderStore, ObjectStore, StoredObject, open_store
+from gsvis.progress import Progress, silent
+from gsvis.pvs.processes import Processes, limit_threads, one_at_a_time
+from gsvis.pvs.workers import Workers
+
+__all__ = ["Given", "Job", "Result", "Task", "machine_kind", "perform", "run_graph"]
+
+Facts = dict[str, Any]
+
+_log = logging.getLogger(__name__)
+_RESTARTS = 3  # losses of workers in a row without a finished task
+_DASK_LOST = "KilledWorker"  # name of the error of a task whose workers died again and again
+
+
+@dataclass(frozen=True)
+class Task:
+    """A pure task.
+
+    Attributes:
+        name: Name for people, different from all others of the graph.
+        run: Function, as `module:name`. Its module has a number for it in `VERSIONS`; increase it if results change.
+        params: JSON values.
+        needs: Names of the tasks whose results it reads, in order.
+    """
+
+    name: str
+    run: str
+    params: Facts = field(default_factory=dict)
+    needs: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a task left.
+
+    Attributes:
+        files: Its files: name and object.
+        facts: Small JSON values that it returned.
+        seconds: Time that it took where it ran.
+        cpu: Processor time that it took there.
+        peak: Most bytes of memory that its process had used by then; 0 if unknown.
+    """
+
+    files: dict[str, StoredObject]
+    facts: Facts
+    seconds: float = 0.0
+    cpu: float = 0.0
+    peak: int = 0
+
+    @property
+    def digest(self) -> str:
+        """Hash of the content: files and facts."""
+        return _hash([sorted((name, *stored) for name, stored in self.files.items()), self.facts])
+
+    def to_json(self) -> bytes:
+        """Return the bytes of a note."""
+        return json.dumps(asdict(self), sort_keys=True, allow_nan=False).encode()
+
+    @classmethod
+    def from_json(cls, data: bytes) -> Result:
+        """Return the result of a note."""
+        value = json.loads(data)
+        value["files"] = {name: (str(digest), int(size)) for name, (digest, size) in value["files"].items()}
+        return cls(**value)
+
+
+@dataclass(frozen=True)
+class Job:
+    """A task as it is sent to a worker.
+
+    Attributes:
+        task: The task.
+        key: Its key.
+        inputs: Results of the tasks that it needs, in order.
+        store: Address of the store.
+        version: Version of gsvis that sent it.
+        machine: Kind of processor that the results are for.
+        max_memory: Bytes that the worker may use; None sets no limit. Decides no result.
+    """
+
+    task: Task
+    key: str
+    inputs: tuple[Result, ...]
+    store: str
+    version: str
+    machine: str
+    max_memory: int | None = None
+
+
+class Given:
+    """The inputs of a running task.
+
+    Args:
+        store: The store.
+        inputs: The results of the tasks that it needs, in order.
+        cache: Folder for copies of remote objects.
+        max_memory: Bytes that the task may use; None sets no limit.
+
+    Attributes:
+        inputs: The results.
+        max_memory: The limit.
+    """
+
+    def __init__(
+        self, store: ObjectStore, inputs: tuple[Result, ...], cache: Path, max_memory: int | None = None
+    ) -> None:
+        self._store, self.inputs, self._cache, self.max_memory = store, inputs, cache, max_memory
+
+    def __len__(self) -> int:
+        return len(self.inputs)
+
+    def path(self, number: int, name: str) -> Path:
+        """Return the path of a file of an input, with its content checked; do not write to it.
+
+        Raises:
+            FormatError: If it is missing or damaged.
+        """
+        return self._store.path_of(self.inputs[number].files[name], self._cache)
+
+
+Run = Callable[[Facts, Given, Path, Path], Facts]
+"""The function of a task: `run(params, given, out, work)` writes files into `out` and returns facts.
+
+`work` is a folder that a killed attempt leaves to the next one.
+"""
+
+
+@cache
+def machine_kind() -> str:
+    """Return what the bytes of results depend on between processors: architecture, vector width, fused multiply-add."""
+    import platform
+
+    from llvmlite.binding import get_host_cpu_features
+
+    features = get_host_cpu_features()
+    width = next((name for name in ("avx512f", "avx2", "avx", "sve", "neon") if features.get(name)), "base")
+    return f"{platform.machine()} {width}{' fma' if features.get('fma') else ''}"
+
+
+def key_of(task: Task, inputs: Iterable[Result], machine: str) -> str:
+    """Return the key of a task: the hash of everything that decides its result."""
+    module, name = task.run.split(":")
+    version = import_module(module).VERSIONS[name]
+    return _hash([task.run, version, task.params, [each.digest for each in inputs], machine])
+
+
+def perform(job: Job) -> Result:
+    """Run a task where it is called, and leave its result in the store; called in the worker.
+
+    Raises:
+        BackendError: If this is another version of gsvis or another kind of processor.
+    """
+    _check_worker(job)
+    store = open_store(job.store)
+    found = find_result(store, job.key)
+    if found is not None:
+        return found
+    module, name = job.task.run.split(":")
+    run: Run = getattr(import_module(module), name)
+    began, cpu = time.perf_counter(), time.process_time()
+    with ExitStack() as stack:
+        work = stack.enter_context(_work_folder(store, job.key))
+        stack.enter_context(one_at_a_time)
+        limit_threads()
+        out, cached = work / "out", work / "cache"
+        shutil.rmtree(out, ignore_errors=True)
+        for folder in (out, cached, work / "kept"):
+            folder.mkdir(parents=True, exist_ok=True)
+        facts = run(dict(job.task.params), Given(store, job.inputs, cached, job.max_memory), out, work / "kept")
+        paths = sorted(path for path in out.rglob("*") if path.is_file())
+        files = {path.relative_to(out).as_posix(): store.put(path) for path in paths}
+        facts = json.loads(json.dumps(facts, allow_nan=False))
+        result = Result(files, facts, time.perf_counter() - began, time.process_time() - cpu, _peak_memory())
+        store.keep_note(f"{job.key}.json", result.to_json())
+    shutil.rmtree(work, ignore_errors=True)
+    return result
+
+
+def find_result(store: ObjectStore, key: str) -> Result | None:
+    """Return the result that a store has under a key; None if it has none, or a file of it is missing or cut."""
+    data = store.note(f"{key}.json")
+    try:
+        found = None if data is None else Result.from_json(data)
+    except (ValueError, TypeError, KeyError, AttributeError):
+        return None
+    return found if found is not None and all(store.has(stored) for stored in found.files.values()) else None
+
+
+def run_graph(
+    tasks: Iterable[Task],
+    store: ObjectStore,
+    workers: Workers | None = None,
+    *,
+    stage: str = "tasks",
+    progress: Progress = silent,
+) -> dict[str, Result]:
+    """Run all tasks that have no result yet, and return all results by name.
+
+    If a task fails, those that do not need it go on; then the first error is raised. The next run takes up what is
+    finished. With more than one worker, a script that calls this needs an `if __name__ == "__main__":` guard.
+
+    Args:
+        tasks: The tasks, each after those that it needs.
+        store: Where results lie, on this machine and on all workers.
+        workers: The workers; None means this process.
+        stage: Name of the progress stage.
+        progress: Called with the stage, in tasks.
+
+    Raises:
+        OutputError: If a disk is full; at once.
+        BackendError: If the workers or the store cannot be used.
+        GsvisError: If workers die again and again, or what a task raises.
+        ValueError: If a task comes twice, or before one that it needs.
+    """
+    listed = list(tasks)
+    run = _Run(listed, store, workers or Workers(), stage, progress)
+    with run.crew:
+        run.all()
+    if run.failed:
+        first = min(run.failed)
+        others = len(run.failed) - 1
+        if others:
+            _log.warning("%d more tasks of %s failed; the first error follows", others, stage)
+        raise run.failed[first]
+    return {task.name: run.results[task.name] for task in listed}
+
+
+class _Run:
+    """One run of a graph."""
+
+    def __init__(self, tasks: list[Task], store: ObjectStore, workers: Workers, stage: str, progress: Progress) -> None:
+        self.tasks, self.store, self.stage, self.progress = tasks, store, stage, progress
+        self.crew = _Crew(workers)
+        self.results: dict[str, Result] = {}
+        self.failed: dict[int, Exception] = {}
+        self.numbers = {task.name: k for k, task in enumerate(tasks)}
+        if len(self.numbers) < len(tasks):
+            raise ValueError("tasks: expected different names, got one twice")
+        self.needed_by: dict[str, list[int]] = {task.name: [] for task in tasks}
+        self.missing = [len(set(task.needs)) for task in tasks]
+        for k, task in enumerate(tasks):
+            for name in set(task.needs):
+                if self.numbers.get(name, k) >= k:
+                    raise ValueError(f"tasks: expected {name!r} before {task.name!r}, which needs it")
+                self.needed_by[name].append(k)
+        self.ready = [k for k, count in enumerate(self.missing) if not count]
+        heapq.heapify(self.ready)
+
+    def all(self) -> None:
+        """Run everything that can be run."""
+        losses = 0
+        waiting: dict[Future[Result], int] = {}
+        self.progress(self.stage, 0, len(self.tasks))
+        try:
+            while True:
+                try:
+                    self._fill(waiting)
+                    if not waiting:
+                        return
+                    done = wait(waiting, return_when=FIRST_COMPLETED).done
+                    for future in sorted(done, key=lambda future: waiting[future]):
+                        self._take(future, waiting)
+                        losses = 0
+                except (BrokenExecutor, CancelledError) as error:
+                    losses = self._lost(waiting, losses, error)
+        finally:
+            for future in waiting:
+                future.cancel()
+
+    def _take(self, future: Future[Result], waiting: dict[Future[Result], int]) -> None:
+        """Take the result or the error of a finished task."""
+        try:
+            result = future.result()
+        except (OutputError, BackendError, BrokenExecutor, CancelledError):
+            raise
+        except Exception as error:
+            if type(error).__name__ == _DASK_LOST:
+                raise GsvisError(_LOST) from error
+            self.failed[waiting.pop(future)] = error
+        else:
+            self._finish(waiting.pop(future), result)
+
+    def _fill(self, waiting: dict[Future[Result], int]) -> None:
+        """Give out ready tasks; those with a result are finished at once."""
+        while self.ready and len(waiting) < self.crew.in_flight:
+            number = heapq.heappop(self.ready)
+            task = self.tasks[number]
+            inputs = tuple(self.results[name] for name in task.needs)
+            key, machine = key_of(task, inputs, machine_kind()), machine_kind()
+            job = Job(task, key, inputs, self.store.address, _version(), machine, self.crew.max_memory)
+            found = find_result(self.store, job.key)
+            if found is not None:
+                self._finish(number, found)
+            else:
+                waiting[self.crew.submit(job)] = number
+
+    def _finish(self, number: int, result: Result) -> None:
+        name = self.tasks[number].name
+        self.results[name] = result
+        self.progress(self.stage, len(self.results), len(self.tasks))
+        for other in self.needed_by[name]:
+            self.missing[other] -= 1
+            if not self.missing[other]:
+                heapq.heappush(self.ready, other)
+
+    def _lost(self, waiting: dict[Future[Result], int], losses: int, error: BaseException) -> int:
+        """Take back the tasks of dead workers; return how often that happened in a row."""
+        if losses >= _RESTARTS:
+            raise GsvisError(_LOST) from error
+        for future, number in waiting.items():
+            future.cancel()
+            heapq.heappush(self.ready, number)
+        waiting.clear()
+        self.crew.replace()
+        return losses + 1
+
+
+_LOST = (
+    "workers died again and again, probably out of memory: use fewer --workers, a larger --max-memory or smaller tiles;"
+    " what is finished is kept"
+)
+
+
+class _Crew:
+    """The workers as one executor."""
+
+    def __init__(self, workers: Workers) -> None:
+        self._executor, count = workers.executor, workers.count
+        self._processes = Processes(count) if workers.executor is None and count > 1 else None
+        self.in_flight = 2 * count if workers.executor is not None else count
+        here = workers.executor is None
+        self.max_memory = None if workers.max_memory is None else workers.max_memory // (count if here else 1)
+
+    def __enter__(self) -> _Crew:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *others: object) -> None:
+        if self._processes is not None:
+            self._processes.end(kill=kind is not None)
+
+    def submit(self, job: Job) -> Future[Result]:
+        """Return the future of a task; without an executor it runs at once."""
+        if self._executor is not None:
+            return self._executor.submit(perform, job)
+        if self._processes is not None:
+            return self._processes.executor().submit(perform, job)
+        future: Future[Result] = Future()
+        try:
+            future.set_result(perform(job))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+    def replace(self) -> None:
+        """Replace dead processes."""
+        if self._processes is not None:
+            self._processes.end(kill=True)
+
+
+@contextmanager
+def _work_folder(store: ObjectStore, key: str) -> Iterator[Path]:
+    """Yield the folder of a task: that of a killed attempt where nobody works in it, or a new one.
+
+    In a shared folder, any worker finds it. A slow worker that was given up may still hold it.
+    """
+    root = store.folder / "work" if isinstance(store, FolderStore) else Path(tempfile.gettempdir()) / "gsvis-work"
+    folder = root / key
+    folder.mkdir(parents=True, exist_ok=True)
+    descriptor = os.open(folder / "lock", os.O_CREAT | os.O_RDWR, 0o666)
+    try:
+        if try_lock(descriptor) == "held":
+            yield folder
+        else:
+            with tempfile.TemporaryDirectory(dir=root, prefix=f"{key[:16]}-") as other:
+                yield Path(other)
+    finally:
+        os.close(descriptor)
+
+
+def _check_worker(job: Job) -> None:
+    if _version() != job.version:
+        raise BackendError(f"a worker: expected gsvis {job.version}, as here, got gsvis {_version()}; install it there")
+    if machine_kind() != job.machine:
+        raise BackendError(
+            f"a worker: expected a processor like the one here ({job.machine}), got {machine_kind()}; bytes would"
+            " depend on the worker, so use machines of one kind"
+        )
+
+
+def _version() -> str:
+    from importlib.metadata import version
+
+    return version("gsvis")
+
+
+def _peak_memory() -> int:
+    """Return the most bytes of memory that this process has used; 0 where nobody knows."""
+    try:
+        import resource
+    except ImportError:
+        return 0
+    return int(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss) * 1024
+
+
+def _hash(value: Any) -> str:
+    return hashlib.sha256(json.dumps(value, sort_keys=True, allow_nan=False).encode()).hexdigest()

@@ -1,0 +1,426 @@
+"""The manifest of a world: its grid, its tiles and districts, and what the cells of each tile see beyond it.
+
+The manifest is JSON and contains its own hash. It names packages and tables by the SHA-256 of their content and is
+written last, so a folder with a manifest is complete. Scene frame and units. This module knows no package.
+docs/design/057-worlds.md has the format.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from dataclasses import asdict, dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gsvis import _check
+from gsvis.errors import FormatError
+from gsvis.files.atomic import atomic_path
+from gsvis.files.fields import Fields, parse_object
+from gsvis.files.limits import DAMAGED, inside, read_whole
+
+__all__ = ["VERSION", "WORLD", "BeyondTable", "District", "Grid", "Piece", "Tile", "WorldManifest"]
+
+I64 = NDArray[np.int64]
+Point = tuple[float, float, float]
+
+FORMAT, VERSION = "gsvis-world", 1
+WORLD = "world.json"
+"""Name of the manifest."""
+
+_MOST_BYTES = 1 << 30
+_MOST = (1 << 31) - 1
+_MOST_NODES = 1 << 20
+_DIGEST = re.compile("[0-9a-f]{64}")
+
+
+@dataclass(frozen=True)
+class Grid:
+    """The squares that tiles lie in.
+
+    Attributes:
+        origin: (3,) lowest corner of square (0, 0), scene frame.
+        side: Side of a square.
+        axes: The two axes of the squares, 0 to 2, ascending; tiles are not cut along the third.
+        shape: Squares along each of the two axes.
+    """
+
+    origin: Point
+    side: float
+    axes: tuple[int, int]
+    shape: tuple[int, int]
+
+    def squares_of(self, points: ArrayLike) -> I64:
+        """Return (M, 2) the square of each of the (M, 3) points; -1, -1 outside all squares.
+
+        A point on the border of two squares belongs to the higher one.
+        """
+        where = _check.floats("points", points, ("M", 3), np.float64)[:, self.axes]
+        steps = (where - np.array(self.origin)[list(self.axes)]) / self.side
+        squares: I64 = np.floor(np.clip(steps, -1.0, np.array(self.shape))).astype(np.int64)
+        out = ((squares < 0) | (squares >= np.array(self.shape))).any(axis=1)
+        squares[out] = -1
+        return squares
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A part of a node that stands around a tile, whose ids the tile's table counts.
+
+    Attributes:
+        node: Number of the node. A tile can have several pieces, with other ids and other levels.
+        level: Highest of its levels that stands there.
+        runs: (first id, count) of ids of these levels in the package of the node, ascending.
+    """
+
+    node: int
+    level: int
+    runs: tuple[tuple[int, int], ...]
+
+    @property
+    def count(self) -> int:
+        """Number of ids."""
+        return sum(count for _, count in self.runs)
+
+    def ids(self) -> I64:
+        """Return (K,) the ids in the package of the node, ascending."""
+        return np.concatenate([np.arange(first, first + count) for first, count in self.runs] or [np.zeros(0, int)])
+
+
+@dataclass(frozen=True)
+class BeyondTable:
+    """What the cells of a tile see beyond it: the name of a store, and the pieces that its ids count through.
+
+    Attributes:
+        digest: SHA-256 of the store, 64 hexadecimal digits.
+        nbytes: Bytes of the store.
+        pieces: The pieces, in the order of the ids of the store.
+    """
+
+    digest: str
+    nbytes: int
+    pieces: tuple[Piece, ...]
+
+    @property
+    def name(self) -> str:
+        """File name of the store."""
+        return f"{self.digest}.pvs"
+
+    @property
+    def count(self) -> int:
+        """Number of ids of the store."""
+        return sum(piece.count for piece in self.pieces)
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A tile.
+
+    Attributes:
+        coords: Its square; None for the tile of what lies outside all squares.
+        low: (3,) lowest corner of the box around the centers of its Gaussians.
+        high: (3,) highest corner.
+        package: SHA-256 of the manifest of its package, 64 hexadecimal digits.
+        nbytes: Bytes of the package.
+        levels: Names and sizes of the levels, lowest first.
+        gaussians: Gaussians of all levels together.
+        cells: Cells of its visible sets; 0 if nobody can be there.
+        beyond: What its cells see beyond it; None if there is nothing.
+    """
+
+    coords: tuple[int, int] | None
+    low: Point
+    high: Point
+    package: str
+    nbytes: int
+    levels: tuple[tuple[str, int], ...]
+    gaussians: int
+    cells: int
+    beyond: BeyondTable | None = None
+
+
+@dataclass(frozen=True)
+class District:
+    """A few Gaussians that stand for a tile, or for a square of tiles, from afar.
+
+    Attributes:
+        size: Tiles along a side: 1, 2, 4 and on.
+        coords: Its place, in units of its size.
+        tiles: Numbers of the tiles that it stands for, ascending.
+        low: (3,) lowest corner of the box around the centers of its Gaussians.
+        high: (3,) highest corner.
+        spacing: Median distance from a Gaussian to the nearest other one.
+        package: SHA-256 of the manifest of its package.
+        nbytes: Bytes of the package.
+        gaussians: Number of Gaussians.
+    """
+
+    size: int
+    coords: tuple[int, int]
+    tiles: tuple[int, ...]
+    low: Point
+    high: Point
+    spacing: float
+    package: str
+    nbytes: int
+    gaussians: int
+
+
+@dataclass(frozen=True)
+class WorldManifest:
+    """The content of `world.json`. Nodes are the tiles, 0 to T - 1, then the districts.
+
+    Attributes:
+        up: (3,) unit axis that points upward.
+        meters_per_unit: Meters in a scene unit; 0 if unknown.
+        grid: The squares.
+        tiles: T tiles, by square; what lies outside comes last.
+        districts: Districts, smallest first.
+        provenance: What made the world; any JSON values.
+    """
+
+    up: Point
+    meters_per_unit: float
+    grid: Grid
+    tiles: tuple[Tile, ...]
+    districts: tuple[District, ...] = ()
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        """Number of nodes."""
+        return len(self.tiles) + len(self.districts)
+
+    @property
+    def gaussians(self) -> int:
+        """Gaussians of all tiles, all levels together."""
+        return sum(tile.gaussians for tile in self.tiles)
+
+    def node(self, number: int) -> Tile | District:
+        """Return a node.
+
+        Raises:
+            ValueError: If there is no such node.
+        """
+        if isinstance(number, bool) or not 0 <= number < len(self):
+            raise ValueError(f"node: expected a number in [0, {len(self)}), got {number!r}")
+        return self.tiles[number] if number < len(self.tiles) else self.districts[number - len(self.tiles)]
+
+    def tiles_at(self, points: ArrayLike) -> I64:
+        """Return (M,) the number of the tile whose square holds each of the (M, 3) points; -1 where there is none."""
+        squares = self.grid.squares_of(points)
+        places = {tile.coords: k for k, tile in enumerate(self.tiles) if tile.coords is not None}
+        return np.array([places.get((int(x), int(y)), -1) for x, y in squares], np.int64)
+
+    def write(self, path: Path) -> None:
+        """Write the manifest atomically; the same manifest gives the same bytes.
+
+        Raises:
+            OutputError: If it cannot be written.
+        """
+        with atomic_path(path) as partial:
+            partial.write_bytes(self.to_json())
+
+    def to_json(self) -> bytes:
+        """Return the bytes of the file."""
+        value: dict[str, Any] = {
+            "format": FORMAT,
+            "version": VERSION,
+            "up": self.up,
+            "meters_per_unit": self.meters_per_unit,
+            "grid": asdict(self.grid),
+            "tiles": [_tile_as_dict(tile) for tile in self.tiles],
+            "districts": [_district_as_dict(district) for district in self.districts],
+            "provenance": self.provenance,
+        }
+        value = json.loads(json.dumps(value, allow_nan=False))
+        return json.dumps({**value, "sha256": _digest(value)}, indent=1, sort_keys=True).encode()
+
+    @classmethod
+    def read(cls, path: Path) -> WorldManifest:
+        """Read and check a manifest.
+
+        Raises:
+            FormatError: If the file is no manifest, damaged, of another version, a link out of its folder, or
+                inconsistent.
+            OSError: If the file cannot be opened.
+        """
+        inside(path, "", path.parent, path.name)
+        fields = parse_object(path, read_whole(path, _MOST_BYTES))
+        if fields.raw("format") != FORMAT:
+            raise FormatError(path, "format", FORMAT, repr(fields.raw("format"))[:60], "is this a world?")
+        version = fields.integer("version", 1, 1 << 30)
+        if version > VERSION:
+            raise FormatError(path, "version", f"at most {VERSION}", f"{version}", "update gsvis")
+        value = dict(fields.value)
+        digest = value.pop("sha256", None)
+        try:
+            if digest != _digest(value):
+                raise FormatError(path, "sha256", "the hash of the rest", repr(digest)[:20], DAMAGED)
+            return _Reader(fields).manifest()
+        except RecursionError as error:
+            raise FormatError(path, "", "JSON", "objects nested too deeply", DAMAGED) from error
+
+
+class _Reader:
+    """Reads and checks the objects of a manifest."""
+
+    def __init__(self, fields: Fields) -> None:
+        self.fields = fields
+
+    def manifest(self) -> WorldManifest:
+        fields = self.fields
+        grid = self._grid(fields.child("grid"))
+        up = _point(fields, "up")
+        if abs(float(np.linalg.norm(up)) - 1.0) > 1e-6:
+            raise self._fault("up", "a unit axis", f"{up}")
+        meters = fields.number("meters_per_unit")
+        if meters < 0.0:
+            raise self._fault("meters_per_unit", "a number >= 0", f"{meters}")
+        rows, more = self._rows("tiles"), self._rows("districts")
+        if not 1 <= len(rows) <= _MOST_NODES or len(more) > _MOST_NODES:
+            raise self._fault("tiles", f"1 to {_MOST_NODES:,} tiles", f"{len(rows):,}")
+        districts = tuple(self._district(row, len(rows), grid) for row in more)
+        nodes = [tuple[int, ...]((k,)) for k in range(len(rows))] + [district.tiles for district in districts]
+        tiles = tuple(self._tile(row, k, grid, nodes) for k, row in enumerate(rows))
+        self._check_order(tiles, districts)
+        return WorldManifest(up, meters, grid, tiles, districts, fields.child("provenance").value)
+
+    def _grid(self, fields: Fields) -> Grid:
+        axes = _pair(fields, "axes", 0, 2)
+        side = fields.number("side")
+        if axes[0] >= axes[1]:
+            raise FormatError(fields.path, fields.where("axes"), "two axes, ascending", f"{axes}", DAMAGED)
+        if side <= 0.0:
+            raise FormatError(fields.path, fields.where("side"), "a number > 0", f"{side}", DAMAGED)
+        return Grid(_point(fields, "origin"), side, axes, _pair(fields, "shape", 1, _MOST_NODES))
+
+    def _tile(self, row: Fields, number: int, grid: Grid, nodes: list[tuple[int, ...]]) -> Tile:
+        coords = _pair(row, "coords", 0, _MOST_NODES) if "coords" in row else None
+        if coords is not None and (coords[0] >= grid.shape[0] or coords[1] >= grid.shape[1]):
+            raise FormatError(row.path, row.where("coords"), f"a square within {grid.shape}", f"{coords}", DAMAGED)
+        levels = tuple((each.text("name")[:100], each.integer("count", 1, _MOST)) for each in _objects(row, "levels"))
+        if not 1 <= len(levels) <= 16:
+            raise FormatError(row.path, row.where("levels"), "1 to 16 levels", f"{len(levels)}", DAMAGED)
+        beyond = self._beyond(row.child("beyond"), number, nodes) if "beyond" in row else None
+        gaussians, cells = row.integer("gaussians", 1, _MOST), row.integer("cells", 0, _MOST)
+        return Tile(coords, *_box(row), *_package(row), levels, gaussians, cells, beyond)
+
+    def _beyond(self, fields: Fields, number: int, nodes: list[tuple[int, ...]]) -> BeyondTable:
+        pieces, stands = list[Piece](), {number: number}  # the node that stands for each tile
+        for row in _objects(fields, "pieces"):
+            node, end = row.integer("node", 0, len(nodes) - 1), 0
+            if any(stands.get(tile, node) != node for tile in nodes[node]) or node == number:
+                raise FormatError(row.path, row.where("node"), "each tile in one node", f"node {node}", DAMAGED)
+            stands |= dict.fromkeys(nodes[node], node)
+            runs = []
+            for run in row.items("runs"):
+                first, count = _pair(Fields(row.path, row.trail, {"runs": run}), "runs", 0, _MOST)
+                if first < end or count < 1:
+                    raise FormatError(row.path, row.where("runs"), "ascending runs", f"{run}"[:60], DAMAGED)
+                end = first + count
+                runs.append((first, count))
+            pieces.append(Piece(node, row.integer("level", 0, 15), tuple(runs)))
+        _check_apart(fields, pieces)
+        return BeyondTable(_sha256(fields), fields.integer("bytes", 0, 1 << 50), tuple(pieces))
+
+    def _district(self, row: Fields, tiles: int, grid: Grid) -> District:
+        size, numbers = row.integer("size", 1, _MOST_NODES), row.items("tiles")
+        good = all(isinstance(k, int) and not isinstance(k, bool) and 0 <= k < tiles for k in numbers)
+        if not numbers or not good or any(a >= b for a, b in pairwise(numbers)):
+            expected = f"numbers of tiles below {tiles}, ascending"
+            raise FormatError(row.path, row.where("tiles"), expected, f"{numbers}"[:60], DAMAGED)
+        coords, spacing = _pair(row, "coords", 0, max(grid.shape)), row.number("spacing")
+        return District(
+            size, coords, tuple(numbers), *_box(row), spacing, *_package(row), row.integer("gaussians", 1, _MOST)
+        )
+
+    def _check_order(self, tiles: tuple[Tile, ...], districts: tuple[District, ...]) -> None:
+        squares = [tile.coords for tile in tiles]
+        inner = [coords for coords in squares if coords is not None]
+        if any(a >= b for a, b in pairwise(inner)):
+            again = next(b for a, b in pairwise(inner) if a >= b)
+            raise self._fault("tiles", "each square once, in order", f"square {again} after another or twice")
+        if None in squares[:-1]:
+            raise self._fault("tiles", "what lies outside as the last tile", "another order")
+        places = [(district.size, district.coords) for district in districts]
+        if any(a >= b for a, b in pairwise(places)):
+            raise self._fault("districts", "each district once, the smallest first", "another order")
+
+    def _rows(self, key: str) -> list[Fields]:
+        return _objects(self.fields, key)
+
+    def _fault(self, where: str, expected: str, got: str) -> FormatError:
+        return FormatError(self.fields.path, where, expected, got, DAMAGED)
+
+
+def _check_apart(fields: Fields, pieces: list[Piece]) -> None:
+    """Raise if an id of a node is in two pieces."""
+    for node in {piece.node for piece in pieces}:
+        runs = sorted(run for piece in pieces if piece.node == node for run in piece.runs)
+        if any(first + count > after for (first, count), (after, _) in pairwise(runs)):
+            raise FormatError(fields.path, fields.where("pieces"), "each id once", f"two of node {node}", DAMAGED)
+
+
+def _tile_as_dict(tile: Tile) -> dict[str, Any]:
+    beyond = tile.beyond
+    return {
+        "coords": tile.coords, "low": tile.low, "high": tile.high,
+        "package": {"sha256": tile.package, "bytes": tile.nbytes},
+        "levels": [{"name": name, "count": count} for name, count in tile.levels],
+        "gaussians": tile.gaussians, "cells": tile.cells,
+        "beyond": None if beyond is None else {
+            "sha256": beyond.digest, "bytes": beyond.nbytes, "pieces": [asdict(piece) for piece in beyond.pieces],
+        },
+    }  # fmt: skip
+
+
+def _district_as_dict(district: District) -> dict[str, Any]:
+    value = asdict(district)
+    value["package"] = {"sha256": district.package, "bytes": value.pop("nbytes")}
+    return value
+
+
+def _objects(fields: Fields, key: str) -> list[Fields]:
+    return [Fields(fields.path, f"{fields.where(key)}[{k}]", row) for k, row in enumerate(fields.items(key))]
+
+
+def _point(fields: Fields, key: str) -> Point:
+    x, y, z = fields.numbers(key, 3).tolist()
+    return x, y, z
+
+
+def _box(row: Fields) -> tuple[Point, Point]:
+    low, high = _point(row, "low"), _point(row, "high")
+    if any(a > b for a, b in zip(low, high, strict=True)):
+        raise FormatError(row.path, row.where("high"), f"a corner above {low}", f"{high}", DAMAGED)
+    return low, high
+
+
+def _pair(fields: Fields, key: str, low: int, high: int) -> tuple[int, int]:
+    found = fields.items(key, 2)
+    if not all(isinstance(k, int) and not isinstance(k, bool) and low <= k <= high for k in found):
+        raise FormatError(
+            fields.path, fields.where(key), f"two integers from {low} to {high}", f"{found}"[:60], DAMAGED
+        )
+    return found[0], found[1]
+
+
+def _package(row: Fields) -> tuple[str, int]:
+    child = row.child("package")
+    return _sha256(child), child.integer("bytes", 0, 1 << 50)
+
+
+def _sha256(fields: Fields) -> str:
+    digest = fields.raw("sha256")
+    if not isinstance(digest, str) or not _DIGEST.fullmatch(digest):
+        raise FormatError(fields.path, fields.where("sha256"), "64 hexadecimal digits", repr(digest)[:80])
+    return digest
+
+
+def _digest(value: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(value, sort_keys=True, separators=(",", ":")).encode()).hexdigest()

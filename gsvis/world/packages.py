@@ -1,0 +1,92 @@
+"""Prepare the package of a tile, with what its cells see beyond it. Scene frame and units. A task of a graph."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+from gsvis.errors import SceneError
+from gsvis.package import Package
+from gsvis.prepare.prepare import finish_package, stages_of
+from gsvis.progress import silent
+from gsvis.pvs.workers import expected_memory
+from gsvis.scene.levels import Levels
+from gsvis.scene.navigable import NavigableSpace
+from gsvis.world.bare import PACKAGE, facts_of_package, write_bare_package
+from gsvis.world.graph import Facts, Given
+from gsvis.world.pieces import Part, free_box, join_parts, part_of_district, parts_of_tile
+from gsvis.world.rows import load_gaussians, load_tile_levels
+from gsvis.world.tiles import config_of, load_space
+
+__all__ = ["VERSIONS", "prepare_tile"]
+
+VERSIONS = {"prepare_tile": 1}
+
+
+def prepare_tile(params: Facts, given: Given, out: Path, work: Path) -> Facts:
+    """Task: write the package of a tile, and the store of what its cells see beyond it.
+
+    Inputs: its levels, its space, then the levels of tiles and the districts around it. Params: `around`, for each
+    of these its node; `angle`; `config`; `name`; `up`; `outside`, for the tile without a square and a space.
+
+    Facts: those of the package, the number of cells, and the pieces.
+    """
+    levels = load_tile_levels(given.path(0, "levels"))
+    config = config_of(params["config"])
+    if params["outside"] or not given.inputs[1].facts["voxels"]:
+        return _bare(params, levels, out)
+    space = load_space(given.path(1, "space"))
+    parts, nodes = _parts(params, given, levels, space)
+    target, about = work / f"{PACKAGE}.gsvis", json.loads(given.path(0, "quality.json").read_text("ascii"))
+    stages = stages_of(levels, target, space, config, photos=None, progress=silent)
+    if parts:
+        stages.around = join_parts(parts)
+        _check_memory(params["name"], stages.around.joined(levels), params, given)
+    try:
+        made = finish_package(stages, target, about={"tile": params["name"], "trained": about})
+    except SceneError:  # no eye stands outside of everything solid
+        return _bare(params, levels, out)
+    shutil.copytree(target, out / PACKAGE)
+    if made.around is not None:
+        shutil.copyfile(made.around, out / "beyond")
+    with Package.open(out / PACKAGE) as package:
+        facts = facts_of_package(package, levels)
+        cells = len(package.visibility)
+    pieces = [{"node": node, "level": part.level, "runs": part.runs} for node, part in zip(nodes, parts, strict=True)]
+    return {**facts, "cells": cells, "pieces": pieces}
+
+
+def _parts(params: Facts, given: Given, levels: Levels, space: NavigableSpace) -> tuple[list[Part], list[str]]:
+    """Return the parts around a tile, and the node of each."""
+    box = free_box(space)
+    parts, nodes = list[Part](), list[str]()
+    for k, node in enumerate(params["around"], start=2):
+        if "spacings" in given.inputs[k].facts:
+            other, spacings = load_tile_levels(given.path(k, "levels")), given.inputs[k].facts["spacings"]
+            found = list(parts_of_tile(other, spacings, len(levels), box, params["angle"]))
+        else:
+            found = [part_of_district(load_gaussians(given.path(k, "district")), len(levels))]
+        parts += found
+        nodes += [node] * len(found)
+    return parts, nodes
+
+
+def _check_memory(name: str, joint: Levels, params: Facts, given: Given) -> None:
+    """Raise unless a tile and what stands around it fit the memory of a worker."""
+    if given.max_memory is None:
+        return
+    needed = expected_memory(joint, config_of(params["config"]).sets, 1)
+    if needed > given.max_memory:
+        raise ValueError(
+            f"tile {name}: expected at most {given.max_memory / 1e9:.2g} GB for a worker, got {needed / 1e9:.2g} GB for"
+            f" the tile and the {len(joint.union):,} Gaussians in and around it; raise --max-memory, or use fewer"
+            " --workers or smaller tiles"
+        )
+
+
+def _bare(params: Facts, levels: Levels, out: Path) -> Facts:
+    """Write a package without cells."""
+    shutil.rmtree(out / PACKAGE, ignore_errors=True)
+    _, facts = write_bare_package(out, levels, params["up"], params["config"]["meters_per_unit"])
+    return {**facts, "cells": 0, "pieces": []}

@@ -1,0 +1,212 @@
+"""What stands around a tile: which nodes, and which part of each, at the level that its distance deserves.
+
+From the coarsest district down: a node may stand in if its spacing, over its distance from where eyes may be in the
+tile, is below an angle. What no eye sees when everything is drawn coarsely is left out, unless it is near. Scene frame
+and units.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.prepare.surroundings import Surroundings
+from gsvis.pvs.look import Look
+from gsvis.raycast.tracer import TAU
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.levels import Levels
+from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.solid import Solid
+from gsvis.world.graph import Facts, Given
+from gsvis.world.rows import flatten, load_gaussians, load_tile_levels
+from gsvis.world.tiles import load_space
+
+__all__ = [
+    "BLOCK",
+    "VERSIONS",
+    "Part",
+    "Runs",
+    "choose_nodes",
+    "free_box",
+    "gap",
+    "join_parts",
+    "part_of_district",
+    "parts_of_tile",
+    "runs_of",
+]
+
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+Runs = list[tuple[int, int]]
+"""(first id, count), ascending."""
+
+VERSIONS = {"choose_nodes": 1}
+
+BLOCK = 256
+"""Ids that get one level together; they lie near each other along the Morton curve of a package."""
+
+_SIZE = 256  # pixels of the faces of a coarse look
+_SEED = 7
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A part of a node around a tile.
+
+    Attributes:
+        level: Highest level of the node that stands there.
+        runs: Its ids in the package of the node.
+        around: The same Gaussians, in the levels of the tile.
+    """
+
+    level: int
+    runs: Runs
+    around: Surroundings
+
+
+def choose_nodes(params: Facts, given: Given, out: Path, work: Path) -> Facts:
+    """Task: choose the nodes around a tile. Inputs: the tile's levels and space, then all districts.
+
+    Params: `tile`, its number; `districts`, for each its size, coords and tiles; `angle`, `looks`.
+    Facts: `tiles`, numbers of the tiles that stand there themselves; `districts`, numbers of the districts that do.
+    """
+    space = load_space(given.path(1, "space"))
+    low, high = free_box(space)
+    rows = params["districts"]
+    facts = [each.facts for each in given.inputs[2:]]
+    reach = [gap(low, high, each["low"], each["high"]) for each in facts]
+    allowed = [
+        params["tile"] not in row["tiles"] and each["spacing"] <= params["angle"] * far
+        for row, each, far in zip(rows, facts, reach, strict=True)
+    ]
+    districts, tiles = _descend(rows, allowed)
+    tiles = [k for k in tiles if k != params["tile"]]
+    own = {row["tiles"][0]: k for k, row in enumerate(rows) if row["size"] == 1}
+    stand = [*districts, *(own[k] for k in tiles)]
+    scenes = {k: load_gaussians(given.path(2 + k, "district")) for k in stand}
+    seen = _look_coarsely(load_tile_levels(given.path(0, "levels")), space, scenes, params["looks"])
+    near = float(np.max(high - low))
+    return {
+        "districts": [k for k in districts if k in seen],
+        "tiles": [k for k in tiles if own[k] in seen or reach[own[k]] < near],
+        "unseen": len([k for k in stand if k not in seen]),
+    }
+
+
+def gap(low: F64, high: F64, other_low: Sequence[float], other_high: Sequence[float]) -> float:
+    """Return the distance between two boxes; 0 where they touch or overlap."""
+    apart = np.maximum(np.maximum(np.array(other_low) - high, low - np.array(other_high)), 0.0)
+    return float(np.linalg.norm(apart))
+
+
+def parts_of_tile(
+    levels: Levels, spacings: Sequence[float], target: int, box: tuple[F64, F64], angle: float
+) -> Iterator[Part]:
+    """Yield the parts of a tile that stand around another one, the highest level first.
+
+    Args:
+        levels: The levels of the tile, in the order of its package.
+        spacings: Spacing of each level.
+        target: Number of levels of the other tile.
+        box: Corners (3,) of the box in which eyes may be in the other tile.
+        angle: Largest spacing over distance.
+    """
+    means = levels.union.means.astype(np.float64)
+    away = np.linalg.norm(np.maximum(np.maximum(means - box[1], box[0] - means), 0.0), axis=1)
+    blocks = np.arange(len(means)) // BLOCK
+    nearest = np.minimum.reduceat(away, np.arange(0, len(means), BLOCK))[blocks]
+    deserved = np.full(len(means), len(levels) - 1)
+    for level in range(len(levels) - 2, -1, -1):
+        deserved[spacings[level] <= angle * nearest] = level
+    for level in range(len(levels) - 1, -1, -1):
+        part = _part(levels, deserved == level, level, target)
+        if part is not None:
+            yield part
+
+
+def part_of_district(g: Gaussians, target: int) -> Part:
+    """Return a whole district as what stands around a tile of `target` levels."""
+    first, last = np.zeros(len(g), np.uint8), np.full(len(g), target - 1, np.uint8)
+    return Part(0, [(0, len(g))], Surroundings(g, first, last))
+
+
+def join_parts(parts: Sequence[Part]) -> Surroundings:
+    """Return the surroundings of all parts, one after the other."""
+    around = [part.around for part in parts]
+    return Surroundings(
+        Gaussians.concatenate([flatten(each.gaussians) for each in around]),
+        np.concatenate([each.first for each in around]),
+        np.concatenate([each.last for each in around]),
+    )
+
+
+def runs_of(mask: Mask) -> Runs:
+    """Return the runs of a mask (N,)."""
+    edges = np.flatnonzero(np.diff(mask, prepend=False, append=False))
+    return [(int(a), int(b - a)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def _part(levels: Levels, chosen: Mask, level: int, target: int) -> Part | None:
+    """Return chosen Gaussians of a tile at up to a level, in `target` levels of another tile; None if there are none.
+
+    The highest levels of both stand side by side, and so on down.
+    """
+    shown = [min(max(k - (target - 1) + (len(levels) - 1), 0), level) for k in range(target)]
+    member = np.stack([levels.member(k) for k in shown])
+    kept = chosen & member.any(axis=0)
+    if not kept.any():
+        return None
+    member = member[:, kept]
+    first = member.argmax(axis=0).astype(np.uint8)
+    last = (target - 1 - member[::-1].argmax(axis=0)).astype(np.uint8)
+    return Part(level, runs_of(kept), Surroundings(levels.union[kept], first, last))
+
+
+def _descend(rows: Sequence[Mapping[str, Any]], allowed: Sequence[bool]) -> tuple[list[int], list[int]]:
+    """Return the coarsest allowed districts, and the tiles of which no district is allowed, all ascending."""
+    places = {(row["size"], *row["coords"]): k for k, row in enumerate(rows)}
+    largest = max((row["size"] for row in rows), default=1)
+    stack = [k for k, row in enumerate(rows) if row["size"] == largest]
+    districts, tiles = [], []
+    while stack:
+        k = stack.pop()
+        size, (x, y) = rows[k]["size"], rows[k]["coords"]
+        if allowed[k]:
+            districts.append(k)
+        elif size == 1:
+            tiles.append(rows[k]["tiles"][0])
+        else:
+            half = size // 2
+            below = [(half, 2 * x + i, 2 * y + j) for i in (0, 1) for j in (0, 1)]
+            stack += [places[each] for each in below if each in places]
+    return sorted(districts), sorted(tiles)
+
+
+def _look_coarsely(own: Levels, space: NavigableSpace, scenes: Mapping[int, Gaussians], looks: int) -> set[int]:
+    """Return the numbers of the scenes of which some eye in a space sees something."""
+    if not scenes:
+        return set()
+    parts = [flatten(own.level(0)), *scenes.values()]
+    whole = Gaussians.concatenate(parts)
+    ends = np.cumsum([len(part) for part in parts])
+    eyes = space.sample_viewpoints(looks, np.random.default_rng(_SEED))
+    look, solid, seen = Look(whole, "hybrid", _SIZE, TAU), Solid.from_scene(whole), set[int]()
+    numbers = list(scenes)
+    for eye in eyes[~solid.buries(eyes)]:
+        ids, _ = look(eye)
+        found = np.unique(np.searchsorted(ends, ids, side="right"))
+        seen |= {numbers[k - 1] for k in found.tolist() if k}
+    return seen
+
+
+def free_box(space: NavigableSpace) -> tuple[F64, F64]:
+    """Return the corners (3,) of the box around the free voxels."""
+    voxels = np.argwhere(space.free)
+    low = space.origin + space.voxel_size * voxels.min(axis=0)
+    return np.asarray(low), np.asarray(space.origin + space.voxel_size * (voxels.max(axis=0) + 1))

@@ -1,0 +1,200 @@
+"""From scenes to the folder of a world; a run that was stopped goes on. See `build.py` for the stages."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from gsvis import _check
+from gsvis.errors import FormatError
+from gsvis.files.atomic import atomic_folder, atomic_path
+from gsvis.files.limits import digest_of
+from gsvis.files.objects import ObjectStore, open_store
+from gsvis.package.manifest import MANIFEST
+from gsvis.prepare.work_folder import WorkFolder
+from gsvis.progress import Progress, silent
+from gsvis.pvs.workers import Workers
+from gsvis.scene.inspection import axis_vector
+from gsvis.world.bare import PACKAGE
+from gsvis.world.build import WorldBuild
+from gsvis.world.config import WorldConfig
+from gsvis.world.graph import Facts, Result
+from gsvis.world.manifest import WORLD, BeyondTable, District, Piece, Tile, WorldManifest
+from gsvis.world.tiling import grid_of
+from gsvis.world.world import BEYOND, PACKAGES
+
+__all__ = ["PreparedWorld", "check_world_target", "prepare_world"]
+
+_OURS = re.compile(r"[0-9a-f]{64}(\.pvs)?")
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedWorld:
+    """A finished world and how it was made.
+
+    Attributes:
+        manifest: Its manifest.
+        results: All results of tasks by name, with the time and memory that each took.
+        nbytes: Bytes of packages and tables.
+        work: The folder of work kept between runs.
+    """
+
+    manifest: WorldManifest
+    results: dict[str, Result]
+    nbytes: int
+    work: Path
+
+
+def prepare_world(
+    scenes: Sequence[tuple[str, int | None]],
+    out: str | os.PathLike[str],
+    config: WorldConfig | None = None,
+    *,
+    about: Mapping[str, Any] | None = None,
+    store: str | None = None,
+    workers: Workers | None = None,
+    progress: Progress = silent,
+) -> PreparedWorld:
+    """Make a world of scenes that lie in one frame, and resume an earlier run.
+
+    With more than one worker, a script that calls this needs an `if __name__ == "__main__":` guard.
+
+    Args:
+        scenes: Path and level of detail of each scene, as for `gsvis.io.load_scene`.
+        out: Folder of the world, by custom `city.gsworld`. Results of tasks lie beside it, in `city.gsworld.work`.
+        config: Options; None means `WorldConfig()`.
+        about: JSON values to store in the provenance of the world.
+        store: Address of the results instead, such as `s3://bucket/city`; every worker must reach it.
+        workers: The workers; None means this process.
+        progress: Called with stages "sampling", "splitting", "levels", "nodes", "tiles" and "world", in tasks.
+
+    Raises:
+        SceneError: If the scenes have nothing to see.
+        FormatError: If a scene is damaged, or the folder holds something else.
+        ValueError: If a tile does not fit the memory of a worker, or another process prepares the same world.
+        BackendError: If workers or store cannot be used.
+        OSError: If a file cannot be written; finished work is kept.
+    """
+    target, config = _check.path("out", out), config or WorldConfig()
+    check_world_target(target)
+    work = WorkFolder(target)
+    with work.opened():
+        found = open_store(store or work.folder)
+        build = WorldBuild([(os.path.abspath(path), lod) for path, lod in scenes], config, found, workers or Workers(), progress)
+        packages = build.packages
+        manifest = _manifest(build, packages, about or {})
+        _write(build, packages, manifest, target, progress)
+        results = {**build.made, **{f"tile {k}": result for k, result in enumerate(packages)}}
+    nbytes = sum(manifest.node(k).nbytes for k in range(len(manifest)))
+    nbytes += sum(tile.beyond.nbytes for tile in manifest.tiles if tile.beyond is not None)
+    return PreparedWorld(manifest, results, nbytes, work.folder)
+
+
+def check_world_target(target: Path) -> None:
+    """Raise unless a world may be written to a folder.
+
+    Raises:
+        FormatError: If the path holds something else.
+    """
+    if target.exists() and not target.is_dir():
+        raise FormatError(target, "", "a folder, or nothing", "a file", "choose another name")
+    if target.is_dir():
+        others = sorted(
+            p.name for p in target.iterdir() if p.name not in (PACKAGES, BEYOND, WORLD) and p.name[:1] != "."
+        )
+        if others:
+            raise FormatError(target, "", "a world or an empty folder", f"{others[0]!r}", "choose another name")
+
+
+def _manifest(build: WorldBuild, packages: Sequence[Result], about: Mapping[str, Any]) -> WorldManifest:
+    """Return the manifest of finished packages."""
+    numbers = {f"levels {k}": k for k in range(len(build.tiles))}
+    districts = []
+    for k, (size, place, members) in enumerate(build.districts):
+        facts = build.district(k).facts
+        numbers[f"district {size} {place[0]}-{place[1]}"] = len(build.tiles) + k
+        districts.append(
+            District(
+                size,
+                place,
+                members,
+                *_box(facts),
+                facts["spacing"],
+                facts["package"],
+                facts["bytes"],
+                facts["gaussians"],
+            )
+        )
+    tiles = []
+    for coords, result in zip(build.tiles, packages, strict=True):
+        facts, beyond = result.facts, None
+        if "beyond" in result.files:
+            pieces = [
+                Piece(numbers[each["node"]], each["level"], tuple((first, count) for first, count in each["runs"]))
+                for each in facts["pieces"]
+            ]
+            beyond = BeyondTable(*result.files["beyond"], tuple(pieces))
+        levels = tuple((name, count) for name, count in facts["levels"])
+        low, high = _box(facts)
+        own = (facts["package"], facts["bytes"], levels, facts["gaussians"], facts["cells"])
+        tiles.append(Tile(coords, low, high, *own, beyond))
+    x, y, z = (float(v) for v in axis_vector(build.grid["up"]))
+    meters = build.config.package.meters_per_unit
+    provenance = {**about, "angle": build.config.angle, "far": build.config.far, "most": build.config.tiling.most}
+    return WorldManifest(
+        (x, y, z), meters, grid_of(build.grid["grid"]), tuple(tiles), tuple(districts), dict(provenance)
+    )
+
+
+def _write(
+    build: WorldBuild, packages: Sequence[Result], manifest: WorldManifest, target: Path, progress: Progress
+) -> None:
+    """Write packages and tables that are not there yet, then the manifest, and remove what it does not name."""
+    results = [*packages, *(build.district(k) for k in range(len(build.districts)))]
+    progress("world", 0, len(results))
+    for k, result in enumerate(results):
+        _write_package(build.store, result, target / PACKAGES / manifest.node(k).package)
+        if "beyond" in result.files:
+            table = target / BEYOND / f"{result.files['beyond'][0]}.pvs"
+            if not table.is_file() or digest_of(table) != result.files["beyond"][0]:
+                table.parent.mkdir(parents=True, exist_ok=True)
+                with atomic_path(table) as partial:
+                    _copy(build.store, result, "beyond", partial)
+        progress("world", k + 1, len(results))
+    manifest.write(target / WORLD)
+    names = {manifest.node(k).package for k in range(len(manifest))}
+    names |= {tile.beyond.name for tile in manifest.tiles if tile.beyond is not None}
+    for folder in (target / PACKAGES, target / BEYOND):
+        for path in folder.iterdir() if folder.is_dir() else ():
+            if path.name not in names and _OURS.fullmatch(path.name):
+                shutil.rmtree(path) if path.is_dir() else path.unlink()
+
+
+def _write_package(store: ObjectStore, result: Result, folder: Path) -> None:
+    """Write the package of a result, unless it is there."""
+    names = sorted(name for name in result.files if name.startswith(f"{PACKAGE}/"))
+    inner = {name.removeprefix(f"{PACKAGE}/"): result.files[name] for name in names}
+    if all((folder / name).is_file() and digest_of(folder / name) == digest for name, (digest, _) in inner.items()):
+        return
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_folder(folder, last=(MANIFEST,)) as partial:
+        for name in inner:
+            (partial / name).parent.mkdir(parents=True, exist_ok=True)
+            _copy(store, result, f"{PACKAGE}/{name}", partial / name)
+
+
+def _copy(store: ObjectStore, result: Result, name: str, to: Path) -> None:
+    from tempfile import TemporaryDirectory
+
+    with TemporaryDirectory(prefix="gsvis-") as cache:
+        shutil.copyfile(store.path_of(result.files[name], Path(cache)), to)
+
+
+def _box(facts: Facts) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    low, high = facts["low"], facts["high"]
+    return (low[0], low[1], low[2]), (high[0], high[1], high[2])

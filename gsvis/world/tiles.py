@@ -1,0 +1,152 @@
+"""Tiles before anything is seen from them: their rows, where eyes may be in them, and their levels.
+
+Scene frame and units. Each function here is a task of a graph.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gsvis.color.fit import FitConfig
+from gsvis.errors import ArgumentError, SceneError
+from gsvis.files.archive import load_arrays, save_arrays
+from gsvis.package import in_package_order
+from gsvis.prepare.colors import ColorConfig
+from gsvis.prepare.config import PrepareConfig
+from gsvis.prepare.prepare import stages_of
+from gsvis.progress import silent
+from gsvis.pvs.config import PvsConfig
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.levels import Levels
+from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.view_sampling import ViewSampling
+from gsvis.train.levels import LevelsConfig
+from gsvis.world.graph import Facts, Given
+from gsvis.world.rows import load_gaussians, load_rows, median_spacing, save_gaussians, save_tile_levels
+
+__all__ = ["VERSIONS", "config_of", "gather_rows", "load_space", "make_tile_levels", "tile_space"]
+
+VERSIONS = {"gather_rows": 1, "make_tile_levels": 1, "tile_space": 1}
+
+_MARGIN = 0.15  # of the side of a tile: how far beyond it the space of a tile is looked for
+
+
+def gather_rows(params: Facts, given: Given, out: Path, work: Path) -> Facts:
+    """Task: join the rows of a tile from all batches, ordered by content. `files` lists (input, name)."""
+    g = load_rows([given.path(number, name) for number, name in params["files"]])
+    save_gaussians(out / "rows", g)
+    return {"gaussians": len(g)}
+
+
+def tile_space(params: Facts, given: Given, out: Path, work: Path) -> Facts:
+    """Task: find where eyes may be in the square of a tile. Inputs are its rows, then those of the tiles around it.
+
+    Facts: the number of free voxels; 0 if nobody can be there.
+    """
+    low, high, axes = (np.array(params[name]) for name in ("low", "high", "axes"))
+    margin = _MARGIN * float((high - low).max())
+    parts = []
+    for k in range(len(given)):
+        g = load_gaussians(given.path(k, "rows"))
+        across = g.means[:, axes]
+        parts.append(g if k == 0 else g[((across >= low - margin) & (across < high + margin)).all(axis=1)])
+    near = Gaussians.concatenate([Gaussians(g.means, g.quats, g.scales, g.opacities, g.sh0) for g in parts])
+    try:
+        found = NavigableSpace.from_scene(near, up=params["up"], resolution=params["resolution"])
+    except SceneError:
+        return {"voxels": 0}
+    free = found.free.copy()
+    for axis, first, last in zip(axes.tolist(), low.tolist(), high.tolist(), strict=True):
+        middles = found.origin[axis] + found.voxel_size * (np.arange(free.shape[axis]) + 0.5)
+        shape = [1, 1, 1]
+        shape[axis] = -1
+        free &= ((middles >= first) & (middles < last)).reshape(shape)
+    if not free.any():
+        return {"voxels": 0}
+    save_arrays(
+        out / "space",
+        {
+            "origin": found.origin, "voxel_size": np.array([found.voxel_size]), "free": free, "up": found.up,
+            "occupied": found.occupied, "targets": found.targets,
+        },
+    )  # fmt: skip
+    return {"voxels": int(np.count_nonzero(free))}
+
+
+def load_space(path: Path) -> NavigableSpace:
+    """Return the space that `tile_space` wrote.
+
+    Raises:
+        FormatError: If the file is damaged.
+    """
+    found = load_arrays(path, sealed=True)
+    free, up, occupied, targets = (found[name] for name in ("free", "up", "occupied", "targets"))
+    return NavigableSpace(found["origin"], float(found["voxel_size"][0]), free, up, occupied, targets)
+
+
+def make_tile_levels(params: Facts, given: Given, out: Path, work: Path) -> Facts:
+    """Task: make the levels of a tile from its rows and its space, in the order of a package.
+
+    Without a space, or where it is too small to train levels, the lower of two levels has the `most` Gaussians with the
+    largest shadows.
+
+    Facts: names, sizes and spacings of the levels, and the record of their quality.
+    """
+    g, config = load_gaussians(given.path(0, "rows")), config_of(params["config"])
+    levels, quality = None, None
+    if given.inputs[1:] and given.inputs[1].facts["voxels"]:
+        levels, quality = _trained(g, load_space(given.path(1, "space")), config, work)
+    if levels is None:
+        levels = in_package_order(_strongest(g, params["most"]))
+    save_tile_levels(out / "levels", levels)
+    (out / "quality.json").write_text(json.dumps(quality), encoding="ascii")
+    spacings = [median_spacing(levels.level(k)) for k in range(len(levels))]
+    sizes = [[name, count] for name, count in zip(levels.names, levels.counts, strict=True)]
+    return {"levels": sizes, "spacings": spacings, "gaussians": len(levels.union)}
+
+
+def config_of(value: dict[str, Any]) -> PrepareConfig:
+    """Return the options of a preparation from `PrepareConfig.as_dict`, as JSON keeps them."""
+    colors = value["colors"]
+    fit = {**colors["fit"], "decays": tuple(colors["fit"]["decays"])}
+    return PrepareConfig(
+        levels=None if value["levels"] is None else LevelsConfig(**value["levels"]),
+        level_views=ViewSampling(**value["level_views"]),
+        level_held_out=value["level_held_out"],
+        cells=value["cells"],
+        cell_size=value["cell_size"],
+        sets=PvsConfig(**value["sets"]),
+        colors=ColorConfig(FitConfig(**fit), ViewSampling(**colors["views"]), colors["rays_per_face"]),
+        epsilon=value["epsilon"],
+        epsilon_from=value["epsilon_from"],
+        cost_views=ViewSampling(**value["cost_views"]),
+        fidelity_views=ViewSampling(**value["fidelity_views"]),
+        meters_per_unit=value["meters_per_unit"],
+    )
+
+
+def _trained(
+    g: Gaussians, space: NavigableSpace, config: PrepareConfig, work: Path
+) -> tuple[Levels | None, dict[str, Any] | None]:
+    """Return the levels that `gsvis prepare` makes, and the record of their quality; None if it cannot make any."""
+    try:
+        stages = stages_of(g, work / "levels.gsvis", space, config, photos=None, progress=silent)
+        with stages.work.opened():
+            return stages.levels()
+    except (SceneError, ArgumentError):
+        return None, None
+
+
+def _strongest(g: Gaussians, most: int) -> Levels:
+    """Return a scene as two levels, of which the lower has the Gaussians with the largest shadows; or as one."""
+    if len(g) <= most:
+        return Levels.single(g)
+    s = g.scales.astype(np.float64)
+    strength = g.opacities * (s[:, 0] * s[:, 1] + s[:, 1] * s[:, 2] + s[:, 2] * s[:, 0])
+    first = np.ones(len(g), np.uint8)
+    first[np.argsort(-strength, kind="stable")[:most]] = 0
+    return Levels(g, first, np.ones(len(g), np.uint8), ("low", "high"))

@@ -1,0 +1,41 @@
+"""A small city for tests: a street of a few thousand Gaussians, with options that take seconds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from benchmarks._worlds import small_street
+from gsvis.io.ply import save_ply
+from gsvis.prepare.config import PrepareConfig
+from gsvis.pvs.config import PvsConfig
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.view_sampling import ViewSampling
+from gsvis.train.levels import LevelsConfig
+from gsvis.world.config import WorldConfig
+from gsvis.world.tiling import TilingConfig
+
+__all__ = ["config", "content", "street", "write"]
+
+
+def street() -> Gaussians:
+    return small_street(houses=2, step=0.4, flyaways=12)
+
+
+def config(levels: LevelsConfig | None = None, most: int = 700) -> WorldConfig:
+    views = {
+        "level_views": ViewSampling(4, 48, 36, 90.0),
+        "cost_views": ViewSampling(1, 32, 24, 60.0, stream=3),
+        "fidelity_views": ViewSampling(1, 32, 24, 60.0, stream=5),
+    }
+    sets = PvsConfig(size=24, lower_size=16, limit=0.05, rays=128, max_inner=1)
+    package = PrepareConfig(levels=levels, level_held_out=0, cells=2, sets=sets, **views)
+    return WorldConfig(TilingConfig(most, up="+z"), package, far=64, angle=0.1, looks=6, resolution=32)
+
+
+def write(g: Gaussians, path: Path) -> tuple[str, None]:
+    save_ply(g, path)
+    return str(path), None
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}

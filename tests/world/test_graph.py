@@ -1,0 +1,211 @@
+"""Graphs of tasks: the same results on every executor, what a kill leaves, and workers that die, wait or do not fit."""
+
+from __future__ import annotations
+
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gsvis.errors import BackendError, FormatError, GsvisError, OutputError
+from gsvis.files.objects import open_store
+from gsvis.pvs.workers import Workers
+from gsvis.world import graph
+from gsvis.world.graph import Task, machine_kind, run_graph
+from tests.world.small_tasks import HERE, tree
+
+TOTAL = "(((leaf 0 leaf 1) (leaf 2 leaf 3)) ((leaf 4 leaf 5) (leaf 6 leaf 7)))"
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    """The objects of a store, and the keys of its notes."""
+    objects = {path.name: path.read_bytes() for path in (folder / "objects").rglob("*") if path.is_file()}
+    return objects | {path.name: b"" for path in (folder / "notes").iterdir()}
+
+
+@pytest.fixture(scope="module")
+def wanted(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    folder = tmp_path_factory.mktemp("wanted")
+    found = run_graph(tree(8), open_store(folder))
+    assert found[TOTAL].facts == {"value": 28}
+    return content(folder)
+
+
+@pytest.fixture(params=["threads", "processes"])
+def workers(request: pytest.FixtureRequest) -> Iterator[Workers]:
+    if request.param == "processes":
+        yield Workers(2)
+        return
+    with ThreadPoolExecutor(3) as executor:
+        yield Workers(3, executor=executor)
+
+
+def test_every_executor_gives_the_same_bytes(workers: Workers, wanted: dict[str, bytes], tmp_path: Path) -> None:
+    assert run_graph(tree(8), open_store(tmp_path), workers)[TOTAL].facts == {"value": 28}
+    assert content(tmp_path) == wanted
+
+
+def test_what_is_finished_is_not_done_again(tmp_path: Path) -> None:
+    log, store = tmp_path / "log", open_store(tmp_path / "store")
+    run_graph(tree(8, log), store)
+    run_graph(tree(8, log), store)
+    assert log.stat().st_size == 15
+    changed = tree(8, log)
+    changed[3] = Task(changed[3].name, changed[3].run, {"value": 9, "log": str(log)})
+    assert run_graph(changed, store)[TOTAL].facts == {"value": 34}
+    assert log.stat().st_size == 15 + 4
+
+
+def test_equal_results_cut_off_the_rest(tmp_path: Path) -> None:
+    log, store = tmp_path / "log", open_store(tmp_path / "store")
+    run_graph(tree(4, log), store)
+    changed = tree(4, log)
+    changed[0] = Task(changed[0].name, f"{HERE}:slow", {"value": 0, "seconds": 0.0, "log": str(log)})
+    run_graph(changed, store)
+    assert log.stat().st_size == 7 + 1
+
+
+@pytest.mark.parametrize("damage", ["cut", "other", "gone", "note"])
+def test_damaged_objects_are_made_again(damage: str, tmp_path: Path) -> None:
+    store = open_store(tmp_path)
+    before = run_graph(tree(4), store)
+    digest, _ = before["(leaf 0 leaf 1)"].files["number"]
+    path = tmp_path / "objects" / digest[:2] / digest
+    if damage == "note":
+        for note in (tmp_path / "notes").iterdir():
+            note.write_bytes(note.read_bytes()[:-1])
+    elif damage == "gone":
+        path.unlink()
+    else:
+        path.write_bytes(b"" if damage == "cut" else b"7")
+    again = Task("reader", f"{HERE}:join", {}, ("(leaf 0 leaf 1)",))
+    if damage == "other":  # found when it is read; then it is gone and the next run makes it again
+        with pytest.raises(FormatError, match="content that fits its name.*run the same again"):
+            run_graph([*tree(4), again], store)
+    assert run_graph([*tree(4), again], store)["reader"].facts == {"value": 1}
+
+
+def test_a_failed_task_stops_only_what_needs_it(tmp_path: Path) -> None:
+    tasks = tree(4)
+    tasks[0] = Task(tasks[0].name, f"{HERE}:fail")
+    store = open_store(tmp_path)
+    with pytest.raises(FormatError, match="tile 7: expected a whole one, got a damaged one"):
+        run_graph(tasks, store)
+    assert len(list((tmp_path / "notes").iterdir())) == 4  # three leaves and one pair
+
+
+def test_a_full_disk_stops_at_once_and_keeps_what_is_finished(tmp_path: Path) -> None:
+    tasks = tree(4)
+    tasks[2] = Task(tasks[2].name, f"{HERE}:fill")
+    with pytest.raises(OutputError, match="no space left"):
+        run_graph(tasks, open_store(tmp_path))
+    assert len(list((tmp_path / "notes").iterdir())) == 2
+    assert run_graph(tree(4), open_store(tmp_path))["((leaf 0 leaf 1) (leaf 2 leaf 3))"].facts == {"value": 6}
+
+
+def test_a_dead_process_is_replaced_and_its_work_is_found(tmp_path: Path) -> None:
+    params = {"tries": str(tmp_path / "tries"), "deaths": 2}
+    tasks = [*tree(2), Task("victim", f"{HERE}:die", params)]
+    found = run_graph(tasks, open_store(tmp_path / "store"), Workers(2))
+    assert found["victim"].facts == {"value": 1}  # the third attempt found what the others had left
+    assert (tmp_path / "tries").stat().st_size == 3
+    assert not list((tmp_path / "store" / "work").iterdir())
+
+
+def test_processes_that_die_again_and_again_end_with_one_line(tmp_path: Path) -> None:
+    task = Task("victim", f"{HERE}:die", {"tries": str(tmp_path / "tries"), "deaths": 99})
+    with pytest.raises(GsvisError, match="workers died again and again.*what is finished is kept"):
+        run_graph([task], open_store(tmp_path / "store"), Workers(2))
+
+
+def test_a_slow_worker_holds_up_nothing_else(tmp_path: Path) -> None:
+    order: list[str] = []
+    tasks = [Task("slow", f"{HERE}:slow", {"value": 1, "seconds": 3.0}), *tree(4)]
+
+    class Noting(ThreadPoolExecutor):
+        def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
+            future = super().submit(fn, *args, **kwargs)
+            future.add_done_callback(lambda _: order.append(args[0].task.name))
+            return future
+
+    # Tasks hold a lock for kernels in one process, so the slow one waits outside of it.
+    with Noting(2) as executor:
+        run_graph(tasks, open_store(tmp_path), Workers(2, executor=_Unlocked(executor)))
+    assert order[-1] == "slow"
+
+
+class _Unlocked(Executor):
+    """Runs the tasks named slow without the lock of kernels, as on a worker of its own."""
+
+    def __init__(self, executor: Executor) -> None:
+        self._executor = executor
+
+    def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
+        if args[0].task.name == "slow":
+            return self._executor.submit(_wait_then_perform, *args)
+        return self._executor.submit(fn, *args, **kwargs)
+
+
+def _wait_then_perform(job: graph.Job) -> graph.Result:
+    time.sleep(3.0)
+    return graph.perform(job)
+
+
+def test_another_version_or_processor_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    job = graph.Job(tree(2)[0], "0" * 64, (), str(tmp_path), "0.0.1", machine_kind())
+    with pytest.raises(BackendError, match=r"expected gsvis 0\.0\.1, as here, got gsvis"):
+        graph.perform(job)
+    job = graph.Job(tree(2)[0], "0" * 64, (), str(tmp_path), graph._version(), "m68k base")
+    with pytest.raises(BackendError, match="a processor like the one here"):
+        graph.perform(job)
+    here = graph.key_of(tree(2)[0], (), machine_kind())
+    assert here != graph.key_of(tree(2)[0], (), "m68k base")
+    monkeypatch.setattr("tests.world.small_tasks.VERSIONS", {"count": 2})
+    assert here != graph.key_of(tree(2)[0], (), machine_kind())
+
+
+def test_wrong_graphs_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="got one twice"):
+        run_graph([*tree(2), *tree(2)], open_store(tmp_path))
+    with pytest.raises(ValueError, match="before"):
+        run_graph(tree(2)[::-1], open_store(tmp_path))
+
+
+SCRIPT = """
+import sys
+from gsvis.files.objects import open_store
+from gsvis.world.graph import run_graph
+from tests.world.small_tasks import HERE, Task, tree
+tasks = [Task(t.name, t.run if t.needs else HERE + ":slow", {**t.params, "seconds": 0.02}, t.needs) for t in tree(8)]
+run_graph(tasks, open_store(sys.argv[1]))
+"""
+
+
+def test_kills_at_random_moments_change_no_byte(tmp_path: Path) -> None:
+    def start(folder: Path) -> subprocess.Popen[bytes]:
+        return subprocess.Popen([sys.executable, "-c", SCRIPT, str(folder)])
+
+    whole = tmp_path / "whole"
+    assert start(whole).wait() == 0
+    rng, killed = random.Random(5), tmp_path / "killed"
+    done = 0
+    for _ in range(8):
+        process = start(killed)
+        deadline = time.monotonic() + 60.0
+        while not (killed / "notes").is_dir() and time.monotonic() < deadline and process.poll() is None:
+            time.sleep(0.01)
+        time.sleep(0.15 * rng.random())
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        finished = sum(1 for path in (killed / "notes").iterdir() if path.name[:1] != ".")
+        assert finished >= done
+        done = finished
+    assert start(killed).wait() == 0
+    assert {k: v for k, v in content(killed).items() if k[:1] != "."} == content(whole)

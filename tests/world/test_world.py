@@ -1,0 +1,238 @@
+"""A small city from end to end: the same bytes whatever happens on the way, ids across borders, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsvis.errors import FormatError
+from gsvis.package import Package
+from gsvis.pvs.workers import Workers
+from gsvis.train.levels import LevelsConfig
+from gsvis.world import Tile, World, graph
+from gsvis.world.prepare import check_world_target, prepare_world
+from tests.world import cities
+
+Scene = tuple[str, None]
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    return cities.write(cities.street(), tmp_path_factory.mktemp("scene") / "street.ply")
+
+
+@pytest.fixture(scope="module")
+def city(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("city") / "city.gsworld"
+    prepare_world([scene], path, cities.config())
+    return path
+
+
+@pytest.fixture
+def copy(city: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(city, tmp_path / "copy.gsworld"))
+
+
+def test_a_world_is_whole_and_its_tiles_hold_every_gaussian_once(city: Path) -> None:
+    world = World.open(city)
+    found = world.verify()
+    g = cities.street()
+    assert found.gaussians == len(g)
+    assert found.tiles >= 4
+    assert found.strays == 0
+    means = []
+    for tile in range(found.tiles):
+        with world.package(tile) as package:
+            means.append(package.contents.gaussians().means)
+    together = np.concatenate(means)
+    apart = np.abs(np.sort(together[:, 0]) - np.sort(g.means[:, 0]))
+    assert np.quantile(apart, 0.99) < 0.01  # but for what rounding moves, the same Gaussians
+    outside = world.manifest.tiles[-1]
+    assert outside.coords is None
+    assert outside.gaussians >= 12
+
+
+def test_every_tile_is_a_package_of_today(city: Path) -> None:
+    world = World.open(city)
+    for node in range(len(world)):
+        with Package.open(world.package_path(node)) as package:
+            package.verify()
+
+
+def test_cells_see_across_the_border(city: Path) -> None:
+    world = World.open(city)
+    tiles = len(world.manifest.tiles)
+    crossing = 0
+    for tile in range(tiles):
+        beyond = world.beyond(tile)
+        entry = world.manifest.tiles[tile]
+        assert (beyond is None) == (entry.cells == 0)
+        if beyond is None:
+            continue
+        assert len(beyond) == entry.cells
+        for cell in range(len(beyond)):
+            for seen in beyond.of_cell(cell):
+                node = world.manifest.node(seen.node)
+                assert seen.node != tile
+                assert len(seen.ids) == len(seen.classes) > 0
+                assert (np.diff(seen.ids) > 0).all()
+                assert seen.ids[-1] < node.gaussians
+                crossing += isinstance(node, Tile)
+        beyond.close()
+    assert crossing
+
+
+def test_what_is_seen_beyond_is_what_a_look_at_the_whole_street_sees(city: Path) -> None:
+    """An eye in a cell, looking at the whole street: most of its weight is in the sets of the cell, by (node, id)."""
+    from gsvis.pvs.look import Look
+
+    world = World.open(city)
+    whole = cities.street()
+    look = Look(whole, "raster", 48, 1.0 / 255.0)
+    shares = []
+    for tile, entry in enumerate(world.manifest.tiles):
+        beyond = world.beyond(tile)
+        if beyond is None or not entry.cells:
+            continue
+        with world.package(tile) as package:
+            store = package.visibility
+            eye = store.grid.centers[0]
+            ids, weights = look(eye)
+            places = [package.contents.gaussians(store.visible_ids(0)).means]
+            for seen in beyond.of_cell(0):
+                with world.package(seen.node) as other:
+                    places.append(other.contents.gaussians(seen.ids).means)
+        held = np.concatenate(places)
+        apart = np.linalg.norm(whole.means[ids][:, None] - held[None], axis=2).min(axis=1)
+        near = np.linalg.norm(whole.means[ids] - eye, axis=1) < 8.0  # farther off, districts stand in
+        shares.append(float(weights[near & (apart < 0.05)].sum() / max(weights[near].sum(), 1e-9)))
+        beyond.close()
+    assert len(shares) >= 3
+    assert np.median(shares) > 0.9
+
+
+def test_workers_and_the_order_of_scenes_change_no_byte(scene: Scene, city: Path, tmp_path: Path) -> None:
+    g = cities.street()
+    order = np.random.default_rng(3).permutation(len(g))
+    cut = len(g) // 3
+    scenes = [cities.write(g[order[:cut]], tmp_path / "b.ply"), cities.write(g[order[cut:]], tmp_path / "a.ply")]
+    again = tmp_path / "again.gsworld"
+    prepare_world(scenes, again, cities.config(), workers=Workers(2))
+    assert cities.content(again) == cities.content(city)
+
+
+@pytest.mark.parametrize(("stage", "after"), [("splitting", 3), ("levels", 9), ("tiles", 14), ("world", 2)])
+def test_a_stopped_run_goes_on_to_the_same_bytes(
+    scene: Scene, city: Path, tmp_path: Path, stage: str, after: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, ran = tmp_path / "city.gsworld", list[str]()
+    perform = graph.perform
+    monkeypatch.setattr(graph, "perform", lambda job: (ran.append(job.task.name), perform(job))[1])
+
+    def stop(name: str, done: int, total: int) -> None:
+        if name == stage and done >= after:
+            raise KeyboardInterrupt
+
+    shutil.copytree(city.with_name("city.gsworld.work"), path.with_name("city.gsworld.work"))
+    for note in sorted((path.with_name("city.gsworld.work") / "notes").iterdir())[::3]:  # a third was not finished
+        note.unlink()
+    with pytest.raises(KeyboardInterrupt):
+        prepare_world([scene], path, cities.config(), progress=stop)
+    assert not (path / "world.json").exists()
+    before = len(ran)
+    prepare_world([scene], path, cities.config())
+    assert len(set(ran)) == len(ran), "nothing is done twice"
+    assert len(ran) - before < 60
+    assert cities.content(path) == cities.content(city)
+
+
+def test_levels_are_trained_for_tiles(scene: Scene, tmp_path: Path) -> None:
+    path = tmp_path / "city.gsworld"
+    levels = LevelsConfig((0.3,), (0.9,), ("low", "high"), iterations=3)
+    prepare_world([scene], path, cities.config(levels, most=4000))
+    world = World.open(path)
+    world.verify()
+    assert [name for name, _ in world.manifest.tiles[0].levels] == ["low", "high"]
+
+
+def test_a_package_alone_is_a_world_of_one_tile(city: Path) -> None:
+    whole = World.open(city)
+    alone = World.open(whole.package_path(0))
+    assert alone.alone
+    assert len(alone) == 1
+    assert alone.tile_at([1e6, 0.0, 0.0]) == 0
+    assert alone.beyond(0) is None
+    assert alone.manifest.tiles[0].cells == whole.manifest.tiles[0].cells
+    with alone.package(0) as package:
+        assert len(package) == whole.manifest.tiles[0].gaussians
+    assert alone.verify().gaussians == whole.manifest.tiles[0].gaussians
+
+
+def test_positions_are_found_in_their_tiles(city: Path) -> None:
+    world = World.open(city)
+    for number, tile in enumerate(world.manifest.tiles):
+        if tile.coords is not None:
+            assert world.tile_at(0.5 * (np.array(tile.low) + np.array(tile.high))) == number
+    assert world.tile_at([1e5, 0.0, 0.0]) == -1
+
+
+def test_a_missing_or_damaged_part_is_named(copy: Path) -> None:
+    world = World.open(copy)
+    folder = world.package_path(1)
+    part = next(iter((folder / "parts").iterdir()))
+    data = part.read_bytes()
+    part.write_bytes(data[:-1] + bytes([data[-1] ^ 1]))
+    with pytest.raises(FormatError, match="content that fits its name"):
+        world.verify()
+    manifest = folder / "manifest.json"
+    text = manifest.read_text()
+    manifest.write_text(text.replace('"version": 3', '"version": 9'))
+    with pytest.raises(FormatError, match="content that fits the name of the folder"):
+        world.package(1)
+    shutil.rmtree(folder)
+    with pytest.raises(FormatError, match="node 1: expected a package in .*, got no such package; prepare"):
+        world.package(1)
+
+
+def test_a_missing_or_damaged_table_is_named(copy: Path) -> None:
+    world = World.open(copy)
+    tile = next(k for k, each in enumerate(world.manifest.tiles) if each.beyond is not None)
+    table = next((copy / "beyond").iterdir())
+    table.write_bytes(table.read_bytes()[:-1])
+    with pytest.raises(FormatError, match=r"\.pvs"):
+        world.verify()
+    shutil.rmtree(copy / "beyond")
+    with pytest.raises(FormatError, match="a table of the world, got no such file; prepare the world again"):
+        world.beyond(tile)
+
+
+def test_strays_are_counted_and_removed_by_the_next_run(scene: Scene, city: Path, copy: Path) -> None:
+    (copy / "packages" / ("0" * 64)).mkdir()
+    assert World.open(copy).verify().strays == 1
+    shutil.copytree(city.with_name("city.gsworld.work"), copy.with_name("copy.gsworld.work"))
+    prepare_world([scene], copy, cities.config())
+    assert cities.content(copy) == cities.content(city)
+
+
+def test_surroundings_that_do_not_fit_the_memory_are_refused(scene: Scene, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"tile \d-\d: expected at most 0.2 GB for a worker, got .* raise --max-memory"):
+        prepare_world([scene], tmp_path / "city.gsworld", cities.config(), workers=Workers(1, max_memory=200_000_000))
+
+
+def test_something_else_is_not_replaced(tmp_path: Path) -> None:
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "photos" / "cat.jpg").write_bytes(b"cat")
+    with pytest.raises(FormatError, match="a world or an empty folder, got 'cat.jpg'"):
+        check_world_target(tmp_path / "photos")
+    with pytest.raises(FormatError, match="a world with a world.json, got a folder without"):
+        World.open(tmp_path / "photos")
+
+
+def test_the_manifest_names_no_path(city: Path, scene: Scene) -> None:
+    text = (city / "world.json").read_text()
+    assert str(Path(scene[0]).parent) not in text
+    assert json.loads(text)["format"] == "gsvis-world"
