@@ -418,8 +418,10 @@ def strengths(index: SceneIndex, pixel_area: float) -> F32:
     return np.minimum(both, 1e30).astype(np.float32)
 
 
-def ring_cells(grid: CellGrid, cell: int) -> list[list[int]]:
+def ring_cells(grid: Any, cell: int) -> list[list[int]]:
     """Return four lists: the cell, and its neighbors by face, by edge and by corner."""
+    if not isinstance(grid, CellGrid):  # cells of several grids know their neighbors
+        return grid.rings(cell)  # type: ignore[no-any-return]
     rings: list[list[int]] = [[grid.checked(cell)], [], [], []]
     others = grid.neighbors(cell)
     steps = np.abs(grid.coords[others] - grid.coords[cell]).sum(axis=1)

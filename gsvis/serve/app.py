@@ -193,7 +193,7 @@ class _App:
                 "gaussians": served.gaussians,
                 "view": f"view/{served.name}",
                 "stream": None if served.site else f"stream/{served.name}",
-                "manifest": None if served.site else f"packages/{served.name}/manifest.json",
+                "manifest": None if served.site or served.is_world else f"packages/{served.name}/manifest.json",
                 "static": f"scenes/{served.name}/{SCENE}" if served.site else None,
                 "preparing": served.preparing,
             }
@@ -283,7 +283,7 @@ class _App:
         """Return facts about a scene as JSON: why a Gaussian is there, or the last part of the address."""
 
         async def find(served: ServedScene) -> Response:
-            if not served.is_streamed or served.fault:
+            if not served.is_streamed or served.is_world or served.fault:
                 return PlainTextResponse("nothing is known of this scene\n", 404)
             given = request.path_params.get("id")
             if given is None:

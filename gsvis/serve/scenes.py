@@ -1,4 +1,4 @@
-"""The scenes of a server: packages by name, open while somebody looks. A damaged scene is refused from then on.
+"""The scenes of a server: packages and worlds by name, open while somebody looks. A damaged scene is refused from then on.
 
 With a folder of kept tables a scene opens in milliseconds, so one without viewers is closed after a while and opened
 again for the next viewer. Without such a folder scenes stay open.
@@ -26,6 +26,8 @@ from gsvis.serve._log import LOGGER, EventLog
 from gsvis.serve.sites import Site, is_site
 from gsvis.stream import Hello, Quality, Session, StreamedScene
 from gsvis.stream.kept import KeptTables, open_kept
+from gsvis.stream.scene import OwnIndex
+from gsvis.world import is_world
 
 __all__ = ["Scenes", "ServedScene", "open_scene", "open_scenes"]
 
@@ -68,7 +70,7 @@ class ServedScene:
     openings: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
-        self._lock = threading.Lock()
+        self._lock, self._is_world = threading.Lock(), False
         self._facts: tuple[int, int, NDArray[np.float64]] | None = None
         if self.opened is not None:
             self._note(self.opened)
@@ -77,6 +79,11 @@ class ServedScene:
     def is_streamed(self) -> bool:
         """Whether the scene is a package that could be opened."""
         return self.opened is not None or self._facts is not None
+
+    @property
+    def is_world(self) -> bool:
+        """Whether the scene is a world of several packages, whose files are not served one by one."""
+        return self._is_world
 
     @property
     def gaussians(self) -> int | None:
@@ -149,6 +156,7 @@ class ServedScene:
     def _note(self, scene: StreamedScene) -> None:
         """Keep what is asked of the scene while it is closed."""
         self.openings += 1
+        self._is_world = isinstance(scene.package, OwnIndex)
         grid = scene.index.grid
         low, high = grid.centers.min(axis=0) - grid.cell_size, grid.centers.max(axis=0) + grid.cell_size
         reach = _REACH * float((high - low).max())
@@ -308,6 +316,10 @@ def open_scene(
         return ServedScene(name, folder, None, site=Site(folder))
 
     def reopen() -> Opened:
+        if is_world(folder):
+            from gsvis.world.streamed import open_world  # seldom needed
+
+            return open_world(folder, tables=tables, max_cache_bytes=max_cache_bytes, quality=quality)
         package = Package.open(folder)
         try:
             if tables is None:

@@ -99,7 +99,7 @@ def _key(package: Package, pixel: float, quality: Quality | None) -> str:
     m = package.manifest
     facts = [
         _FORMAT, gsvis.__version__, sorted(part.name for part in m.parts()), identity_of(m, None), m.info.epsilon,
-        m.info.up, m.info.meters_per_unit, pixel, None if quality is None else asdict(quality),
+        m.info.up, m.info.meters_per_unit, m.scene, pixel, None if quality is None else asdict(quality),
     ]  # fmt: skip
     return hashlib.sha256(json.dumps(facts).encode()).hexdigest()[:32]
 

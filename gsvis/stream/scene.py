@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import base64
 import copy
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from os import PathLike
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +34,7 @@ from gsvis.stream.batch import CHUNK_ROW
 from gsvis.stream.coding import Coding, Quality, chunks_of, coarsen
 from gsvis.stream.header import SceneHeader
 
-__all__ = ["StreamedScene", "class_weights", "term_cones"]
+__all__ = ["OwnIndex", "StreamedScene", "class_weights", "term_cones"]
 
 
 class StreamedScene:
@@ -142,6 +143,8 @@ class StreamedScene:
             "level_counts": list(index.level_counts), "has_cones": index.cones is not None,
             "has_active": index.active is not None,
         }  # fmt: skip
+        if isinstance(self.package, OwnIndex):
+            own |= grid.to_arrays()  # type: ignore[attr-defined]
         return arrays | own, facts
 
     @classmethod
@@ -186,7 +189,7 @@ class StreamedScene:
         """The records of the package, rounded if there is a quality; decoded at each call if they are not in memory."""
         if self._contents is not None:
             return self._contents
-        contents = Package.open(self.package.path).contents
+        contents = type(self.package).open(self.package.path).contents
         return contents if self._quality is None else coarsen(contents, self._quality)[0]
 
     @property
@@ -268,6 +271,8 @@ def _scene_index(package: Package, cache: Cache[Any], nbytes: tuple[float, float
         nbytes: Bytes of a Gaussian and of a term.
     """
     contents, manifest = package.contents, package.manifest
+    if isinstance(package, OwnIndex):
+        return package.scene_index(contents, nbytes, cache)
     if manifest.visibility is not None:
         sets = package.visibility
         sets.cache = cache
@@ -288,6 +293,19 @@ def _scene_index(package: Package, cache: Cache[Any], nbytes: tuple[float, float
     every = EveryCell(len(contents), len(contents.term_records))
     terms = SceneTerms(contents.term_offsets, nbytes[1], every)
     return SceneIndex.from_levels(contents.levels(), grid, every, terms=terms, gaussian_bytes=nbytes[0])
+
+
+@runtime_checkable
+class OwnIndex(Protocol):
+    """A package that knows its cells and visible sets in a way of its own, such as a world."""
+
+    def scene_index(self, contents: Contents, nbytes: tuple[float, float], cache: Cache[Any], /) -> SceneIndex:
+        """Return what planners need to know of the scene."""
+        ...
+
+    def index_from(self, arrays: Mapping[str, NDArray[Any]], cache: Cache[Any], /, **fields: Any) -> SceneIndex:
+        """Return the index whose arrays were written before, from the fields of a `SceneIndex.trusted`."""
+        ...
 
 
 class _Later:
@@ -311,7 +329,11 @@ def _index_from(
     n, a = about.gaussians, arrays
     sets: Any = EveryCell(n, about.terms)
     active: Any = sets
-    if package.manifest.visibility is None:
+    make: Callable[..., SceneIndex] = SceneIndex.trusted
+    grid: Any = None
+    if isinstance(package, OwnIndex):
+        make = partial(package.index_from, arrays, cache)
+    elif package.manifest.visibility is None:
         origin, side, up = facts["box"]
         grid = CellGrid(np.asarray(origin), side, (1, 1, 1), np.zeros((1, 3), np.int32), np.asarray(up))
     else:
@@ -320,8 +342,8 @@ def _index_from(
     cones = None
     if facts["has_cones"]:
         cones = TermCones.trusted(*(a[f"record_{name}"] for name in ("centers", "places", "cosines", "widths")))
-    return SceneIndex.trusted(
-        tuple(facts["level_counts"]),
+    return make(
+        level_counts=tuple(facts["level_counts"]),
         means=a["bodies"][:3, :n].T,
         radii=a["bodies"][3, :n],
         areas=a["record_areas"],

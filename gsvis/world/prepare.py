@@ -85,7 +85,9 @@ def prepare_world(
     work = WorkFolder(target)
     with work.opened():
         found = open_store(store or work.folder)
-        build = WorldBuild([(os.path.abspath(path), lod) for path, lod in scenes], config, found, workers or Workers(), progress)
+        build = WorldBuild(
+            [(os.path.abspath(path), lod) for path, lod in scenes], config, found, workers or Workers(), progress
+        )
         packages = build.packages
         manifest = _manifest(build, packages, about or {})
         _write(build, packages, manifest, target, progress)
