@@ -1,4 +1,4 @@
-"""The scenes of a server: packages and worlds by name, open while somebody looks. A damaged scene is refused from then on.
+"""The scenes of a server, packages and worlds by name, open while somebody looks. A damaged one is refused.
 
 With a folder of kept tables a scene opens in milliseconds, so one without viewers is closed after a while and opened
 again for the next viewer. Without such a folder scenes stay open.

@@ -90,7 +90,8 @@ class WorldCells:
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], up: F64) -> WorldCells:
         """Return the cells that `to_arrays` took apart."""
-        return cls(*(np.array(arrays[f"cell_{k}"]) for k in ("centers", "sizes", "tiles", "places", "boxes")), up)
+        names = ("centers", "sizes", "tiles", "places", "boxes")
+        return cls(**{name: np.array(arrays[f"cell_{name}"]) for name in names}, up=up)
 
     def __len__(self) -> int:
         """Return C."""
@@ -181,11 +182,11 @@ class WorldSets:
         return pack(self._seen(cell)[0], self._n)
 
     def _seen(self, cell: int) -> tuple[I64, NDArray[np.uint8]]:
-        found = self._cache.find(("seen", cell))
+        found: tuple[I64, NDArray[np.uint8]] | None = self._cache.find(("seen", cell))
         if found is None:
             found = self._read(cell)
             self._cache.keep(("seen", cell), found, found[0].nbytes + found[1].nbytes)
-        return found  # type: ignore[no-any-return]
+        return found
 
     def _read(self, cell: int) -> tuple[I64, NDArray[np.uint8]]:
         """Read what a cell sees. What a damaged tile cannot tell is left out; its own Gaussians are all seen then."""

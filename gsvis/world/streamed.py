@@ -8,6 +8,7 @@ A node that is missing or damaged is left out, with one line in the log. Scene f
 
 from __future__ import annotations
 
+import hashlib
 import logging
 from collections.abc import Callable
 from dataclasses import replace
@@ -134,12 +135,12 @@ class WorldPackage(Package):
         """Do nothing: stores close when nobody uses them."""
 
     @property
-    def epsilon(self) -> float | None:  # type: ignore[override]
+    def epsilon(self) -> float | None:
         """Contribution above which a term is active in a cell."""
         return self.manifest.info.epsilon
 
     @cached_property
-    def contents(self) -> Contents:  # type: ignore[override]
+    def contents(self) -> Contents:
         """All records, with colors in the tables of the world."""
         levels, pieces = len(self.manifest.names), []
         for node in self.nodes:
@@ -287,12 +288,10 @@ def _in_world(contents: Contents, grids: Grids, levels: int, is_tile: bool) -> C
 
 
 def _frozen(array: NDArray[Any]) -> NDArray[Any]:
-    view = array.view()
+    view: NDArray[Any] = array.view()
     view.flags.writeable = False
     return view
 
 
 def _name_of(world: World) -> str:
-    import hashlib
-
     return hashlib.sha256(world.manifest.to_json()).hexdigest()

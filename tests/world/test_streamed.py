@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import logging
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -115,7 +114,7 @@ def test_cells_touch_across_borders(city: Path) -> None:
 
 
 @pytest.fixture(params=["missing", "damaged"])
-def broken(request: pytest.FixtureRequest, copy: Path) -> Iterator[Path]:
+def broken(request: pytest.FixtureRequest, copy: Path) -> Path:
     """A world whose tile 1 is missing, or has a damaged part."""
     folder = World.open(copy).package_path(1)
     if request.param == "missing":
@@ -123,7 +122,7 @@ def broken(request: pytest.FixtureRequest, copy: Path) -> Iterator[Path]:
     else:
         part = max(folder.glob("parts/*.bin"), key=lambda path: path.stat().st_size)
         part.write_bytes(part.read_bytes()[:-1] + b"?")
-    yield copy
+    return copy
 
 
 def test_a_tile_that_cannot_be_read_is_left_out_with_one_line(

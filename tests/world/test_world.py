@@ -219,7 +219,9 @@ def test_strays_are_counted_and_removed_by_the_next_run(scene: Scene, city: Path
 
 
 def test_surroundings_that_do_not_fit_the_memory_are_refused(scene: Scene, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"tile \d-\d: expected at most 0.2 GB for a worker, got .* raise --max-memory"):
+    with pytest.raises(
+        ValueError, match=r"tile \d-\d: expected at most 0.2 GB for a worker, got .* raise --max-memory"
+    ):
         prepare_world([scene], tmp_path / "city.gsworld", cities.config(), workers=Workers(1, max_memory=200_000_000))
 
 
