@@ -20,7 +20,7 @@ class Serve:
     """Serve packages to viewers over WebSockets, until Ctrl-C."""
 
     package: Annotated[Positional[tuple[str, ...]], PACKAGES, arg(help_behavior_hint="")]
-    """Folders of packages, such as scene.gsvis; each is served under its name, the first also without one."""
+    """Folders of packages or worlds, such as scene.gsvis; each is served under its name, the first also without one."""
     host: Annotated[str, arg(metavar="HOST", help_behavior_hint="(default: 127.0.0.1)")] = "127.0.0.1"
     """Address to listen on. 127.0.0.1 accepts this machine only, 0.0.0.0 every machine."""
     port: Annotated[int, PORT] = 8765

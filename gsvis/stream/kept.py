@@ -15,9 +15,9 @@ import os
 import time
 from contextlib import suppress
 from dataclasses import asdict
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-import gsvis
 from gsvis import _check
 from gsvis.errors import FormatError, GsvisError
 from gsvis.files.locks import try_lock
@@ -98,10 +98,17 @@ def _key(package: Package, pixel: float, quality: Quality | None) -> str:
     """Return what names the tables: all that they depend on."""
     m = package.manifest
     facts = [
-        _FORMAT, gsvis.__version__, sorted(part.name for part in m.parts()), identity_of(m, None), m.info.epsilon,
+        _FORMAT, _version(), sorted(part.name for part in m.parts()), identity_of(m, None), m.info.epsilon,
         m.info.up, m.info.meters_per_unit, m.scene, pixel, None if quality is None else asdict(quality),
     ]  # fmt: skip
     return hashlib.sha256(json.dumps(facts).encode()).hexdigest()[:32]
+
+
+def _version() -> str:
+    try:
+        return version("gsvis")
+    except PackageNotFoundError:  # run from its sources
+        return "unknown"
 
 
 def _find(path: Path) -> MappedArrays | None:
