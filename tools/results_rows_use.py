@@ -49,7 +49,7 @@ USE = (
                 target="≥ 48, 50 dB; worst 6 below",
             ),
             Row(
-                "How many viewers at 10 Mbit/s does a core serve, two processes; how long do a cold plan and a tick take?",
+                "How many viewers at 10 Mbit/s does a core serve, and two; how long do a cold plan and a tick take?",
                 (
                     "abr_planning: cells see 100%, fov-first: cold, median",
                     "abr_planning: showroom: 50 clients, a tick of one, mean",
