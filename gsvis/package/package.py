@@ -184,6 +184,15 @@ class Package:
                 self._write_joined(self.manifest.visibility, partial)
         self._store = path
 
+    def check_parts(self) -> None:
+        """Raise unless every part is there in its size; read none of them.
+
+        Raises:
+            FormatError: If a part is missing, a link, or has another size.
+        """
+        for part in self.manifest.parts():
+            self._parts.check_size(part)
+
     def forget_records(self) -> None:
         """Free the memory of the records and of what was decoded from them; they are read again when needed."""
         for name in ("contents", "active_terms"):

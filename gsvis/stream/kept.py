@@ -78,6 +78,7 @@ def open_kept(
         OSError: If the package cannot be read.
     """
     place, key = _check.path("folder", folder), _key(package, pixel, quality)
+    package.check_parts()
     try:
         place.mkdir(mode=0o700, parents=True, exist_ok=True)
         mapped = _find(place / (key + _TABLES)) or _make(package, place, key, pixel=pixel, quality=quality)

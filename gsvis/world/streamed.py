@@ -134,6 +134,15 @@ class WorldPackage(Package):
     def close(self) -> None:
         """Do nothing: stores close when nobody uses them."""
 
+    def check_parts(self) -> None:
+        """Leave out nodes with a part that is missing or has another size, as when a part is damaged."""
+        for node in self.nodes:
+            try:
+                with self.world.package(node) as package:
+                    package.check_parts()
+            except (GsvisError, OSError) as error:
+                raise _DamagedNodeError(node, str(error)) from error
+
     @property
     def epsilon(self) -> float | None:
         """Contribution above which a term is active in a cell."""

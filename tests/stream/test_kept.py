@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import threading
 from pathlib import Path
 
@@ -10,7 +11,8 @@ import pytest
 
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.config import AbrConfig
-from gsvis.files.mapped import MappedArrays
+from gsvis.errors import FormatError
+from gsvis.files.mapped import MappedArrays, write_arrays
 from gsvis.package import Package
 from gsvis.stream import Quality, Receiver, Session, StreamedScene
 from gsvis.stream import kept as module
@@ -118,9 +120,18 @@ def test_a_folder_that_cannot_be_written_means_memory(
     assert "tables are not kept" in caplog.text
 
 
-def test_arrays_that_share_memory_are_written_once(tmp_path: Path) -> None:
-    from gsvis.files.mapped import write_arrays
+def test_a_package_without_a_part_is_refused_though_its_tables_are_kept(path: Path, tmp_path: Path) -> None:
+    copy = Path(shutil.copytree(path, tmp_path / "copy.gsvis"))
+    with Package.open(copy) as package:
+        open_kept(package, tmp_path / "t")
+    part = max((copy / "parts").iterdir())
+    for bad in (part.read_bytes()[:-1], None):
+        part.unlink() if bad is None else part.write_bytes(bad)
+        with Package.open(copy) as package, pytest.raises(FormatError, match=r"bytes|no such file"):
+            open_kept(package, tmp_path / "t")
 
+
+def test_arrays_that_share_memory_are_written_once(tmp_path: Path) -> None:
     a = np.arange(5000)
     write_arrays(tmp_path / "x.tables", {"a": a, "b": a, "none": np.zeros((0, 3), np.float32)}, {"n": 1})
     found = MappedArrays(tmp_path / "x.tables")
