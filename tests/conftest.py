@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import atexit
 import os
+import shutil
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,6 +15,9 @@ from hypothesis import HealthCheck, settings
 from tests.bare_plots import PAGES, draw_bare_plots
 
 os.environ.setdefault("MPLBACKEND", "Agg")
+if "GSVIS_CACHE" not in os.environ:  # not the folder of whoever runs the tests
+    os.environ["GSVIS_CACHE"] = tempfile.mkdtemp(prefix="gsvis-cache-")
+    atexit.register(shutil.rmtree, os.environ["GSVIS_CACHE"], ignore_errors=True)
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # workers of one machine do not spin against each other
 if "PYTEST_XDIST_WORKER" in os.environ:  # beside others, who have the same cores; what a test starts inherits it
     os.environ.setdefault("NUMBA_NUM_THREADS", "2")

@@ -10,8 +10,9 @@ further shell the next nearest cells. All shells share the units of the whole sc
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,9 @@ F64 = NDArray[np.float64]
 Words = NDArray[np.uint64]
 
 RINGS = 4
+
+_WHOLE = ("words", "places", "owing", "union", "active", "level_bytes")  # arrays of `CandidateIndex.everything`
+_Tuple = TypeVar("_Tuple")
 
 _SHELL = 8  # cells of a shell: its sets may all have to be read while a viewer waits
 
@@ -158,6 +162,55 @@ class CandidateIndex:
         self.all_bits = np.full(count, ~np.uint64(0))
         self.everything = self._assemble(-1, [self._units_of(1, all_of_them)], all_of_them, *self._every_term, owned)
         self.highest = pack(np.flatnonzero(index.last == index.num_levels - 1), len(index))
+
+    def to_arrays(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        """Return all arrays by name, and all numbers, from which `from_arrays` makes the same object."""
+        every, traits = self.everything, self._traits
+        arrays = {
+            "spheres": self.spheres, "spreads": self.spreads, "bodies": self.bodies, "highest": self.highest,
+            "word_bytes": self._word_bytes, "word_terms": self._word_terms, "owners": self._owners,
+            "strengths": traits.strengths, "pairs": traits.pairs, "mixed": traits.mixed,
+            "active": self._every_term[0], "owing": self._every_term[1], **_named("record", self.records),
+            **_named("link", self.links), **_named("every", self._every), **_named("unit", every.units),
+            **_named("run", every.runs), **{f"all_{name}": getattr(every, name) for name in _WHOLE},
+        }  # fmt: skip
+        numbers = {
+            "pixel_area": self.pixel_area, "term_size": self._term_size, "least_sizes": self.least_sizes,
+            "stored": self.stored, "sent_per_stored": self.sent_per_stored, "term_bytes": every.term_bytes,
+        }  # fmt: skip
+        return arrays, numbers
+
+    @classmethod
+    def from_arrays(
+        cls, index: SceneIndex, arrays: Mapping[str, NDArray[Any]], numbers: Mapping[str, Any], *, cache: Cache[Any]
+    ) -> CandidateIndex:
+        """Return the object that `to_arrays` took apart; read no array.
+
+        Args:
+            index: The scene.
+            arrays: Arrays by name, such as views of a memory-mapped file.
+            numbers: Numbers by name.
+            cache: Cache of candidates and sets of cells.
+        """
+        self, a = cls.__new__(cls), arrays
+        self.index, self.cache = index, cache
+        self.pixel_area, self._term_size = numbers["pixel_area"], numbers["term_size"]
+        self.least_sizes, self.stored = tuple(numbers["least_sizes"]), tuple(numbers["stored"])
+        self.sent_per_stored = numbers["sent_per_stored"]
+        self.spheres, self.spreads, self.bodies, self.highest = a["spheres"], a["spreads"], a["bodies"], a["highest"]
+        self._word_bytes, self._word_terms, self._owners = a["word_bytes"], a["word_terms"], a["owners"]
+        self._traits = kernels.Traits(a["strengths"], a["pairs"], a["mixed"])
+        self._every_term = a["active"], a["owing"]
+        self.records, self.links = _typed("record", plan.Records, a), _typed("link", plan.Links, a)
+        self._every = _typed("every", Units, a)
+        self._scratch, self._shell_counts = threading.local(), dict[int, int]()
+        self.all_bits = np.full(len(self.spheres), ~np.uint64(0))
+        whole = {name: a[f"all_{name}"] for name in _WHOLE}
+        self.everything = Candidates(
+            cell=-1, units=_typed("unit", Units, a), runs=_typed("run", Runs, a), term_bytes=numbers["term_bytes"],
+            **whole,
+        )  # fmt: skip
+        return self
 
     def in_cell(self, cell: int) -> Candidates:
         """Return the candidates of a cell.
@@ -348,6 +401,16 @@ class CandidateIndex:
         return Units(*(array[:count] for array in found))
 
 
+def _named(prefix: str, arrays: Any) -> dict[str, NDArray[Any]]:
+    """Return the arrays of a named tuple, as `prefix_field`."""
+    return {f"{prefix}_{name}": array for name, array in arrays._asdict().items()}
+
+
+def _typed(prefix: str, kind: Callable[..., _Tuple], arrays: Mapping[str, NDArray[Any]]) -> _Tuple:
+    """Return the named tuple whose arrays `_named` named."""
+    return kind(**{name: arrays[f"{prefix}_{name}"] for name in kind._fields})  # type: ignore[attr-defined]
+
+
 def strengths(index: SceneIndex, pixel_area: float) -> F32:
     """Return (N, 2) per byte: importance times area, and importance times the area that a pixel adds at distance 1."""
     value = (index.importance / index.gaussian_bytes).astype(np.float64)
@@ -355,8 +418,10 @@ def strengths(index: SceneIndex, pixel_area: float) -> F32:
     return np.minimum(both, 1e30).astype(np.float32)
 
 
-def ring_cells(grid: CellGrid, cell: int) -> list[list[int]]:
+def ring_cells(grid: Any, cell: int) -> list[list[int]]:
     """Return four lists: the cell, and its neighbors by face, by edge and by corner."""
+    if not isinstance(grid, CellGrid):  # cells of several grids know their neighbors
+        return grid.rings(cell)  # type: ignore[no-any-return]
     rings: list[list[int]] = [[grid.checked(cell)], [], [], []]
     others = grid.neighbors(cell)
     steps = np.abs(grid.coords[others] - grid.coords[cell]).sum(axis=1)

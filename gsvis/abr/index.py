@@ -202,6 +202,18 @@ class SceneIndex:
             cones=known.cones,
         )
 
+    @classmethod
+    def trusted(cls, level_counts: tuple[int, ...], **fields: Any) -> SceneIndex:
+        """Return an index without reading its arrays: they were checked before they were written to a file.
+
+        Args:
+            level_counts: Number of Gaussians of each level.
+            **fields: All fields, by name.
+        """
+        made = object.__new__(cls)
+        made.__dict__.update(fields, level_counts=level_counts)
+        return made
+
     def __len__(self) -> int:
         """Return N, the number of Gaussians."""
         return len(self.means)

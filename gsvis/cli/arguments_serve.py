@@ -12,6 +12,7 @@ from gsvis.cli.readers import ADDRESSES, BYTES, COUNTED, HOSTS, ORIGINS, PACKAGE
 __all__ = ["Serve"]
 
 Flag = Annotated[bool, PLAIN]
+TABLES = arg(metavar="DIR", help_behavior_hint="(default: in GSVIS_CACHE, or in ~/.cache/gsvis)")
 
 
 @dataclass(frozen=True)
@@ -19,7 +20,7 @@ class Serve:
     """Serve packages to viewers over WebSockets, until Ctrl-C."""
 
     package: Annotated[Positional[tuple[str, ...]], PACKAGES, arg(help_behavior_hint="")]
-    """Folders of packages, such as scene.gsvis; each is served under its name, the first also without one."""
+    """Folders of packages or worlds, such as scene.gsvis; each is served under its name, the first also without one."""
     host: Annotated[str, arg(metavar="HOST", help_behavior_hint="(default: 127.0.0.1)")] = "127.0.0.1"
     """Address to listen on. 127.0.0.1 accepts this machine only, 0.0.0.0 every machine."""
     port: Annotated[int, PORT] = 8765
@@ -61,7 +62,17 @@ class Serve:
     stall: Annotated[float, SECONDS] = 30.0
     """Disconnect a viewer that does not read for so many seconds."""
     cache: Annotated[int, BYTES, hint("512MB")] = 512_000_000
-    """Memory limit for decoded cells, in addition to the records."""
+    """Memory limit for decoded cells, for each process."""
+    tables: Annotated[str | None, TABLES] = None
+    """Folder for tables that are computed once for each package and memory-mapped after that."""
+    no_tables: Flag = False
+    """Decode packages into memory at the start instead, and never close them."""
+    tables_memory: Annotated[int, BYTES, hint("1GB")] = 1_000_000_000
+    """Memory limit for mapped tables, for each process."""
+    close: Annotated[float, SECONDS] = 600.0
+    """Close a scene that nobody looks at for so many seconds; the next viewer opens it again."""
+    processes: Annotated[int, COUNTED] = 1
+    """Processes that serve on the one port, one for each core."""
     planners: Annotated[int, WHOLE] = 0
     """Threads that plan what to send; 0 plans in the event loop."""
     log_format: Annotated[Literal["text", "json"], PLAIN] = "text"

@@ -1,4 +1,7 @@
-"""`gsvis serve`: serve packages to viewers until stopped. Logs go to stderr; with --json the address goes to stdout."""
+"""`gsvis serve`: serve packages to viewers until stopped. Logs go to stderr; with --json the address goes to stdout.
+
+With --processes this process supervises: it runs the same command again for each process, on its listening socket.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from pathlib import Path
 
 from gsvis.cli.arguments_serve import Serve
 from gsvis.cli.terminal import print_json
@@ -27,14 +31,21 @@ def run_serve(command: Serve) -> None:
     """
     from gsvis.abr.config import AbrConfig
     from gsvis.serve import Address, AppConfig, JsonLines, Limits, Server, TextLines, open_scenes
+    from gsvis.serve.processes import Child
+    from gsvis.serve.siblings import Siblings
     from gsvis.stream import Quality
 
-    form = JsonLines() if command.log_format == "json" else TextLines()
+    child = Child.from_environment()
+    number = None if child is None else child.number
+    form = JsonLines(number) if command.log_format == "json" else TextLines(number)
     log_to_stderr(form, logging.DEBUG if command.debug else logging.INFO)
+    if child is None and command.processes > 1:
+        return _supervise(command)
     limits = Limits(
         connections=command.clients, message_bytes=command.message_bytes, messages_per_s=float(command.messages),
         poses_per_s=float(command.poses), handshake_s=command.handshake, idle_s=command.idle, stall_s=command.stall,
-        keep_alive_s=command.keep_alive, per_address=command.per_address,
+        keep_alive_s=command.keep_alive, per_address=command.per_address, close_s=command.close,
+        tables_bytes=command.tables_memory,
     )  # fmt: skip
     token = command.token if command.token is not None else os.environ.get("GSVIS_TOKEN") or None
     abr = AbrConfig(policy=command.policy, fill=not command.no_fill)
@@ -44,18 +55,59 @@ def run_serve(command: Serve) -> None:
         if path is not None:
             open_regular(path).close()  # an error of OpenSSL would not name the file
     quality = Quality() if command.coarse else None
-    with open_scenes(command.package, max_cache_bytes=command.cache, warm=True, quality=quality) as scenes:
+    tables = None if command.no_tables else command.tables or str(_cache_folder() / "tables")
+    siblings = None if child is None else Siblings(Path(child.folder), child.number)
+    with open_scenes(
+        command.package, max_cache_bytes=command.cache, warm=True, quality=quality, tables=tables
+    ) as scenes:
         try:
-            server = Server(scenes, config, address, planners=command.planners)
+            listener = None if child is None else child.socket()
+            server = Server(scenes, config, address, planners=command.planners, listener=listener, siblings=siblings)
         except OSError as error:
             if error.filename is None:  # OpenSSL rejects a certificate without naming the file
                 raise BackendError(f"TLS: {error}; check --ssl-certfile and --ssl-keyfile") from error
             raise
-        if command.json:
-            print_json({"format": "gsvis-serving", "version": 1, "url": server.url, "scenes": list(scenes)})
-            sys.stdout.flush()
+        if child is not None:
+            child.say_ready()
+            child.watch(server.stop)
+        elif command.json:
+            _print_address(server.url, command)
         with _start_spared_by_gc(), suppress(KeyboardInterrupt):  # how a server ends
             server.run()
+    return None
+
+
+def _supervise(command: Serve) -> None:
+    """Run this command as several processes until a signal, and end as they do.
+
+    Raises:
+        OSError: If the address is taken.
+        SystemExit: If the first process ends before it serves; with its status.
+    """
+    from gsvis.serve.processes import Supervisor
+    from gsvis.serve.server import Address, listen, url_of
+
+    address = Address(command.host, command.port, command.ssl_certfile, command.ssl_keyfile)
+    with listen(address) as listener:
+        supervisor = Supervisor([sys.executable, "-m", "gsvis", *sys.argv[1:]], command.processes, listener)
+        url = url_of(address, int(listener.getsockname()[1]))
+        status = supervisor.run(lambda: _print_address(url, command) if command.json else None)
+    if status > 0:  # a signal ends a server as it should: with 0, as without --processes
+        raise SystemExit(status)
+
+
+def _print_address(url: str, command: Serve) -> None:
+    names = [Path(path).resolve().name.partition(".")[0] or "scene" for path in command.package]
+    print_json({"format": "gsvis-serving", "version": 1, "url": url, "scenes": names})
+    sys.stdout.flush()
+
+
+def _cache_folder() -> Path:
+    """Return the folder of what gsvis keeps for this user: `GSVIS_CACHE`, or one below `XDG_CACHE_HOME` or home."""
+    named, shared = os.environ.get("GSVIS_CACHE"), os.environ.get("XDG_CACHE_HOME")
+    if named:
+        return Path(named)
+    return (Path(shared) if shared else Path(os.path.expanduser("~")) / ".cache") / "gsvis"
 
 
 @contextmanager

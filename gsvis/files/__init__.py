@@ -10,6 +10,7 @@ _MODULES = (
     "limits",
     "locks",
     "objects",
+    "mapped",
     "output",
     "resume",
     "sections",

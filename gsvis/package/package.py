@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import tempfile
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from gsvis import _check
 from gsvis.errors import FormatError, SceneError
+from gsvis.files.atomic import atomic_path
 from gsvis.files.limits import Budget
 from gsvis.files.output import TEMPORARY, output_errors
 from gsvis.package.active_terms import ActiveTerms
@@ -89,6 +90,7 @@ class Package:
         self.manifest = Manifest.read(self.path / MANIFEST)
         self._parts = PartFolder(self.path / PARTS)
         self._opened = ExitStack()
+        self._store: Path | None = None
 
     @classmethod
     def open(cls, path: str | PathLike[str]) -> Package:
@@ -130,25 +132,29 @@ class Package:
         Raises:
             FormatError: If a part is missing, damaged, or does not fit the others.
         """
-        m = self.manifest
-        budget = self._budget()
-        types = _TABLE if m.version == 2 else {**_TABLE, **_BITS}
-        tables = [self._parts.read_columns(part, "chunks", types, rows, budget) for part, rows in m.tables]
-        table = ChunkTable.concatenate([self._table(columns) for columns in tables])
-        pairs = [np.stack([columns["first_level"], columns["last_level"]], axis=1) for columns in tables]
-        levels = np.concatenate([np.zeros((0, 2), np.uint8), *pairs])
-        starts = np.concatenate([[0], np.cumsum([block.count for block in m.blocks])]).astype(np.int64)
-        blocks = read_blocks(self._parts, m, table, starts, budget)
-        empty = [np.zeros((0, width), np.uint8) for width in self._widths]
-        records, terms = (np.concatenate([empty[k], *(b[k] for b in blocks)]) for k in range(2))
-        counts = np.concatenate([np.zeros(0, np.uint8), *(b[2] for b in blocks)])
-        if (levels[:, 0] > levels[:, 1]).any() or levels.max(initial=0) >= len(m.names):
-            raise self._fault("chunks", f"levels in order, below {len(m.names)}", "others")
-        found = Contents(m.names, table, levels, records, counts, terms, m.grids, starts)
+        m, budget = self.manifest, self._budget()
+        table, levels = self._read_chunks(budget)
+        found = self._decode(m, table, levels, budget)
         members = [int(((found.first <= k) & (k <= found.last)).sum()) for k in range(len(m.names))]
         if members != list(m.counts):
             raise self._fault("levels", f"{m.counts} Gaussians", f"{members}")
         return found
+
+    def part_of(self, gaussian: int) -> tuple[Contents, int]:
+        """Return the records of the part that holds a Gaussian, and the id of the first of them; read nothing else.
+
+        Raises:
+            ValueError: If there is no such Gaussian.
+            FormatError: If a part that is read is missing, damaged, or does not fit the others.
+        """
+        if not 0 <= gaussian < len(self):
+            raise ValueError(f"gaussian: expected an id below {len(self):,}, got {gaussian}")
+        m, budget = self.manifest, self._budget()
+        starts = np.cumsum([0, *(block.count for block in m.blocks)])
+        k = int(np.searchsorted(starts, gaussian, "right")) - 1
+        table, levels = self._read_chunks(budget)
+        some = slice(*np.searchsorted(table.starts, starts[k : k + 2]).tolist())
+        return self._decode(replace(m, blocks=(m.blocks[k],)), table[some], levels[some], budget), int(starts[k])
 
     @cached_property
     def visibility(self) -> VisibilityStore:
@@ -158,11 +164,39 @@ class Package:
             SceneError: If the package has no visible sets.
             FormatError: If the store is damaged, or belongs to another scene.
         """
-        store = VisibilityStore(self._join(self.manifest.visibility, "sets.pvs"))
+        joined = self._store or self._join(self.manifest.visibility, "sets.pvs")
+        store = VisibilityStore(joined)
         self._opened.callback(store.close)
         if store.info.scene != self.manifest.scene or store.gaussians != len(self):
             raise self._fault("visibility", f"sets of {self.manifest.scene[:12]}...", f"{store.info.scene[:12]}...")
         return store
+
+    def keep_store(self, path: Path) -> None:
+        """Read visible sets from a file that stays after `close`; write it from the parts if it is missing.
+
+        Raises:
+            SceneError: If the package has no visible sets.
+            FormatError: If a part is damaged.
+            OutputError: If the file cannot be written.
+        """
+        if not path.is_file():
+            with atomic_path(path) as partial:
+                self._write_joined(self.manifest.visibility, partial)
+        self._store = path
+
+    def check_parts(self) -> None:
+        """Raise unless every part is there in its size; read none of them.
+
+        Raises:
+            FormatError: If a part is missing, a link, or has another size.
+        """
+        for part in self.manifest.parts():
+            self._parts.check_size(part)
+
+    def forget_records(self) -> None:
+        """Free the memory of the records and of what was decoded from them; they are read again when needed."""
+        for name in ("contents", "active_terms"):
+            self.__dict__.pop(name, None)
 
     @cached_property
     def epsilon(self) -> float | None:
@@ -228,6 +262,26 @@ class Package:
         """Bytes of a Gaussian's record and of a term's record."""
         return RECORD_BYTES, TermLayout.from_grids(self.manifest.grids).nbytes
 
+    def _read_chunks(self, budget: Budget) -> tuple[ChunkTable, U8]:
+        """Return the rows of all chunks, and the (C, 2) levels of each."""
+        m = self.manifest
+        types = _TABLE if m.version == 2 else {**_TABLE, **_BITS}
+        tables = [self._parts.read_columns(part, "chunks", types, rows, budget) for part, rows in m.tables]
+        pairs = [np.stack([columns["first_level"], columns["last_level"]], axis=1) for columns in tables]
+        levels = np.concatenate([np.zeros((0, 2), np.uint8), *pairs])
+        if (levels[:, 0] > levels[:, 1]).any() or levels.max(initial=0) >= len(m.names):
+            raise self._fault("chunks", f"levels in order, below {len(m.names)}", "others")
+        return ChunkTable.concatenate([self._table(columns) for columns in tables]), levels
+
+    def _decode(self, m: Manifest, table: ChunkTable, levels: U8, budget: Budget) -> Contents:
+        """Return the records of the blocks of a manifest, whose chunks are these."""
+        starts = np.concatenate([[0], np.cumsum([block.count for block in m.blocks])]).astype(np.int64)
+        blocks = read_blocks(self._parts, m, table, starts, budget)
+        empty = [np.zeros((0, width), np.uint8) for width in self._widths]
+        records, terms = (np.concatenate([empty[k], *(b[k] for b in blocks)]) for k in range(2))
+        counts = np.concatenate([np.zeros(0, np.uint8), *(b[2] for b in blocks)])
+        return Contents(m.names, table, levels, records, counts, terms, m.grids, starts)
+
     def _budget(self) -> Budget:
         """Return the memory budget of all parts together, from their size on disk; a part named twice counts once."""
         different = {part.name: part for part in self.manifest.parts()}.values()
@@ -250,13 +304,17 @@ class Package:
 
     def _join(self, blob: Blob | None, name: str) -> Path:
         """Write a store as one file in a temporary folder and return its path; `close` removes the folder."""
-        if blob is None:
-            raise SceneError(f"{self.path}: the package has no {name.split('.')[0]}; prepare it with visibility")
         folder = Path(self._opened.enter_context(tempfile.TemporaryDirectory(prefix="gsvis-")))
-        with output_errors(folder, remedy=TEMPORARY), (folder / name).open("wb") as file:
+        with output_errors(folder, remedy=TEMPORARY):
+            self._write_joined(blob, folder / name)
+        return folder / name
+
+    def _write_joined(self, blob: Blob | None, path: Path) -> None:
+        if blob is None:
+            raise SceneError(f"{self.path}: the package has no {path.name.split('.')[-2]}; prepare it with visibility")
+        with path.open("wb") as file:
             for part in blob.parts:
                 file.write(self._parts.content_of(part))
-        return folder / name
 
     def _fault(self, where: str, expected: str, got: str) -> FormatError:
         return FormatError(self.path, where, expected, got, _REMEDY)

@@ -117,23 +117,31 @@ class PartFolder:
         Raises:
             FormatError: If the part is missing, a link, a folder, or has another content.
         """
+        path = self.check_size(part)
+        digest = digest_of(path)
+        if digest != part.digest:
+            raise FormatError(path, "", "content that fits its name", f"SHA-256 {digest[:12]}...", DAMAGED)
+        return path
+
+    def check_size(self, part: Part) -> Path:
+        """Return the path of a part that is a file of the right size; do not read it.
+
+        Raises:
+            FormatError: If the part is missing, a link, a folder, or has another size.
+        """
         path = self.folder / part.name
         if path.is_symlink():
             raise FormatError(
                 path, "", "a file of the package", "a link", "links are not followed; copy the file itself"
             )
         try:
-            size, digest = check_regular(path).st_size, ""
-            if size == part.nbytes:
-                digest = digest_of(path)
+            size = check_regular(path).st_size
         except (FileNotFoundError, NotADirectoryError) as error:
             raise FormatError(path, "", "a part of the package", "no such file", "prepare the package again") from error
         except IsADirectoryError as error:
             raise FormatError(path, "", "a part of the package", "a folder", "prepare the package again") from error
         if size != part.nbytes:
             raise FormatError(path, "", f"{part.nbytes:,} bytes", f"{size:,}", DAMAGED)
-        if digest != part.digest:
-            raise FormatError(path, "", "content that fits its name", f"SHA-256 {digest[:12]}...", DAMAGED)
         return path
 
     def content_of(self, part: Part) -> bytes:

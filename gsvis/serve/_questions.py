@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -25,10 +26,14 @@ _KEEP = "no-cache"
 
 
 class Questions:
-    """Answer one question after the other; refuse more than a few at once."""
+    """Answer one question after the other; refuse more than a few at once.
 
-    def __init__(self) -> None:
-        self._turn = asyncio.Semaphore(1)
+    Args:
+        now: The server's clock, seconds.
+    """
+
+    def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
+        self._turn, self._now = asyncio.Semaphore(1), now
         self._waiting = 0
         self._kept: Cache[bytes] = Cache(_KEPT_BYTES)
 
@@ -43,10 +48,9 @@ class Questions:
         Raises:
             FormatError: If the package is damaged where it is read.
         """
-        scene = served.scene
-        if gaussian is not None and gaussian >= len(scene):
+        if gaussian is not None and gaussian >= (served.gaussians or 0):
             return PlainTextResponse("no such Gaussian\n", 404)
-        key = scene.about.identity, served.name, fact, gaussian
+        key = id(served), served.openings, fact, gaussian
         found = self._kept.find(key)
         if found is None:
             if self._waiting >= _MOST_WAITING:
@@ -56,13 +60,13 @@ class Questions:
                 async with self._turn:
                     found = self._kept.find(key)  # somebody before may have asked the same
                     if found is None:
-                        found = await asyncio.to_thread(_find, scene, fact, gaussian)
+                        found = await asyncio.to_thread(self._find, served, fact, gaussian)
             finally:
                 self._waiting -= 1
             self._kept.keep(key, found, len(found))
         return Response(found, 200, {"cache-control": _KEEP, "x-content-type-options": "nosniff"}, "application/json")
 
-
-def _find(scene: StreamedScene, fact: str, gaussian: int | None) -> bytes:
-    found: Mapping[str, Any] | None = FACTS[fact](scene) if gaussian is None else explain(scene, gaussian)
-    return json.dumps(found, allow_nan=False, separators=(",", ":")).encode()
+    def _find(self, served: ServedScene, fact: str, gaussian: int | None) -> bytes:
+        with served.in_use(self._now) as scene:
+            found: Mapping[str, Any] | None = FACTS[fact](scene) if gaussian is None else explain(scene, gaussian)
+        return json.dumps(found, allow_nan=False, separators=(",", ":")).encode()

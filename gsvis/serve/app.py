@@ -49,6 +49,7 @@ from gsvis.serve.metrics import CONTENT_TYPE, Metrics
 from gsvis.serve.pages import Pages, wants_page
 from gsvis.serve.parts import respond
 from gsvis.serve.scenes import ServedScene
+from gsvis.serve.siblings import Siblings
 from gsvis.serve.sites import SCENE
 from gsvis.stream import Token, parse_client
 from gsvis.stream.wire import CLOSE_CODES, FAULTS, POLICY, ServerFault
@@ -99,10 +100,12 @@ class _App:
         metrics: Metrics,
         log: EventLog,
         setting: Setting,
+        siblings: Siblings | None,
     ) -> None:
+        self.siblings, others = siblings, {} if siblings is None else {"others": siblings.seats_of}
         self.scenes, self.config, self.metrics, self.log, self.setting = scenes, config, metrics, log, setting
-        self.numbers, self.questions = itertools.count(1), Questions()
-        self.seats, self.proxies = Seats(config.limits), Proxies(config.proxies)
+        self.numbers, self.questions = itertools.count(1), Questions(setting.clock.now)
+        self.seats, self.proxies = Seats(config.limits, **others), Proxies(config.proxies)
         self.entry, self.pages = Entry(config.token, config.origins), Pages(origins=config.origins)
 
     async def stream(self, socket: WebSocket) -> None:
@@ -120,7 +123,7 @@ class _App:
             return await self.turn_away(socket, number, "unknown", "no such scene")
         if served.fault:
             return await self.turn_away(socket, number, "damaged", "the scene is damaged on the server")
-        if served.opened is None:
+        if not served.is_streamed:
             return await self.turn_away(socket, number, "static", f"not streamed; read scenes/{served.name}/{SCENE}")
         if why := self.seats.why_not(owner):
             return await self.turn_away(socket, number, why, "too many clients; try again later", "too-many")
@@ -190,7 +193,7 @@ class _App:
                 "gaussians": served.gaussians,
                 "view": f"view/{served.name}",
                 "stream": None if served.site else f"stream/{served.name}",
-                "manifest": None if served.site else f"packages/{served.name}/manifest.json",
+                "manifest": None if served.site or served.is_world else f"packages/{served.name}/manifest.json",
                 "static": f"scenes/{served.name}/{SCENE}" if served.site else None,
                 "preparing": served.preparing,
             }
@@ -231,17 +234,30 @@ class _App:
             return self.unauthorized(request)
         return self.pages.file(request, request.path_params["file"])
 
+    def publish(self) -> None:
+        """Let other processes know of this one."""
+        if self.siblings is not None:
+            self.siblings.publish(self.metrics, self.seats.by_owner, self.ready())
+
+    def ready(self) -> tuple[int, int]:
+        """Return how many scenes are served, and how many refused."""
+        ready = sum(not served.fault for served in self.scenes.values())
+        return ready, len(self.scenes) - ready
+
     async def health(self, request: Request) -> Response:
         """Answer 200 while a scene is served."""
-        ready = sum(not served.fault for served in self.scenes.values())
-        status = {"status": "ok" if ready else "no scene", "scenes": ready, "refused": len(self.scenes) - ready}
+        ready, refused = self.ready()
+        status: dict[str, object] = {"status": "ok" if ready else "no scene", "scenes": ready, "refused": refused}
+        if self.siblings is not None:
+            status["processes"] = self.siblings.alive
         return JSONResponse(status, 200 if ready else 503, {"cache-control": "no-store"})
 
     async def counts(self, request: Request) -> Response:
         """Answer with metrics for Prometheus."""
         if not self.entry.admits(request):
             return self.unauthorized(request)
-        return Response(self.metrics.text(), media_type=CONTENT_TYPE)
+        text = self.metrics.text() if self.siblings is None else self.siblings.text(self.metrics)
+        return Response(text, media_type=CONTENT_TYPE)
 
     async def file(self, request: Request) -> Response:
         """Return a file of a package."""
@@ -267,7 +283,7 @@ class _App:
         """Return facts about a scene as JSON: why a Gaussian is there, or the last part of the address."""
 
         async def find(served: ServedScene) -> Response:
-            if served.opened is None or served.fault:
+            if not served.is_streamed or served.is_world or served.fault:
                 return PlainTextResponse("nothing is known of this scene\n", 404)
             given = request.path_params.get("id")
             if given is None:
@@ -342,6 +358,7 @@ def build_app(
     planners: Executor | None = None,
     pace: Pace | None = None,
     clock: Clock | None = None,
+    siblings: Siblings | None = None,
 ) -> Starlette:
     """Return the application.
 
@@ -353,10 +370,12 @@ def build_app(
         planners: Executor that plans batches; None plans in the thread of the event loop.
         pace: How late the server runs, updated by the caller; None means that it is on time.
         clock: Clock of the deadlines; None means `Clock()`.
+        siblings: Other processes of the server; None if there are none. `state.publish` of the result tells them of
+            this one.
     """
     config, metrics, log = config or AppConfig(), metrics or Metrics(), log or EventLog()
     setting = Setting(config.limits, metrics, log, config.abr, clock or Clock(), planners=planners, pace=pace or Pace())
-    app = _App(scenes, config, metrics, log, setting)
+    app = _App(scenes, config, metrics, log, setting, siblings)
     found = Starlette(
         routes=[
             Route("/", app.index, methods=["GET"]),
@@ -377,5 +396,6 @@ def build_app(
             Middleware(Cors, app.entry),
         ],
     )
+    found.state.publish = app.publish
     found.router.redirect_slashes = False  # a redirect would lack the prefix of a proxy
     return found

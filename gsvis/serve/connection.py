@@ -25,7 +25,7 @@ from gsvis.serve.clock import Clock, Timer
 from gsvis.serve.limits import Limits, Pace, RateBucket
 from gsvis.serve.metrics import Metrics
 from gsvis.serve.scenes import ServedScene
-from gsvis.stream import Ack, Bye, Hello, Message, PoseAt, Session, Token, parse_client
+from gsvis.stream import Ack, Bye, Hello, Message, PoseAt, Session, StreamedScene, Token, parse_client
 from gsvis.stream.wire import CLOSE_CODES, FAULTS, LEAST_HELLO, NORMAL, POLICY, ServerFault
 
 __all__ = ["Connection", "GoneError", "Peer", "PoseClock", "Setting"]
@@ -162,7 +162,7 @@ class Connection:
         self._planned = setting.measure()
         self._alarm: Timer | None = None
         self._has_pose, self._fresh, self._dry = False, False, False  # a pose; one not planned for; nothing to send
-        self._said_bye = False
+        self._said_bye, self._uses = False, False
         self._seat_gone = asyncio.Event()
 
     @property
@@ -194,6 +194,8 @@ class Connection:
                 self._alarm.cancel()
             await asyncio.gather(*loops, return_exceptions=True)
             self._seat = None  # it refers to this object
+            if self._uses:
+                self._served.leave(self._setting.clock.now())
             self._account(began)
         if self.reason not in ("left", "lost", "ending") or self._said_bye:
             await self._farewell(fault)
@@ -210,10 +212,9 @@ class Connection:
         self._alive = clock.now()
         if self._seat is not None and (why := self._seat()):
             raise ProtocolError(f"no seat ({why}); try again later", FAULTS["too-many"])
+        scene, self._uses = await self._open(), True
         try:
-            self.session = await self._apart(
-                partial(Session.from_hello, self._served.scene, said, self._setting.config)
-            )
+            self.session = await self._apart(partial(Session.from_hello, scene, said, self._setting.config))
         except ValueError as error:
             raise ProtocolError(f"HELLO: {error}") from error
         self._alive = self._moved = clock.now()
@@ -223,9 +224,29 @@ class Connection:
             "opened", client=self.number, scene=self._served.name, held=len(self.session.holdings.received) or None
         )
 
+    async def _open(self) -> StreamedScene:
+        """Return the scene, opened in a thread if it is closed."""
+        served, setting = self._served, self._setting
+        if served.opened is not None:
+            return served.use()
+        opening = asyncio.ensure_future(asyncio.to_thread(served.use))
+        try:
+            scene = await asyncio.shield(opening)
+        except asyncio.CancelledError:
+            opening.add_done_callback(self._leave_late)
+            raise
+        setting.metrics.scenes_opened.add(of=served.name)
+        setting.log("ready", scene=served.name, gaussians=served.gaussians, client=self.number)
+        return scene
+
+    def _leave_late(self, opening: asyncio.Future[StreamedScene]) -> None:
+        """Leave a scene that opened after its viewer had gone."""
+        if not opening.cancelled() and opening.exception() is None:
+            self._served.leave(self._setting.clock.now())
+
     async def _first(self) -> object:
         """Return the first message that is no TOKEN; one TOKEN may come before it, needed or not."""
-        most = self._setting.limits.message_bytes or self._served.scene.most_hello
+        most = self._setting.limits.message_bytes or self._served.most_hello
         said = parse_client(await self._peer.receive(), most_hello=most)
         return parse_client(await self._peer.receive(), most_hello=most) if isinstance(said, Token) else said
 

@@ -35,11 +35,10 @@ def explain(scene: StreamedScene, gaussian: int) -> dict[str, Any]:
         ValueError: If there is no such Gaussian.
         FormatError: If the package is damaged where it is read.
     """
-    contents = scene.contents
-    if not 0 <= gaussian < len(contents):
-        raise ValueError(f"gaussian: expected an id below {len(contents):,}, got {gaussian}")
-    one = contents.gaussians(np.array([gaussian]))
-    names, chunk = contents.names, int(contents.chunks[gaussian])
+    contents, start = scene.package.part_of(gaussian)
+    place = gaussian - start
+    one = contents.gaussians(np.array([place]))
+    names, chunk = contents.names, int(contents.chunks[place])
     first, last = contents.chunk_levels[chunk].tolist()
     mean = one.means[0].astype(np.float64)
     found: dict[str, Any] = {
@@ -48,8 +47,8 @@ def explain(scene: StreamedScene, gaussian: int) -> dict[str, Any]:
         "scales": _rounded(one.scales[0]),
         "opacity": round(float(one.opacities[0]), 4),
         "levels": [names[first], names[last]],
-        "chunk": chunk,
-        "terms": int(contents.term_offsets[gaussian + 1] - contents.term_offsets[gaussian]),
+        "chunk": int(scene.chunks[gaussian]),
+        "terms": int(contents.term_counts[place]),
         "cells": None,
         "directions": None,
     }

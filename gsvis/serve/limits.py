@@ -5,6 +5,7 @@ Seconds, bytes, and counts. The server disconnects a client that exceeds a limit
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Protocol
 
@@ -41,6 +42,8 @@ class Limits:
             reading.
         tick_s: Seconds before the server plans again for a client that had nothing to receive.
         batch_bytes: Most bytes of one batch, approximately.
+        close_s: Seconds without viewers after which a scene with kept tables is closed.
+        tables_bytes: Most bytes of kept tables in the memory of the process, checked once a second.
     """
 
     connections: int = 100
@@ -56,11 +59,13 @@ class Limits:
     stall_s: float = 30.0
     tick_s: float = 0.1
     batch_bytes: int = 256 * 1024
+    close_s: float = 600.0
+    tables_bytes: int = 1 << 30
 
     def __post_init__(self) -> None:
         for entry in fields(self):
             value = getattr(self, entry.name)
-            if entry.name in ("connections", "batch_bytes"):
+            if entry.name in ("connections", "batch_bytes", "tables_bytes"):
                 _check.positive_int(entry.name, value)
             elif entry.name in ("message_bytes", "waiting", "per_address"):
                 if value is not None:
@@ -101,15 +106,21 @@ class Seats:
 
     Args:
         limits: Bounds.
+        others: Returns how many viewers other processes of the server have, in all and of an address.
 
     Attributes:
         taken: Number of seats taken.
     """
 
-    def __init__(self, limits: Limits) -> None:
-        self._limits = limits
+    def __init__(self, limits: Limits, others: Callable[[str], tuple[int, int]] = lambda owner: (0, 0)) -> None:
+        self._limits, self._others = limits, others
         self._by_owner: dict[str, list[Viewer]] = {}
         self.taken = 0
+
+    @property
+    def by_owner(self) -> dict[str, int]:
+        """Number of viewers of each address."""
+        return {owner: len(seated) for owner, seated in self._by_owner.items()}
 
     def why_not(self, owner: str) -> str:
         """Return why a viewer of an address cannot get a seat: "too-many" or "address-full"; "" if it can."""
@@ -139,9 +150,10 @@ class Seats:
             del self._by_owner[owner]
 
     def _why_full(self, owner: str) -> str:
-        if self.taken >= self._limits.connections:
+        elsewhere, same = self._others(owner)
+        if self.taken + elsewhere >= self._limits.connections:
             return "too-many"
-        full = len(self._by_owner.get(owner, [])) >= self._limits.most_per_address
+        full = len(self._by_owner.get(owner, [])) + same >= self._limits.most_per_address
         return "address-full" if full else ""
 
     def _silent(self, owner: str) -> Viewer | None:

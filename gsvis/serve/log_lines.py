@@ -22,12 +22,16 @@ _DATE = "%Y-%m-%dT%H:%M:%S"
 class TextLines(logging.Formatter):
     """Writes a time, a level, and the message.
 
+    Args:
+        process: Number of the process, as the last fact of each line; None leaves it out.
+
     Examples:
         2026-11-21T14:12:03.120Z INFO closed client=3 reason=left seconds=31.2
     """
 
-    def __init__(self) -> None:
-        super().__init__("%(asctime)s.%(msecs)03dZ %(levelname)s %(message)s", _DATE)
+    def __init__(self, process: int | None = None) -> None:
+        end = "" if process is None else f" process={process}"
+        super().__init__(f"%(asctime)s.%(msecs)03dZ %(levelname)s %(message)s{end}", _DATE)
         self.converter = time.gmtime
 
 
@@ -36,13 +40,16 @@ class JsonLines(logging.Formatter):
 
     Lines of other libraries have `event` "log", `logger` and `message`. A traceback is `traceback`.
 
+    Args:
+        process: Number of the process, as `process`; None leaves it out.
+
     Examples:
         {"time": "2026-11-21T14:12:03.120Z", "level": "INFO", "event": "closed", "client": 3, "reason": "left"}
     """
 
-    def __init__(self) -> None:
+    def __init__(self, process: int | None = None) -> None:
         super().__init__()
-        self.converter = time.gmtime
+        self.converter, self._process = time.gmtime, process
 
     def format(self, record: logging.LogRecord) -> str:
         """Return the line of a record."""
@@ -57,6 +64,8 @@ class JsonLines(logging.Formatter):
         for key, value in facts.items():
             if value is not None:
                 found.setdefault(key, _json(value))
+        if self._process is not None:
+            found.setdefault("process", self._process)
         if record.exc_info:
             found["traceback"] = self.formatException(record.exc_info)
         return json.dumps(found)

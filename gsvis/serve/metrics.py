@@ -125,6 +125,11 @@ class Metrics:
         parts_bytes: Bytes of these answers.
         faults: Damaged parts and other faults of scenes, by scene.
         planning: Seconds from the decision to send until the batch is encoded.
+        tables_bytes: Bytes of kept tables in memory, about.
+        tables_released: How often the memory of the tables of a scene was given back, by scene.
+        open_scenes: Scenes that are open.
+        scenes_opened: Scenes opened for a viewer after they were closed, by scene.
+        scenes_closed: Scenes closed because nobody looked, by scene.
         late: Seconds by which the event loop runs late, with the wait for a turn, measured five times a second.
     """
 
@@ -146,6 +151,11 @@ class Metrics:
         self.parts = Counter(r, "gsvis_parts_requests_total", "Requests for files of packages.", "status")
         self.parts_bytes = Counter(r, "gsvis_parts_bytes_total", "Bytes of files of packages.")
         self.faults = Counter(r, "gsvis_scene_faults_total", "Damaged parts and other faults of scenes.", "scene")
+        self.tables_bytes = Gauge(r, "gsvis_tables_bytes", "Bytes of kept tables in memory, about.")
+        self.tables_released = Counter(r, "gsvis_tables_released_total", "Tables whose memory was given back.", "scene")
+        self.open_scenes = Gauge(r, "gsvis_open_scenes", "Scenes that are open.")
+        self.scenes_opened = Counter(r, "gsvis_scenes_opened_total", "Scenes opened again for a viewer.", "scene")
+        self.scenes_closed = Counter(r, "gsvis_scenes_closed_total", "Scenes closed without viewers.", "scene")
         self.planning = Histogram(
             r, "gsvis_planning_seconds", "Seconds from the decision to send to the encoded batch."
         )

@@ -1,11 +1,16 @@
-"""The scenes of a server: packages by name, opened once. A scene that proves damaged is refused from then on."""
+"""The scenes of a server, packages and worlds by name, open while somebody looks. A damaged one is refused.
+
+With a folder of kept tables a scene opens in milliseconds, so one without viewers is closed after a while and opened
+again for the next viewer. Without such a folder scenes stay open.
+"""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
 from types import TracebackType
@@ -20,6 +25,9 @@ from gsvis.package import Package
 from gsvis.serve._log import LOGGER, EventLog
 from gsvis.serve.sites import Site, is_site
 from gsvis.stream import Hello, Quality, Session, StreamedScene
+from gsvis.stream.kept import KeptTables, open_kept
+from gsvis.stream.scene import OwnIndex
+from gsvis.world import is_world
 
 __all__ = ["Scenes", "ServedScene", "open_scene", "open_scenes"]
 
@@ -27,20 +35,26 @@ __all__ = ["Scenes", "ServedScene", "open_scene", "open_scenes"]
 _REACH = 100.0
 _WALK = 8  # cells that a warm-up visits
 _FULL = 0.9  # share of the cache at which warming up stops
+Opened = tuple[StreamedScene, KeptTables | None]
 _PIECE = 65536.0  # bytes that a warm-up sends in each cell
 
 
 @dataclass(eq=False)
 class ServedScene:
-    """A package, or a static scene, under the name that clients ask for.
+    """A package, or a static scene, under the name that clients ask for. Threads may share it.
 
     Attributes:
         name: Name in addresses.
         path: Folder of the package or of the static scene.
-        opened: The scene, ready to send; None if it could not be opened, or is a static scene.
+        opened: The scene, ready to send; None while it is closed, if it could not be opened, or is a static scene.
         fault: Why the scene is refused; "" while it is served. Only for the log: it may name files.
         site: Files of a static scene, which a viewer reads by itself; None for a package.
         preparing: Whether a package is being prepared that will take its place; its page asks again until then.
+        tables: The kept tables of the open scene; None if it is in memory.
+        reopen: Opens the scene again after it was closed; None if it is never closed.
+        users: Who uses the open scene now: viewers and questions.
+        used_at: When the last of them left, seconds of the server's clock.
+        openings: How often the scene was opened.
     """
 
     name: str
@@ -49,18 +63,39 @@ class ServedScene:
     fault: str = ""
     site: Site | None = None
     preparing: bool = False
+    tables: KeptTables | None = None
+    reopen: Callable[[], Opened] | None = None
+    users: int = field(default=0, init=False)
+    used_at: float = field(default=0.0, init=False)
+    openings: int = field(default=0, init=False)
+
+    def __post_init__(self) -> None:
+        self._lock, self._is_world = threading.Lock(), False
+        self._facts: tuple[int, int, NDArray[np.float64]] | None = None
+        if self.opened is not None:
+            self._note(self.opened)
+
+    @property
+    def is_streamed(self) -> bool:
+        """Whether the scene is a package that could be opened."""
+        return self.opened is not None or self._facts is not None
+
+    @property
+    def is_world(self) -> bool:
+        """Whether the scene is a world of several packages, whose files are not served one by one."""
+        return self._is_world
 
     @property
     def gaussians(self) -> int | None:
         """Number of Gaussians; None if it is not known."""
-        return self.opened.about.gaussians if self.opened else self.site.gaussians if self.site else None
+        return self._facts[0] if self._facts else self.site.gaussians if self.site else None
 
     @property
     def scene(self) -> StreamedScene:
         """The scene.
 
         Raises:
-            RuntimeError: If the scene could not be opened, or is a static one.
+            RuntimeError: If the scene is closed, could not be opened, or is a static one.
         """
         if self.opened is None:
             raise RuntimeError(f"{self.name} is not open")
@@ -69,20 +104,63 @@ class ServedScene:
     @property
     def most_hello(self) -> int:
         """Most bytes of a HELLO for this scene, or for a package that may take the place of a static one."""
-        if self.opened is not None:
-            return self.opened.most_hello
-        return (1 << 16) + 2 * (self.gaussians or 0)
+        return self._facts[1] if self._facts else (1 << 16) + 2 * (self.gaussians or 0)
+
+    def use(self) -> StreamedScene:
+        """Return the scene and keep it open until `leave`; open it if it is closed, which may take a while.
+
+        Raises:
+            RuntimeError: If the scene could not be opened at the start, or is a static one.
+            GsvisError: If the package cannot be opened any more.
+            OSError: If the package cannot be read.
+        """
+        with self._lock:
+            if self.opened is None and self.reopen is not None and self.is_streamed:
+                self.opened, self.tables = self.reopen()
+                self._note(self.opened)
+            self.users += self.opened is not None
+            return self.scene
+
+    def leave(self, now: float) -> None:
+        """Say that the scene is no longer used, once for each `use`."""
+        with self._lock:
+            self.users, self.used_at = self.users - 1, now
+
+    @contextmanager
+    def in_use(self, now: Callable[[], float]) -> Iterator[StreamedScene]:
+        """Keep the scene open in the block; `now` is the server's clock."""
+        scene = self.use()
+        try:
+            yield scene
+        finally:
+            self.leave(now())
+
+    def close_unused(self, now: float, after_s: float) -> bool:
+        """Close the scene if nobody has used it for so many seconds and it can be opened again; return whether."""
+        if not self._lock.acquire(blocking=False):  # a thread is opening it
+            return False
+        try:
+            if self.users or self.opened is None or self.reopen is None or now - self.used_at < after_s:
+                return False
+            self.opened.package.close()
+            self.opened = self.tables = None
+            return True
+        finally:
+            self._lock.release()
 
     def within(self, position: ArrayLike) -> NDArray[np.float64]:
         """Return a position clamped to a hundred times the size of the scene, where arithmetic is still accurate."""
-        return np.clip(np.asarray(position, np.float64), *self._bounds)
+        assert self._facts is not None, "a viewer of a scene has opened it"
+        return np.clip(np.asarray(position, np.float64), *self._facts[2])
 
-    @cached_property
-    def _bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        grid = self.scene.index.grid
+    def _note(self, scene: StreamedScene) -> None:
+        """Keep what is asked of the scene while it is closed."""
+        self.openings += 1
+        self._is_world = isinstance(scene.package, OwnIndex)
+        grid = scene.index.grid
         low, high = grid.centers.min(axis=0) - grid.cell_size, grid.centers.max(axis=0) + grid.cell_size
         reach = _REACH * float((high - low).max())
-        return low - reach, high + reach
+        self._facts = scene.about.gaussians, scene.most_hello, np.stack([low - reach, high + reach])
 
     def warm_up(self) -> None:
         """Load what the first viewers would wait for: compiled kernels, and as many cells as the cache holds.
@@ -100,7 +178,7 @@ class ServedScene:
                 message = session.next_message(0.1 * k + 0.02, _PIECE)
                 session.on_ack(0.1 * k + 0.05, message.sequence if message is not None else 0)
             holdings = session.holdings.to_bytes()
-        for cell in range(len(grid)):
+        for cell in range(len(grid) if self.reopen is None else 0):  # else memory follows what viewers look at
             if scene.candidates.cache.fill > _FULL:
                 break
             scene.candidates.in_cell(cell)
@@ -158,6 +236,7 @@ def open_scenes(
     max_cache_bytes: int = 512 << 20,
     warm: bool = False,
     quality: Quality | None = None,
+    tables: str | PathLike[str] | None = None,
     log: EventLog | None = None,
 ) -> Scenes:
     """Open packages; keep a damaged one as refused, so that the others can be served.
@@ -168,6 +247,7 @@ def open_scenes(
         max_cache_bytes: Most bytes of decoded data of cells, for all scenes together.
         warm: Whether to load what the first viewers would wait for; takes some seconds for a large scene.
         quality: How to round records before they are sent; None means not at all.
+        tables: Folder for kept tables (`gsvis.stream.kept`); None decodes scenes into memory and never closes them.
         log: Log of events.
 
     Returns:
@@ -191,7 +271,7 @@ def open_scenes(
             raise ValueError(f"packages: expected different names, got {name!r} twice; rename a folder")
         try:
             share = max_cache_bytes // len(packages)
-            served = open_scene(path, name, max_cache_bytes=share, warm=warm, quality=quality)
+            served = open_scene(path, name, max_cache_bytes=share, warm=warm, quality=quality, tables=tables)
         except Exception as error:  # a reader that fails in a way of its own must not keep the others from being served
             expected = isinstance(error, GsvisError | OSError)
             why = str(error) if expected else f"{type(error).__name__}: {error}"
@@ -214,6 +294,7 @@ def open_scene(
     max_cache_bytes: int = 512 << 20,
     warm: bool = False,
     quality: Quality | None = None,
+    tables: str | PathLike[str] | None = None,
 ) -> ServedScene:
     """Open one package or static scene.
 
@@ -223,6 +304,7 @@ def open_scene(
         max_cache_bytes: Most bytes of decoded data of cells.
         warm: Whether to load what the first viewers would wait for.
         quality: How to round records before they are sent; None means not at all.
+        tables: Folder for kept tables; None decodes the scene into memory.
 
     Raises:
         GsvisError: If it cannot be opened.
@@ -232,15 +314,29 @@ def open_scene(
     name = name or folder.resolve().name.partition(".")[0] or "scene"
     if is_site(folder):
         return ServedScene(name, folder, None, site=Site(folder))
-    package = Package.open(folder)
+
+    def reopen() -> Opened:
+        if is_world(folder):
+            from gsvis.world.streamed import open_world  # seldom needed
+
+            return open_world(folder, tables=tables, max_cache_bytes=max_cache_bytes, quality=quality)
+        package = Package.open(folder)
+        try:
+            if tables is None:
+                return StreamedScene.open(package, max_cache_bytes=max_cache_bytes, quality=quality), None
+            return open_kept(package, tables, max_cache_bytes=max_cache_bytes, quality=quality)
+        except BaseException:
+            package.close()
+            raise
+
+    scene, kept = reopen()
+    served = ServedScene(name, folder, scene, tables=kept, reopen=None if kept is None else reopen)
     try:
-        scene = StreamedScene.open(package, max_cache_bytes=max_cache_bytes, quality=quality)
-        served = ServedScene(name, folder, scene)
         if warm:
             served.warm_up()
         return served
     except BaseException:
-        package.close()
+        scene.package.close()
         raise
 
 

@@ -29,10 +29,12 @@ from gsvis.serve.clock import Clock
 from gsvis.serve.limits import Pace, RateBucket
 from gsvis.serve.metrics import Metrics
 from gsvis.serve.scenes import ServedScene
+from gsvis.serve.siblings import Siblings
+from gsvis.serve.upkeep import LOOK_S, Upkeep
 
-__all__ = ["Address", "Server"]
+__all__ = ["Address", "Server", "listen", "url_of"]
 
-_LOOK_S = 0.2
+_LATE_S = 0.2
 _STOP_S = 3.0  # seconds that connections have to end when the server stops
 _NEVER = 1_000_000  # seconds; for time-outs of uvicorn that the guards replace
 _LINES_PER_S = 20.0  # most lines a second of each logger of asyncio and uvicorn
@@ -73,6 +75,8 @@ class Server:
         address: Address to listen on; None means `Address()`.
         planners: Threads that plan; 0 plans in the thread of the event loop.
         clock: Clock of the deadlines; None means `Clock()`.
+        listener: A socket that listens at the address already; None makes one.
+        siblings: Other processes of the same server; None if there are none.
 
     Attributes:
         clock: Clock of the deadlines.
@@ -92,34 +96,41 @@ class Server:
         *,
         planners: int = 0,
         clock: Clock | None = None,
+        listener: socket.socket | None = None,
+        siblings: Siblings | None = None,
     ) -> None:
+        self._scenes = scenes
         self.config, self.address, self.clock = config or AppConfig(), address or Address(), clock or Clock()
         self.metrics, self._log = Metrics(), EventLog(clock=self.clock.now)
         self._threads = None
         if _check.positive_int("planners", planners, at_least=0):
             self._threads = ThreadPoolExecutor(planners, thread_name_prefix="gsvis-plan")
         self._pace = Pace()
+        self._upkeep = Upkeep(scenes, self.config.limits, self.metrics, self._log, self.clock.now)
         app = build_app(
             scenes,
             replace(self.config, hosts=(*self.config.hosts, self.address.host)),
             metrics=self.metrics, log=self._log, planners=self._threads, pace=self._pace, clock=self.clock,
+            siblings=siblings,
         )  # fmt: skip
+        self._siblings, self._publish = siblings, app.state.publish
         most_hello = max([served.most_hello for served in scenes.values()], default=1 << 16)
         settings = _settings(app, self.address, self.config.limits.message_bytes or most_hello)
-        self._socket = _listen(self.address.host, self.address.port)
+        self._socket = listener or listen(self.address)
         self.port = int(self._socket.getsockname()[1])
         self._server = _Uvicorn(settings, self.clock, self._log, self._open_door)
 
     def _open_door(self, inner: Callable[[], Any], tls: ssl.SSLContext | None) -> Door:
         proxies = Proxies(self.config.proxies)
         means = Means(self.config.limits, self.clock, self._log, self.metrics)
-        return Door(self._socket, means, inner, proxies, tls)
+        siblings, clients = self._siblings, self.metrics.clients
+        is_ahead = None if siblings is None else lambda: siblings.is_ahead(int(clients.value()))
+        return Door(self._socket, means, inner, proxies, tls, is_ahead)
 
     @property
     def url(self) -> str:
         """Address of the first scene, for a client."""
-        host = f"[{self.address.host}]" if ":" in self.address.host else self.address.host
-        return f"{'wss' if self.address.ssl_certfile else 'ws'}://{host}:{self.port}/stream"
+        return url_of(self.address, self.port)
 
     def page(self, name: str) -> str:
         """Return the address of the viewer's page of a scene, for a browser on this machine."""
@@ -143,13 +154,20 @@ class Server:
             self._log("stopped", clients=int(self.metrics.clients.value()))
 
     async def _serve(self) -> None:
-        watching = asyncio.create_task(self._watch_lateness())
+        tasks = [asyncio.create_task(each) for each in (self._watch_lateness(), self._look_after())]
         asyncio.get_running_loop().set_exception_handler(self._note)
         try:
             with _few_lines(self.clock):
                 await self._server.serve()
         finally:
-            watching.cancel()
+            for task in tasks:
+                task.cancel()
+
+    async def _look_after(self) -> None:
+        while True:
+            self._publish()
+            await asyncio.sleep(LOOK_S)
+            self._upkeep.look()
 
     def _note(self, _: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         """Log an event of asyncio in one bounded line, in place of its own log."""
@@ -160,8 +178,8 @@ class Server:
     async def _watch_lateness(self) -> None:
         loop = asyncio.get_running_loop()
         while True:
-            due = loop.time() + _LOOK_S
-            await asyncio.sleep(_LOOK_S)
+            due = loop.time() + _LATE_S
+            await asyncio.sleep(_LATE_S)
             await self._pace.turns.take()
             late = max(0.0, loop.time() - due)
             self.metrics.late.observe(late)
@@ -277,15 +295,27 @@ def _few_lines(clock: Clock) -> Iterator[None]:
             logger.removeFilter(few)
 
 
-def _listen(host: str, port: int) -> socket.socket:
+def url_of(address: Address, port: int) -> str:
+    """Return the address of the first scene of a server that listens on a port, for a client."""
+    host = f"[{address.host}]" if ":" in address.host else address.host
+    return f"{'wss' if address.ssl_certfile else 'ws'}://{host}:{port}/stream"
+
+
+def listen(address: Address) -> socket.socket:
+    """Return a socket that listens at an address.
+
+    Raises:
+        OSError: If the address cannot be taken.
+    """
+    host, port = address.host, address.port
     try:
-        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        family, kind, protocol, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
     except OSError as error:
         raise OSError(error.errno, error.strerror, f"{host}:{port}") from error
     found = socket.socket(family, kind, protocol)
     try:
         found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        found.bind(address)
+        found.bind(place)
         found.listen(1024)
         found.setblocking(False)
     except OSError as error:

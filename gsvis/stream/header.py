@@ -26,7 +26,7 @@ from gsvis.stream.coding import MOST_STEP, Coding, Steps, table_sizes
 from gsvis.stream.tables import Tables
 from gsvis.stream.wire import FAULTS, PROTOCOL, WELCOME
 
-__all__ = ["MOST", "SCHEMA", "SceneHeader"]
+__all__ = ["MOST", "SCHEMA", "SceneHeader", "identity_of"]
 
 SCHEMA = pa.schema([pa.field("sections", pa.binary(), nullable=False)])
 """Arrow schema of every batch: one row for each section."""
@@ -86,17 +86,10 @@ class SceneHeader:
         if max(manifest.gaussians, manifest.terms) > MOST:
             got = f"{manifest.gaussians:,} and {manifest.terms:,}"
             raise SceneError(f"expected at most {MOST:,} Gaussians and terms in a stream, got {got}; cut the scene")
-        named = [part.name for part, _ in manifest.tables]
-        for block in manifest.blocks:
-            named += [block.gaussians.name, *(part.name for part, _ in block.terms)]
-        content: list[Any] = [named, asdict(manifest.grids), manifest.names]
-        if coding.steps is not None:
-            content.append(asdict(coding.steps))
-        said = json.dumps(content, sort_keys=True)
         return cls(
             manifest.gaussians, manifest.terms, sum(rows for _, rows in manifest.tables), manifest.names,
             manifest.counts, manifest.grids, manifest.info.up, manifest.info.meters_per_unit,
-            hashlib.sha256(said.encode()).hexdigest(), coding.tables.to_text(), coding.steps,
+            identity_of(manifest, coding.steps), coding.tables.to_text(), coding.steps,
         )  # fmt: skip
 
     @cached_property
@@ -183,6 +176,17 @@ class SceneHeader:
             raise ProtocolError(f"WELCOME: expected records and terms of {sizes}, got others")
         _ = found.coding  # raises if the tables are wrong
         return found
+
+
+def identity_of(manifest: Manifest, steps: Steps | None) -> str:
+    """Return what names the ids and records of a package as they are sent: 64 hexadecimal digits."""
+    named = [part.name for part, _ in manifest.tables]
+    for block in manifest.blocks:
+        named += [block.gaussians.name, *(part.name for part, _ in block.terms)]
+    content: list[Any] = [named, asdict(manifest.grids), manifest.names]
+    if steps is not None:
+        content.append(asdict(steps))
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def _steps_of(said: Fields) -> Steps | None:

@@ -1,10 +1,16 @@
-"""A package, decoded once for all sessions of a server. Threads may share it."""
+"""A package, decoded once for all sessions of a server. Threads may share it.
+
+`to_arrays` takes a scene apart and `from_arrays` puts it together again without reading a record (`kept.py`).
+"""
 
 from __future__ import annotations
 
+import base64
 import copy
+from collections.abc import Callable, Mapping
+from functools import partial
 from os import PathLike
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,11 +29,12 @@ from gsvis.package.package import Package
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.codec import pack
 from gsvis.pvs.store import VisibilityStore
+from gsvis.stream._kernels import records
 from gsvis.stream.batch import CHUNK_ROW
 from gsvis.stream.coding import Coding, Quality, chunks_of, coarsen
 from gsvis.stream.header import SceneHeader
 
-__all__ = ["StreamedScene", "class_weights", "term_cones"]
+__all__ = ["OwnIndex", "StreamedScene", "class_weights", "term_cones"]
 
 
 class StreamedScene:
@@ -35,17 +42,18 @@ class StreamedScene:
 
     Attributes:
         package: The open package.
-        contents: The records of the package.
         coding: The code of the records.
         about: The content of WELCOME.
         header: The WELCOME message, the same for every client.
         index: What planners need to know of the scene.
         candidates: Candidates of each cell, shared by all planners.
         owners: (T,) int32, the Gaussian of each term.
+        term_records: (T, B) uint8, the record of each term.
+        chunks: (N,) int32, the chunk of each Gaussian.
+        starts: (C + 1,) id of the first Gaussian of each chunk, and N.
         chunk_rows: (C,) of `CHUNK_ROW`, as sent.
         chunk_numbers: Rows of chunks, as the coder needs them.
         parts: (N, 16) uint16, the records of Gaussians, prepared to be coded many times.
-        ending: Number of Gaussians that others replace.
     """
 
     def __init__(
@@ -57,19 +65,22 @@ class StreamedScene:
         quality: Quality | None = None,
     ) -> None:
         """Decode an open package; see `open`."""
-        self.package, self.contents, self._pixel, steps = package, package.contents, pixel, None
+        self.package, self._pixel, self._quality, steps = package, pixel, quality, None
+        contents = package.contents
         if quality is not None:
-            self.contents, steps = coarsen(self.contents, quality)
-        self.coding = coding = Coding.from_contents(self.contents, steps)
-        self.chunk_numbers = chunks_of(self.contents.table)
-        self.parts = coding.split_records(self.contents)
-        counts = self.contents.term_counts
+            contents, steps = coarsen(contents, quality)
+        self._contents: Contents | None = contents
+        self.coding = coding = Coding.from_contents(contents, steps)
+        self.chunk_numbers = chunks_of(contents.table)
+        self.parts = coding.split_records(contents)
+        counts = contents.term_counts
         self.owners = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
-        self.chunk_rows = _chunk_rows(self.contents)
+        self.term_records, self.chunks, self.starts = contents.term_records, contents.chunks, contents.table.starts
+        self.chunk_rows = _chunk_rows(contents)
         self.about = SceneHeader.from_manifest(package.manifest, coding)
         self.header = self.about.to_message()
         cache: Cache[Any] = Cache(max_cache_bytes, keep_last=True)
-        self._plan(_scene_index(package, cache, coding.mean_bytes(self.contents)), cache)
+        self._plan(_scene_index(package, cache, coding.mean_bytes(contents)), cache)
 
     @classmethod
     def open(
@@ -112,13 +123,83 @@ class StreamedScene:
 
     def _plan(self, index: SceneIndex, cache: Cache[Any]) -> None:
         self.index = index
-        self.ending = int(np.count_nonzero(np.diff(index.replacement_offsets)))
         stored = float(RECORD_BYTES), self.about.term_bits / 8
         self.candidates = CandidateIndex(index, pixel=self._pixel, stored=stored, cache=cache)
 
+    def to_arrays(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        """Return all arrays by name, and facts that JSON can hold, for `from_arrays`."""
+        index, grid = self.index, self.index.grid
+        arrays, numbers = self.candidates.to_arrays()
+        own = {
+            "parts": self.parts, "chunks": self.chunks, "starts": self.starts, "term_records": self.term_records,
+            "chunk_rows": self.chunk_rows.view(np.uint8), "first": index.first, "last": index.last,
+            "importance": index.importance, "replacement_offsets": index.replacement_offsets,
+            "class_weights": index.class_weights,
+            **{f"chunk_{name}": array for name, array in self.chunk_numbers._asdict().items()},
+        }  # fmt: skip
+        facts = {
+            "numbers": numbers, "welcome": base64.b64encode(self.header).decode(), "pixel": self._pixel,
+            "box": [grid.origin.tolist(), grid.cell_size, grid.up.tolist()],  # read where there are no visible sets
+            "level_counts": list(index.level_counts), "has_cones": index.cones is not None,
+            "has_active": index.active is not None,
+        }  # fmt: skip
+        if isinstance(self.package, OwnIndex):
+            own |= grid.to_arrays()  # type: ignore[attr-defined]
+        return arrays | own, facts
+
+    @classmethod
+    def from_arrays(
+        cls,
+        package: Package,
+        arrays: Mapping[str, NDArray[Any]],
+        facts: Mapping[str, Any],
+        *,
+        max_cache_bytes: int = 512 << 20,
+        quality: Quality | None = None,
+    ) -> StreamedScene:
+        """Return the scene that `to_arrays` took apart. No record is read.
+
+        Args:
+            package: The same package, open.
+            arrays: The arrays, such as views of a memory-mapped file.
+            facts: The facts.
+            max_cache_bytes: Most bytes of decoded sets and candidates of cells to keep; the last is kept in any case.
+            quality: The quality of the scene.
+
+        Raises:
+            FormatError: If the visible sets of the package are damaged.
+            ProtocolError: If the header is damaged.
+        """
+        self, a = cls.__new__(cls), arrays
+        self.package, self._pixel, self._quality, self._contents = package, facts["pixel"], quality, None
+        self.header = base64.b64decode(facts["welcome"])
+        self.about = SceneHeader.parse(self.header)
+        self.coding = self.about.coding
+        self.parts, self.chunks, self.starts, self.owners = a["parts"], a["chunks"], a["starts"], a["owners"]
+        self.term_records, self.chunk_rows = a["term_records"], a["chunk_rows"].view(CHUNK_ROW).reshape(-1)
+        kind = records.Chunks
+        self.chunk_numbers = kind(*(a[f"chunk_{name}"] for name in kind._fields))
+        cache: Cache[Any] = Cache(max_cache_bytes, keep_last=True)
+        self.index = _index_from(package, cache, self.about, arrays, facts)
+        self.candidates = CandidateIndex.from_arrays(self.index, arrays, facts["numbers"], cache=cache)
+        return self
+
+    @property
+    def contents(self) -> Contents:
+        """The records of the package, rounded if there is a quality; decoded at each call if they are not in memory."""
+        if self._contents is not None:
+            return self._contents
+        contents = type(self.package).open(self.package.path).contents
+        return contents if self._quality is None else coarsen(contents, self._quality)[0]
+
+    @property
+    def ending(self) -> int:
+        """Number of Gaussians that others replace."""
+        return len(self.candidates.links.ending)
+
     def __len__(self) -> int:
         """Return N, the number of Gaussians."""
-        return len(self.contents)
+        return self.about.gaussians
 
     def __repr__(self) -> str:
         return f"StreamedScene({self.package!r}, {len(self.index.grid):,} cells)"
@@ -126,7 +207,7 @@ class StreamedScene:
     @property
     def most_hello(self) -> int:
         """Most bytes of a HELLO for this scene; holdings are three bitmaps."""
-        bits = 2 * len(self.contents) + len(self.contents.term_records)
+        bits = 2 * self.about.gaussians + self.about.terms
         return 4096 + bits // 8 + bits // 64
 
 
@@ -190,6 +271,8 @@ def _scene_index(package: Package, cache: Cache[Any], nbytes: tuple[float, float
         nbytes: Bytes of a Gaussian and of a term.
     """
     contents, manifest = package.contents, package.manifest
+    if isinstance(package, OwnIndex):
+        return package.scene_index(contents, nbytes, cache)
     if manifest.visibility is not None:
         sets = package.visibility
         sets.cache = cache
@@ -210,3 +293,72 @@ def _scene_index(package: Package, cache: Cache[Any], nbytes: tuple[float, float
     every = EveryCell(len(contents), len(contents.term_records))
     terms = SceneTerms(contents.term_offsets, nbytes[1], every)
     return SceneIndex.from_levels(contents.levels(), grid, every, terms=terms, gaussian_bytes=nbytes[0])
+
+
+@runtime_checkable
+class OwnIndex(Protocol):
+    """A package that knows its cells and visible sets in a way of its own, such as a world."""
+
+    def scene_index(self, contents: Contents, nbytes: tuple[float, float], cache: Cache[Any], /) -> SceneIndex:
+        """Return what planners need to know of the scene."""
+        ...
+
+    def index_from(self, arrays: Mapping[str, NDArray[Any]], cache: Cache[Any], /, **fields: Any) -> SceneIndex:
+        """Return the index whose arrays were written before, from the fields of a `SceneIndex.trusted`."""
+        ...
+
+
+class _Later:
+    """The active terms of a package, found only when somebody asks for them."""
+
+    def __init__(self, package: Package) -> None:
+        self._package = package
+
+    def active_ids(self, cell: int) -> NDArray[np.int64]:
+        return self._package.active_terms.active_ids(cell)
+
+
+def _index_from(
+    package: Package,
+    cache: Cache[Any],
+    about: SceneHeader,
+    arrays: Mapping[str, NDArray[Any]],
+    facts: Mapping[str, Any],
+) -> SceneIndex:
+    """Return the index of a package whose arrays were written before; its visible sets are kept in `cache`."""
+    n, a = about.gaussians, arrays
+    sets: Any = EveryCell(n, about.terms)
+    active: Any = sets
+    make: Callable[..., SceneIndex] = SceneIndex.trusted
+    grid: Any = None
+    if isinstance(package, OwnIndex):
+        make = partial(package.index_from, arrays, cache)
+    elif package.manifest.visibility is None:
+        origin, side, up = facts["box"]
+        grid = CellGrid(np.asarray(origin), side, (1, 1, 1), np.zeros((1, 3), np.int32), np.asarray(up))
+    else:
+        sets = package.visibility
+        sets.cache, grid, active = cache, sets.grid, _Later(package)
+    cones = None
+    if facts["has_cones"]:
+        cones = TermCones.trusted(*(a[f"record_{name}"] for name in ("centers", "places", "cosines", "widths")))
+    return make(
+        level_counts=tuple(facts["level_counts"]),
+        means=a["bodies"][:3, :n].T,
+        radii=a["bodies"][3, :n],
+        areas=a["record_areas"],
+        importance=a["importance"],
+        gaussian_bytes=np.broadcast_to(a["record_sizes"], (n,)),
+        first=a["first"],
+        last=a["last"],
+        level_names=about.names,
+        term_offsets=a["record_term_offsets"],
+        term_bytes=a["record_term_sizes"],
+        replacement_offsets=a["replacement_offsets"],
+        replacement_ids=a["link_ids"],
+        class_weights=a["class_weights"],
+        grid=grid,
+        sets=sets,
+        active=active if facts["has_active"] else None,
+        cones=cones,
+    )

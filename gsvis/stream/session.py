@@ -89,9 +89,8 @@ class Session:
         self._throughput = estimator(self.config.estimator, self.config.start_rate)
         self.wire_bytes, self.record_bytes, self.filling_bytes = 0, 0.0, 0
         self._sequence, self._overhead = 0, _FIRST
-        self._starts = scene.contents.table.starts
         self._has_row = np.zeros(len(scene.chunk_rows), bool)
-        self._has_row[scene.contents.chunks[self.holdings.received]] = True
+        self._has_row[scene.chunks[self.holdings.received]] = True
         self._gone, self._room = self.holdings.gone.copy(), np.empty(scene.ending, np.int32)
 
     @classmethod
@@ -223,23 +222,23 @@ class Session:
         self.meter.on_sent(t, sequence, nbytes)
 
     def _encode(self, batch: Batch) -> bytes:
-        scene, contents = self.scene, self.scene.contents
+        scene = self.scene
         gaussians, terms = np.sort(batch.gaussians), np.sort(batch.terms)
         if len(batch.evicted):
             self._gone &= ~pack(batch.evicted, len(scene))
         fresh = np.empty(min(len(gaussians), len(scene.chunk_rows)), np.int32)
-        chunks = fresh[: kernels.first_times(gaussians, contents.chunks, self._has_row, fresh)]
+        chunks = fresh[: kernels.first_times(gaussians, scene.chunks, self._has_row, fresh)]
         owners, coding = scene.owners[terms], self.scene.coding
-        of = contents.chunks[gaussians]
+        of = scene.chunks[gaussians]
         sections = Sections(
             sequence=self._sequence,
-            chunks=self._starts[chunks],
+            chunks=scene.starts[chunks],
             rows=scene.chunk_rows[chunks],
             gaussians=gaussians,
             records=coding.encode_some(scene.parts, gaussians, of, scene.chunk_numbers),
             terms=terms,
             owners=owners,
-            term_records=coding.encode_terms(_gather(contents.term_records, terms), owners),
+            term_records=coding.encode_terms(_gather(scene.term_records, terms), owners),
             gone=self._room[: kernels.added(self.holdings.gone, self._gone, self._room)],
             evicted=np.sort(batch.evicted),
         )

@@ -42,12 +42,17 @@ def still(t: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
 
 @contextmanager
 def serving(
-    *packages: Path, limits: Limits = LIMITS, port: int = 0, tls: tuple[Path, Path] | None = None, **config: Any
+    *packages: Path,
+    limits: Limits = LIMITS,
+    port: int = 0,
+    tls: tuple[Path, Path] | None = None,
+    tables: Path | None = None,
+    **config: Any,
 ) -> Iterator[Server]:
     """A running server, with a `ManualClock`; `tls` is a chain and a key."""
     settings = AppConfig(limits=limits, **config)
     clock = ManualClock()
-    with open_scenes(packages) as scenes:
+    with open_scenes(packages, tables=tables) as scenes:
         server = Server(scenes, settings, Address("127.0.0.1", port, *(tls or ())), clock=clock)
         with server.running():
             try:

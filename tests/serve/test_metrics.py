@@ -36,7 +36,7 @@ def test_every_line_is_a_sample_or_says_what_one_is() -> None:
     assert "gsvis_clients 3.0" in lines
     assert len(lines) == len(set(lines))
     names = [line.split()[2] for line in lines if line.startswith("# TYPE gsvis_")]
-    assert all(name.endswith(("_total", "_seconds", "_clients", "_info")) for name in names)
+    assert all(name.endswith(("_total", "_seconds", "_clients", "_info", "_bytes", "_scenes")) for name in names)
     assert not any("_created" in line for line in lines)
 
 

@@ -1,0 +1,155 @@
+"""Tables of packages, computed once and kept in files: opening a package again reads its manifest and maps a file.
+
+Everything that planners and coders need of a scene follows from its records: spheres, links between levels, prepared
+records, the tables of the coder. `open_kept` computes it as `StreamedScene.open` does and writes it to a file named by
+the content. After that, memory holds only the pages that viewers make the server touch, processes of a machine share
+them, and they can be given back at any time. What is sent is the same to the byte.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import os
+import time
+from contextlib import suppress
+from dataclasses import asdict
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from gsvis import _check
+from gsvis.errors import FormatError, GsvisError
+from gsvis.files.locks import try_lock
+from gsvis.files.mapped import MappedArrays, write_arrays
+from gsvis.package.package import Package
+from gsvis.stream.coding import Quality
+from gsvis.stream.header import identity_of
+from gsvis.stream.scene import StreamedScene
+
+__all__ = ["KeptTables", "open_kept"]
+
+_FORMAT = 1  # raise it when the content of the tables changes
+_LOG = logging.getLogger(__name__)
+_LOOK_S = 0.05
+_UNUSED_S = 30 * 86400.0  # after so many seconds without use, tables are removed when others are written
+_TABLES, _SETS, _LOCK = ".tables", ".pvs", ".lock"
+
+
+class KeptTables:
+    """The file that a scene from `open_kept` works from.
+
+    Attributes:
+        nbytes: Bytes of the file.
+    """
+
+    def __init__(self, mapped: MappedArrays) -> None:
+        self._mapped, self.nbytes = mapped, mapped.nbytes
+
+    def release(self) -> None:
+        """Give back the memory of all pages; those that are touched again come from the file. Safe at any time."""
+        self._mapped.release()
+
+
+def open_kept(
+    package: Package,
+    folder: str | os.PathLike[str],
+    *,
+    max_cache_bytes: int = 512 << 20,
+    pixel: float = 2e-3,
+    quality: Quality | None = None,
+) -> tuple[StreamedScene, KeptTables | None]:
+    """Open a package for streaming from its tables; compute and keep them if they are missing.
+
+    If another process computes the same tables, this one waits for it.
+
+    Args:
+        package: An open package, which the caller closes.
+        folder: Folder of tables; created if it is missing. Only its owner should be able to write to it.
+        max_cache_bytes: Most bytes of decoded sets and candidates of cells to keep; the last is kept in any case.
+        pixel: Angle of a pixel of the clients, radians.
+        quality: How to round records before they are sent; None means not at all.
+
+    Returns:
+        The scene, and its tables; None if they could not be kept, and the scene is in memory.
+
+    Raises:
+        FormatError: If the package is damaged.
+        OSError: If the package cannot be read.
+    """
+    place, key = _check.path("folder", folder), _key(package, pixel, quality)
+    package.check_parts()
+    try:
+        place.mkdir(mode=0o700, parents=True, exist_ok=True)
+        mapped = _find(place / (key + _TABLES)) or _make(package, place, key, pixel=pixel, quality=quality)
+        if package.manifest.visibility is not None:
+            package.keep_store(place / (key + _SETS))
+    except OSError as error:
+        _LOG.warning("tables are not kept: %s", error)
+        return StreamedScene.open(package, max_cache_bytes=max_cache_bytes, pixel=pixel, quality=quality), None
+    if identity_of(package.manifest, None) != mapped.facts["identity"]:
+        raise FormatError(mapped.path, "identity", "that of the package", "another", "remove the file")
+    scene = StreamedScene.from_arrays(
+        package, mapped.arrays, mapped.facts, max_cache_bytes=max_cache_bytes, quality=quality
+    )
+    return scene, KeptTables(mapped)
+
+
+def _key(package: Package, pixel: float, quality: Quality | None) -> str:
+    """Return what names the tables: all that they depend on."""
+    m = package.manifest
+    facts = [
+        _FORMAT, _version(), sorted(part.name for part in m.parts()), identity_of(m, None), m.info.epsilon,
+        m.info.up, m.info.meters_per_unit, m.scene, pixel, None if quality is None else asdict(quality),
+    ]  # fmt: skip
+    return hashlib.sha256(json.dumps(facts).encode()).hexdigest()[:32]
+
+
+def _version() -> str:
+    try:
+        return version("gsvis")
+    except PackageNotFoundError:  # run from its sources
+        return "unknown"
+
+
+def _find(path: Path) -> MappedArrays | None:
+    """Return the tables of a file, None if there are none; remove a damaged file."""
+    try:
+        found = MappedArrays(path)
+    except FileNotFoundError:
+        return None
+    except GsvisError as error:
+        _LOG.warning("tables are made again: %s", error)
+        path.unlink(missing_ok=True)
+        return None
+    with suppress(OSError):
+        os.utime(path)
+        os.utime(path.with_suffix(_SETS))
+    return found
+
+
+def _make(package: Package, folder: Path, key: str, *, pixel: float, quality: Quality | None) -> MappedArrays:
+    """Compute and write tables, or wait for another process that does, and return them."""
+    path = folder / (key + _TABLES)
+    with (folder / (key + _LOCK)).open("w") as lock:
+        while try_lock(lock.fileno()) == "busy":
+            time.sleep(_LOOK_S)
+        if (found := _find(path)) is not None:
+            return found
+        _remove_unused(folder)
+        if package.manifest.visibility is not None:
+            package.keep_store(folder / (key + _SETS))
+        arrays, facts = StreamedScene.open(package, pixel=pixel, quality=quality).to_arrays()
+        write_arrays(path, arrays, {**facts, "identity": identity_of(package.manifest, None)})
+    package.forget_records()
+    return MappedArrays(path)
+
+
+def _remove_unused(folder: Path) -> None:
+    """Remove tables that nobody has opened for a month."""
+    now = time.time()
+    for path in folder.iterdir():
+        if path.suffix in (_TABLES, _SETS, _LOCK):
+            with suppress(OSError):
+                if now - path.stat().st_mtime > _UNUSED_S:
+                    path.unlink()

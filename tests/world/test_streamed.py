@@ -1,0 +1,173 @@
+"""A world is streamed as one scene: across borders, nothing twice, from memory or from kept tables."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsvis.abr.classes import FieldOfView
+from gsvis.abr.config import AbrConfig
+from gsvis.errors import FormatError
+from gsvis.serve import Address, Server, StreamClient, open_scenes
+from gsvis.stream import Receiver, Session, StreamedScene
+from gsvis.world import World
+from gsvis.world.prepare import prepare_world
+from gsvis.world.streamed import WorldPackage, open_world
+from tests.serve.servers import ask, until
+from tests.world.cities import config, street, write
+
+VIEW = FieldOfView.from_degrees(90, 70, margin=8)
+
+
+@pytest.fixture(scope="module")
+def city(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("streamed")
+    scene = write(street(), folder / "street.ply")
+    prepare_world([scene], folder / "a.gsworld", config())
+    return folder / "a.gsworld"
+
+
+@pytest.fixture
+def copy(city: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(city, tmp_path / "copy.gsworld"))
+
+
+def walk(scene: StreamedScene, steps: int = 80) -> tuple[list[bytes], Receiver, list[int]]:
+    """Messages of a walk from one end of the world to the other and back to the middle, and what arrived."""
+    config = AbrConfig(start_rate=5e5, fill=False)
+    session, receiver, found, came = Session(scene, VIEW, config), Receiver(scene.header), [], []
+    session.welcome(0.0)
+    session.on_ack(0.0, 0)
+    low, high = scene.index.grid.centers.min(axis=0), scene.index.grid.centers.max(axis=0)
+    for k in range(steps):
+        t, along = 0.1 * (k + 1), min(k / (0.6 * steps), 1.6 - k / steps)
+        session.on_pose(t, low + along * (high - low), (0.5, -0.5, 0.5, -0.5))
+        message = session.next_message(t, 1e5)
+        if message is not None:
+            found.append(message.data)
+            came += receiver.receive(message.data).gaussians.tolist()
+            session.on_ack(t + 0.02, message.sequence)
+    return found, receiver, came
+
+
+def test_ids_are_those_of_nodes_behind_each_other(city: Path) -> None:
+    package = WorldPackage(World.open(city), set())
+    contents = package.contents
+    assert len(contents) == package.bases[-1] == package.manifest.gaussians
+    for node in package.nodes:
+        with package.world.package(node) as own:
+            some = slice(*package.bases[node : node + 2].tolist())
+            mine, theirs = contents.gaussians(np.arange(some.start, some.stop)), own.contents.gaussians()
+            assert np.array_equal(mine.means, theirs.means)
+            assert np.array_equal(mine.scales, theirs.scales)
+            low, high = package.manifest.grids.base[0]
+            assert np.abs(mine.sh0 - theirs.sh0).max() <= 1.01 * (high - low) / 255 / 0.28209 / 2 * 1.2
+
+
+def test_a_viewer_crosses_borders_and_gets_nothing_twice(city: Path, tmp_path: Path) -> None:
+    scene, _ = open_world(city)
+    found, receiver, came = walk(scene)
+    assert len(came) == len(set(came))
+    tiles = np.searchsorted(scene.package.bases, np.array(came), "right") - 1  # type: ignore[attr-defined]
+    assert len(set(tiles.tolist()) & set(range(len(World.open(city).manifest.tiles)))) > 2
+    first, tables = open_world(city, tables=tmp_path)
+    again, _ = open_world(city, tables=tmp_path)
+    assert tables is not None
+    assert walk(first)[0] == walk(again)[0] == found
+    assert again.index.sets.open_tiles > 1  # type: ignore[attr-defined]
+    assert len(receiver.shown()) <= len(came)
+
+
+def test_all_that_a_cell_sees_arrives(city: Path) -> None:
+    """From each cell: what its tile's sets and the table of what lies beyond say, and what was held before."""
+    scene, _ = open_world(city)
+    world, bases = World.open(city), scene.package.bases  # type: ignore[attr-defined]
+    cells = scene.index.grid
+    for cell in range(len(cells)):
+        tile, place = int(cells.tiles[cell]), int(cells.places[cell])  # type: ignore[attr-defined]
+        with world.package(tile) as package:
+            expected = set((package.visibility.classes(place)[0] + bases[tile]).tolist())
+        beyond = world.beyond(tile)
+        if beyond is not None:
+            for seen in beyond.of_cell(place):
+                expected |= set((seen.ids + bases[seen.node]).tolist())
+            beyond.close()
+        assert set(scene.index.sets.classes(cell)[0].tolist()) == expected
+        assert scene.index.cell_of(cells.centers[cell]) >= 0
+
+
+def test_cells_touch_across_borders(city: Path) -> None:
+    cells = open_world(city)[0].index.grid
+    across = 0
+    for cell in range(len(cells)):
+        rings = cells.rings(cell)  # type: ignore[attr-defined]
+        assert sorted(k for ring in rings for k in ring) == sorted([cell, *cells.neighbors(cell).tolist()])
+        across += sum(cells.tiles[k] != cells.tiles[cell] for k in rings[1])  # type: ignore[attr-defined]
+        for other in cells.neighbors(cell).tolist():
+            assert cell in cells.neighbors(other).tolist() or cells.sizes[cell] != cells.sizes[other]  # type: ignore[attr-defined]
+    assert across > 0
+
+
+@pytest.fixture(params=["missing", "damaged"])
+def broken(request: pytest.FixtureRequest, copy: Path) -> Path:
+    """A world whose tile 1 is missing, or has a damaged part."""
+    folder = World.open(copy).package_path(1)
+    if request.param == "missing":
+        shutil.rmtree(folder)
+    else:
+        part = max(folder.glob("parts/*.bin"), key=lambda path: path.stat().st_size)
+        part.write_bytes(part.read_bytes()[:-1] + b"?")
+    return copy
+
+
+def test_a_tile_that_cannot_be_read_is_left_out_with_one_line(
+    broken: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level(logging.ERROR, logger="gsvis.world"):
+        scene, _ = open_world(broken, tables=tmp_path / "t")
+        _, _, came = walk(scene)
+    assert len(came) == len(set(came)) > 0
+    lines = [record.getMessage() for record in caplog.records]
+    assert any("tile 1 " in line for line in lines)
+    assert len(lines) == len(set(lines))
+
+
+def test_a_world_without_a_tile_that_can_be_read_is_refused(copy: Path) -> None:
+    world = World.open(copy)
+    for tile in range(len(world.manifest.tiles)):
+        shutil.rmtree(world.package_path(tile))
+    with pytest.raises(FormatError, match="a tile that can be read"):
+        open_world(copy)
+
+
+def test_a_server_streams_a_world(city: Path, tmp_path: Path) -> None:
+    """A client walks through it, over a real socket."""
+
+    async def stream(url: str) -> StreamClient:
+        client = StreamClient(url, VIEW)
+
+        def pose(t: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
+            x, y, z = (low + min(t / 3.0, 1.0) * (high - low)).tolist()
+            return (x, y, z), (0.5, -0.5, 0.5, -0.5)
+
+        await client.run(pose, seconds=5.0)
+        return client
+
+    with open_scenes([city], tables=tmp_path) as scenes:
+        grid = scenes["a"].scene.index.grid
+        low, high = grid.centers.min(axis=0), grid.centers.max(axis=0)
+        server = Server(scenes, None, Address(port=0))
+        with server.running() as url:
+            client = asyncio.run(stream(url))
+            assert client.receiver is not None
+            assert len(client.receiver.shown()) > 1000
+            assert ask(server, "/scenes/a/cells")[0] == 404
+            assert b'"manifest":null' in ask(server, "/")[2]
+        until(lambda: scenes["a"].users == 0)
+        assert scenes["a"].close_unused(1e12, 1.0)
+        scenes["a"].use()
