@@ -37,8 +37,8 @@ class AbrConfig:
         fill: Whether an idle link gets what the view does not need: the terms of what is out of view, then the rest of
             the scene by distance to the nearest cell that sees it.
         move: Share of the side of a cell by which the head must move before records are ranked again.
-        horizon: Seconds within which the highest level of a cell should arrive for the bandwidth to count as high. Lower
-            levels are left out then; a view begins sooner with them.
+        horizon: Seconds within which the highest level of a cell should arrive for the bandwidth to count as high.
+            Lower levels are left out then; a view begins sooner with them.
         window: Seconds of data that may be in flight.
         piece: Seconds that the link should take for one message. A client shows a message only when it is complete.
         start_rate: Bytes of messages a second, assumed before the first acknowledgement.
