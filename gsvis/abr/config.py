@@ -38,6 +38,7 @@ class AbrConfig:
             the scene by distance to the nearest cell that sees it.
         move: Share of the side of a cell by which the head must move before records are ranked again.
         horizon: Seconds within which the highest level of a cell should arrive for the bandwidth to count as high.
+            Lower levels are left out then; a view begins sooner with them.
         window: Seconds of data that may be in flight.
         piece: Seconds that the link should take for one message. A client shows a message only when it is complete.
         start_rate: Bytes of messages a second, assumed before the first acknowledgement.
@@ -57,7 +58,7 @@ class AbrConfig:
     fill: bool = True
     turn: float = 0.087
     move: float = 0.1
-    horizon: float = 3.0
+    horizon: float = 0.25
     window: float = 0.3
     piece: float = 0.05
     start_rate: float = 250e3

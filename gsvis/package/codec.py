@@ -51,7 +51,7 @@ SPREAD = 10 * 64
 _CUT_PLACES = (1 << 13) - 1  # from the layout with the fewest bits, so that chunks do not depend on the variant
 _MOST_BITS = 14  # of a place on an axis
 _ON_LATTICE = (1 << _MOST_BITS) - 1  # a layout with fewer bits leaves wider chunks linear
-_MORE = 2.0  # most chunks that a lattice may need, as a multiple of those without it
+_MORE, _ALONE = 2.0, 8  # most chunks that a lattice may need: a multiple of those without it, and one for 8 Gaussians
 _MOST_SYMLOG = 88.0  # of a coordinate in a logarithmic chunk; the largest float32 has 88.7
 _ROOTS = np.exp2(np.arange(64) / 64.0)
 
@@ -176,7 +176,7 @@ def chunk_starts(g: Gaussians, *, cuts: ArrayLike = (), finest: float = 0.0, lat
         if lattices is not None and high > low and lattices.of[low] >= 0:
             places = lattices.places[some].astype(np.float64)
             exact = _starts_of(places, largest[some], np.ones(high - low), _ON_LATTICE)
-            found = exact if len(exact) <= _MORE * len(found) + 1 else found
+            found = exact if len(exact) <= _MORE * len(found) + 1 + (high - low) // _ALONE else found
         pieces.append(low + found)
     return np.concatenate(pieces)
 

@@ -105,12 +105,29 @@ def test_records_keep_centers_of_a_lattice_in_fewer_bits(layout: RecordLayout) -
 
 
 def test_chunks_that_reach_too_far_on_their_lattice_stay_linear() -> None:
-    g = along_curve(on_lattice(random_scene(np.random.default_rng(3), 700)))
+    g = along_curve(on_lattice(random_scene(np.random.default_rng(3), 400)))
     lattices = find_lattices(g.means)
     assert len(lattices) == 1
     table = build_chunks(g, LAYOUTS[0], starts=chunk_starts(g, lattices=lattices), lattices=lattices)
     assert not table.logarithmic.all()
     assert (table.bits[~table.logarithmic] == 14).all()
+
+
+@pytest.mark.parametrize("apart", [2, 16])
+def test_groups_far_apart_have_a_chunk_each_if_that_is_not_one_for_a_few(apart: int) -> None:
+    """Sixteen groups across a lattice that one box would hold: of 16 Gaussians they have chunks, of two a box."""
+    rng = np.random.default_rng(5)
+    groups = 20000 * np.stack(np.unravel_index(np.arange(16), (4, 4, 1)), axis=1)
+    places = np.repeat(groups, apart, axis=0) + rng.integers(0, 1000, (16 * apart, 3))
+    offsets, steps = np.full((1, 3), -0.5), np.full((1, 3), 2e-5)
+    g = random_scene(rng, len(places))
+    wide = np.full((len(places), 3), 0.1, np.float32)
+    g = replace(g, means=from_symlog(offsets + steps * places).astype(np.float32), scales=wide)
+    lattices = Lattices(offsets, steps, np.zeros(len(places), np.int16), places.astype(np.int32))
+    assert len(chunk_starts(g)) == 1
+    starts = chunk_starts(g, lattices=lattices)
+    assert len(starts) == (16 if apart == 16 else 1)
+    assert build_chunks(g, LAYOUTS[0], starts=starts, lattices=lattices).logarithmic.all() == (apart == 16)
 
 
 @pytest.mark.parametrize("layout", LAYOUTS, ids=["rgb", "hsl"])
