@@ -1,6 +1,7 @@
 // Bundle the viewer into gsvis/viewer, with types and package.json: that folder is the npm package `gsvis-viewer`.
 // `--check` compares with what lies there; `--tests` bundles the tests instead.
 import { build, transform } from "esbuild";
+import { minify } from "terser";
 import { mkdirSync, readdirSync, readFileSync, writeFileSync } from "node:fs";
 import { gzipSync } from "node:zlib";
 import { dirname, join } from "node:path";
@@ -41,7 +42,13 @@ if (process.argv.includes("--tests")) {
       page: join(here, "src/page/index.ts"),
     },
   });
-  const files = bundled.outputFiles.map((file) => ({ path: file.path, bytes: Buffer.from(file.contents) }));
+  const files = await Promise.all(bundled.outputFiles.map(async ({ path, text }) => {
+    const { code } = await minify(text, {
+      module: true, ecma: 2020, format: { ascii_only: false },
+      compress: { passes: 3, unsafe_arrows: true, unsafe_methods: true, pure_getters: true },
+    });
+    return { path, bytes: Buffer.from(code) };
+  }));
   for (const name of ["view.html", "list.html"]) {
     files.push({ path: join(out, name), bytes: readFileSync(join(here, "src/page", name)) });
   }

@@ -2,7 +2,7 @@
 // them.
 import { Arrivals } from "./static-arrivals.ts";
 import { Blocks } from "./static-blocks.ts";
-import { Cells, everything, parseRow } from "./static-cells.ts";
+import { Cells, everything, readRow } from "./static-cells.ts";
 import type { CellRow } from "./static-cells.ts";
 import { PartError } from "./static-parts.ts";
 import type { Parts } from "./static-parts.ts";
@@ -33,7 +33,6 @@ export class StaticSession {
   private readonly rows = new Map<number, CellRow | Promise<CellRow>>();
   private readonly endingBefore: Uint32Array; // (B + 1) blocks before each that end below the highest level
   private replacedEnds: Promise<Uint8Array> | null = null;
-  private readonly bytesEach: number;
   private pose: Pose | null = null;
   private view: View | null = null;
   private planned: { cell: number; pose: Pose; view: View; regime: Regime; terms: boolean } | null = null;
@@ -57,8 +56,6 @@ export class StaticSession {
   ) {
     this.held = { records: new Uint8Array(blocks.count), terms: new Uint8Array(blocks.count) };
     this.arrivals = new Arrivals(blocks, this.held);
-    const degree = scene.header.harmonics?.degree ?? 0;
-    this.bytesEach = 16 + 3 * ((degree + 1) ** 2 - 1);
     this.endingBefore = new Uint32Array(blocks.count + 1);
     for (let b = 0; b < blocks.count; b++) {
       this.endingBefore[b + 1] = this.endingBefore[b] + (
@@ -74,12 +71,12 @@ export class StaticSession {
       return parts.read(file, 0, file.bytes);
     };
     let lost = "";
-    const grid = whole("grid").then((data) => new Cells(scene, data)).catch((error: unknown) => {
+    const grid = whole("grid").then((data) => Cells.open(scene, data)).catch((error: unknown) => {
       if (!(error instanceof PartError)) throw error;
       lost = error.message;
       return null;
     });
-    const blocks = new Blocks(scene, await whole("chunks"));
+    const blocks = await Blocks.open(scene, await whole("index"));
     const session = new StaticSession(scene, parts, blocks, await grid, link, events);
     if (lost !== "") session.lose(lost);
     return session;
@@ -145,8 +142,8 @@ export class StaticSession {
   private currentRegime(cell: number): Regime {
     const row = this.rows.get(cell);
     if (this.blocks.top === 0 || row === undefined || row instanceof Promise) return "high";
-    this.levelSizes ??= { cell, sizes: levelBytes(this.blocks, row, this.bytesEach) };
-    if (this.levelSizes.cell !== cell) this.levelSizes = { cell, sizes: levelBytes(this.blocks, row, this.bytesEach) };
+    this.levelSizes ??= { cell, sizes: levelBytes(this.blocks, row) };
+    if (this.levelSizes.cell !== cell) this.levelSizes = { cell, sizes: levelBytes(this.blocks, row) };
     return (this.regime = regimeOf(this.link.throughput, this.levelSizes.sizes, this.regime));
   }
 
@@ -174,7 +171,7 @@ export class StaticSession {
   private refill(): void {
     const least = this.scene.cells.size === 0 ? ALL_SLICE : LEAST_SLICE;
     const budget = Math.min(Math.max(SLICE_SECONDS * this.link.throughput, least), MOST_SLICE);
-    const { runs, next } = slice(this.blocks, this.order, this.place, this.held, budget, this.gap(), this.bytesEach);
+    const { runs, next } = slice(this.blocks, this.order, this.place, this.held, budget, this.gap());
     this.place = next;
     this.queue.push(...runs);
   }
@@ -214,7 +211,7 @@ export class StaticSession {
     this.termsAsked = true;
     const file = this.scene.files.get("blocks")!;
     try {
-      this.blocks.setTerms(await this.parts.read(file, 0, file.bytes));
+      await this.blocks.setTerms(await this.parts.read(file, 0, file.bytes));
     } catch (error) {
       this.termsLost = true;
       this.lose(error);
@@ -228,7 +225,7 @@ export class StaticSession {
     const file = this.scene.files.get("cells")!, [start, end] = this.cells?.range(cell) ?? [0, 0];
     const asked = this.cells === null
       ? Promise.resolve(everything(this.scene))
-      : this.parts.read(file, start, end).then((data) => parseRow(this.scene, data));
+      : this.parts.read(file, start, end).then((data) => readRow(this.scene, data));
     const made = asked.catch((error: unknown) => {
       this.lose(error);
       return everything(this.scene);
@@ -267,20 +264,22 @@ export class StaticSession {
   }
 
   private async fetchRecords(run: Run): Promise<void> {
-    const [first, end] = [this.blocks.start[run.first], this.blocks.start[run.end]], width = this.bytesEach - 16;
+    const { start, recordStart, harmonicBytes: width } = this.blocks;
     const harmonics = width === 0
       ? null
-      : this.read("harmonics", width * first, width * end).catch((error: unknown) => {
+      : this.read("harmonics", width * start[run.first], width * start[run.end]).catch((error: unknown) => {
       if (!this.isClosed) this.lose(error);
       return null;
     });
     const replaced = this.fetchReplaced(run);
-    const data = await this.read("records", 16 * first, 16 * end), more = await harmonics;
+    const data = await this.read("records", recordStart[run.first], recordStart[run.end]), more = await harmonics;
     if (this.isClosed) return;
-    this.events.batch(this.arrivals.addRecords(run, data, more));
+    this.events.batch(this.arrivals.addRecords(run, data, more, (error) => this.lose(error)));
     if (!this.termsAsked && this.scene.header.terms > 0) void this.loadTerms();
     this.deferred = this.deferred.filter((each) => !this.takeTerms(each.run, each.data));
-    for (const [block, row] of await replaced) this.takeBlock(() => this.arrivals.addReplaced(block, row));
+    for (const [block, row] of await replaced) {
+      if (this.held.records[block] === HELD) this.takeBlock(() => this.arrivals.addReplaced(block, row));
+    }
     const gone = this.seen === null ? null : this.arrivals.sweep(this.seen.flags);
     if (gone !== null && !this.isClosed) this.events.batch(gone);
   }
@@ -301,7 +300,7 @@ export class StaticSession {
       at += size;
       if (this.held.records[b] !== HELD) continue;
       const isRead = this.takeBlock(
-        () => this.events.batch(this.arrivals.addTerms({ ...run, first: b, end: b + 1 }, own)),
+        () => this.events.batch(this.arrivals.addTerms(b, own)),
       );
       if (!isRead) this.held.terms[b] = LOST;
     }
