@@ -178,6 +178,7 @@ export interface StreamOptions {
   margin?: number; // radians around the view that are sent as if they were in it
   near?: number; // distance at which the view begins, scene units
   mostBytes?: number; // most memory for tables of a scene before its first Gaussian
+  memory?: number; // bytes of records to hold at most: what is farthest from use goes; 0 for no limit
   worker?: () => Worker; // makes the network Worker where `network.js` does not lie beside this module
 }
 
@@ -245,6 +246,9 @@ export interface Term {
 export interface Eye extends Pose {
   fovY: number;
 }
+
+/** Return how many bytes of the GPU a viewer takes at most on this device. */
+export declare function memoryOfDevice(): number;
 
 /** How a viewer fares. */
 export interface Statistics {

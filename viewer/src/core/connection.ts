@@ -193,7 +193,7 @@ export class Connection {
   #hearWelcome(message: Uint8Array): void {
     if (this.#phase !== "greeted") throw new ProtocolError("message: expected nothing before HELLO, got some");
     const isKept = this.receiver !== null && this.receiver.resume(message);
-    if (!isKept) this.receiver = new Receiver(message, this.#options.mostBytes);
+    if (!isKept) this.receiver = new Receiver(message, this.#options.mostBytes, this.#options.reach.memory > 0);
     this.send(ack(0));
     this.#phase = "streaming";
     this.#roundTrip = this.#clock.now() - this.#greetedAt;

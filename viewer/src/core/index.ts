@@ -10,6 +10,6 @@ export {
 } from "./tables.ts";
 export type * from "./types.ts";
 export {
-  type Eye, type Statistics, supportedPrecision, UnsupportedError, Viewer, type ViewerEvent, type ViewerOptions,
+  type Eye, memoryOfDevice, type Statistics, supportedPrecision, UnsupportedError, Viewer, type ViewerEvent, type ViewerOptions,
 } from "./viewer.ts";
 export type { XrSession } from "./xr.ts";

@@ -18,10 +18,12 @@ if (document.querySelector("#scenes")) {
     location.href, { scene: meta("scene"), content: meta("content"), settings: meta("settings") },
   );
   if (page.scene) {
+    const room = gsvis.memoryOfDevice(); // a large one never fills
+    const memory = room < 1e9 ? 0.7 * room * (16 / 68) : 0; // gaps of what was evicted, and bytes on the GPU
     const core: Core = {
       makeViewer: (canvas, options) => new gsvis.Viewer(canvas, options),
       makeSource: (scene, token) => (scene.kind === "stream" ? gsvis.streamSource(
-        scene.url, token ? { token } : {},
+        scene.url, token ? { token, memory } : { memory },
       ) : gsvis.staticSource(scene.url)),
     };
     void locate(page.scene).then(({ scene, preparing }) => {
