@@ -20,7 +20,9 @@ const shaders = {
   name: "shaders",
   setup({ onLoad }) {
     onLoad({ filter: /shaders\.ts$/ }, ({ path }) => ({
-      contents: readFileSync(path, "utf8").replace(/[ \t]*\/\/.*$/gm, "").replace(/^[ \t]+/gm, ""), loader: "ts",
+      contents: readFileSync(path, "utf8").replace(/[ \t]*\/\/.*$/gm, "").replace(/^[ \t]+/gm, "")
+        .replace(/ ([=*<>?]|[<>=!+*]=|&&|\|\|) /g, "$1").replace(/([,;]) /g, "$1"),
+      loader: "ts",
     }));
   },
 };
@@ -40,6 +42,7 @@ if (process.argv.includes("--tests")) {
       sort: join(here, "src/core/sort.worker.ts"),
       static: join(here, "src/core/static.worker.ts"),
       page: join(here, "src/page/index.ts"),
+      list: join(here, "src/page/listing.ts"),
     },
   });
   const files = await Promise.all(bundled.outputFiles.map(async ({ path, text }) => {
@@ -57,10 +60,12 @@ if (process.argv.includes("--tests")) {
   const types = "./gsvis-viewer.d.ts", exports = { ".": { types, default: "./gsvis-viewer.js" }, "./*": "./*" };
   const manifest = JSON.stringify({ name, version, description, license, type: "module", types, exports }, null, 2);
   files.push({ path: join(out, "package.json"), bytes: Buffer.from(`${manifest}\n`) });
-  const style = await transform(readFileSync(join(here, "src/page/page.css"), "utf8"), {
-    loader: "css", minify: true, target: common.target, charset: "utf8",
-  });
-  files.push({ path: join(out, "page.css"), bytes: Buffer.from(style.code) });
+  for (const name of ["page.css", "list.css"]) {
+    const style = await transform(readFileSync(join(here, "src/page", name), "utf8"), {
+      loader: "css", minify: true, target: common.target, charset: "utf8",
+    });
+    files.push({ path: join(out, name), bytes: Buffer.from(style.code) });
+  }
   let differ = 0;
   mkdirSync(out, { recursive: true });
   for (const { path, bytes } of files) {

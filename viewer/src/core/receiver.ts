@@ -26,13 +26,13 @@ export class Receiver {
   #skipped = 0; // Gaussians replaced before they came
   #came = 0; // Gaussians and terms that came, those that are forgotten too: they number slots
   #cameTerms = 0;
-  private sequence = 0;
-  private chunks: Chunks = noChunks();
+  #sequence = 0;
+  #chunks: Chunks = noChunks();
   readonly #layout: RecordLayout;
   readonly #slots: Uint32Array; // of each Gaussian, from 1; 0 if it has not come
   readonly #sent: Uint32Array; // packed sets
   readonly #sentTerms: Uint32Array;
-  private readonly gone: Uint32Array;
+  readonly #gone: Uint32Array;
   #owners: Uint32Array | null = null; // of each term; null where nothing is ever evicted
 
   /** Raises ProtocolError if the message is no WELCOME, or its scene needs more than `mostBytes`. */
@@ -47,14 +47,14 @@ export class Receiver {
     this.#layout = recordLayout(colors.variant);
     this.#slots = new Uint32Array(gaussians);
     this.#sent = new Uint32Array(Math.ceil(gaussians / 32));
-    this.gone = new Uint32Array(Math.ceil(gaussians / 32));
+    this.#gone = new Uint32Array(Math.ceil(gaussians / 32));
     this.#sentTerms = new Uint32Array(Math.ceil(terms / 32));
     if (evicts) this.#owners = new Uint32Array(terms);
   }
 
   /** The number that the next batch must have. */
   get next(): number {
-    return this.sequence + 1;
+    return this.#sequence + 1;
   }
 
   /** Whether every Gaussian has come or is replaced, and every term has come. */
@@ -65,13 +65,13 @@ export class Receiver {
   /** Return the holdings for a HELLO; no bytes if nothing has come. */
   holdings(): Uint8Array<ArrayBuffer> {
     if (this.gaussians + this.#skipped === 0) return new Uint8Array(0);
-    return holdings(this.about.gaussians, this.about.terms, [this.#sent, this.#sentTerms, this.gone]);
+    return holdings(this.about.gaussians, this.about.terms, [this.#sent, this.#sentTerms, this.#gone]);
   }
 
   /** Accept the WELCOME of a new connection; false if it is of another scene, which needs a new receiver. */
   resume(welcome: Uint8Array): boolean {
     if (parseWelcome(welcome).identity !== this.about.identity) return false;
-    this.sequence = 0;
+    this.#sequence = 0;
     return true;
   }
 
@@ -83,7 +83,7 @@ export class Receiver {
     };
     if (s.sequence !== this.next) refuse(`expected number ${this.next}`);
     if (s.evicted.length && !this.#owners) refuse("expected none evicted");
-    const chunks = addChunks(this.chunks, ...this.#unknown(s), this.about, refuse);
+    const chunks = addChunks(this.#chunks, ...this.#unknown(s), this.about, refuse);
     const rows = rowsOf(s.gaussians, chunks, refuse);
     this.#check(s, refuse);
     const code = this.about.code;
@@ -97,7 +97,7 @@ export class Receiver {
   /** Return the chunks whose rows are new, and these rows. A chunk that was evicted as a whole comes once more. */
   #unknown(s: Sections): [Uint32Array, Uint8Array] {
     if (!this.#owners) return [s.chunks, s.rows];
-    const known = new Set(this.chunks.starts), fresh: number[] = [];
+    const known = new Set(this.#chunks.starts), fresh: number[] = [];
     s.chunks.forEach((start, k) => { if (!known.has(start)) fresh.push(k); });
     const rows = new Uint8Array(CHUNK_BYTES * fresh.length);
     fresh.forEach((k, i) => rows.set(s.rows.subarray(CHUNK_BYTES * k, CHUNK_BYTES * (k + 1)), CHUNK_BYTES * i));
@@ -114,12 +114,12 @@ export class Receiver {
       this.terms--;
     });
     const drawn = ids.filter((id) => {
-      const [came, gone] = [has(this.#sent, id), has(this.gone, id)];
+      const [came, gone] = [has(this.#sent, id), has(this.#gone, id)];
       if (came) this.gaussians--;
       if (gone && came) this.replaced--;
       if (gone && !came) this.#skipped--;
       remove(this.#sent, id);
-      remove(this.gone, id);
+      remove(this.#gone, id);
       return came && !gone;
     });
     return drawn.map((id) => this.#slots[id] - 1);
@@ -129,7 +129,7 @@ export class Receiver {
   #check(s: Sections, refuse: (what: string) => never): void {
     const evicted = new Set(s.evicted);
     const sent = (id: number) => has(this.#sent, id) && !evicted.has(id);
-    const replaced = (id: number) => has(this.gone, id) && !evicted.has(id);
+    const replaced = (id: number) => has(this.#gone, id) && !evicted.has(id);
     for (const id of s.gaussians) {
       if (sent(id)) refuse(`expected each Gaussian once, got ${id} again`);
       if (replaced(id)) refuse(`expected no Gaussian that is replaced, got ${id}`);
@@ -155,7 +155,7 @@ export class Receiver {
   #enter(
     s: Sections, chunks: Chunks, rows: Uint32Array, records: Uint32Array, terms: Uint32Array,
   ): Batch {
-    const left = this.#forget(s.evicted), firstRow = this.chunks.starts.length;
+    const left = this.#forget(s.evicted), firstRow = this.#chunks.starts.length;
     const g = s.gaussians.length, first = this.#came, firstTerm = this.#cameTerms;
     const means = new Float32Array(3 * g);
     for (let i = 0; i < g; i++) {
@@ -167,7 +167,7 @@ export class Receiver {
       add(this.#sentTerms, id);
       if (this.#owners) this.#owners[id] = s.owners[i];
     });
-    for (const id of s.gone) add(this.gone, id);
+    for (const id of s.gone) add(this.#gone, id);
     const gone = s.gone.filter((id) => has(this.#sent, id)).map((id) => this.#slots[id] - 1);
     const chunkLevels = new Uint8Array(2 * s.chunks.length), boxes = new Float32Array(6 * s.chunks.length);
     for (let k = 0; k < s.chunks.length; k++) {
@@ -178,8 +178,8 @@ export class Receiver {
     for (let k = 0, row = firstRow; k < s.chunks.length; k++, row++) {
       writeBox(chunks.table, row, chunks.bits[row], boxes, k);
     }
-    this.chunks = chunks;
-    this.sequence = s.sequence;
+    this.#chunks = chunks;
+    this.#sequence = s.sequence;
     this.gaussians += g;
     this.#came += g;
     this.terms += s.terms.length;

@@ -18,7 +18,7 @@ export class Arrivals {
   replaced = 0;
   readonly firstSlot: Uint32Array; // slot of the first Gaussian of each held block
   readonly #rowOf: Int32Array; // row of each chunk, -1 before it is sent
-  private rows = 0;
+  #rows = 0;
   #waiting: Replaced[] = [];
   readonly #layout: RecordLayout;
 
@@ -49,12 +49,12 @@ export class Arrivals {
     const count = good.reduce((sum, b) => sum + blocks.size(b), 0);
     const ids = new Uint32Array(count), rows = new Uint32Array(count), means = new Float32Array(3 * count);
     const records = new Uint32Array(4 * count), own = each === 0 ? null : new Uint8Array(each * count).fill(128);
-    const firstRow = this.rows, fresh: number[] = [];
+    const firstRow = this.#rows, fresh: number[] = [];
     let at = 0;
     good.forEach((b, i) => {
       const chunk = blocks.chunk[b], from = each * (blocks.start[b] - blocks.start[run.first]);
       if (this.#rowOf[chunk] < 0) {
-        this.#rowOf[chunk] = this.rows++;
+        this.#rowOf[chunk] = this.#rows++;
         fresh.push(chunk);
       }
       this.firstSlot[b] = this.gaussians + at;
@@ -123,7 +123,7 @@ export class Arrivals {
     const none = (): Uint32Array => new Uint32Array(0);
     return {
       first: this.gaussians, ids: none(), records: none(), rows: none(), means: new Float32Array(0),
-      firstRow: this.rows,
+      firstRow: this.#rows,
       chunks: new Float32Array(0), boxes: new Float32Array(0), chunkLevels: new Uint8Array(0), firstTerm: this.terms,
       terms: none(), owners: none(),
       gone: none(),
