@@ -29,7 +29,7 @@ HEAD = np.dtype(
 )  # fmt: skip
 """Type of the head of a block, 32 bytes: the row of its chunk, and how many words of u16 its records take."""
 
-UNIT = 8
+UNIT = 16
 """Blocks take a multiple of this many bytes, so that their sizes compress."""
 
 

@@ -22,10 +22,10 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 U8 = NDArray[np.uint8]
 
-STEPS = 128
-"""Steps of a center: its distance from the middle, over the scale, is sinh(steps / 128) on each axis."""
+STEPS = 64
+"""Steps of a center: its distance from the middle, over the scale, is sinh(steps / 64) on each axis."""
 
-OCTAVE = 6
+OCTAVE = 4
 """Steps of a radius for each doubling."""
 
 _MOST = (1 << 15) - 1

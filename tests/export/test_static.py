@@ -65,13 +65,13 @@ class Reader:
         columns = Columns(self.data["index"], c)
         places = np.stack([columns.sums(3) for _ in range(3)], axis=1)
         said = self.scene["places"]
-        self.centers = np.array(said["middle"]) + said["scale"] * np.sinh(places / 128)
-        self.radii = said["scale"] * 2.0 ** ((columns.next(1) - 128) / 6)
+        self.centers = np.array(said["middle"]) + said["scale"] * np.sinh(places / 64)
+        self.radii = said["scale"] * 2.0 ** ((columns.next(1) - 128) / 4)
         self.counts = columns.next(1) + 1
         self.levels = np.stack([columns.next(1), columns.next(1)], axis=1)
         units = columns.next(2, self.scene["blocks"])
         assert columns.at == len(columns.data)
-        self.record_starts = np.concatenate([[0], np.cumsum(8 * units)])
+        self.record_starts = np.concatenate([[0], np.cumsum(16 * units)])
         assert self.record_starts[-1] == len(self.data["records"])
         self.blocks: list[tuple[int, int, int]] = []  # chunk, first id, count
         starts = np.concatenate([[0], np.cumsum(self.counts)])
@@ -209,7 +209,7 @@ def test_no_gaussian_of_a_chunk_reaches_further_than_it_says(package: Package, t
     away = np.linalg.norm(g.means - read.centers[chunks], axis=1)
     reach = np.maximum.reduceat(away, starts) + 0.5 * np.maximum.reduceat(g.scales.max(axis=1), starts)
     assert (reach <= read.radii * (1 + 1e-9)).all()
-    assert (read.radii <= reach * 2 ** (1.01 / 6)).all()
+    assert (read.radii <= reach * 2 ** (1.01 / 4)).all()
 
 
 def test_a_cell_lists_the_blocks_that_it_sees_and_what_they_weigh(package: Package, tmp_path: Path) -> None:

@@ -7,9 +7,9 @@ import type { StaticScene } from "./static-scene.ts";
 import { Columns, inflate } from "./static-tables.ts";
 import { recordLayout } from "./tables.ts";
 
-const UNIT = 8, HEAD = 32; // bytes
+const UNIT = 16, HEAD = 32; // bytes
 const MOST_MEMBERS = 256;
-const STEPS = 128, OCTAVE = 6; // of places, and of radii
+const STEPS = 64, OCTAVE = 4; // of places, and of radii
 
 export class Blocks {
   readonly count: number;
