@@ -94,7 +94,8 @@ def _join(table: ChunkTable, blocks: Blocks, bodies: list[bytes]) -> Coded:
         heads[name] = values[blocks.chunks]
     heads["words"] = [len(body) // 2 for body in bodies]
     rows = heads.tobytes()
-    pieces, units = [], []
+    pieces: list[bytes] = []
+    units: list[int] = []
     for k, body in enumerate(bodies):
         whole = HEAD.itemsize + len(body)
         pieces += (rows[k * HEAD.itemsize : (k + 1) * HEAD.itemsize], body, bytes(-whole % UNIT))
@@ -110,7 +111,8 @@ def code_terms(contents: Contents, blocks: Blocks, coding: Coding) -> Coded:
         blocks: Its blocks.
         coding: The code of its records.
     """
-    offsets, pieces, words = contents.term_offsets, [], []
+    offsets, words = contents.term_offsets, list[int]()
+    pieces: list[bytes] = []
     for first, count in zip(blocks.firsts.tolist(), blocks.counts.tolist(), strict=True):
         counts = contents.term_counts[first : first + count]
         rows = contents.term_records[offsets[first] : offsets[first + count]]
