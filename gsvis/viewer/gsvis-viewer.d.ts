@@ -138,6 +138,9 @@ export declare function rotationOf(quaternion: readonly number[]): number[];
 /** Return what a camera sees: tangents of the angles from its axis to the four borders. */
 export declare function viewOf(camera: Camera): View;
 
+/** Return how many bytes of the GPU a viewer takes at most on this device. */
+export declare function memoryOfDevice(): number;
+
 /** What lies under a pixel: the Gaussian with the largest weight, and the next ones. */
 export interface Pick extends Picked {
   others: Picked[];
@@ -246,9 +249,6 @@ export interface Term {
 export interface Eye extends Pose {
   fovY: number;
 }
-
-/** Return how many bytes of the GPU a viewer takes at most on this device. */
-export declare function memoryOfDevice(): number;
 
 /** How a viewer fares. */
 export interface Statistics {

@@ -1,6 +1,7 @@
 // What the module `gsvis-viewer` exports: a viewer for a canvas, and the sources it shows.
 
 export { cameraOf, quaternionOf, rotationOf, viewOf } from "./camera.ts";
+export { memoryOfDevice } from "./device.ts";
 export type { Pick, Picked } from "./picking.ts";
 export type { Precision } from "./renderer.ts";
 export { type StaticOptions, staticSource } from "./static-source.ts";
@@ -10,6 +11,6 @@ export {
 } from "./tables.ts";
 export type * from "./types.ts";
 export {
-  type Eye, memoryOfDevice, type Statistics, supportedPrecision, UnsupportedError, Viewer, type ViewerEvent, type ViewerOptions,
+  type Eye, type Statistics, supportedPrecision, UnsupportedError, Viewer, type ViewerEvent, type ViewerOptions,
 } from "./viewer.ts";
 export type { XrSession } from "./xr.ts";

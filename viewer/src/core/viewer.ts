@@ -1,5 +1,6 @@
 // A canvas and a source make a picture: appends what arrives, has it sorted, draws when something has changed.
 import { angleBetween, cameraOf, sameCamera, viewOf } from "./camera.ts";
+import { isSmall, memoryOfDevice } from "./device.ts";
 import { Intake } from "./intake.ts";
 import type { Pick } from "./picking.ts";
 import { choosePrecision, type Look, type Precision, Renderer } from "./renderer.ts";
@@ -53,7 +54,6 @@ export type ViewerEvent = "header" | "state" | "traffic" | "frame" | "contextlos
 export class UnsupportedError extends Error {}
 
 const START: Eye = { position: [0, 0, 0], rotation: [1, 0, 0, 0], fovY: Math.PI / 3 };
-const MIB = 2 ** 20;
 
 /** Shows what a source gives on a canvas. Events of `ViewerEvent` say what has changed. */
 export class Viewer extends EventTarget {
@@ -485,17 +485,6 @@ export class Viewer extends EventTarget {
     }
     if (ordered && !this.#intake.isBusy) for (const resolve of this.#settled.splice(0)) resolve();
   }
-}
-
-/** Return how many bytes of the GPU a viewer takes at most on this device. */
-export function memoryOfDevice(): number {
-  return (isSmall() ? 384 : 4096) * MIB;
-}
-
-/** Return whether this looks like a phone: little memory, or a finger as the only pointer. */
-function isSmall(): boolean {
-  const memory = (navigator as Navigator & { deviceMemory?: number }).deviceMemory;
-  return (memory !== undefined && memory <= 4) || matchMedia("(hover: none) and (pointer: coarse)").matches;
 }
 
 /** Return what this browser can blend into, null without WebGL2. */
