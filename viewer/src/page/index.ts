@@ -15,7 +15,7 @@ const page = readAddress(
 );
 if (page.scene) {
   const room = gsvis.memoryOfDevice(); // a large one never fills
-  const memory = room < 1e9 ? 0.7 * room * (16 / 68) : 0; // gaps of what was evicted, and bytes on the GPU
+  const memory = room < 1e9 ? 0.6 * room * (16 / 68) : 0; // gaps of what was evicted, and bytes on the GPU
   const core: Core = {
     makeViewer: (canvas, options) => new gsvis.Viewer(canvas, options),
     makeSource: (scene, token) => (scene.kind === "stream" ? gsvis.streamSource(
