@@ -1,6 +1,7 @@
 // Bundle the viewer into gsvis/viewer, with types and package.json: that folder is the npm package `gsvis-viewer`.
 // `--check` compares with what lies there; `--tests` bundles the tests instead.
 import { build, transform } from "esbuild";
+import { minify } from "terser";
 import { mkdirSync, readdirSync, readFileSync, writeFileSync } from "node:fs";
 import { gzipSync } from "node:zlib";
 import { dirname, join } from "node:path";
@@ -19,7 +20,9 @@ const shaders = {
   name: "shaders",
   setup({ onLoad }) {
     onLoad({ filter: /shaders\.ts$/ }, ({ path }) => ({
-      contents: readFileSync(path, "utf8").replace(/[ \t]*\/\/.*$/gm, "").replace(/^[ \t]+/gm, ""), loader: "ts",
+      contents: readFileSync(path, "utf8").replace(/[ \t]*\/\/.*$/gm, "").replace(/^[ \t]+/gm, "")
+        .replace(/ ([=*<>?]|[<>=!+*]=|&&|\|\|) /g, "$1").replace(/([,;]) /g, "$1"),
+      loader: "ts",
     }));
   },
 };
@@ -39,9 +42,16 @@ if (process.argv.includes("--tests")) {
       sort: join(here, "src/core/sort.worker.ts"),
       static: join(here, "src/core/static.worker.ts"),
       page: join(here, "src/page/index.ts"),
+      list: join(here, "src/page/listing.ts"),
     },
   });
-  const files = bundled.outputFiles.map((file) => ({ path: file.path, bytes: Buffer.from(file.contents) }));
+  const files = await Promise.all(bundled.outputFiles.map(async ({ path, text }) => {
+    const { code } = await minify(text, {
+      module: true, ecma: 2020, format: { ascii_only: false },
+      compress: { passes: 3, unsafe_arrows: true, unsafe_methods: true, pure_getters: true },
+    });
+    return { path, bytes: Buffer.from(code) };
+  }));
   for (const name of ["view.html", "list.html"]) {
     files.push({ path: join(out, name), bytes: readFileSync(join(here, "src/page", name)) });
   }
@@ -50,10 +60,12 @@ if (process.argv.includes("--tests")) {
   const types = "./gsvis-viewer.d.ts", exports = { ".": { types, default: "./gsvis-viewer.js" }, "./*": "./*" };
   const manifest = JSON.stringify({ name, version, description, license, type: "module", types, exports }, null, 2);
   files.push({ path: join(out, "package.json"), bytes: Buffer.from(`${manifest}\n`) });
-  const style = await transform(readFileSync(join(here, "src/page/page.css"), "utf8"), {
-    loader: "css", minify: true, target: common.target, charset: "utf8",
-  });
-  files.push({ path: join(out, "page.css"), bytes: Buffer.from(style.code) });
+  for (const name of ["page.css", "list.css"]) {
+    const style = await transform(readFileSync(join(here, "src/page", name), "utf8"), {
+      loader: "css", minify: true, target: common.target, charset: "utf8",
+    });
+    files.push({ path: join(out, name), bytes: Buffer.from(style.code) });
+  }
   let differ = 0;
   mkdirSync(out, { recursive: true });
   for (const { path, bytes } of files) {

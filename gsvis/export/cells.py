@@ -1,8 +1,8 @@
 """Rows of the cells of a static scene: for each cell the blocks that it sees, and how much each counts there.
 
 A row is a bitmap of blocks, lowest bit first; a byte for the gain of each block in it; and, where the scene has active
-terms, a byte for the share of the block's terms that are active in the cell. A scene without visible sets has one cell
-that sees everything.
+terms, a byte for the share of the block's terms that are active in the cell; each row is compressed by itself. A scene
+without visible sets has one cell that sees everything.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from gsvis.abr.index import extents
 from gsvis.export.blocks import GAIN_STEPS, Blocks, quantize_gains
+from gsvis.export.columns import column, compress, differences
 from gsvis.package.package import Package
 from gsvis.progress import Progress
 from gsvis.pvs.cells import CellGrid
@@ -25,8 +26,6 @@ __all__ = ["CellRows", "rows_of_package", "rows_of_scene"]
 
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
-GRID_ROW = np.dtype([("box", "<u4", 3), ("bytes", "<u4")])
-"""Type of a row of `grid`: the box of a cell, and the bytes of its row in `cells`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,19 +44,18 @@ class CellRows:
     active: bool
     rows: tuple[bytes, ...]
 
-    def index(self) -> NDArray[np.void]:
-        """Return (C,) of `GRID_ROW`."""
-        out = np.zeros(len(self.rows), GRID_ROW)
-        out["box"] = 0 if self.grid is None else self.grid.coords
-        out["bytes"] = [len(row) for row in self.rows]
-        return out
+    def index(self) -> bytes:
+        """Return the content of `grid`: the box of each cell, and the bytes of its row."""
+        boxes = np.zeros((len(self.rows), 3), np.int64) if self.grid is None else self.grid.coords
+        sizes = [len(row) for row in self.rows]
+        return compress(*(column(differences(boxes[:, axis]), 4) for axis in range(3)), column(sizes, 4))
 
 
 def rows_of_scene(g: Gaussians, blocks: Blocks) -> CellRows:
     """Return one row with all blocks; a Gaussian counts by its opacity times its mean cross-section."""
     gains = blocks.sums(np.arange(len(g)), _areas(g) * g.opacities)
     top = _top(gains)
-    return CellRows(None, top, False, (_row(gains, top, np.ones(len(blocks), np.bool_)),))
+    return CellRows(None, top, False, (compress(_row(gains, top, np.ones(len(blocks), np.bool_))),))
 
 
 def gains_of_package(package: Package, g: Gaussians) -> F64 | None:
@@ -94,7 +92,8 @@ def rows_of_package(package: Package, g: Gaussians, blocks: Blocks, progress: Pr
         ids, classes = sets.classes(cell)
         gains = blocks.sums(ids, areas[ids] * weights[classes])
         seen = np.bincount(blocks.of_ids[ids], minlength=len(blocks)) > 0
-        rows.append(_row(gains, top, seen) + (b"" if shares is None else shares(cell)[seen].tobytes()))
+        of_terms = b"" if shares is None else shares(cell)[seen].tobytes()
+        rows.append(compress(_row(gains, top, seen), of_terms))
         progress("sets", cell + 1, len(sets))
     return CellRows(sets.grid, top, shares is not None, tuple(rows))
 

@@ -27,35 +27,27 @@ from gsvis.errors import FormatError
 from gsvis.export.bare import BareScene, encode_scene
 from gsvis.export.blocks import BLOCK, Blocks
 from gsvis.export.cells import CellRows, gains_of_package, replaced_rows, rows_of_package, rows_of_scene
+from gsvis.export.coded import code_records, code_terms, in_order, pack_records
+from gsvis.export.columns import column, compress
+from gsvis.export.index import Spheres, index_of
 from gsvis.export.start import Start, start_poses
 from gsvis.files.atomic import atomic_path, remove_all_partials
 from gsvis.files.limits import digest_of, read_whole
-from gsvis.package.codec import ChunkTable, packed_bits
 from gsvis.package.layout import RECORD_BYTES, TermLayout
 from gsvis.package.package import Package
 from gsvis.progress import Progress, silent
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
+from gsvis.stream.coding import Coding
 
 __all__ = ["FORMAT", "SCENE", "VERSION", "StaticFile", "StaticOptions", "StaticScene", "check_target", "write_static"]
 
 U8 = NDArray[np.uint8]
 
-FORMAT, VERSION = "gsvis-static", 1
+FORMAT, VERSION = "gsvis-static", 2
 SCENE = "scene.json"
-KINDS = ("chunks", "grid", "cells", "records", "blocks", "terms", "replaced", "harmonics")
+KINDS = ("index", "grid", "cells", "records", "blocks", "terms", "replaced", "harmonics")
 """Files of a scene besides `scene.json`, in the order in which a page needs them."""
-
-REACH = 8
-"""Steps of 1/64 octave of a chunk's largest standard deviation."""
-
-CHUNK_ROW = np.dtype(
-    [
-        ("origin", "<f4", 3), ("step", "<f4", 3), ("low", "<i2"), ("count", "<u2"), ("stride", "u1"),
-        ("first_level", "u1"), ("last_level", "u1"), ("bits", "<u2"), ("reach", "u1"),
-    ]
-)  # fmt: skip
-"""Type of a row of `chunks`, 34 bytes: as on the wire, and a bound of the largest standard deviation."""
 
 _OURS = re.compile(rf"(?:{'|'.join(KINDS)})-[0-9a-f]{{16}}\.bin")
 _MOST_JSON = 16 << 20
@@ -207,6 +199,8 @@ class _Parts:
     chunks: int
     terms: int
     harmonics: dict[str, Any] | None
+    spheres: Spheres
+    coding: Coding | None
     bounds: NDArray[np.float64]
     up: tuple[float, ...] = (0.0, 0.0, 1.0)
     meters_per_unit: float = 0.0
@@ -215,26 +209,30 @@ class _Parts:
 
 def _package_parts(package: Package, progress: Progress) -> _Parts:
     contents, manifest = package.contents, package.manifest
-    g = contents.gaussians()
-    blocks = Blocks.from_chunks(contents.table, contents.chunk_levels, gains_of_package(package, g))
+    table, g = contents.table, contents.gaussians()
+    blocks = Blocks.from_chunks(table, contents.chunk_levels, gains_of_package(package, g))
     cells = rows_of_package(package, g, blocks, progress)
+    placed, spheres = in_order(contents, blocks.ids), Spheres.from_chunks(table, g)
+    coding = Coding.from_contents(placed)
+    records = code_records(placed, blocks, coding)
     data: dict[str, Any] = {
-        "chunks": _chunk_rows(contents.table, contents.chunk_levels, g),
+        "index": index_of(spheres, table, contents.chunk_levels, records.sizes),
         "grid": cells.index(),
         "cells": b"".join(cells.rows),
-        "records": contents.records[blocks.order],
+        "records": records.data,
     }
     if manifest.terms:
-        counts = contents.term_counts[blocks.order]
-        data["blocks"] = np.add.reduceat(counts, blocks.starts[:-1], dtype=np.int64).astype("<u2")
-        data["terms"] = _term_bytes(contents.term_records, contents.term_offsets, counts, blocks)
+        terms = code_terms(placed, blocks, coding)
+        counts = np.add.reduceat(contents.term_counts[blocks.order], blocks.starts[:-1], dtype=np.int64)
+        data["blocks"] = compress(column(counts, 2), column(terms.sizes, 2))
+        data["terms"] = terms.data
     ending = np.flatnonzero(contents.chunk_levels[blocks.chunks, 1] < len(manifest.names) - 1)
     if len(ending):
         replacements = nearest_replacements(Levels(g, contents.first, contents.last, contents.names))
         data["replaced"] = replaced_rows(*replacements, blocks, ending)
     levels = tuple(zip(manifest.names, manifest.counts, strict=True))
     return _Parts(
-        blocks, cells, data, manifest.grids, levels, len(contents.table), manifest.terms, None, g.bounds(0.9),
+        blocks, cells, data, manifest.grids, levels, len(table), manifest.terms, None, spheres, coding, g.bounds(0.9),
         manifest.info.up, manifest.info.meters_per_unit, tuple(Start.from_dict(view) for view in manifest.views),
     )  # fmt: skip
 
@@ -248,12 +246,13 @@ def _bare_parts(scene: Levels | Gaussians, progress: Progress) -> _Parts:
     progress("order", 1, 1)
     blocks = Blocks.from_chunks(found.table, found.chunk_levels)
     ids, g = found.ids[blocks.order], found.gaussians
-    cells = rows_of_scene(g, blocks)
+    cells, spheres = rows_of_scene(g, blocks), Spheres.from_chunks(found.table, g)
+    records = pack_records(found.table, blocks, found.records[blocks.order])
     data: dict[str, Any] = {
-        "chunks": _chunk_rows(found.table, found.chunk_levels, g),
+        "index": index_of(spheres, found.table, found.chunk_levels, records.sizes),
         "grid": cells.index(),
         "cells": b"".join(cells.rows),
-        "records": found.records[blocks.order],
+        "records": records.data,
     }
     ending = np.flatnonzero(found.chunk_levels[blocks.chunks, 1] < len(levels) - 1)
     if len(ending):
@@ -264,37 +263,7 @@ def _bare_parts(scene: Levels | Gaussians, progress: Progress) -> _Parts:
         data["harmonics"] = harmonics.encode(levels.union.shN, ids)
     counts = tuple(zip(levels.names, levels.counts, strict=True))
     said = None if harmonics is None else harmonics.as_dict()
-    return _Parts(blocks, cells, data, found.grids, counts, len(found.table), 0, said, g.bounds(0.9))
-
-
-def _chunk_rows(table: ChunkTable, levels: U8, g: Gaussians) -> NDArray[np.void]:
-    rows = np.zeros(len(table), CHUNK_ROW)
-    largest = np.maximum.reduceat(g.scales.max(axis=1), table.starts[:-1]) if len(table) else np.zeros(0)
-    logs = np.ceil(64.0 * np.log2(np.maximum(largest.astype(np.float64), 1e-38)) - 1e-3)
-    for name, values in (
-        ("origin", table.origins), ("step", table.steps), ("low", table.lows), ("count", table.counts),
-        ("stride", table.strides), ("first_level", levels[:, 0]), ("last_level", levels[:, 1]),
-        ("bits", packed_bits(table.bits)),
-        ("reach", np.clip(np.ceil((logs - table.lows) / REACH), 0, 255)),
-    ):  # fmt: skip
-        rows[name] = values
-    return rows
-
-
-def _term_bytes(records: U8, offsets: NDArray[np.int64], counts: U8, blocks: Blocks) -> U8:
-    """Return, block by block, the number of terms of each Gaussian, a byte each, and then their records."""
-    n, width = len(counts), records.shape[1]
-    before = np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
-    out = np.empty(n + width * int(before[-1]), np.uint8)
-    block_of = np.repeat(np.arange(len(blocks)), blocks.counts)
-    heads = blocks.starts[:-1] + width * before[blocks.starts[:-1]]  # where the bytes of each block begin
-    out[heads[block_of] + np.arange(n) - blocks.starts[block_of]] = counts
-    sent = np.repeat(offsets[blocks.order] - before[:-1], counts) + np.arange(before[-1])  # term at each place
-    owner = np.repeat(block_of, counts)
-    to = heads[owner] + blocks.counts[owner] + width * (np.arange(before[-1]) - before[blocks.starts[owner]])
-    for byte in range(width):
-        out[to + byte] = records[sent, byte]
-    return out
+    return _Parts(blocks, cells, data, found.grids, counts, len(found.table), 0, said, spheres, None, g.bounds(0.9))
 
 
 def _keep(folder: Path, kind: str, data: Any) -> StaticFile:
@@ -333,6 +302,9 @@ def _document(parts: _Parts, files: dict[str, StaticFile], options: StaticOption
         "gaussians": int(parts.blocks.starts[-1]),
         "terms": parts.terms,
         "chunks": parts.chunks,
+        "places": parts.spheres.as_dict(),
+        "code": None if parts.coding is None else parts.coding.tables.to_text(),
+        "steps": None,
         "blocks": len(parts.blocks),
         "block_gaussians": BLOCK,
         "levels": [{"name": name, "count": int(count)} for name, count in parts.levels],
@@ -352,5 +324,5 @@ def _document(parts: _Parts, files: dict[str, StaticFile], options: StaticOption
             "active": parts.cells.active,
         },
         "poses": [pose.as_dict() for pose in poses],
-        "files": {kind: {"name": f.name, "bytes": f.nbytes, "sha256": f.sha256} for kind, f in sorted(files.items())},
+        "files": {kind: {"name": f.name, "bytes": f.nbytes} for kind, f in sorted(files.items())},
     }

@@ -138,6 +138,9 @@ export declare function rotationOf(quaternion: readonly number[]): number[];
 /** Return what a camera sees: tangents of the angles from its axis to the four borders. */
 export declare function viewOf(camera: Camera): View;
 
+/** Return how many bytes of the GPU a viewer takes at most on this device. */
+export declare function memoryOfDevice(): number;
+
 /** What lies under a pixel: the Gaussian with the largest weight, and the next ones. */
 export interface Pick extends Picked {
   others: Picked[];
@@ -178,6 +181,7 @@ export interface StreamOptions {
   margin?: number; // radians around the view that are sent as if they were in it
   near?: number; // distance at which the view begins, scene units
   mostBytes?: number; // most memory for tables of a scene before its first Gaussian
+  memory?: number; // bytes of records to hold at most: what is farthest from use goes; 0 for no limit
   worker?: () => Worker; // makes the network Worker where `network.js` does not lie beside this module
 }
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
+import zlib
 from collections.abc import Iterator
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -12,18 +14,41 @@ from typing import Any
 import numpy as np
 import pytest
 
+from gsvis.color.storage import grids_of
 from gsvis.errors import FormatError
 from gsvis.export import StaticOptions, write_static
 from gsvis.export.bare import Harmonics
+from gsvis.export.coded import HEAD
 from gsvis.export.start import start_poses
-from gsvis.export.static import CHUNK_ROW
+from gsvis.files.fields import parse_object
 from gsvis.package import ChunkTable, Package, RecordLayout, decode_records
+from gsvis.package.codec import unpack_bits
 from gsvis.scene.gaussians import Gaussians, rotations_from_quats
 from gsvis.scene.levels import Levels
 from gsvis.scene.procedural import random_scene
 from gsvis.scene.sh import SH_C0
+from gsvis.stream.coding import Coding, chunks_of, table_sizes
+from gsvis.stream.tables import Tables
 from tests.package.worlds import levels_of
 from tests.stream.worlds import package_of
+
+
+class Columns:
+    """Columns of numbers, one after the other."""
+
+    def __init__(self, data: bytes, count: int) -> None:
+        self.data, self.count, self.at = zlib.decompress(data), count, 0
+
+    def next(self, width: int, count: int | None = None) -> np.ndarray:
+        n, found = self.count if count is None else count, 0
+        for k in range(width):
+            found = found + (np.frombuffer(self.data, np.uint8, n, self.at).astype(np.int64) << 8 * k)
+            self.at += n
+        return np.asarray(found)
+
+    def sums(self, width: int) -> np.ndarray:
+        folded = self.next(width)
+        return np.cumsum(np.where(folded % 2, -(folded + 1) // 2, folded // 2))
 
 
 class Reader:
@@ -35,12 +60,22 @@ class Reader:
         for kind, file in self.scene["files"].items():
             self.data[kind] = data = (folder / file["name"]).read_bytes()
             assert len(data) == file["bytes"]
-            assert hashlib.sha256(data).hexdigest() == file["sha256"]
-            assert file["name"] == f"{kind}-{file['sha256'][:16]}.bin"
-        self.chunks = np.frombuffer(self.data["chunks"], CHUNK_ROW)
+            assert file["name"] == f"{kind}-{hashlib.sha256(data).hexdigest()[:16]}.bin"
+        c = self.scene["chunks"]
+        columns = Columns(self.data["index"], c)
+        places = np.stack([columns.sums(3) for _ in range(3)], axis=1)
+        said = self.scene["places"]
+        self.centers = np.array(said["middle"]) + said["scale"] * np.sinh(places / 64)
+        self.radii = said["scale"] * 2.0 ** ((columns.next(1) - 128) / 4)
+        self.counts = columns.next(1) + 1
+        self.levels = np.stack([columns.next(1), columns.next(1)], axis=1)
+        units = columns.next(2, self.scene["blocks"])
+        assert columns.at == len(columns.data)
+        self.record_starts = np.concatenate([[0], np.cumsum(16 * units)])
+        assert self.record_starts[-1] == len(self.data["records"])
         self.blocks: list[tuple[int, int, int]] = []  # chunk, first id, count
-        starts = np.concatenate([[0], np.cumsum(self.chunks["count"].astype(int))])
-        pairs = [(int(c["first_level"]), int(c["last_level"])) for c in self.chunks]
+        starts = np.concatenate([[0], np.cumsum(self.counts)])
+        pairs = [(int(first), int(last)) for first, last in self.levels]
         low = 0
         while low < len(pairs):
             high = low
@@ -48,7 +83,7 @@ class Reader:
                 high += 1
             for stratum in range(4):
                 for chunk in range(low, high):
-                    count = min(64, int(self.chunks["count"][chunk]) - 64 * stratum)
+                    count = min(64, int(self.counts[chunk]) - 64 * stratum)
                     if count > 0:
                         self.blocks.append((chunk, int(starts[chunk]) + 64 * stratum, count))
             low = high
@@ -58,31 +93,59 @@ class Reader:
     def ids(self) -> np.ndarray:
         return np.concatenate([np.arange(first, first + count) for _, first, count in self.blocks])
 
+    @cached_property
+    def coding(self) -> Coding | None:
+        """The code of the records; None where they are as they are."""
+        if self.scene["code"] is None:
+            return None
+        grids = grids_of(
+            parse_object("scene.json", json.dumps(self.scene["colors"]).encode()), self.scene["colors"]["variant"]
+        )
+        return Coding(grids, None, Tables.from_text(self.scene["code"], table_sizes(grids)))
+
+    @cached_property
+    def heads(self) -> np.ndarray:
+        """(B,) heads of blocks."""
+        rows = [self.data["records"][at : at + HEAD.itemsize] for at in self.record_starts[:-1]]
+        return np.frombuffer(b"".join(rows), HEAD)
+
     def records(self) -> np.ndarray:
         """Records by id."""
-        found = np.frombuffer(self.data["records"], np.uint8).reshape(-1, 16)
-        out = np.empty_like(found)
-        out[self.ids] = found
+        out = np.empty((self.scene["gaussians"], 16), np.uint8)
+        for (chunk, first, count), head, at in zip(self.blocks, self.heads, self.record_starts, strict=False):
+            body = self.data["records"][at + HEAD.itemsize : at + HEAD.itemsize + 2 * int(head["words"])]
+            if self.coding is None:
+                out[first : first + count] = np.frombuffer(body, np.uint8).reshape(count, 16)
+                continue
+            ids, of = np.arange(count), np.full(count, chunk, np.int32)
+            found = self.coding.decode_records(np.frombuffer(body, np.uint8), ids, of, chunks_of(self.table()))
+            assert found is not None
+            out[first : first + count] = found
         return out
 
     def terms(self) -> list[bytes]:
         """Records of terms by id."""
         out: list[bytes] = [b""] * self.scene["gaussians"]
-        width, at = self.scene["term_bytes"], 0
-        for (_, first, count), terms in zip(self.blocks, np.frombuffer(self.data["blocks"], "<u2"), strict=True):
+        at, columns = 0, Columns(self.data["blocks"], len(self.blocks))
+        for (_, first, count), terms, words in zip(self.blocks, columns.next(2), columns.next(2), strict=True):
             counts, at = self.data["terms"][at : at + count], at + count
             assert sum(counts) == terms
-            for k, number in enumerate(counts):
-                out[first + k], at = self.data["terms"][at : at + width * number], at + width * number
+            body, at = self.data["terms"][at : at + 2 * words], at + 2 * words
+            assert self.coding is not None
+            found = self.coding.decode_terms(np.frombuffer(body, np.uint8), np.repeat(np.arange(count), list(counts)))
+            assert found is not None
+            for k, rows in enumerate(np.split(found, np.cumsum(list(counts))[:-1])):
+                out[first + k] = rows.tobytes()
         assert at == len(self.data["terms"])
         return out
 
     def cells(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray | None]]:
         """Visible blocks, gains and shares of active terms of each cell."""
-        grid = np.frombuffer(self.data["grid"], "<u4").reshape(-1, 4)
+        columns = Columns(self.data["grid"], self.scene["cells"]["count"])
+        self.boxes = np.stack([columns.sums(4) for _ in range(3)], axis=1)
         out, at, bits = [], 0, -(-len(self.blocks) // 8)
-        for row in grid:
-            data, at = self.data["cells"][at : at + row[3]], at + int(row[3])
+        for size in columns.next(4):
+            data, at = zlib.decompress(self.data["cells"][at : at + size]), at + int(size)
             seen = np.flatnonzero(np.unpackbits(np.frombuffer(data[:bits], np.uint8), bitorder="little"))
             gains = 2.0 ** ((np.frombuffer(data[bits : bits + len(seen)], np.uint8) - 255.0 + self.top) / 4)
             rest = data[bits + len(seen) :]
@@ -97,9 +160,10 @@ class Reader:
         return int(self.scene["cells"]["gain_top"])
 
     def table(self) -> ChunkTable:
-        c = self.chunks
-        columns = (np.ascontiguousarray(c[k]) for k in ("origin", "step", "low", "stride", "count"))
-        return ChunkTable(*columns, np.full((len(c), 3), 14, np.uint8))
+        of = {chunk: k for k, (chunk, _, _) in enumerate(self.blocks)}
+        heads = self.heads[[of[chunk] for chunk in range(len(self.counts))]]
+        columns = (np.ascontiguousarray(heads[k]) for k in ("origin", "step", "low", "stride"))
+        return ChunkTable(*columns, self.counts, unpack_bits(heads["bits"], 14))
 
 
 def ids_in_package(package: Package) -> np.ndarray:
@@ -132,7 +196,7 @@ def test_a_package_reads_back_record_by_record(package: Package, tmp_path: Path)
     offsets, terms = contents.term_offsets, read.terms()
     for k, i in enumerate(ids):
         assert terms[k] == contents.term_records[offsets[i] : offsets[i + 1]].tobytes()
-    assert np.array_equal(np.stack([read.chunks["first_level"], read.chunks["last_level"]], 1), contents.chunk_levels)
+    assert np.array_equal(read.levels, contents.chunk_levels)
     assert (read.scene["name"], read.scene["up"]) == ("two rooms", [0, -1, 0])
     assert made.nbytes == sum(len(data) for data in read.data.values())
     assert (made.gaussians, made.terms, made.blocks) == (700, len(contents.term_records), len(read.blocks))
@@ -140,11 +204,12 @@ def test_a_package_reads_back_record_by_record(package: Package, tmp_path: Path)
 
 def test_no_gaussian_of_a_chunk_reaches_further_than_it_says(package: Package, tmp_path: Path) -> None:
     write_static(tmp_path / "out", package)
-    read, g = Reader(tmp_path / "out"), package.contents.gaussians()
-    bound = 2.0 ** ((read.chunks["low"].astype(float) + 8.0 * read.chunks["reach"]) / 64.0)
-    largest = np.maximum.reduceat(g.scales.max(axis=1), package.contents.table.starts[:-1])
-    assert (largest <= bound * (1 + 1e-4)).all()
-    assert (bound <= largest * 2 ** (9 / 64)).all()
+    read, g, table = Reader(tmp_path / "out"), package.contents.gaussians(), package.contents.table
+    chunks, starts = package.contents.chunks, table.starts[:-1]
+    away = np.linalg.norm(g.means - read.centers[chunks], axis=1)
+    reach = np.maximum.reduceat(away, starts) + 0.5 * np.maximum.reduceat(g.scales.max(axis=1), starts)
+    assert (reach <= read.radii * (1 + 1e-9)).all()
+    assert (read.radii <= reach * 2 ** (1.01 / 4)).all()
 
 
 def test_a_cell_lists_the_blocks_that_it_sees_and_what_they_weigh(package: Package, tmp_path: Path) -> None:
@@ -185,7 +250,7 @@ def test_what_ends_below_the_highest_level_names_the_blocks_that_replace_it(pack
     block_of, of = np.empty(700, int), ids_in_package(package)
     block_of[of[read.ids]] = np.repeat(np.arange(len(read.blocks)), np.diff(read.starts))
     data = read.data["replaced"]
-    ending = [b for b, (chunk, _, _) in enumerate(read.blocks) if read.chunks["last_level"][chunk] < 2]
+    ending = [b for b, (chunk, _, _) in enumerate(read.blocks) if read.levels[chunk, 1] < 2]
     ends = np.frombuffer(data, "<u4", len(ending) + 1)
     assert ends[-1] == len(data)
     for k, block in enumerate(ending):

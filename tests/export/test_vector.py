@@ -9,6 +9,7 @@ import base64
 import json
 import sys
 import tempfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -57,13 +58,23 @@ def spelled(folder: Path, package: Package | None) -> dict[str, Any]:
     return said
 
 
+def content(file: tuple[str, str]) -> tuple[str, bytes]:
+    """Kind and content of a file, unpacked: other builds of zlib pack the same content to other bytes."""
+    kind, data = file[0].split("-")[0], base64.b64decode(file[1])
+    if kind in ("index", "grid", "blocks"):
+        return kind, zlib.decompress(data)
+    return (kind, b"") if kind in ("cells", "scene.json") else (kind, data)
+
+
 def test_the_recorded_scenes_are_what_is_written(tmp_path: Path) -> None:
     kept = json.loads(VECTOR.read_text(encoding="utf-8"))
     made = json.loads(json.dumps(recorded(tmp_path)))
     for name in ("package", "bare"):
         assert made[name]["blocks"] == kept[name]["blocks"]
         assert made[name]["records"] == kept[name]["records"]
-        assert made[name]["files"].keys() == kept[name]["files"].keys()
+        assert [content(each) for each in made[name]["files"].items()] == [
+            content(each) for each in kept[name]["files"].items()
+        ]
 
 
 if __name__ == "__main__" and "--write" in sys.argv:

@@ -82,6 +82,8 @@ def serve_page(script: Path) -> Iterator[str]:
     files = {
         "/viewer/page.js": (script.read_bytes(), "text/javascript"),
         "/viewer/page.css": ((pages / "page.css").read_bytes(), "text/css"),
+        "/viewer/list.css": ((pages / "list.css").read_bytes(), "text/css"),
+        "/viewer/list.js": ((VIEWER.parent / "gsvis" / "viewer" / "list.js").read_bytes(), "text/javascript"),
         "/view/show%20room": ((pages / "view.html").read_bytes(), "text/html; charset=utf-8"),
         "/view/settings.json": (json.dumps(SETTINGS).encode(), "application/json"),
         **{path: (data, "application/json") for path, data in facts.items()},

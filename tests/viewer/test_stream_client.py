@@ -23,6 +23,8 @@ from websockets.sync.server import ServerConnection, serve
 
 from gsvis.abr.config import AbrConfig
 from gsvis.color.evaluate import evaluate
+from gsvis.package import Package
+from gsvis.package.layout import TermLayout
 from gsvis.stream import Hello, Receiver, StreamedScene, parse_client
 from tests.serve.servers import PATIENCE, VIEW, patient, serving, slow_link, until
 from tests.stream.worlds import package_of
@@ -117,6 +119,28 @@ def test_it_draws_what_the_python_client_draws(package: Path, program: Path, tmp
             assert_same(client.end(), other.receiver)
             until(lambda: server.metrics.closed.value("left") == 2)
         assert [said["fresh"] for said in client.of("header")] == [True]
+
+
+def test_with_little_memory_it_forgets_what_is_evicted_and_takes_it_again(
+    package: Path, program: Path, tmp_path: Path
+) -> None:
+    with Package.open(package) as opened:
+        contents = opened.contents
+    width = TermLayout.from_grids(contents.grids).widths.sum() / 8
+    memory = int(0.3 * (16 * len(contents) + width * len(contents.term_records)))
+    with serving(package) as server, client_of(program, server.url, tmp_path, "", str(memory)) as client:
+        client.say("pose -2.5 0 1.5")
+        until(lambda: client.state["kind"] == "complete")
+        client.say("pose 2.5 0 1.5")
+        until(lambda: 16 * client.held > memory)  # more came than there is room for
+        drawn = client.end()
+        until(lambda: server.metrics.closed.value("left") == 1)
+    ids, counts = drawn["ids"], drawn["terms"]
+    assert len(set(ids.tolist())) == len(ids)
+    assert 16 * len(ids) + width * counts.sum() <= memory
+    assert drawn["came"] > len(ids)  # some came, and went
+    assert (counts <= contents.term_counts[ids]).all()
+    np.testing.assert_allclose(drawn["means"], contents.gaussians(ids).means, rtol=2e-6, atol=2e-6)
 
 
 @pytest.mark.slow

@@ -61,9 +61,9 @@ class Kept {
   }
 }
 
-function stream(url: string, out: string, token: string | undefined): void {
+function stream(url: string, out: string, token: string | undefined, memory: number): void {
   const kept = new Kept(),
-    source = streamSource(url, { worker: nearWorker, ...(token === undefined ? {} : { token }) });
+    source = streamSource(url, { worker: nearWorker, memory, ...(token ? { token } : {}) });
   const pose = (position: [number, number, number]) => source.pose({ position, rotation: [1, 0, 0, 0] });
   source.view({ left: 0.84, right: 0.84, up: 0.58, down: 0.58 });
   pose([0, 0, 0]);
@@ -101,6 +101,6 @@ function bitmaps(): void {
   });
 }
 
-const [mode, url, out, token] = process.argv.slice(2);
+const [mode, url, out, token, memory] = process.argv.slice(2);
 if (mode === "bitmaps") bitmaps();
-else stream(url, out, token);
+else stream(url, out, token, Number(memory ?? 0));

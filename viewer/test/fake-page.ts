@@ -4,7 +4,6 @@
 import type { Header, Paint, SourceState } from "../src/core/types.ts";
 import { readAddress } from "../src/page/address.ts";
 import { meta } from "../src/page/dom.ts";
-import { showList } from "../src/page/list.ts";
 import { ViewPage } from "../src/page/view.ts";
 import type { PageCamera, Pick, Statistics, ViewerLike, ViewerOptions } from "../src/page/viewer-like.ts";
 
@@ -155,18 +154,15 @@ function dots(): { at: [number, number, number]; color: string; size: number }[]
   return found;
 }
 
-if (document.querySelector("#scenes")) void showList();
-else {
-  const page = readAddress(
-    location.href, { scene: meta("scene"), content: meta("content"), settings: meta("settings") },
-  );
-  if (page.scene) {
-    const source = { start: () => undefined, pose: () => undefined, view: () => undefined, close: () => undefined };
-    const asked: (string | null)[] = [];
-    Object.assign(window, { asked });
-    new ViewPage(page.scene, page, {
-      makeViewer: (canvas, options) => new FakeViewer(canvas, options),
-      makeSource: (_scene, token) => (asked.push(token), source),
-    });
-  }
+const page = readAddress(
+  location.href, { scene: meta("scene"), content: meta("content"), settings: meta("settings") },
+);
+if (page.scene) {
+  const source = { start: () => undefined, pose: () => undefined, view: () => undefined, close: () => undefined };
+  const asked: (string | null)[] = [];
+  Object.assign(window, { asked });
+  new ViewPage(page.scene, page, {
+    makeViewer: (canvas, options) => new FakeViewer(canvas, options),
+    makeSource: (_scene, token) => (asked.push(token), source),
+  });
 }

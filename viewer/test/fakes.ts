@@ -121,7 +121,7 @@ export class Stage {
 
   constructor(options: Partial<ConnectionOptions> = {}) {
     const all = {
-      url: "ws://example.org/stream", token: null, reach: { margin: 0.125, near: 0.0625 }, mostBytes: 2 ** 29,
+      url: "ws://example.org/stream", token: null, reach: { margin: 0.125, near: 0.0625, memory: 0 }, mostBytes: 2 ** 29,
       ...options,
     };
     this.connection = new Connection(all, {

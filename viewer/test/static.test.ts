@@ -12,7 +12,7 @@ import { StaticHost } from "../src/core/static-host.ts";
 import type { Report } from "../src/core/worker-source.ts";
 import { HeldParts, HttpParts } from "../src/core/static-parts.ts";
 import { HELD, frustum, rank, regimeOf, slice } from "../src/core/static-plan.ts";
-import { parseRow, Cells } from "../src/core/static-cells.ts";
+import { Cells, readRow } from "../src/core/static-cells.ts";
 import { parseScene } from "../src/core/static-scene.ts";
 import { baseOf } from "../src/core/static-source.ts";
 import { type Clock, REAL_TIME } from "../src/core/traffic.ts";
@@ -254,7 +254,7 @@ test("a missing file is named, and the rest is drawn", async (t) => {
 
 test("a cut file gives what is there of it", async (t) => {
   const files = filesOf(VECTOR.bare);
-  for (const [name, data] of files) if (name.startsWith("records")) files.set(name, data.subarray(0, 16 * 100));
+  for (const [name, data] of files) if (name.startsWith("records")) files.set(name, data.subarray(0, 1200));
   const { url } = await serve(t, files);
   const client = new Client(t, url);
   client.look([0, 0, -3]);
@@ -268,7 +268,7 @@ test("a cut file gives what is there of it", async (t) => {
 
 test("a block whose terms or replacements make no sense costs only itself", async (t) => {
   for (const kind of ["terms", "replaced"]) {
-    const files = filesOf(VECTOR.package), { blocks } = open(VECTOR.package),
+    const files = filesOf(VECTOR.package), { blocks } = await open(VECTOR.package),
       name = [...files.keys()].find((each) => each.startsWith(kind))!;
     const data = Buffer.from(files.get(name)!);
     if (kind === "terms") data[0] += 1;
@@ -349,9 +349,9 @@ test("what is no scene, or of a newer version, is said in one line", async (t) =
   const scene = JSON.parse(filesOf(VECTOR.bare).get("scene.json")!.toString()) as Record<string, unknown>;
   const wrong: [string, RegExp][] = [
     ["<html>", /expected JSON/], ["{}", /expected a static scene/],
-    [JSON.stringify({ ...scene, version: 2 }), /version 1, got 2; update/],
+    [JSON.stringify({ ...scene, version: 3 }), /version 2, got 3; update/],
     [JSON.stringify({ ...scene, files: { records: { name: "../secret.bin", bytes: 1 } } }), /name without a path/],
-    [JSON.stringify({ ...scene, gaussians: 151 }), /expected 2416 bytes/],
+    [JSON.stringify({ ...scene, gaussians: 151 }), /expected 3624 bytes/],
     [JSON.stringify({ ...scene, gaussians: -1 }), /scene.json, gaussians: expected a number from 0 to/],
     [JSON.stringify({ ...scene, chunks: 2 ** 40 }), /scene.json, chunks: expected a number from 0 to/],
     [JSON.stringify({ ...scene, levels: [] }), /levels/],
@@ -368,34 +368,35 @@ test("what is no scene, or of a newer version, is said in one line", async (t) =
   }
 });
 
-function open(scene: Recorded): { blocks: Blocks; file: (kind: string) => Uint8Array; cells: Cells } {
+async function open(scene: Recorded): Promise<{ blocks: Blocks; file: (kind: string) => Uint8Array; cells: Cells }> {
   const files = filesOf(scene), said = parseScene(files.get("scene.json")!.toString());
   const file = (kind: string): Uint8Array => new Uint8Array(files.get(said.files.get(kind)!.name)!);
-  return { blocks: new Blocks(said, file("chunks")), file, cells: new Cells(said, file("grid")) };
+  const [blocks, cells] = [await Blocks.open(said, file("index")), await Cells.open(said, file("grid"))];
+  return { blocks, file, cells };
 }
 
-test("blocks, cells and gains are those of the writer", () => {
+test("blocks, cells and gains are those of the writer", async () => {
   for (const scene of [VECTOR.package, VECTOR.bare]) {
-    const { blocks, file, cells } = open(scene);
+    const { blocks, file, cells } = await open(scene);
     assert.deepEqual(scene.blocks, scene.blocks.map((_, b) => [blocks.chunk[b], blocks.firstId[b], blocks.size(b)]));
-    scene.cells.forEach((said, cell) => {
-      const row = parseRow(blocks.scene, file("cells").subarray(...cells.range(cell)));
+    for (const [cell, said] of scene.cells.entries()) {
+      const row = await readRow(blocks.scene, file("cells").subarray(...cells.range(cell)));
       assert.deepEqual([...row.blocks], said.blocks);
-      row.gains.forEach((gain, k) => assert.ok(Math.abs(gain - said.gains[k]) < 1e-5));
-    });
+      row.gains.forEach((gain: number, k: number) => assert.ok(Math.abs(gain - said.gains[k]) < 1e-5));
+    }
     scene.centers?.forEach((center, cell) => assert.equal(cells.at(center), cell));
   }
 });
 
-test("a Gaussian that ends below the highest level goes when what replaces it is held, and not before", () => {
-  const { blocks, file } = open(VECTOR.package);
+test("a Gaussian that ends below the highest level goes when what replaces it is held, and not before", async () => {
+  const { blocks, file } = await open(VECTOR.package);
   const held = { records: new Uint8Array(blocks.count), terms: new Uint8Array(blocks.count) };
   const arrivals = new Arrivals(blocks, held), records = file("records"), seen = new Uint8Array(blocks.count).fill(1);
   const replaced = file("replaced"), ends = new DataView(replaced.buffer, replaced.byteOffset);
   const take = (b: number): void => {
     arrivals.addRecords(
       { terms: false, first: b, end: b + 1, place: 0 },
-      records.subarray(16 * blocks.start[b], 16 * blocks.start[b + 1]), null,
+      records.subarray(blocks.recordStart[b], blocks.recordStart[b + 1]), null, (error) => assert.fail(String(error)),
     );
   };
   let ending = 0, waiting = 0;
@@ -414,19 +415,19 @@ test("a Gaussian that ends below the highest level goes when what replaces it is
   assert.equal(arrivals.sweep(seen), null);
 });
 
-test("the plan begins with what weighs most in view for its bytes, and joins neighbors", () => {
-  const { blocks, file, cells } = open(VECTOR.package);
-  const row = parseRow(blocks.scene, file("cells").subarray(...cells.range(0)));
+test("the plan begins with what weighs most in view for its bytes, and joins neighbors", async () => {
+  const { blocks, file, cells } = await open(VECTOR.package);
+  const row = await readRow(blocks.scene, file("cells").subarray(...cells.range(0)));
   const held = { records: new Uint8Array(blocks.count), terms: new Uint8Array(blocks.count) };
   const position = VECTOR.package.centers![0] as [number, number, number];
   const order = rank(blocks, row, held, { position, rotation: [1, 0, 0, 0] }, VIEW, "high");
   assert.equal(new Set(order.blocks).size, order.blocks.length);
-  const all = slice(blocks, order, 0, held, Infinity, Infinity, 16);
+  const all = slice(blocks, order, 0, held, Infinity, Infinity);
   assert.equal(all.next, order.blocks.length);
   for (const run of all.runs) assert.ok(run.end > run.first);
-  assert.deepEqual(slice(blocks, order, 0, held, Infinity, 0, 16).runs, []); // all is asked for
+  assert.deepEqual(slice(blocks, order, 0, held, Infinity, 0).runs, []); // all is asked for
   const apart = { records: new Uint8Array(blocks.count), terms: new Uint8Array(blocks.count) };
-  const runs = slice(blocks, order, 0, apart, Infinity, 0, 16).runs;
+  const runs = slice(blocks, order, 0, apart, Infinity, 0).runs;
   assert.ok(runs.length >= all.runs.length);
   assert.equal(runs.reduce((sum, run) => sum + run.end - run.first, 0), order.blocks.length);
 });

@@ -66,7 +66,7 @@ test("a client of the record draws what it says", () => {
 
 test("a client says the bytes of the record", () => {
   const said = vector.steps.filter((step) => step.from === "client").map((step) => step.bytes);
-  const view = { left: 1, right: 1, up: 0.75, down: 0.75 }, reach = { margin: 0.125, near: 0.0625 };
+  const view = { left: 1, right: 1, up: 0.75, down: 0.75 }, reach = { margin: 0.125, near: 0.0625, memory: 0 };
   const pose = (k: number) => poseAt(100 * k, { position: [1.5 * k - 1.5, -1, 0.25], rotation: [1, 0, 0.25 * k, 0] });
   const receiver = new Receiver(bytesOf(vector.steps[1]));
   for (const step of vector.steps.filter(isBatch).slice(0, 2)) receiver.receive(bytesOf(step));

@@ -55,6 +55,8 @@ class LinkedParts implements Parts {
     });
   }
 
+  get isIdle(): boolean { return this.due.length === 0; }
+
   /** Let the next answer arrive; return whether there was one. */
   step(): boolean {
     const next = this.due.shift();
@@ -91,7 +93,12 @@ for (const { pose, view } of JSON.parse(readFileSync(0, "utf8")) as { pose: Pose
   host.setView(view);
   host.setPose(pose);
   void host.start();
-  const settle = (): Promise<void> => new Promise((done) => { setImmediate(done); });
+  // What is unpacked takes turns of other threads, so nothing is under way only after a while without a request.
+  const settle = async (): Promise<void> => {
+    for (let k = 0; k < 8 || (parts!.isIdle && !isComplete && k < 200); k++) {
+      await new Promise((done) => { k < 8 ? setImmediate(done) : setTimeout(done, 2); });
+    }
+  };
   await settle();
   while (!isComplete && parts!.bytes < most && parts!.step()) await settle();
   host.close();

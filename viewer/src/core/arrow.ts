@@ -82,13 +82,13 @@ export function schemaMetadata(bytes: Uint8Array, key: string): string {
 }
 
 // docs/streaming.md, BATCH: marker, length and metadata of a record batch of four rows, without the two numbers.
-const FRAME = Uint8Array.from(
+const FRAME = /* @__PURE__ */ (() => Uint8Array.from(
   ("ffffffff9800000014000000000000000c0016000600050008000c000c0000000003040018000000" + "0000000000000000" +
     "00000a0018000c00040008000a0000004c00000010000000040000000000000000000000030000000000000000000000" +
     "0000000000000000000000000000000014000000000000001800000000000000" + "0000000000000000" +
     "0000000001000000" + "0400000000000000" + "0000000000000000").match(/../g) as string[],
   (pair) => parseInt(pair, 16),
-);
+))();
 const BODY_AT = 40, DATA_AT = 128, ENDS_BYTES = 24;
 
 /** Return the four rows of the record batch that fills the bytes, as views. */

@@ -22,6 +22,7 @@ export interface Sections {
   owners: Uint32Array; // (M) ids
   termRecords: Uint8Array; // coded
   gone: Uint32Array; // (D)
+  evicted: Uint32Array; // (E)
 }
 
 /** Return the number of a BATCH, and raise ProtocolError unless it begins as one. */
@@ -43,26 +44,25 @@ export function parseBatch(message: Uint8Array, about: Header): Sections {
   };
   const [ids, rows, records, termRecords] = recordBatchRows(message.subarray(8), refuse);
   if (rows.length % CHUNK_BYTES !== 0) refuse(`a multiple of ${CHUNK_BYTES} bytes`, `${rows.length}`);
-  const [chunks, gaussians, terms, owners, gone] = parseIds(ids, rows.length / CHUNK_BYTES, about, refuse);
-  return { sequence, chunks, rows, gaussians, records, terms, owners, termRecords, gone };
+  const [chunks, gaussians, terms, owners, gone, evicted] = parseIds(ids, rows.length / CHUNK_BYTES, about, refuse);
+  return { sequence, chunks, rows, gaussians, records, terms, owners, termRecords, gone, evicted };
 }
 
-/** Return the five lists of row 0: chunks, Gaussians, terms, owners, gone. */
+/** Return the six lists of row 0: chunks, Gaussians, terms, owners, gone, evicted. */
 function parseIds(
   data: Uint8Array, c: number, about: Header, refuse: (expected: string, got: string) => never,
 ): Uint32Array[] {
   if (data.length < IDS_AT) refuse(`at least ${IDS_AT} bytes of ids`, `${data.length}`);
   const head = new DataView(data.buffer, data.byteOffset, IDS_AT);
   const [g, m, d, e] = [0, 4, 8, 12].map((at) => head.getUint32(at, true)), orders = data.subarray(16, IDS_AT);
-  if (e) refuse("none evicted", `${e}`);
-  const lengths = [c, g, m, m, d], n = about.gaussians, limits = [n, n, about.terms, n, n];
+  const lengths = [c, g, m, m, d, e], n = about.gaussians, limits = [n, n, about.terms, n, n, n];
   const total = lengths.reduce((sum, length) => sum + length, 0);
   if (orders.some((order) => order > MOST_ORDER) || total > 8 * data.length) {
     refuse(`${total} ids`, `${data.length} bytes`);
   }
   const words = wordsOf(data), end = 8 * data.length, lists: Uint32Array[] = [];
   let bit = 8 * IDS_AT;
-  for (let k = 0; k < 5; k++) {
+  for (let k = 0; k < 6; k++) {
     if (k !== 3 && lengths[k] > limits[k]) refuse(`at most ${limits[k]} ids`, `${lengths[k]}`);
     const values = new Float64Array(lengths[k]);
     bit = readCodes(words, bit, end, orders[k], values);

@@ -30,6 +30,11 @@ export function add(set: Uint32Array, id: number): void {
   set[id >>> 5] |= 1 << (id & 31);
 }
 
+/** Take an id out of a packed set. */
+export function remove(set: Uint32Array, id: number): void {
+  set[id >>> 5] &= ~(1 << (id & 31));
+}
+
 /** Return the number of set bits of a word. */
 export function countOf(word: number): number {
   let v = word - ((word >>> 1) & 0x55555555);

@@ -22,8 +22,8 @@ export interface Code {
 }
 
 const log = (value: number) => Math.round(64 * Math.log2(value));
-const LOGS = Int16Array.from({ length: 256 }, (_, i) => log(Math.max(i, 1)));
-const SUMS = Int16Array.from({ length: 512 }, (_, i) => log(1 + 2 ** (-i / 64)));
+const LOGS = /* @__PURE__ */ Int16Array.from({ length: 256 }, (_, i) => log(Math.max(i, 1)));
+const SUMS = /* @__PURE__ */ Int16Array.from({ length: 512 }, (_, i) => log(1 + 2 ** (-i / 64)));
 const clamp = (value: number, low: number, high: number) => Math.min(Math.max(value, low), high);
 const sum = (a: number, b: number) => Math.max(a, b) + SUMS[Math.min(Math.abs(a - b), 511)];
 
@@ -93,34 +93,34 @@ function tableOf(weights: Float64Array): Table | null {
 
 /** Reads symbols and bits; what is missing reads as zeros. */
 class Reader {
-  private readonly words: Uint16Array;
-  private readonly tables: (Table | null)[];
-  private readonly states = new Uint32Array(2); // operations use one and the other in turn
-  private turn = 0;
-  private at = 4;
+  readonly #words: Uint16Array;
+  readonly #tables: (Table | null)[];
+  readonly #states = new Uint32Array(2); // operations use one and the other in turn
+  #turn = 0;
+  #at = 4;
 
   constructor(bytes: Uint8Array, tables: (Table | null)[]) {
-    this.words = new Uint16Array(Math.max(Math.ceil(bytes.length / 2), 4));
-    new Uint8Array(this.words.buffer).set(bytes);
-    this.tables = tables;
-    for (const k of [0, 1]) this.states[k] = this.words[2 * k] | (this.words[2 * k + 1] << 16);
+    this.#words = new Uint16Array(Math.max(Math.ceil(bytes.length / 2), 4));
+    new Uint8Array(this.#words.buffer).set(bytes);
+    this.#tables = tables;
+    for (const k of [0, 1]) this.#states[k] = this.#words[2 * k] | (this.#words[2 * k + 1] << 16);
   }
 
   symbol(table: number): number {
-    const found = this.tables[table], state = this.states[this.turn];
+    const found = this.#tables[table], state = this.#states[this.#turn];
     if (found === null) {
-      this.at = Infinity;
+      this.#at = Infinity;
       return 0;
     }
     const slot = state & (SLOTS - 1), symbol = found.slots[slot], span = found.spans[symbol];
-    this.next(Math.imul(span >>> 16, state >>> 12) + slot - (span & 65535));
+    this.#next(Math.imul(span >>> 16, state >>> 12) + slot - (span & 65535));
     return symbol;
   }
 
   bits(count: number): number {
     if (count === 0) return 0;
-    const state = this.states[this.turn];
-    this.next(state >>> count);
+    const state = this.#states[this.#turn];
+    this.#next(state >>> count);
     return state & ((1 << count) - 1);
   }
 
@@ -131,18 +131,18 @@ class Reader {
   }
 
   get isPastEnd(): boolean {
-    return this.at > this.words.length;
+    return this.#at > this.#words.length;
   }
 
   get isAtEnd(): boolean {
-    return this.at === this.words.length && this.states.every((state) => state === LEAST);
+    return this.#at === this.#words.length && this.#states.every((state) => state === LEAST);
   }
 
-  private next(state: number): void {
-    const { states, turn } = this;
+  #next(state: number): void {
+    const states = this.#states, turn = this.#turn;
     states[turn] = state;
-    if (states[turn] < LEAST) states[turn] = (states[turn] << 16) | this.words[this.at++];
-    this.turn = 1 - turn;
+    if (states[turn] < LEAST) states[turn] = (states[turn] << 16) | this.#words[this.#at++];
+    this.#turn = 1 - turn;
   }
 }
 

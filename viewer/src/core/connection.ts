@@ -46,7 +46,7 @@ const MOST_BUFFERED = 1 << 16; // of poses that the link does not carry
 const MOST_BAD = 3; // batches in a row that break the protocol
 const ANOTHER_VERSION = "The server speaks another version of the protocol; reload the page, or update what is older";
 const USUAL: View = { left: 1, right: 1, up: 0.75, down: 0.75 };
-const AGAIN: ReadonlySet<number> = new Set([FAULTS.tooMany, FAULTS.flood, FAULTS.late, FAULTS.internal, FAULTS.ending]);
+const AGAIN: ReadonlySet<number> = /* @__PURE__ */ new Set([FAULTS.tooMany, FAULTS.flood, FAULTS.late, FAULTS.internal, FAULTS.ending]);
 
 /** One client of one address, until `close`. */
 export class Connection {
@@ -59,10 +59,10 @@ export class Connection {
   readonly #timers = new Map<string, () => void>();
   #socket: Socket | null = null;
   #phase: "waiting" | "opening" | "open" | "greeted" | "streaming" | "ended" = "waiting";
-  private state: SourceState["kind"] | "" = "";
-  private view: View | null = null;
+  #state: SourceState["kind"] | "" = "";
+  #view: View | null = null;
   #asked: View | null = null; // the view of the last HELLO
-  private pose: Pose | null = null;
+  #pose: Pose | null = null;
   #isNewPose = false;
   #posedAt = -Infinity;
   #greetedAt = 0;
@@ -79,7 +79,7 @@ export class Connection {
     this.#events = events;
     this.#connect = connect;
     this.#clock = clock;
-    this.#meter = new Meter(clock, (bytes, rate) => this.report(bytes, rate));
+    this.#meter = new Meter(clock, (bytes, rate) => this.#report(bytes, rate));
   }
 
   /** Connect, and stay connected. */
@@ -91,9 +91,9 @@ export class Connection {
   /** Take where the eye is; poses go out when they change, at most 15 a second, and every second. */
   setPose(pose: Pose): void {
     if (!isPose(pose)) return;
-    const [now, before] = [pose, this.pose].map((p) => p && [...p.position, ...p.rotation]);
+    const [now, before] = [pose, this.#pose].map((p) => p && [...p.position, ...p.rotation]);
     if (before?.every((value, k) => value === now?.[k])) return;
-    this.pose = { position: [...pose.position], rotation: [...pose.rotation] };
+    this.#pose = { position: [...pose.position], rotation: [...pose.rotation] };
     this.#isNewPose = true;
     this.#sayPose();
   }
@@ -103,7 +103,7 @@ export class Connection {
    */
   setView(view: View): void {
     if (!isView(view)) return;
-    this.view = { ...view };
+    this.#view = { ...view };
     if (this.#phase === "open") this.#greet();
     if (this.#phase === "greeted" || this.#phase === "streaming") {
       this.#later("resize", RESIZE_MS, () => this.#resize());
@@ -133,7 +133,7 @@ export class Connection {
   #open(): void {
     this.#phase = "opening";
     this.#cancel("again");
-    if (this.state !== "streaming" && this.state !== "complete") this.#say({ kind: "connecting" });
+    if (this.#state !== "streaming" && this.#state !== "complete") this.#say({ kind: "connecting" });
     let socket: Socket;
     try {
       socket = this.#connect(this.#options.url);
@@ -146,7 +146,7 @@ export class Connection {
     socket.onopen = () => {
       if (socket !== this.#socket) return;
       this.#phase = "open";
-      if (this.view !== null) this.#greet();
+      if (this.#view !== null) this.#greet();
       else this.#later("view", VIEW_MS, () => this.#greet());
     };
     socket.onmessage = (event) => {
@@ -162,12 +162,12 @@ export class Connection {
   #greet(): void {
     this.#cancel("view");
     const held = this.receiver?.holdings() ?? new Uint8Array(0);
-    this.#asked = this.view ?? USUAL;
+    this.#asked = this.#view ?? USUAL;
     this.#saidHoldings = held.length > 0;
     this.#phase = "greeted";
     this.#greetedAt = this.#clock.now();
-    if (this.#options.token !== null) this.send(tokenOf(this.#options.token));
-    this.send(hello(this.#asked, this.#options.reach, this.#saidHoldings ? this.receiver?.about.identity : "", held));
+    if (this.#options.token !== null) this.#send(tokenOf(this.#options.token));
+    this.#send(hello(this.#asked, this.#options.reach, this.#saidHoldings ? this.receiver?.about.identity : "", held));
     this.#isNewPose = true;
     this.#posedAt = -Infinity;
     this.#sayPose();
@@ -193,8 +193,8 @@ export class Connection {
   #hearWelcome(message: Uint8Array): void {
     if (this.#phase !== "greeted") throw new ProtocolError("message: expected nothing before HELLO, got some");
     const isKept = this.receiver !== null && this.receiver.resume(message);
-    if (!isKept) this.receiver = new Receiver(message, this.#options.mostBytes);
-    this.send(ack(0));
+    if (!isKept) this.receiver = new Receiver(message, this.#options.mostBytes, this.#options.reach.memory > 0);
+    this.#send(ack(0));
     this.#phase = "streaming";
     this.#roundTrip = this.#clock.now() - this.#greetedAt;
     this.#isDoubted = false;
@@ -202,16 +202,16 @@ export class Connection {
     this.#cancel("open");
     this.#later("steady", STEADY_MS, () => { this.#wait = FIRST_WAIT_MS; });
     this.#events.header((this.receiver as Receiver).about, !isKept);
-    if (this.state !== "complete") this.#say({ kind: "streaming" });
+    if (this.#state !== "complete") this.#say({ kind: "streaming" });
     this.#settle();
     this.#meter.report();
-    if (this.view !== null) this.#later("resize", RESIZE_MS, () => this.#resize());
+    if (this.#view !== null) this.#later("resize", RESIZE_MS, () => this.#resize());
   }
 
   #hearBatch(message: Uint8Array): void {
     const receiver = this.receiver as Receiver;
     // before the work of decoding: the server measures the link
-    if (sequenceOf(message) === receiver.next) this.send(ack(receiver.next));
+    if (sequenceOf(message) === receiver.next) this.#send(ack(receiver.next));
     const batch = receiver.receive(message);
     this.#bad = 0;
     this.#wait = FIRST_WAIT_MS;
@@ -277,7 +277,7 @@ export class Connection {
   #drop(): void {
     const socket = this.#socket;
     if (socket === null) return;
-    if (this.#phase === "greeted" || this.#phase === "streaming") this.send(bye());
+    if (this.#phase === "greeted" || this.#phase === "streaming") this.#send(bye());
     this.#socket = null;
     socket.onopen = socket.onmessage = socket.onclose = null;
     try {
@@ -286,7 +286,7 @@ export class Connection {
     for (const name of ["open", "view", "pose", "quiet", "steady", "resize", "asleep"]) this.#cancel(name);
   }
 
-  private send(data: Uint8Array<ArrayBuffer>): void {
+  #send(data: Uint8Array<ArrayBuffer>): void {
     try {
       this.#socket?.send(data);
     } catch { /* it is closing: `onclose` says so */ }
@@ -294,13 +294,13 @@ export class Connection {
 
   /** Send the pose if it is due, and look again when it will be. */
   #sayPose(): void {
-    const { pose } = this, socket = this.#socket, now = this.#clock.now();
+    const pose = this.#pose, socket = this.#socket, now = this.#clock.now();
     this.#lookAtClock();
     if (pose === null || socket === null || (this.#phase !== "greeted" && this.#phase !== "streaming")) return;
     const due = this.#posedAt + (this.#isNewPose ? POSE_MS : STILL_MS);
     if (now >= due && socket.bufferedAmount <= MOST_BUFFERED) {
       const isFirst = this.#posedAt === -Infinity;
-      this.send(poseAt(now, pose));
+      this.#send(poseAt(now, pose));
       this.#isNewPose = false;
       this.#posedAt = now;
       if (isFirst && this.#phase === "streaming") this.#settle();
@@ -318,7 +318,7 @@ export class Connection {
 
   /** Ask anew if the view sees well beyond what HELLO said, or much less. */
   #resize(): void {
-    const { view } = this, asked = this.#asked;
+    const view = this.#view, asked = this.#asked;
     if (view === null || asked === null) return;
     const more = Math.max(...(["left", "right", "up", "down"] as const).map((side) => view[side] - asked[side]));
     const area = (of: View) => (of.left + of.right) * (of.up + of.down);
@@ -333,12 +333,12 @@ export class Connection {
   }
 
   #say(state: SourceState): void {
-    if (state.kind === this.state && state.kind !== "waiting") return;
-    this.state = state.kind;
+    if (state.kind === this.#state && state.kind !== "waiting") return;
+    this.#state = state.kind;
     this.#events.state(state);
   }
 
-  private report(bytes: number, rate: number): void {
+  #report(bytes: number, rate: number): void {
     const { receiver } = this;
     this.#events.traffic({
       bytes, rate, gaussians: receiver?.gaussians ?? 0, terms: receiver?.terms ?? 0,

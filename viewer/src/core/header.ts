@@ -27,7 +27,7 @@ export function parseWelcome(message: Uint8Array): Header {
   } catch {
     throw new ProtocolError("WELCOME: expected JSON, got other text");
   }
-  return withCode(headerOf(said, "WELCOME"), object(said, "WELCOME"));
+  return withCode(headerOf(said, "WELCOME"), object(said, "WELCOME"), "WELCOME");
 }
 
 /** Return the header that a parsed JSON object describes; `where` names it in errors. */
@@ -62,11 +62,11 @@ export function headerOf(said: unknown, where: string): Header {
   };
 }
 
-/** Return a header with the code of a stream. */
-function withCode(header: Header, o: Fields): Header {
-  const text = o["code"], steps = o["steps"] === null ? null : object(o["steps"], "WELCOME, steps");
-  if (typeof text !== "string") return refuse("WELCOME, code", "text", text);
-  const limit = (of: Fields, name: string) => integer(of, name, -MOST_STEP, MOST_STEP, "WELCOME, steps");
+/** Return a header with the code of its records. */
+export function withCode(header: Header, o: Fields, where: string): Header {
+  const text = o["code"], steps = o["steps"] === null ? null : object(o["steps"], `${where}, steps`);
+  if (typeof text !== "string") return refuse(`${where}, code`, "text", text);
+  const limit = (of: Fields, name: string) => integer(of, name, -MOST_STEP, MOST_STEP, `${where}, steps`);
   const limits = steps && { place: limit(steps, "place"), turn: limit(steps, "turn") };
   return { ...header, code: codeOf(text, header.colors, limits) };
 }

@@ -1,6 +1,7 @@
 // What the module `gsvis-viewer` exports: a viewer for a canvas, and the sources it shows.
 
 export { cameraOf, quaternionOf, rotationOf, viewOf } from "./camera.ts";
+export { memoryOfDevice } from "./device.ts";
 export type { Pick, Picked } from "./picking.ts";
 export type { Precision } from "./renderer.ts";
 export { type StaticOptions, staticSource } from "./static-source.ts";

@@ -1,7 +1,7 @@
 // What has come of a static scene, as the batches that a renderer takes: slots, rows of chunks, terms, and what is
 // replaced.
 import type { Blocks } from "./static-blocks.ts";
-import { HELD } from "./static-plan.ts";
+import { HELD, LOST } from "./static-plan.ts";
 import type { Holdings, Run } from "./static-plan.ts";
 import { decodeMean, recordLayout } from "./tables.ts";
 import type { RecordLayout } from "./tables.ts";
@@ -18,39 +18,54 @@ export class Arrivals {
   replaced = 0;
   readonly firstSlot: Uint32Array; // slot of the first Gaussian of each held block
   readonly #rowOf: Int32Array; // row of each chunk, -1 before it is sent
-  private rows = 0;
+  #rows = 0;
   #waiting: Replaced[] = [];
   readonly #layout: RecordLayout;
-  readonly #bytesOfHarmonics: number;
 
   constructor(private readonly blocks: Blocks, private readonly held: Holdings) {
     const { header } = blocks.scene;
     this.firstSlot = new Uint32Array(blocks.count);
     this.#rowOf = new Int32Array(header.chunks).fill(-1);
     this.#layout = recordLayout(header.colors.variant);
-    this.#bytesOfHarmonics = header.harmonics === null ? 0 : 3 * ((header.harmonics.degree + 1) ** 2 - 1);
   }
 
-  /** Return the batch of a run of records. Without harmonics of a scene that has them, they are 0. */
-  addRecords(run: Run, data: Uint8Array, harmonics: Uint8Array | null): Batch {
-    const { blocks } = this, layout = this.#layout, count = blocks.start[run.end] - blocks.start[run.first];
+  /**
+   * Return the batch of a run of records. Without harmonics of a scene that has them, they are 0. A block that makes no
+   * sense is lost, and `lose` is called.
+   */
+  addRecords(run: Run, data: Uint8Array, harmonics: Uint8Array | null, lose: (error: unknown) => void): Batch {
+    const { blocks } = this, layout = this.#layout, each = blocks.harmonicBytes, start = blocks.recordStart;
+    const good: number[] = [], parts: Uint32Array[] = [];
+    for (let b = run.first; b < run.end; b++) {
+      this.held.records[b] = LOST;
+      try {
+        parts.push(blocks.records(b, data.subarray(start[b] - start[run.first], start[b + 1] - start[run.first])));
+        good.push(b);
+        this.held.records[b] = HELD;
+      } catch (error) {
+        lose(error);
+      }
+    }
+    const count = good.reduce((sum, b) => sum + blocks.size(b), 0);
     const ids = new Uint32Array(count), rows = new Uint32Array(count), means = new Float32Array(3 * count);
-    const records = new Uint32Array(data.slice(0, 16 * count).buffer);
-    const firstRow = this.rows, fresh: number[] = [];
-    for (let b = run.first, at = 0; b < run.end; b++) {
-      const chunk = blocks.chunk[b];
+    const records = new Uint32Array(4 * count), own = each === 0 ? null : new Uint8Array(each * count).fill(128);
+    const firstRow = this.#rows, fresh: number[] = [];
+    let at = 0;
+    good.forEach((b, i) => {
+      const chunk = blocks.chunk[b], from = each * (blocks.start[b] - blocks.start[run.first]);
       if (this.#rowOf[chunk] < 0) {
-        this.#rowOf[chunk] = this.rows++;
+        this.#rowOf[chunk] = this.#rows++;
         fresh.push(chunk);
       }
       this.firstSlot[b] = this.gaussians + at;
-      this.held.records[b] = HELD;
+      records.set(parts[i], 4 * at);
+      if (harmonics !== null) own?.set(harmonics.subarray(from, from + each * blocks.size(b)), each * at);
       for (let k = 0; k < blocks.size(b); k++, at++) {
         ids[at] = blocks.firstId[b] + k;
         rows[at] = this.#rowOf[chunk];
         decodeMean(records, at, blocks.rows, chunk, layout, means);
       }
-    }
+    });
     const chunks = new Float32Array(8 * fresh.length), chunkLevels = new Uint8Array(2 * fresh.length);
     const boxes = new Float32Array(6 * fresh.length);
     fresh.forEach((chunk, k) => {
@@ -58,47 +73,17 @@ export class Arrivals {
       boxes.set(blocks.boxes.subarray(6 * chunk, 6 * chunk + 6), 6 * k);
       chunkLevels.set(blocks.levels.subarray(2 * chunk, 2 * chunk + 2), 2 * k);
     });
-    const bytes = this.#bytesOfHarmonics * count;
-    const own = bytes === 0 ? null : harmonics === null ? new Uint8Array(bytes).fill(128) : harmonics.slice(0, bytes);
     const first = this.gaussians;
     this.gaussians += count;
     return { ...this.#empty(), first, ids, records, rows, means, firstRow, chunks, boxes, chunkLevels, harmonics: own };
   }
 
-  /** Return the batch of a run of terms whose records are held. */
-  addTerms(run: Run, data: Uint8Array): Batch {
-    const { blocks } = this, width = blocks.scene.termBytes;
-    let total = 0;
-    for (let b = run.first; b < run.end; b++) total += blocks.termCount![b];
-    const terms = new Uint32Array(2 * total), owners = new Uint32Array(total);
-    let at = 0, filled = 0;
-    for (let b = run.first; b < run.end; b++) {
-      const counts = at, size = blocks.size(b);
-      let sum = 0;
-      for (let k = 0; k < size; k++) sum += data[counts + k];
-      if (sum !== blocks.termCount![b]) {
-        throw new Error(
-          `terms: block ${b}: expected ${blocks.termCount![b]} terms, got ${sum}; export the scene again`
-        );
-      }
-      at += size;
-      for (let k = 0; k < size; k++) {
-        for (let t = 0; t < data[counts + k]; t++, at += width, filled++) {
-          let low = 0, high = 0;
-          for (let byte = 0; byte < width; byte++) {
-            if (byte < 4) low |= data[at + byte] << (8 * byte);
-            else high |= data[at + byte] << (8 * (byte - 4));
-          }
-          terms[2 * filled] = low;
-          terms[2 * filled + 1] = high;
-          owners[filled] = this.firstSlot[b] + k;
-        }
-      }
-      this.held.terms[b] = HELD;
-    }
-    const firstTerm = this.terms;
-    this.terms += total;
-    return { ...this.#empty(), firstTerm, terms, owners };
+  /** Return the batch of the terms of a block whose records are held. */
+  addTerms(block: number, data: Uint8Array): Batch {
+    const { owners, terms } = this.blocks.terms(block, data), first = this.firstSlot[block], firstTerm = this.terms;
+    this.held.terms[block] = HELD;
+    this.terms += owners.length;
+    return { ...this.#empty(), firstTerm, terms, owners: owners.map((k) => first + k) };
   }
 
   /** Take what replaces the Gaussians of a held block: its row in `replaced`. */
@@ -138,7 +123,7 @@ export class Arrivals {
     const none = (): Uint32Array => new Uint32Array(0);
     return {
       first: this.gaussians, ids: none(), records: none(), rows: none(), means: new Float32Array(0),
-      firstRow: this.rows,
+      firstRow: this.#rows,
       chunks: new Float32Array(0), boxes: new Float32Array(0), chunkLevels: new Uint8Array(0), firstTerm: this.terms,
       terms: none(), owners: none(),
       gone: none(),

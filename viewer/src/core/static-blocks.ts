@@ -1,82 +1,81 @@
 // The chunks of a static scene and the blocks that follow from them: what is fetched together, where it lies, how large
-// it is.
+// it is, and what it holds.
 import { hasBox, writeBox } from "./boxes.ts";
-import { BLOCK, CHUNK_BYTES } from "./static-scene.ts";
+import { readRecords, readTerms } from "./coding.ts";
+import { BLOCK } from "./static-scene.ts";
 import type { StaticScene } from "./static-scene.ts";
+import { Columns, inflate } from "./static-tables.ts";
 import { recordLayout } from "./tables.ts";
 
-const REACH = 8; // 1/64 octaves
+const UNIT = 16, HEAD = 32; // bytes
+const MOST_MEMBERS = 256;
+const STEPS = 64, OCTAVE = 4; // of places, and of radii
 
 export class Blocks {
   readonly count: number;
   readonly chunk: Uint32Array; // chunk of each block
   readonly firstId: Uint32Array; // id of the first Gaussian of each block
   readonly start: Uint32Array; // (B + 1) place of its first Gaussian in the files
-  readonly rows: Float32Array; // (8 C) as in `Batch.chunks`
+  readonly recordStart: Float64Array; // (B + 1) byte in `records`
+  readonly rows: Float32Array; // (8 C) as in `Batch.chunks`, from the first block of a chunk on
   readonly boxes: Float32Array; // (6 C) as in `Batch.boxes`
   readonly levels: Uint8Array; // (2 C) first and last level
-  // (5 C): center of each chunk, radius of its box and half the largest standard deviation, mean square of their
-  // distance from the center
-  readonly spheres: Float32Array;
+  readonly spheres: Float32Array; // (4 C): what each chunk reaches
   readonly top: number; // the highest level
-  readonly meanRadius: number; // of the boxes of chunks
+  readonly meanRadius: number; // of the spheres of chunks
+  readonly harmonicBytes: number; // of a Gaussian
   termStart: Float64Array | null = null; // (B + 1) byte in `terms`; null until `setTerms`
-  termCount: Uint16Array | null = null;
+  termCount: Uint32Array | null = null;
 
-  constructor(readonly scene: StaticScene, data: Uint8Array) {
-    const { header } = scene, view = new DataView(data.buffer, data.byteOffset, data.byteLength);
-    const most = recordLayout(header.colors.variant).position;
-    const c = header.chunks;
+  /** Read the content of `index`. */
+  static async open(scene: StaticScene, data: Uint8Array): Promise<Blocks> {
+    const bytes = 13 * scene.header.chunks + 2 * scene.blocks;
+    return new Blocks(scene, await inflate(data, bytes, "index"));
+  }
+
+  constructor(readonly scene: StaticScene, index: Uint8Array) {
+    const { header, middle, scale } = scene, c = header.chunks, columns = new Columns(index, c);
+    const refuse = () => new Error("index: expected the blocks of the file of records; export the scene again");
+    if (index.length !== 13 * c + 2 * scene.blocks) throw refuse();
     this.top = header.levels.length - 1;
+    this.count = scene.blocks;
+    this.harmonicBytes = header.harmonics ? 3 * ((header.harmonics.degree + 1) ** 2 - 1) : 0;
     this.rows = new Float32Array(8 * c);
     this.boxes = new Float32Array(6 * c);
     this.levels = new Uint8Array(2 * c);
-    this.spheres = new Float32Array(5 * c);
-    const counts = new Uint16Array(c);
-    for (let k = 0; k < c; k++) {
-      const at = CHUNK_BYTES * k, low = view.getInt16(at + 24, true), bits = view.getUint16(at + 31, true);
-      let square = 0;
-      for (let axis = 0; axis < 3; axis++) {
-        this.rows[8 * k + axis] = view.getFloat32(at + 4 * axis, true);
-        this.rows[8 * k + 4 + axis] = view.getFloat32(at + 12 + 4 * axis, true);
-      }
-      if (!hasBox(this.rows, k, bits, most)) {
-        throw new Error(`chunks: row ${k}: expected a box, got none; export the scene again`);
-      }
-      writeBox(this.rows, k, bits, this.boxes, k);
-      for (let axis = 0; axis < 3; axis++) {
-        const start = this.boxes[6 * k + axis], half = (this.boxes[6 * k + 3 + axis] - start) / 2;
-        this.spheres[5 * k + axis] = start + half;
-        square += half * half;
-      }
-      this.rows[8 * k + 3] = low;
-      this.rows[8 * k + 7] = view.getUint8(at + 28);
-      this.spheres[5 * k + 3] = Math.sqrt(square) + 0.5 * 2 ** ((low + REACH * view.getUint8(at + 33)) / 64);
-      this.spheres[5 * k + 4] = square / 3;
-      this.levels[2 * k] = view.getUint8(at + 29);
-      this.levels[2 * k + 1] = view.getUint8(at + 30);
-      counts[k] = view.getUint16(at + 26, true);
-      if (
-        counts[k] < 1 || counts[k] > 256 || this.levels[2 * k] > this.levels[2 * k + 1] ||
-        this.levels[2 * k + 1] > this.top
-      ) {
-        throw new Error(`chunks: row ${k}: expected 1 to 256 Gaussians of known levels; export the scene again`);
-      }
+    this.spheres = new Float32Array(4 * c);
+    for (let axis = 0; axis < 3; axis++) {
+      columns.sums(3).forEach((place, k) => {
+        this.spheres[4 * k + axis] = middle[axis] + scale * Math.sinh(place / STEPS);
+      });
     }
     let sum = 0;
-    for (let k = 0; k < c; k++) sum += Math.sqrt(3 * this.spheres[5 * k + 4]);
+    columns.next(1).forEach((value, k) => {
+      sum += this.spheres[4 * k + 3] = scale * 2 ** ((value - 128) / OCTAVE);
+    });
     this.meanRadius = Math.max(sum / Math.max(c, 1), 1e-9);
-    this.count = scene.blocks;
+    const counts = columns.next(1).map((value) => value + 1);
+    for (const end of [0, 1]) columns.next(1).forEach((level, k) => (this.levels[2 * k + end] = level));
+    for (let k = 0; k < c; k++) {
+      if (this.levels[2 * k] > this.levels[2 * k + 1] || this.levels[2 * k + 1] > this.top) {
+        throw new Error(`index: chunk ${k}: expected known levels; export the scene again`);
+      }
+    }
     this.chunk = new Uint32Array(this.count);
     this.firstId = new Uint32Array(this.count);
     this.start = new Uint32Array(this.count + 1);
     this.#lay(counts);
+    this.recordStart = new Float64Array(this.count + 1);
+    columns.next(2, this.count).forEach((units, b) => {
+      this.recordStart[b + 1] = this.recordStart[b] + UNIT * units;
+    });
+    if (this.recordStart[this.count] !== scene.files.get("records")!.bytes) throw refuse();
   }
 
   /**
    * Place the blocks: of each run of chunks with equal levels the first 64 of every chunk, then the next 64, and on.
    */
-  #lay(counts: Uint16Array): void {
+  #lay(counts: Uint32Array): void {
     const ids = new Float64Array(counts.length + 1);
     for (let k = 0; k < counts.length; k++) ids[k + 1] = ids[k] + counts[k];
     let block = 0, place = 0;
@@ -84,7 +83,7 @@ export class Blocks {
       const alike = (k: number): boolean =>
         this.levels[2 * k] === this.levels[2 * low] && this.levels[2 * k + 1] === this.levels[2 * low + 1];
       while (high < counts.length && alike(high)) high++;
-      for (let before = 0; before < 256; before += BLOCK) {
+      for (let before = 0; before < MOST_MEMBERS; before += BLOCK) {
         for (let k = low; k < high; k++) {
           if (counts[k] <= before) continue;
           if (block < this.count) {
@@ -99,20 +98,53 @@ export class Blocks {
     }
     if (block !== this.count || place !== this.scene.header.gaussians) {
       throw new Error(
-        `chunks: expected ${this.count} blocks of ${this.scene.header.gaussians} Gaussians, got ${block} of ${place};` +
+        `index: expected ${this.count} blocks of ${this.scene.header.gaussians} Gaussians, got ${block} of ${place};` +
           " export the scene again",
       );
     }
   }
 
-  /** Take the number of terms of each block: the content of `blocks`. */
-  setTerms(data: Uint8Array): void {
+  /** Return the records of a block, and take the row of its chunk; `data` is what `records` has of it. */
+  records(block: number, data: Uint8Array): Uint32Array {
+    const c = this.chunk[block], size = this.size(block), { header } = this.scene, row = new Float32Array(8);
     const view = new DataView(data.buffer, data.byteOffset, data.byteLength);
-    const starts = new Float64Array(this.count + 1), counts = new Uint16Array(this.count);
-    for (let b = 0; b < this.count; b++) {
-      counts[b] = view.getUint16(2 * b, true);
-      starts[b + 1] = starts[b] + this.size(b) + this.scene.termBytes * counts[b];
+    for (let axis = 0; axis < 3; axis++) {
+      row[axis] = view.getFloat32(4 * axis, true);
+      row[4 + axis] = view.getFloat32(12 + 4 * axis, true);
     }
+    row[3] = view.getInt16(24, true);
+    row[7] = data[30];
+    const bits = view.getUint16(26, true), words = view.getUint16(28, true);
+    const body = data.slice(HEAD, HEAD + 2 * words), ids = new Uint32Array(size).map((_, k) => k);
+    const found = !hasBox(row, 0, bits, recordLayout(header.colors.variant).position) || row[7] < 1
+      ? null
+      : header.code
+      ? readRecords(body, ids, new Uint32Array(size), { table: row, bits: Uint16Array.of(bits) }, header.code)
+      : body.length === 16 * size ? new Uint32Array(body.buffer) : null;
+    if (found === null) throw new Error(`records: block ${block}: damaged; export the scene again`);
+    this.rows.set(row, 8 * c);
+    writeBox(row, 0, bits, this.boxes.subarray(6 * c), 0);
+    return found;
+  }
+
+  /** Return the terms of a block and the Gaussian in the block of each; `data` is what `terms` has of it. */
+  terms(block: number, data: Uint8Array): { owners: Uint32Array; terms: Uint32Array } {
+    const size = this.size(block), owners = new Uint32Array(this.termCount![block]);
+    let count = 0;
+    for (let k = 0; k < size; k++) {
+      owners.fill(k, count, count + data[k]);
+      count += data[k];
+    }
+    const { code } = this.scene.header, terms = code && readTerms(data.slice(size), owners, code);
+    if (count !== owners.length || !terms) throw new Error(`terms: block ${block}: damaged; export the scene again`);
+    return { owners, terms };
+  }
+
+  /** Take the numbers of terms of blocks, and where they lie: the content of `blocks`. */
+  async setTerms(data: Uint8Array): Promise<void> {
+    const columns = new Columns(await inflate(data, 4 * this.count, "blocks"), this.count);
+    const counts = columns.next(2), words = columns.next(2), starts = new Float64Array(this.count + 1);
+    for (let b = 0; b < this.count; b++) starts[b + 1] = starts[b] + this.size(b) + 2 * words[b];
     if (starts[this.count] !== this.scene.files.get("terms")?.bytes) {
       throw new Error("blocks: expected as many terms as the scene has, got another number");
     }
@@ -122,6 +154,13 @@ export class Blocks {
   /** Return the number of Gaussians of a block. */
   size(block: number): number {
     return this.start[block + 1] - this.start[block];
+  }
+
+  /** Return the bytes of records and harmonics of blocks, or of their terms, from one to another. */
+  bytes(first: number, end: number, terms = false): number {
+    return terms
+      ? this.termStart![end] - this.termStart![first]
+      : this.recordStart[end] - this.recordStart[first] + this.harmonicBytes * (this.start[end] - this.start[first]);
   }
 
   /** Return the last level of the Gaussians of a block. */

@@ -1,5 +1,6 @@
 // The cells of a static scene: which cell an eye is in, where its row lies, and what that row says.
 import type { StaticScene } from "./static-scene.ts";
+import { Columns, inflate } from "./static-tables.ts";
 
 /**
  * What a cell sees: blocks, the logarithm (base 2) of the gain of each, and the share of its terms that are active
@@ -16,15 +17,21 @@ export class Cells {
   readonly #starts: Float64Array; // (C + 1) bytes in `cells`
   readonly #byBox = new Map<string, number>();
 
+  /** Read the content of `grid`. */
+  static async open(scene: StaticScene, data: Uint8Array): Promise<Cells> {
+    return new Cells(scene, await inflate(data, 16 * scene.cells.count, "grid"));
+  }
+
   constructor(private readonly scene: StaticScene, data: Uint8Array) {
-    const view = new DataView(data.buffer, data.byteOffset, data.byteLength), count = scene.cells.count;
+    const { count } = scene.cells, columns = new Columns(data, count);
+    if (data.length !== 16 * count) throw new Error("grid: expected all cells, got others; export the scene again");
     this.#boxes = new Int32Array(3 * count);
     this.#starts = new Float64Array(count + 1);
-    for (let k = 0; k < count; k++) {
-      for (let axis = 0; axis < 3; axis++) this.#boxes[3 * k + axis] = view.getUint32(16 * k + 4 * axis, true);
-      this.#starts[k + 1] = this.#starts[k] + view.getUint32(16 * k + 12, true);
+    for (let axis = 0; axis < 3; axis++) columns.sums(4).forEach((box, k) => (this.#boxes[3 * k + axis] = box));
+    columns.next(4).forEach((bytes, k) => {
+      this.#starts[k + 1] = this.#starts[k] + bytes;
       this.#byBox.set(this.#key(k, 0, 0, 0), k);
-    }
+    });
     if (this.#starts[count] !== scene.files.get("cells")?.bytes) {
       throw new Error(
         "grid: expected rows that fill the file of cells, got others; export the scene again"
@@ -73,8 +80,9 @@ export class Cells {
 }
 
 /** Return the content of a row. */
-export function parseRow(scene: StaticScene, data: Uint8Array): CellRow {
+export async function readRow(scene: StaticScene, coded: Uint8Array): Promise<CellRow> {
   const bits = Math.ceil(scene.blocks / 8), each = scene.cells.active ? 2 : 1, seen: number[] = [];
+  const data = await inflate(coded, bits + each * scene.blocks, "cells");
   for (let b = 0; b < scene.blocks && b >> 3 < data.length; b++) if ((data[b >> 3] >> (b & 7)) & 1) seen.push(b);
   if (data.length !== bits + each * seen.length) {
     throw new Error(`cells: expected a row of ${bits + each * seen.length} bytes, got ${data.length}`);

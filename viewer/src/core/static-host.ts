@@ -18,7 +18,7 @@ export interface StaticStart {
 const AGAIN_MS = 30_000; // before scene.json is read anew
 
 export class StaticHost {
-  private readonly stop = new AbortController();
+  readonly #stop = new AbortController();
   readonly #link: Link;
   readonly #parts: Parts;
   #session: StaticSession | null = null;
@@ -33,7 +33,7 @@ export class StaticHost {
     make: (events: PartEvents, stop: AbortSignal) => Parts,
   ) {
     this.#link = new Link(() => clock.now() / 1000);
-    this.#meter = new Meter(clock, (bytes, rate) => this.report(bytes, rate));
+    this.#meter = new Meter(clock, (bytes, rate) => this.#report(bytes, rate));
     this.#parts = make({
       bytes: (count) => {
         this.#link.add(count);
@@ -42,14 +42,14 @@ export class StaticHost {
       },
       waiting: (seconds, message) => this.post({ kind: "state", state: { kind: "waiting", seconds, message } }),
       resumed: () => this.#session?.report(),
-    }, this.stop.signal);
+    }, this.#stop.signal);
   }
 
   /** Open the scene; report a failure in one line. */
   async start(): Promise<void> {
     this.post({ kind: "state", state: { kind: "connecting" } });
     try {
-      await this.open(await this.#parts.scene());
+      await this.#open(await this.#parts.scene());
     } catch (error) {
       this.#fail(error);
     }
@@ -69,11 +69,11 @@ export class StaticHost {
 
   close(): void {
     this.#session?.close();
-    this.stop.abort();
+    this.#stop.abort();
     this.#meter.stop();
   }
 
-  private async open(text: string): Promise<void> {
+  async #open(text: string): Promise<void> {
     const scene = parseScene(text);
     this.post({ kind: "header", header: scene.header, fresh: true });
     let session: StaticSession | null = null;
@@ -89,7 +89,7 @@ export class StaticHost {
       traffic: () => undefined,
       gone: () => { if (mine()) void this.#renew(); },
     });
-    if (this.stop.signal.aborted) return;
+    if (this.#stop.signal.aborted) return;
     this.#session = session;
     session.report();
     if (this.#view !== null) session.setView(this.#view);
@@ -112,13 +112,13 @@ export class StaticHost {
     this.#restarts++;
     before.close();
     try {
-      await this.open(text);
+      await this.#open(text);
     } catch (error) {
       this.#fail(error);
     }
   }
 
-  private report(bytes: number, rate: number): void {
+  #report(bytes: number, rate: number): void {
     const got = this.#session?.arrivals;
     this.post({
       kind: "traffic",
@@ -130,7 +130,7 @@ export class StaticHost {
   }
 
   #fail(error: unknown): void {
-    if (this.stop.signal.aborted) return;
+    if (this.#stop.signal.aborted) return;
     this.post(
       { kind: "state", state: { kind: "failed", message: error instanceof Error ? error.message : String(error) } }
     );

@@ -40,24 +40,24 @@ export class HttpParts implements Parts {
   #known = false; // whether a range has been asked for
   #probe: Promise<unknown> = Promise.resolve();
   readonly #whole = new Map<string, Promise<Uint8Array>>();
-  private readonly fetch: typeof fetch;
-  private readonly sleep: (seconds: number) => Promise<void>;
-  private readonly random: () => number;
+  readonly #fetch: typeof fetch;
+  readonly #sleep: (seconds: number) => Promise<void>;
+  readonly #random: () => number;
   #down = 0; // requests that wait for the link
 
   constructor(
     private readonly base: string, private readonly events: PartEvents, private readonly stop: AbortSignal,
     options: HttpOptions = {},
   ) {
-    this.fetch = options.fetch ?? ((input, init) => fetch(input, init));
-    this.sleep = options.sleep ?? ((seconds) => new Promise((done) => { setTimeout(done, 1000 * seconds); }));
-    this.random = options.random ?? Math.random;
+    this.#fetch = options.fetch ?? ((input, init) => fetch(input, init));
+    this.#sleep = options.sleep ?? ((seconds) => new Promise((done) => { setTimeout(done, 1000 * seconds); }));
+    this.#random = options.random ?? Math.random;
   }
 
   async scene(): Promise<string> {
     return this.#attempt("scene.json", async () => {
       const answer = await this.#ask("scene.json", {}, "no-cache");
-      return new TextDecoder().decode(await this.body(answer));
+      return new TextDecoder().decode(await this.#body(answer));
     });
   }
 
@@ -79,7 +79,7 @@ export class HttpParts implements Parts {
     const found = this.#whole.get(file.name);
     if (found !== undefined) return found;
     const made = this.#attempt(file.name, async () => {
-      const data = await this.body(await this.#ask(file.name, {}));
+      const data = await this.#body(await this.#ask(file.name, {}));
       if (data.length !== file.bytes) {
         throw new PartError("cut", `${file.name}: expected ${file.bytes} bytes, got ${data.length}`);
       }
@@ -93,7 +93,7 @@ export class HttpParts implements Parts {
   async #readRange(file: StaticFile, start: number, end: number): Promise<Uint8Array> {
     const found = await this.#attempt(file.name, async () => {
       const answer = await this.#ask(file.name, { Range: `bytes=${start}-${end - 1}` });
-      const data = await this.body(answer);
+      const data = await this.#body(answer);
       this.#known = true;
       if (answer.status !== 206) {
         this.ranges = false;
@@ -118,7 +118,7 @@ export class HttpParts implements Parts {
   }
 
   async #ask(name: string, headers: Record<string, string>, cache: RequestCache = "default"): Promise<Response> {
-    const answer = await this.fetch(
+    const answer = await this.#fetch(
       new URL(name, this.base).href, { headers, cache, signal: this.stop, credentials: "same-origin" },
     );
     if (answer.ok) return answer;
@@ -129,7 +129,7 @@ export class HttpParts implements Parts {
     throw new Retry(message, Number(answer.headers.get("retry-after")) || 0);
   }
 
-  private async body(answer: Response): Promise<Uint8Array> {
+  async #body(answer: Response): Promise<Uint8Array> {
     const data = new Uint8Array(await answer.arrayBuffer());
     this.events.bytes(data.length);
     return data;
@@ -149,13 +149,13 @@ export class HttpParts implements Parts {
           if ((cut || failed) && ++errors >= TRIES) throw cut ? error : new PartError("missing", error.message);
           const seconds = Math.min(
             LONGEST,
-            Math.max(failed ? error.seconds : 0, 0.25 * 2 ** Math.min(tries, 10)) * (0.75 + 0.5 * this.random()),
+            Math.max(failed ? error.seconds : 0, 0.25 * 2 ** Math.min(tries, 10)) * (0.75 + 0.5 * this.#random()),
           );
           if (!cut && !failed) {
             if (!waited) [waited, this.#down] = [true, this.#down + 1];
             this.events.waiting(seconds, `${name}: no connection`);
           }
-          await this.sleep(seconds);
+          await this.#sleep(seconds);
         }
       }
     } finally {

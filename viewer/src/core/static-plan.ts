@@ -52,12 +52,12 @@ export function regimeOf(rate: number, levelBytes: readonly number[], before: Re
 }
 
 /** Return the bytes of each level that a cell sees, lowest first. */
-export function levelBytes(blocks: Blocks, row: CellRow, bytesEach: number): number[] {
+export function levelBytes(blocks: Blocks, row: CellRow): number[] {
   const found = new Array<number>(blocks.top + 1).fill(0);
   for (const b of row.blocks) {
     const c = blocks.chunk[b];
     for (let level = blocks.levels[2 * c]; level <= blocks.levels[2 * c + 1]; level++) {
-      found[level] += blocks.size(b) * bytesEach;
+      found[level] += blocks.bytes(b, b + 1);
     }
   }
   return found;
@@ -98,10 +98,10 @@ export function rank(
     const b = row.blocks[k], c = blocks.chunk[b];
     if (blocks.levels[2 * c + 1] < least) continue;
     if (Number.isNaN(far[c])) {
-      const x = blocks.spheres[5 * c], y = blocks.spheres[5 * c + 1], z = blocks.spheres[5 * c + 2],
-        radius = blocks.spheres[5 * c + 3];
+      const x = blocks.spheres[4 * c], y = blocks.spheres[4 * c + 1], z = blocks.spheres[4 * c + 2],
+        radius = blocks.spheres[4 * c + 3];
       const [ex, ey, ez] = pose.position;
-      far[c] = Math.log2((x - ex) ** 2 + (y - ey) ** 2 + (z - ez) ** 2 + blocks.spheres[5 * c + 4] + 1e-12);
+      far[c] = Math.log2((x - ex) ** 2 + (y - ey) ** 2 + (z - ez) ** 2 + radius ** 2 / 4 + 1e-12);
       inside[c] = 1;
       for (let p = 0; p < 20; p += 4) {
         if (planes[p] * x + planes[p + 1] * y + planes[p + 2] * z + planes[p + 3] + radius < 0) inside[c] = 0;
@@ -134,7 +134,7 @@ export function rank(
  * where they take at most `gap` bytes and are not held: that is cheaper than another request.
  */
 export function slice(
-  blocks: Blocks, order: Order, from: number, held: Holdings, budget: number, gap: number, bytesEach: number,
+  blocks: Blocks, order: Order, from: number, held: Holdings, budget: number, gap: number,
 ): { runs: Run[]; next: number } {
   const chosen: [number[], number[]] = [[], []],
     places: [Map<number, number>, Map<number, number>] = [new Map(), new Map()];
@@ -145,14 +145,14 @@ export function slice(
     states[b] = ASKED;
     chosen[kind].push(b);
     places[kind].set(b, next);
-    size += kind ? blocks.size(b) + blocks.scene.termBytes * blocks.termCount![b] : blocks.size(b) * bytesEach;
+    size += blocks.bytes(b, b + 1, kind === 1);
   }
   const runs: Run[] = [];
   for (const kind of [0, 1] as const) {
     const states = kind ? held.terms : held.records;
     let last: Run | null = null;
     for (const b of chosen[kind].sort((p, q) => p - q)) {
-      if (last !== null && joins(blocks, last, b, held, gap, bytesEach)) {
+      if (last !== null && joins(blocks, last, b, held, gap)) {
         for (let k = last.end; k < b; k++) states[k] = ASKED;
         last.end = b + 1;
         last.place = Math.min(last.place, places[kind].get(b)!);
@@ -165,11 +165,8 @@ export function slice(
   return { runs: runs.sort((a, b) => a.place - b.place), next };
 }
 
-function joins(blocks: Blocks, run: Run, block: number, held: Holdings, gap: number, bytesEach: number): boolean {
-  const between = run.terms
-    ? blocks.termStart![block] - blocks.termStart![run.end]
-    : (blocks.start[block] - blocks.start[run.end]) * bytesEach;
-  if (between > gap) return false;
+function joins(blocks: Blocks, run: Run, block: number, held: Holdings, gap: number): boolean {
+  if (blocks.bytes(run.end, block, run.terms) > gap) return false;
   for (let k = run.end; k < block; k++) {
     if (
       run.terms ? held.terms[k] !== NONE ||

@@ -1,11 +1,9 @@
 // What a static scene says of itself (docs/static.md): scene.json checked, its chunks and blocks as tables.
-import { headerOf } from "./header.ts";
+import { headerOf, withCode } from "./header.ts";
 import { type Fields, integer, list, number, object, refuse, triple } from "./json.ts";
 import type { HarmonicTables, Header, Pose } from "./types.ts";
 
 export const BLOCK = 64;
-/** Bytes of a row of `chunks`. */
-export const CHUNK_BYTES = 34;
 const MOST = 1 << 28;
 const FARTHEST = 1e30;
 const WHERE = "scene.json";
@@ -27,7 +25,8 @@ interface CellInfo {
 export interface StaticScene {
   header: Header;
   blocks: number;
-  termBytes: number;
+  middle: [number, number, number]; // where centers of chunks are finest
+  scale: number;
   cells: CellInfo;
   poses: Pose[];
   files: Map<string, StaticFile>;
@@ -43,13 +42,15 @@ export function parseScene(text: string): StaticScene {
   }
   const top = object(said, WHERE);
   if (top.format !== "gsvis-static") refuse(WHERE, "a static scene of gsvis", top.format);
-  if (top.version !== 1) throw new Error(`${WHERE}: expected version 1, got ${String(top.version)}; update the page`);
+  if (top.version !== 2) throw new Error(`${WHERE}: expected version 2, got ${String(top.version)}; update the page`);
   if (top.block_gaussians !== BLOCK) refuse(`${WHERE}, block_gaussians`, String(BLOCK), top.block_gaussians);
+  const places = object(top.places, `${WHERE}, places`), plain = headerOf(top, WHERE);
   const scene: StaticScene = {
-    header: { ...headerOf(top, WHERE), harmonics: top.harmonics === null ? null : parseHarmonics(top.harmonics) },
+    header: { ...(top.code === null ? plain : withCode(plain, top, WHERE)), harmonics: top.harmonics === null ? null : parseHarmonics(top.harmonics) },
     files: parseFiles(object(top.files, `${WHERE}, files`)),
     blocks: integer(top, "blocks", 0, MOST, WHERE),
-    termBytes: integer(top, "term_bytes", 0, 8, WHERE),
+    middle: triple(places.middle, `${WHERE}, places, middle`),
+    scale: number(places.scale, 0, FARTHEST, `${WHERE}, places, scale`),
     cells: parseCells(object(top.cells, `${WHERE}, cells`), `${WHERE}, cells`),
     poses: list(top, "poses", 0, MOST, WHERE).map(
       (each) => parsePose(object(each, `${WHERE}, poses`), `${WHERE}, poses`),
@@ -80,18 +81,12 @@ function parseCells(said: Fields, where: string): CellInfo {
 function checkSizes(scene: StaticScene): void {
   const { header, files } = scene;
   const k = header.harmonics === null ? 0 : (header.harmonics.degree + 1) ** 2 - 1;
-  const wanted: [string, number][] = [
-    ["chunks", CHUNK_BYTES * header.chunks], ["records", 16 * header.gaussians], ["grid", 16 * scene.cells.count],
-  ];
-  if (k > 0) wanted.push(["harmonics", 3 * k * header.gaussians]);
-  if (header.terms > 0) {
-    wanted.push(["blocks", 2 * scene.blocks], ["terms", header.gaussians + scene.termBytes * header.terms]);
-  }
-  for (const [kind, bytes] of wanted) {
-    const got = files.get(kind)?.bytes;
-    if (got !== bytes) refuse(`${WHERE}, files, ${kind}`, `${bytes} bytes`, got);
-  }
-  if (!files.has("cells")) refuse(`${WHERE}, files, cells`, "a file", undefined);
+  const wanted = ["index", "grid", "cells", "records"], bytes = 3 * k * header.gaussians;
+  if (header.terms > 0) wanted.push("blocks", "terms");
+  for (const kind of wanted) if (!files.has(kind)) refuse(`${WHERE}, files, ${kind}`, "a file", undefined);
+  const got = files.get("harmonics")?.bytes;
+  if (k > 0 && got !== bytes) refuse(`${WHERE}, files, harmonics`, `${bytes} bytes`, got);
+  if (header.terms > 0 && !header.code) refuse(`${WHERE}, code`, "text", null);
 }
 
 function parsePose(said: Fields, where: string): Pose {

@@ -2,7 +2,7 @@
 // them.
 import { Arrivals } from "./static-arrivals.ts";
 import { Blocks } from "./static-blocks.ts";
-import { Cells, everything, parseRow } from "./static-cells.ts";
+import { Cells, everything, readRow } from "./static-cells.ts";
 import type { CellRow } from "./static-cells.ts";
 import { PartError } from "./static-parts.ts";
 import type { Parts } from "./static-parts.ts";
@@ -29,39 +29,36 @@ interface SessionEvents extends SourceEvents {
 
 export class StaticSession {
   readonly arrivals: Arrivals;
-  private readonly held: Holdings;
-  private readonly rows = new Map<number, CellRow | Promise<CellRow>>();
-  private readonly endingBefore: Uint32Array; // (B + 1) blocks before each that end below the highest level
-  private replacedEnds: Promise<Uint8Array> | null = null;
-  private readonly bytesEach: number;
-  private pose: Pose | null = null;
-  private view: View | null = null;
-  private planned: { cell: number; pose: Pose; view: View; regime: Regime; terms: boolean } | null = null;
-  private order = NOTHING;
-  private place = 0;
-  private queue: Run[] = [];
-  private beside: { cell: number; left: number[] } | null = null;
-  private busy = 0;
-  private deferred: { run: Run; data: Uint8Array }[] = []; // terms that came before their records
-  private regime: Regime | null = null;
-  private seen: { cell: number; flags: Uint8Array } | null = null;
-  private termsAsked = false;
-  private isClosed = false;
-  private isComplete = false;
-  private readonly losses = new Map<string, number>();
+  readonly #held: Holdings;
+  readonly #rows = new Map<number, CellRow | Promise<CellRow>>();
+  readonly #endingBefore: Uint32Array; // (B + 1) blocks before each that end below the highest level
+  #replacedEnds: Promise<Uint8Array> | null = null;
+  #pose: Pose | null = null;
+  #view: View | null = null;
+  #planned: { cell: number; pose: Pose; view: View; regime: Regime; terms: boolean } | null = null;
+  #order = NOTHING;
+  #place = 0;
+  #queue: Run[] = [];
+  #beside: { cell: number; left: number[] } | null = null;
+  #busy = 0;
+  #deferred: { run: Run; data: Uint8Array }[] = []; // terms that came before their records
+  #regime: Regime | null = null;
+  #seen: { cell: number; flags: Uint8Array } | null = null;
+  #termsAsked = false;
+  #isClosed = false;
+  #isComplete = false;
+  readonly #losses = new Map<string, number>();
 
   private constructor(
     readonly scene: StaticScene, private readonly parts: Parts, private readonly blocks: Blocks,
     private readonly cells: Cells | null,
     private readonly link: Link, private readonly events: SessionEvents,
   ) {
-    this.held = { records: new Uint8Array(blocks.count), terms: new Uint8Array(blocks.count) };
-    this.arrivals = new Arrivals(blocks, this.held);
-    const degree = scene.header.harmonics?.degree ?? 0;
-    this.bytesEach = 16 + 3 * ((degree + 1) ** 2 - 1);
-    this.endingBefore = new Uint32Array(blocks.count + 1);
+    this.#held = { records: new Uint8Array(blocks.count), terms: new Uint8Array(blocks.count) };
+    this.arrivals = new Arrivals(blocks, this.#held);
+    this.#endingBefore = new Uint32Array(blocks.count + 1);
     for (let b = 0; b < blocks.count; b++) {
-      this.endingBefore[b + 1] = this.endingBefore[b] + (
+      this.#endingBefore[b + 1] = this.#endingBefore[b] + (
         blocks.last(b) < blocks.top ? 1 : 0
       );
     }
@@ -74,59 +71,59 @@ export class StaticSession {
       return parts.read(file, 0, file.bytes);
     };
     let lost = "";
-    const grid = whole("grid").then((data) => new Cells(scene, data)).catch((error: unknown) => {
+    const grid = whole("grid").then((data) => Cells.open(scene, data)).catch((error: unknown) => {
       if (!(error instanceof PartError)) throw error;
       lost = error.message;
       return null;
     });
-    const blocks = new Blocks(scene, await whole("chunks"));
+    const blocks = await Blocks.open(scene, await whole("index"));
     const session = new StaticSession(scene, parts, blocks, await grid, link, events);
-    if (lost !== "") session.lose(lost);
+    if (lost !== "") session.#lose(lost);
     return session;
   }
 
   setPose(pose: Pose): void {
-    this.pose = pose;
-    this.pump();
+    this.#pose = pose;
+    this.#pump();
   }
 
   setView(view: View): void {
-    this.view = view;
-    this.pump();
+    this.#view = view;
+    this.#pump();
   }
 
   close(): void {
-    this.isClosed = true;
-    this.queue = [];
+    this.#isClosed = true;
+    this.#queue = [];
   }
 
   /** Say again how things stand, as after a wait. */
   report(): void {
-    const message = this.message();
-    this.events.state({ kind: this.isComplete ? "complete" : "streaming", ...(message === null ? {} : { message }) });
+    const message = this.#message();
+    this.events.state({ kind: this.#isComplete ? "complete" : "streaming", ...(message === null ? {} : { message }) });
   }
 
   /** Rank where that is due, and keep requests under way. */
-  private pump(): void {
-    if (this.isClosed || this.pose === null || this.view === null) return;
-    const cell = this.cells?.at(this.pose.position) ?? 0, row = this.row(cell);
+  #pump(): void {
+    if (this.#isClosed || this.#pose === null || this.#view === null) return;
+    const cell = this.cells?.at(this.#pose.position) ?? 0, row = this.#row(cell);
     if (row instanceof Promise) return; // it pumps when it comes
-    if (this.isStale(cell)) this.plan(cell, row, this.pose, this.view);
-    while (this.busy < CONNECTIONS) {
-      if (this.queue.length === 0) this.refill();
-      const run = this.queue.shift();
+    if (this.#isStale(cell)) this.#plan(cell, row, this.#pose, this.#view);
+    while (this.#busy < CONNECTIONS) {
+      if (this.#queue.length === 0) this.#refill();
+      const run = this.#queue.shift();
       if (run === undefined) break;
-      this.busy++;
-      void this.fetch(run).finally(() => {
-        this.busy--;
-        this.pump();
+      this.#busy++;
+      void this.#fetch(run).finally(() => {
+        this.#busy--;
+        this.#pump();
       });
     }
-    if (this.busy === 0 && this.queue.length === 0) this.finish(cell);
+    if (this.#busy === 0 && this.#queue.length === 0) this.#finish(cell);
   }
 
-  private isStale(cell: number): boolean {
-    const was = this.planned, pose = this.pose!, view = this.view!;
+  #isStale(cell: number): boolean {
+    const was = this.#planned, pose = this.#pose!, view = this.#view!;
     if (was === null || was.cell !== cell || was.terms !== (this.blocks.termCount !== null)) return true;
     if (
       was.view.left !== view.left || was.view.right !== view.right || was.view.up !== view.up ||
@@ -139,195 +136,197 @@ export class StaticSession {
     const cosine = Math.abs(pose.rotation.reduce((sum, v, k) => sum + v * was.pose.rotation[k], 0));
     const norms = Math.hypot(...pose.rotation) * Math.hypot(...was.pose.rotation);
     return moved > MOVE * size || 2 * Math.acos(Math.min(cosine / norms, 1)) > TURN ||
-      this.currentRegime(cell) !== was.regime;
+      this.#currentRegime(cell) !== was.regime;
   }
 
-  private currentRegime(cell: number): Regime {
-    const row = this.rows.get(cell);
+  #currentRegime(cell: number): Regime {
+    const row = this.#rows.get(cell);
     if (this.blocks.top === 0 || row === undefined || row instanceof Promise) return "high";
-    this.levelSizes ??= { cell, sizes: levelBytes(this.blocks, row, this.bytesEach) };
-    if (this.levelSizes.cell !== cell) this.levelSizes = { cell, sizes: levelBytes(this.blocks, row, this.bytesEach) };
-    return (this.regime = regimeOf(this.link.throughput, this.levelSizes.sizes, this.regime));
+    this.#levelSizes ??= { cell, sizes: levelBytes(this.blocks, row) };
+    if (this.#levelSizes.cell !== cell) this.#levelSizes = { cell, sizes: levelBytes(this.blocks, row) };
+    return (this.#regime = regimeOf(this.link.throughput, this.#levelSizes.sizes, this.#regime));
   }
 
-  private levelSizes: { cell: number; sizes: number[] } | null = null;
+  #levelSizes: { cell: number; sizes: number[] } | null = null;
 
-  private plan(cell: number, row: CellRow, pose: Pose, view: View): void {
-    for (const run of this.queue) for (let b = run.first; b < run.end; b++) this.states(run)[b] = NONE;
-    this.queue = [];
-    const regime = this.currentRegime(cell);
-    this.order = rank(this.blocks, row, this.held, pose, view, regime);
-    this.place = 0;
-    this.planned = { cell, pose, view, regime, terms: this.blocks.termCount !== null };
-    if (this.seen?.cell !== cell) {
+  #plan(cell: number, row: CellRow, pose: Pose, view: View): void {
+    for (const run of this.#queue) for (let b = run.first; b < run.end; b++) this.#states(run)[b] = NONE;
+    this.#queue = [];
+    const regime = this.#currentRegime(cell);
+    this.#order = rank(this.blocks, row, this.#held, pose, view, regime);
+    this.#place = 0;
+    this.#planned = { cell, pose, view, regime, terms: this.blocks.termCount !== null };
+    if (this.#seen?.cell !== cell) {
       const flags = new Uint8Array(this.blocks.count);
       for (const b of row.blocks) flags[b] = 1;
-      this.seen = { cell, flags };
+      this.#seen = { cell, flags };
     }
-    this.beside = null;
-    if (this.order.blocks.length > 0 && this.isComplete) {
-      this.isComplete = false;
+    this.#beside = null;
+    if (this.#order.blocks.length > 0 && this.#isComplete) {
+      this.#isComplete = false;
       this.report();
     }
   }
 
-  private refill(): void {
+  #refill(): void {
     const least = this.scene.cells.size === 0 ? ALL_SLICE : LEAST_SLICE;
     const budget = Math.min(Math.max(SLICE_SECONDS * this.link.throughput, least), MOST_SLICE);
-    const { runs, next } = slice(this.blocks, this.order, this.place, this.held, budget, this.gap(), this.bytesEach);
-    this.place = next;
-    this.queue.push(...runs);
+    const { runs, next } = slice(this.blocks, this.#order, this.#place, this.#held, budget, this.#gap());
+    this.#place = next;
+    this.#queue.push(...runs);
   }
 
   /** Return the bytes between two runs for which they are still one request. */
-  private gap(): number {
+  #gap(): number {
     if (!this.parts.ranges) return 0;
     if (this.scene.cells.size === 0) return ALL_GAP;
     return Math.min(Math.max((this.link.throughput * this.link.roundTrip) / CONNECTIONS, LEAST_GAP), MOST_GAP);
   }
 
   /** All that the cell needs is here: say so, and go on with what the cells beside it see. */
-  private finish(cell: number): void {
-    if (!this.termsAsked && this.scene.header.terms > 0) {
-      void this.loadTerms();
+  #finish(cell: number): void {
+    if (!this.#termsAsked && this.scene.header.terms > 0) {
+      void this.#loadTerms();
       return;
     }
-    if (this.termsAsked && this.blocks.termCount === null && !this.termsLost) return;
-    if (!this.isComplete) {
-      this.isComplete = true;
+    if (this.#termsAsked && this.blocks.termCount === null && !this.#termsLost) return;
+    if (!this.#isComplete) {
+      this.#isComplete = true;
       this.report();
     }
-    this.beside ??= { cell, left: this.cells?.beside(cell) ?? [] };
-    const other = this.beside.left[0];
+    this.#beside ??= { cell, left: this.cells?.beside(cell) ?? [] };
+    const other = this.#beside.left[0];
     if (other === undefined) return;
-    const row = this.row(other);
+    const row = this.#row(other);
     if (row instanceof Promise) return;
-    this.beside.left.shift();
-    this.order = rank(this.blocks, row, this.held, this.pose!, this.view!, this.planned!.regime, true);
-    this.place = 0;
-    this.pump();
+    this.#beside.left.shift();
+    this.#order = rank(this.blocks, row, this.#held, this.#pose!, this.#view!, this.#planned!.regime, true);
+    this.#place = 0;
+    this.#pump();
   }
 
-  private termsLost = false;
+  #termsLost = false;
 
-  private async loadTerms(): Promise<void> {
-    this.termsAsked = true;
+  async #loadTerms(): Promise<void> {
+    this.#termsAsked = true;
     const file = this.scene.files.get("blocks")!;
     try {
-      this.blocks.setTerms(await this.parts.read(file, 0, file.bytes));
+      await this.blocks.setTerms(await this.parts.read(file, 0, file.bytes));
     } catch (error) {
-      this.termsLost = true;
-      this.lose(error);
+      this.#termsLost = true;
+      this.#lose(error);
     }
-    this.pump();
+    this.#pump();
   }
 
-  private row(cell: number): CellRow | Promise<CellRow> {
-    const found = this.rows.get(cell);
+  #row(cell: number): CellRow | Promise<CellRow> {
+    const found = this.#rows.get(cell);
     if (found !== undefined) return found;
     const file = this.scene.files.get("cells")!, [start, end] = this.cells?.range(cell) ?? [0, 0];
     const asked = this.cells === null
       ? Promise.resolve(everything(this.scene))
-      : this.parts.read(file, start, end).then((data) => parseRow(this.scene, data));
+      : this.parts.read(file, start, end).then((data) => readRow(this.scene, data));
     const made = asked.catch((error: unknown) => {
-      this.lose(error);
+      this.#lose(error);
       return everything(this.scene);
     }).then((row) => {
-      if (this.rows.size >= KEPT_ROWS) {
-        for (const key of this.rows.keys()) {
+      if (this.#rows.size >= KEPT_ROWS) {
+        for (const key of this.#rows.keys()) {
           if (
-            this.rows.size >= KEPT_ROWS && key !== this.planned?.cell
+            this.#rows.size >= KEPT_ROWS && key !== this.#planned?.cell
           ) {
-            this.rows.delete(key);
+            this.#rows.delete(key);
           }
         }
       }
-      this.rows.set(cell, row);
-      this.pump();
+      this.#rows.set(cell, row);
+      this.#pump();
       return row;
     });
-    this.rows.set(cell, made);
+    this.#rows.set(cell, made);
     return made;
   }
 
-  private async fetch(run: Run): Promise<void> {
+  async #fetch(run: Run): Promise<void> {
     try {
-      if (run.terms) await this.fetchTerms(run);
-      else await this.fetchRecords(run);
+      if (run.terms) await this.#fetchTerms(run);
+      else await this.#fetchRecords(run);
     } catch (error) {
-      if (this.isClosed) return;
+      if (this.#isClosed) return;
       const middle = (run.first + run.end) >> 1;
       if (error instanceof PartError && error.kind === "cut" && middle > run.first) {
-        this.queue.push({ ...run, end: middle }, { ...run, first: middle }); // a part of it may be there
+        this.#queue.push({ ...run, end: middle }, { ...run, first: middle }); // a part of it may be there
         return;
       }
-      for (let b = run.first; b < run.end; b++) this.states(run)[b] = LOST;
-      this.lose(error);
+      for (let b = run.first; b < run.end; b++) this.#states(run)[b] = LOST;
+      this.#lose(error);
     }
   }
 
-  private async fetchRecords(run: Run): Promise<void> {
-    const [first, end] = [this.blocks.start[run.first], this.blocks.start[run.end]], width = this.bytesEach - 16;
+  async #fetchRecords(run: Run): Promise<void> {
+    const { start, recordStart, harmonicBytes: width } = this.blocks;
     const harmonics = width === 0
       ? null
-      : this.read("harmonics", width * first, width * end).catch((error: unknown) => {
-      if (!this.isClosed) this.lose(error);
+      : this.#read("harmonics", width * start[run.first], width * start[run.end]).catch((error: unknown) => {
+      if (!this.#isClosed) this.#lose(error);
       return null;
     });
-    const replaced = this.fetchReplaced(run);
-    const data = await this.read("records", 16 * first, 16 * end), more = await harmonics;
-    if (this.isClosed) return;
-    this.events.batch(this.arrivals.addRecords(run, data, more));
-    if (!this.termsAsked && this.scene.header.terms > 0) void this.loadTerms();
-    this.deferred = this.deferred.filter((each) => !this.takeTerms(each.run, each.data));
-    for (const [block, row] of await replaced) this.takeBlock(() => this.arrivals.addReplaced(block, row));
-    const gone = this.seen === null ? null : this.arrivals.sweep(this.seen.flags);
-    if (gone !== null && !this.isClosed) this.events.batch(gone);
+    const replaced = this.#fetchReplaced(run);
+    const data = await this.#read("records", recordStart[run.first], recordStart[run.end]), more = await harmonics;
+    if (this.#isClosed) return;
+    this.events.batch(this.arrivals.addRecords(run, data, more, (error) => this.#lose(error)));
+    if (!this.#termsAsked && this.scene.header.terms > 0) void this.#loadTerms();
+    this.#deferred = this.#deferred.filter((each) => !this.#takeTerms(each.run, each.data));
+    for (const [block, row] of await replaced) {
+      if (this.#held.records[block] === HELD) this.#takeBlock(() => this.arrivals.addReplaced(block, row));
+    }
+    const gone = this.#seen === null ? null : this.arrivals.sweep(this.#seen.flags);
+    if (gone !== null && !this.#isClosed) this.events.batch(gone);
   }
 
-  private async fetchTerms(run: Run): Promise<void> {
-    const starts = this.blocks.termStart!, data = await this.read("terms", starts[run.first], starts[run.end]);
-    if (!this.isClosed && !this.takeTerms(run, data)) this.deferred.push({ run, data });
+  async #fetchTerms(run: Run): Promise<void> {
+    const starts = this.blocks.termStart!, data = await this.#read("terms", starts[run.first], starts[run.end]);
+    if (!this.#isClosed && !this.#takeTerms(run, data)) this.#deferred.push({ run, data });
   }
 
   /** Return whether these terms are settled: given on, or of no use because their records are lost. */
-  private takeTerms(run: Run, data: Uint8Array): boolean {
+  #takeTerms(run: Run, data: Uint8Array): boolean {
     let at = 0;
     for (let b = run.first; b < run.end; b++) {
-      if (this.held.records[b] !== HELD && this.held.records[b] !== LOST) return false;
+      if (this.#held.records[b] !== HELD && this.#held.records[b] !== LOST) return false;
     }
     for (let b = run.first; b < run.end; b++) {
       const size = this.blocks.termStart![b + 1] - this.blocks.termStart![b], own = data.subarray(at, at + size);
       at += size;
-      if (this.held.records[b] !== HELD) continue;
-      const isRead = this.takeBlock(
-        () => this.events.batch(this.arrivals.addTerms({ ...run, first: b, end: b + 1 }, own)),
+      if (this.#held.records[b] !== HELD) continue;
+      const isRead = this.#takeBlock(
+        () => this.events.batch(this.arrivals.addTerms(b, own)),
       );
-      if (!isRead) this.held.terms[b] = LOST;
+      if (!isRead) this.#held.terms[b] = LOST;
     }
     return true;
   }
 
   /** Read what belongs to one block. Bytes that make no sense cost this block, not the others of its run. */
-  private takeBlock(read: () => void): boolean {
+  #takeBlock(read: () => void): boolean {
     try {
       read();
       return true;
     } catch (error) {
-      this.lose(error);
+      this.#lose(error);
       return false;
     }
   }
 
   /** Return the rows of `replaced` of those blocks of a run that end below the highest level. */
-  private async fetchReplaced(run: Run): Promise<[number, Uint8Array][]> {
-    const low = this.endingBefore[run.first], high = this.endingBefore[run.end];
+  async #fetchReplaced(run: Run): Promise<[number, Uint8Array][]> {
+    const low = this.#endingBefore[run.first], high = this.#endingBefore[run.end];
     if (low === high) return [];
     try {
-      this.replacedEnds ??= this.read("replaced", 0, 4 * (this.endingBefore[this.blocks.count] + 1));
-      const head = await this.replacedEnds, ends = new DataView(head.buffer, head.byteOffset, head.byteLength);
+      this.#replacedEnds ??= this.#read("replaced", 0, 4 * (this.#endingBefore[this.blocks.count] + 1));
+      const head = await this.#replacedEnds, ends = new DataView(head.buffer, head.byteOffset, head.byteLength);
       const from = ends.getUint32(4 * low, true),
-        data = await this.read("replaced", from, ends.getUint32(4 * high, true));
+        data = await this.#read("replaced", from, ends.getUint32(4 * high, true));
       const found: [number, Uint8Array][] = [];
       for (let b = run.first, k = low; b < run.end; b++) {
         if (this.blocks.last(b) === this.blocks.top) continue;
@@ -336,33 +335,33 @@ export class StaticSession {
       }
       return found;
     } catch (error) {
-      if (!this.isClosed) this.lose(error);
+      if (!this.#isClosed) this.#lose(error);
       return [];
     }
   }
 
-  private async read(kind: string, start: number, end: number): Promise<Uint8Array> {
+  async #read(kind: string, start: number, end: number): Promise<Uint8Array> {
     const file = this.scene.files.get(kind);
     if (file === undefined) throw new PartError("missing", `${kind}: scene.json names no such file`);
     return this.link.measure(() => this.parts.read(file, start, end));
   }
 
-  private states(run: Run): Uint8Array {
-    return run.terms ? this.held.terms : this.held.records;
+  #states(run: Run): Uint8Array {
+    return run.terms ? this.#held.terms : this.#held.records;
   }
 
-  private lose(reason: unknown): void {
+  #lose(reason: unknown): void {
     const message = reason instanceof Error ? reason.message : String(reason);
-    this.losses.set(message, (this.losses.get(message) ?? 0) + 1);
+    this.#losses.set(message, (this.#losses.get(message) ?? 0) + 1);
     this.report();
     this.events.gone();
   }
 
-  private message(): string | null {
-    const [first] = this.losses.keys();
+  #message(): string | null {
+    const [first] = this.#losses.keys();
     if (first === undefined) return null;
-    return this.losses.size === 1
+    return this.#losses.size === 1
       ? `A part of the scene is missing: ${first}`
-      : `${this.losses.size} parts of the scene are missing, such as ${first}`;
+      : `${this.#losses.size} parts of the scene are missing, such as ${first}`;
   }
 }

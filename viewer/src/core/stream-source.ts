@@ -12,6 +12,7 @@ export interface StreamOptions {
   margin?: number; // radians around the view that are sent as if they were in it
   near?: number; // distance at which the view begins, scene units
   mostBytes?: number; // most memory for tables of a scene before its first Gaussian
+  memory?: number; // bytes of records to hold at most: what is farthest from use goes; 0 for no limit
   worker?: () => Worker; // makes the network Worker where `network.js` does not lie beside this module
 }
 
@@ -34,7 +35,8 @@ export function streamSource(url: string | URL, options: StreamOptions = {}): St
     const address = addressOf(url), token = options.token ?? null;
     if (address instanceof Error) return address;
     if (token !== null && !isToken(token)) return new Error("The token has characters that no token has.");
-    const reach = { margin: options.margin ?? MARGIN, near: options.near ?? NEAR };
+    const memory = Math.max(Math.floor(options.memory ?? 0), 0);
+    const reach = { margin: options.margin ?? MARGIN, near: options.near ?? NEAR, memory };
     return { options: { url: address, token, reach, mostBytes: options.mostBytes ?? MOST_BYTES } };
   };
   const { tell, ...source } = workerSource<{ options: ConnectionOptions }, Retry>({

@@ -1,5 +1,7 @@
 // A canvas and a source make a picture: appends what arrives, has it sorted, draws when something has changed.
 import { angleBetween, cameraOf, sameCamera, viewOf } from "./camera.ts";
+import { isSmall, memoryOfDevice } from "./device.ts";
+import { Intake } from "./intake.ts";
 import type { Pick } from "./picking.ts";
 import { choosePrecision, type Look, type Precision, Renderer } from "./renderer.ts";
 import { Sorter, type WorkerStart } from "./sorter.ts";
@@ -52,7 +54,6 @@ export type ViewerEvent = "header" | "state" | "traffic" | "frame" | "contextlos
 export class UnsupportedError extends Error {}
 
 const START: Eye = { position: [0, 0, 0], rotation: [1, 0, 0, 0], fovY: Math.PI / 3 };
-const MIB = 2 ** 20;
 
 /** Shows what a source gives on a canvas. Events of `ViewerEvent` say what has changed. */
 export class Viewer extends EventTarget {
@@ -62,6 +63,7 @@ export class Viewer extends EventTarget {
   readonly #sorter: Sorter;
   readonly #look: Look;
   readonly #resizes: ResizeObserver;
+  readonly #intake = new Intake((batch) => this.#takeBatch(batch));
   #renderer: Renderer;
   #store: Store | null = null;
   #source: Source | null = null;
@@ -118,12 +120,13 @@ export class Viewer extends EventTarget {
   /** Show what a source gives, instead of what was shown. */
   open(source: Source): void {
     this.#source?.close();
+    this.#intake.clear();
     this.#source = source;
     this.#opened = performance.now();
     this.#figures.first = null;
     source.start({
       header: (header, fresh) => { if (source === this.#source) this.#takeHeader(header, fresh); },
-      batch: (batch) => { if (source === this.#source) this.#takeBatch(batch); },
+      batch: (batch) => { if (source === this.#source) this.#intake.add(batch); },
       state: (state) => {
         if (source !== this.#source) return;
         this.#state = state;
@@ -145,6 +148,7 @@ export class Viewer extends EventTarget {
     cancelAnimationFrame(this.#frame);
     this.#source?.close();
     this.#source = null;
+    this.#intake.clear();
     this.#sorter.close();
     this.#resizes.disconnect();
     this.canvas.removeEventListener("webglcontextlost", this.#lose);
@@ -317,6 +321,7 @@ export class Viewer extends EventTarget {
   #takeHeader(header: Header, fresh: boolean): void {
     this.#header = header;
     if (fresh || !this.#store) {
+      this.#intake.clear();
       this.#sorter.reset(header);
       this.#figures.dropped = this.#figures.replaced = this.#replaced = 0;
       this.#waiting = null;
@@ -353,7 +358,7 @@ export class Viewer extends EventTarget {
   #trim(batch: Batch): Batch {
     const store = this.#store, count = batch.ids.length;
     if (!store || count === 0) return batch;
-    const memory = this.#options.memory ?? (isSmall() ? 384 : 4096) * MIB;
+    const memory = this.#options.memory ?? memoryOfDevice();
     const most = Math.min(store.most, memory / (store.perGaussian + 36));
     if (store.count + count <= most) return batch;
     if (this.#figures.dropped === 0) {
@@ -478,14 +483,8 @@ export class Viewer extends EventTarget {
       }
       this.#say("frame");
     }
-    if (ordered) for (const resolve of this.#settled.splice(0)) resolve();
+    if (ordered && !this.#intake.isBusy) for (const resolve of this.#settled.splice(0)) resolve();
   }
-}
-
-/** Return whether this looks like a phone: little memory, or a finger as the only pointer. */
-function isSmall(): boolean {
-  const memory = (navigator as Navigator & { deviceMemory?: number }).deviceMemory;
-  return (memory !== undefined && memory <= 4) || matchMedia("(hover: none) and (pointer: coarse)").matches;
 }
 
 /** Return what this browser can blend into, null without WebGL2. */

@@ -13,7 +13,7 @@ export const FAULTS = {
   malformed: 1, version: 2, tooLarge: 3, refused: 4, tooMany: 5, flood: 6, late: 7, internal: 8, ending: 9,
 } as const;
 
-const HELLO_BYTES = 72; // the last 8 are 0: no limit of memory, so nothing is evicted
+const HELLO_BYTES = 72;
 const MOST_LINE = 1000;
 
 /** A message that breaks a rule. `code` is one of `FAULTS`. */
@@ -27,10 +27,14 @@ export class ProtocolError extends Error {
   }
 }
 
-/** What the view of a HELLO adds to a `View`: radians around it, and where it begins in front of the eye. */
+/**
+ * What a HELLO adds to a `View`: radians around it, where it begins in front of the eye, and the bytes of records that
+ * the client holds at most, 0 for no limit.
+ */
 export interface Reach {
   margin: number;
   near: number;
+  memory: number;
 }
 
 /** Return a HELLO. `identity` and `holdings` are of the scene that is held; empty for nothing. */
@@ -43,6 +47,8 @@ export function hello(view: View, reach: Reach, identity = "", holdings = new Ui
     view.left, view.right, view.up, view.down, reach.margin, reach.near,
   ].forEach((value, k) => data.setFloat32(8 + 4 * k, value, true));
   for (let k = 0; k < identity.length / 2; k++) out[32 + k] = parseInt(identity.slice(2 * k, 2 * k + 2), 16);
+  data.setUint32(64, reach.memory % 2 ** 32, true);
+  data.setUint32(68, reach.memory / 2 ** 32, true);
   out.set(holdings, HELLO_BYTES);
   return out;
 }

@@ -1,9 +1,8 @@
-// Starts the page: the list of scenes, or one scene.
+// Starts the page of one scene.
 
 import * as gsvis from "../core/index.ts";
 import { readAddress } from "./address.ts";
 import { make, meta } from "./dom.ts";
-import { showList } from "./list.ts";
 import { NO_SCENE } from "./messages.ts";
 import { Notices } from "./notice.ts";
 import { awaitStream, locate } from "./scene.ts";
@@ -11,27 +10,25 @@ import { ThemeChoice } from "./theme.ts";
 import { ViewPage } from "./view.ts";
 import type { Core } from "./view.ts";
 
-if (document.querySelector("#scenes")) {
-  void showList();
+const page = readAddress(
+  location.href, { scene: meta("scene"), content: meta("content"), settings: meta("settings") },
+);
+if (page.scene) {
+  const room = gsvis.memoryOfDevice(); // a large one never fills
+  const memory = room < 1e9 ? 0.6 * room * (16 / 68) : 0; // gaps of what was evicted, and bytes on the GPU
+  const core: Core = {
+    makeViewer: (canvas, options) => new gsvis.Viewer(canvas, options),
+    makeSource: (scene, token) => (scene.kind === "stream" ? gsvis.streamSource(
+      scene.url, token ? { token, memory } : { memory },
+    ) : gsvis.staticSource(scene.url)),
+  };
+  void locate(page.scene).then(({ scene, preparing }) => {
+    const shown = new ViewPage(scene, page, core);
+    if (preparing) void awaitStream(scene).then((stream) => stream && shown.change(stream));
+  });
 } else {
-  const page = readAddress(
-    location.href, { scene: meta("scene"), content: meta("content"), settings: meta("settings") },
-  );
-  if (page.scene) {
-    const core: Core = {
-      makeViewer: (canvas, options) => new gsvis.Viewer(canvas, options),
-      makeSource: (scene, token) => (scene.kind === "stream" ? gsvis.streamSource(
-        scene.url, token ? { token } : {},
-      ) : gsvis.staticSource(scene.url)),
-    };
-    void locate(page.scene).then(({ scene, preparing }) => {
-      const shown = new ViewPage(scene, page, core);
-      if (preparing) void awaitStream(scene).then((stream) => stream && shown.change(stream));
-    });
-  } else {
-    const notices = new Notices({ retry: () => location.reload(), token: () => undefined });
-    new ThemeChoice(() => undefined);
-    document.querySelector("main")?.replaceChildren(notices.card, make("p"));
-    notices.stop(NO_SCENE);
-  }
+  const notices = new Notices({ retry: () => location.reload(), token: () => undefined });
+  new ThemeChoice(() => undefined);
+  document.querySelector("main")?.replaceChildren(notices.card, make("p"));
+  notices.stop(NO_SCENE);
 }

@@ -30,15 +30,15 @@ export function edgesOf(cells: Cells): { at: Vec3; axis: number }[] {
 export class Overlay {
   readonly element = make("canvas", { class: "overlay", "aria-hidden": "true", hidden: true });
   #cells: Cells | null = null;
-  private edges: { at: Vec3; axis: number }[] = [];
+  #edges: { at: Vec3; axis: number }[] = [];
 
   set(cells: Cells | null): void {
     this.#cells = cells;
-    this.edges = cells && cells.boxes.length <= MOST_BOXES ? edgesOf(cells) : [];
+    this.#edges = cells && cells.boxes.length <= MOST_BOXES ? edgesOf(cells) : [];
   }
 
   get known(): boolean {
-    return this.edges.length > 0;
+    return this.#edges.length > 0;
   }
 
   draw(rig: Rig, frame: Frame): void {
@@ -60,7 +60,7 @@ export class Overlay {
       return [dot(offset, x), dot(offset, y), dot(offset, z)];
     };
     const paths = SHARES.map(() => new Path2D());
-    for (const { at, axis } of this.edges) {
+    for (const { at, axis } of this.#edges) {
       const end: Vec3 = [...at];
       end[axis] += 1;
       const line = clip(see(at), see(end), near);

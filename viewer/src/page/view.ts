@@ -43,26 +43,26 @@ const LOOKS_MS = 250; // between two looks at the statistics
 const CLIMB_M = 0.7; // from square to square of a floor
 
 export class ViewPage {
-  private readonly root: HTMLElement;
+  readonly #root: HTMLElement;
   #canvas = make("canvas");
   #viewer: ViewerLike | null = null;
-  private header: Header | null = null;
+  #header: Header | null = null;
   #facts: Facts;
   #surroundings: Surroundings = { floor: null, cells: null, poses: [] };
-  private settings: Settings = { views: [], background: null };
+  #settings: Settings = { views: [], background: null };
   #ready: Promise<unknown>;
-  private views: View[] = [];
+  #views: View[] = [];
   #view = 0;
   #placed = false;
-  private focused = false;
+  #focused = false;
   #release: () => void = () => undefined;
   #start: Rig | null = null;
   #ownHash = "";
-  private token: string | null;
+  #token: string | null;
 
   readonly #actions = new Actions();
   readonly #theme: ThemeChoice;
-  private readonly title: TitleBar;
+  readonly #title: TitleBar;
   readonly #dock: Dock;
   readonly #side = new Side(() => this.#actions.changed());
   readonly #panel: Panel;
@@ -74,60 +74,60 @@ export class ViewPage {
   readonly #spoken = make("p", { class: "hidden", role: "status", "aria-live": "polite" });
   readonly #inspector: Inspector;
   readonly #drive: Drive;
-  private readonly navigator: Navigator;
+  readonly #navigator: Navigator;
 
   constructor(private scene: SceneAddress, private readonly page: PageAddress, private readonly core: Core) {
-    this.root = document.querySelector("main") ?? document.body.appendChild(make("main"));
-    this.token = page.token;
+    this.#root = document.querySelector("main") ?? document.body.appendChild(make("main"));
+    this.#token = page.token;
     this.#facts = factsOf(scene);
     this.#theme = new ThemeChoice(() => this.#showBackground());
     this.#notices = new Notices(
-      { retry: () => this.#restart(), token: (token) => ((this.token = token), this.#restart()) },
+      { retry: () => this.#restart(), token: (token) => ((this.#token = token), this.#restart()) },
     );
     this.#drive = new Drive({
       actions: this.#actions, moved: () => this.#sendCamera(),
       rested: () => (this.#panel.refresh(), this.#writeAddress()),
       click: (x, y, withAlt) => void (this.#inspector.on || withAlt ? this.#inspector.inspect(x, y) : undefined),
-      doubleClick: (x, y) => void this.goTo(x, y), view: (index) => this.#goToView(index),
+      doubleClick: (x, y) => void this.#goTo(x, y), view: (index) => this.#goToView(index),
       escape: () => this.#side.close() || this.#stopInspecting(),
     });
-    this.navigator = this.#drive.navigator;
+    this.#navigator = this.#drive.navigator;
     this.#inspector = new Inspector({
-      side: this.#side, facts: () => this.#facts, viewer: () => this.#viewer, header: () => this.header,
-      place: () => ({ rig: this.navigator.shown, frame: this.navigator.frame }), speak: (text) => this.#speak(text),
+      side: this.#side, facts: () => this.#facts, viewer: () => this.#viewer, header: () => this.#header,
+      place: () => ({ rig: this.#navigator.shown, frame: this.#navigator.frame }), speak: (text) => this.#speak(text),
     });
     defineActions(this.#actions, this.#commands());
-    this.title = new TitleBar(scene.name, scene.root);
+    this.#title = new TitleBar(scene.name, scene.root);
     this.#dock = new Dock(this.#actions, {
-      mode: () => this.navigator.mode, setMode: (mode) => this.setMode(mode),
+      mode: () => this.#navigator.mode, setMode: (mode) => this.#setMode(mode),
       views: () => ({
-        count: this.views.length, label: this.views[this.#view]?.name ?? `${this.#view + 1} of ${this.views.length}`,
+        count: this.#views.length, label: this.#views[this.#view]?.name ?? `${this.#view + 1} of ${this.#views.length}`,
       }),
     });
     this.#panel = new Panel({
       viewer: () => this.#viewer, actions: this.#actions, theme: this.#theme,
       fov: {
-        degrees: () => this.navigator.shown.fovY / DEGREES,
-        choose: (degrees) => (this.navigator.setFov(degrees * DEGREES), this.#drive.wake()),
+        degrees: () => this.#navigator.shown.fovY / DEGREES,
+        choose: (degrees) => (this.#navigator.setFov(degrees * DEGREES), this.#drive.wake()),
       },
       cells: {
         known: () => this.#overlay.known, shown: () => !this.#overlay.element.hidden,
         show: (shown) => this.#showCells(shown),
       },
-      pace: { factor: () => this.navigator.pace, choose: (factor) => void (this.navigator.pace = factor) },
+      pace: { factor: () => this.#navigator.pace, choose: (factor) => void (this.#navigator.pace = factor) },
     });
     this.#help = new Help(this.#actions);
     this.#build();
     this.#ready = this.#prepare();
-    this.open();
+    this.#open();
     setInterval(() => this.#look(), LOOKS_MS);
   }
 
   #build(): void {
     document.title = `${this.scene.name} · gsvis`;
     if (this.page.bare) document.documentElement.dataset.bare = "";
-    this.root.replaceChildren(
-      this.#canvas, this.#overlay.element, this.#inspector.mark, this.title.element, toolBar(this.#actions),
+    this.#root.replaceChildren(
+      this.#canvas, this.#overlay.element, this.#inspector.mark, this.#title.element, toolBar(this.#actions),
       this.#figures.element, this.#side.element,
       this.#drive.joystick.element, this.#dock.element, this.#notices.line, this.#notices.card, this.#spoken,
       make(
@@ -135,7 +135,7 @@ export class ViewPage {
         "Drag or use the arrow keys to look around, W A S D to move, question mark for help.",
       ), this.#help.element,
     );
-    this.setMode("orbit");
+    this.#setMode("orbit");
     this.#panel.fill(null);
     this.#actions.watch(() => this.#dock.refresh());
     window.addEventListener("hashchange", () => this.#followHash());
@@ -150,7 +150,7 @@ export class ViewPage {
       try {
         const response = await fetch(this.page.settings);
         if (!response.ok) throw new Error(`settings: the server answered ${response.status}`);
-        this.settings = readSettings(await response.json());
+        this.#settings = readSettings(await response.json());
       } catch (error) {
         this.#notices.say(`The settings could not be used. ${error instanceof Error ? error.message : ""}`.trim());
       }
@@ -161,16 +161,16 @@ export class ViewPage {
   }
 
   /** Open the scene in a fresh canvas. */
-  private open(): void {
-    this.header = null;
+  #open(): void {
+    this.#header = null;
     this.#canvas.replaceWith((this.#canvas = make("canvas", {
       tabindex: 0, role: "application", "aria-label": `Scene ${this.scene.name}`, "aria-describedby": "keys",
     })));
     this.#drive.listen(this.#canvas);
     try {
-      const { source, release } = holdPoses(this.core.makeSource(this.scene, this.token));
+      const { source, release } = holdPoses(this.core.makeSource(this.scene, this.#token));
       this.#release = release;
-      this.#viewer = this.core.makeViewer(this.#canvas, { source, background: this.background });
+      this.#viewer = this.core.makeViewer(this.#canvas, { source, background: this.#background });
     } catch (error) {
       const message = error instanceof Error ? error.message : String(error);
       this.#showState("failed", "Stopped", 0);
@@ -193,7 +193,7 @@ export class ViewPage {
     this.#viewer?.dispose();
     this.#viewer = null;
     this.#notices.clear();
-    this.open();
+    this.#open();
     this.#canvas.focus();
   }
 
@@ -211,13 +211,13 @@ export class ViewPage {
     if (!header) return;
     await this.#ready;
     // connected again: all stays as it is
-    if (this.#viewer !== viewer || this.header?.identity === header.identity) return;
-    this.header = header;
-    const { navigator } = this, surroundings = this.#surroundings;
+    if (this.#viewer !== viewer || this.#header?.identity === header.identity) return;
+    this.#header = header;
+    const navigator = this.#navigator, surroundings = this.#surroundings;
     navigator.reframe(frameFromUp(header.up));
     navigator.meter = guessMeter(header, surroundings.cells);
     if (surroundings.floor) navigator.standOn(new FloorGround(surroundings.floor, CLIMB_M * navigator.meter));
-    if (!this.#placed) this.place();
+    if (!this.#placed) this.#place();
     this.#sendCamera();
     this.#release();
     this.#panel.fill(header);
@@ -225,26 +225,26 @@ export class ViewPage {
     this.#showBackground();
   }
 
-  private place(): void {
-    const first = begin(location.hash, this.settings.views, this.navigator.frame, this.#surroundings);
-    this.views = this.settings.views.length ? this.settings.views : viewsFromPoses(this.#surroundings.poses);
+  #place(): void {
+    const first = begin(location.hash, this.#settings.views, this.#navigator.frame, this.#surroundings);
+    this.#views = this.#settings.views.length ? this.#settings.views : viewsFromPoses(this.#surroundings.poses);
     this.#placed = true;
-    this.focused = first.focused;
-    const mode = first.mode === "walk" && !this.navigator.canStandAt(first.rig.eye) ? "fly" : first.mode;
-    this.navigator.mode = mode;
-    this.navigator.place(first.rig);
-    this.setMode(mode);
-    this.#start = begin("", this.settings.views, this.navigator.frame, this.#surroundings).rig;
+    this.#focused = first.focused;
+    const mode = first.mode === "walk" && !this.#navigator.canStandAt(first.rig.eye) ? "fly" : first.mode;
+    this.#navigator.mode = mode;
+    this.#navigator.place(first.rig);
+    this.#setMode(mode);
+    this.#start = begin("", this.#settings.views, this.#navigator.frame, this.#surroundings).rig;
     if (first.problem) this.#notices.say(first.problem);
   }
 
   /** Find out how far away lies what is looked at, where no view has said it. */
-  private async focus(): Promise<void> {
-    if (this.focused || !this.#viewer) return;
-    this.focused = true;
+  async #focus(): Promise<void> {
+    if (this.#focused || !this.#viewer) return;
+    this.#focused = true;
     const pick = await this.#viewer.pick(this.#canvas.clientWidth / 2, this.#canvas.clientHeight / 2);
-    if (pick) this.navigator.refocus(pick.depth);
-    else this.focused = false;
+    if (pick) this.#navigator.refocus(pick.depth);
+    else this.#focused = false;
   }
 
   #takeState(): void {
@@ -266,7 +266,7 @@ export class ViewPage {
     if ((state.kind === "streaming" || state.kind === "complete") && "message" in state && state.message) {
       this.#notices.say(String(state.message));
     }
-    if (state.kind === "complete") void this.focus();
+    if (state.kind === "complete") void this.#focus();
     if (state.kind === "complete") this.#speak("All that can be seen from here has arrived.");
     this.#look();
   }
@@ -276,28 +276,28 @@ export class ViewPage {
     if (!this.#viewer || document.hidden) return;
     const now = this.#viewer.statistics;
     this.#showState(
-      now.state.kind, describeState(now.state, now.gaussians), this.header ? now.gaussians / this.header.gaussians : 0,
+      now.state.kind, describeState(now.state, now.gaussians), this.#header ? now.gaussians / this.#header.gaussians : 0,
     );
-    if (!this.#figures.element.hidden) this.#figures.show(now, this.header);
+    if (!this.#figures.element.hidden) this.#figures.show(now, this.#header);
   }
 
   #showState(kind: string, text: string, share: number): void {
-    this.title.show(kind, text, share);
+    this.#title.show(kind, text, share);
     document.documentElement.dataset.state = kind;
   }
 
-  private get background(): [number, number, number] {
-    return this.settings.background ?? this.#theme.background;
+  get #background(): [number, number, number] {
+    return this.#settings.background ?? this.#theme.background;
   }
 
   #showBackground(): void {
-    if (this.#viewer) this.#viewer.background = this.background;
+    if (this.#viewer) this.#viewer.background = this.#background;
   }
 
   // Motion
 
   #sendCamera(): void {
-    const { shown, frame } = this.navigator;
+    const { shown, frame } = this.#navigator;
     if (!this.#viewer || !this.#placed) return;
     this.#viewer.camera = { position: shown.eye, rotation: rotation(shown, frame), fovY: shown.fovY };
     this.#inspector.mark.hidden = true;
@@ -310,12 +310,12 @@ export class ViewPage {
   }
 
   #drawCells(): void {
-    this.#overlay.draw(this.navigator.shown, this.navigator.frame);
+    this.#overlay.draw(this.#navigator.shown, this.#navigator.frame);
   }
 
   #writeAddress(): void {
     if (!this.#placed) return;
-    this.#ownHash = writeHash(this.navigator.shown, this.navigator.frame, this.navigator.mode);
+    this.#ownHash = writeHash(this.#navigator.shown, this.#navigator.frame, this.#navigator.mode);
     try {
       history.replaceState(null, "", this.#ownHash);
     } catch {
@@ -328,18 +328,18 @@ export class ViewPage {
     const asked = readHash(location.hash);
     if (asked instanceof Error) return this.#notices.say(BAD_HASH);
     if (!asked) return;
-    if (asked.mode) this.setMode(asked.mode);
-    this.navigator.flyTo(rigFromView(asked, this.navigator.frame));
+    if (asked.mode) this.#setMode(asked.mode);
+    this.#navigator.flyTo(rigFromView(asked, this.#navigator.frame));
     this.#drive.wake();
   }
 
-  private setMode(mode: Mode): void {
-    if (mode === "orbit" && this.navigator.mode !== "orbit") this.focused = false;
-    this.navigator.setMode(mode);
+  #setMode(mode: Mode): void {
+    if (mode === "orbit" && this.#navigator.mode !== "orbit") this.#focused = false;
+    this.#navigator.setMode(mode);
     document.documentElement.dataset.mode = mode;
     this.#speak(`Way to move: ${mode}`);
     if (this.#placed) {
-      void this.focus();
+      void this.#focus();
       this.#writeAddress();
     }
     this.#dock.refresh();
@@ -347,26 +347,26 @@ export class ViewPage {
   }
 
   #goToView(index: number): void {
-    const view = this.views[index];
+    const view = this.#views[index];
     if (!view) return;
     this.#view = index;
-    if (this.navigator.mode === "walk" && !this.navigator.canStandAt(view.eye)) this.setMode("fly");
-    this.navigator.flyTo(rigFromView(view, this.navigator.frame));
+    if (this.#navigator.mode === "walk" && !this.#navigator.canStandAt(view.eye)) this.#setMode("fly");
+    this.#navigator.flyTo(rigFromView(view, this.#navigator.frame));
     this.#speak(`View ${view.name ?? index + 1}`);
     this.#actions.changed();
     this.#drive.wake();
   }
 
   #goHome(): void {
-    if (this.#start) this.navigator.flyTo(this.#start);
+    if (this.#start) this.#navigator.flyTo(this.#start);
     this.#view = 0;
     this.#drive.wake();
   }
 
-  private async goTo(x: number, y: number): Promise<void> {
+  async #goTo(x: number, y: number): Promise<void> {
     const pick = await this.#viewer?.pick(x, y);
     if (!pick) return;
-    this.navigator.goTo(pick.position);
+    this.#navigator.goTo(pick.position);
     this.#drive.wake();
   }
 
@@ -413,9 +413,9 @@ export class ViewPage {
         if (label) this.#notices.say(`Color shows: ${label}`);
       },
       goHome: () => this.#goHome(),
-      views: () => this.views.length,
-      stepView: (by) => this.#goToView((this.#view + by + this.views.length) % Math.max(this.views.length, 1)),
-      nextMode: () => this.setMode(MODES[(MODES.indexOf(this.navigator.mode) + 1) % MODES.length]),
+      views: () => this.#views.length,
+      stepView: (by) => this.#goToView((this.#view + by + this.#views.length) % Math.max(this.#views.length, 1)),
+      nextMode: () => this.#setMode(MODES[(MODES.indexOf(this.#navigator.mode) + 1) % MODES.length]),
       toggleTheme: () => {
         this.#theme.choose(this.#theme.dark ? "light" : "dark");
         this.#panel.refresh();

@@ -1,0 +1,37 @@
+// Tables of a static scene: compressed columns of numbers (docs/static.md).
+
+/** Return the content of a zlib stream of at most `most` bytes. */
+export async function inflate(data: Uint8Array, most: number, where: string): Promise<Uint8Array> {
+  const out = new Uint8Array(Math.min(most, 1100 * data.length + 100)); // zlib gains no more
+  const refuse = () => new Error(`${where}: damaged; export the scene again`);
+  let at = 0;
+  const stream = new Blob([data as Uint8Array<ArrayBuffer>]).stream().pipeThrough(new DecompressionStream("deflate"));
+  const reader = stream.getReader();
+  for (;;) {
+    const { done, value } = await reader.read().catch(() => { throw refuse(); });
+    if (done) return out.subarray(0, at);
+    if (at + value.length > out.length) throw refuse();
+    out.set(value, at);
+    at += value.length;
+  }
+}
+
+/** Reads columns one after the other. */
+export class Columns {
+  private at = 0;
+
+  constructor(private readonly data: Uint8Array, private readonly count: number) {}
+
+  /** Return the next column of numbers of `width` bytes. */
+  next(width: number, count = this.count): Uint32Array {
+    const out = new Uint32Array(count);
+    for (let k = 0; k < width; k++) for (let i = 0; i < count; i++) out[i] |= this.data[this.at++] << (8 * k);
+    return out;
+  }
+
+  /** Return the next column of folded differences, summed. */
+  sums(width: number): Int32Array {
+    let last = 0;
+    return Int32Array.from(this.next(width), (v) => (last += (v >>> 1) ^ -(v & 1)));
+  }
+}

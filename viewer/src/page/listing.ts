@@ -1,0 +1,4 @@
+// Starts the page that lists the scenes of a server.
+import { showList } from "./list.ts";
+
+void showList();
