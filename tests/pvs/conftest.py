@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from multiprocessing import get_context
+from multiprocessing import get_all_start_methods, get_context
 
 import pytest
 
@@ -20,6 +20,9 @@ def warm_processes() -> Iterator[None]:
 
     To import it anew is most of what they cost here; `tests/cli/test_pvs.py` has pools as they are.
     """
+    if "forkserver" not in get_all_start_methods():  # Windows
+        yield
+        return
     context = get_context("forkserver")
     context.set_forkserver_preload(["gsvis.pvs._workers", "gsvis.pvs.build"])
     with pytest.MonkeyPatch.context() as patch:
