@@ -78,7 +78,10 @@ class Client:
             assert self._running.poll() is None, self.events[-5:]
             return fact()
 
-        until(comes)
+        try:
+            until(comes)
+        except AssertionError as error:
+            raise AssertionError(f"{error}; it said at last {self.events[-20:]}") from error
 
     def say(self, line: str) -> None:
         assert self._running.stdin is not None
@@ -145,7 +148,7 @@ def test_after_a_kill_it_comes_back_with_what_it_holds(program: Path, tmp_path: 
         with _served(package, port, tmp_path / "first"):
             until(lambda: client.held > 500 and link.is_stalled)  # it holds a part of the scene
         link.go_on()
-        until(lambda: client.state["kind"] in ("waiting", "connecting"))
+        client.wait(lambda: client.state["kind"] in ("waiting", "connecting"))
         held = client.held
         link.carry_freely()
         with _served(package, port, log), serving(package) as beside:
