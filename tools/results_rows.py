@@ -18,7 +18,7 @@ SECTIONS = (
         "trust",
         (
             Row(
-                "Of 100,004 damaged inputs, how many crash, hang or exceed memory?",
+                "Of 100,001 damaged inputs, how many crash, hang or exceed memory?",
                 ("fuzz: fuzzing: faults",),
             ),
             Row(

@@ -246,12 +246,18 @@ class SlowLink:
             try:
                 far.connect(self._to)
             except OSError:  # nobody there just now
-                near.close()
+                near.settimeout(PATIENCE)
+                threading.Thread(target=self._turn_away, args=(near,), daemon=True).start()
                 far.close()
                 continue
             for source, sink, is_down in ((near, far, False), (far, near, True)):
                 source.settimeout(None)
                 threading.Thread(target=self._carry, args=(source, sink, is_down), daemon=True).start()
+
+    def _turn_away(self, near: socket.socket) -> None:
+        """End a connection once its request is here: node says nothing of one that ends before."""
+        with suppress(OSError), near:
+            near.recv(1 << 16)
 
     def _carry(self, source: socket.socket, sink: socket.socket, is_down: bool) -> None:
         carried = 0

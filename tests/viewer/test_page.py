@@ -23,7 +23,8 @@ SIZES = {"wide": (1280, 800), "tablet": (768, 1024), "phone": (375, 667)}
 WAIT = 1000 * PATIENCE  # milliseconds; a guard against hanging
 ROOM = "/view/show%20room"
 Open = Callable[..., Any]
-READY = "() => document.documentElement.dataset.state === 'streaming' && location.hash.length > 1"
+READY = """() => document.documentElement.dataset.state === 'streaming' && location.hash.length > 1
+    && fake.camera.position.some((x) => x !== 0)"""  # an address may come with its hash: the view is set a frame later
 AXE = """axe.run(document, {resultTypes: ["violations"]}).then((all) =>
     all.violations.map((found) => [found.id, found.nodes.map((node) => node.html.slice(0, 120))]))"""
 OUTSIDE = """[...document.querySelectorAll(".scene > *, .tools > *, .dock > *")]

@@ -137,10 +137,11 @@ def test_it_draws_what_the_python_client_draws(package: Path, program: Path, tmp
 @pytest.mark.slow
 def test_after_a_kill_it_comes_back_with_what_it_holds(program: Path, tmp_path: Path) -> None:
     port, log, package = _free_port(), tmp_path / "log", tmp_path / "scene.gsvis"
-    with package_of(package, 12_000, stores=False) as opened:  # more than sockets hold of it when the link stalls
+    with package_of(package, 16_000, stores=False) as opened:  # more than sockets hold of it when the link stalls
         first = len(StreamedScene.open(opened).header)
+    part = first + 90_000  # a batch or more, also of a late server, whose batches are four times as long: about 50 kB
     with (
-        slow_link(f"ws://127.0.0.1:{port}/stream", 100_000.0, first + 40_000) as link,
+        slow_link(f"ws://127.0.0.1:{port}/stream", 100_000.0, part) as link,
         client_of(program, link.url, tmp_path) as client,
     ):
         until(lambda: client.state["kind"] == "waiting")  # nobody is there yet
