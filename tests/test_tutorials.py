@@ -58,7 +58,7 @@ def quicker(words: list[str]) -> list[str]:
 
 @pytest.fixture(autouse=True)
 def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, blank_plots: None) -> None:
-    """A small scene under the name that the pages use, no kernels in advance, few views for costs, blank plots."""
+    """A small scene under the name that the pages use, no kernels in advance, few views, coarse grids, blank plots."""
     from gsvis.prepare import PrepareConfig
 
     made = two_rooms(1000, sh_degree=1)
@@ -73,6 +73,7 @@ def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, blank_plots: None) ->
         object.__setattr__(self, "colors", replace(self.colors, views=few))
 
     monkeypatch.setattr(PrepareConfig, "__init__", smaller)
+    monkeypatch.setattr("gsvis.edit.shape._VOXELS", 1 << 18)
     monkeypatch.chdir(tmp_path)
 
 

@@ -18,7 +18,7 @@ SECTIONS = (
         "trust",
         (
             Row(
-                "Of 100,004 damaged inputs, how many crash, hang or exceed memory?",
+                "Of 100,001 damaged inputs, how many crash, hang or exceed memory?",
                 ("fuzz: fuzzing: faults",),
             ),
             Row(
@@ -47,7 +47,7 @@ SECTIONS = (
             ),
             Row(
                 "Is `make check` green ten times in a row beside load?",
-                ours="not run ten times; one whole run on two cores: 7,445 of 7,445 pass",
+                ours="not run ten times; one whole run on two cores: 8,218 of 8,218 pass",
                 target="10 of 10",
                 verdict="missed",
             ),
@@ -60,7 +60,7 @@ SECTIONS = (
             ),
             Row(
                 "How long does the suite take on two quiet cores?",
-                ours="14:14, 7,445 tests, kernels partly compiled",
+                ours="9:25, 8,218 tests, kernels compiled; about 200 s of the processor less since, not timed again",
                 target="≤ 6:00",
                 verdict="missed",
             ),

@@ -11,7 +11,7 @@ A connection is always in one phase. Each phase ends by progress, by a deadline,
 
 In every phase, a peer whose socket is full must read at a minimum rate. The guard reads the head of each request itself
 and hands over one complete request at a time; later bytes wait in the guard. Bytes of a WebSocket go to its parser in
-slices, one in each turn of the event loop, so that a burst of small frames keeps no other viewer waiting.
+slices, for a short time in each turn of the event loop, so that a burst of small frames keeps no other viewer waiting.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ import struct
 import sys
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Protocol
 
@@ -36,13 +36,14 @@ from gsvis.serve._log import EventLog
 from gsvis.serve.clock import Clock, Timer
 from gsvis.serve.limits import Limits
 from gsvis.serve.metrics import Metrics
+from gsvis.serve.turns import Readings
 
 __all__ = ["Guard", "Means", "Phase", "Wire"]
 
 _AT_ONCE = struct.pack("ii", 1, 0)  # linger for 0 seconds
 _MOST_PENDING = 1 << 20  # most bytes that wait for a viewer, with answers to pings; or four batches, if more
 _PACE = 1 << 10  # least bytes that a peer must read in `stall_s`
-_SLICE = 1 << 12  # most bytes of a WebSocket that are parsed in one turn; 5,000 empty frames take 50 ms
+_SLICE = 1 << 9  # most bytes of a WebSocket that are parsed in one go; 5,000 empty frames take 50 ms
 _LOOK_S = 1.0  # seconds between checks whether an answer has been sent
 
 _numbers = itertools.count()
@@ -68,12 +69,14 @@ class Means:
         clock: Clock of the deadlines.
         log: Log of events.
         metrics: Counters of events.
+        readings: Turns in which bursts are parsed.
     """
 
     limits: Limits
     clock: Clock
     log: EventLog
     metrics: Metrics
+    readings: Readings = field(default_factory=Readings)
 
 
 class _Inner(Protocol):
@@ -146,7 +149,7 @@ class Guard(asyncio.Protocol):
         gone: Callable[[Guard], object],
     ) -> None:  # fmt: skip
         self._sock, self.peer, self._limits, self._clock = sock, peer, means.limits, means.clock
-        self._log, self._metrics = means.log, means.metrics
+        self._log, self._metrics, self._readings = means.log, means.metrics, means.readings
         self._make, self._seen, self._gone = inner, seen, gone
         self.address, self.owner, self.is_cut = peer[0], owner_of(peer[0]), False
         self._transport: Any = None
@@ -402,22 +405,23 @@ class Guard(asyncio.Protocol):
         if not self._is_feeding:
             self._is_feeding = True
             self._transport.pause_reading()
-            asyncio.get_running_loop().call_soon(self._feed_slice)
+            self._readings.add(self._feed_slice)
 
-    def _feed_slice(self) -> None:
+    def _feed_slice(self) -> bool:
+        """Hand over a slice; return whether there is more."""
         if self._has_ended():
-            return
+            return False
         data = bytes(self._buffer[:_SLICE])
         del self._buffer[:_SLICE]
         self._hand_over(data)
         if self._has_ended():
-            return
+            return False
         if self._buffer:
-            asyncio.get_running_loop().call_soon(self._feed_slice)
-            return
+            return True
         self._is_feeding = False
         if not self._is_held:
             self._transport.resume_reading()
+        return False
 
     def _has_ended(self) -> bool:
         return self._is_over or self.is_cut

@@ -29,12 +29,13 @@ class Blocked:
 
 
 def make_quick() -> None:
-    """Compile nothing ahead, draw few pixels, and let a server end as soon as it runs."""
+    """Compile nothing ahead, draw few pixels, count few voxels, and let a server end as soon as it runs."""
     from dataclasses import replace
 
     import gsvis.cli.analyze as analyze
     import gsvis.cli.kernels as kernels
     import gsvis.cli.terminal as terminal
+    import gsvis.edit.shape as shape
     from gsvis.prepare import PrepareConfig
     from gsvis.serve import Server
 
@@ -42,6 +43,7 @@ def make_quick() -> None:
         setattr(kernels, name, lambda config, status: None)
     terminal._QUIET = float("inf")
     analyze.PICTURE = 24
+    shape._VOXELS = 1 << 16
     before = PrepareConfig.__init__
     serve = Server.run
     few = replace(PrepareConfig().cost_views, count=1, width=24, height=20)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,14 @@ from tests.edit.worlds import dirty_room
 
 BOX = ["--box", "0.3", "0.3", "0.3", "2", "4.7", "2.7"]
 QUICK = [*BOX, "--eyes", "3", "--held-out", "2"]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_voxels() -> Iterator[None]:
+    """Look at the grids of so small a scene coarsely; what finer ones show is tested in tests/edit."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gsvis.edit.shape._VOXELS", 1 << 19)
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -94,7 +94,7 @@ def test_a_log_of_objects(package: Path) -> None:
     with process(package, "--port", 0, "--log-format", "json") as (running, url):
         patient(url, package)
         running.send_signal(signal.SIGTERM)
-        _, said = running.communicate(timeout=60)
+        _, said = running.communicate(timeout=PATIENCE)
     lines = [json.loads(line) for line in said.splitlines()]
     assert {"ready", "listening", "accepted", "opened", "closed", "stopped"} <= {line["event"] for line in lines}
     (closed,) = (line for line in lines if line["event"] == "closed")

@@ -14,6 +14,7 @@ import pytest
 from gsvis.export import StreamedOptions, write_streamed_sog
 from tests.export.test_needs import store_of, two_heaps
 from tests.export.test_streamed import sidecar_of
+from tests.serve.servers import PATIENCE
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "streamed"
 SCRIPT = """
@@ -36,7 +37,7 @@ def run(tmp_path: Path, folder: Path, eyes: list[Any]) -> dict[str, Any]:
         pytest.skip("no node: install Node.js 18 or later")
     script = tmp_path / "run.mjs"
     script.write_text(SCRIPT.replace("MODULE", (EXAMPLE / "needed-leaves.js").as_uri()))
-    done = subprocess.run([node, script, folder, json.dumps(eyes)], capture_output=True, text=True, timeout=60)
+    done = subprocess.run([node, script, folder, json.dumps(eyes)], capture_output=True, text=True, timeout=PATIENCE)
     assert done.returncode == 0, done.stderr
     found: dict[str, Any] = json.loads(done.stdout)
     return found

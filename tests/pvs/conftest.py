@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from multiprocessing import get_all_start_methods, get_context
+
 import pytest
 
 from gsvis.pvs.build import build_pvs
@@ -9,6 +12,22 @@ from gsvis.pvs.cells import CellGrid
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.procedural import two_rooms
 from tests.pvs.jobs import CONFIG, Job
+
+
+@pytest.fixture(scope="session", autouse=True)
+def warm_processes() -> Iterator[None]:
+    """Fork the processes of pools from one that has imported what they need and started no thread.
+
+    To import it anew is most of what they cost here; `tests/cli/test_pvs.py` has pools as they are.
+    """
+    if "forkserver" not in get_all_start_methods():  # Windows
+        yield
+        return
+    context = get_context("forkserver")
+    context.set_forkserver_preload(["gsvis.pvs._workers", "gsvis.pvs.build"])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gsvis.pvs._workers.get_context", lambda method: context)
+        yield
 
 
 @pytest.fixture(scope="session")

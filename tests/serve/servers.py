@@ -201,11 +201,17 @@ def give_up(url: str, config: ClientConfig | None = None) -> None:
 
 
 class SlowLink:
-    """A link between clients and a server, of a rate, that can be held up; it may stall by itself after some bytes."""
+    """A link between clients and a server, of a rate, that can be held up; it may stall by itself, once.
+
+    Args:
+        url: Address of the server.
+        bytes_per_s: Rate.
+        most_bytes: Bytes of one connection after which it stalls; what earlier ones brought may have been lost.
+    """
 
     def __init__(self, url: str, bytes_per_s: float, most_bytes: float = float("inf")) -> None:
         parts = urlsplit(url)
-        self._to, self._rate, self._left = (parts.hostname, parts.port), bytes_per_s, most_bytes
+        self._to, self._rate, self._most = (parts.hostname, parts.port), bytes_per_s, most_bytes
         self._listener = socket.create_server(("127.0.0.1", 0))
         self.url = f"ws://127.0.0.1:{self._listener.getsockname()[1]}{parts.path}"
         self._open, self.is_free = threading.Event(), False
@@ -245,19 +251,26 @@ class SlowLink:
             try:
                 far.connect(self._to)
             except OSError:  # nobody there just now
-                near.close()
+                near.settimeout(PATIENCE)
+                threading.Thread(target=self._turn_away, args=(near,), daemon=True).start()
                 far.close()
                 continue
             for source, sink, is_down in ((near, far, False), (far, near, True)):
                 source.settimeout(None)
                 threading.Thread(target=self._carry, args=(source, sink, is_down), daemon=True).start()
 
+    def _turn_away(self, near: socket.socket) -> None:
+        """End a connection once its request is here: node says nothing of one that ends before."""
+        with suppress(OSError), near:
+            near.recv(1 << 16)
+
     def _carry(self, source: socket.socket, sink: socket.socket, is_down: bool) -> None:
+        carried = 0
         try:
             while data := source.recv(4096):
-                self._left -= len(data) if is_down else 0
-                if self._left < 0:
-                    self._left = float("inf")
+                carried += len(data) if is_down else 0
+                if carried > self._most:
+                    self._most = float("inf")
                     self.stall()
                 time.sleep(len(data) / self._rate)
                 self._open.wait()

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 
-from gsvis.serve.turns import Turns
+from gsvis.serve.turns import Readings, Turns
 
 
 def test_the_loop_runs_between_two_turns() -> None:
@@ -60,3 +61,68 @@ def test_who_asks_alone_need_not_wait() -> None:
         return False
 
     assert asyncio.run(main())
+
+
+class Costs:
+    """A clock that stands still but for what reading takes."""
+
+    def __init__(self) -> None:
+        self.now, self.read = 0.0, list[str]()
+
+    def measure(self) -> float:
+        return self.now
+
+    def reader(self, name: str, cost: float, slices: int) -> Callable[[], bool]:
+        """Return a function that reads so many slices, each for `cost` seconds."""
+        left = [slices]
+
+        def read() -> bool:
+            self.now += cost
+            self.read.append(name)
+            left[0] -= 1
+            return left[0] > 0
+
+        return read
+
+
+def test_readers_share_time_and_not_slices() -> None:
+    async def main() -> None:
+        costs = Costs()
+        readings = Readings(costs.measure)
+        readings.add(costs.reader("slow", 0.001, 100))
+        readings.add(costs.reader("quick", 0.00001, 100))
+        turns = 0
+        while "quick" not in costs.read or costs.read.count("quick") < 100:
+            before = costs.now
+            await asyncio.sleep(0)
+            assert costs.now - before < 0.0035  # between two looks at the sockets: 2 ms, and the last slice
+            turns += 1
+        assert costs.read.count("slow") <= 4
+        assert turns <= 3
+        while costs.read.count("slow") < 100:
+            await asyncio.sleep(0)
+        assert readings._waiting == type(readings._waiting)()
+
+    asyncio.run(main())
+
+
+def test_a_reader_that_fails_ends_alone() -> None:
+    async def main() -> None:
+        costs, failed = Costs(), []
+        asyncio.get_running_loop().set_exception_handler(lambda loop, about: failed.append(about["exception"]))
+        readings = Readings(costs.measure)
+
+        def fails() -> bool:
+            raise RuntimeError("no")
+
+        readings.add(fails)
+        readings.add(costs.reader("other", 0.001, 9))
+        for _ in range(20):
+            await asyncio.sleep(0)
+        assert costs.read == ["other"] * 9
+        assert [str(error) for error in failed] == ["no"]
+        readings.add(costs.reader("later", 0.001, 1))
+        await asyncio.sleep(0)
+        assert costs.read[-1] == "later"
+
+    asyncio.run(main())

@@ -10,6 +10,7 @@ import pytest
 from gsvis.export import StaticOptions, write_html, write_site
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.procedural import two_rooms
+from tests.serve.servers import PATIENCE
 from tests.stream.worlds import package_of
 from tests.viewer.browser import browser_page, chromium, served, viewer_files
 
@@ -22,7 +23,7 @@ def scene() -> Gaussians:
 
 
 def wait_for(page: Any, text: str) -> None:
-    page.wait_for_function("text => document.body.textContent.includes(text)", arg=text, timeout=60_000)
+    page.wait_for_function("text => document.body.textContent.includes(text)", arg=text, timeout=1000 * PATIENCE)
 
 
 def test_a_site_shows_its_scene_from_a_server_without_ranges(scene: Gaussians, tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import io
 import os
 import shutil
 import subprocess
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -24,6 +25,7 @@ from gsvis.render import psnr, rasterize
 from gsvis.scene.cameras import Cameras
 from tests.export.test_needs import store_of, two_heaps
 from tests.package.worlds import levels_of
+from tests.serve.servers import PATIENCE
 from tests.viewer.browser import browser_page, chromium, served
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "streamed"
@@ -69,14 +71,14 @@ PLAYERS = [("playcanvas.html", ("playcanvas",)), ("spark.html", ("@sparkjsdev/sp
 def test_a_page_draws_what_the_cell_needs(name: str, packages: tuple[str, ...], scene: Path, tmp_path: Path) -> None:
     with page_of(name, tmp_path, scene, LEFT, *packages) as (page, said):
         ready = "cell => globalThis.streamed?.complete && String(streamed.cell) === cell"
-        page.wait_for_function(ready, arg="0,0,0", timeout=120_000)
+        page.wait_for_function(ready, arg="0,0,0", timeout=1000 * PATIENCE)
         state = page.evaluate("globalThis.streamed")
         assert (state["needed"], state["leaves"], state["drawn"], state["failed"]) == (1, 2, 200, [])
         assert state["held"] == 400  # what the neighbor needs has come too
         assert page.title().startswith("Heaps")
         wait_for_picture(page, scene)
         page.keyboard.down("KeyS")  # backwards, into the next cell
-        page.wait_for_function(ready, arg="1,0,0", timeout=120_000)
+        page.wait_for_function(ready, arg="1,0,0", timeout=1000 * PATIENCE)
         page.keyboard.up("KeyS")
         assert page.evaluate("[streamed.needed, streamed.drawn]") == [2, 400]
         assert said == []
@@ -89,7 +91,8 @@ def wait_for_picture(page: Any, scene: Path) -> None:
     wanted = np.clip(rasterize(load_scene(scene / "lod-meta.json"), camera).images[0], 0.0, 1.0)
     rows = slice(0, 200)  # above the line of text
     found = 0.0
-    for _ in range(60):
+    end = time.monotonic() + PATIENCE
+    while time.monotonic() < end:
         shot = np.asarray(Image.open(io.BytesIO(page.screenshot())).convert("RGB"), np.float64) / 255.0
         found = float(psnr(shot[rows], wanted[rows]))
         if found > 25.0:
@@ -100,7 +103,7 @@ def wait_for_picture(page: Any, scene: Path) -> None:
 
 def test_the_engine_alone_loads_everything_without_a_message(scene: Path, tmp_path: Path) -> None:
     with page_of("playcanvas.html", tmp_path, scene, f"plain=1&{RIGHT}", "playcanvas") as (page, said):
-        page.wait_for_function("globalThis.app?.stats.frame.gsplats === 400", timeout=120_000)
+        page.wait_for_function("globalThis.app?.stats.frame.gsplats === 400", timeout=1000 * PATIENCE)
         assert said == []
 
 
@@ -108,7 +111,7 @@ def test_a_missing_sidecar_is_named(scene: Path, tmp_path: Path) -> None:
     shutil.copytree(scene, tmp_path / "cut")
     next((tmp_path / "cut").glob("leaves-*.bin")).unlink()
     with page_of("playcanvas.html", tmp_path, tmp_path / "cut", LEFT, "playcanvas") as (page, said):
-        page.wait_for_function("document.querySelector('p').textContent.includes('404')", timeout=60_000)
+        page.wait_for_function("document.querySelector('p').textContent.includes('404')", timeout=1000 * PATIENCE)
         assert any("404" in each for each in said)
 
 
@@ -121,7 +124,7 @@ def test_splat_transform_reads_the_same_numbers(tmp_path: Path) -> None:
     for lod in range(3):
         out = tmp_path / f"{lod}.ply"
         words = [node, command, "-q", "-g", "cpu", tmp_path / "s" / "lod-meta.json", "-L", str(lod), out]
-        done = subprocess.run(words, capture_output=True, text=True, timeout=120)
+        done = subprocess.run(words, capture_output=True, text=True, timeout=PATIENCE)
         assert done.returncode == 0, done.stderr
         ours, theirs = load_scene(tmp_path / "s" / "lod-meta.json", lod=lod), load_scene(out)
         ours = ours[: len(theirs)]  # without the environment

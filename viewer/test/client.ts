@@ -16,6 +16,13 @@ import type { Batch, Header } from "../src/core/types.ts";
 
 const say = (event: Record<string, unknown>) => process.stdout.write(`${JSON.stringify(event)}\n`);
 
+/** A WebSocket that closes when it could not connect, as in a browser: node 20 only tells of the error. */
+function connect(url: string): Socket {
+  const socket = new WebSocket(url) as unknown as Socket & EventTarget;
+  socket.addEventListener("error", () => socket.onclose?.({ code: 1006, reason: "" } as CloseEvent));
+  return socket;
+}
+
 /** A Worker of this thread: what passes is copied or moved as between threads. */
 function nearWorker(): Worker {
   const worker = {
@@ -26,7 +33,7 @@ function nearWorker(): Worker {
     const data = structuredClone(report, { transfer });
     worker.onmessage?.({ data } as MessageEvent<Report>);
   };
-  const take = host(post, (url) => new WebSocket(url) as unknown as Socket, REAL_CLOCK);
+  const take = host(post, connect, REAL_CLOCK);
   return worker as unknown as Worker;
 }
 
