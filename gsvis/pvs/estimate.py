@@ -151,7 +151,7 @@ def _try_cells(work: Work, least: int, progress: Progress) -> _Tried:
     shared, tried, start = work.shared, _Tried(), _clock()
     while tried.cells < least or (tried.cells < len(some) and _clock() - start < _BUDGET):
         cell, began = some[tried.cells], _clock()
-        sightings = [finder.look(shared.points[k], lower=bool(shared.lower[k])) for k in shared.of_cell(cell).tolist()]
+        sightings = [finder.look(shared.points[k], fine=bool(shared.fine[k])) for k in shared.of_cell(cell).tolist()]
         middle = _clock()
         view = finder.find_cell(work.viewpoints.voxels(cell), sightings)
         tried.looking += middle - began
