@@ -1,6 +1,6 @@
 """Do images from visible sets match the full scene, at the size of a display?
 
-The cells are drawn, and their sets built, as in `pvs_quality.py`; the eyes and the directions of the images are the same.
+Cells are drawn, and their sets built, as in `pvs_quality.py`; the eyes and the directions of the images are the same.
 Each image is drawn from the set and from the full scene, at 480 x 360 and at 1,920 x 1,080 pixels of 70 degrees, values
 clipped to [0, 1] as a display does. The light that a set keeps is measured on faces of `--size` pixels.
 
@@ -57,11 +57,13 @@ def main() -> None:
     space = NavigableSpace.from_scene(g)
     whole = CellGrid.over(space, max_cells=options.max_cells)
     grid = drawn(whole, options.cells, options.seed)
-    with tempfile.TemporaryDirectory() as folder:
-        with build_pvs(g, grid, space, Path(folder) / "drawn.pvs", progress=said) as store:
-            found = measure(store, g, CellViewpoints(grid, space), options)
-            details = {"gaussians": len(g), "cells": len(grid), "cells_of_the_grid": len(whole), "found": found}
-            details |= {"build": dict(store.info.config), "inner": store.certificates.inner}
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        build_pvs(g, grid, space, Path(folder) / "drawn.pvs", progress=said) as store,
+    ):
+        found = measure(store, g, CellViewpoints(grid, space), options)
+        details = {"gaussians": len(g), "cells": len(grid), "cells_of_the_grid": len(whole), "found": found}
+        details |= {"build": dict(store.info.config), "inner": store.certificates.inner}
     write_result(options.out, QUESTION, list_figures(found), details)
 
 

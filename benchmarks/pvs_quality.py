@@ -11,7 +11,7 @@ With `--store` a finished store is measured. Without, only the drawn cells of th
 same.
 
 Given: showroom LOD 3, its cells, sets built as `gsvis pvs` builds them.
-Measured: recall at 128 pixels a face, size over a dense union at 320, PSNR at 480 x 360 from fresh viewpoints; a finer judge finds more missing.
+Measured: recall at 128 pixels a face, size over a dense union at 320, PSNR at 480 x 360, from fresh viewpoints.
 Defaults chosen on: showroom LOD 3, the scene that is measured too, at other viewpoints.
 """
 

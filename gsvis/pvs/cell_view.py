@@ -200,26 +200,33 @@ class Finder:
     def _probe(self, voxels: FreeVoxels, sightings: Sequence[Sighting], view: _Growing) -> int:
         """Add what the points farthest from all viewpoints see and the set lacks; return the fine looks taken.
 
-        Probes are coarse looks at the highest level. Where one finds light missing, its eye looks finely.
+        Probes are coarse looks at the highest level. Where one finds light missing, its eye looks finely, and coarsely at
+        lower levels.
         """
         top, looks, clean = len(self.levels) - 1, 0, 0
-        places, certifier = self._scenes[top][1], self._certifiers[top]
+        certifier = self._certifiers[top]
         eyes = np.array([each.viewpoint for each in sightings if each.looks]).reshape(-1, 3)
         points = farthest_points(voxels, eyes, lambda some: certifier.buries(voxels, some))
         for eye in itertools.islice(points, self.config.probes):
-            ids, weights = self._looks[top](eye, size=min(_PROBE_SIZE, self.config.size), floor=_PROBE_FLOOR)
-            missing = view.best[places[ids]] < 0
-            view.add(places[ids[missing]], self._classify(weights[missing]), eye[None])
-            if weights[missing].sum() < _PROBE_LOSS:
+            if self._glance(top, eye, view) < _PROBE_LOSS:
                 clean += 1
                 if clean == _CLEAN:
                     break
                 continue
             looks, clean = looks + 1, 0
-            for level, solid in enumerate(self._solids):
+            view.add(*self._see(top, eye, floor=_FINE_FLOOR * self.config.tau), eye[None])
+            for level, solid in enumerate(self._solids[:top]):
                 if not solid.buries(eye[None])[0]:
-                    view.add(*self._see(level, eye, floor=_FINE_FLOOR * self.config.tau), eye[None])
+                    self._glance(level, eye, view)
         return looks
+
+    def _glance(self, level: int, eye: F64, view: _Growing) -> float:
+        """Add what an eye sees coarsely in a level and the set lacks; return the sum of its weights."""
+        ids, weights = self._looks[level](eye, size=min(_PROBE_SIZE, self.config.size), floor=_PROBE_FLOOR)
+        places = self._scenes[level][1][ids]
+        missing = view.best[places] < 0
+        view.add(places[missing], self._classify(weights[missing]), eye[None])
+        return float(weights[missing].sum())
 
     def _mend(self, level: int, voxels: FreeVoxels, view: _Growing) -> _Mended:
         """Certify a level of a cell and add what is missed, stage by stage."""

@@ -25,9 +25,9 @@ class PvsConfig:
     Attributes:
         method: "hybrid" (z-buffer and hidden point removal), "raster" (weights of cubemap images) or "raycast".
         tau: Weight in (0, 1) from which a Gaussian is visible.
-        size: Pixels or rays along a side of the six faces around a viewpoint; three quarters of it for up to half of the
-            shared viewpoints of a cell. Coarse pixels close gaps through which
-            finer pixels see. So do not make it much coarser than the images that a viewer shows.
+        size: Pixels or rays along a side of the six faces around a viewpoint; up to half of the shared viewpoints of a
+            cell use three quarters of it. Coarse pixels close gaps through which finer pixels see. So do not make it
+            much coarser than the images that a viewer shows.
         lower_size: The same on lower levels, whose Gaussians are larger, if it is below `size`.
         limit: A cell is finished when the upper 95% confidence bound of the share of light that its set misses is at
             most this.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import islice
+from itertools import islice, pairwise
 
 import numpy as np
 import pytest
@@ -72,5 +72,5 @@ def test_probes_never_shrink_a_set_and_add_nothing_where_nothing_is_missing() ->
     all_seen = [whole.look(point) for point in ROOM.rim()]
     assert whole.find_cell(ROOM, all_seen).figures.inner == 0
     few = [Finder(Levels.single(g), replace(CONFIG, probes=n)).find_cell(ROOM, all_seen[:1]).ids for n in (0, 2, 12)]
-    for less, more in zip(few, few[1:], strict=False):
+    for less, more in pairwise(few):
         assert np.isin(less, more).all()
