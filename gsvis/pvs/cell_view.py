@@ -200,8 +200,8 @@ class Finder:
     def _probe(self, voxels: FreeVoxels, sightings: Sequence[Sighting], view: _Growing) -> int:
         """Add what the points farthest from all viewpoints see and the set lacks; return the fine looks taken.
 
-        Probes are coarse looks at the highest level. Where one finds light missing, its eye looks finely, and coarsely at
-        lower levels.
+        Probes are coarse looks at the highest level. Where one finds light missing, its eye looks finely, and at lower
+        levels coarsely.
         """
         top, looks, clean = len(self.levels) - 1, 0, 0
         certifier = self._certifiers[top]
