@@ -95,7 +95,7 @@ def run(finder: Finder, judge: Certifier, viewpoints: CellViewpoints, cells: tup
         for k in shared.of_cell(cell).tolist():
             if k not in seen:
                 began = time.process_time()
-                seen[k] = finder.look(shared.points[k], lower=bool(shared.lower[k]))
+                seen[k] = finder.look(shared.points[k], fine=bool(shared.fine[k]))
                 trial.looking.append(time.process_time() - began)
         began = time.process_time()
         view = finder.find_cell(viewpoints.voxels(cell), [seen[k] for k in shared.of_cell(cell).tolist()])

@@ -120,7 +120,7 @@ def _check_arguments(command: Prepare) -> PrepareConfig:
         levels=levels,
         level_views=sampling,
         level_size=command.size,
-        cells=command.cells or PrepareConfig.cells,
+        cells=command.cells,
         cell_size=command.cell_size,
         sets=sets_config(size=command.face_size, limit=command.limit, max_inner=command.max_inner),
         colors=ColorConfig(fit_config(command), replace(ColorConfig.views, seed=command.seed)),

@@ -28,6 +28,7 @@ from gsvis.cli.where import check_where, find_place, kind_row, space_document, s
 from gsvis.errors import FormatError, SceneError
 from gsvis.files.limits import open_regular
 from gsvis.pvs.build import build_pvs, journal_of
+from gsvis.pvs.cell_count import fitting_cells
 from gsvis.pvs.cells import MAX_CELLS, CellGrid
 from gsvis.pvs.config import PvsConfig
 from gsvis.pvs.estimate import Estimate, estimate_pvs
@@ -172,7 +173,10 @@ def _plan(command: Pvs, config: PvsConfig, walk: HeadPath | None, status: Status
     space = place.required("say where eyes may be with --box")
     remarks = [*place.remarks, *suspect_views(source.gaussians, space)]
     size = command.cell_size
-    grid = CellGrid.over(space, max_cells=command.cells or (_CELLS if size is None else MAX_CELLS), cell_size=size)
+    if size is None:
+        grid = CellGrid.over(space, max_cells=command.cells or fitting_cells(source.gaussians, space, _CELLS))
+    else:
+        grid = CellGrid.over(space, max_cells=command.cells or MAX_CELLS, cell_size=size)
     status("space", 1, 1)
     return _Plan(source, grid, space, config, remarks)
 

@@ -35,7 +35,8 @@ class PrepareConfig:
         level_held_out: Number of further cameras that measure levels; 0 for none. With photos, every eighth photo is
             held out instead.
         level_size: Size (width, height) in pixels to shrink photos to; None keeps their size.
-        cells: Most cells. Cells are as small as this limit allows.
+        cells: Most cells. Cells are as small as this limit allows. None is 256, or a quarter of it where an eye around
+            an object sees much of it from anywhere; see `fitting_cells`.
         cell_size: Side of a cell, scene units; replaces `cells`. None uses `cells`.
         sets: Options of the visible sets.
         colors: Options of the colors.
@@ -53,7 +54,7 @@ class PrepareConfig:
     level_views: ViewSampling = _LEVEL_VIEWS
     level_held_out: int = 12
     level_size: tuple[int, int] | None = None
-    cells: int = 256
+    cells: int | None = None
     cell_size: float | None = None
     sets: PvsConfig = field(default_factory=PvsConfig)
     colors: ColorConfig = field(default_factory=ColorConfig)
@@ -64,7 +65,7 @@ class PrepareConfig:
     meters_per_unit: float = 0.0
 
     def __post_init__(self) -> None:
-        if _check.positive_int("cells", self.cells) > MAX_CELLS:
+        if self.cells is not None and _check.positive_int("cells", self.cells) > MAX_CELLS:
             raise ValueError(f"cells: expected at most {MAX_CELLS:,}, got {self.cells:,}; make them larger")
         _check.positive_int("level_held_out", self.level_held_out, at_least=0)
         if self.cell_size is not None and not (np.isfinite(self.cell_size) and self.cell_size > 0):

@@ -38,6 +38,7 @@ from gsvis.prepare.surroundings import Surroundings
 from gsvis.prepare.work_folder import WorkFolder, digest_of_folder
 from gsvis.progress import Progress
 from gsvis.pvs.build import build_pvs
+from gsvis.pvs.cell_count import fitting_cells
 from gsvis.pvs.cells import MAX_CELLS, CellGrid
 from gsvis.pvs.store import VisibilityStore
 from gsvis.pvs.workers import Workers
@@ -49,7 +50,8 @@ from gsvis.train.level_views import LevelViews, draw_views, load_photograph_view
 
 __all__ = ["StageRecord", "Stages", "around_of"]
 
-_VERSIONS = {"levels": 3, "sets": 2, "colors": 2, "cost": 2, "fidelity": 3}  # increase when results change
+_CELLS = 256  # most cells, unless configured or an object needs fewer
+_VERSIONS = {"levels": 3, "sets": 3, "colors": 2, "cost": 2, "fidelity": 3}  # increase when results change
 
 
 @dataclass(frozen=True)
@@ -139,7 +141,13 @@ class Stages:
     def grid(self) -> CellGrid:
         """Return the cells."""
         size = self.config.cell_size
-        return CellGrid.over(self.space, max_cells=self.config.cells if size is None else MAX_CELLS, cell_size=size)
+        return CellGrid.over(self.space, max_cells=self._most_cells if size is None else MAX_CELLS, cell_size=size)
+
+    @cached_property
+    def _most_cells(self) -> int:
+        """Most cells, as configured or chosen."""
+        scene = self.scene if isinstance(self.scene, Gaussians) else self.scene.level(len(self.scene) - 1)
+        return self.config.cells or fitting_cells(scene, self.space, _CELLS)
 
     def sets_name(self, levels: Levels, grid: CellGrid) -> str:
         """Return the name of the file of visible sets."""

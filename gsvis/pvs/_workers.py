@@ -112,15 +112,15 @@ class SceneArrays:
 
 @dataclass(frozen=True, eq=False)
 class ViewpointTask:
-    """A viewpoint (3,) to look from, its number, and whether it looks at lower levels too."""
+    """A viewpoint (3,) to look from, its number, and whether it looks finely and at lower levels too."""
 
     number: int
     viewpoint: Any
-    lower: bool
+    fine: bool
 
     def perform(self, finder: Finder) -> bytes:
         """Return the packed sighting."""
-        return pack_sighting(finder.look(np.asarray(self.viewpoint), lower=self.lower))
+        return pack_sighting(finder.look(np.asarray(self.viewpoint), fine=self.fine))
 
 
 @dataclass(frozen=True, eq=False)

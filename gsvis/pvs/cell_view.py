@@ -8,6 +8,7 @@ all cells. Scene frame and units; ids are those of the union of levels.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -19,6 +20,7 @@ from gsvis.pvs._kernels import cell as kernels
 from gsvis.pvs.certificate import Certificate, CertificateConfig, Certifier
 from gsvis.pvs.config import PvsConfig
 from gsvis.pvs.look import Look
+from gsvis.pvs.probes import farthest_points
 from gsvis.pvs.tiles import probe_tiles
 from gsvis.pvs.viewpoints import FreeVoxels
 from gsvis.raycast.directions import NUM_FACES, face_planes
@@ -37,6 +39,12 @@ _TILES = 8  # worst rays whose tiles are traced
 _LOOKED = 0.1  # part of the limit that the estimate must exceed for a look; below, more rays prove more than looks find
 _MORE_RAYS = 16  # largest factor by which rays are more where few meet something
 _TURNS = 4  # most probes of these tiles in one stage
+_COARSE = 0.75  # size of faces over that of fine looks, for up to half of the shared viewpoints of a cell
+_PROBE_SIZE = 128  # pixels along a side of the faces of a probe
+_PROBE_FLOOR = 0.05  # least weight of a missing Gaussian that a probe counts
+_PROBE_LOSS = 0.3  # sum of these weights from which the eye looks finely
+_FINE_FLOOR = 4.0  # least weight, over tau, of what a fine look after a probe adds: a set should stay small
+_CLEAN = 4  # probes in a row that find nothing, after which there are no more
 _CHECKED = 8  # rays of a cell that a second tracer may trace again
 
 
@@ -133,14 +141,13 @@ class Finder:
             self._see(level, eye)
             certifier.tracer.contributions(eye[None], [[1.0, 0.0, 0.0]])
 
-    def look(self, viewpoint: F64, *, lower: bool = True) -> Sighting:
-        """Return what a viewpoint (3,) sees in the highest level, and in lower ones where `lower`, each drawn alone."""
+    def look(self, viewpoint: F64, *, fine: bool = True) -> Sighting:
+        """Return what a viewpoint (3,) sees in each level drawn alone; unless `fine`, coarsely in the highest alone."""
         best = np.full(len(self.levels.union), -1, np.int8)
         looks, top = 0, len(self.levels) - 1
-        for level in range(0 if lower else top, top + 1):
+        for level in range(0 if fine else top, top + 1):
             if not self._solids[level].buries(viewpoint[None])[0]:
-                size = self.config.size if level == top else min(self.config.size, self.config.lower_size)
-                ids, classes = self._see(level, viewpoint, size)
+                ids, classes = self._see(level, viewpoint, fine=fine)
                 best[ids] = np.maximum(best[ids], classes)
                 looks += 1
         found = np.flatnonzero(best >= 0)
@@ -157,7 +164,7 @@ class Finder:
         for sighting in sightings:
             view.add(sighting.ids, sighting.classes.view(np.int8), sighting.viewpoint[None])
         shared = sum(sighting.looks > 0 for sighting in sightings)
-        inner, rays, checked = 0, 0, np.zeros((0, 6))
+        inner, rays, checked = self._probe(voxels, sightings, view), 0, np.zeros((0, 6))
         missed, bound, tile = (np.full(len(self.levels), np.nan) for _ in range(3))
         for level in reversed(range(len(self.levels))):
             found = self._mend(level, voxels, view)
@@ -175,13 +182,51 @@ class Finder:
         figures = Figures(shared + inner, inner, rays, *worst)
         return CellView(ids.astype(np.int32), view.best[ids].astype(np.uint8), view.sets[ids], figures, checked)
 
-    def _see(self, level: int, viewpoint: F64, size: int | None = None) -> tuple[I64, NDArray[np.int8]]:
+    def _see(
+        self, level: int, viewpoint: F64, *, fine: bool = True, floor: float | None = None
+    ) -> tuple[I64, NDArray[np.int8]]:
         """Return the union ids that a viewpoint sees in a level, and their classes."""
-        ids, weights = self._looks[level](viewpoint, size=size)
+        size = self.config.size
+        if level < len(self.levels) - 1:
+            size = min(size, self.config.lower_size)
+        elif not fine:
+            size = max(4, round(_COARSE * size))
+        ids, weights = self._looks[level](viewpoint, size=size, floor=floor)
         return self._scenes[level][1][ids], self._classify(weights)
 
     def _classify(self, weights: F32) -> NDArray[np.int8]:
         return (np.searchsorted(self._edges, weights, side="right") - 1).astype(np.int8)
+
+    def _probe(self, voxels: FreeVoxels, sightings: Sequence[Sighting], view: _Growing) -> int:
+        """Add what the points farthest from all viewpoints see and the set lacks; return the fine looks taken.
+
+        Probes are coarse looks at the highest level. Where one finds light missing, its eye looks finely, and at lower
+        levels coarsely.
+        """
+        top, looks, clean = len(self.levels) - 1, 0, 0
+        certifier = self._certifiers[top]
+        eyes = np.array([each.viewpoint for each in sightings if each.looks]).reshape(-1, 3)
+        points = farthest_points(voxels, eyes, lambda some: certifier.buries(voxels, some))
+        for eye in itertools.islice(points, self.config.probes):
+            if self._glance(top, eye, view) < _PROBE_LOSS:
+                clean += 1
+                if clean == _CLEAN:
+                    break
+                continue
+            looks, clean = looks + 1, 0
+            view.add(*self._see(top, eye, floor=_FINE_FLOOR * self.config.tau), eye[None])
+            for level, solid in enumerate(self._solids[:top]):
+                if not solid.buries(eye[None])[0]:
+                    self._glance(level, eye, view)
+        return looks
+
+    def _glance(self, level: int, eye: F64, view: _Growing) -> float:
+        """Add what an eye sees coarsely in a level and the set lacks; return the sum of its weights."""
+        ids, weights = self._looks[level](eye, size=min(_PROBE_SIZE, self.config.size), floor=_PROBE_FLOOR)
+        places = self._scenes[level][1][ids]
+        missing = view.best[places] < 0
+        view.add(places[missing], self._classify(weights[missing]), eye[None])
+        return float(weights[missing].sum())
 
     def _mend(self, level: int, voxels: FreeVoxels, view: _Growing) -> _Mended:
         """Certify a level of a cell and add what is missed, stage by stage."""

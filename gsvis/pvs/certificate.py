@@ -162,6 +162,12 @@ class Certifier:
         self._solid = Solid.from_scene(tracer.proxies.gaussians)
         self._near: tuple[FreeVoxels | None, Solid] = None, self._solid  # the last cell, and what is solid near it
 
+    def buries(self, voxels: FreeVoxels, points: F64) -> NDArray[np.bool_]:
+        """Return which points (P, 3) of a cell lie inside something solid."""
+        if self._near[0] is not voxels:
+            self._near = voxels, self._solid.near(*voxels.bounds())
+        return self._near[1].buries(points)
+
     def certify(
         self,
         voxels: FreeVoxels,
@@ -250,12 +256,10 @@ class Certifier:
 
     def _origins(self, voxels: FreeVoxels, count: int, rng: np.random.Generator) -> F64 | None:
         """Return (count, 3) free points of a cell outside everything solid; None if too few are found."""
-        if self._near[0] is not voxels:
-            self._near = voxels, self._solid.near(*voxels.bounds())
         found = np.zeros((0, 3))
         for _ in range(_TRIES):
             points = voxels.draw(count, rng)
-            found = np.concatenate([found, points[~self._near[1].buries(points)]])
+            found = np.concatenate([found, points[~self.buries(voxels, points)]])
             if len(found) >= count:
                 return found[:count]
         return None

@@ -25,15 +25,18 @@ class PvsConfig:
     Attributes:
         method: "hybrid" (z-buffer and hidden point removal), "raster" (weights of cubemap images) or "raycast".
         tau: Weight in (0, 1) from which a Gaussian is visible.
-        size: Pixels or rays along a side of the six faces around a viewpoint. Coarse pixels close gaps through which
-            finer pixels see. So do not make it much coarser than the images that a viewer shows.
-        lower_size: The same for shared viewpoints on lower levels, whose Gaussians are larger, if it is below `size`.
+        size: Pixels or rays along a side of the six faces around a viewpoint; up to half of the shared viewpoints of a
+            cell use three quarters of it. Coarse pixels close gaps through which finer pixels see. So do not make it
+            much coarser than the images that a viewer shows.
+        lower_size: The same on lower levels, whose Gaussians are larger, if it is below `size`.
         limit: A cell is finished when the upper 95% confidence bound of the share of light that its set misses is at
             most this.
         tile_limit: And when no tile of 16 x 16 pixels around the worst rays misses more light than this.
         rays: Most rays of a certificate.
         max_inner: Most times that a set is mended and certified again. A set that is still above the limits is kept,
             with its bound.
+        probes: Most coarse looks at the highest level from the points of a cell that are farthest from its viewpoints.
+            Where one finds light missing, its eye looks at `size`. 0 for none.
         class_ratio: Lowest weight of a class over that of the class below. The lowest class begins at tau.
     """
 
@@ -45,6 +48,7 @@ class PvsConfig:
     tile_limit: float = 0.1
     rays: int = 8192
     max_inner: int = 16
+    probes: int = 12
     class_ratio: float = 4.0
 
     def __post_init__(self) -> None:
@@ -59,7 +63,7 @@ class PvsConfig:
         ):
             if not low <= value <= high:
                 raise ValueError(f"{name}: expected a value in [{low:g}, {high:g}], got {value!r}")
-        for name, least in (("size", 1), ("lower_size", 1), ("rays", 1), ("max_inner", 0)):
+        for name, least in (("size", 1), ("lower_size", 1), ("rays", 1), ("max_inner", 0), ("probes", 0)):
             _check.positive_int(name, getattr(self, name), at_least=least)
 
     @property

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -109,8 +109,11 @@ def estimate_pvs(
     seen, finished = work.find_kept()
     tried = _try_cells(work, min(sample, cells), progress)
     viewpoints = len(work.shared)
-    looking, finding = tried.looking / tried.looks, tried.finding / tried.cells
-    seconds = looking * (viewpoints - len(seen)) + finding * (cells - len(finished))
+    left = np.ones(viewpoints, bool)
+    left[seen] = False
+    fine = int(np.count_nonzero(left & work.shared.fine))
+    seconds = fine * tried.of_look(fine=True) + (int(left.sum()) - fine) * tried.of_look(fine=False)
+    seconds += tried.finding / tried.cells * (cells - len(finished))
     processes = count > 1 and workers.executor is None
     rest = (2.0 * _START if processes else 0.0) + _CHECK + _CHECK_PER_GAUSSIAN * levels.counts[-1]
     return Estimate(
@@ -134,12 +137,20 @@ class _Tried:
     """What it cost to look from the viewpoints of some cells, and to find these cells' sets, in seconds and bytes."""
 
     cells: int = 0
-    looks: int = 0
-    looking: float = 0.0
+    looking: tuple[list[float], list[float]] = field(default_factory=lambda: ([], []))  # coarse looks, fine ones
     finding: float = 0.0
     held: int = 0
     kept: int = 0
     visible: int = 0
+
+    @property
+    def looks(self) -> int:
+        """Looks taken."""
+        return sum(map(len, self.looking))
+
+    def of_look(self, *, fine: bool) -> float:
+        """Return the seconds of a look, fine or not; of all looks if there was none of this kind."""
+        return float(np.mean(self.looking[fine] or [*self.looking[0], *self.looking[1]]))
 
 
 def _try_cells(work: Work, least: int, progress: Progress) -> _Tried:
@@ -151,13 +162,14 @@ def _try_cells(work: Work, least: int, progress: Progress) -> _Tried:
     shared, tried, start = work.shared, _Tried(), _clock()
     while tried.cells < least or (tried.cells < len(some) and _clock() - start < _BUDGET):
         cell, began = some[tried.cells], _clock()
-        sightings = [finder.look(shared.points[k], lower=bool(shared.lower[k])) for k in shared.of_cell(cell).tolist()]
-        middle = _clock()
+        sightings = []
+        for k in shared.of_cell(cell).tolist():
+            sightings.append(finder.look(shared.points[k], fine=bool(shared.fine[k])))
+            began, before = _clock(), began
+            tried.looking[bool(shared.fine[k])].append(began - before)
         view = finder.find_cell(work.viewpoints.voxels(cell), sightings)
-        tried.looking += middle - began
-        tried.finding += _clock() - middle
+        tried.finding += _clock() - began
         tried.cells += 1
-        tried.looks += len(sightings)
         tried.held += sum(len(pack_sighting(each)) for each in sightings)
         tried.kept += len(pack_view(view))
         tried.visible += len(view.ids)

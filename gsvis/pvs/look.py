@@ -27,7 +27,7 @@ I64 = NDArray[np.int64]
 Sight = tuple[I64, F32]
 """Ids (K,) of the Gaussians found, ascending, and their largest weights (K,)."""
 
-_See = Callable[[F64, int], Sight]
+_See = Callable[[F64, int, float], Sight]
 
 
 class Look:
@@ -49,30 +49,30 @@ class Look:
         if not (g.opacities >= MIN_ALPHA).any():
             raise SceneError("the scene has no Gaussian with an opacity of at least 1/255: there is nothing to see")
         self.gaussians, self.size, self.floor = g, size, floor
-        self._see = {"hybrid": _hybrid, "raster": _raster, "raycast": _raycast}[method](g, floor)
+        self._see = {"hybrid": _hybrid, "raster": _raster, "raycast": _raycast}[method](g)
 
-    def __call__(self, viewpoint: F64, *, size: int | None = None) -> Sight:
-        """Return what an eye at `viewpoint` (3,) sees; `size` replaces that of the faces."""
-        return self._see(viewpoint, size or self.size)
+    def __call__(self, viewpoint: F64, *, size: int | None = None, floor: float | None = None) -> Sight:
+        """Return what an eye at `viewpoint` (3,) sees; `size` and `floor` replace those of the scene."""
+        return self._see(viewpoint, size or self.size, floor or self.floor)
 
 
-def _hybrid(g: Gaussians, floor: float) -> _See:
+def _hybrid(g: Gaussians) -> _See:
     from gsvis.hpr import Splats, hybrid
 
     splats = Splats.from_gaussians(g)
 
-    def see(viewpoint: F64, size: int) -> Sight:
+    def see(viewpoint: F64, size: int, floor: float) -> Sight:
         seen = hybrid(g, splats, viewpoint, size=size, tau=floor)
         return seen.ids, seen.weights
 
     return see
 
 
-def _raster(g: Gaussians, floor: float) -> _See:
+def _raster(g: Gaussians) -> _See:
     from gsvis.render import view_weights
     from gsvis.scene.cameras import Cameras
 
-    def see(viewpoint: F64, size: int) -> Sight:
+    def see(viewpoint: F64, size: int, floor: float) -> Sight:
         largest = view_weights(g, Cameras.cubemap(viewpoint[None], size)).largest.max(axis=0)
         ids = np.flatnonzero(largest >= floor)
         return ids, largest[ids]
@@ -80,12 +80,12 @@ def _raster(g: Gaussians, floor: float) -> _See:
     return see
 
 
-def _raycast(g: Gaussians, floor: float) -> _See:
+def _raycast(g: Gaussians) -> _See:
     from gsvis.raycast import EllipsoidProxies, Tracer, visible_from
 
     tracer = Tracer(EllipsoidProxies.from_scene(g))
 
-    def see(viewpoint: F64, size: int) -> Sight:
+    def see(viewpoint: F64, size: int, floor: float) -> Sight:
         largest = visible_from(tracer, viewpoint[None], size=size)[0]
         ids = np.flatnonzero(largest >= floor)
         return ids, largest[ids]

@@ -235,7 +235,8 @@ class _Meter:
         ever = np.zeros(len(g), bool)
         if config.dense:
             around = self.eyes(cell, config.dense, _DENSE)
-            ever = dense_union(g, eyes if around is None else around, store.tau, size=config.size, progress=progress)
+            eyes_of_all, size = eyes if around is None else around, config.dense_size or config.size
+            ever = dense_union(g, eyes_of_all, store.tau, size=size, progress=progress)
         union = np.flatnonzero(ever)
         shared = int(np.count_nonzero(held[union]))
         shape = {"width": config.width, "height": config.height, "fov": config.fov}

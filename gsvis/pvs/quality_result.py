@@ -45,6 +45,7 @@ class QualityConfig:
         viewpoints: Fresh viewpoints in each cell.
         size: Pixels along a side of the six faces around a viewpoint.
         dense: Viewpoints of the dense union that a set is compared with; 0 for no dense union.
+        dense_size: Pixels along a side of the six faces around each of them; None takes `size`.
         width: Width of the images, pixels.
         height: Height of the images, pixels.
         fov: Horizontal field of view of the images, degrees.
@@ -58,6 +59,7 @@ class QualityConfig:
     viewpoints: int = 4
     size: int = 128
     dense: int = 27
+    dense_size: int | None = None
     width: int = 480
     height: int = 360
     fov: float = 70.0
@@ -71,7 +73,7 @@ class QualityConfig:
             _check.positive_int(name, getattr(self, name))
         for name in ("dense", "certify", "seed"):
             _check.positive_int(name, getattr(self, name), at_least=0)
-        for name in ("cells", "bytes_per_gaussian"):
+        for name in ("cells", "dense_size", "bytes_per_gaussian"):
             if getattr(self, name) is not None:
                 _check.positive_int(name, getattr(self, name))
         if not 0.0 < self.fov < 180.0:

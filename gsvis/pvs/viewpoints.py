@@ -50,6 +50,12 @@ class FreeVoxels:
         low, high = self.voxels.min(axis=0), self.voxels.max(axis=0) + 1
         return self.origin + self.voxel_size * low, self.origin + self.voxel_size * high
 
+    def rim(self) -> F64:
+        """Return (V, 3) a point of each voxel, moved outward from the middle of all of them."""
+        outward = self.voxels - self.voxels.mean(axis=0)
+        points = self.voxels + 0.5 + _OUTWARD * outward / np.maximum(np.abs(outward).max(axis=1, keepdims=True), 1.0)
+        return np.asarray(self.origin + self.voxel_size * points)
+
     def draw(self, count: int, rng: np.random.Generator) -> F64:
         """Return (count, 3) points uniform over the voxels."""
         _check.positive_int("count", count, at_least=0)
@@ -103,17 +109,14 @@ class CellViewpoints:
             (V, 3) viewpoints. The first k are the same for every `count` of at least k.
         """
         _check.positive_int("count", count)
-        voxels = self.voxels(cell).voxels
-        middle = voxels.mean(axis=0)
-        outward = voxels - middle
-        length = np.linalg.norm(outward, axis=1, keepdims=True)
-        points = voxels + 0.5 + _OUTWARD * outward / np.maximum(np.abs(outward).max(axis=1, keepdims=True), 1.0)
-        chosen = [int(length[:, 0].argmax())]
+        voxels = self.voxels(cell)
+        points = voxels.rim()
+        chosen = [int(np.linalg.norm(voxels.voxels - voxels.voxels.mean(axis=0), axis=1).argmax())]
         apart = np.sum((points - points[chosen[0]]) ** 2, axis=1)
         while len(chosen) < min(count, len(points)):
             chosen.append(int(apart.argmax()))
             apart = np.minimum(apart, np.sum((points - points[chosen[-1]]) ** 2, axis=1))
-        return np.asarray(self.space.origin + self.space.voxel_size * points[chosen])
+        return np.asarray(points[chosen])
 
     def draw(self, cell: int, count: int, rng: np.random.Generator) -> F64:
         """Return (count, 3) viewpoints uniform over the free voxels of a cell; for measurements, not for builds."""
@@ -132,11 +135,11 @@ class SharedViewpoints:
 
     Attributes:
         points: (P, 3) viewpoints, scene frame.
-        lower: (P,) those that look at lower levels too: as few as give each cell at least half of its viewpoints.
+        fine: (P,) those that look finely, and at lower levels too: few that give each cell at least half of its own.
     """
 
     points: F64
-    lower: NDArray[np.bool_]
+    fine: NDArray[np.bool_]
 
     def __init__(self, viewpoints: CellViewpoints, *, merged: float = MERGED) -> None:
         space, cells = viewpoints.space, len(viewpoints.grid)
@@ -145,11 +148,7 @@ class SharedViewpoints:
         kept, numbers = np.unique(stands_for, return_inverse=True)
         self.points = np.asarray(space.origin + space.voxel_size * own[kept])
         self._of_cells = numbers.reshape(cells, len(_CORNERS))
-        self.lower = np.zeros(len(kept), bool)
-        for cell in range(cells):
-            own = self.of_cell(cell)
-            wanted = -(-len(own) // 2) - int(np.count_nonzero(self.lower[own]))
-            self.lower[own[~self.lower[own]][: max(0, wanted)]] = True
+        self.fine = _thin([self.of_cell(cell) for cell in range(cells)], len(kept))
 
     def __len__(self) -> int:
         """Number of viewpoints."""
@@ -172,6 +171,22 @@ def _near_corners(viewpoints: CellViewpoints, cell: int) -> F64:
         first = int(np.round(apart, 6).argmin())  # of equal ones the first: voxels are in lexicographic order
         found[k] = near[first]
     return found
+
+
+def _thin(of_cells: list[I64], count: int) -> NDArray[np.bool_]:
+    """Return which viewpoints to keep, so that each cell keeps at least half of its own; those of many cells stay."""
+    cells_of: list[list[int]] = [[] for _ in range(count)]
+    for cell, own in enumerate(of_cells):
+        for k in own.tolist():
+            cells_of[k].append(cell)
+    spare = [len(own) // 2 for own in of_cells]
+    kept = np.ones(count, bool)
+    for k in sorted(range(count), key=lambda each: (len(cells_of[each]), each)):
+        if all(spare[cell] for cell in cells_of[k]):
+            kept[k] = False
+            for cell in cells_of[k]:
+                spare[cell] -= 1
+    return kept
 
 
 def _merge(points: F64, near: float) -> I64:

@@ -232,7 +232,7 @@ def test_a_cell_is_finished_or_was_mended_as_often_as_allowed(limit: float, max_
         stages, rest = divmod(figures.rays, QUICK.rays)
         assert rest == 0
         assert 1 <= stages <= max_inner + 1
-        assert figures.inner <= stages - 1
+        assert figures.inner <= stages - 1 + finder.config.probes
         assert 0.0 <= figures.missed <= figures.bound <= 1.0
         assert 0.0 <= figures.tile <= 1.0
         finished = figures.bound <= limit and figures.tile <= 0.2
@@ -339,7 +339,7 @@ def level_discs() -> Levels:
 
 @pytest.mark.parametrize("held", [[], [0], [1], [0, 1]])
 def test_each_level_is_certified_alone_and_the_worst_one_counts(held: list[int]) -> None:
-    finder = Finder(level_discs(), replace(QUICK, max_inner=0, tile_limit=1.0))
+    finder = Finder(level_discs(), replace(QUICK, max_inner=0, tile_limit=1.0, probes=0))
     seen = Sighting(np.full(3, 0.5), 1, np.array(held, np.int32), np.zeros(len(held), np.uint8))
     view = finder.find_cell(one_cell(1.0), [seen])
     assert view.ids.tolist() == [0, 1]  # neither disc hides the other

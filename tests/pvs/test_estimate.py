@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from gsvis.pvs import estimate as estimates
@@ -18,14 +19,12 @@ from tests.pvs.jobs import CONFIG, Job, Stop
 
 def test_an_estimate_is_near_and_writes_nothing(job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path, cells, viewpoints = tmp_path / "scene.pvs", len(job.grid), len(job.shared)
-    clock = itertools.count(100.0, 3.0)  # the looks of a cell take 3 seconds together, and finding it as many
+    clock = itertools.count(100.0, 3.0)  # a look takes 3 seconds, and finding a cell as many
     monkeypatch.setattr(estimates, "_clock", lambda: next(clock))
     monkeypatch.setattr(os, "cpu_count", lambda: 2)
     estimate = estimate_pvs(job.scene, job.grid, job.space, path, CONFIG, workers=Workers(2))
     assert (estimate.viewpoints, estimate.cells, estimate.finished, estimate.workers) == (viewpoints, cells, 0, 2)
-    tried = [int(0.618034 * cells), int(0.236068 * cells)]  # then the time for trying is over
-    looks = sum(len(job.shared.of_cell(cell)) for cell in tried)
-    work = 6.0 / looks * viewpoints + 3.0 * cells
+    work = 3.0 * viewpoints + 3.0 * cells
     assert estimate.seconds == pytest.approx(work / 1.3 + 8.3, abs=0.2)  # two processes share it, and have to start
     assert estimate.memory > 1 << 28
     assert 0.3 < estimate.disk / len(job.wanted) < 5.0
@@ -33,7 +32,7 @@ def test_an_estimate_is_near_and_writes_nothing(job: Job, tmp_path: Path, monkey
     with pytest.raises(KeyboardInterrupt):
         job.run(path, progress=Stop(3, "viewpoints"))
     fewer = estimate_pvs(job.scene, job.grid, job.space, path, CONFIG, workers=Workers(2))
-    assert estimate.seconds - fewer.seconds == pytest.approx(6.0 / looks * 3 / 1.3)
+    assert estimate.seconds - fewer.seconds == pytest.approx(3.0 * 3 / 1.3)
     with pytest.raises(KeyboardInterrupt):
         job.run(path, progress=Stop(5))
     before = sorted(path.parent.rglob("*"))
@@ -68,3 +67,15 @@ def test_memory_bounds_the_workers(job: Job, tmp_path: Path) -> None:
 def test_workers_are_checked(bad: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=next(iter(bad))):
         Workers(**bad)
+
+
+def test_fine_looks_and_coarse_ones_are_counted_apart(
+    job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tried = estimates._Tried(cells=1, looking=([1.0], [3.0, 5.0]))
+    monkeypatch.setattr(estimates, "_try_cells", lambda *_: tried)
+    fine = np.count_nonzero(job.shared.fine)
+    estimate = estimate_pvs(job.scene, job.grid, job.space, tmp_path / "scene.pvs", CONFIG)
+    assert 0 < fine < len(job.shared)
+    looked = 4.0 * fine + 1.0 * (len(job.shared) - fine)
+    assert looked <= estimate.seconds <= looked + 1.0

@@ -75,7 +75,7 @@ def test_what_is_seen_in_a_level_is_not_hidden_by_another(tmp_path: Path) -> Non
     assert np.array_equal(toward.any(axis=1), together.any(axis=0))
     for cell in range(len(grid)):
         for k in shared.of_cell(cell):
-            seen = finder.look(shared.points[k])
+            seen = finder.look(shared.points[k], fine=bool(shared.fine[k]))
             assert (together[cell, ids[seen.ids]] > seen.classes).all()
     with build_pvs(levels.union, grid, space, tmp_path / "drawn.pvs", CONFIG) as store:
         wrong, _ = sets_of(store, np.arange(count), count)

@@ -244,3 +244,16 @@ def test_bad_counts_cells_and_spaces_are_refused() -> None:
         viewpoints.draw(-1, 1, np.random.default_rng(0))
     with pytest.raises(ValueError, match="got none in cell 0; use the space of the grid"):
         CellViewpoints(grid, NavigableSpace.from_box((90, 90, 90), (91, 91, 91), 2))
+
+
+def test_each_cell_has_at_least_half_of_its_viewpoints_fine_and_no_fine_one_is_spare() -> None:
+    made = two_rooms(1000, sh_degree=0)
+    viewpoints = CellViewpoints(CellGrid.over(made.navigable, max_cells=40), made.navigable)
+    shared = SharedViewpoints(viewpoints)
+    own = [shared.of_cell(cell) for cell in range(len(viewpoints.grid))]
+    assert all(2 * np.count_nonzero(shared.fine[some]) >= len(some) for some in own)
+    for k in np.flatnonzero(shared.fine):
+        without = shared.fine.copy()
+        without[k] = False
+        assert any(2 * np.count_nonzero(without[some]) < len(some) for some in own if k in some)
+    assert not shared.fine.all()
