@@ -48,7 +48,7 @@ from gsvis.train.level_views import LevelViews, draw_views, load_photograph_view
 
 __all__ = ["StageRecord", "Stages"]
 
-_VERSIONS = {"levels": 2, "sets": 2, "colors": 2, "cost": 1, "fidelity": 2}  # increase when results change
+_VERSIONS = {"levels": 3, "sets": 2, "colors": 2, "cost": 1, "fidelity": 2}  # increase when results change
 
 
 @dataclass(frozen=True)

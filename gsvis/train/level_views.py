@@ -43,6 +43,7 @@ class LevelViews:
         photographs: Whether the images are photos.
         choose_by: Further cameras, to choose Gaussians by; None to use the cameras of the images.
         remarks: Sentences for the user.
+        space: Where eyes of renders may be; None for photos.
     """
 
     views: PosedImages
@@ -51,6 +52,7 @@ class LevelViews:
     photographs: bool
     choose_by: Cameras | None = None
     remarks: tuple[str, ...] = ()
+    space: NavigableSpace | None = None
 
 
 def draw_views(
@@ -93,7 +95,7 @@ def draw_views(
         raise SceneError("views from inside the scene are empty; check the up axis")
     drawn = f"drawn at random where eyes may be ({space.rule})"
     many = replace(wide, count=_CHOOSE * sampling.count, stream=sampling.stream + 2)
-    return LevelViews(found[0], found[1] if held_out else None, drawn, False, many.cameras(g, space))
+    return LevelViews(found[0], found[1] if held_out else None, drawn, False, many.cameras(g, space), space=space)
 
 
 def load_photograph_views(
