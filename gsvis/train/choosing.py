@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis import _check
-from gsvis.errors import FormatError
 from gsvis.files.resume import KeptWork
 from gsvis.progress import Progress, silent
 from gsvis.render.removal import removal_effects
@@ -25,7 +24,7 @@ from gsvis.scene.in_sight import InSight
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.train.importance import ROUNDS, most_important, read_rounds
 
-__all__ = ["LOOKS", "choose_subsets", "stay_chances"]
+__all__ = ["LOOKS", "choose_subsets", "count_looks", "stay_chances"]
 
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -41,13 +40,16 @@ _SHARPNESS = 4.0  # of the chance as a function of the logarithm of the worth
 _LEAST_CHANCE = 0.02
 _LATER = 0.6  # looks for a later cut to a half or less, over those for the first; fewer if it takes less
 _FEWEST = 40  # looks for a cut
+_POLLED = 200  # cameras that say how often a Gaussian is in sight
+_SELDOM = 0.02  # share of cameras below which it makes no difference
+_FAIRNESS = 1.0  # 0: worth is what an average camera loses; 1: what one loses that looks there
 _TRIED = 16  # cameras from which the number of looks is found
 _BINS, _PER_OCTAVE, _LOWEST = 2048, 16, -110  # of worth, logarithm to base 2
 
 
 @dataclass(frozen=True)
 class _Round:
-    """Looks between two files: which cameras, the size of the cut that they prepare, and whether it comes at the end."""
+    """Looks between two files: which cameras, the size of the cut they prepare, whether it comes after them."""
 
     cameras: NDArray[np.int64]
     count: int
@@ -96,14 +98,15 @@ def choose_subsets(
     if len(cameras) == 0:
         raise ValueError("cameras: expected at least one to choose by, got none")
     sight = None if space is None else InSight.from_scene(gaussians, space)
-    rounds = _plan(n, len(cameras), counts, _number_of_looks(cameras, sight, looks))
+    share = _share_in_sight(cameras, sight)
+    rounds = _plan(n, len(cameras), counts, _looks_for(share, looks, len(cameras)))
     sizes, left = [], n
     for each in rounds:
         left = each.count if each.cuts else left
         sizes.append(left)
     done, last, sums = read_rounds(work, sizes, n)
     ranks, kept = np.where(last >= 0, last, len(rounds)), np.flatnonzero(last < 0)
-    state = _State(gaussians, cameras, sight, kept, sums)
+    state = _State(gaussians, cameras, sight, kept, sums, _rarity(len(gaussians), cameras, sight))
     total, before = sum(len(each.cameras) for each in rounds), sum(len(each.cameras) for each in rounds[:done])
     progress("prune", before, total)
     for number, each in enumerate(rounds[done:], done):
@@ -124,6 +127,28 @@ def choose_subsets(
     return [ranks > number for number in cuts]
 
 
+def count_looks(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    counts: Sequence[int],
+    *,
+    of: int,
+    space: NavigableSpace | None = None,
+) -> tuple[int, float]:
+    """Return how many looks `choose_subsets` takes, and which share of the Gaussians is in sight of one.
+
+    Args:
+        gaussians: N Gaussians.
+        cameras: Some of the cameras; 16 are enough.
+        counts: Requested sizes, descending.
+        of: Number of all cameras.
+        space: Voxels that stop light; None looks at everything.
+    """
+    share = _share_in_sight(cameras, None if space is None else InSight.from_scene(gaussians, space))
+    rounds = _plan(len(gaussians), of, counts, _looks_for(share, LOOKS, of))
+    return sum(len(each.cameras) for each in rounds), share
+
+
 class _State:
     """What stands, and what was found of it.
 
@@ -133,17 +158,18 @@ class _State:
         sight: What each may see; None for everything.
         kept: (K,) Gaussians that stand.
         sums: (K,) sums of squared changes, older ones with less weight.
+        rarity: (N,) factor on them.
     """
 
     def __init__(
-        self, g: Gaussians, cameras: Cameras, sight: InSight | None, kept: NDArray[np.int64], sums: F64
+        self, g: Gaussians, cameras: Cameras, sight: InSight | None, kept: NDArray[np.int64], sums: F64, rarity: F64
     ) -> None:
-        self.scene, self.cameras, self.sight, self.kept, self.sums = g, cameras, sight, kept, sums
+        self.scene, self.cameras, self.sight, self.kept, self.sums, self.rarity = g, cameras, sight, kept, sums, rarity
         self._left = g[kept]
 
     def look(self, batch: NDArray[np.int64], count: int) -> None:
         """Look by some cameras, while each Gaussian is there by its chance to be among `count`."""
-        chances = stay_chances(self.sums, count / len(self.kept))
+        chances = stay_chances(self.rarity[self.kept] * self.sums, count / len(self.kept))
         self.sums *= _OLD
         for index in batch:
             camera = self.cameras[[index]]
@@ -155,7 +181,7 @@ class _State:
 
     def cut(self, count: int) -> NDArray[np.int64]:
         """Leave the `count` of most worth; return the others."""
-        stays = most_important(self._left, self.sums, count)
+        stays = most_important(self._left, self.rarity[self.kept] * self.sums, count)
         gone = self.kept[~stays]
         self.kept, self.sums = self.kept[stays], _BEFORE * self.sums[stays]
         self._left = self.scene[self.kept]
@@ -194,13 +220,25 @@ def _logistic(octaves: F64) -> F64:
     return np.asarray(np.maximum(chances, _LEAST_CHANCE))
 
 
-def _number_of_looks(cameras: Cameras, sight: InSight | None, looks: float) -> float:
-    """Return how many cameras see an average Gaussian `looks` times."""
+def _rarity(n: int, cameras: Cameras, sight: InSight | None) -> F64:
+    """Return (N,) a factor on worth, larger where few cameras look: small rooms count as much as halls."""
     if sight is None:
-        return looks
-    tried = range(min(_TRIED, len(cameras)))
-    share = float(np.mean([sight.of(cameras[[index]]).mean() for index in tried]))
-    return min(looks / max(share, 1e-3), max(len(cameras), looks))
+        return np.ones(n)
+    tried = range(min(_POLLED, len(cameras)))
+    seen = np.sum([sight.of(cameras[[index]]) for index in tried], axis=0, dtype=np.float64) / max(len(tried), 1)
+    return np.asarray((seen + _SELDOM) ** -_FAIRNESS)
+
+
+def _share_in_sight(cameras: Cameras, sight: InSight | None) -> float:
+    """Return the mean share of the Gaussians that the first cameras may see."""
+    if sight is None:
+        return 1.0
+    return float(np.mean([sight.of(cameras[[index]]).mean() for index in range(min(_TRIED, len(cameras)))]))
+
+
+def _looks_for(share: float, looks: float, cameras: int) -> float:
+    """Return how many cameras see an average Gaussian `looks` times; no camera looks twice for it."""
+    return min(looks / max(share, 1e-3), max(cameras, looks))
 
 
 def _plan(n: int, cameras: int, counts: Sequence[int], looks: float) -> list[_Round]:
