@@ -388,9 +388,9 @@ class Levels(Where):
     """Least share of each lower level that stands unchanged in the next."""
     names: Annotated[tuple[str, ...] | None, NAMES, hint("low medium high")] = None
     """Names of all levels and their files, that of the scene itself last."""
-    iterations: Annotated[int, STEPS] = 250
+    iterations: Annotated[int, STEPS] = 400
     """Steps of training for each lower level, one view each."""
-    views: Annotated[int | None, COUNTED, hint("160")] = None
+    views: Annotated[int | None, COUNTED, hint("400")] = None
     """Cameras to train on, sampled where viewers may stand; not with --photos, which trains on 7 of 8."""
     held_out: Annotated[int | None, WHOLE, hint("12")] = None
     """Further cameras, to measure on; 0 for none. With --photos it is every 8th."""

@@ -53,9 +53,9 @@ class Prepare(Where):
     """Least share of each lower level that stands unchanged in the next."""
     names: Annotated[tuple[str, ...] | None, NAMES, hint("low medium high")] = None
     """Names of all levels, that of the scene itself last."""
-    steps: Annotated[int, STEPS] = 250
+    steps: Annotated[int, STEPS] = 400
     """Steps of training for each lower level, one view each."""
-    views: Annotated[int | None, COUNTED, hint("160")] = None
+    views: Annotated[int | None, COUNTED, hint("400")] = None
     """Cameras to train levels from, sampled where viewers may stand; not with --photos."""
     size: Annotated[tuple[int, int] | None, SIZE, hint("480x360; with --photos theirs")] = None
     """Pixels of these views; photographs are shrunk to it."""

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 __all__ = ["check_views", "levels_config", "run_levels", "view_sampling"]
 
-_VIEWS, _HELD_OUT, _WIDTH, _HEIGHT, _FOV = 160, 12, 480, 360, 2.0 * math.degrees(math.atan(240.0 / 300.0))
+_VIEWS, _HELD_OUT, _WIDTH, _HEIGHT, _FOV = 400, 12, 480, 360, 2.0 * math.degrees(math.atan(240.0 / 300.0))
 _NAMES = {1: ("low", "high"), 2: ("low", "medium", "high")}
 _REUSE = (0.90, 0.96)  # for each level; the last repeats
 _LEAST_SIDE = 16  # pixels; SSIM needs 11

@@ -20,7 +20,7 @@ from gsvis.train.levels import LevelsConfig
 __all__ = ["PrepareConfig"]
 
 _LEVEL_FOV = 2.0 * math.degrees(math.atan(240.0 / 300.0))
-_LEVEL_VIEWS = ViewSampling(160, 480, 360, _LEVEL_FOV)
+_LEVEL_VIEWS = ViewSampling(400, 480, 360, _LEVEL_FOV)
 _COST_VIEWS = ViewSampling(8, 480, 360, 60.0, stream=3)
 _FIDELITY_VIEWS = ViewSampling(12, 320, 240, 60.0, stream=5)
 

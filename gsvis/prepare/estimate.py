@@ -29,7 +29,9 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.view_sampling import ViewSampling
-from gsvis.train.levels import SUBSETS
+from gsvis.train.choosing import count_looks
+from gsvis.train.level_views import CHOOSING, WIDE
+from gsvis.train.levels import SUBSETS, LevelsConfig
 
 __all__ = ["PreparationEstimate", "StageEstimate", "estimate_preparation"]
 
@@ -37,7 +39,8 @@ _clock = time.perf_counter  # tests set another
 
 # Measured on nika LOD 0, showroom LOD 3 and flowers LOD 2 (docs/design/022), in times of one narrow view of the scene.
 _WIDE_VIEW = 1.5  # a view to train on: smaller, but wide
-_PRUNED_VIEW = 3.0  # a look that chooses, the mean over rounds; wide, docs/design/034
+_PRUNED_VIEW = 1.0  # a look that chooses by photos, which are taken to be as many as views
+_LOOK, _LOOK_SHARE = 0.2, 1.1  # a look that chooses without photos, and what one at the whole scene adds
 _STEP_SHARE, _STEP_SH = 3.3, 3.3  # a training step of all Gaussians, and what 16 coefficients of SH add
 _WEIGHED_VIEW = 2.0  # a view that measures importance
 
@@ -174,12 +177,8 @@ class _Estimator:
             return
         begun = stages.work.at(f"{stages.levels_name}.begun")
         views = self.config.level_views
-        rounds = math.ceil(
-            math.log(min(f for _, f, _ in _sizes(stages)) / self.counts[-1]) / math.log(1 - config.prune_share)
-        )
-        # A round looks at half as many views; the first costs as much as three rounds.
         left = 1.0 if not (begun / SUBSETS).exists() else 0.0
-        looks = views.count * (_WIDE_VIEW + left * 0.5 * (rounds + 2) * _PRUNED_VIEW)
+        looks = views.count * _WIDE_VIEW + left * self._choice(config)
         of_all = _STEP_SHARE + _STEP_SH * (self.levels.union.sh_degree + 1) ** 2 / 16.0
         looks += config.iterations * of_all * sum(self.counts[:-1]) / self.counts[-1]
         seconds = looks * self.view_seconds(views)
@@ -187,6 +186,18 @@ class _Estimator:
         state = "to do" if left else "begun"
         what = f"{sizes}; {config.iterations:,} steps each"
         self.found.append(StageEstimate("levels", state, what, seconds, nbytes))
+
+    def _choice(self, config: LevelsConfig) -> float:
+        """Return what the choice of frozen Gaussians costs, in views."""
+        stages, views = self.stages, self.config.level_views
+        counts = sorted({frozen for _, frozen, _ in _sizes(stages)}, reverse=True)
+        if stages.photos is not None:
+            rounds = math.ceil(math.log(counts[-1] / self.counts[-1]) / math.log(1 - config.prune_share))
+            return views.count * rounds * _PRUNED_VIEW
+        assert isinstance(stages.scene, Gaussians)
+        tried = replace(views, count=16, fov=max(views.fov, WIDE)).cameras(stages.scene, stages.space)
+        looks, share = count_looks(stages.scene, tried, counts, of=CHOOSING * views.count, space=stages.space)
+        return looks * (_LOOK + _LOOK_SHARE * share)
 
     def _sets(self) -> tuple[VisibilityStore | None, int, int]:
         """Return the store if it exists, bytes on disk, and memory."""

@@ -63,6 +63,7 @@ def make_levels(
         config,
         held_out=held_out if with_curve else None,
         choose_by=views.choose_by,
+        space=views.space,
         work=work,
         progress=progress,
     )

@@ -51,7 +51,7 @@ from gsvis.train.level_views import LevelViews, draw_views, load_photograph_view
 __all__ = ["StageRecord", "Stages", "around_of"]
 
 _CELLS = 256  # most cells, unless configured or an object needs fewer
-_VERSIONS = {"levels": 3, "sets": 3, "colors": 2, "cost": 2, "fidelity": 3}  # increase when results change
+_VERSIONS = {"levels": 4, "sets": 3, "colors": 2, "cost": 2, "fidelity": 3}  # increase when results change
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ _MODULES = (
     "gaussians",
     "histograms",
     "icosphere",
+    "in_sight",
     "inspection",
     "kinds",
     "levels",

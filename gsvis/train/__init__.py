@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from gsvis.train.choosing import choose_subsets
 from gsvis.train.config import DensifyConfig, TrainConfig
 from gsvis.train.history import Record
 from gsvis.train.images import PosedImages, render_views
@@ -30,6 +31,7 @@ __all__ = [
     "TrainedLevels",
     "Trainer",
     "ViewLikeness",
+    "choose_subsets",
     "gaussians_from_points",
     "importance",
     "load_photos",

@@ -23,7 +23,7 @@ from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.train.images import PosedImages
 
-__all__ = ["IMPORTANCE_METHODS", "ROUNDS", "importance", "most_important", "prune"]
+__all__ = ["IMPORTANCE_METHODS", "ROUNDS", "importance", "most_important", "prune", "read_rounds"]
 
 ROUNDS = "rounds.npz"
 """Name of the file of the finished rounds in a folder of unfinished work."""
@@ -185,7 +185,7 @@ def prune(
     cameras = views.cameras if isinstance(views, PosedImages) else views
     turns = _turns(len(cameras), len(schedule), looks)
     total, ranks = sum(map(len, turns)), np.full(len(gaussians), len(schedule), np.int64)
-    done, last, values = _read_rounds(work, schedule, len(gaussians))
+    done, last, values = read_rounds(work, schedule, len(gaussians))
     ranks[last >= 0] = last[last >= 0]
     kept = np.flatnonzero(last < 0)
     progress("prune", before := sum(map(len, turns[:done])), total)
@@ -213,10 +213,19 @@ def prune(
     return [ranks > number for number in rounds]
 
 
-def _read_rounds(
+def read_rounds(
     work: KeptWork | None, schedule: list[int], n: int
 ) -> tuple[int, NDArray[np.int64], NDArray[np.float64]]:
-    """Return the number of kept rounds, (N,) the round in which each Gaussian left or -1, and values of the rest."""
+    """Return the number of kept rounds, (N,) the round in which each Gaussian left or -1, and values of the rest.
+
+    Args:
+        work: The folder; None for nothing kept.
+        schedule: Number of Gaussians after each round.
+        n: Number of Gaussians of the scene.
+
+    Raises:
+        FormatError: If what is kept does not fit.
+    """
     found = None if work is None else work.read_own(ROUNDS)
     if work is None or found is None:
         return 0, np.full(n, -1), np.zeros(n)

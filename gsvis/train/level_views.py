@@ -22,11 +22,15 @@ from gsvis.train.images import PosedImages, render_views
 from gsvis.train.likeness import mean_psnr
 from gsvis.train.photos import load_photos
 
-__all__ = ["LevelViews", "draw_views", "load_photograph_views"]
+__all__ = ["CHOOSING", "WIDE", "LevelViews", "draw_views", "load_photograph_views"]
 
 _EVERY = 8  # one in so many photos is held out
-_CHOOSE = 4  # cameras for the choice of Gaussians, per camera to train on
-_WIDE = 120.0  # degrees, horizontal field of view of views to choose and to train by
+CHOOSING = 4
+"""Cameras for the choice of Gaussians, per camera to train on."""
+
+WIDE = 120.0
+"""Degrees: horizontal field of view of views to choose and to train by."""
+
 _SMALLER = 2.0 / 3.0  # side of a view to train on, over that of a view to measure on
 _UNLIKE = 12.0  # dB; photos of another scene, or in another frame, are not matched better
 _DARK = 1.0 / 255.0
@@ -43,6 +47,7 @@ class LevelViews:
         photographs: Whether the images are photos.
         choose_by: Further cameras, to choose Gaussians by; None to use the cameras of the images.
         remarks: Sentences for the user.
+        space: Where eyes of renders may be; None for photos.
     """
 
     views: PosedImages
@@ -51,6 +56,7 @@ class LevelViews:
     photographs: bool
     choose_by: Cameras | None = None
     remarks: tuple[str, ...] = ()
+    space: NavigableSpace | None = None
 
 
 def draw_views(
@@ -75,7 +81,7 @@ def draw_views(
     Raises:
         SceneError: If no viewpoint is found, or the views are empty.
     """
-    wide = replace(sampling, fov=max(sampling.fov, _WIDE))
+    wide = replace(sampling, fov=max(sampling.fov, WIDE))
     small = {name: max(round(_SMALLER * getattr(sampling, name)), 1) for name in ("width", "height")}
     asked = [replace(wide, **small)]
     if held_out:
@@ -92,8 +98,8 @@ def draw_views(
     if float(found[0].images.max()) < _DARK:
         raise SceneError("views from inside the scene are empty; check the up axis")
     drawn = f"drawn at random where eyes may be ({space.rule})"
-    many = replace(wide, count=_CHOOSE * sampling.count, stream=sampling.stream + 2)
-    return LevelViews(found[0], found[1] if held_out else None, drawn, False, many.cameras(g, space))
+    many = replace(wide, count=CHOOSING * sampling.count, stream=sampling.stream + 2)
+    return LevelViews(found[0], found[1] if held_out else None, drawn, False, many.cameras(g, space), space=space)
 
 
 def load_photograph_views(

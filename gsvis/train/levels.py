@@ -24,10 +24,13 @@ from gsvis.errors import ArgumentError, FormatError
 from gsvis.files.resume import KeptWork
 from gsvis.progress import Progress, silent
 from gsvis.scene.cameras import Cameras
-from gsvis.scene.content import scene_hash
+from gsvis.scene.content import scene_hash, space_hash
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
+from gsvis.scene.navigable import NavigableSpace
+from gsvis.train.choosing import LOOKS, choose_subsets
 from gsvis.train.config import DensifyConfig, TrainConfig
+from gsvis.train.fill_in import fit_opacities
 from gsvis.train.history import Record
 from gsvis.train.images import PosedImages
 from gsvis.train.importance import ROUNDS, prune
@@ -54,9 +57,10 @@ class LevelsConfig:
             training adds where it needs them.
         threshold: Gradient above which a Gaussian is cloned; see `DensifyConfig`.
         most_share: Largest number of Gaussians of a level to clone at a time, as a share of all.
-        prune_share: Share of the remaining Gaussians that one round of the choice of frozen Gaussians removes.
-        looks: Number of views of such a round, see `prune`; None for all, or, if other cameras choose, for as many
-            as there are images to train on.
+        prune_share: Share of the remaining Gaussians that one round of the choice of frozen Gaussians removes, if the
+            views choose them.
+        looks: Number of views of such a round, see `prune`; None for all. If other cameras choose: how many of them
+            see an average Gaussian, see `choose_subsets`; None for its default.
         evaluate_every: Steps between measurements on held-out views; 0 measures only at the end.
         seed: Seed of training.
         backend: Backend of the rasterizer.
@@ -65,7 +69,7 @@ class LevelsConfig:
     shares: tuple[float, ...] = (0.25, 0.5)
     reuse: tuple[float, ...] = (0.90, 0.96)
     names: tuple[str, ...] = ("low", "medium", "high")
-    iterations: int = 250
+    iterations: int = 400
     merged: float = 1.0
     threshold: float = 4e-4
     most_share: float = 0.01
@@ -174,6 +178,7 @@ def train_levels(
     *,
     held_out: PosedImages | None = None,
     choose_by: Cameras | None = None,
+    space: NavigableSpace | None = None,
     work: str | os.PathLike[str] | None = None,
     progress: Progress = silent,
 ) -> TrainedLevels:
@@ -185,7 +190,9 @@ def train_levels(
         config: Sizes and training; None means `LevelsConfig()`.
         held_out: Views to measure on, never trained on.
         choose_by: Cameras by which the frozen Gaussians are chosen; None for those of the views, at half their
-            size. A Gaussian that none of them sees well is dropped first, so they should be many and lie everywhere.
+            size. A Gaussian that none of them sees well is dropped first, so they should be many and lie everywhere,
+            in random order.
+        space: Voxels that stop light, which save time where `choose_by` looks into rooms; None for none.
         work: A folder for unfinished work, to resume from if it exists; it must belong to the same scene, views and
             configuration. It is kept at the end.
         progress: Called with stages "prune" and "train NAME".
@@ -205,7 +212,7 @@ def train_levels(
     if work is not None:
         work = _check.path("work", work)
         work.mkdir(parents=True, exist_ok=True)
-    masks = _subsets(scene, views, choose_by, sizes, config, work, progress)
+    masks = _subsets(scene, views, choose_by, space, sizes, config, work, progress)
     top = len(sizes)
     first = np.full(len(scene), top, np.uint8)
     owns: list[Gaussians] = []
@@ -223,9 +230,12 @@ def train_levels(
             owns.append(scene[stays][:0])
             histories[name] = []
             continue
+        merged = merge_gaussians(scene[~stays], begun - frozen)
+        if choose_by is not None:  # photographs differ from the scene by more than what a merge changes
+            merged = fit_opacities(merged, scene[stays], views)
         result = train(
             views,
-            merge_gaussians(scene[~stays], begun - frozen),
+            merged,
             config.training(total, scene.sh_degree),
             frozen=scene[stays],
             held_out=held_out,
@@ -244,6 +254,7 @@ def _subsets(
     scene: Gaussians,
     views: PosedImages,
     choose_by: Cameras | None,
+    space: NavigableSpace | None,
     sizes: list[tuple[int, int, int]],
     config: LevelsConfig,
     work: str | os.PathLike[str] | None,
@@ -252,15 +263,19 @@ def _subsets(
     """Return nested masks by their size, from a file of the same run if there is one."""
     counts = sorted({frozen for _, frozen, _ in sizes}, reverse=True)
     cameras = _halve(views.cameras) if choose_by is None else choose_by
-    looks = -(-len(views) // 2) if config.looks is None and choose_by is not None else config.looks
 
     def choose(kept: KeptWork | None = None) -> list[Mask]:
-        return prune(scene, cameras, counts, share=config.prune_share, looks=looks, work=kept, progress=progress)
+        if choose_by is None:
+            share, looks = config.prune_share, config.looks
+            return prune(scene, cameras, counts, share=share, looks=looks, work=kept, progress=progress)
+        each = LOOKS if config.looks is None else config.looks
+        return choose_subsets(scene, cameras, counts, looks=each, space=space, work=kept, progress=progress)
 
     if work is None:
         return dict(zip(counts, choose(), strict=True))
     shape = cameras.width, cameras.height
-    rules = [scene_hash(scene), counts, config.prune_share, looks, shape]
+    hides = None if space is None else [space_hash(space), hashlib.sha256(np.packbits(space.occupied)).hexdigest()]
+    rules = [scene_hash(scene), counts, config.prune_share, config.looks, shape, choose_by is not None, hides]
     digest = hashlib.sha256()
     for array in (views.images, views.cameras.viewmats, views.cameras.Ks, cameras.viewmats, cameras.Ks):
         digest.update(np.ascontiguousarray(array).data)

@@ -1,0 +1,100 @@
+"""Guess which Gaussians a camera can see, from rays through the voxels that stop light: cheap, for guides only.
+
+Most of a building is hidden from any one camera. This module finds what is not, to about a voxel, without a look at a
+Gaussian. It errs at thin walls and windows, so it limits work where a few missed Gaussians do no harm, and never
+decides what is visible. Scene frame; OpenCV cameras.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.scene._kernels.in_sight import mark_crossed
+from gsvis.scene.cameras import Cameras
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.navigable import NavigableSpace
+
+__all__ = ["InSight"]
+
+I64 = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+_RAYS = 96, 72  # across the image and down it
+_WALLS = 4  # steps in occupied voxels after which a ray ends
+_REACHES = (1, 2, 4, 8)  # voxels that a Gaussian may reach beyond its own; larger ones are always in sight
+_DEVIATIONS = 2.0  # of a Gaussian, that count as its reach
+
+
+@dataclass(frozen=True, eq=False)
+class InSight:
+    """The voxels of a space, and where in it the Gaussians of a scene lie.
+
+    Attributes:
+        space: Voxels that stop light.
+        voxels: (N,) flat index of the voxel of each Gaussian; -1 for those always in sight: outside of the grid, or
+            too large.
+        reaches: (N,) index of the reach of each.
+    """
+
+    space: NavigableSpace
+    voxels: I64
+    reaches: NDArray[np.int8]
+
+    @classmethod
+    def from_scene(cls, g: Gaussians, space: NavigableSpace) -> InSight:
+        """Place N Gaussians in the voxels of a space.
+
+        Args:
+            g: The scene.
+            space: Its space; one without occupied voxels hides nothing.
+        """
+        shape = np.array(space.occupied.shape)
+        places = np.floor((g.means.astype(np.float64) - space.origin) / space.voxel_size)
+        inside = np.all((places >= 0) & (places < shape), axis=1) & bool(space.occupied.size)
+        voxels = np.full(len(g), -1)
+        voxels[inside] = np.ravel_multi_index(tuple(places[inside].astype(np.int64).T), tuple(shape))
+        sizes = _DEVIATIONS * g.scales.max(axis=1) / space.voxel_size
+        reaches = np.searchsorted(_REACHES, sizes).astype(np.int8)
+        voxels[reaches == len(_REACHES)] = -1
+        return cls(space, voxels, reaches)
+
+    def of(self, camera: Cameras) -> Mask:
+        """Return (N,) whether each Gaussian may be in sight of one camera."""
+        seen = self.voxels < 0
+        if seen.all():
+            return seen
+        space = self.space
+        near = np.zeros(space.occupied.shape, bool)
+        eye = (camera.viewpoints[0] - space.origin) / space.voxel_size
+        mark_crossed(np.ascontiguousarray(space.occupied), eye, _directions(camera), _WALLS, near)
+        grown = 0
+        for index, reach in enumerate(_REACHES):
+            for _ in range(reach - grown):
+                near = _grow(near)
+            grown = reach
+            mine = np.flatnonzero((self.reaches == index) & (self.voxels >= 0))
+            seen[mine] = near.ravel()[self.voxels[mine]]
+        return seen
+
+
+def _directions(camera: Cameras) -> NDArray[np.float64]:
+    """Return (R, 3) unit vectors through the middles of a raster over the image of one camera."""
+    u, v = ((np.arange(n) + 0.5) / n * side for n, side in zip(_RAYS, (camera.width, camera.height), strict=True))
+    pixels = np.stack([*(grid.ravel() for grid in np.meshgrid(u, v)), np.ones(_RAYS[0] * _RAYS[1])], axis=1)
+    directions = np.linalg.solve(camera.Ks[0], pixels.T).T @ camera.viewmats[0, :3, :3]
+    return np.ascontiguousarray(directions / np.linalg.norm(directions, axis=1, keepdims=True))
+
+
+def _grow(mask: Mask) -> Mask:
+    """Return a mask (X, Y, Z) with the voxels next to it, across corners too."""
+    for axis in range(3):
+        wide = mask.copy()
+        low, high = [slice(None)] * 3, [slice(None)] * 3
+        low[axis], high[axis] = slice(None, -1), slice(1, None)
+        wide[tuple(low)] |= mask[tuple(high)]
+        wide[tuple(high)] |= mask[tuple(low)]
+        mask = wide
+    return mask

@@ -1,0 +1,259 @@
+"""Choose nested subsets of a scene by many cameras: what is worth most while others stay by their chance.
+
+Of Gaussians that hide each other any may go, but not all, and a wall of many faint ones is lost if all of them count
+little. So each Gaussian has a chance to stay, from its worth so far, and all others count by their chance while its
+worth is measured. Where too many are about to go, the rest gains worth. docs/design/054-levels-without-holes.md
+compares this with `prune`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis import _check
+from gsvis.files.resume import KeptWork
+from gsvis.progress import Progress, silent
+from gsvis.render.removal import removal_effects
+from gsvis.scene.cameras import Cameras
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.in_sight import InSight
+from gsvis.scene.navigable import NavigableSpace
+from gsvis.train.importance import ROUNDS, most_important, read_rounds
+
+__all__ = ["LOOKS", "choose_subsets", "count_looks", "stay_chances"]
+
+F64 = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+LOOKS = 120
+"""How many cameras see an average Gaussian before the first cut."""
+
+_BATCH = 10  # looks between two updates of the chances
+_ROUND = 100  # looks after which the state is kept
+_OLD = 0.95  # weight of older looks after each batch
+_BEFORE = 0.2  # weight of looks before a cut, after it
+_SHARPNESS = 4.0  # of the chance as a function of the logarithm of the worth
+_LEAST_CHANCE = 0.02
+_LATER = 0.6  # looks for a later cut to a half or less, over those for the first; fewer if it takes less
+_FEWEST = 40  # looks for a cut
+_POLLED = 200  # cameras that say how often a Gaussian is in sight
+_SELDOM = 0.02  # share of cameras below which it makes no difference
+_FAIRNESS = 1.0  # 0: worth is what an average camera loses; 1: what one loses that looks there
+_TRIED = 16  # cameras from which the number of looks is found
+_BINS, _PER_OCTAVE, _LOWEST = 2048, 16, -110  # of worth, logarithm to base 2
+
+
+@dataclass(frozen=True)
+class _Round:
+    """Looks between two files: which cameras, the size of the cut they prepare, whether it comes after them."""
+
+    cameras: NDArray[np.int64]
+    count: int
+    cuts: bool
+
+
+def choose_subsets(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    counts: Sequence[int],
+    *,
+    looks: float = LOOKS,
+    space: NavigableSpace | None = None,
+    work: KeptWork | None = None,
+    progress: Progress = silent,
+) -> list[Mask]:
+    """Find nested subsets that keep the images of many cameras.
+
+    The worth of a Gaussian is the squared change of the images by its removal, as in `prune`. Cameras take turns.
+
+    Args:
+        gaussians: N Gaussians.
+        cameras: C cameras in random order; the number needed is taken from the front, from the start again after C.
+        counts: Requested sizes, descending, each 1 to N.
+        looks: How many cameras see an average Gaussian before the first cut; a later cut to a half takes 0.6 times
+            as many.
+        space: Voxels that stop light, which limit a look to what may be in sight; None looks at everything.
+        work: Keeps finished rounds, to resume from; its plan must name the scene, the cameras, the space and the rules.
+        progress: Called with stage "prune"; counts looks.
+
+    Returns:
+        A mask (N,) for each count, each a subset of the previous one; independent of the order of the Gaussians.
+
+    Raises:
+        ValueError: If the counts do not fall, there are no cameras or looks, or `work` belongs to another run.
+        FormatError: If the kept rounds are damaged.
+    """
+    n = len(gaussians)
+    now = n
+    for count in counts:
+        if _check.positive_int("counts", count) > now:
+            raise ValueError(f"counts: expected falling sizes of at most {n}, got {list(counts)}")
+        now = count
+    if not looks > 0:
+        raise ValueError(f"looks: expected a number above 0, got {looks!r}")
+    if len(cameras) == 0:
+        raise ValueError("cameras: expected at least one to choose by, got none")
+    sight = None if space is None else InSight.from_scene(gaussians, space)
+    share = _share_in_sight(cameras, sight)
+    rounds = _plan(n, len(cameras), counts, _looks_for(share, looks, len(cameras)))
+    sizes, left = [], n
+    for each in rounds:
+        left = each.count if each.cuts else left
+        sizes.append(left)
+    done, last, sums = read_rounds(work, sizes, n)
+    ranks, kept = np.where(last >= 0, last, len(rounds)), np.flatnonzero(last < 0)
+    state = _State(gaussians, cameras, sight, kept, sums, _rarity(len(gaussians), cameras, sight))
+    total, before = sum(len(each.cameras) for each in rounds), sum(len(each.cameras) for each in rounds[:done])
+    progress("prune", before, total)
+    for number, each in enumerate(rounds[done:], done):
+        if each.count < len(state.kept):
+            for batch in _batches(each.cameras):
+                state.look(batch, each.count)
+                before += len(batch)
+                progress("prune", before, total)
+        else:
+            before += len(each.cameras)
+        if each.cuts:
+            ranks[state.cut(each.count)] = number
+        if work is not None:
+            gone = np.where(ranks < len(rounds), ranks, -1)
+            work.keep_own(ROUNDS, {"rounds": np.array([number + 1]), "left": gone, "values": state.sums})
+    progress("prune", total, total)
+    cuts = [number for number, each in enumerate(rounds) if each.cuts]
+    return [ranks > number for number in cuts]
+
+
+def count_looks(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    counts: Sequence[int],
+    *,
+    of: int,
+    space: NavigableSpace | None = None,
+) -> tuple[int, float]:
+    """Return how many looks `choose_subsets` takes, and which share of the Gaussians is in sight of one.
+
+    Args:
+        gaussians: N Gaussians.
+        cameras: Some of the cameras; 16 are enough.
+        counts: Requested sizes, descending.
+        of: Number of all cameras.
+        space: Voxels that stop light; None looks at everything.
+    """
+    share = _share_in_sight(cameras, None if space is None else InSight.from_scene(gaussians, space))
+    rounds = _plan(len(gaussians), of, counts, _looks_for(share, LOOKS, of))
+    return sum(len(each.cameras) for each in rounds), share
+
+
+class _State:
+    """What stands, and what was found of it.
+
+    Args:
+        g: The scene.
+        cameras: All cameras.
+        sight: What each may see; None for everything.
+        kept: (K,) Gaussians that stand.
+        sums: (K,) sums of squared changes, older ones with less weight.
+        rarity: (N,) factor on them.
+    """
+
+    def __init__(
+        self, g: Gaussians, cameras: Cameras, sight: InSight | None, kept: NDArray[np.int64], sums: F64, rarity: F64
+    ) -> None:
+        self.scene, self.cameras, self.sight, self.kept, self.sums, self.rarity = g, cameras, sight, kept, sums, rarity
+        self._left = g[kept]
+
+    def look(self, batch: NDArray[np.int64], count: int) -> None:
+        """Look by some cameras, while each Gaussian is there by its chance to be among `count`."""
+        chances = stay_chances(self.rarity[self.kept] * self.sums, count / len(self.kept))
+        self.sums *= _OLD
+        for index in batch:
+            camera = self.cameras[[index]]
+            if self.sight is None:
+                self.sums += removal_effects(self._left, camera, presence=chances).squared
+                continue
+            near = np.flatnonzero(self.sight.of(camera)[self.kept])
+            self.sums[near] += removal_effects(self._left[near], camera, presence=chances[near]).squared
+
+    def cut(self, count: int) -> NDArray[np.int64]:
+        """Leave the `count` of most worth; return the others."""
+        stays = most_important(self._left, self.rarity[self.kept] * self.sums, count)
+        gone = self.kept[~stays]
+        self.kept, self.sums = self.kept[stays], _BEFORE * self.sums[stays]
+        self._left = self.scene[self.kept]
+        return gone
+
+
+def stay_chances(worth: F64, share: float) -> NDArray[np.float32]:
+    """Return the chance of each Gaussian to stay if a share stays, from what they are worth.
+
+    The chance is a logistic function of the logarithm of the worth, and at least 0.02; the chances add up to the share.
+    Sums run over a histogram, so that the order of the Gaussians does not matter.
+
+    Args:
+        worth: (K,) at least 0, in any unit.
+        share: In (0, 1].
+    """
+    top = float(worth.max(initial=0.0))
+    with np.errstate(divide="ignore"):
+        octaves = np.log2(worth / top) if top > 0.0 else np.full(len(worth), -np.inf)
+    octaves = np.maximum(octaves, _LOWEST)  # -110 for one that no camera saw; all such if there was no look yet
+    held = np.bincount(((octaves - _LOWEST) * _PER_OCTAVE).astype(np.int64), minlength=_BINS)
+    middles = _LOWEST + (np.arange(len(held)) + 0.5) / _PER_OCTAVE
+    middles[0] = _LOWEST
+    low, high = 2.0 * _LOWEST, -_LOWEST
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        if (held * _logistic(middles - middle)).sum() > share * len(worth):
+            low = middle
+        else:
+            high = middle
+    return _logistic(octaves - 0.5 * (low + high)).astype(np.float32)
+
+
+def _logistic(octaves: F64) -> F64:
+    chances = 1.0 / (1.0 + np.exp2(np.clip(-_SHARPNESS * octaves, -100.0, 100.0)))
+    return np.asarray(np.maximum(chances, _LEAST_CHANCE))
+
+
+def _rarity(n: int, cameras: Cameras, sight: InSight | None) -> F64:
+    """Return (N,) a factor on worth, larger where few cameras look: small rooms count as much as halls."""
+    if sight is None:
+        return np.ones(n)
+    tried = range(min(_POLLED, len(cameras)))
+    seen = np.sum([sight.of(cameras[[index]]) for index in tried], axis=0, dtype=np.float64) / max(len(tried), 1)
+    return np.asarray((seen + _SELDOM) ** -_FAIRNESS)
+
+
+def _share_in_sight(cameras: Cameras, sight: InSight | None) -> float:
+    """Return the mean share of the Gaussians that the first cameras may see."""
+    if sight is None:
+        return 1.0
+    return float(np.mean([sight.of(cameras[[index]]).mean() for index in range(min(_TRIED, len(cameras)))]))
+
+
+def _looks_for(share: float, looks: float, cameras: int) -> float:
+    """Return how many cameras see an average Gaussian `looks` times; no camera looks twice for it."""
+    return min(looks / max(share, 1e-3), max(cameras, looks))
+
+
+def _plan(n: int, cameras: int, counts: Sequence[int], looks: float) -> list[_Round]:
+    """Return the rounds: cameras in turns, a cut after the last round for each count."""
+    rounds: list[_Round] = []
+    begin, now = 0, n
+    for cut, count in enumerate(counts):
+        part = _LATER * min(np.log2(now / count), 1.0) if cut else 1.0
+        left, now = max(round(looks * part), _FEWEST), int(count)
+        while left > 0:
+            some = min(left, _ROUND)
+            rounds.append(_Round(np.arange(begin, begin + some) % cameras, int(count), some == left))
+            begin, left = begin + some, left - some
+    return rounds
+
+
+def _batches(cameras: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    return [cameras[k : k + _BATCH] for k in range(0, len(cameras), _BATCH)]

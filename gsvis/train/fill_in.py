@@ -1,0 +1,51 @@
+"""Fit the opacities of merged Gaussians to images, in closed form, before training begins.
+
+A merge covers as much as its parts did. Where Gaussians that stay cover the same place, that is too much, a fog; where
+none stays, it is right. The images say which.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gsvis.render.removal import removal_effects
+from gsvis.scene.gaussians import Gaussians
+from gsvis.train.images import PosedImages
+
+__all__ = ["fit_opacities"]
+
+_VIEWS = 20  # of each turn
+_TURNS = 2
+_DAMPING = 0.5  # many change the same pixel at once
+_LEAST, _MOST = 0.3, 1.5  # factor of one turn
+_RANGE = 0.01, 0.99  # of opacities
+
+
+def fit_opacities(merged: Gaussians, stays: Gaussians, views: PosedImages) -> Gaussians:
+    """Return merged Gaussians with opacities that match images better.
+
+    A pixel is linear in the alpha of one Gaussian: with s times its alpha, the residual r becomes r + (1 - s) D, where
+    D is what removal changes. The squared error is least at 1 - s = -sum(r D) / sum(D^2). Each of two turns goes half
+    of that way. One that no view of a turn shows keeps its opacity.
+
+    Args:
+        merged: M Gaussians to fit.
+        stays: Those that stand beside them, unchanged.
+        views: Images of the whole scene; the first 40, or all in turns.
+
+    Returns:
+        The same Gaussians with other opacities.
+    """
+    for turn in range(_TURNS):
+        some = np.unique(np.arange(turn * _VIEWS, (turn + 1) * _VIEWS) % len(views))
+        both = Gaussians.concatenate([stays, merged])
+        effects = removal_effects(both, views.cameras[some], images=views.images[some])
+        squared, change = effects.squared[len(stays) :], effects.error_change[len(stays) :]
+        crossed = 0.5 * (change - squared)  # sum(r D)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            step = np.where(squared > 0.0, crossed / squared, 0.0)
+        factors = np.clip(1.0 + _DAMPING * step, _LEAST, _MOST)
+        opacities = np.clip(merged.opacities * factors, *_RANGE).astype(np.float32)
+        opacities = np.where(squared > 0.0, opacities, merged.opacities)
+        merged = Gaussians(merged.means, merged.quats, merged.scales, opacities, merged.sh0, merged.shN)
+    return merged
