@@ -148,8 +148,8 @@ USE = (
             Row(
                 "How many bytes does a static site need until 35 dB, all eyes together and in the median?",
                 (
-                    "static_site: bytes until 35 dB over those of the server, 5 eyes, all bytes together",
-                    "static_site: bytes until 35 dB over those of the server, 5 eyes, median",
+                    "static_site: bytes until 35 dB over those of the server, 6 eyes, all bytes together",
+                    "static_site: bytes until 35 dB over those of the server, 6 eyes, median",
                 ),
                 ours="{0:.1f}, {1:.1f} times",
                 peer="streaming server: 1",

@@ -38,7 +38,7 @@ from gsvis.prepare.surroundings import Surroundings
 from gsvis.prepare.work_folder import WorkFolder, digest_of_folder
 from gsvis.progress import Progress
 from gsvis.pvs.build import build_pvs
-from gsvis.pvs.cell_count import fitting_cells
+from gsvis.pvs.cell_count import MOST_CELLS, fitting_cells
 from gsvis.pvs.cells import MAX_CELLS, CellGrid
 from gsvis.pvs.store import VisibilityStore
 from gsvis.pvs.workers import Workers
@@ -50,7 +50,6 @@ from gsvis.train.level_views import LevelViews, draw_views, load_photograph_view
 
 __all__ = ["StageRecord", "Stages", "around_of"]
 
-_CELLS = 256  # most cells, unless configured or an object needs fewer
 _VERSIONS = {"levels": 4, "sets": 3, "colors": 2, "cost": 2, "fidelity": 3}  # increase when results change
 
 
@@ -147,7 +146,7 @@ class Stages:
     def _most_cells(self) -> int:
         """Most cells, as configured or chosen."""
         scene = self.scene if isinstance(self.scene, Gaussians) else self.scene.level(len(self.scene) - 1)
-        return self.config.cells or fitting_cells(scene, self.space, _CELLS)
+        return self.config.cells or fitting_cells(scene, self.space, MOST_CELLS)
 
     def sets_name(self, levels: Levels, grid: CellGrid) -> str:
         """Return the name of the file of visible sets."""

@@ -17,7 +17,9 @@ from gsvis.raycast.tracer import TAU
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 
-__all__ = ["fitting_cells"]
+__all__ = ["MOST_CELLS", "fitting_cells"]
+
+MOST_CELLS = 256  # most cells of a space, unless somebody asks for another number
 
 _EYES = 8
 _SIZE = 128  # pixels along a side of the faces around an eye

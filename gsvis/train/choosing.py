@@ -205,7 +205,7 @@ def stay_chances(worth: F64, share: float) -> NDArray[np.float32]:
     held = np.bincount(((octaves - _LOWEST) * _PER_OCTAVE).astype(np.int64), minlength=_BINS)
     middles = _LOWEST + (np.arange(len(held)) + 0.5) / _PER_OCTAVE
     middles[0] = _LOWEST
-    low, high = 2.0 * _LOWEST, -_LOWEST
+    low, high = 2.0 * _LOWEST, -1.0 * _LOWEST
     for _ in range(40):
         middle = 0.5 * (low + high)
         if (held * _logistic(middles - middle)).sum() > share * len(worth):

@@ -15,6 +15,7 @@ import numpy as np
 from gsvis import _check
 from gsvis.files.objects import open_store
 from gsvis.progress import Progress, silent
+from gsvis.pvs.cell_count import MOST_CELLS
 from gsvis.pvs.workers import Workers, machine_load
 from gsvis.world.build import WorldBuild
 from gsvis.world.config import WorldConfig
@@ -96,7 +97,7 @@ def estimate_world(
         expected = np.array(build.grid["expected"])
         side = float(build.grid["grid"]["side"])
     count, degree = sum(each["gaussians"] for each in facts), max(each["sh_degree"] for each in facts)
-    tiles, cells = int(np.count_nonzero(expected)), config.package.cells
+    tiles, cells = int(np.count_nonzero(expected)), config.package.cells or MOST_CELLS
     largest = int(max(expected.max(), 1))
     levels = config.package.levels
     drawn = 1.0 if levels is None else 1.0 + sum(levels.shares)
