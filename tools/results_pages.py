@@ -85,6 +85,7 @@ PAGES = {
             "look",
             "pvs_memory",
             "pvs_quality",
+            "pvs_images",
             "pvs_quality_nika",
             "certificate",
             "certificate_200",
