@@ -19,7 +19,9 @@ import prometheus_client
 from prometheus_client import CollectorRegistry
 from prometheus_client.metrics_core import Metric
 
+from gsvis.errors import FormatError
 from gsvis.files.atomic import atomic_path
+from gsvis.files.limits import read_whole
 from gsvis.serve.metrics import Metrics
 
 __all__ = ["Siblings"]
@@ -90,8 +92,8 @@ class Siblings:
         for path in sorted(self.folder.glob("process-*.json")):
             if path == self.path:
                 continue
-            with suppress(OSError, ValueError):
-                yield _Said(int(path.name.split("-")[1]), self._age(path), json.loads(path.read_bytes()))
+            with suppress(OSError, ValueError, FormatError):
+                yield _Said(int(path.name.split("-")[1]), self._age(path), json.loads(read_whole(path)))
 
     def _living(self) -> list[_Said]:
         """Return what the other processes said that live: for each number the newest, unless it is old."""

@@ -274,7 +274,11 @@ def _subsets(
     if work is None:
         return dict(zip(counts, choose(), strict=True))
     shape = cameras.width, cameras.height
-    hides = None if space is None else [space_hash(space), hashlib.sha256(np.packbits(space.occupied).tobytes()).hexdigest()]
+    hides = (
+        None
+        if space is None
+        else [space_hash(space), hashlib.sha256(np.packbits(space.occupied).tobytes()).hexdigest()]
+    )
     rules = [scene_hash(scene), counts, config.prune_share, config.looks, shape, choose_by is not None, hides]
     digest = hashlib.sha256()
     for array in (views.images, views.cameras.viewmats, views.cameras.Ks, cameras.viewmats, cameras.Ks):

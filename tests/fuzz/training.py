@@ -158,7 +158,7 @@ def run(seed: int) -> tuple[Gaussians, PosedImages]:
 
 def chosen_in(folder: Path, seed: int = 0) -> dict[int, Any]:
     scene, views = run(seed)
-    return _subsets(scene, views, None, LEVELS.sizes(COUNT), LEVELS, folder, silent)
+    return _subsets(scene, views, None, None, LEVELS.sizes(COUNT), LEVELS, folder, silent)
 
 
 def subsets() -> list[Case]:

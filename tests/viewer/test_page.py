@@ -18,7 +18,6 @@ from tests.serve.servers import PATIENCE
 from tests.viewer.page_server import HOSTILE, VIEWER, build_page, serve_page
 
 pytestmark = pytest.mark.slow
-FLAGS = ("--disable-gpu",)  # nothing here draws with WebGL, and software that stands in for a GPU costs most of a test
 SIZES = {"wide": (1280, 800), "tablet": (768, 1024), "phone": (375, 667)}
 WAIT = 1000 * PATIENCE  # milliseconds; a guard against hanging
 ROOM = "/view/show%20room"
@@ -37,13 +36,13 @@ OUTSIDE = """[...document.querySelectorAll(".scene > *, .tools > *, .dock > *")]
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    """Chromium without a GPU."""
+    """Chromium without a GPU: nothing here draws with WebGL, and software in its place costs most of a test."""
     api = pytest.importorskip("playwright.sync_api", reason="no playwright: pip install playwright")
     path = os.environ.get("GSVIS_CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
     if not path:
         pytest.skip("no Chromium: install it, or set GSVIS_CHROMIUM to its path")
     with api.sync_playwright() as playwright:
-        started = playwright.chromium.launch(executable_path=path, args=list(FLAGS))
+        started = playwright.chromium.launch(executable_path=path, args=["--disable-gpu"])
         yield started
         started.close()
 
