@@ -41,6 +41,8 @@ class AbrConfig:
             Lower levels are left out then; a view begins sooner with them.
         window: Seconds of data that may be in flight.
         piece: Seconds that the link should take for one message. A client shows a message only when it is complete.
+        begin: Bytes of a session up to which messages are small: a quarter of what has been sent, or 4,096 bytes. So the
+            first picture comes sooner on a slow link.
         start_rate: Bytes of messages a second, assumed before the first acknowledgement.
         utility: Factors of the policy "utility".
     """
@@ -61,6 +63,7 @@ class AbrConfig:
     horizon: float = 0.25
     window: float = 0.3
     piece: float = 0.05
+    begin: float = 32768.0
     start_rate: float = 250e3
     utility: UtilityConfig = field(default_factory=UtilityConfig)
 
@@ -71,6 +74,8 @@ class AbrConfig:
         for name in ("lead", "ahead", "parallax", "turn", "move"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
                 raise ValueError(f"{name}: expected a finite number >= 0, got {getattr(self, name)!r}")
+        if not self.begin >= 0:
+            raise ValueError(f"begin: expected bytes >= 0, got {self.begin!r}")
         if not 0 <= self.picture <= 1:
             raise ValueError(f"picture: expected a share in [0, 1], got {self.picture!r}")
         if not 0 < self.replaced <= 1:

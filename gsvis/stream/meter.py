@@ -1,7 +1,9 @@
 """Measure how long transfers take, by the sender's own clock: from the times of messages and acknowledgements.
 
 Messages follow each other on one ordered link. The time of a message starts when the link is free for it: when it is
-sent, or when the message before has left. The sender sees both one round trip later.
+sent, or when the message before has left. The sender sees both one round trip later. Only a message that finds next
+to nothing in flight shows the round trip: any other waits for those before it. A round trip that is too long makes
+transfers look short and the link fast.
 """
 
 from __future__ import annotations
@@ -12,7 +14,7 @@ import numpy as np
 
 __all__ = ["LinkMeter"]
 
-_SMALL = 4096  # most bytes of a transfer that takes about a round trip
+_SMALL = 4096  # most bytes in flight with a transfer that takes about a round trip
 _LEAST = 2048  # least bytes of transfers whose duration is a measurement of the link
 
 
@@ -21,7 +23,7 @@ class LinkMeter:
 
     Attributes:
         outstanding: Bytes sent and not acknowledged.
-        round_trip: Seconds, the shortest round trip of a small transfer; 0 before the first.
+        round_trip: Seconds, the shortest round trip of a small transfer on an idle link; 0 before the first.
         last: Number of the last message sent; -1 before the first.
     """
 
@@ -29,13 +31,13 @@ class LinkMeter:
         self.outstanding = 0
         self.last = -1
         self._round_trip = np.inf
-        self._sent: deque[tuple[int, float, int]] = deque()
+        self._sent: deque[tuple[int, float, int, int]] = deque()  # the last: bytes in flight once it was sent
         self._acknowledged = -np.inf  # when the last acknowledgement came
         self._bytes, self._seconds = 0, 0.0
 
     @property
     def round_trip(self) -> float:
-        """Seconds, the shortest round trip of a small transfer; 0 before the first."""
+        """Seconds, the shortest round trip of a small transfer on an idle link; 0 before the first."""
         return float(self._round_trip) if np.isfinite(self._round_trip) else 0.0
 
     def on_sent(self, t: float, sequence: int, nbytes: int) -> None:
@@ -46,8 +48,8 @@ class LinkMeter:
             sequence: Number of the message.
             nbytes: Bytes of the message.
         """
-        self._sent.append((sequence, t, nbytes))
         self.outstanding += nbytes
+        self._sent.append((sequence, t, nbytes, self.outstanding))
         self.last = sequence
 
     def on_ack(self, t: float, sequence: int) -> tuple[int, float] | None:
@@ -66,14 +68,14 @@ class LinkMeter:
         """
         if sequence > self.last:
             raise ValueError(f"sequence: expected at most {self.last}, got {sequence}")
-        size, first = 0, np.inf
+        size, first, flight = 0, np.inf, 0
         while self._sent and self._sent[0][0] <= sequence:
-            _, sent, nbytes = self._sent.popleft()
+            _, sent, nbytes, flight = self._sent.popleft()
             size, first = size + nbytes, min(first, sent)
         if size == 0:
             return None
         self.outstanding -= size
-        if size <= _SMALL:
+        if flight <= _SMALL:
             self._round_trip = min(self._round_trip, max(t - first, 0.0))
         free = max(first + self.round_trip, self._acknowledged)
         self._acknowledged = t

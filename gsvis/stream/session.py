@@ -171,9 +171,12 @@ class Session:
 
         Returns:
             0 if the allowance is so small that the message should wait for the next acknowledgement. Never 0 with
-            nothing in flight, so that the session retries a link that seems dead.
+            nothing in flight, so that the session retries a link that seems dead. The first messages are small:
+            a client shows a message when it is whole, and at first it shows nothing.
         """
         size = max(self.rate * self.piece, PIECE)
+        if self.wire_bytes < self.config.begin:
+            size = min(size, max(PIECE, 0.25 * self.wire_bytes))
         room = max(self.allowance(), PIECE) if self.outstanding == 0 else self.allowance()
         return min(size, room) if room >= 0.5 * size else 0.0
 

@@ -58,3 +58,22 @@ def test_what_was_never_sent_cannot_be_acknowledged() -> None:
     assert meter.on_ack(0.2, 0) is None
     with pytest.raises(ValueError, match=r"^sequence"):
         meter.on_ack(0.0, 1)
+
+
+@pytest.mark.parametrize("small", range(3, 40, 6))
+def test_a_small_message_behind_others_does_not_pass_for_the_round_trip(small: int) -> None:
+    """The sender keeps 0.3 s of a link of 1 Mbit/s in flight, and one message is small: the rate stays what it is."""
+    meter, rate, round_trip = LinkMeter(), 125e3, 0.04
+    free, sent, acks, found = 0.0, 0, [], []
+    for _ in range(100):
+        t = acks.pop(0) if acks else 0.0
+        if sent and (transfer := meter.on_ack(t, sent - len(acks) - 1)) is not None:
+            found.append(transfer)
+        while meter.outstanding < 0.3 * rate:
+            size = 2000 if sent == small else 9000
+            meter.on_sent(t, sent, size)
+            free = max(free, t) + size / rate
+            acks.append(free + round_trip)
+            sent += 1
+    assert meter.round_trip == 0.0
+    assert max(nbytes / seconds for nbytes, seconds in found) <= rate * (1 + 1e-9)

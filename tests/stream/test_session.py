@@ -12,6 +12,7 @@ from gsvis.abr.config import AbrConfig
 from gsvis.pvs.codec import ids_of
 from gsvis.stream import Session, StreamedScene
 from gsvis.stream.scene import class_weights
+from gsvis.stream.session import PIECE
 from tests.stream.worlds import package_of
 
 VIEW = FieldOfView.from_degrees(80, 60, margin=8)
@@ -46,6 +47,21 @@ def test_what_is_in_flight_is_bounded_by_the_window(scene: StreamedScene) -> Non
     assert session.rate == pytest.approx((first + len(message.data)) / 0.5)
     with pytest.raises(ValueError, match=r"^sequence: expected at most 2, got 3"):
         session.on_ack(1.7, 3)
+
+
+@pytest.mark.parametrize("begin", [0.0, 12e3])
+def test_the_first_messages_are_small(scene: StreamedScene, begin: float) -> None:
+    session = Session(scene, VIEW, AbrConfig(start_rate=1e6, window=1.0, begin=begin))
+    session.welcome(0.0)
+    session.on_pose(0.0, [0, 0, 0], [1, 0, 0, 0])
+    small = 0
+    while session.wire_bytes < begin:
+        assert session.room() == max(PIECE, 0.25 * session.wire_bytes)
+        message = session.next_message(0.0)
+        assert message is not None
+        small += 1
+    assert small == (0 if begin == 0 else 1 + (begin - len(session.scene.header) - 1) // PIECE)
+    assert session.room() == 1e6 * session.piece
 
 
 def test_candidates_are_what_the_cell_and_its_neighbors_see(scene: StreamedScene) -> None:

@@ -143,7 +143,7 @@ def test_messages_are_about_as_large_as_they_should_be(
 
 
 def test_a_link_is_filled_in_pieces_and_asked_again_when_it_seems_dead(scenes: dict[str, StreamedScene]) -> None:
-    session = Session(scenes["rgb"], VIEW, AbrConfig(start_rate=100e3, window=0.06))
+    session = Session(scenes["rgb"], VIEW, AbrConfig(start_rate=100e3, window=0.06, begin=0.0))
     session.on_pose(0.0, [0, 0, 0], [1, 0, 0, 0])
     assert session.room() == 100e3 * session.config.piece
     for piece, room in ((0.055, 100e3 * 0.055), (1e-9, PIECE), (session.config.piece, 100e3 * session.config.piece)):
