@@ -230,11 +230,8 @@ class WorldPackage(Package):
         offsets, ids = nearest_replacements(levels)
         n, means, manifest = len(levels.union), levels.union.means, self.world.manifest
         pairs = [np.stack([np.repeat(np.arange(n), np.diff(offsets)), ids.astype(np.int64)], axis=1)]
-        smaller = {(d.size, tile): t for t, d in self._districts() for tile in d.tiles}
         for node, district in self._districts():
-            below = {smaller.get((district.size // 2, tile), -1) for tile in district.tiles} - {-1}
-            parts = sorted(below) if district.size > 1 else list(district.tiles)
-            for part in parts:
+            for part in district.children:
                 mine, theirs = (np.arange(self.bases[k], self.bases[k + 1]) for k in (node, part))
                 if part < len(manifest.tiles):
                     theirs = theirs[levels.first[theirs] == levels.first[theirs].min(initial=15)]
