@@ -126,6 +126,12 @@ class WorldBuild:
         return found
 
     @cached_property
+    def reach(self) -> list[tuple[float, float]]:
+        """The least and largest value of each component of base colors, the same tables for all packages."""
+        rows = [result.facts["reach"] for result in self.splits]
+        return [(min(row[k][0] for row in rows), max(row[k][1] for row in rows)) for k in range(3)]
+
+    @cached_property
     def tiles(self) -> list[Rect | None]:
         """The tiles, in the order of the manifest."""
         return list(self.files)
@@ -175,6 +181,7 @@ class WorldBuild:
             params: Facts = {"config": package, "most": self.config.far}
             tasks.append(Task(f"levels {k}", "gsvis.world.tiles:make_tile_levels", params, needs))
         about = {"most": self.config.far, "up": self.grid["up"], "meters_per_unit": package["meters_per_unit"]}
+        about["reach"] = self.reach
         for k, plan in enumerate(self.districts):
             of_tile = len(plan.children) == 1
             needs = tuple(f"levels {each}" if of_tile else self._district(each) for each in plan.children)
@@ -201,10 +208,15 @@ class WorldBuild:
         return self._run(self._level_tasks, "levels")
 
     @cached_property
+    def chosen(self) -> dict[str, Result]:
+        """All of `made`, and the choice of nodes around each tile with a space."""
+        _ = self.made
+        return self._run(self._node_tasks, "nodes")
+
+    @cached_property
     def nodes(self) -> dict[int, list[str]]:
         """For each tile with a space, the tasks of the nodes around it."""
-        _ = self.made
-        found = self._run(self._node_tasks, "nodes")
+        found = self.chosen
         outside = [f"levels {len(self.tiles) - 1}"] if self.tiles[-1] is None else []
         nodes = {}
         for k in range(len(self.tiles)):
@@ -222,6 +234,7 @@ class WorldBuild:
             params = {
                 "around": around, "angle": self.config.angle, "config": self.config.package.as_dict(),
                 "name": tile_name(rect), "up": self.grid["up"], "outside": rect is None,
+                "reach": self.reach,
             }  # fmt: skip
             own = (f"levels {k}",) if rect is None else (f"levels {k}", f"space {k}")
             tasks.append(Task(f"tile {k}", "gsvis.world.packages:prepare_tile", params, (*own, *around)))

@@ -90,7 +90,7 @@ def prepare_world(
         packages = build.packages
         manifest = _manifest(build, packages, about or {})
         _write(build, packages, manifest, target, progress)
-        results = {**build.made, **{f"tile {k}": result for k, result in enumerate(packages)}}
+        results = {**build.chosen, **{f"tile {k}": result for k, result in enumerate(packages)}}
     nbytes = sum(manifest.node(k).nbytes for k in range(len(manifest)))
     nbytes += sum(tile.beyond.nbytes for tile in manifest.tiles if tile.beyond is not None)
     return PreparedWorld(manifest, results, nbytes, work.folder)

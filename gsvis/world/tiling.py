@@ -22,6 +22,7 @@ from gsvis.io.batches import Batch, read_batch
 from gsvis.raycast.proxies import MIN_ALPHA
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.inspection import axis_vector, guess_up
+from gsvis.scene.sh import SH_C0
 from gsvis.world.graph import Facts, Given
 from gsvis.world.manifest import Grid
 from gsvis.world.rows import content_order, load_gaussians, save_gaussians
@@ -50,9 +51,10 @@ OUTSIDE = "outside"
 
 _SAMPLE = 1 << 19  # rows of the sample, about
 _MARGIN = 0.25  # of the robust box, added to each side
-_SQUARES = 16  # along a side, for each tile along it
+_SQUARES = 64  # along a side, for each tile along it
 _MOST_SIDE = 1 << 11  # squares along the longer side of the grid
 _FILL = 0.9  # how full tiles are meant to be; the sample is not exact
+_SLACK = 0.08  # of a tile: cuts along squares are not exact either, and one more tile costs more than a fuller one
 
 Rect = tuple[int, int, int, int]
 """A rectangle of squares: the first along each axis, then how many."""
@@ -162,7 +164,7 @@ def cut_squares(counts: I64, most: int) -> tuple[list[Rect], list[int], Any]:
             return (x, y, width, height) if total else None
         across = width >= height
         before = np.cumsum(block.sum(axis=1 if across else 0))
-        parts = math.ceil(total / (_FILL * most))
+        parts = max(2, math.ceil(total / (_FILL * most) - _SLACK))
         least = max(1, len(before) // 4)
         ends = before[least - 1 : len(before) - least]
         at = least + int(np.abs(ends - total * ((parts // 2) / parts)).argmin())
@@ -183,7 +185,7 @@ def cut_squares(counts: I64, most: int) -> tuple[list[Rect], list[int], Any]:
 def split_batch(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     """Task: write the rows of a batch as one file for each tile. The input is the grid.
 
-    Facts: how many rows each tile got.
+    Facts: how many rows each tile got, and the least and largest of each component of base colors.
     """
     g = read_batch(Batch(**params["batch"]))
     found = given.inputs[0].facts
@@ -201,7 +203,8 @@ def split_batch(params: Facts, given: Given, out: Path, work: Path) -> Facts:
         rows = g[keys == key]
         save_gaussians(out / name, rows)
         counts[name] = len(rows)
-    return {"counts": counts}
+    colors = np.maximum(0.5 + SH_C0 * g.sh0[:, 0].astype(np.float64), 0.0) if len(g) else np.full((1, 3), 0.5)
+    return {"counts": counts, "reach": np.stack([colors.min(axis=0), colors.max(axis=0)], axis=1).tolist()}
 
 
 def tile_name(rect: Rect | None) -> str:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import logging
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +14,15 @@ import pytest
 
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.config import AbrConfig
+from gsvis.color.fit import FitConfig
 from gsvis.errors import FormatError
+from gsvis.files.mapped import MappedArrays
+from gsvis.prepare.colors import ColorConfig
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.view_sampling import ViewSampling
 from gsvis.serve import Address, Server, StreamClient, open_scenes
-from gsvis.stream import Receiver, Session, StreamedScene
+from gsvis.stream import Quality, Receiver, Session, StreamedScene
+from gsvis.stream.coding import Coding
 from gsvis.world import World
 from gsvis.world.prepare import prepare_world
 from gsvis.world.streamed import WorldPackage, open_world
@@ -30,6 +38,18 @@ def city(tmp_path_factory: pytest.TempPathFactory) -> Path:
     scene = write(street(), folder / "street.ply")
     prepare_world([scene], folder / "a.gsworld", config())
     return folder / "a.gsworld"
+
+
+@pytest.fixture(scope="module")
+def shiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A world with view-dependent colors."""
+    folder, g = tmp_path_factory.mktemp("shiny"), street()
+    higher = 0.3 * np.random.default_rng(0).normal(size=(len(g), 3, 3))
+    scene = write(Gaussians(g.means, g.quats, g.scales, g.opacities, g.sh0, higher), folder / "s.ply")
+    colors = ColorConfig(FitConfig(max_terms=1, mean_terms=1.0), ViewSampling(2, 32, 24))
+    options = config(most=900)
+    prepare_world([scene], folder / "b.gsworld", replace(options, package=replace(options.package, colors=colors)))
+    return folder / "b.gsworld"
 
 
 @pytest.fixture
@@ -81,6 +101,34 @@ def test_a_viewer_crosses_borders_and_gets_nothing_twice(city: Path, tmp_path: P
     assert walk(first)[0] == walk(again)[0] == found
     assert again.index.sets.open_tiles > 1  # type: ignore[attr-defined]
     assert len(receiver.shown()) <= len(came)
+
+
+@pytest.mark.parametrize("quality", [None, Quality()])
+@pytest.mark.parametrize("degree", [0, 1])
+def test_tables_made_node_by_node_are_those_of_the_whole(
+    city: Path, shiny: Path, tmp_path: Path, degree: int, quality: Quality | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = shiny if degree else city
+    scene, kept = open_world(path, tables=tmp_path, quality=quality)
+    assert kept is not None
+    mapped = MappedArrays(next(tmp_path.glob("*.tables")))
+    nbytes = float(mapped.arrays["record_sizes"][0]), float(mapped.facts["numbers"]["term_size"])
+    monkeypatch.setattr(Coding, "from_contents", lambda contents, steps=None: scene.coding)
+    monkeypatch.setattr(Coding, "mean_bytes", lambda self, contents: nbytes)
+    arrays, facts = StreamedScene.open(WorldPackage(World.open(path), set()), quality=quality).to_arrays()
+    assert sorted(arrays) == sorted(mapped.arrays)
+    for name, array in arrays.items():
+        found = mapped.arrays[name]
+        assert (found.dtype, found.shape, found.flags.writeable) == (array.dtype, array.shape, array.flags.writeable)
+        if name == "all_level_bytes":  # a sum of the whole in single precision
+            assert np.allclose(found, array, rtol=1e-5)
+        else:
+            assert np.array_equal(found, array), name
+    numbers = json.loads(json.dumps(facts.pop("numbers")))
+    assert {k: pytest.approx(v, rel=1e-5) for k, v in numbers.items()} == mapped.facts["numbers"]
+    same = {"identity": mapped.facts["identity"], "numbers": mapped.facts["numbers"]}
+    assert json.loads(json.dumps(facts)) | same == mapped.facts
+    assert bool(len(arrays["owners"])) == bool(degree)
 
 
 def test_all_that_a_cell_sees_arrives(city: Path) -> None:
