@@ -203,6 +203,15 @@ class WorldPackage(Package):
         cells = self._cells()
         return cells.to_arrays(), [cells.origin.tolist(), cells.cell_size, cells.up.tolist()], self._weights()
 
+    def part_of(self, gaussian: int) -> tuple[Contents, int]:
+        """Return the records of the part that holds a Gaussian, and the id of the first of them; see `Package`."""
+        if not 0 <= gaussian < self.bases[-1]:
+            raise ValueError(f"gaussian: expected an id below {self.bases[-1]:,}, got {gaussian}")
+        node = int(np.searchsorted(self.bases, gaussian, "right")) - 1
+        with self.world.package(node) as package:
+            contents, start = package.part_of(gaussian - int(self.bases[node]))
+        return contents, start + int(self.bases[node])
+
     @cached_property
     def contents(self) -> Contents:
         """All records, with colors in the tables of the world."""

@@ -8,6 +8,7 @@ import logging
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -193,6 +194,41 @@ def test_a_world_without_a_tile_that_can_be_read_is_refused(copy: Path) -> None:
         open_world(copy)
 
 
+def check_facts(server: Server, grid: Any, gaussians: int) -> None:
+    """The floor covers the cells; a Gaussian of a tile knows its cells, one of a district is known."""
+    floor = json.loads(ask(server, "/scenes/a/floor")[2])
+    heights = np.array([value for value in floor["heights"] if value is not None])
+    assert len(heights) > 10
+    low, high = grid.centers[:, 2].min() - grid.sizes.max() / 2, grid.centers[:, 2].max() + grid.sizes.max() / 2
+    assert low <= heights.min() <= heights.max() <= high
+    seen = [json.loads(ask(server, f"/scenes/a/why/{k}")[2]) for k in (0, 40, gaussians - 1)]
+    assert seen[0]["cells"]["of"] >= 1
+    assert any(each["cells"]["seeing"] for each in seen[:2])
+    assert seen[2]["cells"] is None
+    assert ask(server, f"/scenes/a/why/{gaussians}")[0] == 404
+
+
+def check_files(server: Server, city: Path) -> None:
+    """A copy of the world can be fetched file by file, and nothing else."""
+    for path in sorted(city.rglob("*")):
+        if path.is_file():
+            status, _, data = ask(server, f"/packages/a/{path.relative_to(city).as_posix()}")
+            assert status == 200
+            assert data == path.read_bytes()
+    for wrong in ("packages/../world.json", "packages/" + "0" * 64 + "/manifest.json", "beyond/x.pvs", "manifest.json"):
+        assert ask(server, f"/packages/a/{wrong}")[0] in (400, 404)
+
+
+def test_cells_of_a_world_hold_their_points(city: Path) -> None:
+    cells: Any = open_world(city)[0].index.grid
+    points = np.random.default_rng(0).uniform(cells.corners().min(axis=0), cells.corners().max(axis=0), (2000, 3))
+    inside = (np.abs(points[:, None] - cells.centers) <= cells.sizes[:, None] / 2).all(axis=2)
+    found = cells.cell_at(points)
+    assert ((found >= 0) == inside.any(axis=1)).all()
+    held = found >= 0
+    assert inside[held, found[held]].all()
+
+
 def test_a_server_streams_a_world(city: Path, tmp_path: Path) -> None:
     """A client walks through it, over a real socket."""
 
@@ -215,6 +251,8 @@ def test_a_server_streams_a_world(city: Path, tmp_path: Path) -> None:
             assert client.receiver is not None
             assert len(client.receiver.shown()) > 1000
             assert ask(server, "/scenes/a/cells")[0] == 404
+            check_facts(server, grid, len(scenes["a"].scene))
+            check_files(server, city)
             assert b'"manifest":null' in ask(server, "/")[2]
         until(lambda: scenes["a"].users == 0)
         assert scenes["a"].close_unused(1e12, 1.0)
