@@ -44,6 +44,8 @@ def main() -> None:
     parser.add_argument("--most", type=int, default=250_000)
     parser.add_argument("--cells", type=int, default=2, help="cells of a tile")
     parser.add_argument("--sample", type=int, default=1, help="tiles that get their package; 0 for none")
+    parser.add_argument("--district", action="store_true", help="sample all tiles of one district instead")
+    parser.add_argument("--resume", action="store_true", help="go on with what an earlier run left; peaks are of now")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--work", type=Path, help="folder for the worlds, some gigabytes")
     given = add_arguments(parser).parse_args()
@@ -52,8 +54,8 @@ def main() -> None:
     builds = [start(scene, count, given) for count in given.copies]
     runs = [run(build) for build in builds]
     write(given, runs)  # the sample takes longest
-    if given.sample:
-        runs[-1] |= sample(builds[-1], given.sample)
+    if given.sample or given.district:
+        runs[-1] |= sample(builds[-1], given.sample, given.district)
         write(given, runs)
 
 
@@ -77,7 +79,8 @@ def start(scene: Path, copies: int, given: argparse.Namespace) -> WorldBuild:
     if not folder.is_dir():
         write_copies(str(scene), given.lod, copies, folder)
     store = given.work / f"copies-{copies}.work"
-    shutil.rmtree(store, ignore_errors=True)
+    if not given.resume:
+        shutil.rmtree(store, ignore_errors=True)
     scenes = [(str(path), None) for path in sorted(folder.glob("*.ply"))]
     package = PrepareConfig(levels=None, cells=given.cells)
     config = WorldConfig(tiling=TilingConfig(most=given.most), package=package)
@@ -96,10 +99,12 @@ def run(build: WorldBuild) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def sample(build: WorldBuild, count: int) -> dict[str, Any]:
-    """Packages of the fullest tiles with a space, and the peak of memory."""
+def sample(build: WorldBuild, count: int, district: bool) -> dict[str, Any]:
+    """Packages of the fullest tiles with a space, or of those of the first district of several; the peak of memory."""
     nodes, made = build.nodes, build.made
     order = sorted(nodes, key=lambda k: -made[f"rows {k}"].facts["gaussians"])[:count]
+    if district:
+        order = [k for k in next(plan.tiles for plan in build.districts if len(plan.tiles) > 1) if k in nodes]
     with watch_memory(0.2) as peak:
         results = build.prepared(order)
     tiles = [

@@ -40,7 +40,7 @@ class World:
     tile: Annotated[int, COUNTED] = 250_000
     """Most Gaussians of a tile, about."""
     far: Annotated[int, COUNTED] = 8_192
-    """Most Gaussians of a district, which stands for a tile or a square of tiles from afar."""
+    """Most Gaussians of a district, which stands for one or several tiles from afar."""
     angle: Annotated[float, RADIANS] = 0.006
     """Lower levels and districts stand in from where their spacing is below this angle."""
     levels: Annotated[tuple[float, ...], SHARES_OR_NONE, hint("0.25 0.5")] = (0.25, 0.5)

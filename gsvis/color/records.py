@@ -6,6 +6,7 @@ are those of the records themselves, before entropy coding. Nothing here writes 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
@@ -254,7 +255,12 @@ class QuantizedColors:
 
 
 def quantize(
-    colors: SrbfColors, precision: Precision | str = "wire", *, refit: bool = True, grids: Grids | None = None
+    colors: SrbfColors,
+    precision: Precision | str = "wire",
+    *,
+    refit: bool = True,
+    grids: Grids | None = None,
+    reach: Sequence[tuple[float, float]] | None = None,
 ) -> QuantizedColors:
     """Round colors to the precision of records.
 
@@ -272,6 +278,8 @@ def quantize(
         refit: Adapt intensities; False rounds each number on its own.
         grids: Tables to use instead of the colors' own, such as those of a larger scene; `precision` is then
             ignored. Values outside their ranges are rejected.
+        reach: Least and largest value of each component of base colors, in RGB, that the colors' own tables hold too,
+            so that scenes rounded apart can have the same tables. Variants in other spaces ignore it.
 
     Raises:
         ValueError: If the variant is in RGB and a scale is not 1, or `grids` does not cover the colors.
@@ -282,6 +290,10 @@ def quantize(
         (4, [[0.0, 0.5, 1.0]])
     """
     own = Grids.from_colors(colors, precision)
+    if reach is not None and colors.kind.space == "rgb":
+        low, high = np.array([own.base, np.asarray(reach)], np.float32).transpose(2, 0, 1)
+        red, green, blue = zip(low.min(axis=0).tolist(), high.max(axis=0).tolist(), strict=True)
+        own = replace(own, base=(red, green, blue))
     g = own if grids is None else grids
     if grids is not None:
         _within(own, grids)

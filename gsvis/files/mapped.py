@@ -10,10 +10,11 @@ from __future__ import annotations
 import json
 import mmap
 import os
+import shutil
 import struct
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,7 @@ from gsvis.files.atomic import atomic_path
 from gsvis.files.limits import DAMAGED, open_regular
 from gsvis.files.resume import seal, unseal
 
-__all__ = ["MappedArrays", "resident_bytes", "write_arrays"]
+__all__ = ["ArrayFiles", "MappedArrays", "resident_bytes", "write_arrays"]
 
 _MAGIC = b"\x93gsvisM\n"
 _HEAD = struct.Struct("<8sQ")  # magic, bytes of the sealed JSON after it
@@ -52,13 +53,99 @@ def write_arrays(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]
             blocks.append(whole)
             end += -(-whole.nbytes // _PAGE) * _PAGE
         rows.append([name, whole.dtype.str, list(array.shape), place, bool(array.flags.writeable)])
-    head = seal(json.dumps({"facts": facts, "arrays": rows, "bytes": end}, allow_nan=False).encode())
     with atomic_path(path) as partial, partial.open("r+b") as file:
-        file.write(_HEAD.pack(_MAGIC, len(head)) + head)
-        file.write(bytes(-file.tell() % _PAGE))
+        _write_head(file, facts, rows, end)
         for block in blocks:
             file.write(block.reshape(-1).view(np.uint8).data)
             file.write(bytes(-file.tell() % _PAGE))
+
+
+class ArrayFiles:
+    """Arrays that grow piece by piece, each in a file of a folder, until they become one file for `MappedArrays`.
+
+    Memory holds a piece. Use it in a `with` statement.
+
+    Args:
+        folder: An empty folder, which the caller removes.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._files: dict[str, BinaryIO] = {}
+        self._rows: dict[str, tuple[np.dtype[Any], tuple[int, ...], int]] = {}
+
+    def __enter__(self) -> ArrayFiles:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for file in self._files.values():
+            file.close()
+
+    def append(self, name: str, piece: NDArray[Any]) -> None:
+        """Add rows to an array; all of its pieces have one type and one shape of a row."""
+        whole = np.ascontiguousarray(piece)
+        if name not in self._files:
+            self._files[name] = (self._folder / f"{len(self._files)}").open("w+b")
+            self._rows[name] = whole.dtype, whole.shape[1:], 0
+        kind, shape, count = self._rows[name]
+        assert whole.dtype == kind, name
+        assert whole.shape[1:] == shape, name
+        self._files[name].write(whole.reshape(-1).view(np.uint8).data)
+        self._rows[name] = kind, shape, count + len(whole)
+
+    def count(self, name: str) -> int:
+        """Return how many rows an array has by now."""
+        return self._rows[name][2]
+
+    def rows(self, name: str, first: int = 0, end: int | None = None) -> NDArray[Any]:
+        """Return some rows of an array, read from its file."""
+        kind, shape, count = self._rows[name]
+        size, end = kind.itemsize * int(np.prod(shape)), count if end is None else end
+        file = self._files[name]
+        file.flush()
+        data = os.pread(file.fileno(), size * (end - first), size * first)
+        return np.frombuffer(data, kind).reshape(end - first, *shape)
+
+    def write(
+        self,
+        path: str | os.PathLike[str],
+        facts: Mapping[str, Any],
+        *,
+        joined: Mapping[str, Sequence[str]] | None = None,
+        same: Mapping[str, str] | None = None,
+        frozen: Collection[str] = (),
+    ) -> None:
+        """Write all arrays as one file, atomically.
+
+        Args:
+            path: The file.
+            facts: JSON values.
+            joined: For each of these names, the arrays that become its rows; they have one length.
+            same: For each of these names, the array that it is another name of.
+            frozen: Names of arrays that nobody may write to.
+
+        Raises:
+            OutputError: If the file cannot be written.
+        """
+        joined, same = joined or {}, same or {}
+        inner = {part for parts in joined.values() for part in parts}
+        groups = {name: [name] for name in self._rows if name not in inner} | {k: list(v) for k, v in joined.items()}
+        rows, places, end = [], dict[str, int](), 0
+        for name, parts in groups.items():
+            kind, shape, count = self._rows[parts[0]]
+            whole = [count, *shape] if name not in joined else [len(parts), count, *shape]
+            places[name] = end
+            rows.append([name, kind.str, whole, end, name not in frozen])
+            end += -(-kind.itemsize * int(np.prod(whole)) // _PAGE) * _PAGE
+        known = {row[0]: row for row in rows}
+        rows += [[name, *known[of][1:4], name not in frozen] for name, of in same.items()]
+        with atomic_path(path) as partial, partial.open("r+b") as out:
+            _write_head(out, facts, rows, end)
+            for parts in groups.values():
+                for part in parts:
+                    self._files[part].seek(0)
+                    shutil.copyfileobj(self._files[part], out, 1 << 20)
+                out.write(bytes(-out.tell() % _PAGE))
 
 
 class MappedArrays:
@@ -111,6 +198,13 @@ def resident_bytes() -> int:
         return int(Path("/proc/self/statm").read_bytes().split()[2]) * mmap.PAGESIZE
     except (OSError, IndexError, ValueError):
         return 0
+
+
+def _write_head(file: BinaryIO, facts: Mapping[str, Any], rows: list[list[Any]], nbytes: int) -> None:
+    """Write what stands before the arrays."""
+    head = seal(json.dumps({"facts": facts, "arrays": rows, "bytes": nbytes}, allow_nan=False).encode())
+    file.write(_HEAD.pack(_MAGIC, len(head)) + head)
+    file.write(bytes(-file.tell() % _PAGE))
 
 
 def _read_head(path: Path, head: bytes, read: Any) -> tuple[int, dict[str, Any]]:

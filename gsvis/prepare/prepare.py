@@ -140,7 +140,7 @@ def finish_package(
         sets = stages.sets(levels, workers)
         with VisibilityStore.open(sets, scene=levels.union) as store:
             exact, directions = stages.colors(levels, store)
-            packed = quantize(exact, "wire")
+            packed = quantize(exact, "wire", reach=stages.reach)
             cost = stages.cost(levels, exact, packed)
             fidelity = stages.fidelity(levels, exact, packed, store)
         began = time.perf_counter()

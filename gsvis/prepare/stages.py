@@ -82,6 +82,7 @@ class Stages:
         records: Records of the stages so far.
         remarks: Sentences that the user should read.
         around: What stands around the scene and belongs to other packages; None if nothing does.
+        reach: Least and largest value of each component of base colors of all these packages; None for this one's own.
     """
 
     scene: Gaussians | Levels
@@ -93,6 +94,7 @@ class Stages:
     records: list[StageRecord]
     remarks: list[str]
     around: Surroundings | None = None
+    reach: tuple[tuple[float, float], ...] | None = None
 
     @property
     def trains(self) -> bool:

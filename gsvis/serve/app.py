@@ -47,7 +47,7 @@ from gsvis.serve.connection import Connection, GoneError, Setting
 from gsvis.serve.limits import Limits, Pace, Seats
 from gsvis.serve.metrics import CONTENT_TYPE, Metrics
 from gsvis.serve.pages import Pages, wants_page
-from gsvis.serve.parts import respond
+from gsvis.serve.parts import node_folder, respond
 from gsvis.serve.scenes import ServedScene
 from gsvis.serve.siblings import Siblings
 from gsvis.serve.sites import SCENE
@@ -260,11 +260,17 @@ class _App:
         return Response(text, media_type=CONTENT_TYPE)
 
     async def file(self, request: Request) -> Response:
-        """Return a file of a package."""
+        """Return a file of a package, or of a world and its packages."""
 
         async def read(served: ServedScene) -> Response:
-            name = request.path_params.get("part") or "manifest.json"
-            return await respond(request, served.path, name, private=self.config.token is not None)
+            given, folder = request.path_params, served.path
+            if "node" in given:
+                try:
+                    folder = node_folder(folder, given["node"])
+                except FileNotFoundError:
+                    return PlainTextResponse("no such file\n", 404)
+            name = given.get("part") or given.get("table") or request.url.path.rpartition("/")[2]
+            return await respond(request, folder, name, private=self.config.token is not None)
 
         return await self.answer(request, read)
 
@@ -283,7 +289,8 @@ class _App:
         """Return facts about a scene as JSON: why a Gaussian is there, or the last part of the address."""
 
         async def find(served: ServedScene) -> Response:
-            if not served.is_streamed or served.is_world or served.fault:
+            about_cells = request.url.path.endswith("/cells")  # those of a world are of many grids
+            if not served.is_streamed or (served.is_world and about_cells) or served.fault:
                 return PlainTextResponse("nothing is known of this scene\n", 404)
             given = request.path_params.get("id")
             if given is None:
@@ -383,6 +390,10 @@ def build_app(
             Route("/metrics", app.counts, methods=["GET"]),
             Route("/packages/{name}/manifest.json", app.file, methods=["GET"]),
             Route("/packages/{name}/parts/{part}", app.file, methods=["GET"]),
+            Route("/packages/{name}/packages/{node}/manifest.json", app.file, methods=["GET"]),
+            Route("/packages/{name}/packages/{node}/parts/{part}", app.file, methods=["GET"]),
+            Route("/packages/{name}/beyond/{table}", app.file, methods=["GET"]),
+            Route("/packages/{name}/world.json", app.file, methods=["GET"]),
             Route("/view/{name}", app.view, methods=["GET"]),
             Route("/viewer/{file}", app.viewer_file, methods=["GET"]),
             Route("/scenes/{name}/why/{id}", app.fact, methods=["GET"]),

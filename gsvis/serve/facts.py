@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from gsvis.pvs.store import VisibilityStore
 from gsvis.scene.icosphere import NUM_FACES, face_directions
 from gsvis.stream import StreamedScene
+from gsvis.world.cells import WorldCells, WorldSets
 
 __all__ = ["describe_cells", "describe_floor", "explain"]
 
@@ -52,15 +53,20 @@ def explain(scene: StreamedScene, gaussian: int) -> dict[str, Any]:
         "cells": None,
         "directions": None,
     }
-    sets = scene.index.sets
+    sets: Any = scene.index.sets
+    own, first_cell = gaussian, 0
+    if isinstance(sets, WorldSets):  # the cells of its own tile
+        tile = sets.of_gaussian(gaussian)
+        sets, own, first_cell = tile or (None, 0, 0)
     if not isinstance(sets, VisibilityStore):
         return found  # prepared without visible sets: it is always sent
-    grid, cells = sets.grid, sets.seers(gaussian)
+    grid, cells = sets.grid, sets.seers(own)
     eyes = grid.centers[cells] - mean
     distances = np.linalg.norm(eyes, axis=1)
     order = np.argsort(distances, kind="stable")
-    rows = [_row(sets, gaussian, int(cells[k]), eyes[k], float(distances[k]), n) for n, k in enumerate(order.tolist())]
-    faces = np.flatnonzero(np.unpackbits(sets.direction_sets[gaussian], bitorder="little")[:NUM_FACES])
+    rows = [_row(sets, own, int(cells[k]), eyes[k], float(distances[k]), n) for n, k in enumerate(order.tolist())]
+    rows = [row | {"cell": row["cell"] + first_cell} for row in rows]
+    faces = np.flatnonzero(np.unpackbits(sets.direction_sets[own], bitorder="little")[:NUM_FACES])
     found["cells"] = {"of": len(grid), "size": grid.cell_size, "seeing": rows}
     found["directions"] = {"of": NUM_FACES, "seen": [_rounded(row) for row in face_directions()[faces, 0]]}
     return found
@@ -97,13 +103,17 @@ def describe_floor(scene: StreamedScene) -> dict[str, Any] | None:
         along a row and from row to row, `up`, `columns`, `rows`, and `heights`, row after row, above `origin` along
         `up`; null where nobody can stand.
     """
-    if not isinstance(scene.index.sets, VisibilityStore):
+    grid: Any = scene.index.grid
+    if isinstance(grid, WorldCells):
+        corners = grid.corners()
+    elif isinstance(scene.index.sets, VisibilityStore):
+        ends = [[x, y, z] for x in (0, grid.shape[0]) for y in (0, grid.shape[1]) for z in (0, grid.shape[2])]
+        corners = grid.origin + grid.cell_size * np.array(ends, np.float64)
+    else:
         return None
-    grid = scene.index.grid
     up = grid.up
     first, second = _level_axes(up)
-    ends = [[x, y, z] for x in (0, grid.shape[0]) for y in (0, grid.shape[1]) for z in (0, grid.shape[2])]
-    along = (grid.origin + grid.cell_size * np.array(ends, np.float64)) @ np.stack([first, second, up], axis=1)
+    along = corners @ np.stack([first, second, up], axis=1)
     low, high = along.min(axis=0), along.max(axis=0)
     side = max(grid.cell_size, float(np.sqrt((high[0] - low[0]) * (high[1] - low[1]) / _MOST_SQUARES)))
     columns, rows = (max(1, int(np.ceil((high[k] - low[k]) / side - 1e-6))) for k in range(2))

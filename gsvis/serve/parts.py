@@ -1,6 +1,7 @@
 """Serve files of a package over HTTP, whole or in ranges, like a static file server; check each file before it is sent.
 
-Clients can request only `manifest.json` and parts, whose names are hashes; no text from a client becomes a path.
+Clients can request only `manifest.json` and parts, and of a world `world.json` and tables. Names of parts and tables
+are hashes; no text from a client becomes a path.
 """
 
 from __future__ import annotations
@@ -18,12 +19,17 @@ from gsvis.files.limits import read_whole
 from gsvis.package.manifest import MANIFEST
 from gsvis.package.package import PARTS
 from gsvis.package.parts import MOST_BYTES
+from gsvis.world.manifest import WORLD
+from gsvis.world.world import BEYOND, PACKAGES
 
-__all__ = ["byte_range", "is_known", "part_of", "read_part", "respond"]
+__all__ = ["byte_range", "is_known", "node_folder", "part_of", "read_part", "respond"]
 
 _MOST_MANIFEST = 64 << 20  # most bytes of a manifest, which is held in memory
 _MOST_PART = 2 * MOST_BYTES
+_MOST_TABLE = 1 << 30  # of what lies beyond a tile
 _PART = re.compile(r"([0-9a-f]{64})\.(?:arrow|bin)")
+_TABLE = re.compile(r"([0-9a-f]{64})\.pvs")
+_NODE = re.compile(r"[0-9a-f]{64}")
 _RANGE = re.compile(r"bytes=(\d{0,15})-(\d{0,15})")
 _FOREVER = "public, max-age=31536000, immutable"
 
@@ -107,6 +113,30 @@ def read_part(package: Path, name: str) -> bytes:
     return data
 
 
+def node_folder(world: Path, node: str) -> Path:
+    """Return the folder of a package of a world.
+
+    Raises:
+        FileNotFoundError: If the name cannot be that of a package.
+    """
+    if not _NODE.fullmatch(node):
+        raise FileNotFoundError(node)
+    return world / PACKAGES / node
+
+
+def _read_table(world: Path, name: str) -> bytes:
+    """Return a table of what lies beyond a tile, checked against its name, as `read_part` does."""
+    found = _TABLE.fullmatch(name)
+    if found is None:
+        raise FileNotFoundError(name)
+    data = _read(world / BEYOND / name, _MOST_TABLE)
+    digest = hashlib.sha256(data).hexdigest()
+    if digest != found.group(1):
+        expected = "content that fits its name"
+        raise FormatError(world / BEYOND / name, "", expected, f"SHA-256 {digest[:12]}...", "copy it again")
+    return data
+
+
 def _read(path: Path, most: int) -> bytes:
     if path.is_symlink():
         raise FormatError(path, "", "a file of the package", "a link", "links are not followed; copy the file itself")
@@ -119,18 +149,19 @@ async def respond(request: Request, package: Path, name: str, *, private: bool) 
     Args:
         request: The request.
         package: Folder of the package.
-        name: `manifest.json`, or the name of a part.
+        name: `manifest.json`, or the name of a part; for a world `world.json`, or the name of a table.
         private: Whether shared caches must not store the answer.
 
     Raises:
         FormatError: If the file is damaged.
     """
     try:
-        if name == MANIFEST:
-            data = await asyncio.to_thread(_read, package / MANIFEST, _MOST_MANIFEST)
+        if name in (MANIFEST, WORLD):
+            data = await asyncio.to_thread(_read, package / name, _MOST_MANIFEST)
             tag, kind, keep = f'"{hashlib.sha256(data).hexdigest()}"', "application/json", "no-cache"
         else:
-            data = await asyncio.to_thread(read_part, package, name)
+            read = _read_table if _TABLE.fullmatch(name) else read_part
+            data = await asyncio.to_thread(read, package, name)
             tag, kind, keep = f'"{name[:64]}"', "application/octet-stream", _FOREVER
     except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
         return PlainTextResponse("no such file\n", 404)

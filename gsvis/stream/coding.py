@@ -22,7 +22,18 @@ from gsvis.package.layout import RecordLayout, TermLayout, term_fields
 from gsvis.stream._kernels import coder, records, terms
 from gsvis.stream.tables import Tables
 
-__all__ = ["MOST_STEP", "Coding", "Quality", "Steps", "chunks_of", "coarsen", "table_sizes"]
+__all__ = [
+    "MOST_STEP",
+    "Coding",
+    "Quality",
+    "Steps",
+    "chunks_of",
+    "coarsen",
+    "round_records",
+    "sizes_of",
+    "steps_for",
+    "table_sizes",
+]
 
 U8 = NDArray[np.uint8]
 U64 = NDArray[np.uint64]
@@ -95,12 +106,25 @@ class Coding:
     @classmethod
     def from_contents(cls, contents: Contents, steps: Steps | None = None) -> Coding:
         """Return the code for the records of a package, which `coarsen` has rounded if there are steps."""
-        sizes = table_sizes(contents.grids)
-        blank = cls(contents.grids, steps, Tables.from_levels(np.zeros(sum(sizes), np.uint8), sizes))
-        counts, offsets = np.zeros(sum(sizes), np.int64), blank.tables.offsets
-        leads = records.TABLES + terms.LEAD
+        blank = cls.blank(contents.grids, steps)
+        return blank.filled(blank.count(contents))
+
+    @classmethod
+    def blank(cls, grids: Grids, steps: Steps | None) -> Coding:
+        """Return a code without any symbol, to count some."""
+        sizes = table_sizes(grids)
+        return cls(grids, steps, Tables.from_levels(np.zeros(sum(sizes), np.uint8), sizes))
+
+    def filled(self, counts: I64) -> Coding:
+        """Return the code for symbols (S,) that occur so often."""
+        counts, offsets, leads = counts.copy(), self.tables.offsets, records.TABLES + terms.LEAD
         for first, last in ((records.FIRST, records.ROTATION), (leads, leads + 9)):
-            counts[offsets[first] : offsets[last]] = 1  # which symbol follows which depends on the batch
+            counts[offsets[first] : offsets[last]] += 1  # which symbol follows which depends on the batch
+        return replace(self, tables=Tables.from_counts(counts, table_sizes(self.grids)))
+
+    def count(self, contents: Contents) -> I64:
+        """Return (S,) how often each symbol occurs in records, which were rounded by the same steps."""
+        counts = np.zeros(len(self.tables.levels), np.int64)
         ids, chunks = np.arange(len(contents)), chunks_of(contents.table)
         some = ids[:: 1 + len(ids) // _PIECE]
         places = some - contents.table.starts[contents.chunks[some]]
@@ -109,12 +133,12 @@ class Coding:
             for low in range(0, len(chosen), _PIECE):
                 part = chosen[low : low + _PIECE]
                 rows = contents.chunks[part]
-                coder.count(blank._of_records(contents.records[part], part, rows, chunks), counts)
+                coder.count(self._of_records(contents.records[part], part, rows, chunks), counts)
         owners = np.repeat(np.arange(len(contents), dtype=np.int32), contents.term_counts)
         for low in range(0, len(owners), _PIECE):
             of = owners[low : low + _PIECE].copy()
-            coder.count(blank._of_terms(contents.term_records[low : low + len(of)].copy(), of), counts)
-        return replace(blank, tables=Tables.from_counts(counts, sizes))
+            coder.count(self._of_terms(contents.term_records[low : low + len(of)].copy(), of), counts)
+        return counts
 
     @cached_property
     def layout(self) -> records.Layout:
@@ -221,20 +245,35 @@ def coarsen(contents: Contents, quality: Quality) -> tuple[Contents, Steps]:
         contents: The records of a package.
         quality: How to round.
     """
-    laid, table = lay_linear(contents.records, contents.table, contents.layout)
-    contents = replace(contents, records=laid, table=table)
+    sizes = sizes_of(contents)
+    steps = steps_for(quality, float(np.median(sizes[0])), float(np.median(sizes[1])))
+    return round_records(contents, quality, steps), steps
+
+
+def sizes_of(contents: Contents) -> NDArray[np.float64]:
+    """Return (2, N) the mean of log2 of the scales, and the sum of the larger two; (2, 1) zeros if there are none."""
     scales = np.log2(np.maximum(contents.gaussians().scales.astype(np.float64), 1e-30))
     if not len(scales):
         scales = np.zeros((1, 3))
-    mean, largest = np.median(scales.mean(axis=1)), np.median(np.sort(scales, axis=1)[:, 1:].sum(axis=1))
+    return np.stack([scales.mean(axis=1), np.sort(scales, axis=1)[:, 1:].sum(axis=1)])
+
+
+def steps_for(quality: Quality, mean: float, largest: float) -> Steps:
+    """Return which bits are left out of a scene with these medians of `sizes_of`."""
     limits = 64 * np.array([quality.place + mean + np.log2(255), quality.turn + largest / 4])
     place, turn = np.clip(np.rint(limits), -MOST_STEP, MOST_STEP).astype(int).tolist()
-    steps = Steps(place, turn)
+    return Steps(place, turn)
+
+
+def round_records(contents: Contents, quality: Quality, steps: Steps) -> Contents:
+    """Return a package with records in boxes, without the bits that are left out."""
+    laid, table = lay_linear(contents.records, contents.table, contents.layout)
+    contents = replace(contents, records=laid, table=table)
     rounding = records.Rounding(quality.opacity, quality.shape, quality.color)
     out = np.empty((len(contents), 2), np.uint64)
     chunks = chunks_of(contents.table)
     records.coarsen(_pairs(contents.records), contents.chunks, chunks, layout_of(contents.grids, steps), rounding, out)
-    return replace(contents, records=_bytes(out)), steps
+    return replace(contents, records=_bytes(out))
 
 
 def layout_of(grids: Grids, steps: Steps | None) -> records.Layout:

@@ -25,11 +25,12 @@ from gsvis.files.mapped import MappedArrays, write_arrays
 from gsvis.package.package import Package
 from gsvis.stream.coding import Quality
 from gsvis.stream.header import identity_of
+from gsvis.stream.piecewise import Pieces, write_tables
 from gsvis.stream.scene import StreamedScene
 
 __all__ = ["KeptTables", "open_kept"]
 
-_FORMAT = 1  # raise it when the content of the tables changes
+_FORMAT = 2  # raise it when the content of the tables changes
 _LOG = logging.getLogger(__name__)
 _LOOK_S = 0.05
 _UNUSED_S = 30 * 86400.0  # after so many seconds without use, tables are removed when others are written
@@ -139,8 +140,12 @@ def _make(package: Package, folder: Path, key: str, *, pixel: float, quality: Qu
         _remove_unused(folder)
         if package.manifest.visibility is not None:
             package.keep_store(folder / (key + _SETS))
-        arrays, facts = StreamedScene.open(package, pixel=pixel, quality=quality).to_arrays()
-        write_arrays(path, arrays, {**facts, "identity": identity_of(package.manifest, None)})
+        own = {"identity": identity_of(package.manifest, None)}
+        if isinstance(package, Pieces):
+            write_tables(path, package, own, pixel=pixel, quality=quality)
+        else:
+            arrays, facts = StreamedScene.open(package, pixel=pixel, quality=quality).to_arrays()
+            write_arrays(path, arrays, {**facts, **own})
     package.forget_records()
     return MappedArrays(path)
 

@@ -34,7 +34,7 @@ from gsvis.stream.batch import CHUNK_ROW
 from gsvis.stream.coding import Coding, Quality, chunks_of, coarsen
 from gsvis.stream.header import SceneHeader
 
-__all__ = ["OwnIndex", "StreamedScene", "class_weights", "term_cones"]
+__all__ = ["OwnIndex", "StreamedScene", "chunk_rows_of", "class_weights", "term_cones"]
 
 
 class StreamedScene:
@@ -76,7 +76,7 @@ class StreamedScene:
         counts = contents.term_counts
         self.owners = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
         self.term_records, self.chunks, self.starts = contents.term_records, contents.chunks, contents.table.starts
-        self.chunk_rows = _chunk_rows(contents)
+        self.chunk_rows = chunk_rows_of(contents)
         self.about = SceneHeader.from_manifest(package.manifest, coding)
         self.header = self.about.to_message()
         cache: Cache[Any] = Cache(max_cache_bytes, keep_last=True)
@@ -251,7 +251,8 @@ def term_cones(contents: Contents, epsilon: float) -> TermCones:
     return TermCones(centers, found.astype(np.int32), cosines, 1.0 / exact.decays)
 
 
-def _chunk_rows(contents: Contents) -> NDArray[np.void]:
+def chunk_rows_of(contents: Contents) -> NDArray[np.void]:
+    """Return the (C,) rows of chunks, as sent."""
     table, rows = contents.table, np.zeros(len(contents.table), CHUNK_ROW)
     for name, values in (
         ("origin", table.origins), ("step", table.steps), ("low", table.lows), ("count", table.counts),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +15,18 @@ from gsvis.scene.inspection import axis_vector
 from gsvis.scene.levels import Levels
 from gsvis.world.rows import box_of, flatten
 
-__all__ = ["PACKAGE", "facts_of_package", "write_bare_package"]
+__all__ = ["PACKAGE", "Reach", "facts_of_package", "reach_of", "write_bare_package"]
+
+Reach = Sequence[tuple[float, float]]
+"""Least and largest value of each of three components."""
 
 PACKAGE = "package"
 """Name of the folder of a package among the files of a result."""
 
 
-def write_bare_package(out: Path, levels: Levels, up: str, meters_per_unit: float) -> tuple[Levels, dict[str, Any]]:
+def write_bare_package(
+    out: Path, levels: Levels, up: str, meters_per_unit: float, reach: Reach | None = None
+) -> tuple[Levels, dict[str, Any]]:
     """Write levels as a package with base colors.
 
     Args:
@@ -28,13 +34,14 @@ def write_bare_package(out: Path, levels: Levels, up: str, meters_per_unit: floa
         levels: The levels.
         up: Axis that points upward.
         meters_per_unit: Meters in a scene unit; 0 if unknown.
+        reach: Least and largest value of each component of base colors in the world.
 
     Returns:
         The levels in the order of the package, and its facts.
     """
     flat = Levels(flatten(levels.union), levels.first, levels.last, levels.names)
     ordered = in_package_order(flat)
-    colors = quantize(prepare_colors(ordered, None).fit.colors, "wire")
+    colors = quantize(prepare_colors(ordered, None).fit.colors, "wire", reach=reach)
     x, y, z = (float(v) for v in axis_vector(up))
     info = PackageInfo((x, y, z), meters_per_unit)
     with write_package(out / PACKAGE, ordered, colors, info=info) as package:
@@ -53,3 +60,8 @@ def facts_of_package(package: Package, levels: Levels) -> dict[str, Any]:
         "levels": [[name, count] for name, count in zip(m.names, m.counts, strict=True)],
         **box_of(levels.union.means),
     }
+
+
+def reach_of(params: Mapping[str, Any]) -> tuple[tuple[float, float], ...]:
+    """Return the reach of base colors from the params of a task."""
+    return tuple((float(low), float(high)) for low, high in params["reach"])

@@ -13,8 +13,6 @@ from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any
 
-import numpy as np
-
 from gsvis.errors import SceneError
 from gsvis.files.objects import ObjectStore
 from gsvis.io.batches import Batch, list_batches
@@ -22,16 +20,27 @@ from gsvis.progress import Progress
 from gsvis.pvs.workers import Workers
 from gsvis.world.config import WorldConfig
 from gsvis.world.graph import Facts, Result, Task, run_graph
-from gsvis.world.tiling import grid_of, sampling_interval, tile_name
+from gsvis.world.tiles import MARGIN
+from gsvis.world.tiling import Rect, grid_of, sampling_interval, tile_name
 
-__all__ = ["Coords", "WorldBuild"]
-
-Coords = tuple[int, int] | None
-"""The square of a tile; None outside all squares."""
+__all__ = ["DistrictPlan", "WorldBuild"]
 
 _GUESSED = 1 << 18  # Gaussians of a batch that only reading counts
 _FEWEST = 64  # Gaussians of a tile; fewer go to the outside
 _SHARE = 1e-3  # and of `most`
+
+
+@dataclass(frozen=True)
+class DistrictPlan:
+    """A district to be made.
+
+    Attributes:
+        children: Nodes that it is made of: one tile, or districts before it.
+        tiles: Tiles that it stands for, ascending.
+    """
+
+    children: tuple[int, ...]
+    tiles: tuple[int, ...]
 
 
 @dataclass(eq=False)
@@ -93,10 +102,10 @@ class WorldBuild:
         return [found[f"split {k}"] for k in range(len(self.batches))]
 
     @cached_property
-    def files(self) -> dict[Coords, list[tuple[int, str]]]:
-        """For each tile, by square and the outside last: number of the batch and name of each of its files.
+    def files(self) -> dict[Rect | None, list[tuple[int, str]]]:
+        """For each tile, by first square and the outside last: number of the batch and name of each of its files.
 
-        Squares with very few Gaussians go to the outside.
+        Rectangles with very few Gaussians go to the outside.
         """
         counts: dict[str, int] = {}
         where: dict[str, list[tuple[int, str]]] = {}
@@ -105,78 +114,91 @@ class WorldBuild:
                 counts[name] = counts.get(name, 0) + count
                 where.setdefault(name, []).append((k, name))
         least = max(_FEWEST, int(_SHARE * self.config.tiling.most))
-        found: dict[Coords, list[tuple[int, str]]] = {}
-        shape = self.grid["grid"]["shape"]
-        for x in range(shape[0]):
-            for y in range(shape[1]):
-                name = tile_name((x, y))
-                if counts.get(name, 0) >= least:
-                    found[x, y] = where.pop(name)
+        found: dict[Rect | None, list[tuple[int, str]]] = {}
+        for x, y, width, height in self.grid["tiles"]:
+            name = tile_name((x, y, width, height))
+            if counts.get(name, 0) >= least:
+                found[x, y, width, height] = where.pop(name)
         if not found:
-            raise SceneError(f"no square of the grid has {least} Gaussians or more; use larger tiles, or gsvis prepare")
+            raise SceneError(f"no tile of the grid has {least} Gaussians or more; use larger tiles, or gsvis prepare")
         if where:
             found[None] = sorted(file for files in where.values() for file in files)
         return found
 
     @cached_property
-    def tiles(self) -> list[Coords]:
+    def reach(self) -> list[tuple[float, float]]:
+        """The least and largest value of each component of base colors, the same tables for all packages."""
+        rows = [result.facts["reach"] for result in self.splits]
+        return [(min(row[k][0] for row in rows), max(row[k][1] for row in rows)) for k in range(3)]
+
+    @cached_property
+    def tiles(self) -> list[Rect | None]:
         """The tiles, in the order of the manifest."""
         return list(self.files)
 
     @cached_property
-    def districts(self) -> list[tuple[int, tuple[int, int], tuple[int, ...]]]:
-        """Size, place and tiles of each district, smallest first."""
-        found = []
-        size, shape = 1, self.grid["grid"]["shape"]
-        while True:
-            members: dict[tuple[int, int], list[int]] = {}
-            for k, coords in enumerate(self.tiles):
-                if coords is not None:
-                    members.setdefault((coords[0] // size, coords[1] // size), []).append(k)
-            found += [(size, place, tuple(tiles)) for place, tiles in sorted(members.items())]
-            if size >= max(shape):
-                return found
-            size *= 2
+    def districts(self) -> list[DistrictPlan]:
+        """The districts, each after those that it is made of; the tree of cuts with every second cut left out."""
+        numbers = {rect: k for k, rect in enumerate(self.tiles)}
+        found: list[DistrictPlan] = []
+
+        def visit(tree: Any) -> int | None:
+            if tree is None:
+                return None
+            if isinstance(tree, list):
+                below = [part for child in tree for part in (child if isinstance(child, list) else [child])]
+                children = sorted(each for each in map(visit, below) if each is not None)
+                if len(children) < 2:
+                    return children[0] if children else None
+                tiles = sorted(tile for each in children for tile in found[each - len(self.tiles)].tiles)
+                found.append(DistrictPlan(tuple(children), tuple(tiles)))
+            else:
+                tile = numbers.get(tuple(self.grid["tiles"][tree]))
+                if tile is None:  # so few that they went to the outside
+                    return None
+                found.append(DistrictPlan((tile,), (tile,)))
+            return len(self.tiles) + len(found) - 1
+
+        visit(self.grid["tree"])
+        return found
 
     @cached_property
     def _level_tasks(self) -> list[Task]:
         package = self.config.package.as_dict()
         tasks = list(self._split_tasks)
-        for k, coords in enumerate(self.tiles):
-            files = self.files[coords]
+        for k, rect in enumerate(self.tiles):
+            files = self.files[rect]
             used = sorted({batch for batch, _ in files})
             listed: Facts = {"files": [(used.index(batch), name) for batch, name in files]}
             needs = tuple(f"split {batch}" for batch in used)
             tasks.append(Task(f"rows {k}", "gsvis.world.tiles:gather_rows", listed, needs))
-        for k, coords in enumerate(self.tiles):
+        for k, rect in enumerate(self.tiles):
             needs = (f"rows {k}",)
-            if coords is not None:
-                near = tuple(f"rows {other}" for other in self._around(coords))
-                tasks.append(Task(f"space {k}", "gsvis.world.tiles:tile_space", self._square(coords), (*needs, *near)))
+            if rect is not None:
+                near = tuple(f"rows {other}" for other in self._around(rect))
+                tasks.append(Task(f"space {k}", "gsvis.world.tiles:tile_space", self._square(rect), (*needs, *near)))
                 needs = (*needs, f"space {k}")
             params: Facts = {"config": package, "most": self.config.far}
             tasks.append(Task(f"levels {k}", "gsvis.world.tiles:make_tile_levels", params, needs))
         about = {"most": self.config.far, "up": self.grid["up"], "meters_per_unit": package["meters_per_unit"]}
-        for size, place, tiles in self.districts:
-            needs = (f"levels {tiles[0]}",)
-            if size > 1:
-                below = [(size // 2, each) for each in _children(place)]
-                known = {(s, p) for s, p, _ in self.districts}
-                needs = tuple(_district(*each) for each in below if each in known)
-            params = {"of_tile": size == 1, **about}
-            tasks.append(Task(_district(size, place), "gsvis.world.districts:make_district", params, needs))
+        about["reach"] = self.reach
+        for k, plan in enumerate(self.districts):
+            of_tile = len(plan.children) == 1
+            needs = tuple(f"levels {each}" if of_tile else self._district(each) for each in plan.children)
+            params = {"of_tile": of_tile, **about}
+            tasks.append(Task(f"district {k}", "gsvis.world.districts:make_district", params, needs))
         return tasks
 
     @cached_property
     def _node_tasks(self) -> list[Task]:
-        rows = [{"size": size, "coords": place, "tiles": tiles} for size, place, tiles in self.districts]
-        needs = tuple(_district(size, place) for size, place, _ in self.districts)
+        rows = [asdict(plan) for plan in self.districts]
+        needs = tuple(f"district {k}" for k in range(len(rows)))
         options = {"districts": rows, "angle": self.config.angle, "looks": self.config.looks}
         tasks = []
-        for k, coords in enumerate(self.tiles):
-            if coords is not None and self.made[f"space {k}"].facts["voxels"]:
+        for k, rect in enumerate(self.tiles):
+            if rect is not None and self.made[f"space {k}"].facts["voxels"]:
                 own = (f"levels {k}", f"space {k}")
-                params = {"tile": k, **options}
+                params = {"tile": k, "tiles": len(self.tiles), **options}
                 tasks.append(Task(f"around {k}", "gsvis.world.pieces:choose_nodes", params, (*own, *needs)))
         return [*self._level_tasks, *tasks]
 
@@ -186,29 +208,35 @@ class WorldBuild:
         return self._run(self._level_tasks, "levels")
 
     @cached_property
+    def chosen(self) -> dict[str, Result]:
+        """All of `made`, and the choice of nodes around each tile with a space."""
+        _ = self.made
+        return self._run(self._node_tasks, "nodes")
+
+    @cached_property
     def nodes(self) -> dict[int, list[str]]:
         """For each tile with a space, the tasks of the nodes around it."""
-        _ = self.made
-        found = self._run(self._node_tasks, "nodes")
+        found = self.chosen
         outside = [f"levels {len(self.tiles) - 1}"] if self.tiles[-1] is None else []
         nodes = {}
         for k in range(len(self.tiles)):
             if f"around {k}" in found:
                 facts = found[f"around {k}"].facts
-                districts = [_district(*self.districts[each][:2]) for each in facts["districts"]]
+                districts = [f"district {each}" for each in facts["districts"]]
                 nodes[k] = [*(f"levels {each}" for each in facts["tiles"]), *outside, *districts]
         return nodes
 
     @cached_property
     def _package_tasks(self) -> list[Task]:
         tasks = []
-        for k, coords in enumerate(self.tiles):
+        for k, rect in enumerate(self.tiles):
             around = self.nodes.get(k, [])
             params = {
                 "around": around, "angle": self.config.angle, "config": self.config.package.as_dict(),
-                "name": tile_name(coords), "up": self.grid["up"], "outside": coords is None,
+                "name": tile_name(rect), "up": self.grid["up"], "outside": rect is None,
+                "reach": self.reach,
             }  # fmt: skip
-            own = (f"levels {k}",) if coords is None else (f"levels {k}", f"space {k}")
+            own = (f"levels {k}",) if rect is None else (f"levels {k}", f"space {k}")
             tasks.append(Task(f"tile {k}", "gsvis.world.packages:prepare_tile", params, (*own, *around)))
         return tasks
 
@@ -227,32 +255,31 @@ class WorldBuild:
 
     def district(self, number: int) -> Result:
         """Return the result of a district."""
-        return self.made[_district(*self.districts[number][:2])]
+        return self.made[f"district {number}"]
 
-    def _around(self, coords: tuple[int, int]) -> list[int]:
-        """Return the tiles that touch a tile."""
-        return [
-            k for k, other in enumerate(self.tiles)
-            if other is not None and other != coords and max(abs(np.subtract(other, coords))) <= 1
-        ]  # fmt: skip
+    def _district(self, node: int) -> str:
+        return f"district {node - len(self.tiles)}"
 
-    def _square(self, coords: tuple[int, int]) -> dict[str, Any]:
+    def _around(self, rect: Rect) -> list[int]:
+        """Return the tiles that touch a tile, or lie within the margin in which its space is looked for."""
+        reach = max(MARGIN * max(rect[2:]), 1e-9)
+
+        def near(other: Rect) -> bool:
+            gaps = [max(rect[i] - other[i] - other[i + 2], other[i] - rect[i] - rect[i + 2]) for i in (0, 1)]
+            return other != rect and max(gaps) < reach
+
+        return [k for k, other in enumerate(self.tiles) if other is not None and near(other)]
+
+    def _square(self, rect: Rect) -> dict[str, Any]:
         """Return the params of the space of a tile."""
         grid = grid_of(self.grid["grid"])
-        low = [grid.origin[axis] + grid.side * place for axis, place in zip(grid.axes, coords, strict=True)]
+        low = [grid.origin[axis] + grid.side * place for axis, place in zip(grid.axes, rect[:2], strict=True)]
+        high = [each + grid.side * count for each, count in zip(low, rect[2:], strict=True)]
         return {
-            "low": low, "high": [each + grid.side for each in low], "axes": list(grid.axes), "up": self.grid["up"],
+            "low": low, "high": high, "axes": list(grid.axes), "up": self.grid["up"],
             "resolution": self.config.resolution,
         }  # fmt: skip
 
     def _run(self, tasks: list[Task], stage: str) -> dict[str, Result]:
         plain = [Task(t.name, t.run, json.loads(json.dumps(t.params)), t.needs) for t in tasks]
         return run_graph(plain, self.store, self.workers, stage=stage, progress=self.progress)
-
-
-def _district(size: int, place: tuple[int, int]) -> str:
-    return f"district {size} {place[0]}-{place[1]}"
-
-
-def _children(place: tuple[int, int]) -> list[tuple[int, int]]:
-    return [(2 * place[0] + i, 2 * place[1] + j) for i in (0, 1) for j in (0, 1)]

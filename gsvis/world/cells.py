@@ -107,6 +107,26 @@ class WorldCells:
         """(3,) the lowest corner of all cells."""
         return np.asarray((self.centers - self.sizes[:, None] / 2).min(axis=0))
 
+    def corners(self) -> F64:
+        """Return (8, 3) the corners of the box around all cells."""
+        low, high = self.origin, (self.centers + self.sizes[:, None] / 2).max(axis=0)
+        return np.array([np.where([i, j, k], high, low) for i in (0, 1) for j in (0, 1) for k in (0, 1)], np.float64)
+
+    def cell_at(self, points: F64) -> I64:
+        """Return (M,) the cell that holds each of the (M, 3) points; -1 where there is none."""
+        found = np.full(len(points), -1, np.int64)
+        for tile in np.unique(self.tiles):
+            some = np.flatnonzero(self.tiles == tile)
+            size, boxes = self.sizes[some[0]], self.boxes[some].astype(np.int64)
+            low, shape = boxes.min(axis=0), np.ptp(boxes, axis=0) + 1
+            numbers = np.full(shape, -1, np.int64)
+            numbers[tuple((boxes - low).T)] = some
+            origin = self.centers[some[0]] - size * (boxes[0] - low + 0.5)
+            places = np.floor((points - origin) / size).astype(np.int64)
+            free = np.flatnonzero((found < 0) & ((places >= 0) & (places < shape)).all(axis=1))
+            found[free] = numbers[tuple(places[free].T)]
+        return found
+
     def rings(self, cell: int) -> list[list[int]]:
         """Return the cell, and its neighbors by face, by edge and by corner; those of other tiles count as by face."""
         found: list[list[int]] = [[cell], [], [], []]
@@ -180,6 +200,21 @@ class WorldSets:
     def visible_words(self, cell: int) -> NDArray[np.uint64]:
         """Return the visible set of a cell, packed."""
         return pack(self._seen(cell)[0], self._n)
+
+    def of_gaussian(self, gaussian: int) -> tuple[VisibilityStore, int, int] | None:
+        """Return the store of the tile that holds a Gaussian, its id there, and the number of the tile's first cell.
+
+        None if it belongs to a district, or to a tile without cells.
+
+        Raises:
+            FormatError: If the tile is damaged.
+        """
+        node = int(np.searchsorted(self._bases, gaussian, "right")) - 1
+        cells = np.flatnonzero(self._cells.tiles == node)
+        if not len(cells):
+            return None
+        stores = self._tiles.find_or_make(node, lambda: self._open(node))
+        return stores.own, gaussian - int(self._bases[node]), int(cells[0])
 
     def _seen(self, cell: int) -> tuple[I64, NDArray[np.uint8]]:
         found: tuple[I64, NDArray[np.uint8]] | None = self._cache.find(("seen", cell))

@@ -12,13 +12,13 @@ import numpy as np
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from gsvis.train.merge import merge_gaussians
-from gsvis.world.bare import write_bare_package
+from gsvis.world.bare import reach_of, write_bare_package
 from gsvis.world.graph import Facts, Given
 from gsvis.world.rows import content_order, flatten, load_gaussians, load_tile_levels, median_spacing, save_gaussians
 
 __all__ = ["VERSIONS", "make_district", "merge_down"]
 
-VERSIONS = {"make_district": 1}
+VERSIONS = {"make_district": 2}
 
 
 def make_district(params: Facts, given: Given, out: Path, work: Path) -> Facts:
@@ -32,7 +32,8 @@ def make_district(params: Facts, given: Given, out: Path, work: Path) -> Facts:
         g = Gaussians.concatenate([load_gaussians(given.path(k, "district")) for k in range(len(given))])
     g = flatten(g)
     merged = merge_down(g[content_order(g)], params["most"])
-    levels, facts = write_bare_package(out, Levels.single(merged, "far"), params["up"], params["meters_per_unit"])
+    about = params["up"], params["meters_per_unit"]
+    levels, facts = write_bare_package(out, Levels.single(merged, "far"), *about, reach_of(params))
     save_gaussians(out / "district", levels.union)
     return {**facts, "spacing": median_spacing(levels.union)}
 

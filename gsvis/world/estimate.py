@@ -42,7 +42,7 @@ class WorldEstimate:
         gaussians: Gaussians of all scenes.
         tiles: Tiles with Gaussians.
         largest: Gaussians of the fullest tile.
-        side: Side of a tile, scene units.
+        side: Median length of the longer side of a tile, scene units.
         core_seconds: Seconds of processor of each stage.
         seconds: Time with the workers.
         workers: Number of workers.
@@ -95,9 +95,9 @@ def estimate_world(
         build = WorldBuild(list(scenes), config, open_store(folder), Workers(), progress)
         facts = [result.facts for name, result in build.survey.items() if name != "grid"]
         expected = np.array(build.grid["expected"])
-        side = float(build.grid["grid"]["side"])
+        side = float(build.grid["grid"]["side"]) * float(np.median([max(rect[2:]) for rect in build.grid["tiles"]]))
     count, degree = sum(each["gaussians"] for each in facts), max(each["sh_degree"] for each in facts)
-    tiles, cells = int(np.count_nonzero(expected)), config.package.cells or MOST_CELLS
+    tiles, cells = len(expected), config.package.cells or MOST_CELLS
     largest = int(max(expected.max(), 1))
     levels = config.package.levels
     drawn = 1.0 if levels is None else 1.0 + sum(levels.shares)

@@ -32,6 +32,7 @@ from gsvis.files.output import output_errors
 from gsvis.progress import Progress, silent
 from gsvis.pvs.processes import Processes, limit_threads, one_at_a_time
 from gsvis.pvs.workers import Workers
+from gsvis.world.memory import IDLE, needed_memory
 
 __all__ = ["Given", "Job", "Result", "Task", "machine_kind", "perform", "run_graph"]
 
@@ -105,7 +106,7 @@ class Job:
         store: Address of the store.
         version: Version of gsvis that sent it.
         machine: Kind of processor that the results are for.
-        max_memory: Bytes that the worker may use; None sets no limit. Decides no result.
+        max_memory: Bytes that the worker may use beside the others; None sets no limit. Decides no result.
     """
 
     task: Task
@@ -263,6 +264,7 @@ class _Run:
         self.crew = _Crew(workers)
         self.results: dict[str, Result] = {}
         self.failed: dict[int, Exception] = {}
+        self.needs: dict[int, int] = {}  # bytes that each task needs
         self.numbers = {task.name: k for k, task in enumerate(tasks)}
         if len(self.numbers) < len(tasks):
             raise ValueError("tasks: expected different names, got one twice")
@@ -317,13 +319,23 @@ class _Run:
             task = self.tasks[number]
             inputs = tuple(self.results[name] for name in task.needs)
             key, machine = key_of(task, inputs, machine_kind()), machine_kind()
-            job = Job(task, key, inputs, self.store.address, _version(), machine, self.crew.max_memory)
-            found = find_result(self.store, job.key)
+            found = find_result(self.store, key)
             if found is not None:
                 _forget_work(self.store, key)
                 self._finish(number, found)
-            else:
-                waiting[self.crew.submit(job)] = number
+                continue
+            need, left = needed_memory(task.run, task.params, [each.facts for each in inputs]), None
+            if self.crew.room is not None:
+                left = self.crew.room - sum(self.needs[other] for other in waiting.values())
+                if need > left and waiting:
+                    heapq.heappush(self.ready, number)  # until a task beside it has finished
+                    return
+                if need > left:
+                    self.failed[number] = _too_large(task.name, need, left)
+                    continue
+            self.needs[number] = need
+            limit = None if left is None else left + IDLE
+            waiting[self.crew.submit(Job(task, key, inputs, self.store.address, _version(), machine, limit))] = number
 
     def _finish(self, number: int, result: Result) -> None:
         name = self.tasks[number].name
@@ -346,6 +358,13 @@ class _Run:
         return losses + 1
 
 
+def _too_large(name: str, need: int, left: int) -> ValueError:
+    return ValueError(
+        f"{name}: expected at most {max(left, 0) / 1e9:.2g} GB beside idle workers, got a task that needs"
+        f" {need / 1e9:.2g} GB; raise --max-memory, or use fewer --workers or smaller tiles"
+    )
+
+
 _LOST = (
     "workers died again and again, probably out of memory: use fewer --workers, a larger --max-memory or smaller tiles;"
     " what is finished is kept"
@@ -359,8 +378,8 @@ class _Crew:
         self._executor, count = workers.executor, workers.count
         self._processes = Processes(count) if workers.executor is None and count > 1 else None
         self.in_flight = 2 * count if workers.executor is not None else count
-        here = workers.executor is None
-        self.max_memory = None if workers.max_memory is None else workers.max_memory // (count if here else 1)
+        idle = IDLE * (count + 1 if self._processes is not None else 1)
+        self.room = None if workers.max_memory is None else workers.max_memory - idle  # for all running tasks
 
     def __enter__(self) -> _Crew:
         return self

@@ -29,19 +29,20 @@ __all__ = ["VERSION", "WORLD", "BeyondTable", "District", "Grid", "Piece", "Tile
 I64 = NDArray[np.int64]
 Point = tuple[float, float, float]
 
-FORMAT, VERSION = "gsvis-world", 1
+FORMAT, VERSION = "gsvis-world", 2
 WORLD = "world.json"
 """Name of the manifest."""
 
 _MOST_BYTES = 1 << 30
 _MOST = (1 << 31) - 1
 _MOST_NODES = 1 << 20
+_MOST_SQUARES = 1 << 22
 _DIGEST = re.compile("[0-9a-f]{64}")
 
 
 @dataclass(frozen=True)
 class Grid:
-    """The squares that tiles lie in.
+    """The squares that tiles are made of: each tile is a rectangle of them.
 
     Attributes:
         origin: (3,) lowest corner of square (0, 0), scene frame.
@@ -122,7 +123,7 @@ class Tile:
     """A tile.
 
     Attributes:
-        coords: Its square; None for the tile of what lies outside all squares.
+        coords: Its first square; None for the tile of what lies outside all squares.
         low: (3,) lowest corner of the box around the centers of its Gaussians.
         high: (3,) highest corner.
         package: SHA-256 of the manifest of its package, 64 hexadecimal digits.
@@ -131,6 +132,7 @@ class Tile:
         gaussians: Gaussians of all levels together.
         cells: Cells of its visible sets; 0 if nobody can be there.
         beyond: What its cells see beyond it; None if there is nothing.
+        shape: Its squares along each of the two axes.
     """
 
     coords: tuple[int, int] | None
@@ -142,15 +144,15 @@ class Tile:
     gaussians: int
     cells: int
     beyond: BeyondTable | None = None
+    shape: tuple[int, int] = (1, 1)
 
 
 @dataclass(frozen=True)
 class District:
-    """A few Gaussians that stand for a tile, or for a square of tiles, from afar.
+    """A few Gaussians that stand for a tile, or for some tiles beside each other, from afar.
 
     Attributes:
-        size: Tiles along a side: 1, 2, 4 and on.
-        coords: Its place, in units of its size.
+        children: Numbers of the nodes that it was made of: one tile, or districts before it.
         tiles: Numbers of the tiles that it stands for, ascending.
         low: (3,) lowest corner of the box around the centers of its Gaussians.
         high: (3,) highest corner.
@@ -160,8 +162,7 @@ class District:
         gaussians: Number of Gaussians.
     """
 
-    size: int
-    coords: tuple[int, int]
+    children: tuple[int, ...]
     tiles: tuple[int, ...]
     low: Point
     high: Point
@@ -179,8 +180,8 @@ class WorldManifest:
         up: (3,) unit axis that points upward.
         meters_per_unit: Meters in a scene unit; 0 if unknown.
         grid: The squares.
-        tiles: T tiles, by square; what lies outside comes last.
-        districts: Districts, smallest first.
+        tiles: T tiles, by first square; what lies outside comes last.
+        districts: Districts, each after those that it was made of.
         provenance: What made the world; any JSON values.
     """
 
@@ -211,10 +212,14 @@ class WorldManifest:
         return self.tiles[number] if number < len(self.tiles) else self.districts[number - len(self.tiles)]
 
     def tiles_at(self, points: ArrayLike) -> I64:
-        """Return (M,) the number of the tile whose square holds each of the (M, 3) points; -1 where there is none."""
+        """Return (M,) the number of the tile whose squares hold each of the (M, 3) points; -1 where there is none."""
         squares = self.grid.squares_of(points)
-        places = {tile.coords: k for k, tile in enumerate(self.tiles) if tile.coords is not None}
-        return np.array([places.get((int(x), int(y)), -1) for x, y in squares], np.int64)
+        found = np.full(len(squares), -1, np.int64)
+        for k, tile in enumerate(self.tiles):
+            if tile.coords is not None:
+                apart = squares - tile.coords
+                found[((apart >= 0) & (apart < tile.shape)).all(axis=1)] = k
+        return found
 
     def write(self, path: Path) -> None:
         """Write the manifest atomically; the same manifest gives the same bytes.
@@ -256,6 +261,8 @@ class WorldManifest:
         version = fields.integer("version", 1, 1 << 30)
         if version > VERSION:
             raise FormatError(path, "version", f"at most {VERSION}", f"{version}", "update gsvis")
+        if version < VERSION:
+            raise FormatError(path, "version", f"{VERSION}", f"{version}", "prepare the world again")
         value = dict(fields.value)
         digest = value.pop("sha256", None)
         try:
@@ -284,10 +291,11 @@ class _Reader:
         rows, more = self._rows("tiles"), self._rows("districts")
         if not 1 <= len(rows) <= _MOST_NODES or len(more) > _MOST_NODES:
             raise self._fault("tiles", f"1 to {_MOST_NODES:,} tiles", f"{len(rows):,}")
-        districts = tuple(self._district(row, len(rows), grid) for row in more)
+        districts = tuple(self._district(row, len(rows), k) for k, row in enumerate(more))
         nodes = [tuple[int, ...]((k,)) for k in range(len(rows))] + [district.tiles for district in districts]
         tiles = tuple(self._tile(row, k, grid, nodes) for k, row in enumerate(rows))
-        self._check_order(tiles, districts)
+        self._check_order(tiles, grid)
+        self._check_children(len(tiles), districts)
         return WorldManifest(up, meters, grid, tiles, districts, fields.child("provenance").value)
 
     def _grid(self, fields: Fields) -> Grid:
@@ -297,18 +305,24 @@ class _Reader:
             raise FormatError(fields.path, fields.where("axes"), "two axes, ascending", f"{axes}", DAMAGED)
         if side <= 0.0:
             raise FormatError(fields.path, fields.where("side"), "a number > 0", f"{side}", DAMAGED)
-        return Grid(_point(fields, "origin"), side, axes, _pair(fields, "shape", 1, _MOST_NODES))
+        shape = _pair(fields, "shape", 1, _MOST_SQUARES)
+        if shape[0] * shape[1] > _MOST_SQUARES:
+            raise self._fault("grid.shape", f"at most {_MOST_SQUARES:,} squares", f"{shape}")
+        return Grid(_point(fields, "origin"), side, axes, shape)
 
     def _tile(self, row: Fields, number: int, grid: Grid, nodes: list[tuple[int, ...]]) -> Tile:
-        coords = _pair(row, "coords", 0, _MOST_NODES) if "coords" in row else None
-        if coords is not None and (coords[0] >= grid.shape[0] or coords[1] >= grid.shape[1]):
-            raise FormatError(row.path, row.where("coords"), f"a square within {grid.shape}", f"{coords}", DAMAGED)
+        coords, shape = (_pair(row, "coords", 0, _MOST_SQUARES) if "coords" in row else None), (1, 1)
+        if coords is not None:
+            shape = _pair(row, "shape", 1, _MOST_SQUARES)
+            if any(first + count > most for first, count, most in zip(coords, shape, grid.shape, strict=True)):
+                got = f"{coords} and {shape}"
+                raise FormatError(row.path, row.where("coords"), f"squares within {grid.shape}", got, DAMAGED)
         levels = tuple((each.text("name")[:100], each.integer("count", 1, _MOST)) for each in _objects(row, "levels"))
         if not 1 <= len(levels) <= 16:
             raise FormatError(row.path, row.where("levels"), "1 to 16 levels", f"{len(levels)}", DAMAGED)
         beyond = self._beyond(row.child("beyond"), number, nodes) if "beyond" in row else None
         gaussians, cells = row.integer("gaussians", 1, _MOST), row.integer("cells", 0, _MOST)
-        return Tile(coords, *_box(row), *_package(row), levels, gaussians, cells, beyond)
+        return Tile(coords, *_box(row), *_package(row), levels, gaussians, cells, beyond, shape)
 
     def _beyond(self, fields: Fields, number: int, nodes: list[tuple[int, ...]]) -> BeyondTable:
         pieces, stands = list[Piece](), {number: number}  # the node that stands for each tile
@@ -328,18 +342,13 @@ class _Reader:
         _check_apart(fields, pieces)
         return BeyondTable(_sha256(fields), fields.integer("bytes", 0, 1 << 50), tuple(pieces))
 
-    def _district(self, row: Fields, tiles: int, grid: Grid) -> District:
-        size, numbers = row.integer("size", 1, _MOST_NODES), row.items("tiles")
-        good = all(isinstance(k, int) and not isinstance(k, bool) and 0 <= k < tiles for k in numbers)
-        if not numbers or not good or any(a >= b for a, b in pairwise(numbers)):
-            expected = f"numbers of tiles below {tiles}, ascending"
-            raise FormatError(row.path, row.where("tiles"), expected, f"{numbers}"[:60], DAMAGED)
-        coords, spacing = _pair(row, "coords", 0, max(grid.shape)), row.number("spacing")
-        return District(
-            size, coords, tuple(numbers), *_box(row), spacing, *_package(row), row.integer("gaussians", 1, _MOST)
-        )
+    def _district(self, row: Fields, tiles: int, number: int) -> District:
+        members = _numbers(row, "tiles", tiles, "tiles")
+        children = _numbers(row, "children", tiles + number, "nodes before it")
+        spacing, count = row.number("spacing"), row.integer("gaussians", 1, _MOST)
+        return District(children, members, *_box(row), spacing, *_package(row), count)
 
-    def _check_order(self, tiles: tuple[Tile, ...], districts: tuple[District, ...]) -> None:
+    def _check_order(self, tiles: tuple[Tile, ...], grid: Grid) -> None:
         squares = [tile.coords for tile in tiles]
         inner = [coords for coords in squares if coords is not None]
         if any(a >= b for a, b in pairwise(inner)):
@@ -347,9 +356,27 @@ class _Reader:
             raise self._fault("tiles", "each square once, in order", f"square {again} after another or twice")
         if None in squares[:-1]:
             raise self._fault("tiles", "what lies outside as the last tile", "another order")
-        places = [(district.size, district.coords) for district in districts]
-        if any(a >= b for a, b in pairwise(places)):
-            raise self._fault("districts", "each district once, the smallest first", "another order")
+        taken = np.zeros(grid.shape, bool)
+        for tile in tiles:
+            if tile.coords is not None:
+                (x, y), (width, height) = tile.coords, tile.shape
+                if taken[x : x + width, y : y + height].any():
+                    raise self._fault("tiles", "each square once", f"square {tile.coords} or one after it twice")
+                taken[x : x + width, y : y + height] = True
+
+    def _check_children(self, tiles: int, districts: tuple[District, ...]) -> None:
+        """Raise unless each district stands for the tiles of its children, and each node is a child once at most."""
+        members: list[tuple[int, ...]] = [(k,) for k in range(tiles)]
+        used = set[int]()
+        for k, district in enumerate(districts):
+            some = sorted(tile for child in district.children for tile in members[child])
+            alone = len(district.children) == 1 and district.children[0] < tiles
+            if tuple(some) != district.tiles or not (alone or min(district.children) >= tiles):
+                raise self._fault(f"districts[{k}].tiles", "those of its children", f"{district.tiles}"[:60])
+            if used & set(district.children):
+                raise self._fault(f"districts[{k}].children", "each node once", f"{district.children}"[:60])
+            used |= set(district.children)
+            members.append(district.tiles)
 
     def _rows(self, key: str) -> list[Fields]:
         return _objects(self.fields, key)
@@ -370,6 +397,7 @@ def _tile_as_dict(tile: Tile) -> dict[str, Any]:
     beyond = tile.beyond
     return {
         "coords": tile.coords, "low": tile.low, "high": tile.high,
+        "shape": None if tile.coords is None else tile.shape,
         "package": {"sha256": tile.package, "bytes": tile.nbytes},
         "levels": [{"name": name, "count": count} for name, count in tile.levels],
         "gaussians": tile.gaussians, "cells": tile.cells,
@@ -387,6 +415,17 @@ def _district_as_dict(district: District) -> dict[str, Any]:
 
 def _objects(fields: Fields, key: str) -> list[Fields]:
     return [Fields(fields.path, f"{fields.where(key)}[{k}]", row) for k, row in enumerate(fields.items(key))]
+
+
+def _numbers(row: Fields, key: str, end: int, what: str) -> tuple[int, ...]:
+    """Return ascending numbers below an end, at least one."""
+    found = row.items(key)
+    good = all(isinstance(k, int) and not isinstance(k, bool) and 0 <= k < end for k in found)
+    if not found or not good or any(a >= b for a, b in pairwise(found)):
+        raise FormatError(
+            row.path, row.where(key), f"numbers of {what} below {end}, ascending", f"{found}"[:60], DAMAGED
+        )
+    return tuple(found)
 
 
 def _point(fields: Fields, key: str) -> Point:

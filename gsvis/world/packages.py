@@ -14,7 +14,7 @@ from gsvis.progress import silent
 from gsvis.pvs.workers import expected_memory
 from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
-from gsvis.world.bare import PACKAGE, facts_of_package, write_bare_package
+from gsvis.world.bare import PACKAGE, facts_of_package, reach_of, write_bare_package
 from gsvis.world.graph import Facts, Given
 from gsvis.world.pieces import Part, free_box, join_parts, part_of_district, parts_of_tile
 from gsvis.world.rows import load_gaussians, load_tile_levels
@@ -22,14 +22,15 @@ from gsvis.world.tiles import config_of, load_space
 
 __all__ = ["VERSIONS", "prepare_tile"]
 
-VERSIONS = {"prepare_tile": 1}
+VERSIONS = {"prepare_tile": 2}
 
 
 def prepare_tile(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     """Task: write the package of a tile, and the store of what its cells see beyond it.
 
     Inputs: its levels, its space, then the levels of tiles and the districts around it. Params: `around`, for each
-    of these its node; `angle`; `config`; `name`; `up`; `outside`, for the tile without a square and a space.
+    of these its node; `angle`; `config`; `name`; `up`; `reach`, of base colors in the world; `outside`, for the tile
+    without squares and a space.
 
     Facts: those of the package, the number of cells, and the pieces.
     """
@@ -41,6 +42,7 @@ def prepare_tile(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     parts, nodes = _parts(params, given, levels, space)
     target, about = work / f"{PACKAGE}.gsvis", json.loads(read_whole(given.path(0, "quality.json")))
     stages = stages_of(levels, target, space, config, photos=None, progress=silent)
+    stages.reach = reach_of(params)
     if parts:
         stages.around = join_parts(parts)
         _check_memory(params["name"], stages.around.joined(levels), params, given)
@@ -89,5 +91,5 @@ def _check_memory(name: str, joint: Levels, params: Facts, given: Given) -> None
 def _bare(params: Facts, levels: Levels, out: Path) -> Facts:
     """Write a package without cells."""
     shutil.rmtree(out / PACKAGE, ignore_errors=True)
-    _, facts = write_bare_package(out, levels, params["up"], params["config"]["meters_per_unit"])
+    _, facts = write_bare_package(out, levels, params["up"], params["config"]["meters_per_unit"], reach_of(params))
     return {**facts, "cells": 0, "pieces": []}

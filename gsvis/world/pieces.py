@@ -46,7 +46,7 @@ Mask = NDArray[np.bool_]
 Runs = list[tuple[int, int]]
 """(first id, count), ascending."""
 
-VERSIONS = {"choose_nodes": 1}
+VERSIONS = {"choose_nodes": 2}
 
 BLOCK = 256
 """Ids that get one level together; they lie near each other along the Morton curve of a package."""
@@ -73,7 +73,8 @@ class Part:
 def choose_nodes(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     """Task: choose the nodes around a tile. Inputs: the tile's levels and space, then all districts.
 
-    Params: `tile`, its number; `districts`, for each its size, coords and tiles; `angle`, `looks`.
+    Params: `tile`, its number; `tiles`, how many there are; `districts`, for each its children and tiles; `angle`,
+    `looks`.
     Facts: `tiles`, numbers of the tiles that stand there themselves; `districts`, numbers of the districts that do.
     """
     space = load_space(given.path(1, "space"))
@@ -85,9 +86,9 @@ def choose_nodes(params: Facts, given: Given, out: Path, work: Path) -> Facts:
         params["tile"] not in row["tiles"] and each["spacing"] <= params["angle"] * far
         for row, each, far in zip(rows, facts, reach, strict=True)
     ]
-    districts, tiles = _descend(rows, allowed)
+    districts, tiles = _descend(rows, allowed, params["tiles"])
     tiles = [k for k in tiles if k != params["tile"]]
-    own = {row["tiles"][0]: k for k, row in enumerate(rows) if row["size"] == 1}
+    own = {row["tiles"][0]: k for k, row in enumerate(rows) if len(row["tiles"]) == 1}
     stand = [*districts, *(own[k] for k in tiles)]
     scenes = {k: load_gaussians(given.path(2 + k, "district")) for k in stand}
     seen = _look_coarsely(load_tile_levels(given.path(0, "levels")), space, scenes, params["looks"])
@@ -168,23 +169,19 @@ def _part(levels: Levels, chosen: Mask, level: int, target: int) -> Part | None:
     return Part(level, runs_of(kept), Surroundings(levels.union[kept], first, last))
 
 
-def _descend(rows: Sequence[Mapping[str, Any]], allowed: Sequence[bool]) -> tuple[list[int], list[int]]:
+def _descend(rows: Sequence[Mapping[str, Any]], allowed: Sequence[bool], count: int) -> tuple[list[int], list[int]]:
     """Return the coarsest allowed districts, and the tiles of which no district is allowed, all ascending."""
-    places = {(row["size"], *row["coords"]): k for k, row in enumerate(rows)}
-    largest = max((row["size"] for row in rows), default=1)
-    stack = [k for k, row in enumerate(rows) if row["size"] == largest]
+    inner = {child - count for row in rows for child in row["children"]}
+    stack = [k for k in range(len(rows)) if k not in inner]
     districts, tiles = [], []
     while stack:
         k = stack.pop()
-        size, (x, y) = rows[k]["size"], rows[k]["coords"]
         if allowed[k]:
             districts.append(k)
-        elif size == 1:
+        elif len(rows[k]["tiles"]) == 1:
             tiles.append(rows[k]["tiles"][0])
         else:
-            half = size // 2
-            below = [(half, 2 * x + i, 2 * y + j) for i in (0, 1) for j in (0, 1)]
-            stack += [places[each] for each in below if each in places]
+            stack += [child - count for child in rows[k]["children"]]
     return sorted(districts), sorted(tiles)
 
 

@@ -90,7 +90,7 @@ def prepare_world(
         packages = build.packages
         manifest = _manifest(build, packages, about or {})
         _write(build, packages, manifest, target, progress)
-        results = {**build.made, **{f"tile {k}": result for k, result in enumerate(packages)}}
+        results = {**build.chosen, **{f"tile {k}": result for k, result in enumerate(packages)}}
     nbytes = sum(manifest.node(k).nbytes for k in range(len(manifest)))
     nbytes += sum(tile.beyond.nbytes for tile in manifest.tiles if tile.beyond is not None)
     return PreparedWorld(manifest, results, nbytes, work.folder)
@@ -116,23 +116,13 @@ def _manifest(build: WorldBuild, packages: Sequence[Result], about: Mapping[str,
     """Return the manifest of finished packages."""
     numbers = {f"levels {k}": k for k in range(len(build.tiles))}
     districts = []
-    for k, (size, place, members) in enumerate(build.districts):
+    for k, plan in enumerate(build.districts):
         facts = build.district(k).facts
-        numbers[f"district {size} {place[0]}-{place[1]}"] = len(build.tiles) + k
-        districts.append(
-            District(
-                size,
-                place,
-                members,
-                *_box(facts),
-                facts["spacing"],
-                facts["package"],
-                facts["bytes"],
-                facts["gaussians"],
-            )
-        )
+        numbers[f"district {k}"] = len(build.tiles) + k
+        own = facts["spacing"], facts["package"], facts["bytes"], facts["gaussians"]
+        districts.append(District(plan.children, plan.tiles, *_box(facts), *own))
     tiles = []
-    for coords, result in zip(build.tiles, packages, strict=True):
+    for rect, result in zip(build.tiles, packages, strict=True):
         facts, beyond = result.facts, None
         if "beyond" in result.files:
             pieces = [
@@ -142,8 +132,9 @@ def _manifest(build: WorldBuild, packages: Sequence[Result], about: Mapping[str,
             beyond = BeyondTable(*result.files["beyond"], tuple(pieces))
         levels = tuple((name, count) for name, count in facts["levels"])
         low, high = _box(facts)
-        own = (facts["package"], facts["bytes"], levels, facts["gaussians"], facts["cells"])
-        tiles.append(Tile(coords, low, high, *own, beyond))
+        coords, shape = (None, (1, 1)) if rect is None else (rect[:2], rect[2:])
+        sizes = facts["gaussians"], facts["cells"]
+        tiles.append(Tile(coords, low, high, facts["package"], facts["bytes"], levels, *sizes, beyond, shape))
     x, y, z = (float(v) for v in axis_vector(build.grid["up"]))
     meters = build.config.package.meters_per_unit
     provenance = {**about, "angle": build.config.angle, "far": build.config.far, "most": build.config.tiling.most}

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import hashlib
 import logging
-from collections.abc import Callable
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 from os import PathLike
@@ -41,6 +42,7 @@ __all__ = ["WorldPackage", "open_world"]
 
 _LOG = logging.getLogger(__name__)
 I64 = NDArray[np.int64]
+_TILE_WEIGHT = 16  # of the symbols of a tile in the code, over those of a district: more of it is sent
 
 
 def open_world(
@@ -54,12 +56,12 @@ def open_world(
 
     Args:
         path: Folder of the world.
-        tables: Folder for kept tables; None holds the world in memory.
+        tables: Folder for kept tables, which are computed node by node; None means a temporary one.
         max_cache_bytes: Most bytes of decoded sets and candidates of cells to keep.
         quality: How to round records before they are sent; None means not at all.
 
     Returns:
-        The scene, whose package the caller closes, and its kept tables; None if it is in memory.
+        The scene, whose package the caller closes, and its kept tables; None if they are not kept.
 
     Raises:
         FormatError: If the folder is no world, or no tile of it can be read.
@@ -70,7 +72,8 @@ def open_world(
         package = WorldPackage(world, without, tables)
         try:
             if tables is None:
-                return StreamedScene.open(package, max_cache_bytes=max_cache_bytes, quality=quality), None
+                with tempfile.TemporaryDirectory(prefix="gsvis-") as folder:  # a mapped file outlives its name
+                    return open_kept(package, folder, max_cache_bytes=max_cache_bytes, quality=quality)[0], None
             return open_kept(package, tables, max_cache_bytes=max_cache_bytes, quality=quality)
         except _DamagedNodeError as error:
             _leave_out(world, error.node, str(error))
@@ -148,16 +151,71 @@ class WorldPackage(Package):
         """Contribution above which a term is active in a cell."""
         return self.manifest.info.epsilon
 
-    @cached_property
-    def contents(self) -> Contents:
-        """All records, with colors in the tables of the world."""
-        levels, pieces = len(self.manifest.names), []
+    def ranges(self) -> list[tuple[int, int]]:
+        """Return the first id of each node that can be read, and its end; see `gsvis.stream.piecewise.Pieces`."""
+        return [(int(self.bases[node]), int(self.bases[node + 1])) for node in self.nodes]
+
+    def pieces(self) -> Iterator[Contents]:
+        """Yield the records of each node, with colors in the tables of the world."""
+        levels = len(self.manifest.names)
         for node in self.nodes:
             try:
                 with self.world.package(node) as package:
-                    pieces.append(_in_world(package.contents, self.manifest.grids, levels, self._is_tile(node)))
+                    found = _in_world(package.contents, self.manifest.grids, levels, self._is_tile(node))
             except (GsvisError, OSError) as error:
                 raise _DamagedNodeError(node, str(error)) from error
+            yield found
+
+    def piece_weight(self, piece: int) -> int:
+        """Return how often the symbols of a node count: most of what is sent is of tiles."""
+        return _TILE_WEIGHT if self._is_tile(self.nodes[piece]) else 1
+
+    def piece_links(self, piece: int, contents: Contents, means: Callable[[int, int], NDArray[np.float32]]) -> I64:
+        """Return what replaces the Gaussians of a node: the next level of a tile; the children of a district.
+
+        Args:
+            piece: Number of the node among those that can be read.
+            contents: Its records.
+            means: Returns the centers of earlier ids, from one to before another.
+        """
+        node = self.nodes[piece]
+        low, entry = int(self.bases[node]), self.world.manifest.node(node)
+        if not isinstance(entry, District):
+            offsets, ids = nearest_replacements(contents.levels())
+            owners = np.repeat(np.arange(len(contents)), np.diff(offsets))
+            return low + np.stack([owners, ids.astype(np.int64)], axis=1)
+        pairs, own = [np.zeros((0, 2), np.int64)], contents.gaussians().means
+        for child in entry.children:
+            first, end = self.bases[child : child + 2].tolist()
+            if end > first:
+                theirs = first + self._lowest(child, end - first)
+                pairs.append(_nearest(own, means(first, end)[theirs - first], low, theirs))
+        return np.unique(np.concatenate(pairs), axis=0)
+
+    def piece_sources(self, piece: int) -> Sequence[int]:
+        """Return the nodes whose Gaussians those of a node may replace: itself, and its district."""
+        node, numbers = self.nodes[piece], {node: k for k, node in enumerate(self.nodes)}
+        above = [numbers[k] for k, district in self._districts() if node in district.children]
+        return [piece, *above]
+
+    def cell_arrays(self) -> tuple[dict[str, NDArray[Any]], list[Any], NDArray[np.float32]]:
+        """Return the arrays of all cells, their box, and the weight of each class."""
+        cells = self._cells()
+        return cells.to_arrays(), [cells.origin.tolist(), cells.cell_size, cells.up.tolist()], self._weights()
+
+    def part_of(self, gaussian: int) -> tuple[Contents, int]:
+        """Return the records of the part that holds a Gaussian, and the id of the first of them; see `Package`."""
+        if not 0 <= gaussian < self.bases[-1]:
+            raise ValueError(f"gaussian: expected an id below {self.bases[-1]:,}, got {gaussian}")
+        node = int(np.searchsorted(self.bases, gaussian, "right")) - 1
+        with self.world.package(node) as package:
+            contents, start = package.part_of(gaussian - int(self.bases[node]))
+        return contents, start + int(self.bases[node])
+
+    @cached_property
+    def contents(self) -> Contents:
+        """All records, with colors in the tables of the world."""
+        pieces = list(self.pieces())
         counts = np.cumsum([0, *(len(piece) for piece in pieces)])
         return Contents(
             self.manifest.names, ChunkTable.concatenate([piece.table for piece in pieces]),
@@ -170,8 +228,7 @@ class WorldPackage(Package):
 
     def scene_index(self, contents: Contents, nbytes: tuple[float, float], cache: Cache[Any]) -> SceneIndex:
         """Return what planners need to know of the world."""
-        cells = WorldCells.read(self.world, [node for node in self.nodes if self._is_tile(node)])
-        levels = contents.levels()
+        cells, levels = self._cells(), contents.levels()
         (radii, areas), (offsets, ids) = extents(levels.union), self._links(levels)
         epsilon, n = self.epsilon, len(contents)
         cones = None if epsilon is None or not len(contents.term_records) else term_cones(contents, epsilon)
@@ -195,6 +252,9 @@ class WorldPackage(Package):
     def sets(self, cells: WorldCells, cache: Cache[Any]) -> WorldSets:
         """Return the visible sets of all cells, read tile by tile."""
         return WorldSets(self.world, cells, self.bases, self._tables, cache)
+
+    def _cells(self) -> WorldCells:
+        return WorldCells.read(self.world, [node for node in self.nodes if self._is_tile(node)])
 
     def _is_tile(self, node: int) -> bool:
         return node < len(self.world.manifest.tiles)
@@ -226,35 +286,32 @@ class WorldPackage(Package):
         )  # fmt: skip
 
     def _links(self, levels: Levels) -> tuple[I64, NDArray[np.int32]]:
-        """Return what replaces each Gaussian: between levels, and between districts and what they were made of."""
-        offsets, ids = nearest_replacements(levels)
-        n, means, manifest = len(levels.union), levels.union.means, self.world.manifest
-        pairs = [np.stack([np.repeat(np.arange(n), np.diff(offsets)), ids.astype(np.int64)], axis=1)]
-        smaller = {(d.size, tile): t for t, d in self._districts() for tile in d.tiles}
-        for node, district in self._districts():
-            below = {smaller.get((district.size // 2, tile), -1) for tile in district.tiles} - {-1}
-            parts = sorted(below) if district.size > 1 else list(district.tiles)
-            for part in parts:
-                mine, theirs = (np.arange(self.bases[k], self.bases[k + 1]) for k in (node, part))
-                if part < len(manifest.tiles):
-                    theirs = theirs[levels.first[theirs] == levels.first[theirs].min(initial=15)]
-                if len(mine) and len(theirs):
-                    pairs.append(_nearest(means, mine, theirs))
-        found = np.unique(np.concatenate(pairs), axis=0)
+        """Return what replaces each Gaussian, from all nodes at once."""
+        n, means, pairs = len(levels.union), levels.union.means, [np.zeros((0, 2), np.int64)]
+        for piece, contents in enumerate(self.pieces()):
+            pairs.append(self.piece_links(piece, contents, lambda low, high: means[low:high]))
+        found = np.concatenate(pairs)
         starts = np.concatenate([[0], np.cumsum(np.bincount(found[:, 0], minlength=n))]).astype(np.int64)
         return starts, found[:, 1].astype(np.int32)
+
+    def _lowest(self, node: int, count: int) -> I64:
+        """Return the places in a node of those that replace its district: the lowest level of a tile, or all."""
+        if not self._is_tile(node):
+            return np.arange(count)
+        with self.world.package(node) as package:
+            first = package.contents.first
+        return np.flatnonzero(first == first.min())
 
     def _districts(self) -> list[tuple[int, District]]:
         nodes = ((node, self.world.manifest.node(node)) for node in self.nodes)
         return [(node, found) for node, found in nodes if isinstance(found, District)]
 
 
-def _nearest(means: NDArray[np.float32], mine: I64, theirs: I64) -> I64:
-    """Return pairs: the nearest of `mine` to each of `theirs`."""
+def _nearest(mine: NDArray[np.float32], theirs: NDArray[np.float32], low: int, ids: I64) -> I64:
+    """Return pairs: the nearest of `mine`, whose ids begin at `low`, to each of `theirs`, with its id."""
     from scipy.spatial import cKDTree  # slow to import, and seldom needed
 
-    nearest = cKDTree(means[mine]).query(means[theirs])[1]
-    return np.stack([mine[nearest], theirs], axis=1)
+    return np.stack([low + cKDTree(mine).query(theirs)[1].astype(np.int64), ids], axis=1)
 
 
 def _fits(world: World, node: int, m: Manifest, first: Manifest) -> bool:

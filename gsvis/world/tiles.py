@@ -28,11 +28,12 @@ from gsvis.train.levels import LevelsConfig
 from gsvis.world.graph import Facts, Given
 from gsvis.world.rows import load_gaussians, load_rows, median_spacing, save_gaussians, save_tile_levels
 
-__all__ = ["VERSIONS", "config_of", "gather_rows", "load_space", "make_tile_levels", "tile_space"]
+__all__ = ["MARGIN", "VERSIONS", "config_of", "gather_rows", "load_space", "make_tile_levels", "tile_space"]
 
-VERSIONS = {"gather_rows": 1, "make_tile_levels": 1, "tile_space": 1}
+VERSIONS = {"gather_rows": 1, "make_tile_levels": 1, "tile_space": 2}
 
-_MARGIN = 0.15  # of the side of a tile: how far beyond it the space of a tile is looked for
+MARGIN = 0.15
+"""How far beyond a tile its space is looked for, in its longer side."""
 
 
 def gather_rows(params: Facts, given: Given, out: Path, work: Path) -> Facts:
@@ -43,12 +44,12 @@ def gather_rows(params: Facts, given: Given, out: Path, work: Path) -> Facts:
 
 
 def tile_space(params: Facts, given: Given, out: Path, work: Path) -> Facts:
-    """Task: find where eyes may be in the square of a tile. Inputs are its rows, then those of the tiles around it.
+    """Task: find where eyes may be in the squares of a tile. Inputs are its rows, then those of the tiles around it.
 
     Facts: the number of free voxels; 0 if nobody can be there.
     """
     low, high, axes = (np.array(params[name]) for name in ("low", "high", "axes"))
-    margin = _MARGIN * float((high - low).max())
+    margin = MARGIN * float((high - low).max())
     parts = []
     for k in range(len(given)):
         g = load_gaussians(given.path(k, "rows"))

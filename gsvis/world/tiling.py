@@ -1,14 +1,17 @@
-"""Split scenes of any size into the tiles of a grid, batch by batch. Scene frame and units.
+"""Split scenes of any size into tiles, batch by batch. Scene frame and units.
 
-Two passes: the first takes a sample of constant size, which gives robust bounds, the up axis and the side of the
-squares; the second writes each batch as one file for each tile in it. Memory holds a batch, or a tile. Nothing depends
-on the order of scenes or rows: a row is in the sample by a hash of its center.
+Two passes: the first takes a sample of constant size, which gives robust bounds, the up axis, and rectangles of small
+squares with nearly equal numbers of Gaussians, the tiles; the second writes each batch as one file for each tile in it.
+Memory holds a batch, or a tile. Nothing depends on the order of scenes or rows: a row is in the sample by a hash of its
+center.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +22,7 @@ from gsvis.io.batches import Batch, read_batch
 from gsvis.raycast.proxies import MIN_ALPHA
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.inspection import axis_vector, guess_up
+from gsvis.scene.sh import SH_C0
 from gsvis.world.graph import Facts, Given
 from gsvis.world.manifest import Grid
 from gsvis.world.rows import content_order, load_gaussians, save_gaussians
@@ -26,7 +30,9 @@ from gsvis.world.rows import content_order, load_gaussians, save_gaussians
 __all__ = [
     "OUTSIDE",
     "VERSIONS",
+    "Rect",
     "TilingConfig",
+    "cut_squares",
     "find_grid",
     "grid_of",
     "sample_rows",
@@ -38,14 +44,20 @@ __all__ = [
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
-VERSIONS = {"sample_rows": 1, "find_grid": 1, "split_batch": 1}
+VERSIONS = {"sample_rows": 1, "find_grid": 2, "split_batch": 2}
 
 OUTSIDE = "outside"
 """Name of the tile of what lies outside all squares."""
 
 _SAMPLE = 1 << 19  # rows of the sample, about
 _MARGIN = 0.25  # of the robust box, added to each side
-_MOST_SQUARES = 1 << 16
+_SQUARES = 64  # along a side, for each tile along it
+_MOST_SIDE = 1 << 11  # squares along the longer side of the grid
+_FILL = 0.9  # how full tiles are meant to be; the sample is not exact
+_SLACK = 0.08  # of a tile: cuts along squares are not exact either, and one more tile costs more than a fuller one
+
+Rect = tuple[int, int, int, int]
+"""A rectangle of squares: the first along each axis, then how many."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +65,7 @@ class TilingConfig:
     """How a world is cut.
 
     Attributes:
-        most: Most Gaussians of a tile, about: the side of the squares is halved until the fullest has no more.
+        most: Most Gaussians of a tile, about: a rectangle with more is cut across its longer side.
         coverage: Share of the centers inside the robust box on each axis.
         up: Axis that points upward, such as "+z"; None guesses it.
 
@@ -88,8 +100,8 @@ def sample_rows(params: Facts, given: Given, out: Path, work: Path) -> Facts:
 def find_grid(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     """Task: find the grid from all samples.
 
-    Facts: the grid, the up axis, `bottom` and `top` on the axis that is not cut, and the Gaussians that the sample
-    expects in each square.
+    Facts: the grid, the up axis, `bottom` and `top` on the axis that is not cut; `tiles`, their rectangles of squares,
+    by first square; the Gaussians that the sample expects in each; and `tree`, how they were cut (`cut_squares`).
     """
     parts = [load_gaussians(given.path(k, "sample")) for k in range(len(given)) if given.inputs[k].facts["sampled"]]
     if not parts:
@@ -103,28 +115,77 @@ def find_grid(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     upright = int(np.abs(axis_vector(up)).argmax())
     axes = [axis for axis in range(3) if axis != upright]
     inside = sample.means[((sample.means >= low) & (sample.means <= high)).all(axis=1)].astype(np.float64)
-    side = float((high - low)[axes].max())
+    every = params["every"]
+    number = _SQUARES * math.sqrt(max(1.0, len(inside) * every / config.most))
     while True:
+        number = min(number, _MOST_SIDE)
+        side = float((high - low)[axes].max()) / math.ceil(number)
         shape = np.maximum(np.ceil((high - low)[axes] / side - 1e-9), 1).astype(int)
         squares = np.floor((inside[:, axes] - low[axes]) / side).astype(int).clip(0, shape - 1)
-        counts = np.bincount(squares[:, 0] * shape[1] + squares[:, 1], minlength=int(shape.prod()))
-        if counts.max() * params["every"] <= config.most or shape.prod() * 4 > _MOST_SQUARES:
+        counts = every * np.bincount(squares[:, 0] * shape[1] + squares[:, 1], minlength=int(shape.prod()))
+        tiles, expected, tree = cut_squares(counts.reshape(shape), config.most)
+        if max(expected, default=0) <= config.most or number >= _MOST_SIDE:
             break
-        side *= 0.5
+        number *= 2
     grid = Grid(_triple(low), side, (axes[0], axes[1]), (int(shape[0]), int(shape[1])))
     return {
         "grid": asdict(grid),
         "up": up,
         "bottom": float(low[upright]),
         "top": float(high[upright]),
-        "expected": (counts * params["every"]).tolist(),
+        "tiles": tiles,
+        "expected": expected,
+        "tree": tree,
     }
+
+
+def cut_squares(counts: I64, most: int) -> tuple[list[Rect], list[int], Any]:
+    """Cut a grid into rectangles with at most so many Gaussians, as few and as equal as can be.
+
+    A rectangle with more is cut across its longer side, where its parts have as many as their numbers of tiles ask for,
+    but not within a quarter of its ends.
+
+    Args:
+        counts: (X, Y) Gaussians of each square.
+        most: Most Gaussians of a rectangle; a single square may have more.
+
+    Returns:
+        The rectangles that hold something, by first square; the Gaussians of each; and how they were cut: the number of
+        a rectangle, or a pair of such trees, or None where nothing is.
+    """
+    found: dict[Rect, int] = {}
+
+    def cut(x: int, y: int, width: int, height: int) -> Any:
+        block = counts[x : x + width, y : y + height]
+        total = int(block.sum())
+        if total <= most or width * height == 1:
+            if total:
+                found[x, y, width, height] = total
+            return (x, y, width, height) if total else None
+        across = width >= height
+        before = np.cumsum(block.sum(axis=1 if across else 0))
+        parts = max(2, math.ceil(total / (_FILL * most) - _SLACK))
+        least = max(1, len(before) // 4)
+        ends = before[least - 1 : len(before) - least]
+        at = least + int(np.abs(ends - total * ((parts // 2) / parts)).argmin())
+        if across:
+            return [cut(x, y, at, height), cut(x + at, y, width - at, height)]
+        return [cut(x, y, width, at), cut(x, y + at, width, height - at)]
+
+    tree = cut(0, 0, *counts.shape)
+    tiles = sorted(found)
+    numbers = {rect: k for k, rect in enumerate(tiles)}
+
+    def numbered(node: Any) -> Any:
+        return [numbered(each) for each in node] if isinstance(node, list) else numbers.get(node)
+
+    return tiles, [found[rect] for rect in tiles], numbered(tree)
 
 
 def split_batch(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     """Task: write the rows of a batch as one file for each tile. The input is the grid.
 
-    Facts: how many rows each tile got.
+    Facts: how many rows each tile got, and the least and largest of each component of base colors.
     """
     g = read_batch(Batch(**params["batch"]))
     found = given.inputs[0].facts
@@ -132,20 +193,23 @@ def split_batch(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     squares = grid.squares_of(g.means)
     heights = g.means[:, upright]
     squares[(heights < found["bottom"]) | (heights > found["top"])] = -1
-    keys = squares[:, 0] * grid.shape[1] + squares[:, 1]
-    keys[squares[:, 0] < 0] = -1
+    owners = np.full(grid.shape, -1)
+    for k, (x, y, width, height) in enumerate(found["tiles"]):
+        owners[x : x + width, y : y + height] = k
+    keys = np.where(squares[:, 0] < 0, -1, owners[squares[:, 0], squares[:, 1]])
     counts = {}
     for key in np.unique(keys).tolist():
-        name = tile_name(None if key < 0 else divmod(key, grid.shape[1]))
+        name = tile_name(None if key < 0 else found["tiles"][key])
         rows = g[keys == key]
         save_gaussians(out / name, rows)
         counts[name] = len(rows)
-    return {"counts": counts}
+    colors = np.maximum(0.5 + SH_C0 * g.sh0[:, 0].astype(np.float64), 0.0) if len(g) else np.full((1, 3), 0.5)
+    return {"counts": counts, "reach": np.stack([colors.min(axis=0), colors.max(axis=0)], axis=1).tolist()}
 
 
-def tile_name(coords: tuple[int, int] | None) -> str:
-    """Return the name of a tile in files and messages."""
-    return OUTSIDE if coords is None else f"{coords[0]}-{coords[1]}"
+def tile_name(rect: Rect | None) -> str:
+    """Return the name of a tile in files and messages: its first square."""
+    return OUTSIDE if rect is None else f"{rect[0]}-{rect[1]}"
 
 
 def grid_of(value: Facts) -> Grid:

@@ -18,11 +18,13 @@ from gsvis.package import Package, decode_records
 from gsvis.package.manifest import MANIFEST, Manifest
 from gsvis.package.unpack import unpack_levels
 from gsvis.stream import StreamedScene
+from gsvis.world.manifest import WORLD, WorldManifest
 from tests.fuzz.cameras import files_in
 from tests.fuzz.containers import rows_of, sealed_manifest
 from tests.fuzz.mutators import mutate
 from tests.fuzz.targets import Case, Target, change_files
 from tests.stream.worlds import package_of
+from tests.world.manifests import example
 
 __all__ = ["TARGETS"]
 
@@ -50,6 +52,30 @@ def in_manifest(folder: Path, case: Case) -> None:
     found = Manifest.read(folder / name)
     assert found.gaussians == sum(block.count for block in found.blocks)
     found.sizes()
+
+
+def worlds() -> list[Case]:
+    return [{WORLD: example().to_json()}]
+
+
+def in_world(folder: Path, case: Case) -> None:
+    (name,) = case
+    found = WorldManifest.read(folder / name)
+    tiles = found.tiles_at([[0.5, 0.5, 0.5], [-1e9, 0.0, 1e9]])
+    assert len(tiles) == 2
+    assert tiles.max() < len(found.tiles)
+    for tile in found.tiles:
+        for piece in [] if tile.beyond is None else tile.beyond.pieces:
+            assert found.node(piece.node).gaussians >= 1
+            if piece.count < 1 << 20:
+                assert len(piece.ids()) == piece.count
+    again = WorldManifest.read(_written(folder / "again.json", found))
+    assert again == found
+
+
+def _written(path: Path, manifest: WorldManifest) -> Path:
+    manifest.write(path)
+    return path
 
 
 def in_package(folder: Path, case: Case) -> None:
@@ -114,6 +140,7 @@ P = "gsvis.package."
 
 TARGETS = [
     Target("manifest", manifests, in_manifest, kinds={MANIFEST: "manifest"}, modules=(P + "manifest",)),
+    Target("world", worlds, in_world, kinds={WORLD: "manifest"}, modules=("gsvis.world.manifest",)),
     Target(
         "package",
         packages,

@@ -19,6 +19,7 @@ from gsvis.files.objects import open_store
 from gsvis.pvs.workers import Workers
 from gsvis.world import graph
 from gsvis.world.graph import Task, machine_kind, run_graph
+from gsvis.world.memory import IDLE
 from tests.world.small_tasks import HERE, tree
 
 TOTAL = "(((leaf 0 leaf 1) (leaf 2 leaf 3)) ((leaf 4 leaf 5) (leaf 6 leaf 7)))"
@@ -209,3 +210,31 @@ def test_kills_at_random_moments_change_no_byte(tmp_path: Path) -> None:
         done = finished
     assert start(killed).wait() == 0
     assert {k: v for k, v in content(killed).items() if k[:1] != "."} == content(whole)
+
+
+def test_tasks_that_do_not_fit_together_run_one_after_the_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(graph, "needed_memory", lambda run, params, inputs: 100)
+    beside = list[int]()
+
+    class Counting(ThreadPoolExecutor):
+        """Notes how many tasks run when another one comes."""
+
+        running = list[Future[Any]]()
+
+        def submit(self, *given: Any) -> Future[Any]:
+            beside.append(sum(not each.done() for each in self.running))
+            self.running.append(super().submit(*given))
+            return self.running[-1]
+
+    for room, most in ((150, 0), (250, 1)):
+        beside.clear()
+        with Counting(3) as executor:
+            workers = Workers(3, executor=executor, max_memory=IDLE + room)
+            found = run_graph(tree(8), open_store(tmp_path / str(room)), workers)
+        assert found[TOTAL].facts == {"value": 28}
+        assert len(beside) == 15
+        assert max(beside) <= most
+    with pytest.raises(ValueError, match=r"leaf 0: expected at most .* got a task that needs .*; raise --max-memory"):
+        run_graph(tree(8), open_store(tmp_path / "small"), Workers(1, max_memory=IDLE + 50))

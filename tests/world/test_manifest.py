@@ -12,26 +12,8 @@ import numpy as np
 import pytest
 
 from gsvis.errors import FormatError
-from gsvis.world.manifest import BeyondTable, District, Grid, Piece, Tile, WorldManifest
-
-A, B, C = ("a" * 64, "b" * 64, "c" * 64)
-LOW, HIGH = (0.0, 0.0, 0.0), (1.0, 2.0, 3.0)
-
-
-def example() -> WorldManifest:
-    pieces = (Piece(1, 1, ((0, 4), (6, 2))), Piece(1, 0, ((4, 2),)), Piece(2, 0, ((0, 3),)))
-    tiles = (
-        Tile((0, 0), LOW, HIGH, A, 10, (("low", 2), ("high", 6)), 8, 3, BeyondTable(B, 5, pieces)),
-        Tile((1, 0), LOW, HIGH, B, 10, (("low", 2), ("high", 6)), 8, 0),
-        Tile(None, LOW, HIGH, C, 10, (("high", 5),), 5, 0),
-    )
-    districts = (
-        District(1, (0, 0), (0,), LOW, HIGH, 0.1, A, 4, 3),
-        District(1, (1, 0), (1,), LOW, HIGH, 0.1, B, 4, 3),
-        District(2, (0, 0), (0, 1), LOW, HIGH, 0.2, C, 4, 3),
-    )
-    grid = Grid((0.0, -1.0, 5.0), 2.0, (0, 1), (2, 1))
-    return WorldManifest((0.0, 0.0, 1.0), 0.5, grid, tiles, districts, {"made_by": "a test"})
+from gsvis.world.manifest import WorldManifest
+from tests.world.manifests import example
 
 
 def write(path: Path, change: Callable[[dict[str, Any]], object]) -> Path:
@@ -57,7 +39,7 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
 
 
 def test_points_are_found_in_tiles() -> None:
-    points = [[0.0, -1.0, 99.0], [1.999, 0.9, 0.0], [2.0, 0.0, 0.0], [4.0, 0.0, 0.0], [0.0, -1.001, 0.0], [1e300, 0, 0]]
+    points = [[0.0, -1.0, 99.0], [1.999, 0.9, 0.0], [2.0, 0.0, 0.0], [6.0, 0.0, 0.0], [0.0, -1.001, 0.0], [1e300, 0, 0]]
     assert example().tiles_at(points).tolist() == [0, 0, 1, -1, -1, -1]
     assert example().tiles_at(np.zeros((0, 3))).tolist() == []
 
@@ -76,11 +58,14 @@ def test_a_changed_byte_is_found(tmp_path: Path) -> None:
 
 BAD: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "format": (lambda v: v.update(format="gsvis-package"), "is this a world"),
-    "newer": (lambda v: v.update(version=2), "at most 1, got 2; update gsvis"),
+    "newer": (lambda v: v.update(version=3), "at most 2, got 3; update gsvis"),
+    "older": (lambda v: v.update(version=1), "expected 2, got 1; prepare the world again"),
     "up": (lambda v: v.update(up=[0, 0, 2]), "a unit axis"),
     "twice": (lambda v: v["tiles"].__setitem__(1, v["tiles"][0] | {"beyond": None}), "each square once"),
     "order": (lambda v: (v["tiles"][0].update(beyond=None), v["tiles"].reverse()), "outside as the last|each square"),
-    "square": (lambda v: v["tiles"][1].update(coords=[2, 0]), r"a square within \(2, 1\)"),
+    "square": (lambda v: v["tiles"][1].update(coords=[2, 0]), r"squares within \(3, 1\)"),
+    "overlap": (lambda v: v["tiles"][0].update(shape=[2, 1]), "each square once"),
+    "grid": (lambda v: v["grid"].update(shape=[4096, 2048]), "at most 4,194,304 squares"),
     "no tile": (lambda v: v.update(tiles=[], districts=[]), "1 to 1,048,576 tiles"),
     "digest": (lambda v: v["tiles"][0]["package"].update(sha256="../../x"), "64 hexadecimal digits"),
     "box": (lambda v: v["tiles"][0].update(low=[9, 9, 9]), "a corner above"),
@@ -92,7 +77,10 @@ BAD: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "runs": (lambda v: v["tiles"][0]["beyond"]["pieces"][0].update(runs=[[6, 2], [0, 4]]), "ascending runs"),
     "ids": (lambda v: v["tiles"][0]["beyond"]["pieces"][1].update(runs=[[3, 2]]), "each id once"),
     "member": (lambda v: v["districts"][2].update(tiles=[0, 3]), "numbers of tiles below 3"),
-    "size": (lambda v: v["districts"].reverse(), "each district once, the smallest first"),
+    "later": (lambda v: v["districts"].reverse(), "numbers of nodes before it below 3"),
+    "parents": (lambda v: v["districts"].append(v["districts"][2]), "each node once"),
+    "children": (lambda v: v["districts"][2].update(children=[3]), "those of its children"),
+    "mixed": (lambda v: v["districts"][2].update(children=[0, 4]), "those of its children"),
     "side": (lambda v: v["grid"].update(side=0.0), "a number > 0"),
     "axes": (lambda v: v["grid"].update(axes=[1, 1]), "two axes, ascending"),
 }

@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import logging
 import shutil
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.config import AbrConfig
+from gsvis.color.fit import FitConfig
 from gsvis.errors import FormatError
+from gsvis.files.mapped import MappedArrays
+from gsvis.prepare.colors import ColorConfig
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.view_sampling import ViewSampling
 from gsvis.serve import Address, Server, StreamClient, open_scenes
-from gsvis.stream import Receiver, Session, StreamedScene
+from gsvis.stream import Quality, Receiver, Session, StreamedScene
+from gsvis.stream.coding import Coding
 from gsvis.world import World
 from gsvis.world.prepare import prepare_world
 from gsvis.world.streamed import WorldPackage, open_world
@@ -30,6 +39,18 @@ def city(tmp_path_factory: pytest.TempPathFactory) -> Path:
     scene = write(street(), folder / "street.ply")
     prepare_world([scene], folder / "a.gsworld", config())
     return folder / "a.gsworld"
+
+
+@pytest.fixture(scope="module")
+def shiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A world with view-dependent colors."""
+    folder, g = tmp_path_factory.mktemp("shiny"), street()
+    higher = 0.3 * np.random.default_rng(0).normal(size=(len(g), 3, 3))
+    scene = write(Gaussians(g.means, g.quats, g.scales, g.opacities, g.sh0, higher), folder / "s.ply")
+    colors = ColorConfig(FitConfig(max_terms=1, mean_terms=1.0), ViewSampling(2, 32, 24))
+    options = config(most=900)
+    prepare_world([scene], folder / "b.gsworld", replace(options, package=replace(options.package, colors=colors)))
+    return folder / "b.gsworld"
 
 
 @pytest.fixture
@@ -81,6 +102,34 @@ def test_a_viewer_crosses_borders_and_gets_nothing_twice(city: Path, tmp_path: P
     assert walk(first)[0] == walk(again)[0] == found
     assert again.index.sets.open_tiles > 1  # type: ignore[attr-defined]
     assert len(receiver.shown()) <= len(came)
+
+
+@pytest.mark.parametrize("quality", [None, Quality()])
+@pytest.mark.parametrize("degree", [0, 1])
+def test_tables_made_node_by_node_are_those_of_the_whole(
+    city: Path, shiny: Path, tmp_path: Path, degree: int, quality: Quality | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = shiny if degree else city
+    scene, kept = open_world(path, tables=tmp_path, quality=quality)
+    assert kept is not None
+    mapped = MappedArrays(next(tmp_path.glob("*.tables")))
+    nbytes = float(mapped.arrays["record_sizes"][0]), float(mapped.facts["numbers"]["term_size"])
+    monkeypatch.setattr(Coding, "from_contents", lambda contents, steps=None: scene.coding)
+    monkeypatch.setattr(Coding, "mean_bytes", lambda self, contents: nbytes)
+    arrays, facts = StreamedScene.open(WorldPackage(World.open(path), set()), quality=quality).to_arrays()
+    assert sorted(arrays) == sorted(mapped.arrays)
+    for name, array in arrays.items():
+        found = mapped.arrays[name]
+        assert (found.dtype, found.shape, found.flags.writeable) == (array.dtype, array.shape, array.flags.writeable)
+        if name == "all_level_bytes":  # a sum of the whole in single precision
+            assert np.allclose(found, array, rtol=1e-5)
+        else:
+            assert np.array_equal(found, array), name
+    numbers = json.loads(json.dumps(facts.pop("numbers")))
+    assert {k: pytest.approx(v, rel=1e-5) for k, v in numbers.items()} == mapped.facts["numbers"]
+    same = {"identity": mapped.facts["identity"], "numbers": mapped.facts["numbers"]}
+    assert json.loads(json.dumps(facts)) | same == mapped.facts
+    assert bool(len(arrays["owners"])) == bool(degree)
 
 
 def test_all_that_a_cell_sees_arrives(city: Path) -> None:
@@ -145,6 +194,41 @@ def test_a_world_without_a_tile_that_can_be_read_is_refused(copy: Path) -> None:
         open_world(copy)
 
 
+def check_facts(server: Server, grid: Any, gaussians: int) -> None:
+    """The floor covers the cells; a Gaussian of a tile knows its cells, one of a district is known."""
+    floor = json.loads(ask(server, "/scenes/a/floor")[2])
+    heights = np.array([value for value in floor["heights"] if value is not None])
+    assert len(heights) > 10
+    low, high = grid.centers[:, 2].min() - grid.sizes.max() / 2, grid.centers[:, 2].max() + grid.sizes.max() / 2
+    assert low <= heights.min() <= heights.max() <= high
+    seen = [json.loads(ask(server, f"/scenes/a/why/{k}")[2]) for k in (0, 40, gaussians - 1)]
+    assert seen[0]["cells"]["of"] >= 1
+    assert any(each["cells"]["seeing"] for each in seen[:2])
+    assert seen[2]["cells"] is None
+    assert ask(server, f"/scenes/a/why/{gaussians}")[0] == 404
+
+
+def check_files(server: Server, city: Path) -> None:
+    """A copy of the world can be fetched file by file, and nothing else."""
+    for path in sorted(city.rglob("*")):
+        if path.is_file():
+            status, _, data = ask(server, f"/packages/a/{path.relative_to(city).as_posix()}")
+            assert status == 200
+            assert data == path.read_bytes()
+    for wrong in ("packages/../world.json", "packages/" + "0" * 64 + "/manifest.json", "beyond/x.pvs", "manifest.json"):
+        assert ask(server, f"/packages/a/{wrong}")[0] in (400, 404)
+
+
+def test_cells_of_a_world_hold_their_points(city: Path) -> None:
+    cells: Any = open_world(city)[0].index.grid
+    points = np.random.default_rng(0).uniform(cells.corners().min(axis=0), cells.corners().max(axis=0), (2000, 3))
+    inside = (np.abs(points[:, None] - cells.centers) <= cells.sizes[:, None] / 2).all(axis=2)
+    found = cells.cell_at(points)
+    assert ((found >= 0) == inside.any(axis=1)).all()
+    held = found >= 0
+    assert inside[held, found[held]].all()
+
+
 def test_a_server_streams_a_world(city: Path, tmp_path: Path) -> None:
     """A client walks through it, over a real socket."""
 
@@ -167,6 +251,8 @@ def test_a_server_streams_a_world(city: Path, tmp_path: Path) -> None:
             assert client.receiver is not None
             assert len(client.receiver.shown()) > 1000
             assert ask(server, "/scenes/a/cells")[0] == 404
+            check_facts(server, grid, len(scenes["a"].scene))
+            check_files(server, city)
             assert b'"manifest":null' in ask(server, "/")[2]
         until(lambda: scenes["a"].users == 0)
         assert scenes["a"].close_unused(1e12, 1.0)

@@ -19,7 +19,7 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.procedural import random_scene
 from gsvis.world.build import WorldBuild
 from gsvis.world.rows import content_order, load_gaussians
-from gsvis.world.tiling import TilingConfig
+from gsvis.world.tiling import TilingConfig, cut_squares
 from tests.world import cities
 
 
@@ -96,3 +96,35 @@ def test_equal_centers_are_ordered_by_the_rest() -> None:
     twice = Gaussians.concatenate([g, Gaussians(g.means, g.quats, g.scales, g.opacities, g.sh0 + 1.0, g.shN)])
     mixed = twice[np.random.default_rng(1).permutation(100)]
     assert scene_hash(twice[content_order(twice)]) == scene_hash(mixed[content_order(mixed)])
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_tiles_cover_all_that_is_there_once_and_are_well_filled(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    counts = rng.integers(0, 40, (rng.integers(1, 70), rng.integers(1, 70)))
+    counts[rng.random(counts.shape) < 0.4] = 0
+    most = int(rng.integers(40, 4000))
+    tiles, expected, tree = cut_squares(counts, most)
+    owners = np.zeros(counts.shape, int)
+    for (x, y, width, height), total in zip(tiles, expected, strict=True):
+        owners[x : x + width, y : y + height] += 1
+        assert counts[x : x + width, y : y + height].sum() == total <= most
+    assert (owners[counts > 0] == 1).all()
+    assert owners.max(initial=0) <= 1
+    assert leaves(tree) == list(range(len(tiles)))
+    assert len(tiles) <= 2.5 * counts.sum() / most + 1
+
+
+def leaves(tree: object) -> list[int]:
+    """The numbers in a tree of cuts, ascending."""
+    if isinstance(tree, list):
+        return sorted(k for each in tree for k in leaves(each))
+    return [] if tree is None else [tree]  # type: ignore[list-item]
+
+
+def test_four_times_the_gaussians_are_four_times_the_tiles() -> None:
+    one = np.random.default_rng(0).integers(0, 100, (60, 60))
+    four = np.tile(one, (2, 2))
+    most = int(one.sum() / 2.9)
+    assert len(cut_squares(one, most)[0]) == 4
+    assert len(cut_squares(four, most)[0]) <= 16

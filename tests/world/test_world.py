@@ -220,9 +220,16 @@ def test_strays_are_counted_and_removed_by_the_next_run(scene: Scene, city: Path
 
 def test_surroundings_that_do_not_fit_the_memory_are_refused(scene: Scene, tmp_path: Path) -> None:
     with pytest.raises(
-        ValueError, match=r"tile \d-\d: expected at most 0.2 GB for a worker, got .* raise --max-memory"
+        ValueError, match=r"tile \d+-\d+: expected at most 0.48 GB for a worker, got .* raise --max-memory"
     ):
-        prepare_world([scene], tmp_path / "city.gsworld", cities.config(), workers=Workers(1, max_memory=200_000_000))
+        prepare_world([scene], tmp_path / "city.gsworld", cities.config(), workers=Workers(1, max_memory=480_000_000))
+
+
+def test_a_stage_that_does_not_fit_the_memory_is_refused_before_it_starts(scene: Scene, tmp_path: Path) -> None:
+    with pytest.raises(
+        ValueError, match=r"space 0: expected at most 0.056 GB .* got a task that needs .* --max-memory"
+    ):
+        prepare_world([scene], tmp_path / "city.gsworld", cities.config(), workers=Workers(1, max_memory=350_000_000))
 
 
 def test_something_else_is_not_replaced(tmp_path: Path) -> None:

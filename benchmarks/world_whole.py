@@ -1,0 +1,111 @@
+"""What does a whole world cost, and does a dry run tell it: processor time, memory, disk?
+
+A scene, or copies of it, is prepared as a world with one worker, after a dry run with the same options. A run that was
+stopped goes on; its peak of memory stays in a file beside the work.
+
+Given: a scene and options on the command line.
+Measured: seconds of processor of all tasks, peak of proportional memory (PSS) of all processes, bytes of the world and
+of the kept work, each over what the dry run says.
+Defaults chosen on: no scene.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from _harness import add_arguments, need, realdata, write_result
+from _memory import watch_memory
+from _worlds import write_copies
+
+from gsvis.prepare.config import PrepareConfig
+from gsvis.pvs.workers import Workers
+from gsvis.train.levels import LevelsConfig
+from gsvis.world.config import WorldConfig
+from gsvis.world.estimate import WorldEstimate, estimate_world
+from gsvis.world.prepare import PreparedWorld, prepare_world
+from gsvis.world.tiling import TilingConfig
+
+STAGES = {
+    "tiling": ("sample", "grid", "split", "rows"), "spaces": ("space",), "levels": ("levels",),
+    "districts": ("district",), "nodes": ("around",), "packages": ("tile",),
+}  # fmt: skip
+
+
+def main() -> None:
+    """Estimate and prepare a world, and compare."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scene", default="showroom", help="a scene of the real data")
+    parser.add_argument("--lod", type=int, default=2)
+    parser.add_argument("--copies", type=int, default=0, help="turned, mirrored and jittered copies; 0 for the scene")
+    parser.add_argument("--most", type=int, default=250_000)
+    parser.add_argument("--cells", type=int, default=2, help="cells of a tile")
+    parser.add_argument("--steps", type=int, default=60, help="steps of training of each lower level; 0 for no levels")
+    parser.add_argument("--work", type=Path, help="folder for the world, some gigabytes")
+    given = add_arguments(parser).parse_args()
+    need(given.work, "a folder for the world with --work")
+    given.work.mkdir(parents=True, exist_ok=True)
+    scenes, config = scenes_of(given), config_of(given)
+    estimate = estimate_world(scenes, config, workers=1)
+    peak_file = given.work / "peak.json"
+    with watch_memory(0.2) as peak:
+        try:
+            made = prepare_world(scenes, given.work / "city.gsworld", config, workers=Workers(1))
+        finally:
+            before = json.loads(peak_file.read_text()) if peak_file.is_file() else 0
+            peak_file.write_text(json.dumps(max(before, peak.bytes)))
+    write(given, estimate, made, json.loads(peak_file.read_text()))
+
+
+def scenes_of(given: argparse.Namespace) -> list[tuple[str, int | None]]:
+    """The scene, or its copies as PLY files."""
+    scene = realdata() / "scenes" / given.scene / "lod-meta.json"
+    if not given.copies:
+        return [(str(scene), given.lod)]
+    folder = given.work / "copies"
+    if not folder.is_dir():
+        write_copies(str(scene), given.lod, given.copies, folder)
+    return [(str(path), None) for path in sorted(folder.glob("*.ply"))]
+
+
+def config_of(given: argparse.Namespace) -> WorldConfig:
+    """The options of the world."""
+    levels = LevelsConfig((0.25, 0.5), iterations=given.steps) if given.steps else None
+    return WorldConfig(TilingConfig(given.most), PrepareConfig(levels=levels, cells=given.cells))
+
+
+def write(given: argparse.Namespace, estimate: WorldEstimate, made: PreparedWorld, peak: int) -> None:
+    """Write the figures."""
+    cpu = {
+        stage: sum(result.cpu for name, result in made.results.items() if name.split()[0] in names)
+        for stage, names in STAGES.items()
+    }
+    disk = sum(path.stat().st_size for path in made.work.rglob("*") if path.is_file())
+    pairs = {
+        "processor time": (sum(estimate.core_seconds.values()), sum(cpu.values())),
+        "peak PSS": (estimate.memory, peak), "bytes of the world": (estimate.nbytes, made.nbytes),
+        "bytes of the kept work": (estimate.work_bytes, disk),
+    }  # fmt: skip
+    figures: list[dict[str, Any]] = [
+        {"name": f"{name}, off the dry run", "target": 0.3, "reached": abs(real / said - 1.0), "unit": "",
+         "better": "lower"}
+        for name, (said, real) in pairs.items()
+    ]  # fmt: skip
+    figures += [
+        {"name": "processor time", "target": None, "reached": sum(cpu.values()) / 60, "unit": "min", "better": "lower"},
+        {"name": "peak PSS", "target": 6.0, "reached": peak / 1e9, "unit": "GB", "better": "lower"},
+    ]
+    m = made.manifest
+    details = {
+        "gaussians": m.gaussians, "tiles": len(m.tiles), "districts": len(m.districts), "cpu_s": cpu,
+        "cells": sum(tile.cells for tile in m.tiles), "estimate": asdict(estimate), "measured": pairs,
+        "largest_worker_rss": max(result.peak for result in made.results.values()),
+    }  # fmt: skip
+    write_result(given.out, "What does a whole world cost, and does a dry run tell it?", figures, details)
+
+
+if __name__ == "__main__":
+    main()

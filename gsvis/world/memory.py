@@ -1,0 +1,79 @@
+"""How much memory a task of a world needs, from names and sizes alone, before it runs.
+
+Measured as the growth of a fresh process on tiles of copies of showroom, and rounded up (docs/results/world.md). For
+the package of a tile it is a lower bound: which levels of other tiles stand around it is known when it runs, and it
+checks its own need then.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+__all__ = ["IDLE", "needed_memory"]
+
+Facts = dict[str, Any]
+
+IDLE = 280 << 20
+"""Bytes of a process that has loaded every library and runs no task."""
+
+_MB = 1 << 20
+_GUESSED = 1 << 18  # Gaussians of a batch that only reading counts
+_TRAINING = 160 * _MB  # images and gradients of a view
+
+
+def needed_memory(run: str, params: Facts, inputs: Sequence[Facts]) -> int:
+    """Return the bytes that a task needs beyond an idle process; 0 if nothing is known.
+
+    Args:
+        run: Its function, as `module:name`.
+        params: Its values.
+        inputs: Facts of the results that it reads.
+    """
+    known = _NEEDS.get(run)
+    return 0 if known is None else known(params, inputs)
+
+
+def _batch(params: Facts, inputs: Sequence[Facts]) -> int:
+    count = params["batch"]["count"]
+    return int(10 * _MB + 200 * (count if count >= 0 else max(_GUESSED, params["batch"]["nbytes"] // 16)))
+
+
+def _rows(params: Facts, inputs: Sequence[Facts]) -> int:
+    return int(10 * _MB + 250 * sum(inputs[number]["counts"][name] for number, name in params["files"]))
+
+
+def _space(params: Facts, inputs: Sequence[Facts]) -> int:
+    counts = [each["gaussians"] for each in inputs]
+    return int(80 * _MB + 900 * counts[0] + 160 * max(counts))
+
+
+def _levels(params: Facts, inputs: Sequence[Facts]) -> int:
+    count, trained = inputs[0]["gaussians"], params["config"]["levels"] is not None
+    return int(40 * _MB + (_TRAINING + 1400 * count if trained else 750 * count))
+
+
+def _district(params: Facts, inputs: Sequence[Facts]) -> int:
+    lowest = [each["levels"][0][1] if "spacings" in each else each["gaussians"] for each in inputs]
+    return int(130 * _MB + 900 * sum(lowest))
+
+
+def _around(params: Facts, inputs: Sequence[Facts]) -> int:
+    return int(120 * _MB + 550 * (inputs[0]["levels"][0][1] + sum(each["gaussians"] for each in inputs[2:])))
+
+
+def _tile(params: Facts, inputs: Sequence[Facts]) -> int:
+    lowest = [each["levels"][0][1] if "spacings" in each else each["gaussians"] for each in inputs[2:]]
+    return int(150 * _MB + 500 * (inputs[0]["gaussians"] + sum(lowest)))
+
+
+_NEEDS: dict[str, Callable[[Facts, Sequence[Facts]], int]] = {
+    "gsvis.world.tiling:sample_rows": _batch,
+    "gsvis.world.tiling:split_batch": _batch,
+    "gsvis.world.tiles:gather_rows": _rows,
+    "gsvis.world.tiles:tile_space": _space,
+    "gsvis.world.tiles:make_tile_levels": _levels,
+    "gsvis.world.districts:make_district": _district,
+    "gsvis.world.pieces:choose_nodes": _around,
+    "gsvis.world.packages:prepare_tile": _tile,
+}
