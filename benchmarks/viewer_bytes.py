@@ -24,53 +24,29 @@ from typing import Any
 import numpy as np
 from _harness import add_arguments, need, write_result
 from _shaped_link import PAYLOAD, SERVER, ShapedLink, shaped_link, why_not
+from _watched import FLAGS, heard, watch
 
 from gsvis.serve import Address, ClientConfig, Scenes, Server, StreamClient, open_scenes
-from gsvis.stream.wire import Hello, PoseAt, parse_client
+from gsvis.stream.wire import Hello, PoseAt
 
-FLAGS = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 STEP = 0.25
-WATCH = """
-const Socket = WebSocket, said = new BroadcastChannel("said");
-self.WebSocket = class extends Socket {
-  constructor(url) {
-    super(url);
-    this.addEventListener("message", (event) => said.postMessage(["down", Date.now(), event.data.byteLength]));
-  }
-  send(data) {
-    super.send(data);
-    if (data.length < 4000) said.postMessage(["up", Date.now(), [...data]]);
-  }
-};
-"""
-HEAR = """
-window.said = [];
-new BroadcastChannel("said").onmessage = (event) => window.said.push(event.data);
-"""
 
 
 def visit_by_page(server: Server, name: str, seconds: float, size: list[int]) -> tuple[np.ndarray, Hello, PoseAt]:
     """Open the page; return seconds and sizes of its messages, and what it asked for."""
     from playwright.sync_api import sync_playwright
 
-    def watched(route: Any) -> None:
-        answer = route.fetch()
-        route.fulfill(response=answer, body=WATCH + answer.text())
-
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=list(FLAGS))
         page = browser.new_page(viewport={"width": size[0], "height": size[1]})
-        page.route("**/viewer/network.js", watched)
-        page.add_init_script(HEAR)
+        watch(page)
         page.goto(server.url.replace("ws", "http", 1).replace("/stream", "") + f"/view/{name}")
         page.wait_for_timeout(1000 * seconds)
-        said = page.evaluate("window.said")
+        sent, came = heard(page)
         browser.close()
-    sent = [(at, parse_client(bytes(data))) for kind, at, data in said if kind == "up"]
     hello = next(message for _, message in sent if isinstance(message, Hello))
     start, pose = next((at, message) for at, message in sent if isinstance(message, PoseAt))
-    found = np.array([((at - start) / 1000, size) for kind, at, size in said if kind == "down"])
-    return found, hello, pose
+    return np.array([(at - start, size) for at, size in came]), hello, pose
 
 
 def visit_by_client(server: Server, hello: Hello, pose: PoseAt, seconds: float) -> np.ndarray:
