@@ -1,8 +1,9 @@
-"""How fast, and how true to `gsvis render`, does the viewer draw whole scenes without a GPU, beside PlayCanvas?
+"""How fast, and how true to `gsvis render`, does the viewer draw whole scenes without a GPU, beside its rivals?
 
-Both show the same Gaussians in the same Chromium, one after the other, while the camera turns to and fro.
+All show the same Gaussians in the same Chromium, one after the other, while the camera turns to and fro.
 
-Given: showroom LOD 3 (SH 0) and nika LOD 2 (its SH fitted with terms); SwiftShader; a file of PlayCanvas by option.
+Given: showroom LOD 3 (SH 0) and nika LOD 2 (its SH fitted with terms); SwiftShader; a file of PlayCanvas and a
+    folder `node_modules` with three and Spark by option.
 Measured: frames a second, seconds of all cores for a frame (which other programs on the machine disturb less), PSNR
     of a still picture, milliseconds of the main thread for 50,000 Gaussians (back to back; and one by one, with the
     overhead of the call, split into those on a core and those without one), bytes of JavaScript, its Workers' too, and
@@ -15,7 +16,9 @@ from __future__ import annotations
 import argparse
 import base64
 import io
+import os
 import shutil
+import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -57,6 +60,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=10.0)
     parser.add_argument("--precision", choices=("float", "half", "bytes"), default="half")
     parser.add_argument("--playcanvas", type=Path, help="playcanvas.mjs; not compared without it")
+    parser.add_argument("--spark", type=Path, help="node_modules with three and @sparkjsdev/spark; not compared without")
     parser.add_argument("--keep", type=Path, help="folder for pictures and scenes, used again where it has them")
     options = parser.parse_args()
     figures: list[dict[str, Any]] = []
@@ -69,6 +73,8 @@ def main() -> None:
                 shutil.copy(path, folder)
         if options.playcanvas:
             shutil.copy(options.playcanvas, folder / "playcanvas.mjs")
+        if options.spark:
+            bundle_spark(options.spark.resolve(), folder.resolve() / "spark.mjs")
         for name in options.scenes:
             lens, truth = make_scene(folder, name, options.size)
             figures += measure(folder, name, lens, truth, options, details)
@@ -97,6 +103,17 @@ def make_scene(folder: Path, name: str, size: list[int]) -> tuple[dict[str, Any]
         seen = Evaluator(made.colors().dequantize()).colors(drawn.means, eye)
         np.save(saved, np.clip(rasterize(drawn, cameras, colors=seen).images[0], 0.0, 1.0))
     return camera_dicts(cameras)[0], np.load(saved)
+
+
+def bundle_spark(modules: Path, out: Path) -> None:
+    """Make one script of three and Spark, minified."""
+    entry = out.with_suffix(".entry.js")
+    entry.write_text(
+        "export * as THREE from 'three';\nexport { SparkRenderer, SplatMesh } from '@sparkjsdev/spark';\n"
+    )
+    words = ["npx", "esbuild", str(entry), "--bundle", "--minify", "--format=esm", f"--outfile={out}"]
+    environment = {**os.environ, "NODE_PATH": str(modules)}
+    subprocess.run([*words, "--log-level=error"], cwd=ROOT / "viewer", env=environment, check=True)
 
 
 def psnr(image: np.ndarray, truth: np.ndarray) -> float:
@@ -141,21 +158,25 @@ def measure(
         add("append 50,000 one by one, longest on a core", max(one["ran"] for one in single), "ms", "lower", 20.0)
         add("append 50,000 one by one, longest wait for a core", max(one["waited"] for one in single), "ms", "lower")
         add("heap", sum(heap.values()) / 1e6, "MB", "lower", 40.0)
-        if options.playcanvas:
-            with browser_page(f"{address}/playcanvas.html") as (page, said):
+        for rival, page_name in (("PlayCanvas", "playcanvas"), ("Spark", "spark")):
+            if not getattr(options, page_name):
+                continue
+            with browser_page(f"{address}/{page_name}.html") as (page, said):
                 page.set_default_timeout(240_000)
                 page.wait_for_function("window.ready")
                 page.evaluate("([url, lens]) => test.open(url, lens)", [f"{name}.ply", lens])
                 picture = page.evaluate("lens => test.picture(lens)", lens)
                 other = spin(page, lens, options.seconds)
-                details[name]["playcanvas"] = {**other, "console": said}
+                details[name][page_name] = {**other, "console": said}
             image = load_png(base64.b64decode(picture.split(",")[1]))
-            save_png(folder / f"{name}-playcanvas.png", image)
-            add("PlayCanvas PSNR", psnr(image, truth), "dB", "higher")
-            add("PlayCanvas frames a second", other["fps"], "1/s", "higher")
-            add("PlayCanvas cores' seconds a frame", other["core seconds"], "s", "lower")
-            add("PlayCanvas' cores' seconds over ours", other["core seconds"] / spun["core seconds"], "", "higher", 2.0)
-            add("frames a second over PlayCanvas'", spun["fps"] / other["fps"], "", "higher", 2.0)
+            save_png(folder / f"{name}-{page_name}.png", image)
+            add(f"{rival} PSNR", psnr(image, truth), "dB", "higher")
+            add(f"{rival} frames a second", other["fps"], "1/s", "higher")
+            add(f"{rival} cores' seconds a frame", other["core seconds"], "s", "lower")
+            own = "PlayCanvas'" if rival == "PlayCanvas" else "Spark's"
+            goal = 2.0 if rival == "PlayCanvas" else None
+            add(f"{own} cores' seconds over ours", other["core seconds"] / spun["core seconds"], "", "higher", goal)
+            add(f"frames a second over {own}", spun["fps"] / other["fps"], "", "higher", goal)
     return figures
 
 

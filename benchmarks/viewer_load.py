@@ -6,7 +6,9 @@ picture is the time that the page's own statistics state; the scene is complete 
 
 Given: a package (`--package`), the size of the window.
 Measured: seconds from navigation to the first picture and to the last batch; Gaussians that had come by then; seconds
-    of all cores, server and browser, until the page says that it is complete.
+    of all cores, server and browser, until the page says that it is complete. In visits of their own, whose network
+    Worker reports: seconds from navigation to the first pose, and from there to the arrival of the last message; in a
+    window of 64 x 36 pixels too, where drawing takes nearly nothing.
 Defaults chosen on: nothing.
 """
 
@@ -25,6 +27,10 @@ from typing import Any
 import numpy as np
 from _cores import core_seconds
 from _harness import add_arguments, need, write_result
+from _watched import FLAGS as WATCHED
+from _watched import heard, watch
+
+from gsvis.stream.wire import PoseAt
 
 FLAGS = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 COMPLETE = """() => new Promise((done) => {
@@ -51,7 +57,12 @@ def main() -> None:
         answer = ""
         while not answer.rstrip().endswith("}"):
             answer += server.stdout.readline()
-        runs = visit(json.loads(answer)["url"], str(chromium), options)
+        url = json.loads(answer)["url"]
+        runs = visit(url, str(chromium), options)
+        watched = {
+            f"{size[0]} x {size[1]}": listen(url, str(chromium), size, options.repeats)
+            for size in (options.size, [64, 36])
+        }
     finally:
         server.terminate()
         server.wait()
@@ -63,7 +74,13 @@ def main() -> None:
         {"name": "complete", "target": 1.5, "reached": complete, "unit": "s", "better": "lower"},
         {"name": "cores until complete", "target": None, "reached": cores, "unit": "s", "better": "lower"},
     ]
-    details = {"package": options.package.name, "size": options.size, "runs": runs}
+    for size, times in watched.items():
+        for name, key in (("first pose", "pose_s"), ("from the first pose to the last message", "wire_s")):
+            median = float(np.median([one[key] for one in times]))
+            figures.append(
+                {"name": f"{size}: {name}", "target": None, "reached": median, "unit": "s", "better": "lower"}
+            )
+    details = {"watched": watched, "package": options.package.name, "size": options.size, "runs": runs}
     write_result(options.out, "How soon does a browser show a scene?", figures, details)
 
 
@@ -91,6 +108,28 @@ def visit(url: str, chromium: str, options: argparse.Namespace) -> list[dict[str
             page.close()
         browser.close()
     return runs[1:]  # the first loads everything anew
+
+
+def listen(url: str, chromium: str, size: list[int], repeats: int) -> list[dict[str, float]]:
+    """Return when the first pose was sent and when the last message had come, of some visits."""
+    from playwright.sync_api import sync_playwright
+
+    found = []
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium, args=list(WATCHED))
+        for _ in range(repeats + 1):
+            page = browser.new_page(viewport={"width": size[0], "height": size[1]})
+            watch(page)
+            began = time.time()
+            page.goto(url, wait_until="commit")
+            page.evaluate(COMPLETE)
+            sent, came = heard(page)
+            pose = next(at for at, message in sent if isinstance(message, PoseAt))
+            last, total = max(at for at, _ in came), sum(size for _, size in came)
+            found.append({"pose_s": pose - began, "wire_s": last - pose, "bytes": total})
+            page.close()
+        browser.close()
+    return found[1:]
 
 
 if __name__ == "__main__":

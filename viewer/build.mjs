@@ -6,6 +6,7 @@ import { mkdirSync, readdirSync, readFileSync, writeFileSync } from "node:fs";
 import { gzipSync } from "node:zlib";
 import { dirname, join } from "node:path";
 import { fileURLToPath } from "node:url";
+import { shorten } from "./shaders.mjs";
 import { bundleTypes } from "./types.mjs";
 
 const here = dirname(fileURLToPath(import.meta.url));
@@ -15,15 +16,10 @@ const common = {
   absWorkingDir: here,
 };
 
-// Programs of the GPU travel without comments and indentation; neither means anything around them.
 const shaders = {
   name: "shaders",
   setup({ onLoad }) {
-    onLoad({ filter: /shaders\.ts$/ }, ({ path }) => ({
-      contents: readFileSync(path, "utf8").replace(/[ \t]*\/\/.*$/gm, "").replace(/^[ \t]+/gm, "")
-        .replace(/ ([=*<>?]|[<>=!+*]=|&&|\|\|) /g, "$1").replace(/([,;]) /g, "$1"),
-      loader: "ts",
-    }));
+    onLoad({ filter: /shaders\.ts$/ }, ({ path }) => ({ contents: shorten(readFileSync(path, "utf8")), loader: "ts" }));
   },
 };
 
@@ -48,7 +44,7 @@ if (process.argv.includes("--tests")) {
   const files = await Promise.all(bundled.outputFiles.map(async ({ path, text }) => {
     const { code } = await minify(text, {
       module: true, ecma: 2020, format: { ascii_only: false },
-      compress: { passes: 3, unsafe_arrows: true, unsafe_methods: true, pure_getters: true },
+      compress: { passes: 5, unsafe: true, unsafe_arrows: true, unsafe_methods: true, pure_getters: true },
     });
     return { path, bytes: Buffer.from(code) };
   }));

@@ -11,13 +11,17 @@ from typing import Any
 from starlette.responses import PlainTextResponse, Response
 
 from gsvis.files.cache import Cache
-from gsvis.serve.facts import describe_cells, describe_floor, explain
+from gsvis.serve.facts import describe_cells, describe_floor, describe_sight, explain
 from gsvis.serve.scenes import ServedScene
 from gsvis.stream import StreamedScene
 
 __all__ = ["FACTS", "Questions"]
 
-FACTS: dict[str, Callable[[StreamedScene], Any]] = {"cells": describe_cells, "floor": describe_floor}
+FACTS: dict[str, Callable[[StreamedScene], Any]] = {
+    "cells": describe_cells,
+    "floor": describe_floor,
+    "seen": describe_sight,
+}
 """Facts about a whole scene, by the last part of their address."""
 
 _MOST_WAITING = 8  # with the one that is being answered

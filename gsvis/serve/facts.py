@@ -5,6 +5,7 @@ Scene frame and units. Nothing here is needed to draw. What is slow takes turns,
 
 from __future__ import annotations
 
+import base64
 from typing import Any
 
 import numpy as np
@@ -15,12 +16,13 @@ from gsvis.scene.icosphere import NUM_FACES, face_directions
 from gsvis.stream import StreamedScene
 from gsvis.world.cells import WorldCells, WorldSets
 
-__all__ = ["describe_cells", "describe_floor", "explain"]
+__all__ = ["describe_cells", "describe_floor", "describe_sight", "explain"]
 
 F64 = NDArray[np.float64]
 
 _MOST_WEIGHED = 32  # nearest cells for which the weight is looked up
 _MOST_SQUARES = 1 << 16
+_MOST_MARKED = 1 << 22  # Gaussians of a scene; an answer takes 2.7 bytes of each
 _EYE_M = 1.6  # height of a walker's eye, meters
 _LOOKS = 4  # samples in a cell's height
 
@@ -90,6 +92,28 @@ def describe_cells(scene: StreamedScene) -> dict[str, Any]:
         "origin": grid.origin.tolist(), "size": grid.cell_size, "shape": list(grid.shape), "up": grid.up.tolist(),
         "boxes": grid.coords.tolist(), "visible": counts, "views": scene.package.manifest.views,
     }  # fmt: skip
+
+
+def describe_sight(scene: StreamedScene) -> dict[str, Any] | None:
+    """Return how widely and how strongly each Gaussian is seen, a byte each; None without sets or for large scenes.
+
+    Returns:
+        `cells`, the share of the cells that see a Gaussian in steps of 1/255, rounded up, and `weights`, its largest
+        weight class from any cell, spread from 0 (no cell sees it) to 255 (the highest class); (N,) uint8 by id, as
+        base64. `classes`, the lowest weight of each class.
+    """
+    sets = scene.index.sets
+    if not isinstance(sets, VisibilityStore) or sets.gaussians > _MOST_MARKED:
+        return None
+    seers, classes = np.zeros(sets.gaussians, np.int64), np.zeros(sets.gaussians, np.int64)
+    for cell in range(len(sets)):
+        ids, found = sets.classes(cell)
+        seers[ids] += 1
+        classes[ids] = np.maximum(classes[ids], found.astype(np.int64) + 1)
+    edges = sets.info.class_edges
+    shares = np.ceil(255.0 * seers / len(sets)), np.rint(255.0 * classes / len(edges))
+    cells, weights = (base64.b64encode(share.astype(np.uint8).tobytes()).decode() for share in shares)
+    return {"cells": cells, "weights": weights, "classes": [round(float(edge), 8) for edge in edges]}
 
 
 def describe_floor(scene: StreamedScene) -> dict[str, Any] | None:

@@ -124,7 +124,10 @@ export interface Source {
 }
 
 /** What the colors show. `color` is the scene itself. */
-export type Paint = "color" | "opacity" | "level" | "arrival" | "terms" | "depth";
+export type Paint = "color" | "opacity" | "level" | "arrival" | "terms" | "depth" | "visibility" | "weight";
+
+/** A byte for each Gaussian, by its id: what the paints of these names show. */
+export type Marks = Partial<Record<Paint, Uint8Array>>;
 
 /** Return the camera of a picture of `width` x `height` pixels whose height covers the angle `fovY`, in radians. */
 export declare function cameraOf(pose: Pose, width: number, height: number, fovY: number): Camera;
@@ -245,32 +248,6 @@ export interface Term {
   intensities: number[];
 }
 
-/** Where the eye is, and the angle that the height of the canvas covers, in radians. */
-export interface Eye extends Pose {
-  fovY: number;
-}
-
-/** How a viewer fares. */
-export interface Statistics {
-  fps: number; // of the last second; 0 while nothing moves
-  frames: number; // so far
-  frameMilliseconds: number; // of the main thread, last frame
-  sortMilliseconds: number; // in the Worker, last sort
-  appendMilliseconds: number; // of the main thread, last batch
-  gaussians: number; // on the GPU
-  drawn: number; // in the last picture, before those outside of it are cut off
-  replaced: number;
-  terms: number;
-  dropped: number; // did not fit into memory
-  gpuBytes: number;
-  firstImageSeconds: number | null; // from `open` to the first Gaussians on the canvas
-  precision: Precision;
-  state: SourceState;
-  bytes: number;
-  rate: number; // bytes a second of late
-  reconnects: number;
-}
-
 /** Return what this browser can blend into, null without WebGL2. */
 export declare function supportedPrecision(): Precision | null;
 
@@ -303,6 +280,9 @@ export declare class Viewer extends EventTarget {
     /** What the colors show. */
     get paint(): Paint;
     set paint(paint: Paint);
+    /** What the paints `visibility` and `weight` show: a byte for each Gaussian, by its id; set for each scene anew. */
+    get marks(): Marks;
+    set marks(marks: Marks);
     /** Whether terms and spherical harmonics are shown. */
     get termsShown(): boolean;
     set termsShown(shown: boolean);
@@ -331,6 +311,32 @@ export declare class Viewer extends EventTarget {
     resize(): void;
     /** Show the scene in an immersive session, from where the camera is, until the session ends. */
     enterXr(session: XrSession): Promise<void>;
+}
+
+/** Where the eye is, and the angle that the height of the canvas covers, in radians. */
+export interface Eye extends Pose {
+  fovY: number;
+}
+
+/** How a viewer fares. */
+export interface Statistics {
+  fps: number; // of the last second; 0 while nothing moves
+  frames: number; // so far
+  frameMilliseconds: number; // of the main thread, last frame
+  sortMilliseconds: number; // in the Worker, last sort
+  appendMilliseconds: number; // of the main thread, last batch
+  gaussians: number; // on the GPU
+  drawn: number; // in the last picture, before those outside of it are cut off
+  replaced: number;
+  terms: number;
+  dropped: number; // did not fit into memory
+  gpuBytes: number;
+  firstImageSeconds: number | null; // from `open` to the first Gaussians on the canvas
+  precision: Precision;
+  state: SourceState;
+  bytes: number;
+  rate: number; // bytes a second of late
+  reconnects: number;
 }
 
 /** Names of events: `problem` has a sentence for people as `detail`, the others say that a property has changed. */

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 from pathlib import Path
 
@@ -43,6 +44,20 @@ def test_why_agrees_with_the_store(celled: Path) -> None:
         assert cells["visible"] == sets.visible_counts.tolist()
 
 
+def test_marks_agree_with_the_store(celled: Path) -> None:
+    with serving(celled) as server, Package.open(celled) as package:
+        sets = package.visibility
+        found = json.loads(ask(server, "/scenes/celled/seen")[2])
+        cells, weights = (np.frombuffer(base64.b64decode(found[key]), np.uint8) for key in ("cells", "weights"))
+        assert len(cells) == len(weights) == len(package)
+        for gaussian in range(0, len(package), 97):
+            seers = sets.seers(gaussian)
+            assert cells[gaussian] == int(np.ceil(255 * len(seers) / len(sets)))
+            classes = [sets.class_of(gaussian, cell) for cell in seers.tolist()]
+            assert weights[gaussian] == round(255 * (max(classes, default=-1) + 1) / len(found["classes"]))
+        assert found["classes"] == pytest.approx(sets.info.class_edges.tolist(), abs=1e-8)
+
+
 @pytest.mark.parametrize("given", ["1500", "99999999999999999999", "-1", "1.5", "x", "9" * 5000, ""])
 def test_what_is_no_gaussian_has_no_reason(celled: Path, given: str) -> None:
     with serving(celled) as server:
@@ -55,7 +70,8 @@ def test_a_package_without_sets_says_what_it_can(plain: Path) -> None:
         shown = {"Authorization": "Bearer s3cret"}
         found = json.loads(ask(server, "/scenes/plain/why/3", **shown)[2])
         assert (found["gaussian"], found["cells"], found["directions"]) == (3, None, None)
-        assert json.loads(ask(server, "/scenes/plain/floor", **shown)[2]) is None
+        for fact in ("floor", "seen"):
+            assert json.loads(ask(server, f"/scenes/plain/{fact}", **shown)[2]) is None
         for path in ("/scenes/none/why/3", "/scenes/plain/scene.json", "/scenes/plain/records.bin", "/scenes/plain/x"):
             assert ask(server, path, **shown)[0] == 404
 

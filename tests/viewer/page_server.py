@@ -6,6 +6,7 @@ import json
 import shutil
 import subprocess
 import threading
+from base64 import b64encode
 from collections.abc import Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -52,6 +53,7 @@ def make_facts() -> dict[str, Any]:
             "origin": [0, 0, 0.4], "size": 1.0, "shape": [6, 4, 2], "up": [0, 0, 1], "boxes": boxes,
             "visible": [1] * 23,
         },
+        "seen": {"cells": b64encode(bytes(100)).decode(), "weights": b64encode(bytes(100)).decode()},
         "floor": {
             "origin": [0, 0, 0], "side": 1.0, "first": [1, 0, 0], "second": [0, 1, 0], "up": [0, 0, 1],
             "columns": 6, "rows": 4, "heights": heights,

@@ -307,6 +307,9 @@ def test_options_change_what_is_drawn(visit: Open) -> None:
     assert page.evaluate("fake.paint") == "arrival"
     page.keyboard.press("g")
     assert page.evaluate("fake.paint") == "opacity"
+    page.get_by_text("Weight", exact=True).click()
+    page.wait_for_function("() => fake.marks.weight?.length === 100")
+    assert page.evaluate("fake.paint") == "weight"
     page.get_by_role("switch", name="medium").click()
     assert page.evaluate("[0, 1, 2].map((i) => fake.levelsShown[i] ?? true)") == [True, False, True]
     page.get_by_role("switch", name="View-dependent color").click()

@@ -263,6 +263,19 @@ def test_every_paint_draws(opened: Any, cameras: Cameras, paint: str) -> None:
     assert image.std() > 0.02
 
 
+def test_marks_paint_each_gaussian_by_its_id(opened: Any, cameras: Cameras) -> None:
+    opened.evaluate("test.open('terms', {}, 1)")
+    marks = "Uint8Array.from({ length: 12000 }, (_, id) => (id % 2 ? 255 : 0))"
+    opened.evaluate(f"test.viewer.marks = {{ weight: {marks} }}; test.viewer.paint = 'weight'")
+    opened.evaluate("for (let k = 1; k < test.source.scene.batches.length; k++) test.source.send(k)")
+    made = contents_of(scene_of(), "rgb", 5)
+    low, high = np.array([0.13, 0.11, 0.36]), np.array([0.99, 0.91, 0.42])
+    seen = np.where((np.arange(len(made)) % 2 == 1)[:, None], high, low).astype(np.float32)
+    truth = np.clip(rasterize(made.gaussians(), cameras, colors=seen).images, 0.0, 1.0)
+    for image, wanted in zip(canvases(opened, cameras), truth, strict=True):
+        assert psnr(image, wanted) > 45.0
+
+
 def test_the_source_gets_poses_and_views(opened: Any, cameras: Cameras) -> None:
     opened.evaluate("test.open('flat')")
     opened.evaluate("test.viewer.camera = { position: [1, 2, 1], rotation: [1, 0, 0, 0], fovY: 1 }")

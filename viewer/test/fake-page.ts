@@ -1,7 +1,7 @@
 // The page with stand-ins for viewer and source, for tests of its controls: it draws a room of dots on a plain canvas.
 // `window.fake` lets a test change the state of the source and read what the page has asked for.
 
-import type { Header, Paint, SourceState } from "../src/core/types.ts";
+import type { Header, Marks, Paint, SourceState } from "../src/core/types.ts";
 import { readAddress } from "../src/page/address.ts";
 import { meta } from "../src/page/dom.ts";
 import { ViewPage } from "../src/page/view.ts";
@@ -21,6 +21,7 @@ class FakeViewer extends EventTarget implements ViewerLike {
   header: Header | null = null;
   background: [number, number, number];
   paint: Paint = "color";
+  marks: Marks = {};
   levelsShown: boolean[] = [];
   termsShown = true;
   disposed = false;

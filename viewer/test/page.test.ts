@@ -96,6 +96,15 @@ test("the navigator settles where it is wanted, in any steps of time", () => {
   }
 });
 
+test("another frame keeps eye and target, also once the view has settled", () => {
+  const navigator = new Navigator(v.frameFromUp([0, 0, 1]), sample());
+  const before = rigs.pivot(navigator.shown, navigator.frame), { eye } = navigator.shown;
+  navigator.reframe(v.frameFromUp([0, -1, 0]));
+  for (let k = 0; k < 100; k++) navigator.step(0.05);
+  assert.ok(v.distance(navigator.shown.eye, eye) < 1e-9);
+  assert.ok(v.distance(rigs.pivot(navigator.shown, navigator.frame), before) < 1e-6);
+});
+
 test("flights end exactly at the view, and any drag takes over", () => {
   const frame = v.frameFromUp([0, -1, 0]);
   const navigator = new Navigator(frame, sample());

@@ -53,6 +53,14 @@ const row = (): Cells => ({
   origin: [0, 0, 0], size: 1, boxes: [[0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0], [4, 0, 0]],
 });
 
+test("marks are bytes, and what is none counts as absent", async (context: TestContext) => {
+  const answers: unknown[] = [{ cells: "AAH/", weights: "/wAB" }, null, { cells: "%", weights: "" }];
+  context.mock.method(globalThis, "fetch", () => Promise.resolve(Response.json(answers.shift())));
+  const known = await new Facts("http://a/").marks();
+  assert.deepEqual([[...known?.visibility ?? []], [...known?.weight ?? []]], [[0, 1, 255], [255, 0, 1]]);
+  for (let k = 0; k < 2; k++) assert.equal(await new Facts("http://a/").marks(), null);
+});
+
 test("a visit begins where the floor is widest and looks where it reaches farthest", () => {
   const floor = hall();
   assert.ok(floor);

@@ -6,7 +6,9 @@ import type { HarmonicTables, Header, Paint } from "./types.ts";
 const ROW = 1024;
 
 /** The number of each paint in the program that finds colors. */
-export const PAINTS: Record<Paint, number> = { color: 0, opacity: 1, level: 2, arrival: 3, terms: 4, depth: 5 };
+export const PAINTS: Record<Paint, number> = {
+  color: 0, opacity: 1, level: 2, arrival: 3, terms: 4, depth: 5, visibility: 6, weight: 6,
+};
 
 export interface PackedTables {
   layout: ColorLayout;

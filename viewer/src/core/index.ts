@@ -10,7 +10,6 @@ export {
   colorSeen, decodeRecord, decodeTerm, type RecordLayout, type Splat, type Tables, tablesOf, type Term,
 } from "./tables.ts";
 export type * from "./types.ts";
-export {
-  type Eye, type Statistics, supportedPrecision, UnsupportedError, Viewer, type ViewerEvent, type ViewerOptions,
-} from "./viewer.ts";
+export { supportedPrecision, UnsupportedError, Viewer } from "./viewer.ts";
+export type { Eye, Statistics, ViewerEvent, ViewerOptions } from "./viewer-types.ts";
 export type { XrSession } from "./xr.ts";

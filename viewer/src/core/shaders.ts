@@ -66,7 +66,7 @@ void main() {
   uint place = texelFetch(order, at, 0).x;
   ivec2 own = texel(place);
   uvec4 record = texelFetch(records, own, 0);
-  Chunk chunk = chunkOf(texelFetch(links, own, 0).x);
+  Chunk chunk = chunkOf(texelFetch(links, own, 0).x & 0xffffffu);
   vec3 point = axes * awayFrom(eye, chunk, vec3(places(record)));
   float opacity = float(record.x & 255u) / 255.;
   if (point.z <= 0.01 || opacity * 255. < 0.999) return;
@@ -272,7 +272,7 @@ void main() {
   uint place = uint(own.y * ROW + own.x);
   uvec4 record = texelFetch(records, own, 0);
   uvec2 link = texelFetch(links, own, 0).xy;
-  Chunk chunk = chunkOf(link.x);
+  Chunk chunk = chunkOf(link.x & 0xffffffu);
   vec3 away = awayFrom(eye, chunk, vec3(places(record)));
   float distance_ = length(away);
   vec3 x = distance_ > 0. ? away / distance_ : vec3(0., 0., 1.), color;
@@ -280,6 +280,7 @@ void main() {
   else if (mode == 2) color = ramp(levels > 1 ? chunk.last / float(levels - 1) : 1.);
   else if (mode == 3) color = ramp(float(link.y) / total);
   else if (mode == 4) color = detailed ? ramp(float(countTerms(place)) / total) : ramp(0.);
+  else if (mode == 6) color = ramp(float(link.x >> 24) / 255.);
   else if (mode == 5) color = ramp(1. - distance_ / (distance_ + total));
   else {
     uvec3 places_ = uvec3(min(basePlaces(record), ${layout.most}.));

@@ -30,7 +30,7 @@ function serve(request: SortRequest): void {
     const { number } = request, { batches, slots } = scene.compact();
     answer({ kind: "renumbered", number, slots }, slots ? [slots.buffer as ArrayBuffer] : []);
     for (const batch of batches) {
-      const arrays = [batch.records, batch.rows, batch.chunks, batch.terms, batch.owners, batch.harmonics];
+      const arrays = [batch.records, batch.rows, batch.ids, batch.chunks, batch.terms, batch.owners, batch.harmonics];
       const owned = new Set<ArrayBuffer>();
       for (const array of arrays) if (array?.byteLength) owned.add(array.buffer as ArrayBuffer);
       answer({ kind: "content", number, batch }, [...owned]);

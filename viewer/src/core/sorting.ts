@@ -357,7 +357,7 @@ export class SortedScene {
       const used = Math.min(PAGE, this.count - k * PAGE);
       batches.push({
         ...rest, first: k * PAGE, records: page.records.slice(0, 4 * used), rows: page.rows.slice(0, used),
-        harmonics: page.harmonics ? page.harmonics.slice(0, this.harmonicBytes * used) : null,
+        ids: page.ids.slice(0, used), harmonics: page.harmonics ? page.harmonics.slice(0, this.harmonicBytes * used) : null,
         firstTerm: 0, terms: none, owners: none,
       });
     });

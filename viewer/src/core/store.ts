@@ -8,7 +8,7 @@ export class Store {
   readonly header: Header;
   readonly tables: PackedTables;
   readonly records: GrowingTexture;
-  readonly links: GrowingTexture; // row of the chunk, slot
+  readonly links: GrowingTexture; // row of the chunk and, in its upper 8 bits, the mark; slot
   readonly chunks: GrowingTexture;
   readonly heads: GrowingTexture; // first term of each Gaussian, from 1; 0 for none
   readonly terms: GrowingTexture; // bits, next term from 1
@@ -17,6 +17,7 @@ export class Store {
   readonly tableTexture: WebGLTexture;
   count = 0;
   termCount = 0;
+  marks: Uint8Array | null = null; // of all Gaussians of the scene, by id
   slots: Uint32Array | null = null; // null: places are slots
   readonly stale = new Set<number>(); // rows of Gaussians whose colors are to be found
   readonly #gl: WebGL2RenderingContext;
@@ -102,9 +103,9 @@ export class Store {
     if (!kept && (this.slots || batch.first !== from)) this.#appendSlots(batch.first, count);
     for (const texture of [this.records, this.links, this.colors]) texture.reserve(to, most);
     this.records.write(from, batch.records);
-    const links = new Uint32Array(2 * count), slots = kept ? this.slots : null;
+    const links = new Uint32Array(2 * count), slots = kept ? this.slots : null, { marks } = this;
     for (let k = 0; k < count; k++) {
-      links[2 * k] = batch.rows[k];
+      links[2 * k] = batch.rows[k] + (marks ? (marks[batch.ids[k]] << 24) >>> 0 : 0);
       links[2 * k + 1] = slots ? slots[from + k] : batch.first + k;
     }
     this.links.write(from, links);

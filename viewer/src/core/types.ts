@@ -126,4 +126,7 @@ export interface Source {
 }
 
 /** What the colors show. `color` is the scene itself. */
-export type Paint = "color" | "opacity" | "level" | "arrival" | "terms" | "depth";
+export type Paint = "color" | "opacity" | "level" | "arrival" | "terms" | "depth" | "visibility" | "weight";
+
+/** A byte for each Gaussian, by its id: what the paints of these names show. */
+export type Marks = Partial<Record<Paint, Uint8Array>>;

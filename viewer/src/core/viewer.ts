@@ -4,51 +4,12 @@ import { isSmall, memoryOfDevice } from "./device.ts";
 import { Intake } from "./intake.ts";
 import type { Pick } from "./picking.ts";
 import { choosePrecision, type Look, type Precision, Renderer } from "./renderer.ts";
-import { Sorter, type WorkerStart } from "./sorter.ts";
+import { Sorter } from "./sorter.ts";
 import type { Region } from "./sorting.ts";
 import { Store } from "./store.ts";
-import type { Batch, Camera, Header, Paint, Pose, Source, SourceState, Traffic } from "./types.ts";
+import type { Batch, Camera, Header, Marks, Paint, Pose, Source, SourceState, Traffic } from "./types.ts";
+import type { Eye, Statistics, ViewerEvent, ViewerOptions } from "./viewer-types.ts";
 import { type EyeView, frameAt, runSession, type XrSession } from "./xr.ts";
-
-/** Where the eye is, and the angle that the height of the canvas covers, in radians. */
-export interface Eye extends Pose {
-  fovY: number;
-}
-
-/** What may be set when a viewer is made. */
-export interface ViewerOptions {
-  source?: Source;
-  background?: [number, number, number];
-  antialiased?: boolean;
-  precision?: Precision; // of the picture that is blended; the finest available up to this
-  maxPixelRatio?: number;
-  memory?: number; // bytes on the GPU
-  sortWorker?: WorkerStart;
-}
-
-/** How a viewer fares. */
-export interface Statistics {
-  fps: number; // of the last second; 0 while nothing moves
-  frames: number; // so far
-  frameMilliseconds: number; // of the main thread, last frame
-  sortMilliseconds: number; // in the Worker, last sort
-  appendMilliseconds: number; // of the main thread, last batch
-  gaussians: number; // on the GPU
-  drawn: number; // in the last picture, before those outside of it are cut off
-  replaced: number;
-  terms: number;
-  dropped: number; // did not fit into memory
-  gpuBytes: number;
-  firstImageSeconds: number | null; // from `open` to the first Gaussians on the canvas
-  precision: Precision;
-  state: SourceState;
-  bytes: number;
-  rate: number; // bytes a second of late
-  reconnects: number;
-}
-
-/** Names of events: `problem` has a sentence for people as `detail`, the others say that a property has changed. */
-export type ViewerEvent = "header" | "state" | "traffic" | "frame" | "contextlost" | "contextrestored" | "problem";
 
 /** Raised where the browser cannot draw at all. */
 export class UnsupportedError extends Error {}
@@ -74,6 +35,7 @@ export class Viewer extends EventTarget {
   #levels: boolean[] = [];
   #lost = false;
   #immersed = false;
+  #marks: Marks = {};
   #waiting: Batch[] | null = null; // what arrived while the GPU is lost or filled anew
   #dirty = true;
   #version = 0; // of the data
@@ -204,7 +166,11 @@ export class Viewer extends EventTarget {
 
   /** What the colors show. */
   get paint(): Paint { return this.#look.paint; }
-  set paint(paint: Paint) { this.#look.paint = paint; this.redraw(); }
+  set paint(paint: Paint) { this.#look.paint = paint; this.#mark(); }
+
+  /** What the paints `visibility` and `weight` show: a byte for each Gaussian, by its id; set for each scene anew. */
+  get marks(): Marks { return this.#marks; }
+  set marks(marks: Marks) { this.#marks = marks; this.#mark(); }
 
   /** Whether terms and spherical harmonics are shown. */
   get termsShown(): boolean { return this.#look.detailed; }
@@ -322,6 +288,7 @@ export class Viewer extends EventTarget {
     this.#header = header;
     if (fresh || !this.#store) {
       this.#intake.clear();
+      this.#marks = {};
       this.#sorter.reset(header);
       this.#figures.dropped = this.#figures.replaced = this.#replaced = 0;
       this.#waiting = null;
@@ -378,6 +345,13 @@ export class Viewer extends EventTarget {
     return this.#lost || this.#gl.isContextLost();
   }
 
+  /** Bring the marks of the paint to the GPU. */
+  #mark(): void {
+    const marks = this.#marks[this.paint];
+    if (marks && this.#store && this.#store.marks !== marks && !this.#isLost()) this.#refill();
+    this.redraw();
+  }
+
   /** Fill the GPU anew from what the Worker holds: after a lost context, or to close the gaps of what was replaced. */
   #refill(): void {
     this.#waiting ??= [];
@@ -390,6 +364,7 @@ export class Viewer extends EventTarget {
     this.#store?.dispose();
     this.#store = new Store(this.#gl, this.#header);
     this.#store.slots = slots;
+    this.#store.marks = this.#marks[this.paint] ?? null;
     this.#renderer.use(this.#store);
   }
 

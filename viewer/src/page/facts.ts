@@ -1,7 +1,7 @@
 // What a server knows of a scene beside its Gaussians: cells, the floor, and why a Gaussian is there.
 // Everything is checked here: a server of another version costs a panel, never the picture.
 
-import type { Pose } from "../core/types.ts";
+import type { Marks, Pose } from "../core/types.ts";
 import type { Floor } from "./ground.ts";
 import { fields, isPositive, list, numbers, vector } from "./json.ts";
 import { normalize } from "./vector.ts";
@@ -56,6 +56,16 @@ export class Facts {
   /** Views that the package proposes, the best first. */
   async views(): Promise<StartPose[]> {
     return readPoses(fields(await this.#ask("cells"))?.views);
+  }
+
+  /** How widely each Gaussian is seen, and how strongly. */
+  async marks(): Promise<Marks | null> {
+    const it = fields(await this.#ask("seen"));
+    try {
+      return it && { visibility: readBytes(it.cells), weight: readBytes(it.weights) };
+    } catch {
+      return null; // no base64
+    }
   }
 
   async why(id: number): Promise<Why | null> {
@@ -132,6 +142,10 @@ function readSight(json: unknown): Sight | null {
   const it = fields(json);
   if (typeof it?.cell !== "number") return null;
   return { cell: it.cell, weight: numbers(it.weight, 2) as [number, number] | null };
+}
+
+function readBytes(base64: unknown): Uint8Array {
+  return Uint8Array.from(atob(String(base64)), (letter) => letter.charCodeAt(0));
 }
 
 /** Whether a value is a whole number above 0. */

@@ -71,8 +71,11 @@ export class Navigator {
   /** Take another frame: the eye and what it looks at stay. */
   reframe(frame: Frame): void {
     const again = (rig: Rig): Rig => rigFromTarget(rig.eye, pivot(rig, this.frame), frame, rig.fovY);
-    const [shown, wanted] = [again(this.shown), again(this.#wanted)];
-    Object.assign(this, { frame, shown, wanted, flight: null, ground: new LevelGround(frame) });
+    this.shown = again(this.shown);
+    this.#wanted = again(this.#wanted);
+    this.frame = frame;
+    this.#flight = null;
+    this.#ground = new LevelGround(frame);
   }
 
   /** Walk on this ground from now on. */

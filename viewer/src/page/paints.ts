@@ -5,6 +5,7 @@ import type { Choice } from "./controls.ts";
 
 interface PaintChoice extends Choice<Paint> {
   fits?(header: Header): boolean;
+  marked?: true; // needs the marks of a scene with cells
 }
 
 export const PAINTS: readonly PaintChoice[] = [
@@ -14,6 +15,8 @@ export const PAINTS: readonly PaintChoice[] = [
   { value: "opacity", label: "Opacity" },
   { value: "terms", label: "Terms", fits: (header) => header.terms > 0 },
   { value: "depth", label: "Depth" },
+  { value: "visibility", label: "Visibility", marked: true },
+  { value: "weight", label: "Weight", marked: true },
 ];
 
 export const LEGENDS: Record<Paint, { text: string; low?: string; high?: string }> = {
@@ -23,6 +26,8 @@ export const LEGENDS: Record<Paint, { text: string; low?: string; high?: string 
   opacity: { text: "How much light each Gaussian takes.", low: "faint", high: "solid" },
   terms: { text: "How many terms of view-dependent color each Gaussian has.", low: "none", high: "many" },
   depth: { text: "The distance from your eye.", low: "far", high: "near" },
+  visibility: { text: "From how many cells each Gaussian is seen.", low: "none", high: "all" },
+  weight: { text: "The largest share of a pixel that a Gaussian has, from any cell.", low: "small", high: "large" },
 };
 
 const RAMP = ["#211c5c", "#2b5e9e", "#299e8f", "#a8cc4d", "#fce86b"]; // as the core draws them

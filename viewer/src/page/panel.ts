@@ -1,7 +1,7 @@
 // The options: what the colors show, levels, terms, cells, field of view, pace, theme, and the actions of small
 // screens.
 
-import type { Header, Paint } from "../core/types.ts";
+import type { Header, Marks, Paint } from "../core/types.ts";
 import type { Actions } from "./actions.ts";
 import { actionButton, choices, slider, toggle } from "./controls.ts";
 import { make } from "./dom.ts";
@@ -15,6 +15,7 @@ interface PanelTargets {
   actions: Actions;
   theme: { chosen: Theme; choose(theme: Theme): void };
   fov: { degrees(): number; choose(degrees: number): void };
+  marks(): Promise<Marks | null>;
   cells: { known(): boolean; shown(): boolean; show(shown: boolean): void };
   pace: { factor(): number; choose(factor: number): void };
 }
@@ -43,9 +44,9 @@ export class Panel {
     const add = (part: Part): HTMLElement => (this.#parts.push(part), part.element);
     const sections: Node[] = [];
     if (viewer && header) {
-      const paints = PAINTS.filter((paint) => !paint.fits || paint.fits(header));
+      const paints = this.#paints(header);
       sections.push(
-        add(choices("paint", "Color shows", paints, () => viewer.paint, (paint) => this.#setPaint(paint), "chips")),
+        add(choices("paint", "Color shows", paints, () => viewer.paint, (paint) => void this.#setPaint(paint), "chips")),
         this.#legend,
       );
       if (header.levels.length > 1) sections.push(this.levels(viewer, header, add));
@@ -86,19 +87,27 @@ export class Panel {
     if (viewer) this.#showLegend(viewer.paint);
   }
 
-  /** Take the next way to color. */
-  nextPaint(): string | null {
-    const viewer = this.targets.viewer();
-    if (!viewer?.header) return null;
-    const header = viewer.header;
-    const values = PAINTS.filter((paint) => !paint.fits || paint.fits(header)).map((paint) => paint.value);
-    this.#setPaint(values[(values.indexOf(viewer.paint) + 1) % values.length]);
-    return PAINTS.find((paint) => paint.value === viewer.paint)?.label ?? null;
+  #paints(header: Header): typeof PAINTS {
+    const celled = this.targets.cells.known();
+    return PAINTS.filter(({ marked, fits }) => (marked ? celled : !fits || fits(header)));
   }
 
-  #setPaint(paint: Paint): void {
+  /** Take the next way to color. */
+  async nextPaint(): Promise<string | null> {
+    const viewer = this.targets.viewer();
+    if (!viewer?.header) return null;
+    const paints = this.#paints(viewer.header), at = paints.findIndex((paint) => paint.value === viewer.paint);
+    const next = paints[(at + 1) % paints.length];
+    await this.#setPaint(next.value);
+    return next.label;
+  }
+
+  async #setPaint(paint: Paint): Promise<void> {
     const viewer = this.targets.viewer();
     if (viewer) viewer.paint = paint;
+    if (viewer && PAINTS.some(({ value, marked }) => value === paint && marked) && !viewer.marks[paint]) {
+      viewer.marks = (await this.targets.marks()) ?? {};
+    }
     this.refresh();
     this.targets.actions.changed();
   }

@@ -110,6 +110,7 @@ export class ViewPage {
         degrees: () => this.#navigator.shown.fovY / DEGREES,
         choose: (degrees) => (this.#navigator.setFov(degrees * DEGREES), this.#drive.wake()),
       },
+      marks: () => this.#facts.marks(),
       cells: {
         known: () => this.#overlay.known, shown: () => !this.#overlay.element.hidden,
         show: (shown) => this.#showCells(shown),
@@ -409,8 +410,7 @@ export class ViewPage {
         this.#panel.refresh();
       },
       nextPaint: () => {
-        const label = this.#panel.nextPaint();
-        if (label) this.#notices.say(`Color shows: ${label}`);
+        void this.#panel.nextPaint().then((label) => label && this.#notices.say(`Color shows: ${label}`));
       },
       goHome: () => this.#goHome(),
       views: () => this.#views.length,

@@ -1,7 +1,7 @@
 // What the page needs of the core's `Viewer`; its tests pass a stand-in.
 
 import type { XrSession } from "../core/index.ts";
-import type { Header, Paint, Pose, Source, SourceState } from "../core/types.ts";
+import type { Header, Marks, Paint, Pose, Source, SourceState } from "../core/types.ts";
 
 export interface PageCamera extends Pose {
   fovY: number; // radians
@@ -45,6 +45,7 @@ export interface ViewerLike {
   camera: PageCamera;
   background: [number, number, number];
   paint: Paint;
+  marks: Marks;
   levelsShown: boolean[];
   termsShown: boolean;
   readonly statistics: Statistics;

@@ -1,0 +1,44 @@
+// What a viewer takes and says.
+import type { Precision } from "./renderer.ts";
+import type { WorkerStart } from "./sorter.ts";
+import type { Pose, Source, SourceState } from "./types.ts";
+
+/** Where the eye is, and the angle that the height of the canvas covers, in radians. */
+export interface Eye extends Pose {
+  fovY: number;
+}
+
+/** What may be set when a viewer is made. */
+export interface ViewerOptions {
+  source?: Source;
+  background?: [number, number, number];
+  antialiased?: boolean;
+  precision?: Precision; // of the picture that is blended; the finest available up to this
+  maxPixelRatio?: number;
+  memory?: number; // bytes on the GPU
+  sortWorker?: WorkerStart;
+}
+
+/** How a viewer fares. */
+export interface Statistics {
+  fps: number; // of the last second; 0 while nothing moves
+  frames: number; // so far
+  frameMilliseconds: number; // of the main thread, last frame
+  sortMilliseconds: number; // in the Worker, last sort
+  appendMilliseconds: number; // of the main thread, last batch
+  gaussians: number; // on the GPU
+  drawn: number; // in the last picture, before those outside of it are cut off
+  replaced: number;
+  terms: number;
+  dropped: number; // did not fit into memory
+  gpuBytes: number;
+  firstImageSeconds: number | null; // from `open` to the first Gaussians on the canvas
+  precision: Precision;
+  state: SourceState;
+  bytes: number;
+  rate: number; // bytes a second of late
+  reconnects: number;
+}
+
+/** Names of events: `problem` has a sentence for people as `detail`, the others say that a property has changed. */
+export type ViewerEvent = "header" | "state" | "traffic" | "frame" | "contextlost" | "contextrestored" | "problem";
