@@ -69,6 +69,10 @@ def main() -> None:
     from tests.known_spaces import remember_spaces
 
     found = []
+    if has("matplotlib"):
+        from gsvis.report import theme
+
+        theme._DPI = 40
     with remember_spaces(), draw_bare_plots() if has("matplotlib") else nullcontext():
         for words in json.load(sys.stdin):
             out, err = StringIO(), StringIO()

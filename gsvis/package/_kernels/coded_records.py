@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from gsvis._kernels.compiled import inner
 from gsvis._kernels.records import put, take, weight
 from gsvis.package._kernels.adaptive import OPTIONS, START, begin, code_tree, end
 
@@ -66,7 +67,7 @@ def _grade(count):
     return 6 if count < 9 else 7 if count < 14 else 8 if count < 24 else 9
 
 
-@njit(forceinline=True, **OPTIONS)
+@inner(forceinline=True, **OPTIONS)
 def _code_path(low, span, at, chances, start, path, nodes, stamp, data, writing):
     """Write or read a path of DEPTH bits through the octree of a chunk; return it.
 
@@ -94,7 +95,7 @@ def _code_path(low, span, at, chances, start, path, nodes, stamp, data, writing)
     return node - (1 << DEPTH), low, span, at
 
 
-@njit(**OPTIONS)
+@inner(**OPTIONS)
 def _take_record(words, i, fields, wide, v, low_bits):
     """Write the fields of a record to `v` and the lower bits of its places, of `wide` (3,) bits, to `low_bits`."""
     position, rotation, scale, levels = fields.position, fields.rotation, fields.scale, DEPTH // 3
@@ -120,7 +121,7 @@ def _take_record(words, i, fields, wide, v, low_bits):
             v[_PATH] |= (upper >> (levels - 1 - level) & 1) << (DEPTH - 1 - 3 * level - k)
 
 
-@njit(**OPTIONS)
+@inner(**OPTIONS)
 def _put_record(words, i, fields, wide, v, low_bits, bits):
     """Write a record from its fields; `bits` (2,) uint64 is room to work in."""
     position, rotation, scale, levels = fields.position, fields.rotation, fields.scale, DEPTH // 3
@@ -144,7 +145,7 @@ def _put_record(words, i, fields, wide, v, low_bits, bits):
     words[i, 0], words[i, 1] = bits[0], bits[1]
 
 
-@njit(**OPTIONS)
+@inner(**OPTIONS)
 def _code_color(low, span, at, chances, start, c, colors, data, writing):
     """Write or read the components of a base color, c, and return the state: one leads, the others are given by it.
 
@@ -166,7 +167,7 @@ def _code_color(low, span, at, chances, start, c, colors, data, writing):
     return low, span, at
 
 
-@njit(forceinline=True, **OPTIONS)
+@inner(forceinline=True, **OPTIONS)
 def _code_shape(low, span, at, chances, fields, before, v, data, writing):
     """Write or read opacity, order and ratios of the scales; return the state. `before` is the order before."""
     scale = fields.scale
@@ -179,7 +180,7 @@ def _code_shape(low, span, at, chances, fields, before, v, data, writing):
     return low, span, at
 
 
-@njit(forceinline=True, **OPTIONS)
+@inner(forceinline=True, **OPTIONS)
 def _code_top(low, span, at, chances, fields, expected, top, data, writing):
     """Write or read the largest scale, by the expected one if that is not -1; return it and the state."""
     scale, whole = fields.scale, _SHAPE + (2 << fields.scale)

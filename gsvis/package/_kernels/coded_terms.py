@@ -9,13 +9,14 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from gsvis._kernels.compiled import inner
 from gsvis._kernels.terms import near, upper_bits
 from gsvis.package._kernels.adaptive import OPTIONS, START, begin, code_tree, end
 
 _CONTEXTS = 1 + 9 + 8 + 9 + 8 + 16 + 13
 
 
-@njit(forceinline=True, **OPTIONS)
+@inner(forceinline=True, **OPTIONS)
 def _code_field(low, span, at, chances, context, value, bits, data, writing):
     """Write or read a field of 0 to 16 bits in a context; return it and the state."""
     rest, start = max(bits - 8, 0), context * 512
