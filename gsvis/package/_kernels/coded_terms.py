@@ -64,7 +64,7 @@ def code(records, firsts, fields, data, writing):
             last = np.int64(word >> np.uint64(f + p + a + d + 2 * n)) & mask if fields.others else np.int64(0)
         context = leads if firsts[i] else leads + 1 + of_before
         of_polar = polars if firsts[i] else polars + 1 + of_before
-        function, low, span, at = _code_field(low, span, at, chances, 0, function, f, data, writing)
+        function, low, span, at = _code_field(low, span, at, chances, np.int64(0), function, f, data, writing)
         lead, low, span, at = _code_field(low, span, at, chances, context, lead, n, data, writing)
         of_before = upper_bits(lead, n, 3)
         decay, low, span, at = _code_field(low, span, at, chances, decays + of_before, decay, d, data, writing)
