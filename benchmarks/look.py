@@ -94,8 +94,8 @@ def share_out(splats: Splats, eye: F64, threads: tuple[int, ...]) -> dict[int, f
     def seconds_from(first: int) -> float:
         taken = np.full(1, first, np.int64)
         began = time.thread_time()
-        kernels.splat_squares(
-            scene, at, SIZE, np.float32(SPENT), nearest, boxes, lists, counts, taken, best, light, depths
+        kernels.splat_squares.kernel(
+            taken, scene, at, SIZE, np.float32(SPENT), nearest, boxes, lists, counts, best, light, depths
         )
         return time.thread_time() - began
 
@@ -134,7 +134,7 @@ def measure_parts(splats: Splats, eyes: F64) -> dict[str, float]:
         best = part("room", lambda: np.zeros(2 * splats.total, np.float32))
         light, depths = np.empty(shape, np.float32), np.empty(shape, np.float32)
         eye_and_spent = at, SIZE, np.float32(SPENT)
-        lists_of = nearest, boxes, lists, counts, np.zeros(1, np.int64)
+        lists_of = nearest, boxes, lists, counts
         part("splat", lambda: kernels.splat_squares(scene, *eye_and_spent, *lists_of, best, light, depths))  # noqa: B023
         part("collect", lambda: kernels.take_found(best))  # noqa: B023
     set_num_threads(2)

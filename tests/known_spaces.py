@@ -6,8 +6,10 @@ Only for tests of what commands do with a space. How it is found, and that it is
 from __future__ import annotations
 
 import hashlib
+import pickle
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,19 +26,32 @@ _found: dict[str, NavigableSpace] = {}
 
 
 @contextmanager
-def remember_spaces() -> Iterator[None]:
-    """Let `NavigableSpace.from_scene` return what it returned for the same arrays and options; errors come anew."""
+def remember_spaces(folder: Path | None = None) -> Iterator[None]:
+    """Let `NavigableSpace.from_scene` return what it returned for the same arrays and options; errors come anew.
+
+    Processes that name the same folder share what they find.
+    """
+
+    def remember(g: Gaussians, **options: Any) -> NavigableSpace:
+        return _remember(g, folder, options)
+
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(NavigableSpace, "from_scene", staticmethod(_remember))
+        patch.setattr(NavigableSpace, "from_scene", staticmethod(remember))
         yield
 
 
-def _remember(g: Gaussians, **options: Any) -> NavigableSpace:
+def _remember(g: Gaussians, folder: Path | None, options: dict[str, Any]) -> NavigableSpace:
     key = _name(g, options)
     if key not in _found:
         if len(_found) >= _MOST:
             _found.pop(next(iter(_found)))
-        _found[key] = _from_scene(g, **options)
+        file = folder / f"{key}.pickle" if folder is not None else None
+        if file is not None and file.exists():
+            _found[key] = pickle.loads(file.read_bytes())
+        else:
+            _found[key] = _from_scene(g, **options)
+            if file is not None:
+                file.write_bytes(pickle.dumps(_found[key]))
     return _found[key]
 
 

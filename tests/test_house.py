@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -24,11 +25,15 @@ def functions_of(path: Path) -> Iterator[Function]:
             yield node
 
 
-def outside_kernels() -> Iterator[tuple[str, Function]]:
-    for path in sorted(PACKAGE.rglob("*.py")):
-        if "_kernels" not in path.parts:
-            for function in functions_of(path):
-                yield f"{path.relative_to(PACKAGE)}:{function.name}", function
+@cache
+def outside_kernels() -> tuple[tuple[str, int, int], ...]:
+    """Names, lines and parameters of all functions outside kernels."""
+    return tuple(
+        (f"{path.relative_to(PACKAGE)}:{function.name}", count_lines(function), count_parameters(function))
+        for path in sorted(PACKAGE.rglob("*.py"))
+        if "_kernels" not in path.parts
+        for function in functions_of(path)
+    )
 
 
 def count_lines(function: Function) -> int:
@@ -54,13 +59,13 @@ def test_no_file_is_longer_than_500_lines() -> None:
 
 
 def test_no_function_outside_kernels_is_longer_than_60_lines() -> None:
-    lines = {name: count_lines(function) for name, function in outside_kernels()}
+    lines = {name: lines for name, lines, _ in outside_kernels()}
     assert len(lines) > 1000
     assert {name: count for name, count in lines.items() if count > MOST_LINES_OF_FUNCTION} == {}
 
 
 def test_no_function_outside_kernels_takes_more_than_8_parameters() -> None:
-    counts = {name: count_parameters(function) for name, function in outside_kernels()}
+    counts = {name: count for name, _, count in outside_kernels()}
     assert {name: count for name, count in counts.items() if count > MOST_PARAMETERS} == {}
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from gsvis.scene.gaussians import Gaussians
 from tests.color.samples import random_colors
 
 ROOT = Path(__file__).parents[1]
+COMPILES = re.compile(r"\b(njit|kernel|inner)\b")
 KERNELS = sorted((ROOT / "gsvis").rglob("_kernels/*.py"))
 
 
@@ -33,7 +35,9 @@ def slices_to_slices(source: str) -> list[int]:
     """Lines in a compiled function that assign one slice to another."""
     found = []
     for function in ast.walk(ast.parse(source)):
-        if isinstance(function, ast.FunctionDef) and any("njit" in ast.unparse(d) for d in function.decorator_list):
+        if isinstance(function, ast.FunctionDef) and any(
+            COMPILES.search(ast.unparse(d)) for d in function.decorator_list
+        ):
             for node in ast.walk(function):
                 if isinstance(node, ast.Assign) and has_slice(node.value) and any(map(has_slice, node.targets)):
                     found.append(node.lineno)
@@ -67,7 +71,7 @@ def draw() -> tuple[Callable[[], object], Callable[[], object], tuple[object, ..
     g = Gaussians(*shape, rng.normal(size=(9, 1, 3)))
     view = Cameras.orbit((0.0, 0.0, 0.0), 4.0, 1, width=16, height=16)
     tensors = GaussianTensors.from_gaussians(g, torch.float32)
-    kernels = _kernels_project.project, _kernels_order.order_ties, _kernels_sh.colors_from_sh
+    kernels = _kernels_project.project.kernel, _kernels_order.order_ties.kernel, _kernels_sh.colors_from_sh
     return lambda: rasterize(g, view), lambda: rasterize(tensors, view), kernels
 
 
@@ -77,7 +81,7 @@ def evaluate() -> tuple[Callable[[], object], Callable[[], object], tuple[object
     maker, means = Evaluator(random_colors(rng, 20, "axes")), rng.normal(size=(20, 3)).astype(np.float32)
     (fixed,) = _check.read_only(means)
     eye = np.zeros(3)
-    return lambda: maker.colors(means, eye), lambda: maker.colors(fixed, eye), (_kernels_srbf.colors_from_eye,)
+    return lambda: maker.colors(means, eye), lambda: maker.colors(fixed, eye), (_kernels_srbf.colors_from_eye.kernel,)
 
 
 @pytest.mark.parametrize("case", [draw, evaluate])

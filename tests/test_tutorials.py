@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shlex
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import pytest
 
 from gsvis.cli import main, parse
 from gsvis.scene.procedural import BUILTIN_SCENES, two_rooms
+from tests.known_spaces import remember_spaces
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGES = [DOCS / "index.md", *sorted((DOCS / "tutorials").glob("*.md")), *sorted((DOCS / "how-to").glob("*.md"))]
@@ -75,6 +77,13 @@ def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, blank_plots: None) ->
     monkeypatch.setattr(PrepareConfig, "__init__", smaller)
     monkeypatch.setattr("gsvis.edit.shape._VOXELS", 1 << 18)
     monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def known_spaces() -> Iterator[None]:
+    """Find the space of the small scene once: most pages ask for it."""
+    with remember_spaces():
+        yield
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(DOCS)))

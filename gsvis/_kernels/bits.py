@@ -10,6 +10,8 @@ from numba import njit
 from numba.core import types
 from numba.extending import intrinsic
 
+from gsvis._kernels.compiled import kernel
+
 __all__ = ["bits_of", "count", "has", "lowest", "ones"]
 
 
@@ -49,7 +51,7 @@ def has(words, i):
     return (words[i >> 6] >> np.uint64(i & 63)) & np.uint64(1) != 0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def count(words):
     """Set bits of all words."""
     total = 0

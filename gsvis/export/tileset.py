@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from gsvis.export.leaves import Leaves
 from gsvis.export.needs import LeafNeeds
@@ -78,6 +77,8 @@ def level_errors(leaves: Leaves) -> F64:
     one of that level, times 16. So a viewer that allows 16 pixels refines where that distance has one pixel. No level
     has a smaller error than the next finer one; the finest has 0.
     """
+    from scipy.spatial import cKDTree  # here: it takes long to import
+
     means = leaves.levels.union.means.astype(np.float64)
     errors = np.zeros(leaves.counts.shape)
     for leaf in range(len(leaves)):

@@ -180,7 +180,7 @@ def look_around(splats: Splats, viewpoint: ArrayLike, *, size: int = 256, spent:
     best = np.zeros(2 * splats.total, np.float32)
     kernels.splat_squares(
         (splats.near, splats.covars, splats.columns, splats.ids), at, size, np.float32(spent), nearest, rectangles,
-        lists, counts, np.zeros(1, np.int64), best, light, depths,
+        lists, counts, best, light, depths,
     )  # fmt: skip
     ids, (weights, clear) = kernels.take_found(best)
     return Seen(ids, weights, clear, ZBuffer(eye, spent, depths, light))

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from gsvis import _check
 from gsvis.pvs.cells import CellGrid
@@ -191,6 +190,8 @@ def _thin(of_cells: list[I64], count: int) -> NDArray[np.bool_]:
 
 def _merge(points: F64, near: float) -> I64:
     """Return (M,) for each point the first point that stands for it, itself or one within the distance `near`."""
+    from scipy.spatial import cKDTree  # here: it takes long to import
+
     tree = cKDTree(points)
     stands_for = np.full(len(points), -1)
     for k in range(len(points)):

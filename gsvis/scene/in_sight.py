@@ -24,7 +24,7 @@ Mask = NDArray[np.bool_]
 
 _RAYS = 96, 72  # across the image and down it
 _WALLS = 4  # steps in occupied voxels after which a ray ends
-_REACHES = (1, 2, 4, 8)  # voxels that a Gaussian may reach beyond its own; larger ones are always in sight
+_REACHES = (1, 2, 4, 8)  # voxels that a Gaussian may reach beyond its own, doubling; larger ones are always in sight
 _DEVIATIONS = 2.0  # of a Gaussian, that count as its reach
 
 
@@ -72,8 +72,7 @@ class InSight:
         mark_crossed(np.ascontiguousarray(space.occupied), eye, _directions(camera), _WALLS, near)
         grown = 0
         for index, reach in enumerate(_REACHES):
-            for _ in range(reach - grown):
-                near = _grow(near)
+            near = _grow(near, reach - grown)
             grown = reach
             mine = np.flatnonzero((self.reaches == index) & (self.voxels >= 0))
             seen[mine] = near.ravel()[self.voxels[mine]]
@@ -88,12 +87,15 @@ def _directions(camera: Cameras) -> NDArray[np.float64]:
     return np.ascontiguousarray(directions / np.linalg.norm(directions, axis=1, keepdims=True))
 
 
-def _grow(mask: Mask) -> Mask:
-    """Return a mask (X, Y, Z) with the voxels next to it, across corners too."""
+def _grow(mask: Mask, steps: int) -> Mask:
+    """Return a mask (X, Y, Z) with the voxels that lie so many steps from it, across corners too.
+
+    The mask must have been grown by as many steps before, or the step be one: then nothing lies between the two ends.
+    """
     for axis in range(3):
         wide = mask.copy()
         low, high = [slice(None)] * 3, [slice(None)] * 3
-        low[axis], high[axis] = slice(None, -1), slice(1, None)
+        low[axis], high[axis] = slice(None, -steps), slice(steps, None)
         wide[tuple(low)] |= mask[tuple(high)]
         wide[tuple(high)] |= mask[tuple(low)]
         mask = wide

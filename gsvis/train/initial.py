@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from gsvis import _check
 from gsvis.errors import SceneError
@@ -51,6 +50,8 @@ def gaussians_from_points(points: PointCloud, sh_degree: int = 0) -> Gaussians:
         >>> float(start.scales[0, 0])  # root of (9 + 16) / 2
         3.535534
     """
+    from scipy.spatial import cKDTree  # here: it takes long to import
+
     if sh_degree not in (0, 1, 2, 3):
         raise ValueError(f"sh_degree: expected 0, 1, 2 or 3, got {sh_degree!r}")
     places, of_point = np.unique(points.means.astype(np.float64), axis=0, return_inverse=True)

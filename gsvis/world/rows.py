@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from gsvis.errors import FormatError
 from gsvis.files.archive import load_arrays, save_arrays
@@ -100,6 +99,8 @@ def median_spacing(g: Gaussians) -> float:
 
     The median extent of a Gaussian counts where it is larger: nothing finer than that is to be seen.
     """
+    from scipy.spatial import cKDTree  # here: it takes long to import
+
     if len(g) < 2:
         return 0.0
     some = np.linspace(0, len(g) - 1, min(len(g), _PROBED)).astype(np.int64)

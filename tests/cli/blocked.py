@@ -1,5 +1,6 @@
-"""Run commands of gsvis in one process in which some packages cannot be imported: `python blocked.py PACKAGE...`.
+"""Run commands in one process in which some packages cannot be imported: `python blocked.py SPACES PACKAGE...`.
 
+SPACES is a folder in which processes share the spaces of scenes, or "": then this one finds them by itself.
 Reads a JSON list of commands, each a list of words, from standard input. Writes for each its exit code and what it said
 on stderr to standard output, as JSON.
 """
@@ -12,6 +13,7 @@ from collections.abc import Sequence
 from contextlib import nullcontext, redirect_stderr, redirect_stdout
 from importlib.machinery import ModuleSpec
 from io import StringIO
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -61,7 +63,8 @@ def make_quick() -> None:
 
 
 def main() -> None:
-    sys.meta_path.insert(0, Blocked(sys.argv[1:]))
+    folder, *packages = sys.argv[1:]
+    sys.meta_path.insert(0, Blocked(packages))
     make_quick()
     from gsvis._extras import has
     from gsvis.cli import main as run
@@ -69,7 +72,11 @@ def main() -> None:
     from tests.known_spaces import remember_spaces
 
     found = []
-    with remember_spaces(), draw_bare_plots() if has("matplotlib") else nullcontext():
+    if has("matplotlib"):
+        from gsvis.report import theme
+
+        theme._DPI = 40
+    with remember_spaces(Path(folder) if folder else None), draw_bare_plots() if has("matplotlib") else nullcontext():
         for words in json.load(sys.stdin):
             out, err = StringIO(), StringIO()
             with redirect_stdout(out), redirect_stderr(err):

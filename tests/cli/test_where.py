@@ -24,6 +24,7 @@ from tests.scene.places import apartment, box, discs, filled, statue
 Capture = pytest.CaptureFixture[str]
 BOX = ["--box", "0.5", "0.5", "0.5", "3.5", "3.5", "2.5"]
 SAMPLERS = ("analyze", "render", "color", "levels", "pvs", "prepare")
+QUICK = ["--limit", "0.05", "--max-inner", "1"]
 SMALL = {
     "inspect": [],
     "analyze": ["--views", "3", "--width", "12", "--height", "9", "--traced-sample", "0"],
@@ -44,7 +45,7 @@ SMALL = {
         "--max-inner",
         "1",
     ],
-    "prepare": ["--dry-run", "--levels", "none", "--cells", "4", "--face-size", "16", "--workers", "1"],
+    "prepare": ["--dry-run", "--levels", "none", "--cells", "4", "--face-size", "16", "--workers", "1", *QUICK],
 }
 OUT = {"analyze": "report", "render": "eye.png", "color": "c.arrow", "pvs": "s.pvs", "prepare": "p.gsvis"}
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from gsvis.render import view_weights
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
-from gsvis.scene.in_sight import InSight
+from gsvis.scene.in_sight import InSight, _grow
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.procedural import two_rooms
 
@@ -63,3 +64,12 @@ def test_nearly_all_light_of_rooms_is_in_sight_and_most_gaussians_are_not(seed: 
         weights = view_weights(g, cameras[[index]]).summed[0]
         assert weights[seen].sum() > 0.97 * weights.sum()
         assert seen.mean() < 0.9
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 1), (2, 3, 1), (17, 3, 8), (20, 21, 22)])
+def test_what_lies_near_is_what_lies_in_the_cube_around(shape: tuple[int, int, int]) -> None:
+    near = mask = np.random.default_rng(0).random(shape) < 0.02
+    grown = 0
+    for reach in (1, 2, 4, 8):
+        near, grown = _grow(near, reach - grown), reach
+        np.testing.assert_array_equal(near, ndimage.maximum_filter(mask, 2 * reach + 1, mode="constant"))

@@ -9,7 +9,7 @@ from numba import njit
 
 from gsvis._kernels.bits import has, lowest
 
-_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
+_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "no_cfunc_wrapper": True, "error_model": "numpy"}
 
 
 @njit(inline="always")

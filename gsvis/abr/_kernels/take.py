@@ -8,9 +8,10 @@ import numpy as np
 from numba import njit
 
 from gsvis._kernels.bits import has, lowest
+from gsvis._kernels.compiled import inner
 from gsvis.abr._kernels.plan import DONE, SEVERAL, UNITS, UNKNOWN
 
-_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
+_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "no_cfunc_wrapper": True, "error_model": "numpy"}
 
 
 @njit(inline="always")
@@ -171,7 +172,7 @@ def take(plan, place, cell, held, view, records, links, budget, out):
     return place, found, found_terms, dropped, total
 
 
-@njit(**_OPTIONS)
+@inner(**_OPTIONS)
 def _drop_replaced(g, held, cell, links, out, dropped):
     """Mark as gone what g replaces, where enough of the other replacements is held or cannot be seen from the cell.
 

@@ -7,8 +7,8 @@ lie in a cone; the term can matter if cone and cap meet. Directions run from the
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from gsvis._kernels.compiled import inner, kernel
 from gsvis.color._kernels.rgb import to_rgb
 
 __all__ = ["changes", "mark_terms", "responses"]
@@ -16,7 +16,7 @@ __all__ = ["changes", "mark_terms", "responses"]
 _SLACK = 2e-6  # in cosines: centers are float32
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def responses(means, offsets, centers, decays, factors, eye, out):
     """Write `factors` (T,) times the value of each term's lobe, as the eye (3,) sees it, into out (T,)."""
     for i in range(len(offsets) - 1):
@@ -33,7 +33,7 @@ def responses(means, offsets, centers, decays, factors, eye, out):
             out[t] = factors[t] * np.exp(-0.5 * decays[t] * (a * a + b * b + c * c))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def changes(space, base, scales, offsets, amplitudes, lobes, out):
     """Write the color change of a Gaussian without each of its terms, the largest over channels, into out (T,).
 
@@ -70,7 +70,7 @@ def changes(space, base, scales, offsets, amplitudes, lobes, out):
             out[first + k] = largest
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _cone(x, y, z, half_x, half_y, half_z):
     """Return the cosine of half the angle of a cone around (x, y, z) that holds the directions from a box to a point.
 
@@ -92,7 +92,7 @@ def _cone(x, y, z, half_x, half_y, half_z):
     return min(1.0, np.sqrt(part / (whole * length)))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def mark_terms(ids, faint, means, offsets, centers, logs, widths, low, high, out):
     """Set out (T,) where a term of the Gaussians ids (V,) matters from somewhere in the box from low to high (3,).
 

@@ -6,8 +6,9 @@ Gaussians run in sequence within a block, blocks in parallel. The result of a Ga
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
 
+from gsvis._kernels.compiled import inner, kernel
+from gsvis._kernels.threads import in_parts
 from gsvis.color._kernels.lobes import LANES, dots, gram, lobes
 from gsvis.color._kernels.refine import copy, error_after, falls_along, refine, settle, work
 
@@ -18,7 +19,7 @@ _PATIENCE = 4
 """Refinements after a choice, each with more emphasis on shorter prefixes, until the error falls along them."""
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@inner(fastmath=True)
 def _gather(directions, weights, targets, points, seen, rows):
     """Gather the directions of weight > 0, padded with weight 0; return their number and the sum of the weights."""
     count, total = 0, 0.0
@@ -42,7 +43,7 @@ def _gather(directions, weights, targets, points, seen, rows):
     return count, padded, total
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@inner(fastmath=True)
 def _choose(atoms, norms, left, channels, count):
     """Return the atom that explains most of the residual."""
     best, chosen = np.float32(-1.0), 0
@@ -61,7 +62,7 @@ def _choose(atoms, norms, left, channels, count):
     return chosen
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@inner(fastmath=True)
 def _take_away(rows, targets, intensities, terms, channels, count, left):
     for c in range(channels):
         row = left[c]
@@ -73,7 +74,7 @@ def _take_away(rows, targets, intensities, terms, channels, count, left):
                 row[d] -= factor * lobe[d]
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@inner(fastmath=True)
 def _append(w, points, left, padded, total, terms, channels, start, lobe, intensities, limits):
     """Add a lobe to `terms` lobes that stay as they are; it alone moves, and fits what they leave."""
     for i in range(3):
@@ -85,7 +86,7 @@ def _append(w, points, left, padded, total, terms, channels, start, lobe, intens
         intensities[terms, c] = w.own[0, c]
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")  # the same as in a parallel loop
+@inner(fastmath=True, error_model="numpy")
 def _fit_block(
     block, directions, dictionary, starts, targets, weights, importance, most, price, limits, v, a, counts, curves
 ):
@@ -160,11 +161,17 @@ def _fit_block(
                 break
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=True)
-def fit_lobes(directions, dictionary, starts, targets, weights, importance, most, price, limits, v, a, counts, curves):
+@in_parts(lambda directions, dictionary, starts, targets, *_: (len(targets) + _BLOCK - 1) // _BLOCK)
+@kernel(fastmath=True, error_model="numpy")
+def fit_lobes(
+    begin, end, directions, dictionary, starts, targets, weights, importance, most, price, limits, v, a, counts,
+    curves,
+):  # fmt: skip
     """Fit lobes to n Gaussians: as many as are worth their price.
 
     Args:
+        begin: First of the thread's part; the caller leaves it out.
+        end: After the last of the part; the caller leaves it out.
         directions: (3, D) float32 unit vectors.
         dictionary: (A, D) float32, values of the atoms.
         starts: (A, 3) decay times center of each atom.
@@ -179,14 +186,14 @@ def fit_lobes(directions, dictionary, starts, targets, weights, importance, most
         counts: (n,) int64, written: lobes worth their price.
         curves: (n, K + 1) float32, written: weighted mean squared error (summed over channels) with 0, 1, ... lobes.
     """
-    for block in prange((len(targets) + _BLOCK - 1) // _BLOCK):
+    for block in range(begin, end):
         _fit_block(
             np.int64(block), directions, dictionary, starts, targets, weights, importance, most, price, limits,
             v, a, counts, curves,
         )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")  # the same as in a parallel loop
+@inner(fastmath=True, error_model="numpy")
 def _settle_block(block, directions, targets, weights, limits, counts, v, a, errors):
     """Settle one block of `settle_lobes`."""
     n, channels, size = targets.shape
@@ -214,11 +221,14 @@ def _settle_block(block, directions, targets, weights, limits, counts, v, a, err
         copy(intensities, terms, channels, a[g])
 
 
-@njit(cache=True, nogil=True, parallel=True, fastmath=True)
-def settle_lobes(directions, targets, weights, limits, counts, v, a, errors):
+@in_parts(lambda directions, targets, *_: (len(targets) + _BLOCK - 1) // _BLOCK)
+@kernel(fastmath=True, error_model="numpy")
+def settle_lobes(begin, end, directions, targets, weights, limits, counts, v, a, errors):
     """Fit the best joint intensities of given lobes, such that the error falls from each to the next.
 
     Args:
+        begin: First of the thread's part; the caller leaves it out.
+        end: After the last of the part; the caller leaves it out.
         directions: (3, D) float32 unit vectors.
         targets: (n, C, D) float32.
         weights: (n, D) float32.
@@ -228,5 +238,5 @@ def settle_lobes(directions, targets, weights, limits, counts, v, a, errors):
         a: (n, K, C) float32, written: intensities.
         errors: (n,) float32, written: weighted mean squared error.
     """
-    for block in prange((len(targets) + _BLOCK - 1) // _BLOCK):
+    for block in range(begin, end):
         _settle_block(np.int64(block), directions, targets, weights, limits, counts, v, a, errors)

@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.extending import intrinsic
 
+from gsvis._kernels.compiled import kernel
 from gsvis._kernels.simd import Builder, Vector
 
 __all__ = ["LANES", "dots", "gram", "lobes"]
@@ -102,7 +103,7 @@ def _block(typing_context, left, i, right, j, count, out):
     return signature, generate
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def lobes(points, count, v, terms, rows):
     """Write weighted lobes exp(v.x - |v|) into rows 0..terms-1 and their slopes by v_k into rows terms + 3k..."""
     for k in range(terms):
@@ -112,7 +113,7 @@ def lobes(points, count, v, terms, rows):
             _lobe(points, place, vector, np.float32(decay), rows, k, terms + 3 * k)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def gram(rows, number, count, scratch, out):
     """Write inner products of the first `number` rows, a multiple of four, into out (number, number)."""
     for i in range(0, number, 4):
@@ -124,7 +125,7 @@ def gram(rows, number, count, scratch, out):
                     out[j + q, i + p] = scratch[4 * p + q]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def dots(rows, number, targets, channels, count, scratch, out):
     """Write inner products of the first `number` rows, a multiple of 4, with up to 4 targets, into out (number, .)."""
     for i in range(0, number, 4):

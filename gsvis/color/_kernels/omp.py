@@ -10,10 +10,10 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from gsvis.color._kernels.products import BLOCK, best_atom, inner, multiply_rows
+from gsvis._kernels.compiled import inner, kernel
+from gsvis.color._kernels.products import BLOCK, best_atom, multiply_rows
 
 __all__ = ["BAD_SIGNAL", "BAD_WEIGHTS", "Atoms", "Chunk", "Codes", "pursue"]
 
@@ -115,21 +115,21 @@ def _subtract(a, i, factor, b, j):
         a[i, d] -= factor * b[j, d]
 
 
-@inner()
+@inner
 def _scale(a, i, factor):
     """Compute a[i] *= factor."""
     for d in range(a.shape[1]):
         a[i, d] *= factor
 
 
-@inner()
+@inner
 def _copy(a, i, out, j):
     """Copy a[i] into out[j]."""
     for d in range(out.shape[1]):
         out[j, d] = a[i, d]
 
 
-@inner()
+@inner
 def _product(a, i, b, j, out, k):
     """Write a[i] * b[j], entry by entry, into out[k]."""
     for d in range(out.shape[1]):
@@ -158,7 +158,7 @@ def _take_weights(weights, m, roots, b):
     return most
 
 
-@inner()
+@inner
 def _load(chunk, start, count, atoms, work, codes):
     """Load signals start .. start + count of the chunk, weighted and scaled, into the block; counts: 0 or BAD_*."""
     signals, weights, raw, rows, counts = chunk.signals, chunk.weights, work.raw, work.rows, codes.counts
@@ -194,7 +194,7 @@ def _reciprocals(shares, b, least_share, gains):
         gains[b, a] = np.float32(1.0) / share if share > least_share else np.float32(0.0)
 
 
-@inner()
+@inner
 def _correlate(atoms, work, count):
     """Correlate all atoms with the signals of the block."""
     rows, roots, sent, correlations = work.rows, work.roots, work.sent, work.correlations
@@ -208,7 +208,7 @@ def _correlate(atoms, work, count):
             multiply_rows(rows[first : first + BLOCK], count, atoms.panels, out)
 
 
-@inner()
+@inner
 def _weigh(atoms, work, count):
     """Compute the gains of all atoms under the weights of each signal of the block."""
     roots, sent, shares, gains = work.roots, work.sent, work.spread, work.gains
@@ -223,7 +223,7 @@ def _weigh(atoms, work, count):
         _reciprocals(shares, b, atoms.least_share, gains)
 
 
-@inner()
+@inner
 def _orthogonalise(basis, first, k, triangle):
     """Orthonormalize row first + k of the basis against rows first .. first + k.
 
@@ -243,7 +243,7 @@ def _orthogonalise(basis, first, k, triangle):
     return True
 
 
-@inner()
+@inner
 def _choose(atoms, work, going, k, codes, start):
     """Choose term k of the `going` active signals: atom, place in the basis, parts along it, remaining error.
 
@@ -276,7 +276,7 @@ def _choose(atoms, work, going, k, codes, start):
         counts[m] = k + 1
 
 
-@inner()
+@inner
 def _keep_active(chunk, start, going, k, codes, work):
     """Keep the active signals that found k terms and may gain more; return their number."""
     active, scales, counts, errors = work.active, work.scales, codes.counts, codes.errors
@@ -291,7 +291,7 @@ def _keep_active(chunk, start, going, k, codes, work):
     return kept
 
 
-@inner()
+@inner
 def _spread(atoms, work, going, k, codes, start):
     """Write inner products of all atoms with the newest basis vector of active signal s into row s of work.spread.
 
@@ -315,7 +315,7 @@ def _spread(atoms, work, going, k, codes, start):
         multiply_rows(sent, going, atoms.panels, spread)
 
 
-@inner()
+@inner
 def _follow(work, going, k, terms):
     """Update the correlations of the active signals after term k."""
     active, parts, correlations, spread = work.active, work.parts, work.correlations, work.spread
@@ -326,7 +326,7 @@ def _follow(work, going, k, terms):
             _subtract(correlations, c * BLOCK + b, np.float32(parts[b * terms + k, c]), spread, s)
 
 
-@inner()
+@inner
 def _finish(atoms, work, count, codes, start):
     """Compute the coefficients of the chosen atoms from the parts along the basis; clear the rest; rescale errors."""
     found, coefficients, counts, errors = codes.atoms, codes.coefficients, codes.counts, codes.errors
@@ -353,7 +353,7 @@ def _finish(atoms, work, count, codes, start):
             errors[m, k] *= scales[b]
 
 
-@inner()
+@inner
 def _pursue_block(chunk, start, count, atoms, codes, work):
     """Find all terms of signals start .. start + count."""
     terms = codes.atoms.shape[1]
@@ -375,7 +375,7 @@ def _pursue_block(chunk, start, count, atoms, codes, work):
     _finish(atoms, work, count, codes, start)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def pursue(chunk, atoms, codes):
     """Run orthogonal matching pursuit for all signals of a chunk, into codes."""
     number, depth = len(chunk.signals), chunk.signals.shape[1] // codes.coefficients.shape[2]

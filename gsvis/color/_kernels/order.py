@@ -7,15 +7,16 @@ error at its place is dropped.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
 
+from gsvis._kernels.compiled import inner, kernel
+from gsvis._kernels.threads import in_parts
 from gsvis.color._kernels.refine import copy
 from gsvis.color._kernels.rgb import to_rgb
 
 __all__ = ["measure_shown_errors", "order_lobes"]
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _shown_error(space, summed, factors, count, colors, weights, shown):
     """Return the weighted squared RGB error of the first `count` directions."""
     copy(summed, 3, count, shown)
@@ -27,7 +28,7 @@ def _shown_error(space, summed, factors, count, colors, weights, shown):
     return error
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _add(directions, count, v, amplitude, summed, out):
     decay = np.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
     for d in range(count):
@@ -36,7 +37,7 @@ def _add(directions, count, v, amplitude, summed, out):
             out[c, d] = summed[c, d] + amplitude[c] * lobe
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _gather(directions, colors, weights, seen, target, heavy):
     """Gather the directions of weight > 0; return their number."""
     count = 0
@@ -49,7 +50,7 @@ def _gather(directions, colors, weights, seen, target, heavy):
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner(error_model="numpy")
 def _order_one(g, space, directions, colors, weights, base, scales, v, amplitudes, counts, order, kept):
     """Order the lobes of Gaussian g for `order_lobes`."""
     functions, most = v.shape[0], v.shape[2]
@@ -86,11 +87,14 @@ def _order_one(g, space, directions, colors, weights, base, scales, v, amplitude
     kept[g] = number
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def order_lobes(space, directions, colors, weights, base, scales, v, amplitudes, counts, order, kept):
+@in_parts(lambda space, directions, colors, *_: len(colors))
+@kernel(error_model="numpy")
+def order_lobes(begin, end, space, directions, colors, weights, base, scales, v, amplitudes, counts, order, kept):
     """Merge the lobes of F functions of each of n Gaussians.
 
     Args:
+        begin: First of the thread's part; the caller leaves it out.
+        end: After the last of the part; the caller leaves it out.
         space: Code of the space the base lives in.
         directions: (3, D) float32.
         colors: (n, 3, D) RGB targets.
@@ -103,11 +107,11 @@ def order_lobes(space, directions, colors, weights, base, scales, v, amplitudes,
         order: (n, F K) int64, written: f K + k for the lobes kept.
         kept: (n,) int64, written.
     """
-    for g in prange(v.shape[1]):
+    for g in range(begin, end):
         _order_one(np.int64(g), space, directions, colors, weights, base, scales, v, amplitudes, counts, order, kept)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner(error_model="numpy")
 def _errors_of_one(g, space, directions, colors, weights, base, scales, v, amplitudes, order, kept, before, after):
     """Measure the errors of Gaussian g for `measure_shown_errors`."""
     most = v.shape[2]
@@ -131,10 +135,13 @@ def _errors_of_one(g, space, directions, colors, weights, base, scales, v, ampli
     after[g] = _shown_error(space, summed, factors, count, target, heavy, shown) / total
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def measure_shown_errors(space, directions, colors, weights, base, scales, v, amplitudes, order, kept, before, after):
+@in_parts(lambda space, directions, colors, *_: len(colors))
+@kernel(error_model="numpy")
+def measure_shown_errors(
+    begin, end, space, directions, colors, weights, base, scales, v, amplitudes, order, kept, before, after,
+):  # fmt: skip
     """Write weighted mean squared RGB errors (n,) of the bases alone and with all kept lobes; see `order_lobes`."""
-    for g in prange(v.shape[1]):
+    for g in range(begin, end):
         _errors_of_one(
             np.int64(g), space, directions, colors, weights, base, scales, v, amplitudes, order, kept, before, after
         )

@@ -7,18 +7,18 @@ independent of the other rows. Atoms come in panels, (P, D, WIDTH): WIDTH atoms 
 from __future__ import annotations
 
 import math
-from functools import partial
 from typing import Any
 
 import llvmlite.binding as llvm
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
+from gsvis._kernels.compiled import inner, kernel
 from gsvis._kernels.simd import Builder, Vector
 
-__all__ = ["BLOCK", "WIDTH", "best_atom", "inner", "multiply", "multiply_rows"]
+__all__ = ["BLOCK", "WIDTH", "best_atom", "multiply", "multiply_rows"]
 
 _WIDE = bool(llvm.get_host_cpu_features().get("avx512f"))
 LANES, ROWS, VECTORS = (16, 8, 3) if _WIDE else (8, 6, 2)
@@ -31,9 +31,6 @@ BLOCK = 4 * ROWS
 """Number of signals that gain a term together."""
 
 _I64 = ir.IntType(64)
-
-inner = partial(njit, cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
-"""Compiler options of functions that only kernels call: without the Python wrapper they compile in half the time."""
 
 
 @intrinsic
@@ -122,7 +119,7 @@ def best_atom(typing_context, correlations, channels, gains, signal):
     return signature, generate
 
 
-@inner()
+@inner
 def multiply_rows(rows, count, panels, out):
     """Multiply the first `count` rows (B, D), rounded up to whole tiles, by the panels, into out (B, P * WIDTH)."""
     for panel in range(len(panels)):
@@ -130,7 +127,7 @@ def multiply_rows(rows, count, panels, out):
             _multiply_tile(rows, first, panels, panel, out)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def multiply(rows, panels, out):
     """Multiply rows (N, D), N a multiple of BLOCK, by the panels (P, D, WIDTH), into out (N, P * WIDTH)."""
     for first in range(0, len(rows), BLOCK):

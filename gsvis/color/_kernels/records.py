@@ -7,7 +7,8 @@ float64; T terms of N Gaussians, Gaussian i from offsets[i] to offsets[i + 1].
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from gsvis._kernels.compiled import inner, kernel
 
 __all__ = ["project", "round_jointly"]
 
@@ -15,7 +16,7 @@ RIDGE = 1e-4
 """Regularization toward the original intensities, relative to each term's own energy."""
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _product(a, b):
     """Return the mean over the sphere of the product of two SRBFs, each decay times center (3,) and the decay."""
     x, y, z = a[0] + b[0], a[1] + b[1], a[2] + b[2]
@@ -25,7 +26,7 @@ def _product(a, b):
     return np.exp(length - a[3] - b[3]) * falling
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _cholesky(matrix, count):
     """Factorize a symmetric positive definite matrix in place into a lower triangle."""
     for j in range(count):
@@ -38,7 +39,7 @@ def _cholesky(matrix, count):
             matrix[i, j] /= matrix[j, j]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def project(offsets, functions, lobes, rounded, intensities, out):
     """Write the intensities (T, I) with which rounded SRBFs best match the given ones, in the mean over the sphere.
 
@@ -75,7 +76,7 @@ def project(offsets, functions, lobes, rounded, intensities, out):
                 out[start + j, c] = intensities[start + j, c] + change[j, c]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def round_jointly(offsets, functions, lobes, intensities, table, middles, out):
     """Write intensities as indices (T, I) into a table; each term compensates for the rounding of larger ones.
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections import namedtuple
 
 import numpy as np
-from numba import njit
 
+from gsvis._kernels.compiled import inner, kernel
 from gsvis.color._kernels.lobes import dots, gram, lobes
 
 __all__ = ["Work", "best_intensities", "copy", "error_after", "falls_along", "refine", "settle", "work"]
@@ -24,7 +24,7 @@ Work = namedtuple(
 )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def work(most_terms, directions, channels):
     """Allocate arrays for fits of at most `most_terms` lobes over `directions`, a multiple of 16."""
     p, n, k = 4 * most_terms, 3 * most_terms, most_terms
@@ -36,7 +36,7 @@ def work(most_terms, directions, channels):
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def copy(source, rows, columns, target):
     """Copy a corner of a matrix.
 
@@ -47,7 +47,7 @@ def copy(source, rows, columns, target):
             target[i, j] = source[i, j]
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@inner(fastmath=True)
 def _solve(matrix, size, right, columns):
     """Factorize (Cholesky) a symmetric matrix in place and solve in place of `right`; return whether it is definite."""
     for i in range(size):
@@ -78,7 +78,7 @@ def _solve(matrix, size, right, columns):
     return True
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@inner(fastmath=True)
 def _count_prefixes(terms, emphasis, factors):
     """Compute the weight of each row, the lobes and then three slopes of each, in the error summed over all prefixes.
 
@@ -89,7 +89,7 @@ def _count_prefixes(terms, emphasis, factors):
         factors[i] = 1.0 + emphasis * (terms - 1 - k)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@inner(fastmath=True)
 def _weigh_prefixes(inner, outer, number, channels, factors):
     """Convert inner products to those of the error summed over all prefixes.
 
@@ -104,7 +104,7 @@ def _weigh_prefixes(inner, outer, number, channels, factors):
             row[j] *= min(factors[i], factors[j])
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@inner(fastmath=True)
 def best_intensities(inner, outer, terms, channels, ridge, small, intensities):
     """Solve for least-squares intensities; return the part of the squared target explained, less the ridge's cost."""
     for i in range(terms):
@@ -122,7 +122,7 @@ def best_intensities(inner, outer, terms, channels, ridge, small, intensities):
     return explained
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@inner(fastmath=True)
 def _normal_equations(w, terms, channels, ridge, intensities):
     """Compute slope and curvature of the error by the v, intensities eliminated (Kaufman); return the top diagonal."""
     n = 3 * terms
@@ -160,7 +160,7 @@ def _normal_equations(w, terms, channels, ridge, intensities):
     return largest
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@inner(fastmath=True)
 def _try_step(w, v, terms, damping, largest, least_decay, most_decay):
     """Write the result of a damped step into w.trial; return False if the step cannot be solved."""
     n = 3 * terms
@@ -183,7 +183,7 @@ def _try_step(w, v, terms, damping, largest, least_decay, most_decay):
     return True
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def refine(w, points, targets, count, total, terms, channels, v, intensities, limits):
     """Move `terms` lobes (v, intensities, in place) to a nearby optimum; leave rows, inner and outer in w valid.
 
@@ -240,7 +240,7 @@ def refine(w, points, targets, count, total, terms, channels, v, intensities, li
             break
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@inner(fastmath=True)
 def _change(w, k, channels, intensities):
     """Return what lobe k adds to the squared error of its predecessors; below 0 if it helps."""
     change = 0.0
@@ -252,7 +252,7 @@ def _change(w, k, channels, intensities):
     return change
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@inner(fastmath=True)
 def falls_along(w, total, terms, channels, intensities):
     """Return whether the squared error falls from each lobe to the next; inner and outer hold plain inner products."""
     k = np.int64(0)  # a literal would compile the function once more
@@ -261,7 +261,7 @@ def falls_along(w, total, terms, channels, intensities):
     return k == terms
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@inner(fastmath=True)
 def error_after(w, total, terms, channels, intensities):
     """Return the squared error after all lobes; inner and outer hold plain inner products."""
     error = total
@@ -270,7 +270,7 @@ def error_after(w, total, terms, channels, intensities):
     return max(error, 0.0)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@inner(fastmath=True)
 def _fit_in_turn(w, terms, channels, ridge, intensities):
     """Give each lobe the best intensity for what its predecessors leave; the error then falls along them."""
     for k in range(terms):
@@ -281,7 +281,7 @@ def _fit_in_turn(w, terms, channels, ridge, intensities):
             intensities[k, c] = left / (w.inner[k, k] + ridge)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def settle(w, total, terms, channels, limits, intensities, anew):
     """Make the squared error fall from each lobe to the next; return the error after all of them.
 

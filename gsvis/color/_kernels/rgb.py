@@ -9,6 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from gsvis._kernels.compiled import inner
+
 __all__ = ["SPACES", "to_rgb"]
 
 SPACES = {"rgb": 0, "hsl": 1, "hsv": 2, "yuv": 3}
@@ -19,21 +21,21 @@ _V_RED, _U_BLUE = np.float32(1.402), np.float32(1.772)
 _GREEN_RED, _GREEN_BLUE = np.float32(0.299 / 0.587), np.float32(0.114 / 0.587)
 
 
-@njit(cache=True, error_model="numpy")
+@inner(error_model="numpy")
 def _hsl_channel(shift, hue, chroma, lightness):
     k = shift + hue
     k -= _12 * np.floor(k / _12)
     return lightness - chroma * max(-_1, min(k - _3, _9 - k, _1))
 
 
-@njit(cache=True, error_model="numpy")
+@inner(error_model="numpy")
 def _hsv_channel(shift, hue, chroma, value):
     k = shift + hue
     k -= _6 * np.floor(k / _6)
     return value - chroma * max(_0, min(k, _4 - k, _1))
 
 
-@njit(cache=True, error_model="numpy")
+@inner(error_model="numpy")
 def _from_hsl(colors):
     for j in range(colors.shape[1]):
         hue = _12 * (colors[0, j] - np.floor(colors[0, j]))
@@ -45,7 +47,7 @@ def _from_hsl(colors):
         colors[2, j] = _hsl_channel(_4, hue, chroma, lightness)
 
 
-@njit(cache=True, error_model="numpy")
+@inner(error_model="numpy")
 def _from_hsv(colors):
     for j in range(colors.shape[1]):
         hue = _6 * (colors[0, j] - np.floor(colors[0, j]))
@@ -57,7 +59,7 @@ def _from_hsv(colors):
         colors[2, j] = _hsv_channel(_1, hue, chroma, value)
 
 
-@njit(cache=True)
+@inner
 def _from_yuv(colors):
     for j in range(colors.shape[1]):
         y, u, v = colors[0, j], colors[1, j], colors[2, j]

@@ -9,6 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
+from gsvis._kernels.compiled import kernel
+from gsvis._kernels.threads import in_parts
 from gsvis.scene.sh import SH_C0, SH_C1, SH_C2, SH_C3
 
 _BLOCK = 512
@@ -115,7 +117,7 @@ def _color(i, means, sh0, higher, degree, eye):
     return color
 
 
-@njit(cache=True, parallel=True, nogil=True)
+@kernel(parallel=True)
 def colors_from_sh(ids, means, sh0, higher, degree, eye, lowest, features):
     """Write colors of the Gaussians ids (M,), at least `lowest` (float32), into features[:, :3]; `higher` is shN."""
     for block in prange((len(ids) + _BLOCK - 1) // _BLOCK):
@@ -124,10 +126,13 @@ def colors_from_sh(ids, means, sh0, higher, degree, eye, lowest, features):
             features[j, 0], features[j, 1], features[j, 2] = max(red, lowest), max(green, lowest), max(blue, lowest)
 
 
-@njit(cache=True, parallel=True, nogil=True)
-def colors_from_sh_backward(ids, means, sh0, higher, degree, eye, features, v_features, v_sh0, v_higher, v_means):
+@in_parts(lambda ids, *_: (len(ids) + _BLOCK - 1) // _BLOCK)
+@kernel(error_model="numpy")
+def colors_from_sh_backward(
+    begin, end, ids, means, sh0, higher, degree, eye, features, v_features, v_sh0, v_higher, v_means,
+):  # fmt: skip
     """Add gradients by sh0, shN and means (through the direction) into the last three arguments."""
-    for block in prange((len(ids) + _BLOCK - 1) // _BLOCK):
+    for block in range(begin, end):
         values, slopes = np.empty(16), np.zeros((16, 3))
         for j in range(_BLOCK * block, min(len(ids), _BLOCK * (block + 1))):
             i = ids[j]

@@ -7,12 +7,14 @@ they have in RGB.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+
+from gsvis._kernels.compiled import inner, kernel
+from gsvis._kernels.threads import in_parts
 
 __all__ = ["hold_saturation", "split_hsl", "split_hsv", "split_linear"]
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _hue_chroma(r, g, b):
     """Return the hue in turns and the spread between the largest and the smallest component."""
     high, low = max(r, g, b), min(r, g, b)
@@ -29,14 +31,14 @@ def _hue_chroma(r, g, b):
     return hue - np.floor(hue), spread
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _pure(hue, shift):
     """Return a component of the fully saturated color of a hue; shift 5, 3, 1 for red, green, blue."""
     k = (shift + 6.0 * hue) % 6.0
     return 1.0 - max(0.0, min(k, 4.0 - k, 1.0))
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _largest(colors, weights):
     largest = np.float32(0.0)
     for c in range(3):
@@ -46,10 +48,11 @@ def _largest(colors, weights):
     return largest
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def split_linear(colors, weights, base, covariance):
+@in_parts(lambda colors, *_: len(colors))
+@kernel(error_model="numpy")
+def split_linear(begin, end, colors, weights, base, covariance):
     """Write the weighted mean into base (n, 3), subtract it from the colors; write their covariance (n, 3, 3)."""
-    for g in prange(len(colors)):
+    for g in range(begin, end):
         total = 0.0
         for d in range(weights.shape[1]):
             total += weights[g, d]
@@ -69,10 +72,11 @@ def split_linear(colors, weights, base, covariance):
                 covariance[g, e, c] = s / total
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def split_hsl(colors, weights, scales, base, saturation, by_saturation, lightness, by_lightness):
+@in_parts(lambda colors, *_: len(colors))
+@kernel(error_model="numpy")
+def split_hsl(begin, end, colors, weights, scales, base, saturation, by_saturation, lightness, by_lightness):
     """Compute HSL of RGB / scale: bases (n, 3), S - S_ref and L - L_ref (n, D), weights of their RGB errors (n, D)."""
-    for g in prange(len(colors)):
+    for g in range(begin, end):
         largest = _largest(colors[g], weights[g])
         scale = np.float64(largest) if largest > 0.0 else 1.0
         scales[g] = scale
@@ -114,7 +118,7 @@ def split_hsl(colors, weights, scales, base, saturation, by_saturation, lightnes
             lightness[g, d] -= base[g, 2]
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _nearest_lightness(color, offsets, saturation):
     """Return the L at which HSL with this hue and saturation is nearest to a color in RGB, and the effect of a step.
 
@@ -139,10 +143,11 @@ def _nearest_lightness(color, offsets, saturation):
     return nearest, change
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def hold_saturation(colors, weights, scales, base, lightness, by_lightness):
+@in_parts(lambda colors, *_: len(colors))
+@kernel(error_model="numpy")
+def hold_saturation(begin, end, colors, weights, scales, base, lightness, by_lightness):
     """Replace lightness by the nearest in RGB with hue and saturation held at their bases; arguments as above."""
-    for g in prange(len(colors)):
+    for g in range(begin, end):
         turn, scale = base[g, 0], scales[g]
         offsets = (_pure(turn, 5.0) - 0.5, _pure(turn, 3.0) - 0.5, _pure(turn, 1.0) - 0.5)
         total, mean = 0.0, 0.0
@@ -160,13 +165,14 @@ def hold_saturation(colors, weights, scales, base, lightness, by_lightness):
             lightness[g, d] -= base[g, 2]
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def split_hsv(colors, weights, scales, base, value, by_value):
+@in_parts(lambda colors, *_: len(colors))
+@kernel(error_model="numpy")
+def split_hsv(begin, end, colors, weights, scales, base, value, by_value):
     """Compute HSV of RGB / scale: bases (n, 3), V - V_ref (n, D) and the weights of its errors in RGB (n, D).
 
     With hue and saturation held, RGB is V times a tint: V is the nearest to the color.
     """
-    for g in prange(len(colors)):
+    for g in range(begin, end):
         largest = _largest(colors[g], weights[g])
         scale = np.float64(largest) if largest > 0.0 else 1.0
         scales[g] = scale

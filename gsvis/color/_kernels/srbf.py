@@ -11,11 +11,13 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import njit, prange, types
+from numba import njit, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
+from gsvis._kernels.compiled import inner, kernel
 from gsvis._kernels.simd import Builder, Vector
+from gsvis._kernels.threads import in_parts
 from gsvis.color._kernels.rgb import to_rgb
 
 __all__ = ["LANES", "SLOT", "WINDOW", "colors_along", "colors_from_eye", "pack"]
@@ -119,7 +121,7 @@ def _add_along(typing_context, slots, slot, lane, x, sums):
     return signature, generate
 
 
-@njit(cache=True)
+@inner
 def _pack_group(order, first, starts, offsets, terms, slots):
     """Pack the terms of one group; `order` is its part of the whole order, `first` the first Gaussian of its window."""
     centers, decays, amplitudes = terms
@@ -138,23 +140,26 @@ def _pack_group(order, first, starts, offsets, terms, slots):
                 slots[row + 4 + c, lane] = amplitudes[t, c]
 
 
-@njit(cache=True, parallel=True, nogil=True)
-def pack(order, offsets, starts, terms, slots):
+@in_parts(lambda order, offsets, starts, *_: len(starts) - 1)
+@kernel(error_model="numpy")
+def pack(begin, end, order, offsets, starts, terms, slots):
     """Pack terms into slots.
 
     Args:
+        begin: First of the thread's part; the caller leaves it out.
+        end: After the last of the part; the caller leaves it out.
         order: (N,) uint8, the Gaussians of each window by falling number of terms, from 0 in each window.
         offsets: (N + 1,) int64; the terms of Gaussian i are offsets[i]:offsets[i + 1].
         starts: (groups + 1,) int64, first slot of each group.
         terms: Centers (T, 2), decays (T,) and amplitudes (T, 3), float32.
         slots: (S * SLOT, LANES) float32, zeros; written.
     """
-    for group in prange(len(starts) - 1):
+    for group in range(begin, end):
         own = order[group * LANES : (group + 1) * LANES]
         _pack_group(own, group // GROUPS * WINDOW, starts[group], offsets, terms, slots)
 
 
-@njit(cache=True)
+@inner
 def _offsets_from_eye(means, order, eye, x):
     """Write means[order] - eye into x (3, WINDOW) float64."""
     for j in range(len(order)):
@@ -162,7 +167,7 @@ def _offsets_from_eye(means, order, eye, x):
         x[0, j], x[1, j], x[2, j] = means[i, 0] - eye[0], means[i, 1] - eye[1], means[i, 2] - eye[2]
 
 
-@njit(cache=True, error_model="numpy")
+@inner(error_model="numpy")
 def _to_unit(x, unit):
     """Write unit vectors along x (3, WINDOW) float64 as float32; +z for length 0, as for SH."""
     for j in range(x.shape[1]):
@@ -172,7 +177,7 @@ def _to_unit(x, unit):
         unit[0, j], unit[1, j], unit[2, j] = x[0, j] * inverse, x[1, j] * inverse, 1.0 if here else x[2, j] * inverse
 
 
-@njit(cache=True)
+@inner
 def _open_gates(order, first, offsets, active, gates):
     """Write 1.0 for the active terms of a group and 0.0 for the others into gates."""
     for lane in range(len(order)):
@@ -189,7 +194,7 @@ def _put(sums, order, out):
         out[i, 0], out[i, 1], out[i, 2] = sums[0, j], sums[1, j], sums[2, j]
 
 
-@njit(cache=True)
+@inner
 def _window_from_eye(window, means, eye, space, packed, active, out):
     """Write colors of one window into out (WINDOW or fewer, 3)."""
     order, offsets, starts, slots, base, scales = packed
@@ -210,11 +215,14 @@ def _window_from_eye(window, means, eye, space, packed, active, out):
     _put(sums, own, out)
 
 
-@njit(cache=True, parallel=True, nogil=True)
-def colors_from_eye(windows, means, eye, space, packed, active, out):
+@in_parts(lambda windows, *_: len(windows))
+@kernel(error_model="numpy")
+def colors_from_eye(begin, end, windows, means, eye, space, packed, active, out):
     """Compute colors from one eye.
 
     Args:
+        begin: First of the thread's part; the caller leaves it out.
+        end: After the last of the part; the caller leaves it out.
         windows: (W,) int64, the windows to compute; their colors are consecutive in `out`.
         means: (N, 3) float32.
         eye: Three float64.
@@ -224,12 +232,12 @@ def colors_from_eye(windows, means, eye, space, packed, active, out):
         active: (T,) bool, the terms to use; (0,) for all.
         out: (at least W * WINDOW, or N, 3) float32, written.
     """
-    for w in prange(len(windows)):
+    for w in range(begin, end):
         part = out[w * WINDOW : (w + 1) * WINDOW]
         _window_from_eye(windows[w], means, eye, space, packed, active, part)
 
 
-@njit(cache=True)
+@inner
 def _group_along(group, x, space, packed, out):
     order, offsets, starts, slots, base, scales = packed
     window, width = group // GROUPS, x.shape[1]
@@ -246,15 +254,18 @@ def _group_along(group, x, space, packed, out):
             out[i, d, 0], out[i, d, 1], out[i, d, 2] = sums[0, d], sums[1, d], sums[2, d]
 
 
-@njit(cache=True, parallel=True, nogil=True)
-def colors_along(x, space, packed, out):
+@in_parts(lambda x, space, packed, out: len(packed[2]) - 1)
+@kernel(error_model="numpy")
+def colors_along(begin, end, x, space, packed, out):
     """Compute colors along directions that all Gaussians share.
 
     Args:
+        begin: First of the thread's part; the caller leaves it out.
+        end: After the last of the part; the caller leaves it out.
         x: (3, D) float32, unit directions, padded to a multiple of LANES.
         space: Code of the space.
         packed: Packed terms, as in `colors_from_eye`.
         out: (N, D without padding, 3) float32, written.
     """
-    for group in prange(len(packed[2]) - 1):
+    for group in range(begin, end):
         _group_along(np.int64(group), x, space, packed, out)

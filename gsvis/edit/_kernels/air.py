@@ -6,10 +6,12 @@ Arrays are checked and contiguous; positions are in voxels.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+
+from gsvis._kernels.compiled import kernel
+from gsvis._kernels.threads import in_parts
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def mark_passed(depth, starts, directions, limit, passed):
     """Set passed (X, Y, Z) where rays get through from starts (E, 3) along directions (D, 3), each with each.
 
@@ -38,11 +40,14 @@ def mark_passed(depth, starts, directions, limit, passed):
                 x, y, z = x + dx, y + dy, z + dz
 
 
-@njit(cache=True, parallel=True, nogil=True)
-def count_places(means, axes, points, labels, counts):
+@in_parts(lambda means, *_: len(means))
+@kernel(error_model="numpy")
+def count_places(begin, end, means, axes, points, labels, counts):
     """Count in which kinds of voxels the mass of each Gaussian lies.
 
     Args:
+        begin: First of the thread's part; the caller leaves it out.
+        end: After the last of the part; the caller leaves it out.
         means: (N, 3) centers in voxels.
         axes: (N, 3, 3) principal axes as columns, one standard deviation long, in voxels.
         points: (P, 3) samples of a normal distribution.
@@ -50,7 +55,7 @@ def count_places(means, axes, points, labels, counts):
         counts: (N, 3) result, number of the points in voxels of each kind; those outside the grid count as kind 0.
     """
     nx, ny, nz = labels.shape
-    for n in prange(len(means)):
+    for n in range(begin, end):
         for kind in range(3):
             counts[n, kind] = 0
         for p in range(len(points)):

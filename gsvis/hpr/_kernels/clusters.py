@@ -9,8 +9,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
+from gsvis._kernels.compiled import inner, kernel
+from gsvis._kernels.threads import in_parts
 from gsvis.hpr._kernels.reach import CLUSTER
 from gsvis.hpr._kernels.sphere import CLAMP, DILATION, NEAR
 
@@ -19,7 +21,7 @@ _MARGIN = 1.0  # pixels; members are placed in float32
 _SKEW = math.sqrt(1.0 + 2.0 * CLAMP * CLAMP)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def bound_clusters(near, out, columns):
     """Write the bounds of each run of CLUSTER rows into out (B, 8) float32, and its rows as columns.
 
@@ -41,12 +43,12 @@ def bound_clusters(near, out, columns):
             out[b, 7] = max(out[b, 7], near[i, 4])
 
 
-@njit(cache=True)
+@inner
 def _least_tangent(u, z_low, z_high):
     return u / z_high if u >= 0.0 else u / z_low
 
 
-@njit(cache=True)
+@inner
 def _first_pixel(place, size):
     return np.int16(min(max(math.floor(min(max(place, -1.0), size + 1.0)), 0), size))
 
@@ -78,14 +80,15 @@ def _place(z_low, z_high, u_low, u_high, v_low, v_high, reach, sigmas, size, out
     out[2], out[3] = _first_pixel(y_low, size), min(_first_pixel(y_high, size), size - 1)
 
 
-@njit(cache=True, parallel=True, nogil=True)
-def place_clusters(bounds, eye, size, nearest, rectangles):
+@in_parts(lambda bounds, *_: (len(bounds) + _CHUNK - 1) // _CHUNK)
+@kernel(error_model="numpy")
+def place_clusters(begin, end, bounds, eye, size, nearest, rectangles):
     """Write a lower bound of the squared distance of each cluster's members, and its rectangle on each face.
 
     `nearest` (B,) is float32 and rounded like the distances of members. `rectangles` (6, B, 4) is int16: first and
     last column, first and last row; empty where no member reaches the face.
     """
-    for chunk in prange((len(bounds) + _CHUNK - 1) // _CHUNK):
+    for chunk in range(begin, end):
         gaps = np.empty(3, np.float32)
         low, high = np.empty(3), np.empty(3)
         for b in range(_CHUNK * chunk, min(len(bounds), _CHUNK * chunk + _CHUNK)):
@@ -104,7 +107,7 @@ def place_clusters(bounds, eye, size, nearest, rectangles):
                 )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def list_clusters(order, rectangles, lists, counts):
     """Write the clusters that reach each face, in the given order, into lists (6, B); counts[face] of them."""
     for face in range(6):

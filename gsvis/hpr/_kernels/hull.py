@@ -8,24 +8,29 @@ All arrays are checked and contiguous float64; the eye is the origin. A *cell* i
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
+
+from gsvis._kernels.compiled import inner, kernel
+from gsvis._kernels.threads import in_parts
 
 _BLOCK = 4096
 _MOST_STEPS = 96  # of a walk from facet to facet; longer walks are abandoned, which is always safe
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def distances(points, eye, out):
+@in_parts(lambda points, *_: len(points))
+@kernel(error_model="numpy")
+def distances(begin, end, points, eye, out):
     """Write the distance of each point from the eye into out (N,), in Open3D's order of operations."""
-    for i in prange(len(points)):
+    for i in range(begin, end):
         x, y, z = points[i, 0] - eye[0], points[i, 1] - eye[1], points[i, 2] - eye[2]
         out[i] = np.sqrt((x * x + y * y) + z * z)
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def flip(points, eye, lengths, radius, out):
+@in_parts(lambda points, *_: len(points))
+@kernel(error_model="numpy")
+def flip(begin, end, points, eye, lengths, radius, out):
     """Write the spherical flip p + 2 (R - |p|) p / |p| of points seen from the eye into out (N, 3)."""
-    for i in prange(len(points)):
+    for i in range(begin, end):
         x, y, z = points[i, 0] - eye[0], points[i, 1] - eye[1], points[i, 2] - eye[2]
         twice = 2.0 * (radius - lengths[i])
         out[i, 0] = x + twice * x / lengths[i]
@@ -67,14 +72,15 @@ def direction_of(cell, size):
     return direction_on_face(face, (rest % size + 0.5) * 2.0 / size - 1.0, (rest // size + 0.5) * 2.0 / size - 1.0)
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def cells_of(flipped, size, out):
+@in_parts(lambda flipped, *_: len(flipped))
+@kernel(error_model="numpy")
+def cells_of(begin, end, flipped, size, out):
     """Write the cell of each flipped point (M, 3) into out (M,)."""
-    for i in prange(len(flipped)):
+    for i in range(begin, end):
         out[i] = cell_of(flipped[i, 0], flipped[i, 1], flipped[i, 2], size)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def in_order_of_cells(cells, count, out):
     """Write the indices of the points in the order of their cells (M,) into out (M,); stable within a cell.
 
@@ -92,21 +98,23 @@ def in_order_of_cells(cells, count, out):
     return begins
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def gather(points, order, out):
+@in_parts(lambda points, order, out: len(order))
+@kernel(error_model="numpy")
+def gather(begin, end, points, order, out):
     """Copy points in the given order into the first rows of out."""
-    for i in prange(len(order)):
+    for i in range(begin, end):
         for k in range(3):
             out[i, k] = points[order[i], k]
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def farthest_in_cells(flipped, begins, out_position, out_squared):
+@in_parts(lambda flipped, begins, *_: len(begins) - 1)
+@kernel(error_model="numpy")
+def farthest_in_cells(begin, end, flipped, begins, out_position, out_squared):
     """Find the farthest flipped point of each cell and its squared distance, -1 in empty cells.
 
     Points are in the order of cells; the first of a tie counts.
     """
-    for cell in prange(len(begins) - 1):
+    for cell in range(begin, end):
         out_position[cell], out_squared[cell] = -1, -1.0
         for i in range(begins[cell], begins[cell + 1]):
             far = flipped[i, 0] ** 2 + flipped[i, 1] ** 2 + flipped[i, 2] ** 2
@@ -141,7 +149,7 @@ def _outside_cone(points, a, b, inner, x, y, z):
     )
 
 
-@njit(cache=True)
+@inner
 def locate(points, corners, neighbors, start, most, inner, slack, x, y, z):
     """Return the facet through which the ray from `inner` toward a place leaves the hull; -1 after too many steps.
 
@@ -164,7 +172,7 @@ def locate(points, corners, neighbors, start, most, inner, slack, x, y, z):
     return -1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def insert(points, chosen, corners, neighbors, state, inner, slack, band, doubtful):
     """Add the points chosen (M,) to a convex hull, one by one, in place.
 
@@ -267,7 +275,7 @@ def insert(points, chosen, corners, neighbors, state, inner, slack, band, doubtf
     return 0
 
 
-@njit(cache=True)
+@inner
 def _close_up(corners, neighbors, facets, last):
     """Compact the live facets (first corner not -1); return their number, and the new index of facet `last`."""
     place = np.empty(facets, np.int32)
@@ -284,7 +292,7 @@ def _close_up(corners, neighbors, facets, last):
     return count, place[last]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def count_creases(points, corners, neighbors, band, out):
     """Count sides of facets at which the hull bends by more than `band`, at both their ends, into out (N,).
 
@@ -311,7 +319,7 @@ def count_creases(points, corners, neighbors, band, out):
     return 0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def facets_of_cells(points, corners, neighbors, inner, slack, reach, size, out):
     """Write a facet near the direction of each cell into out (6 size^2,): one with a corner there, or at its center."""
     out[:] = -1
@@ -328,11 +336,12 @@ def facets_of_cells(points, corners, neighbors, inner, slack, reach, size, out):
         last = np.int64(out[cell])
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def not_inside(points, corners, neighbors, starts, size, inner, slack, band, out):
+@in_parts(lambda *arguments: (len(arguments[-1]) + _BLOCK - 1) // _BLOCK)
+@kernel(error_model="numpy")
+def not_inside(begin, end, points, corners, neighbors, starts, size, inner, slack, band, out):
     """Write whether each of the first points may lie outside the hull into out (M,); False is certain by the band."""
     most = np.int64(_MOST_STEPS)  # a literal would compile `locate` once more
-    for block in prange((len(out) + _BLOCK - 1) // _BLOCK):
+    for block in range(begin, end):
         for i in range(block * _BLOCK, min(len(out), (block + 1) * _BLOCK)):
             x, y, z = points[i, 0], points[i, 1], points[i, 2]
             start = np.int64(starts[cell_of(x, y, z, size)])
@@ -340,10 +349,11 @@ def not_inside(points, corners, neighbors, starts, size, inner, slack, band, out
             out[i] = f < 0 or _above(points, corners[f, 0], corners[f, 1], corners[f, 2], x, y, z, band) >= 0
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def radial(directions, points, corners, neighbors, starts, size, inner, slack, out):
+@in_parts(lambda directions, *_: len(directions))
+@kernel(error_model="numpy")
+def radial(begin, end, directions, points, corners, neighbors, starts, size, inner, slack, out):
     """Write distances of the hull's boundary from the eye along unit directions (D, 3) into out (D,); 0 if unknown."""
-    for i in prange(len(directions)):
+    for i in range(begin, end):
         x, y, z = directions[i, 0], directions[i, 1], directions[i, 2]
         out[i] = 0.0
         start = np.int64(starts[cell_of(x, y, z, size)])

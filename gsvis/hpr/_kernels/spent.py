@@ -6,8 +6,10 @@ All arrays are checked and contiguous; world frame, relative to the eye, scene u
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
+from gsvis._kernels.compiled import kernel
+from gsvis._kernels.threads import in_parts
 from gsvis.hpr._kernels.hull import cell_of, direction_of, direction_on_face
 
 _WIDE = 0.25  # standard deviations over distance
@@ -32,8 +34,9 @@ def _whitening(quats, scales, i):
     )
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def shapes_from_eye(means, quats, scales, opacities, min_alpha, eye, toward, faces, out):
+@in_parts(lambda means, *_: len(means))
+@kernel(error_model="numpy")
+def shapes_from_eye(begin, end, means, quats, scales, opacities, min_alpha, eye, toward, faces, out):
     """Compute the shape of each Gaussian from the eye: relative centers in toward (N, 3), and a row of out (N, 5).
 
     Its face of the cubemap goes into faces (N,): 6 for Gaussians so wide that they lie on many, 7 for those too faint
@@ -43,7 +46,7 @@ def shapes_from_eye(means, quats, scales, opacities, min_alpha, eye, toward, fac
     if the eye is inside), largest angle between the center and the ring of one standard deviation, solid angle times
     opacity of the whole Gaussian, and squared distance of the eye in standard deviations.
     """
-    for i in prange(len(means)):
+    for i in range(begin, end):
         x, y, z = means[i, 0] - eye[0], means[i, 1] - eye[1], means[i, 2] - eye[2]
         toward[i, 0], toward[i, 1], toward[i, 2] = x, y, z
         far = np.sqrt(x * x + y * y + z * z)
@@ -81,8 +84,12 @@ def _deposit(thickness, cell, depth, alpha, nearest, steps_per_log):
     thickness[cell, k] -= np.log(1.0 - min(alpha, 0.999))
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def thicken(toward, quats, scales, opacities, shapes, order, begins, size, nearest, steps_per_log, thickness):
+@in_parts(lambda *_: 6)
+@kernel(error_model="numpy")
+def thicken(
+    begin, end, toward, quats, scales, opacities, shapes, order, begins, size, nearest, steps_per_log,
+    thickness,
+):  # fmt: skip
     """Add the optical thickness of Gaussians in each cell and at each depth to thickness (6 size^2, bins).
 
     Small ones are spread over their cell. Larger ones are evaluated at the centers of cells of their face where their
@@ -90,7 +97,7 @@ def thicken(toward, quats, scales, opacities, shapes, order, begins, size, neare
     the Gaussians of each face, then the wide ones. One thread works on one face.
     """
     cell_angle = 2.0 / size
-    for face in prange(6):
+    for face in range(begin, end):
         own, count = begins[face + 1] - begins[face], begins[face + 1] - begins[face] + begins[7] - begins[6]
         for k in range(count):
             wide = k >= own
@@ -152,13 +159,14 @@ def _place_on_face(x, y, z, face):
     return x / abs(z), y / abs(z)
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def find_spent_depths(thickness, limit, nearest, steps_per_log, out):
+@in_parts(lambda thickness, *_: len(thickness))
+@kernel(error_model="numpy")
+def find_spent_depths(begin, end, thickness, limit, nearest, steps_per_log, out):
     """Write the far end of the bin in which each cell's summed thickness reaches the limit into out (cells,).
 
     0 if it does at the eye itself, infinite if it does not before the last bin, which has no end.
     """
-    for cell in prange(len(thickness)):
+    for cell in range(begin, end):
         total = 0.0
         out[cell] = np.inf
         for k in range(thickness.shape[1] - 1):
@@ -168,10 +176,11 @@ def find_spent_depths(thickness, limit, nearest, steps_per_log, out):
                 break
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def centers_of_cells(size, out):
+@in_parts(lambda size, out: len(out))
+@kernel(error_model="numpy")
+def centers_of_cells(begin, end, size, out):
     """Write unit directions of the centers of all cells into out (6 size^2, 3)."""
-    for cell in prange(len(out)):
+    for cell in range(begin, end):
         x, y, z = direction_of(cell, size)
         length = np.sqrt(x * x + y * y + z * z)
         out[cell, 0], out[cell, 1], out[cell, 2] = x / length, y / length, z / length
@@ -192,14 +201,15 @@ def _deepest_near(depths, x, y, z, size):
     return best
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def nearness(toward, quats, scales, opacities, shapes, min_alpha, depths, size, out):
+@in_parts(lambda toward, *_: len(toward))
+@kernel(error_model="numpy")
+def nearness(begin, end, toward, quats, scales, opacities, shapes, min_alpha, depths, size, out):
     """Write each Gaussian's least distance over the depth to which the eye sees there into out (N,).
 
     Tested toward the center and, for Gaussians larger than half a cell, the six ends of the ellipsoid of one standard
     deviation. 0 if the eye is inside, infinite if the Gaussian is too faint to be visible.
     """
-    for i in prange(len(toward)):
+    for i in range(begin, end):
         if opacities[i] < min_alpha:
             out[i] = np.inf
             continue

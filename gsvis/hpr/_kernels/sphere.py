@@ -10,7 +10,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
+
+from gsvis._kernels.compiled import kernel
+from gsvis._kernels.threads import in_parts
 
 NEAR = 0.01
 DILATION = 0.3
@@ -30,15 +33,16 @@ def _span(w, u, radius, distance):
     return low, math.tan(min(angle + spread, 0.25 * math.pi))
 
 
-@njit(cache=True, parallel=True, nogil=True)
-def hidden_behind(near, eye, pyramid, first_row, size, out):
+@in_parts(lambda near, *_: (len(near) + _CHUNK - 1) // _CHUNK)
+@kernel(error_model="numpy")
+def hidden_behind(begin, end, near, eye, pyramid, first_row, size, out):
     """Write whether the ball around each Gaussian lies fully behind the depths under its footprint into out (M,).
 
     `pyramid` (6, rows, S) stacks the levels of largest depths: level k, of side ceil(S / 2^k), begins at row
     first_row[k]. A ball that contains the eye is never hidden.
     """
     levels = len(first_row)
-    for chunk in prange((len(near) + _CHUNK - 1) // _CHUNK):
+    for chunk in range(begin, end):
         rel = np.empty(3)
         for i in range(_CHUNK * chunk, min(len(near), _CHUNK * chunk + _CHUNK)):
             for k in range(3):

@@ -11,10 +11,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from gsvis._kernels.bits import bits_of, lowest
-from gsvis._kernels.shared import WORKERS, raise_to, take_next
+from gsvis._kernels.compiled import inner, kernel
+from gsvis._kernels.shared import raise_to, take_next
+from gsvis._kernels.threads import in_threads
 from gsvis.hpr._kernels.block import LANES, STRIDE, blend_block, take_largest
 from gsvis.hpr._kernels.reach import CLUSTER, who_reaches
 from gsvis.hpr._kernels.sphere import CLAMP, DILATION
@@ -29,7 +31,7 @@ _LOW = np.uint64(2**32 - 1)
 _UPPER = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])  # entries of a covariance among the six that are kept
 
 
-@njit(cache=True)
+@inner
 def _columns(first, last):
     """Return the bits first..last."""
     return (_ALL >> np.uint64(63 - (last - first))) << np.uint64(first)
@@ -52,7 +54,7 @@ def _pixels(center, radius, count):
     return max(first, 0), min(last, count - 1)
 
 
-@njit(cache=True)
+@inner
 def _sort(keys, room, count):
     """Sort the first keys ascending; return the array that holds them, and the other one."""
     for start in range(0, count, _RUN):
@@ -79,7 +81,7 @@ def _sort(keys, room, count):
     return keys, room
 
 
-@njit(cache=True)
+@inner
 def _grown(keys, count):
     """Return a copy of the first keys in an array of twice the length."""
     out = np.empty(2 * len(keys), np.uint64)
@@ -88,7 +90,7 @@ def _grown(keys, count):
     return out
 
 
-@njit(cache=True)
+@inner
 def _frame_box(lit, extent, corner):
     """Return the first and last column, and the first and last row, with light in the square, as pixels of the face."""
     found, y0, y1 = _NONE, np.int64(extent[1]), np.int64(-1)
@@ -103,7 +105,7 @@ def _frame_box(lit, extent, corner):
     return column + np.float32(x0), column + np.float32(x1), row + np.float32(y0), row + np.float32(y1)
 
 
-@njit(cache=True)
+@inner
 def _meet(columns, eye, face, corner, extent, half, c, lit, box, keys, held):
     """Add the members of cluster c that may reach a lit pixel of the square to the keys; return how many there are.
 
@@ -194,7 +196,7 @@ def _open(square, lit, extent):
     return extent[0] * extent[1]
 
 
-@njit(cache=True)
+@inner
 def _fill(
     scene, eye, face, corner, extent, half, spent, nearest, rectangles, order, square, lit, most, room, best
 ):  # fmt: skip
@@ -244,9 +246,28 @@ def _fill(
     return waiting, ready, spare
 
 
-@njit(cache=True)
-def _work(scene, eye, size, spent, nearest, rectangles, lists, counts, taken, best, light, depths):
-    """Take squares until none is left."""
+@in_threads(lambda scene, eye, size, *_: 6 * ((size + SQUARE - 1) // SQUARE) ** 2)
+@kernel(error_model="numpy")
+def splat_squares(
+    taken, scene, eye, size, spent, nearest, rectangles, lists, counts, best, light, depths
+):  # fmt: skip
+    """Splat what each face may see, front to back.
+
+    Args:
+        taken: (1,) int64, counts the squares taken; the caller leaves it out.
+        scene: `near`, `covars`, `columns` and `ids` of the `Splats`.
+        eye: (3,) float32.
+        size: S.
+        spent: float32.
+        nearest: (B,) float32, bound of the squared distance of each cluster.
+        rectangles: (6, B, 4) int16, where each cluster lies.
+        lists: (6, B) int64, the clusters of each face, nearest first.
+        counts: (6,) int64, how many.
+        best: (2 N,) float32, zeros; receives for each Gaussian its largest weight and the largest light in front, over
+            pixels that are not spent.
+        light: (6, S, S) float32, receives what is left behind everything, or when it fell below `spent`.
+        depths: (6, S, S) float32, receives the distance at which that happened, or inf.
+    """
     side = (size + SQUARE - 1) // SQUARE
     turn = take_next(taken)
     if turn >= 6 * side * side:
@@ -270,32 +291,7 @@ def _work(scene, eye, size, spent, nearest, rectangles, lists, counts, taken, be
         turn = take_next(taken)
 
 
-@njit(cache=True, parallel=True, nogil=True)
-def splat_squares(
-    scene, eye, size, spent, nearest, rectangles, lists, counts, taken, best, light, depths
-):  # fmt: skip
-    """Splat what each face may see, front to back.
-
-    Args:
-        scene: `near`, `covars`, `columns` and `ids` of the `Splats`.
-        eye: (3,) float32.
-        size: S.
-        spent: float32.
-        nearest: (B,) float32, bound of the squared distance of each cluster.
-        rectangles: (6, B, 4) int16, where each cluster lies.
-        lists: (6, B) int64, the clusters of each face, nearest first.
-        counts: (6,) int64, how many.
-        taken: (1,) int64, 0.
-        best: (2 N,) float32, zeros; receives for each Gaussian its largest weight and the largest light in front, over
-            pixels that are not spent.
-        light: (6, S, S) float32, receives what is left behind everything, or when it fell below `spent`.
-        depths: (6, S, S) float32, receives the distance at which that happened, or inf.
-    """
-    for _worker in prange(WORKERS):
-        _work(scene, eye, size, spent, nearest, rectangles, lists, counts, taken, best, light, depths)
-
-
-@njit(cache=True, nogil=True)
+@kernel
 def take_found(best):
     """Return the Gaussians with light (K,), ascending, and their values (2, K); fill `best` (2 N,) with 0 again."""
     count = 0

@@ -6,10 +6,11 @@ They take checked contiguous arrays, run on one thread and release the GIL. They
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from gsvis._kernels.compiled import kernel
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def unpack_quats(bits, table, columns, signs, out):
     """Write (N, 4) unit quaternions from (N,) 32 bits: index of the largest component, then 10 bits for each other.
 
@@ -32,7 +33,7 @@ def unpack_quats(bits, table, columns, signs, out):
                 out[i, place] = np.float32(out[i, place] / np.sqrt(total))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def unpack_fixed_points(stream, factors, out):
     """Write (N, 3) coordinates of (9 N,) bytes: little-endian signed 24-bit integers, times `factors` of each axis."""
     at = 0
@@ -43,14 +44,14 @@ def unpack_fixed_points(stream, factors, out):
             at += 3
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def look_up(stream, table, out):
     """Write the table values of bytes."""
     for i in range(len(stream)):
         out[i] = table[stream[i]]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def unpack_higher(rows, factors, out):
     """Write (N, K) coefficients from the first K of (N, J) bytes: their distance from 128, times `factors` of each."""
     for i in range(len(out)):
@@ -58,7 +59,7 @@ def unpack_higher(rows, factors, out):
             out[i, k] = (np.float32(rows[i, k]) - np.float32(128.0)) * factors[k]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def spread_111011(packed, low, high, chunk, out):
     """Write (N, 3) values of 11, 10 and 11 bits, scaled to the ranges (C, 3) of their chunks of `chunk` Gaussians."""
     one = np.float32(1.0)
@@ -72,7 +73,7 @@ def spread_111011(packed, low, high, chunk, out):
         out[i, 2] = low[c, 2] * (one - z) + high[c, 2] * z
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def spread_8888(packed, low, high, chunk, rgb, alpha):
     """Write (N, 3) colors in the ranges (C, 3) of their chunks, and (N,) opacities, of four bytes, red the highest."""
     one, most = np.float32(1.0), np.float32(255.0)

@@ -17,7 +17,9 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-OPTIONS: dict[str, Any] = {"cache": True, "nogil": True}
+from gsvis._kernels.compiled import inner
+
+OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "no_cfunc_wrapper": True}
 
 START = 1 << 31  # a probability of one half that has seen nothing
 TAIL = 2  # words after the last bit
@@ -48,7 +50,7 @@ def end(low, at, data, writing):
     return at + TAIL
 
 
-@njit(forceinline=True, **OPTIONS)
+@inner(forceinline=True, **OPTIONS)
 def code_tree(low, span, at, chances, start, value, bits, data, writing):
     """Write or read a value of so many bits, highest first, by 2^bits probabilities from `start` on.
 
@@ -92,7 +94,7 @@ def code_tree(low, span, at, chances, start, value, bits, data, writing):
     return node - (1 << bits), low, span, at
 
 
-@njit(forceinline=True, **OPTIONS)
+@inner(forceinline=True, **OPTIONS)
 def _read_tree(low, span, at, chances, start, bits, data):
     """Read a value; see `code_tree`. No branch depends on a bit, which a processor could not foresee."""
     node, first = np.uint64(1), np.uint64(start)

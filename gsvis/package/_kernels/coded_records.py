@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from gsvis._kernels.compiled import inner
 from gsvis._kernels.records import put, take, weight
 from gsvis.package._kernels.adaptive import OPTIONS, START, begin, code_tree, end
 
@@ -22,6 +23,8 @@ BELOW = 47
 _GRADES = 10  # of counts
 _CONTEXTS = 16 + 128 + 8  # of the second, third and fourth component of a color
 _SHAPE = 256 + 64  # probabilities of opacity and order, which come first
+_ZERO, _ONE, _THREE, _EIGHT, _STEPS, _THIRD = np.array([0, 1, 3, 8, STEPS, _SHAPE])
+"""Numbers with a type: each literal in their place would compile the called function once more."""
 
 _OPACITY, _ORDER, _MIDDLE, _SMALLEST, _TOP, _ROTATION, _COLOR, _PATH = 0, 1, 2, 3, 4, 5, 8, 12  # fields of a record
 _FIELDS = 13
@@ -66,7 +69,7 @@ def _grade(count):
     return 6 if count < 9 else 7 if count < 14 else 8 if count < 24 else 9
 
 
-@njit(forceinline=True, **OPTIONS)
+@inner(forceinline=True, **OPTIONS)
 def _code_path(low, span, at, chances, start, path, nodes, stamp, data, writing):
     """Write or read a path of DEPTH bits through the octree of a chunk; return it.
 
@@ -88,13 +91,13 @@ def _code_path(low, span, at, chances, start, path, nodes, stamp, data, writing)
             nodes[node, 0], nodes[node, 1], nodes[node, 2] = stamp, 0, 0
         place = start + (depth * _GRADES + _grade(nodes[node, 1])) * _GRADES + _grade(nodes[node, 2])
         way = path >> (DEPTH - 1 - depth) & 1
-        bit, low, span, at = code_tree(low, span, at, chances, place - 1, way, 1, data, writing)
+        bit, low, span, at = code_tree(low, span, at, chances, place - 1, way, _ONE, data, writing)
         nodes[node, 1 + bit] += 1
         node = node << 1 | bit
     return node - (1 << DEPTH), low, span, at
 
 
-@njit(**OPTIONS)
+@inner(**OPTIONS)
 def _take_record(words, i, fields, wide, v, low_bits):
     """Write the fields of a record to `v` and the lower bits of its places, of `wide` (3,) bits, to `low_bits`."""
     position, rotation, scale, levels = fields.position, fields.rotation, fields.scale, DEPTH // 3
@@ -120,7 +123,7 @@ def _take_record(words, i, fields, wide, v, low_bits):
             v[_PATH] |= (upper >> (levels - 1 - level) & 1) << (DEPTH - 1 - 3 * level - k)
 
 
-@njit(**OPTIONS)
+@inner(**OPTIONS)
 def _put_record(words, i, fields, wide, v, low_bits, bits):
     """Write a record from its fields; `bits` (2,) uint64 is room to work in."""
     position, rotation, scale, levels = fields.position, fields.rotation, fields.scale, DEPTH // 3
@@ -144,42 +147,42 @@ def _put_record(words, i, fields, wide, v, low_bits, bits):
     words[i, 0], words[i, 1] = bits[0], bits[1]
 
 
-@njit(**OPTIONS)
+@inner(**OPTIONS)
 def _code_color(low, span, at, chances, start, c, colors, data, writing):
     """Write or read the components of a base color, c, and return the state: one leads, the others are given by it.
 
     Of three, the second leads and the first and the third are differences from it. Of four, the third leads.
     """
     lead = 1 if colors == 3 else 2
-    c[lead], low, span, at = code_tree(low, span, at, chances, start, c[lead], 8, data, writing)
+    c[lead], low, span, at = code_tree(low, span, at, chances, start, c[lead], _EIGHT, data, writing)
     base, start = (c[lead] if colors == 3 else 0), start + 256
     value, tree = (c[0] - base) & 255, start + 256 * (c[lead] >> 4)
-    second, low, span, at = code_tree(low, span, at, chances, tree, value, 8, data, writing)
+    second, low, span, at = code_tree(low, span, at, chances, tree, value, _EIGHT, data, writing)
     start += 256 * 16
     value, tree = (c[3 - lead] - base) & 255, start + 256 * (second >> 1)
-    third, low, span, at = code_tree(low, span, at, chances, tree, value, 8, data, writing)
+    third, low, span, at = code_tree(low, span, at, chances, tree, value, _EIGHT, data, writing)
     start += 256 * 128
     if colors == 4:
         tree = start + 256 * (c[lead] >> 5)
-        c[3], low, span, at = code_tree(low, span, at, chances, tree, c[3], 8, data, writing)
+        c[3], low, span, at = code_tree(low, span, at, chances, tree, c[3], _EIGHT, data, writing)
     c[0], c[3 - lead] = (second + base) & 255, (third + base) & 255
     return low, span, at
 
 
-@njit(forceinline=True, **OPTIONS)
+@inner(forceinline=True, **OPTIONS)
 def _code_shape(low, span, at, chances, fields, before, v, data, writing):
     """Write or read opacity, order and ratios of the scales; return the state. `before` is the order before."""
     scale = fields.scale
-    v[_OPACITY], low, span, at = code_tree(low, span, at, chances, 0, v[_OPACITY], 8, data, writing)
+    v[_OPACITY], low, span, at = code_tree(low, span, at, chances, _ZERO, v[_OPACITY], _EIGHT, data, writing)
     place = 256 + 8 * before
-    v[_ORDER], low, span, at = code_tree(low, span, at, chances, place, v[_ORDER], 3, data, writing)
-    v[_MIDDLE], low, span, at = code_tree(low, span, at, chances, _SHAPE, v[_MIDDLE], scale, data, writing)
+    v[_ORDER], low, span, at = code_tree(low, span, at, chances, place, v[_ORDER], _THREE, data, writing)
+    v[_MIDDLE], low, span, at = code_tree(low, span, at, chances, _THIRD, v[_MIDDLE], scale, data, writing)
     place = _SHAPE + (1 << scale)
     v[_SMALLEST], low, span, at = code_tree(low, span, at, chances, place, v[_SMALLEST], scale, data, writing)
     return low, span, at
 
 
-@njit(forceinline=True, **OPTIONS)
+@inner(forceinline=True, **OPTIONS)
 def _code_top(low, span, at, chances, fields, expected, top, data, writing):
     """Write or read the largest scale, by the expected one if that is not -1; return it and the state."""
     scale, whole = fields.scale, _SHAPE + (2 << fields.scale)
@@ -188,7 +191,7 @@ def _code_top(low, span, at, chances, fields, expected, top, data, writing):
         off = top - expected + BELOW
         off = off if 0 <= off < other else other
         place = whole + (1 << scale)
-        off, low, span, at = code_tree(low, span, at, chances, place, off, STEPS, data, writing)
+        off, low, span, at = code_tree(low, span, at, chances, place, off, _STEPS, data, writing)
         if off != other:
             return (expected + off - BELOW) & ((1 << scale) - 1), low, span, at
     return code_tree(low, span, at, chances, whole, top, scale, data, writing)
@@ -216,7 +219,7 @@ def code(words, terms, low_bits, rows, fields, data, writing):
     paths = colors + 256 * (1 + _CONTEXTS)
     counts = paths + DEPTH * _GRADES * _GRADES
     chances, nodes = np.full(counts + 256 * 10, START, np.uint32), np.full((1 << DEPTH, 3), -1, np.int64)
-    v, i, count, most = np.zeros(_FIELDS, np.int64), 0, np.int64(0), (1 << fields.counts) - 1
+    v, i, count, most = np.zeros(_FIELDS, np.int64), np.int64(0), np.int64(0), (1 << fields.counts) - 1
     color, bits = v[_COLOR : _COLOR + 4], np.zeros(2, np.uint64)
     low, span, at = begin(data, writing)
     for row in range(len(rows.counts)):

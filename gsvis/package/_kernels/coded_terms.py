@@ -9,13 +9,14 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from gsvis._kernels.compiled import inner
 from gsvis._kernels.terms import near, upper_bits
 from gsvis.package._kernels.adaptive import OPTIONS, START, begin, code_tree, end
 
 _CONTEXTS = 1 + 9 + 8 + 9 + 8 + 16 + 13
 
 
-@njit(forceinline=True, **OPTIONS)
+@inner(forceinline=True, **OPTIONS)
 def _code_field(low, span, at, chances, context, value, bits, data, writing):
     """Write or read a field of 0 to 16 bits in a context; return it and the state."""
     rest, start = max(bits - 8, 0), context * 512
@@ -63,7 +64,7 @@ def code(records, firsts, fields, data, writing):
             last = np.int64(word >> np.uint64(f + p + a + d + 2 * n)) & mask if fields.others else np.int64(0)
         context = leads if firsts[i] else leads + 1 + of_before
         of_polar = polars if firsts[i] else polars + 1 + of_before
-        function, low, span, at = _code_field(low, span, at, chances, 0, function, f, data, writing)
+        function, low, span, at = _code_field(low, span, at, chances, np.int64(0), function, f, data, writing)
         lead, low, span, at = _code_field(low, span, at, chances, context, lead, n, data, writing)
         of_before = upper_bits(lead, n, 3)
         decay, low, span, at = _code_field(low, span, at, chances, decays + of_before, decay, d, data, writing)

@@ -8,7 +8,8 @@ the rounding of one exponential.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from gsvis._kernels.compiled import kernel
 
 __all__ = ["chunk_starts", "decode", "encode", "morton", "put_places"]
 
@@ -18,7 +19,7 @@ THINNEST = 11 * 64  # below the largest scale of the same Gaussian, nobody sees 
 LARGEST = np.float64(np.finfo(np.float32).max)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def morton(means, center, half, out):
     """Write places (N,) uint64 along a Morton curve of 2^63 cells, evenly spaced within `half` of the center (3,)."""
     for i in range(len(means)):
@@ -39,7 +40,7 @@ def morton(means, center, half, out):
         out[i] = code
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def log_scales(scales, out):
     """Write log-scales (N, 3) int32 in 1/64 octave, none far below the largest of a Gaussian; return those (N,)."""
     largest = np.empty(len(scales), np.int32)
@@ -55,7 +56,7 @@ def log_scales(scales, out):
     return largest
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def chunk_starts(means, largest, steps, places, most, spread, starts):
     """Cut Gaussians, in their order, into chunks whose records are fine enough for each of them.
 
@@ -94,7 +95,7 @@ def chunk_starts(means, largest, steps, places, most, spread, starts):
     return count
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def put_places(words, ids, places, bits, first):
     """Write other places into records; no place crosses the middle of a record.
 
@@ -114,7 +115,7 @@ def put_places(words, ids, places, bits, first):
             words[ids[i], bit >> 6] = word | np.uint64(places[i, k]) << np.uint64(bit & 63)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def encode(chunk, places, lows, strides, quats, levels, opacities, colors, bits, out):
     """Write the records (N, 16), zero before, of Gaussians of the given chunks.
 
@@ -167,7 +168,7 @@ def encode(chunk, places, lows, strides, quats, levels, opacities, colors, bits,
                 byte += 1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def decode(chunk, origins, steps, lows, strides, records, bits, first, roots, means, quats, scales, opacities):
     """Decode records into means (M, 3), quats (M, 4), scales (M, 3) and opacities (M,), all float32.
 

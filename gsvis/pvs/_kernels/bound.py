@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
+from gsvis._kernels.compiled import kernel
 
 _TOGETHER = 16  # factors between two logarithms; each lies in [0.05, 1e16]: no product vanishes or overflows
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def log_capitals(parts, wholes, ratio, stakes, out):
     """Write to out (K,) the logarithm of what a capital of 1 has grown to, for each of K stakes (K,).
 

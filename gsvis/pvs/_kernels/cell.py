@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from numba import njit, uint8
+from numba import uint8
 
+from gsvis._kernels.compiled import kernel
 from gsvis._kernels.faces import face_of
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def add_seen(ids, classes, viewpoints, means, centers, planes, best, sets):
     """Add V Gaussians to the largest classes best (N,) and the direction sets (N, 10).
 

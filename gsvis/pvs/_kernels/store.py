@@ -13,7 +13,7 @@ from numba import njit
 
 from gsvis._kernels.bits import lowest, ones
 
-_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True}
+_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "no_cfunc_wrapper": True}
 _CHUNK = 1024  # words of one roaring container: 65,536 positions
 _ARRAY = 4096  # most positions of a container that lists them
 

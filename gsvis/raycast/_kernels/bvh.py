@@ -9,19 +9,21 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from gsvis._kernels.compiled import inner
+
 WIDTH = 8
 _BINS = 16
 MOST_LEVELS = 56  # bound that `build` keeps: _DEEP by area, then at most log2 of 2^31 boxes by halving
 _DEEP = 24
 
 
-@njit(cache=True)
+@inner
 def _area(lo, hi):
     x, y, z = hi[0] - lo[0], hi[1] - lo[1], hi[2] - lo[2]
     return x * y + y * z + z * x
 
 
-@njit(cache=True)
+@inner
 def _bounds(order, start, stop, lo, hi, out_lo, out_hi):
     out_lo[:] = np.inf
     out_hi[:] = -np.inf

@@ -6,25 +6,29 @@ Arrays are checked and contiguous; world frame.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
+from gsvis._kernels.compiled import kernel
 from gsvis._kernels.faces import face_of
-from gsvis._kernels.shared import WORKERS, take_next
+from gsvis._kernels.shared import take_next
+from gsvis._kernels.threads import in_parts, in_threads
 from gsvis.raycast._kernels.bvh import WIDTH
 from gsvis.raycast._kernels.trace import STACK, weight_of
 
 
-@njit(cache=True, parallel=True, nogil=True)
-def faces_of(directions, centers, planes, out):
+@in_parts(lambda directions, *_: len(directions))
+@kernel(error_model="numpy")
+def faces_of(begin, end, directions, centers, planes, out):
     """Write faces of directions (D, 3) into out (D,)."""
-    for i in prange(len(directions)):
+    for i in range(begin, end):
         out[i] = face_of(directions[i, 0], directions[i, 1], directions[i, 2], centers, planes)
 
 
-@njit(cache=True, parallel=True, nogil=True)
-def gather(means, weights, viewpoints, tau, centers, planes, sets):
+@in_parts(lambda means, *_: len(means))
+@kernel(error_model="numpy")
+def gather(begin, end, means, weights, viewpoints, tau, centers, planes, sets):
     """Set the bit of the face toward every viewpoint that sees the Gaussian."""
-    for i in prange(len(means)):
+    for i in range(begin, end):
         for v in range(len(viewpoints)):
             if weights[v, i] >= tau:
                 f = face_of(
@@ -82,10 +86,11 @@ def first_free(mean, direction, free, origin, size, out):
         to_next[axis] += size / abs(direction[axis])
 
 
-@njit(cache=True, parallel=True, nogil=True)
-def trace_outward(table, content, boxes, children, targets, rays, free, origin, size, limits, tau, sets):
+@in_parts(lambda table, content, boxes, children, targets, *_: len(targets))
+@kernel(error_model="numpy")
+def trace_outward(begin, end, table, content, boxes, children, targets, rays, free, origin, size, limits, tau, sets):
     """Trace direction sets of targets (M,) hierarchy positions (-1: never visible) along rays (80, K, 3)."""
-    for i in prange(len(targets)):
+    for i in range(begin, end):
         g = targets[i]
         if g < 0:
             continue
@@ -107,29 +112,29 @@ def trace_outward(table, content, boxes, children, targets, rays, free, origin, 
                     break
 
 
-@njit(cache=True, parallel=True, nogil=True)
-def see_from_space(table, content, boxes, children, targets, rays, free, origin, size, limits, tau, seen):
+@in_threads(lambda table, content, boxes, children, targets, *_: (len(targets) + 63) // 64)
+@kernel(error_model="numpy")
+def see_from_space(taken, table, content, boxes, children, targets, rays, free, origin, size, limits, tau, seen):
     """Write into seen (M,) whether a free voxel sees targets (M,) along one of rays (R, 3), which are tried in turn."""
-    blocks, taken = (len(targets) + 63) // 64, np.zeros(1, np.int64)
-    for _worker in prange(WORKERS):
-        stack_node = np.empty(STACK, np.int64)
-        stack_near = np.empty(STACK, np.float64)
-        t_near = np.empty(WIDTH, np.float64)
-        eye = np.empty(3, np.float64)
-        block = take_next(taken)
-        while block < blocks:
-            for i in range(64 * block, min(len(targets), 64 * block + 64)):
-                g = targets[i]
-                seen[i] = False
-                if g < 0:
+    blocks = (len(targets) + 63) // 64
+    stack_node = np.empty(STACK, np.int64)
+    stack_near = np.empty(STACK, np.float64)
+    t_near = np.empty(WIDTH, np.float64)
+    eye = np.empty(3, np.float64)
+    block = take_next(taken)
+    while block < blocks:
+        for i in range(64 * block, min(len(targets), 64 * block + 64)):
+            g = targets[i]
+            seen[i] = False
+            if g < 0:
+                continue
+            for k in range(len(rays)):
+                if not first_free(table[g, :3], rays[k], free, origin, size, eye):
                     continue
-                for k in range(len(rays)):
-                    if not first_free(table[g, :3], rays[k], free, origin, size, eye):
-                        continue
-                    weight = weight_of(
-                        table, content, boxes, children, eye, -rays[k], g, limits, tau, stack_node, stack_near, t_near
-                    )
-                    if weight >= tau:
-                        seen[i] = True
-                        break
-            block = take_next(taken)
+                weight = weight_of(
+                    table, content, boxes, children, eye, -rays[k], g, limits, tau, stack_node, stack_near, t_near
+                )
+                if weight >= tau:
+                    seen[i] = True
+                    break
+        block = take_next(taken)

@@ -9,6 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numba import get_thread_id, njit, prange
 
+from gsvis._kernels.compiled import inner, kernel
+from gsvis._kernels.threads import in_parts
 from gsvis.raycast._kernels.bvh import MOST_LEVELS, WIDTH
 from gsvis.raycast._kernels.simd import meets_eight
 
@@ -53,7 +55,7 @@ def before(table, content, i, depth_i, j, depth_j):
     return False
 
 
-@njit(cache=True)
+@inner
 def sort_hits(table, content, ids, alphas, depths, count):
     """Order the first `count` hits front to back, in place (shell sort: short, nearly sorted lists)."""
     for gap in (132, 57, 23, 10, 4, 1):
@@ -66,7 +68,7 @@ def sort_hits(table, content, ids, alphas, depths, count):
             ids[j], alphas[j], depths[j] = g, a, t
 
 
-@njit(cache=True)
+@inner
 def count_until_spent(alphas, count, min_transmittance):
     """Return how many of the sorted hits count: up to the one where transmittance falls below the bound."""
     transmittance = 1.0
@@ -77,7 +79,7 @@ def count_until_spent(alphas, count, min_transmittance):
     return count
 
 
-@njit(cache=True)
+@inner
 def trace_ray(
     table, content, boxes, children, ray_o, ray_d, limits, ids, alphas, depths, stack_node, stack_near, t_near
 ):
@@ -139,7 +141,7 @@ def trace_ray(
     return count_until_spent(alphas, count, min_transmittance), ids, alphas, depths
 
 
-@njit(cache=True)
+@inner
 def weight_of(table, content, boxes, children, ray_o, ray_d, target, limits, floor, stack_node, stack_near, t_near):
     """Return the weight of one Gaussian on one ray, or 0 below `floor`, so that hidden Gaussians end early.
 
@@ -191,11 +193,11 @@ def weight_of(table, content, boxes, children, ray_o, ray_d, target, limits, flo
     return alpha * left
 
 
-@njit(cache=True, parallel=True, nogil=True)
-def weights_of(table, content, boxes, children, rays_o, rays_d, targets, limits, floor, out):
+@in_parts(lambda table, content, boxes, children, rays_o, *_: (len(rays_o) + 255) // 256)
+@kernel(error_model="numpy")
+def weights_of(begin, end, table, content, boxes, children, rays_o, rays_d, targets, limits, floor, out):
     """Write the weight of targets[r] on ray r into out (R,)."""
-    blocks = (len(rays_o) + 255) // 256
-    for block in prange(blocks):
+    for block in range(begin, end):
         stack_node = np.empty(STACK, np.int64)
         stack_near = np.empty(STACK, np.float64)
         t_near = np.empty(WIDTH, np.float64)
@@ -216,14 +218,15 @@ def weights_of(table, content, boxes, children, rays_o, rays_d, targets, limits,
             )
 
 
-@njit(cache=True, parallel=True, nogil=True)
+@in_parts(lambda table, content, boxes, children, rays_o, *_: (len(rays_o) + 63) // 64)
+@kernel(error_model="numpy")
 def trace_rays(
-    table, content, boxes, children, rays_o, rays_d, limits, out_count, out_ids, out_alphas, out_weights, out_depths
-):
+    begin, end, table, content, boxes, children, rays_o, rays_d, limits, out_count, out_ids, out_alphas,
+    out_weights, out_depths,
+):  # fmt: skip
     """Trace many rays into (R, capacity) arrays; `out_count` holds the true number, which may exceed the capacity."""
     capacity = out_ids.shape[1]
-    blocks = (len(rays_o) + 63) // 64
-    for block in prange(blocks):
+    for block in range(begin, end):
         ids = np.empty(512, np.int64)
         alphas = np.empty(512, np.float64)
         depths = np.empty(512, np.float32)
@@ -261,16 +264,18 @@ def store(ids, alphas, depths, count, out_ids, out_alphas, out_weights, out_dept
         transmittance *= 1.0 - alphas[i]
 
 
-@njit(cache=True, parallel=True, nogil=True)
+@in_parts(lambda table, content, rays_o, *_: len(rays_o))
+@kernel(error_model="numpy")
 def weigh_candidates(
-    table, content, rays_o, rays_d, limits, offsets, candidates, out_count, out_alphas, out_weights, out_depths
-):
+    begin, end, table, content, rays_o, rays_d, limits, offsets, candidates, out_count, out_alphas, out_weights,
+    out_depths,
+):  # fmt: skip
     """Evaluate, sort and cut the candidates of each ray in place: ray r owns offsets[r]:offsets[r + 1].
 
     `candidates` are distinct positions within a ray; on return its first out_count[r] entries are the hits.
     """
     min_alpha, max_alpha, min_transmittance = limits
-    for r in prange(len(rays_o)):
+    for r in range(begin, end):
         start, stop = offsets[r], offsets[r + 1]
         ids = np.empty(stop - start, np.int64)
         alphas = np.empty(stop - start, np.float64)
@@ -300,11 +305,10 @@ def weigh_candidates(
         )
 
 
-@njit(cache=True, parallel=True, nogil=True)
+@kernel(parallel=True)
 def largest_weights(table, content, boxes, children, rays_o, rays_d, limits, out):
     """Write the largest weight of every Gaussian over the rays into out (threads, N) float32, one row per thread."""
-    blocks = (len(rays_o) + 63) // 64
-    for block in prange(blocks):
+    for block in prange((len(rays_o) + 63) // 64):
         row = out[get_thread_id()]
         ids = np.empty(512, np.int64)
         alphas = np.empty(512, np.float64)
@@ -334,14 +338,18 @@ def largest_weights(table, content, boxes, children, rays_o, rays_d, limits, out
                 transmittance *= 1.0 - alphas[i]
 
 
-@njit(cache=True, parallel=True, nogil=True)
-def pack(owners, offsets, rays, ids, alphas, weights, depths, out_ids, out_alphas, out_weights, out_depths):
+@in_parts(lambda owners, offsets, rays, *_: len(rays))
+@kernel(error_model="numpy")
+def pack(
+    begin, end, owners, offsets, rays, ids, alphas, weights, depths, out_ids, out_alphas, out_weights,
+    out_depths,
+):  # fmt: skip
     """Copy padded rows into CSR arrays, with positions converted to Gaussians by `owners`.
 
     Row i holds ray rays[i]; rows too short for their ray are skipped.
     """
     capacity = ids.shape[1]
-    for i in prange(len(rays)):
+    for i in range(begin, end):
         start, stop = offsets[rays[i]], offsets[rays[i] + 1]
         if stop - start <= capacity:
             for k in range(stop - start):

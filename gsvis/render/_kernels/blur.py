@@ -6,22 +6,25 @@ torch's convolution of single-channel planes takes several times as long on a CP
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+
+from gsvis._kernels.compiled import kernel
+from gsvis._kernels.threads import in_parts
 
 _ROWS = 32  # of one task
 
 
-@njit(parallel=True, fastmath={"contract"}, cache=True)
-def blur(planes, window, margin, out):
+@in_parts(lambda planes, window, margin, out: len(planes) * ((out.shape[1] + _ROWS - 1) // _ROWS))
+@kernel(fastmath={"contract"}, error_model="numpy")
+def blur(begin, end, planes, window, margin, out):
     """Correlate (B, H, W) planes, with `margin` rows and columns of zeros around each, with window x window.
 
     Only whole windows count: `out` is (B, H + 2 margin - len(window) + 1, W + 2 margin - len(window) + 1).
     """
-    count, height, width = planes.shape
+    height, width = planes.shape[1:]
     taps = len(window)
     out_height, out_width = out.shape[1], out.shape[2]
     bands = (out_height + _ROWS - 1) // _ROWS
-    for task in prange(count * bands):
+    for task in range(begin, end):
         plane, band = task // bands, task % bands
         row = np.zeros(width + 2 * margin, planes.dtype)
         inner = row[margin : margin + width]

@@ -9,14 +9,16 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
+from gsvis._kernels.compiled import inner, kernel
 from gsvis._kernels.shared import WORKERS, take_next
+from gsvis._kernels.threads import in_threads
 
 BLOCK = 1 << 13  # splats that one thread takes at a time
 DIGIT = 11  # most bits sorted by in one pass
 _SHORT = 32  # runs up to this length are sorted by insertion
 
 
-@njit(cache=True, parallel=True, nogil=True)
+@kernel(parallel=True)
 def join_keys(bits, least, out):
     """Join bits (M,) uint32, less the least of them, and indices into out (M,) uint64."""
     for block in prange((len(bits) + BLOCK - 1) // BLOCK):
@@ -24,7 +26,7 @@ def join_keys(bits, least, out):
             out[m] = (np.uint64(bits[m] - least) << np.uint64(32)) | np.uint64(m)
 
 
-@njit(cache=True, parallel=True, nogil=True)
+@kernel(parallel=True)
 def count_digits(keys, shift, counts):
     """Count the digits above bit `shift` of the keys of each block into counts (blocks, digits)."""
     mask, taken = np.uint64(counts.shape[1] - 1), np.zeros(1, np.int64)
@@ -48,7 +50,7 @@ def place_blocks(counts, ends):
         ends[group] = total
 
 
-@njit(cache=True, parallel=True, nogil=True)
+@kernel(parallel=True)
 def move_keys(keys, shift, places, out):
     """Move keys to their places (blocks, digits), which are counted up; equal digits keep their order."""
     mask, taken = np.uint64(places.shape[1] - 1), np.zeros(1, np.int64)
@@ -111,7 +113,7 @@ def _sort_short(order, start, stop, ids, means, rest, near, first):
         order[at] = m
 
 
-@njit(cache=True)
+@inner
 def _sort_long(order, start, stop, ids, means, rest):
     """Sort a run by merging."""
     scratch = np.empty(stop - start, order.dtype)
@@ -135,38 +137,38 @@ def _sort_long(order, start, stop, ids, means, rest):
         width *= 2
 
 
-@njit(cache=True, parallel=True, nogil=True)
-def order_ties(keys, ids, means, scales, quats, opacities, sh0, order):
+@in_threads(lambda keys, *_: (len(keys) + BLOCK - 1) // BLOCK)
+@kernel(error_model="numpy")
+def order_ties(taken, keys, ids, means, scales, quats, opacities, sh0, order):
     """Write the splats of sorted keys into order (M,), runs of equal depth by content, and equal content by index.
 
     All content is (N, columns). A run belongs to the block in which it begins.
     """
     rest, depth, index = (scales, quats, opacities, sh0), np.uint64(32), np.uint64(0xFFFFFFFF)
-    blocks, taken = (len(keys) + BLOCK - 1) // BLOCK, np.zeros(1, np.int64)
-    for _worker in prange(WORKERS):
+    blocks = (len(keys) + BLOCK - 1) // BLOCK
+    block = take_next(taken)
+    near = np.empty((BLOCK + _SHORT if block < blocks else 0, 3), np.float32)
+    while block < blocks:
+        first, last = block * BLOCK, min(len(keys), (block + 1) * BLOCK)
+        while 0 < first < last and keys[first] >> depth == keys[first - 1] >> depth:
+            first += 1
+        while first < last < len(keys) and keys[last] >> depth == keys[last - 1] >> depth:
+            last += 1
+        tied = False
+        for k in range(first, last):  # apart from the sorting: here no load waits for a comparison
+            order[k] = np.int32(keys[k] & index)
+            follows, tied = tied, k + 1 < last and keys[k] >> depth == keys[k + 1] >> depth
+            if (follows or tied) and k - first < len(near):
+                i = ids[order[k]]
+                near[k - first, 0], near[k - first, 1], near[k - first, 2] = means[i, 0], means[i, 1], means[i, 2]
+        start = first
+        while start < last:
+            stop = start + 1
+            while stop < last and keys[stop] >> depth == keys[start] >> depth:
+                stop += 1
+            if stop - start > _SHORT:
+                _sort_long(order, start, stop, ids, means, rest)
+            elif stop - start > 1:
+                _sort_short(order, start, stop, ids, means, rest, near, first)
+            start = stop
         block = take_next(taken)
-        near = np.empty((BLOCK + _SHORT if block < blocks else 0, 3), np.float32)
-        while block < blocks:
-            first, last = block * BLOCK, min(len(keys), (block + 1) * BLOCK)
-            while 0 < first < last and keys[first] >> depth == keys[first - 1] >> depth:
-                first += 1
-            while first < last < len(keys) and keys[last] >> depth == keys[last - 1] >> depth:
-                last += 1
-            tied = False
-            for k in range(first, last):  # apart from the sorting: here no load waits for a comparison
-                order[k] = np.int32(keys[k] & index)
-                follows, tied = tied, k + 1 < last and keys[k] >> depth == keys[k + 1] >> depth
-                if (follows or tied) and k - first < len(near):
-                    i = ids[order[k]]
-                    near[k - first, 0], near[k - first, 1], near[k - first, 2] = means[i, 0], means[i, 1], means[i, 2]
-            start = first
-            while start < last:
-                stop = start + 1
-                while stop < last and keys[stop] >> depth == keys[start] >> depth:
-                    stop += 1
-                if stop - start > _SHORT:
-                    _sort_long(order, start, stop, ids, means, rest)
-                elif stop - start > 1:
-                    _sort_short(order, start, stop, ids, means, rest, near, first)
-                start = stop
-            block = take_next(taken)

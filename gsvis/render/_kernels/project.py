@@ -13,7 +13,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from gsvis._kernels.shared import WORKERS, take_next
+from gsvis._kernels.compiled import inner, kernel
+from gsvis._kernels.shared import take_next
+from gsvis._kernels.threads import in_parts, in_threads
 
 NEAR = 0.01
 DILATION = 0.3
@@ -63,7 +65,7 @@ def _footprint(i, means, quats, scales, viewmat, intrinsics, width, height, m, r
     return x, y, z, u, v
 
 
-@njit(cache=True, fastmath=FUSED)
+@inner(fastmath=FUSED)
 def _find_candidates(means, scales, opacities, viewmat, intrinsics, width, height, first, last, out):
     """Write into out those from first to last whose footprint may reach the image, and return how many.
 
@@ -100,50 +102,49 @@ def _covariance(m):
     return xx, xy, yy, p * p + q * q + r * r
 
 
-@njit(cache=True, parallel=True, nogil=True, fastmath=FUSED)
+@in_threads(lambda *arguments: len(arguments[-1]))
+@kernel(fastmath=FUSED, error_model="numpy")
 def project(
-    means, quats, scales, opacities, viewmat, intrinsics, width, height, antialiased, ids, splats, depths, counts
+    taken, means, quats, scales, opacities, viewmat, intrinsics, width, height, antialiased, ids, splats, depths, counts
 ):
     """Project all N Gaussians; block b keeps its visible ones at 2048 b, counts[b] of them."""
     fx, fy, cx, cy = intrinsics
-    taken = np.zeros(1, np.int64)
-    for _worker in prange(WORKERS):
-        m, r = np.zeros((2, 3)), np.empty((3, 3))
+    m, r = np.zeros((2, 3)), np.empty((3, 3))
+    block = take_next(taken)
+    candidates = np.empty(_BLOCK if block < len(counts) else 0, np.int64)
+    while block < len(counts):
+        at, last = block * _BLOCK, min(len(means), (block + 1) * _BLOCK)
+        found = _find_candidates(means, scales, opacities, viewmat, intrinsics, width, height, at, last, candidates)
+        for i in candidates[:found]:
+            x, y, z, _, _ = _footprint(i, means, quats, scales, viewmat, intrinsics, width, height, m, r)
+            xx, xy, yy, det = _covariance(m)
+            full = det + DILATION * (xx + yy) + DILATION * DILATION
+            opacity = np.float64(opacities[i])
+            if antialiased:
+                opacity *= np.sqrt(det / full)
+            if opacity * 255.0 < 1.0 or not full < np.inf:
+                continue
+            reach = np.sqrt(2.0 * np.log(255.0 * opacity)) * (1.0 + 1e-6)
+            xx, yy = xx + DILATION, yy + DILATION
+            half_x, half_y = reach * np.sqrt(xx), reach * np.sqrt(yy)
+            u, v = fx * x / z + cx, fy * y / z + cy
+            if u + half_x < 0.5 or u - half_x > width - 0.5 or v + half_y < 0.5 or v - half_y > height - 0.5:
+                continue
+            ids[at] = i
+            splats[at, 0], splats[at, 1] = u, v
+            splats[at, 2], splats[at, 3], splats[at, 4] = (
+                -0.5 * LOG2E * yy / full,
+                LOG2E * xy / full,
+                -0.5 * LOG2E * xx / full,
+            )
+            splats[at, 5], splats[at, 6], splats[at, 7] = np.log2(opacity), half_x, half_y
+            depths[at] = z
+            at += 1
+        counts[block] = at - block * _BLOCK
         block = take_next(taken)
-        candidates = np.empty(_BLOCK if block < len(counts) else 0, np.int64)
-        while block < len(counts):
-            at, last = block * _BLOCK, min(len(means), (block + 1) * _BLOCK)
-            found = _find_candidates(means, scales, opacities, viewmat, intrinsics, width, height, at, last, candidates)
-            for i in candidates[:found]:
-                x, y, z, _, _ = _footprint(i, means, quats, scales, viewmat, intrinsics, width, height, m, r)
-                xx, xy, yy, det = _covariance(m)
-                full = det + DILATION * (xx + yy) + DILATION * DILATION
-                opacity = np.float64(opacities[i])
-                if antialiased:
-                    opacity *= np.sqrt(det / full)
-                if opacity * 255.0 < 1.0 or not full < np.inf:
-                    continue
-                reach = np.sqrt(2.0 * np.log(255.0 * opacity)) * (1.0 + 1e-6)
-                xx, yy = xx + DILATION, yy + DILATION
-                half_x, half_y = reach * np.sqrt(xx), reach * np.sqrt(yy)
-                u, v = fx * x / z + cx, fy * y / z + cy
-                if u + half_x < 0.5 or u - half_x > width - 0.5 or v + half_y < 0.5 or v - half_y > height - 0.5:
-                    continue
-                ids[at] = i
-                splats[at, 0], splats[at, 1] = u, v
-                splats[at, 2], splats[at, 3], splats[at, 4] = (
-                    -0.5 * LOG2E * yy / full,
-                    LOG2E * xy / full,
-                    -0.5 * LOG2E * xx / full,
-                )
-                splats[at, 5], splats[at, 6], splats[at, 7] = np.log2(opacity), half_x, half_y
-                depths[at] = z
-                at += 1
-            counts[block] = at - block * _BLOCK
-            block = take_next(taken)
 
 
-@njit(cache=True, parallel=True, nogil=True, fastmath=FUSED)
+@kernel(parallel=True, fastmath=FUSED)
 def gather_blocks(counts, starts, ids, splats, depths, out_ids, out_splats, out_depths):
     """Close the gaps that `project` leaves between blocks."""
     for block in prange(len(counts)):
@@ -154,17 +155,19 @@ def gather_blocks(counts, starts, ids, splats, depths, out_ids, out_splats, out_
                 out_splats[target, c] = splats[source, c]
 
 
-@njit(cache=True, parallel=True, nogil=True, fastmath=FUSED)
+@in_parts(lambda *arguments: (len(arguments[8]) + 255) // 256)
+@kernel(fastmath=FUSED, error_model="numpy")
 def project_backward(
-    means, quats, scales, opacities, viewmat, intrinsics, size, antialiased, ids, sums, v_means2d, v_opacities, outs
-):
+    begin, end, means, quats, scales, opacities, viewmat, intrinsics, size, antialiased, ids, sums, v_means2d,
+    v_opacities, outs,
+):  # fmt: skip
     """Gradients of one view by means, quats, scales and opacities, added into outs, from the sums of the tiles.
 
     `sums` (M, 10) is what `blend_backward` returns, summed over tiles; `v_means2d` (M, 2) receives the gradient in the
     image, in loss per pixel.
     """
     v_means, v_quats, v_scales = outs
-    for block in prange((len(ids) + 255) // 256):
+    for block in range(begin, end):
         m, r, v_r = np.zeros((2, 3)), np.empty((3, 3)), np.empty((3, 3))
         for j in range(256 * block, min(len(ids), 256 * block + 256)):
             _one_backward(

@@ -12,12 +12,14 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import njit, prange, types
+from numba import njit, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from gsvis._kernels.shared import WORKERS, take_next
+from gsvis._kernels.compiled import kernel
+from gsvis._kernels.shared import take_next
 from gsvis._kernels.simd import Builder, Vector
+from gsvis._kernels.threads import in_threads
 from gsvis.render._kernels.lanes import LANES, RECORD, STOP, T, _each_row, _load, _Record, _store
 from gsvis.render._kernels.tiles import _BATCH, _allocate, _open_tile, _prepare
 
@@ -151,8 +153,9 @@ def _turn(state, gates, residual, background, left, top, rows, columns):
             gates[r] = max(gates[r], state[r, 6, k])
 
 
-@njit(cache=True, parallel=True, nogil=True)
-def remove_tiles(splats, features, offsets, members, pair_of, tiles_x, background, residual, out):
+@in_threads(lambda splats, features, offsets, *_: len(offsets) - 1)
+@kernel(error_model="numpy")
+def remove_tiles(taken, splats, features, offsets, members, pair_of, tiles_x, background, residual, out):
     """Sums of every (tile, splat) pair into out (P, 4) float32; see `_remove`.
 
     `features` is (M, 4) float32: color, and the share of its alpha with which the splat is there. `residual` is
@@ -160,32 +163,28 @@ def remove_tiles(splats, features, offsets, members, pair_of, tiles_x, backgroun
     """
     height, width = residual.shape[:2]
     tiles = len(offsets) - 1
-    taken = np.zeros(1, np.int64)
-    for _worker in prange(WORKERS):
+    tile = take_next(taken)
+    while tile < tiles:
+        left, top = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
+        state, gates, rows, columns = _open_tile(left, top, width, height)
+        records, todo = _allocate(_BATCH * RECORD).reshape((_BATCH, RECORD)), np.empty(_BATCH, np.int64)
+        lit = np.full(1, (1 << rows) - 1)
+        first, total = offsets[tile], offsets[tile + 1] - offsets[tile]
+        reached = 0
+        for start in range(0, total, _BATCH):
+            if lit[0] == 0:
+                break
+            reached = min(start + _BATCH, total)
+            _prepare(splats, features, members, first, start, reached - start, left, top, gates, records, todo)
+            for j in range(reached - start):
+                _dim(state, records, j, todo[j] & lit[0], lit, np.float32(start + j))
+        _turn(state, gates, residual, background, left, top, rows, columns)
+        for k in range(first + reached, first + total):
+            for e in range(4):
+                out[pair_of[k], e] = 0.0
+        for start in range((reached - 1) // _BATCH * _BATCH, -1, -_BATCH):
+            count = min(_BATCH, reached - start)
+            _prepare(splats, features, members, first, start, count, left, top, gates, records, todo)
+            for j in range(count - 1, -1, -1):
+                _remove(state, records, j, todo[j], np.float32(start + j), out, np.int64(pair_of[first + start + j]))
         tile = take_next(taken)
-        while tile < tiles:
-            left, top = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
-            state, gates, rows, columns = _open_tile(left, top, width, height)
-            records, todo = _allocate(_BATCH * RECORD).reshape((_BATCH, RECORD)), np.empty(_BATCH, np.int64)
-            lit = np.full(1, (1 << rows) - 1)
-            first, total = offsets[tile], offsets[tile + 1] - offsets[tile]
-            reached = 0
-            for start in range(0, total, _BATCH):
-                if lit[0] == 0:
-                    break
-                reached = min(start + _BATCH, total)
-                _prepare(splats, features, members, first, start, reached - start, left, top, gates, records, todo)
-                for j in range(reached - start):
-                    _dim(state, records, j, todo[j] & lit[0], lit, np.float32(start + j))
-            _turn(state, gates, residual, background, left, top, rows, columns)
-            for k in range(first + reached, first + total):
-                for e in range(4):
-                    out[pair_of[k], e] = 0.0
-            for start in range((reached - 1) // _BATCH * _BATCH, -1, -_BATCH):
-                count = min(_BATCH, reached - start)
-                _prepare(splats, features, members, first, start, count, left, top, gates, records, todo)
-                for j in range(count - 1, -1, -1):
-                    _remove(
-                        state, records, j, todo[j], np.float32(start + j), out, np.int64(pair_of[first + start + j])
-                    )
-            tile = take_next(taken)

@@ -9,7 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
+from gsvis._kernels.compiled import inner, kernel
 from gsvis._kernels.shared import WORKERS, take_next
+from gsvis._kernels.threads import in_parts, in_threads
 from gsvis.render._kernels.lanes import CHANNELS, LANES, RECORD, blend, blend_backward, find_reached_rows, weigh
 
 TILE = LANES
@@ -42,7 +44,7 @@ def _tiles_between(low, high, tiles):
     return max(int(np.ceil((low + 0.5) / TILE)) - 1, 0), min(int(np.floor((high - 0.5) / TILE)), tiles - 1)
 
 
-@njit(cache=True)
+@inner
 def _box(splat, tiles_x, tiles_y):
     """First and last column, first and last row of the tiles under the box of a splat."""
     x0, x1 = _tiles_between(splat[0] - splat[6], splat[0] + splat[6], tiles_x)
@@ -50,7 +52,7 @@ def _box(splat, tiles_x, tiles_y):
     return x0, x1, y0, y1
 
 
-@njit(cache=True, parallel=True, nogil=True)
+@kernel(parallel=True)
 def count_candidates(splats, tiles_x, tiles_y, out):
     """Tiles under the boxes of the splats of each block into out (blocks,)."""
     for block in prange(len(out)):
@@ -61,7 +63,7 @@ def count_candidates(splats, tiles_x, tiles_y, out):
         out[block] = total
 
 
-@njit(cache=True, parallel=True, nogil=True)
+@kernel(parallel=True)
 def meet_tiles(splats, room, tiles_x, tiles_y, met, spans):
     """Tiles that each splat reaches into met, those of block b from room[b] on.
 
@@ -89,7 +91,7 @@ def meet_tiles(splats, room, tiles_x, tiles_y, met, spans):
             block = take_next(taken)
 
 
-@njit(cache=True)
+@inner
 def _find_met(order, start, count, spans, room, met, found):
     """Where the tiles of `count` splats of the depth order begin, how many they are and the first into found (K, 3).
 
@@ -102,7 +104,7 @@ def _find_met(order, start, count, spans, room, met, found):
         found[j, 2] = met[found[j, 0]]
 
 
-@njit(cache=True, parallel=True, nogil=True)
+@kernel(parallel=True)
 def count_tiles(order, spans, room, met, counts, pairs):
     """Count how many splats each chunk of the depth order puts into each tile: counts (chunks, tiles).
 
@@ -126,7 +128,7 @@ def count_tiles(order, spans, room, met, counts, pairs):
             chunk = take_next(taken)
 
 
-@njit(cache=True, parallel=True, nogil=True)
+@kernel(parallel=True)
 def fill_tiles(order, spans, room, met, places, first_pair, members, pair_of):
     """Write each tile's list, front to back, from places (chunks, tiles) on, which are counted up.
 
@@ -157,7 +159,7 @@ def fill_tiles(order, spans, room, met, places, first_pair, members, pair_of):
             chunk = take_next(taken)
 
 
-@njit(cache=True)
+@inner
 def _allocate(count):
     """Room for `count` float32 zeros that starts on a cache line."""
     room = np.zeros(count + 16, np.float32)
@@ -203,43 +205,47 @@ def _prepare(splats, features, members, first, place, count, left, top, gates, r
         todo[j] = find_reached_rows(records, j, gates, np.float32(place + j))
 
 
-@njit(cache=True, parallel=True, nogil=True)
-def blend_tiles(splats, features, offsets, members, tiles_x, background, image, transmittance, depth, median, stop_at):
+@in_threads(lambda splats, features, offsets, *_: len(offsets) - 1)
+@kernel(error_model="numpy")
+def blend_tiles(
+    taken, splats, features, offsets, members, tiles_x, background, image, transmittance, depth, median, stop_at,
+):  # fmt: skip
     """Render all tiles. `features` is (M, 4) float32: color and depth. Outputs are (H, W, ...)."""
     height, width = transmittance.shape
     tiles = len(offsets) - 1
-    taken = np.zeros(1, np.int64)
-    for _worker in prange(WORKERS):
+    tile = take_next(taken)
+    while tile < tiles:
+        left, top = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
+        state, gates, rows, columns = _open_tile(left, top, width, height)
+        records, todo = _allocate(_BATCH * RECORD).reshape((_BATCH, RECORD)), np.empty(_BATCH, np.int64)
+        lit = np.full(1, (1 << rows) - 1)
+        first, total = offsets[tile], offsets[tile + 1] - offsets[tile]
+        for start in range(0, total, _BATCH):
+            if lit[0] == 0:
+                break
+            count = min(_BATCH, total - start)
+            _prepare(splats, features, members, first, start, count, left, top, gates, records, todo)
+            for j in range(count):
+                blend(state, records, j, todo[j] & lit[0], lit, np.float32(start + j))
+        for r in range(rows):
+            for k in range(columns):
+                left_over = abs(state[r, 0, k])
+                y, x = top + r, left + k
+                transmittance[y, x] = left_over
+                for c in range(3):
+                    image[y, x, c] = state[r, 1 + c, k] + left_over * background[c]
+                covered = np.float32(1.0) - left_over
+                depth[y, x] = state[r, 4, k] / covered if covered > 0.0 else np.float32(0.0)
+                median[y, x] = state[r, 5, k]
+                stop_at[y, x] = state[r, 6, k]
         tile = take_next(taken)
-        while tile < tiles:
-            left, top = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
-            state, gates, rows, columns = _open_tile(left, top, width, height)
-            records, todo = _allocate(_BATCH * RECORD).reshape((_BATCH, RECORD)), np.empty(_BATCH, np.int64)
-            lit = np.full(1, (1 << rows) - 1)
-            first, total = offsets[tile], offsets[tile + 1] - offsets[tile]
-            for start in range(0, total, _BATCH):
-                if lit[0] == 0:
-                    break
-                count = min(_BATCH, total - start)
-                _prepare(splats, features, members, first, start, count, left, top, gates, records, todo)
-                for j in range(count):
-                    blend(state, records, j, todo[j] & lit[0], lit, np.float32(start + j))
-            for r in range(rows):
-                for k in range(columns):
-                    left_over = abs(state[r, 0, k])
-                    y, x = top + r, left + k
-                    transmittance[y, x] = left_over
-                    for c in range(3):
-                        image[y, x, c] = state[r, 1 + c, k] + left_over * background[c]
-                    covered = np.float32(1.0) - left_over
-                    depth[y, x] = state[r, 4, k] / covered if covered > 0.0 else np.float32(0.0)
-                    median[y, x] = state[r, 5, k]
-                    stop_at[y, x] = state[r, 6, k]
-            tile = take_next(taken)
 
 
-@njit(cache=True, parallel=True, nogil=True)
-def blend_tiles_backward(splats, features, offsets, members, pair_of, tiles_x, background, forward, gradients, out):
+@in_threads(lambda splats, features, offsets, *_: len(offsets) - 1)
+@kernel(error_model="numpy")
+def blend_tiles_backward(
+    taken, splats, features, offsets, members, pair_of, tiles_x, background, forward, gradients, out,
+):  # fmt: skip
     """Gradient sums of every (tile, splat) pair into out (P, 12) float32; see `blend_backward`.
 
     `forward` is (transmittance, depth, stop_at); `gradients` is by (image, alpha, depth).
@@ -248,48 +254,47 @@ def blend_tiles_backward(splats, features, offsets, members, pair_of, tiles_x, b
     v_image, v_alpha, v_depth = gradients
     height, width = transmittance.shape
     tiles = len(offsets) - 1
-    taken = np.zeros(1, np.int64)
-    for _worker in prange(WORKERS):
+    tile = take_next(taken)
+    while tile < tiles:
+        left, top = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
+        state, gates, rows, columns = _open_tile(left, top, width, height)
+        records, todo = _allocate(_BATCH * RECORD).reshape((_BATCH, RECORD)), np.empty(_BATCH, np.int64)
+        gates[:rows] = -1.0
+        for r in range(rows):
+            for k in range(columns):
+                y, x = top + r, left + k
+                t = transmittance[y, x]
+                covered = np.float32(1.0) - t
+                state[r, 0, k] = t
+                by_t = -v_alpha[y, x]
+                for c in range(3):
+                    state[r, 1 + c, k] = v_image[y, x, c]
+                    by_t += v_image[y, x, c] * background[c]
+                if covered > 0.0:  # depth = sum(w z) / covered
+                    state[r, 4, k] = v_depth[y, x] / covered
+                    by_t += v_depth[y, x] * depth[y, x] / covered
+                state[r, 5, k] = t * by_t
+                state[r, 6, k] = stop_at[y, x]
+                gates[r] = max(gates[r], stop_at[y, x])
+        first, total = offsets[tile], offsets[tile + 1] - offsets[tile]
+        reached = int(min(np.float64(gates.max()), np.float64(total)))  # no pixel goes beyond
+        for k in range(first + reached, first + total):
+            for e in range(10):
+                out[pair_of[k], e] = 0.0
+        for stop in range(reached, 0, -_BATCH):
+            start = max(stop - _BATCH, 0)
+            _prepare(splats, features, members, first, start, stop - start, left, top, gates, records, todo)
+            for j in range(stop - start - 1, -1, -1):
+                pair = np.int64(pair_of[first + start + j])
+                blend_backward(state, records, j, todo[j], np.float32(start + j), out, pair)
         tile = take_next(taken)
-        while tile < tiles:
-            left, top = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
-            state, gates, rows, columns = _open_tile(left, top, width, height)
-            records, todo = _allocate(_BATCH * RECORD).reshape((_BATCH, RECORD)), np.empty(_BATCH, np.int64)
-            gates[:rows] = -1.0
-            for r in range(rows):
-                for k in range(columns):
-                    y, x = top + r, left + k
-                    t = transmittance[y, x]
-                    covered = np.float32(1.0) - t
-                    state[r, 0, k] = t
-                    by_t = -v_alpha[y, x]
-                    for c in range(3):
-                        state[r, 1 + c, k] = v_image[y, x, c]
-                        by_t += v_image[y, x, c] * background[c]
-                    if covered > 0.0:  # depth = sum(w z) / covered
-                        state[r, 4, k] = v_depth[y, x] / covered
-                        by_t += v_depth[y, x] * depth[y, x] / covered
-                    state[r, 5, k] = t * by_t
-                    state[r, 6, k] = stop_at[y, x]
-                    gates[r] = max(gates[r], stop_at[y, x])
-            first, total = offsets[tile], offsets[tile + 1] - offsets[tile]
-            reached = int(min(np.float64(gates.max()), np.float64(total)))  # no pixel goes beyond
-            for k in range(first + reached, first + total):
-                for e in range(10):
-                    out[pair_of[k], e] = 0.0
-            for stop in range(reached, 0, -_BATCH):
-                start = max(stop - _BATCH, 0)
-                _prepare(splats, features, members, first, start, stop - start, left, top, gates, records, todo)
-                for j in range(stop - start - 1, -1, -1):
-                    pair = np.int64(pair_of[first + start + j])
-                    blend_backward(state, records, j, todo[j], np.float32(start + j), out, pair)
-            tile = take_next(taken)
 
 
-@njit(cache=True, parallel=True, nogil=True)
-def sum_pairs(order, first_pair, pairs, out):
+@in_parts(lambda order, *_: len(order))
+@kernel(error_model="numpy")
+def sum_pairs(begin, end, order, first_pair, pairs, out):
     """Sum the pairs of each splat, in the order of its tiles: out (M, 10) float64."""
-    for k in prange(len(order)):
+    for k in range(begin, end):
         m = order[k]
         for e in range(10):
             out[m, e] = 0.0
@@ -298,29 +303,28 @@ def sum_pairs(order, first_pair, pairs, out):
                 out[m, e] += pairs[p, e]
 
 
-@njit(cache=True, parallel=True, nogil=True)
-def weigh_tiles(splats, features, offsets, members, pair_of, tiles_x, width, height, out):
+@in_threads(lambda splats, features, offsets, *_: len(offsets) - 1)
+@kernel(error_model="numpy")
+def weigh_tiles(taken, splats, features, offsets, members, pair_of, tiles_x, width, height, out):
     """Largest and summed weight of every (tile, splat) pair into out (P, 2) float32."""
     tiles = len(offsets) - 1
-    taken = np.zeros(1, np.int64)
-    for _worker in prange(WORKERS):
+    tile = take_next(taken)
+    while tile < tiles:
+        left, top = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
+        state, gates, rows, _ = _open_tile(left, top, width, height)
+        records, todo = _allocate(_BATCH * RECORD).reshape((_BATCH, RECORD)), np.empty(_BATCH, np.int64)
+        lit = np.full(1, (1 << rows) - 1)
+        first, total = offsets[tile], offsets[tile + 1] - offsets[tile]
+        for k in range(first, first + total):
+            out[pair_of[k], 0] = 0.0
+            out[pair_of[k], 1] = 0.0
+        for start in range(0, total, _BATCH):
+            if lit[0] == 0:
+                break
+            count = min(_BATCH, total - start)
+            _prepare(splats, features, members, first, start, count, left, top, gates, records, todo)
+            for j in range(count):
+                largest, total_weight = weigh(state, records, j, todo[j] & lit[0], lit)
+                out[pair_of[first + start + j], 0] = largest
+                out[pair_of[first + start + j], 1] = total_weight
         tile = take_next(taken)
-        while tile < tiles:
-            left, top = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
-            state, gates, rows, _ = _open_tile(left, top, width, height)
-            records, todo = _allocate(_BATCH * RECORD).reshape((_BATCH, RECORD)), np.empty(_BATCH, np.int64)
-            lit = np.full(1, (1 << rows) - 1)
-            first, total = offsets[tile], offsets[tile + 1] - offsets[tile]
-            for k in range(first, first + total):
-                out[pair_of[k], 0] = 0.0
-                out[pair_of[k], 1] = 0.0
-            for start in range(0, total, _BATCH):
-                if lit[0] == 0:
-                    break
-                count = min(_BATCH, total - start)
-                _prepare(splats, features, members, first, start, count, left, top, gates, records, todo)
-                for j in range(count):
-                    largest, total_weight = weigh(state, records, j, todo[j] & lit[0], lit)
-                    out[pair_of[first + start + j], 0] = largest
-                    out[pair_of[first + start + j], 1] = total_weight
-            tile = take_next(taken)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from gsvis._kernels.compiled import kernel
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def largest_alpha(means, whitening, opacities, points, out):
     """Write the largest alpha at each point over the given Gaussians into out (P,); `whitening` is (K, 3, 3)."""
     for p in range(len(points)):

@@ -7,16 +7,17 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from gsvis._kernels.compiled import kernel
 
 __all__ = ["mark_crossed"]
 
 _STEP = 0.7  # voxels
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def mark_crossed(
     occupied: NDArray[np.bool_],
     start: NDArray[np.float64],

@@ -8,14 +8,15 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from gsvis._kernels.compiled import kernel
 
 __all__ = ["free_lengths", "splat_depth", "sum_beyond"]
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def splat_depth(
     depth: NDArray[np.float32],
     means: NDArray[np.float64],
@@ -71,7 +72,7 @@ def splat_depth(
                     depth[x, y, z] -= np.log(1.0 - alphas[i] * np.exp(-0.5 * (lateral + f * dz * dz)))
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def sum_beyond(depth: NDArray[np.float32], step: NDArray[np.int64], beyond: NDArray[np.float32]) -> Any:
     """Sum the optical depth beyond each voxel along a grid direction, up to the edge of the grid.
 
@@ -104,7 +105,7 @@ def sum_beyond(depth: NDArray[np.float32], step: NDArray[np.int64], beyond: NDAr
                 beyond[x, y, nz - 1 if sz > 0 else 0] = 0.0
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def free_lengths(
     depth: NDArray[np.float32],
     starts: NDArray[np.float64],

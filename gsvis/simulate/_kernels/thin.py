@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from numba import njit
+from gsvis._kernels.compiled import kernel
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def keep_shown(offsets, members, shown, out_offsets, out_members):
     """Write lists of tiles (`offsets` (tiles + 1,), `members` (P,)) without splats m that are not shown[m]."""
     count = 0

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True}
+_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "no_cfunc_wrapper": True}
 MOST_ORDER = 24
 MOST_BITS = 2 * 33  # of a value below 2^32, in the worst order
 

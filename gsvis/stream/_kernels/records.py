@@ -17,7 +17,7 @@ from gsvis._kernels.prefetch import prefetch
 from gsvis._kernels.records import put, take, weight
 from gsvis.stream._kernels.coder import LEAST, RAW, begin, next_bits, next_symbol, push, put_states
 
-_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True}
+_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "no_cfunc_wrapper": True}
 
 MOST_OPERATIONS = 17  # of a record
 ROW = 16  # parts of a record, see `split`

@@ -14,7 +14,7 @@ from numba import njit
 from gsvis._kernels.terms import near, upper_bits
 from gsvis.stream._kernels.coder import LEAST, RAW, begin, next_bits, next_symbol
 
-_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True}
+_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "no_cfunc_wrapper": True}
 
 MOST_OPERATIONS = 13  # of a term
 

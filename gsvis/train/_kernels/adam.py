@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+
+from gsvis._kernels.compiled import kernel
+from gsvis._kernels.threads import in_parts
 
 _BLOCK = 1 << 14
 
 
-@njit(cache=True, parallel=True, nogil=True, error_model="numpy")
-def adam_step(values, gradients, first, second, rate, beta1, beta2, eps, root):
+@in_parts(lambda values, *_: (len(values) + _BLOCK - 1) // _BLOCK)
+@kernel(error_model="numpy")
+def adam_step(begin, end, values, gradients, first, second, rate, beta1, beta2, eps, root):
     """Take one step in place: values -= rate * first / (sqrt(second) / root + eps).
 
     `rate` and `root` contain the bias corrections for moments that started at 0.
@@ -17,7 +20,7 @@ def adam_step(values, gradients, first, second, rate, beta1, beta2, eps, root):
     rate, beta1, beta2 = np.float32(rate), np.float32(beta1), np.float32(beta2)
     eps, scale, one = np.float32(eps), np.float32(1.0 / root), np.float32(1.0)
     count = len(values)
-    for block in prange((count + _BLOCK - 1) // _BLOCK):
+    for block in range(begin, end):
         for i in range(block * _BLOCK, min((block + 1) * _BLOCK, count)):
             g = gradients[i]
             m = beta1 * first[i] + (one - beta1) * g

@@ -7,7 +7,10 @@ black surroundings ("same" padding). Sums are taken by bands of rows and do not 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
+
+from gsvis._kernels.compiled import kernel
+from gsvis._kernels.threads import in_parts
 
 ROWS = 16  # rows of one task
 _C1, _C2 = np.float32(0.01**2), np.float32(0.03**2)
@@ -23,8 +26,9 @@ def _across(row, window, reach, out):
             out[x] += weight * row[x + 3 * k]
 
 
-@njit(cache=True, parallel=True, nogil=True, fastmath={"contract"}, error_model="numpy")
-def compare(image, target, window, slopes, sums):
+@in_parts(lambda *arguments: len(arguments[-1]))
+@kernel(fastmath={"contract"}, error_model="numpy")
+def compare(begin, end, image, target, window, slopes, sums):
     """Compute SSIM of every value: its sums, and its derivatives by the moments.
 
     slopes: (3, H, 3 W), out: derivatives of SSIM by the windows' mean of the image, of its square and of the product.
@@ -34,7 +38,7 @@ def compare(image, target, window, slopes, sums):
     taps = len(window)
     margin, one, two = taps // 2, np.float32(1.0), np.float32(2.0)
     reach = 3 * margin
-    for band in prange(len(sums)):
+    for band in range(begin, end):
         rows = np.zeros((5, width + 2 * reach), np.float32)
         means = np.empty((5, width), np.float32)
         difference, likeness = 0.0, 0.0
@@ -70,15 +74,16 @@ def compare(image, target, window, slopes, sums):
         sums[band, 0], sums[band, 1] = difference, likeness
 
 
-@njit(cache=True, parallel=True, nogil=True, fastmath={"contract"}, error_model="numpy")
-def slope(image, target, window, slopes, by_difference, by_likeness, out):
+@in_parts(lambda image, *_: (len(image) + ROWS - 1) // ROWS)
+@kernel(fastmath={"contract"}, error_model="numpy")
+def slope(begin, end, image, target, window, slopes, by_difference, by_likeness, out):
     """Write the gradient (H, 3 W) of by_difference * sum |image - target| + by_likeness * sum of SSIM into out."""
     height, width = image.shape
     taps = len(window)
     margin, two = taps // 2, np.float32(2.0)
     by_difference, by_likeness = np.float32(by_difference), np.float32(by_likeness)
     reach = 3 * margin
-    for band in prange((height + ROWS - 1) // ROWS):
+    for band in range(begin, end):
         rows = np.zeros((3, width + 2 * reach), np.float32)
         blurred = np.empty((3, width), np.float32)
         for y in range(band * ROWS, min((band + 1) * ROWS, height)):

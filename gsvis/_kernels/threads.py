@@ -1,0 +1,84 @@
+"""Run a compiled kernel on several of Python's threads, each with a part of the work.
+
+numba shares out a loop by itself with `parallel=True`, but then it types and optimizes the body three times over, and
+the kernel takes two to four times as long to compile. Here the kernel is a plain one that releases Python's lock
+(`nogil=True`, and `error_model="numpy"`, as numba's own threads have it). A call costs some tens of microseconds more.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import update_wrapper
+from typing import Any
+
+import numpy as np
+from numba import get_num_threads
+
+__all__ = ["in_parts", "in_threads"]
+
+_pools: dict[int, ThreadPoolExecutor] = {}
+
+
+def in_parts(count: Callable[..., int]) -> Callable[[Any], Callable[..., None]]:
+    """Make kernel(first, last, *arguments) callable as kernel(*arguments): each thread gets a part of the rows.
+
+    Args:
+        count: Returns the number of rows, from the arguments.
+    """
+
+    def wrap(kernel: Any) -> Callable[..., None]:
+        def run(*arguments: Any) -> None:
+            rows = count(*arguments)
+            threads = max(min(get_num_threads(), rows), 1)
+            ends = [rows * k // threads for k in range(threads + 1)]
+            _run_all(kernel, [(ends[k], ends[k + 1], *arguments) for k in range(threads)])
+
+        return _named_as(kernel, run)
+
+    return wrap
+
+
+def in_threads(units: Callable[..., int]) -> Callable[[Any], Callable[..., None]]:
+    """Make kernel(taken, *arguments) callable as kernel(*arguments): threads take units of work until none is left.
+
+    `taken` (1,) int64 is the counter of `take_next`, 0 at first.
+
+    Args:
+        units: Returns the number of units, from the arguments: no more threads than that are of use.
+    """
+
+    def wrap(kernel: Any) -> Callable[..., None]:
+        def run(*arguments: Any) -> None:
+            threads = max(min(get_num_threads(), units(*arguments)), 1)
+            _run_all(kernel, [(np.zeros(1, np.int64), *arguments)] * threads)
+
+        return _named_as(kernel, run)
+
+    return wrap
+
+
+def _named_as(kernel: Any, run: Callable[..., None]) -> Callable[..., None]:
+    """Return the function with the name and the documentation of a kernel, which it holds as `kernel`."""
+    update_wrapper(run, getattr(kernel, "py_func", kernel))
+    run.kernel = kernel  # type: ignore[attr-defined]
+    return run
+
+
+def _run_all(kernel: Callable[..., object], calls: list[tuple[Any, ...]]) -> None:
+    """Make all calls, the first in this thread; raise what one of them raised when all have ended."""
+    others = [_pool().submit(kernel, *call) for call in calls[1:]]
+    try:
+        kernel(*calls[0])
+    finally:
+        for other in others:
+            other.result()
+
+
+def _pool() -> ThreadPoolExecutor:
+    """Return the threads of this process: a fork has none of its parent's."""
+    if os.getpid() not in _pools:
+        _pools.clear()
+        _pools[os.getpid()] = ThreadPoolExecutor(os.cpu_count(), thread_name_prefix="gsvis-kernel")
+    return _pools[os.getpid()]
