@@ -15,7 +15,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import resource
 import shutil
 import subprocess
 import sys
@@ -171,9 +170,8 @@ def opened(world: Path, tables: Path | None) -> dict[str, float]:
         else:
             scene, _ = open_world(world, tables=tables, quality=Quality())
     assert len(scene)
-    rss = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
     return {
-        "grown": peak.bytes - before, "peak_rss": rss, "cpu_s": time.process_time() - cpu,
+        "grown": peak.bytes - before, "cpu_s": time.process_time() - cpu,
         "seconds": time.perf_counter() - began,
     }  # fmt: skip
 
