@@ -6,7 +6,7 @@ the smaller ones also in memory, as packages are. Opened again, the tables are m
 
 Given: showroom LOD 3 in one copy, tiles of at most 250,000, no trained levels, one coarse cell a tile.
 Measured: growth of the peak of private and shared memory (PSS) of a process while it opens the world, seconds of
-processor.
+    processor.
 Defaults chosen on: no scene.
 """
 
