@@ -5,7 +5,7 @@ times, until it is complete. Every task notes when it begins and when it has end
 
 Given: a built-in street of 4 houses.
 Measured: tasks that had begun and not ended at each kill, tasks that ran again though they had ended, differing files
-against a run that nobody killed.
+    against a run that nobody killed.
 Defaults chosen on: nothing.
 """
 

@@ -6,7 +6,7 @@ the smaller ones also in memory, as packages are. Opened again, the tables are m
 
 Given: showroom LOD 3 in one copy, tiles of at most 250,000, no trained levels, one coarse cell a tile.
 Measured: growth of the peak of private and shared memory (PSS) of a process while it opens the world, seconds of
-processor.
+    processor.
 Defaults chosen on: no scene.
 """
 
@@ -15,7 +15,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import resource
 import shutil
 import subprocess
 import sys
@@ -171,9 +170,8 @@ def opened(world: Path, tables: Path | None) -> dict[str, float]:
         else:
             scene, _ = open_world(world, tables=tables, quality=Quality())
     assert len(scene)
-    rss = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
     return {
-        "grown": peak.bytes - before, "peak_rss": rss, "cpu_s": time.process_time() - cpu,
+        "grown": peak.bytes - before, "cpu_s": time.process_time() - cpu,
         "seconds": time.perf_counter() - began,
     }  # fmt: skip
 

@@ -5,7 +5,7 @@ stopped goes on; its peak of memory stays in a file beside the work.
 
 Given: a scene and options on the command line.
 Measured: seconds of processor of all tasks, peak of proportional memory (PSS) of all processes, bytes of the world and
-of the kept work, each over what the dry run says.
+    of the kept work, each over what the dry run says.
 Defaults chosen on: no scene.
 """
 

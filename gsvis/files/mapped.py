@@ -102,8 +102,9 @@ class ArrayFiles:
         kind, shape, count = self._rows[name]
         size, end = kind.itemsize * int(np.prod(shape)), count if end is None else end
         file = self._files[name]
-        file.flush()
-        data = os.pread(file.fileno(), size * (end - first), size * first)
+        file.seek(size * first)
+        data = file.read(size * (end - first))
+        file.seek(0, os.SEEK_END)
         return np.frombuffer(data, kind).reshape(end - first, *shape)
 
     def write(

@@ -12,8 +12,10 @@ import hashlib
 import json
 import logging
 import os
+import shutil
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -34,7 +36,7 @@ _FORMAT = 2  # raise it when the content of the tables changes
 _LOG = logging.getLogger(__name__)
 _LOOK_S = 0.05
 _UNUSED_S = 30 * 86400.0  # after so many seconds without use, tables are removed when others are written
-_TABLES, _SETS, _LOCK = ".tables", ".pvs", ".lock"
+_TABLES, _SETS, _LOCK, _MAKING = ".tables", ".pvs", ".lock", ".making"
 
 
 class KeptTables:
@@ -142,7 +144,8 @@ def _make(package: Package, folder: Path, key: str, *, pixel: float, quality: Qu
             package.keep_store(folder / (key + _SETS))
         own = {"identity": identity_of(package.manifest, None)}
         if isinstance(package, Pieces):
-            write_tables(path, package, own, pixel=pixel, quality=quality)
+            with _empty(folder / (key + _MAKING)) as work:
+                write_tables(path, package, own, work, pixel=pixel, quality=quality)
         else:
             arrays, facts = StreamedScene.open(package, pixel=pixel, quality=quality).to_arrays()
             write_arrays(path, arrays, {**facts, **own})
@@ -150,11 +153,22 @@ def _make(package: Package, folder: Path, key: str, *, pixel: float, quality: Qu
     return MappedArrays(path)
 
 
+@contextmanager
+def _empty(folder: Path) -> Iterator[Path]:
+    """Yield an empty folder, without what a killed process left in it, and remove it."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
 def _remove_unused(folder: Path) -> None:
     """Remove tables that nobody has opened for a month."""
     now = time.time()
     for path in folder.iterdir():
-        if path.suffix in (_TABLES, _SETS, _LOCK):
+        if path.suffix in (_TABLES, _SETS, _LOCK, _MAKING):
             with suppress(OSError):
                 if now - path.stat().st_mtime > _UNUSED_S:
-                    path.unlink()
+                    shutil.rmtree(path) if path.is_dir() else path.unlink()

@@ -7,7 +7,6 @@ records with all that planners need. What is written is what `StreamedScene.from
 from __future__ import annotations
 
 import base64
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -87,7 +86,7 @@ class _Survey:
 
 
 def write_tables(
-    path: Path, package: Pieces, facts: Mapping[str, Any], *, pixel: float, quality: Quality | None
+    path: Path, package: Pieces, facts: Mapping[str, Any], work: Path, *, pixel: float, quality: Quality | None
 ) -> None:
     """Compute the tables of a package of pieces and write them.
 
@@ -95,6 +94,7 @@ def write_tables(
         path: The file.
         package: The package.
         facts: More facts to write.
+        work: An empty folder for arrays that grow, which the caller removes; as large as the tables.
         pixel: Angle of a pixel of the clients, radians.
         quality: How to round records; None means not at all.
 
@@ -102,7 +102,7 @@ def write_tables(
         OutputError: If the file cannot be written.
     """
     survey = _survey(package, quality)
-    with tempfile.TemporaryDirectory(prefix=".gsvis-", dir=path.parent) as folder, ArrayFiles(Path(folder)) as out:
+    with ArrayFiles(work) as out:
         cells, box, weights = package.cell_arrays()
         m, ranges = package.manifest, package.ranges()
         about = SceneHeader.from_manifest(m, survey.coding)

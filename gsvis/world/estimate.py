@@ -22,16 +22,20 @@ from gsvis.world.config import WorldConfig
 
 __all__ = ["WorldEstimate", "estimate_world"]
 
-# Seconds of processor for each Gaussian, and for each cell and Gaussian in and around a tile (benchmarks/world.py).
-_TILING, _SPACE_TILE, _DISTRICT = 4e-6, 0.6, 1.5e-5
-_LEVELS = 1.1e-3
-_CELL, _PACKAGE = 5e-5, 1.2e-4
-_AROUND = 7.5  # Gaussians in and around a tile, in those of the tile
+# Seconds of processor, measured on showroom LOD 2 as a world of 8 tiles (benchmarks/world_whole.py).
+_START, _TILING, _SPACE_TILE = 2.0, 1.7e-6, 0.9  # once, for each Gaussian, for each tile
+_LOOK, _DISTRICT = 0.13, 0.9  # for each look for nodes of a tile; for the districts of a tile
+_ROW_LEVELS = 2e-6  # for each Gaussian, without training
+_LEVELS, _STEP = 1.8e-4, 3.7e-6  # for each Gaussian, with training, and for each step of each lower level
+_OWN, _JOINT, _CELL = 8.6e-5, 2.2e-5, 2e-5  # for each Gaussian of a tile, each in and around it, and in each cell
+_TERMS = 4.0  # with SH: times `_OWN`, terms for each Gaussian
+_AROUND = 7.5  # most Gaussians in and around a tile, in those of the tile
 _EFFICIENCY = 0.9  # of workers beside each other
 
-_BASE, _PER_GAUSSIAN = 500 << 20, 1_000  # bytes of a worker, and for each Gaussian that it draws
-_RECORD, _SETS = 16.0, 1.2  # bytes of a package for each Gaussian, and for each cell
+_BASE, _PER_GAUSSIAN = 470 << 20, 770  # bytes of a worker, and for each Gaussian that it draws
+_RECORD, _SETS = 13.6, 0.3  # bytes of a package for each Gaussian, and for each cell and Gaussian in and around it
 _ROWS = 3  # how often a Gaussian is kept with all its values
+_SAMPLED = 1 << 19
 
 
 @dataclass(frozen=True)
@@ -101,16 +105,18 @@ def estimate_world(
     largest = int(max(expected.max(), 1))
     levels = config.package.levels
     drawn = 1.0 if levels is None else 1.0 + sum(levels.shares)
-    terms = 4.0 if degree else 0.0
+    terms = _TERMS if degree else 0.0
+    around = min(_AROUND, float(tiles))
+    looks = _JOINT + _CELL * cells
     seconds = {
-        "tiling": _TILING * count,
+        "tiling": _START + _TILING * count,
         "spaces": _SPACE_TILE * tiles,
-        "levels": 0.0 if levels is None else _LEVELS * count * levels.iterations / 250.0,
-        "districts": _DISTRICT * count,
-        "packages": (_CELL * cells * _AROUND * drawn + _PACKAGE * (1.0 + terms)) * count,
+        "levels": _ROW_LEVELS * count if levels is None else (_LEVELS + _STEP * levels.iterations) * count,
+        "districts": (_DISTRICT + _LOOK * config.looks) * tiles,
+        "packages": (looks * around * drawn + _OWN * (1.0 + terms)) * count,
     }
     row = 4 * (14 + (3 * (degree + 1) ** 2 - 3))
-    per = _RECORD * drawn + 6.0 * terms + _SETS * cells * _AROUND / 8.0
+    per = _RECORD * drawn + 6.0 * terms + _SETS * cells * around
     return WorldEstimate(
         gaussians=count,
         tiles=tiles,
@@ -119,8 +125,8 @@ def estimate_world(
         core_seconds=seconds,
         seconds=sum(seconds.values()) / max(1.0, _EFFICIENCY * min(workers, tiles)),
         workers=workers,
-        memory=_BASE + int(_PER_GAUSSIAN * largest * _AROUND * drawn),
+        memory=_BASE + int(_PER_GAUSSIAN * min(largest * around, count) * drawn),
         nbytes=int(per * count),
-        work_bytes=int((_ROWS * row + 2.0 * per) * count),
+        work_bytes=int((_ROWS * row + per) * count + row * min(count, _SAMPLED)),
         load=load,
     )

@@ -112,6 +112,7 @@ def test_tables_made_node_by_node_are_those_of_the_whole(
     path = shiny if degree else city
     scene, kept = open_world(path, tables=tmp_path, quality=quality)
     assert kept is not None
+    assert not [each for each in tmp_path.iterdir() if each.is_dir()]
     mapped = MappedArrays(next(tmp_path.glob("*.tables")))
     nbytes = float(mapped.arrays["record_sizes"][0]), float(mapped.facts["numbers"]["term_size"])
     monkeypatch.setattr(Coding, "from_contents", lambda contents, steps=None: scene.coding)
