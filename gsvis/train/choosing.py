@@ -42,7 +42,7 @@ _LATER = 0.6  # looks for a later cut to a half or less, over those for the firs
 _FEWEST = 40  # looks for a cut
 _POLLED = 200  # cameras that say how often a Gaussian is in sight
 _SELDOM = 0.02  # share of cameras below which it makes no difference
-_FAIRNESS = 1.0  # 0: worth is what an average camera loses; 1: what one loses that looks there
+_FAIRNESS = 0.5  # in rooms; 0: worth is what an average camera loses; 1: what one loses that looks there
 _TRIED = 16  # cameras from which the number of looks is found
 _BINS, _PER_OCTAVE, _LOWEST = 2048, 16, -110  # of worth, logarithm to base 2
 
@@ -222,7 +222,7 @@ def _logistic(octaves: F64) -> F64:
 
 def _rarity(n: int, cameras: Cameras, sight: InSight | None) -> F64:
     """Return (N,) a factor on worth, larger where few cameras look: small rooms count as much as halls."""
-    if sight is None:
+    if sight is None or sight.space.kind.kind != "rooms":
         return np.ones(n)
     tried = range(min(_POLLED, len(cameras)))
     seen = np.sum([sight.of(cameras[[index]]) for index in tried], axis=0, dtype=np.float64) / max(len(tried), 1)
