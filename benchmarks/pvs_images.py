@@ -18,11 +18,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _harness import add_arguments, realdata, write_result
+from _harness import add_arguments, write_result
 from numpy.typing import NDArray
-from pvs_quality import drawn, said
+from pvs_quality import drawn, read_scene, said
 
-from gsvis.cli.source import load_source
 from gsvis.pvs.build import build_pvs
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.store import VisibilityStore
@@ -65,13 +64,6 @@ def main() -> None:
         details = {"gaussians": len(g), "cells": len(grid), "cells_of_the_grid": len(whole), "found": found}
         details |= {"build": dict(store.info.config), "inner": store.certificates.inner}
     write_result(options.out, QUESTION, list_figures(found), details)
-
-
-def read_scene(options: argparse.Namespace) -> Gaussians:
-    """Return the scene, read from wherever it is."""
-    if options.scene.startswith("builtin:") or Path(options.scene).exists():
-        return load_source(options.scene, None).gaussians
-    return load_source(str(realdata() / "scenes" / options.scene / "lod-meta.json"), options.lod).gaussians
 
 
 def measure(store: VisibilityStore, g: Gaussians, viewpoints: CellViewpoints, options: argparse.Namespace) -> Rows:

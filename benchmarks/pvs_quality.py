@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from _harness import add_arguments, realdata, write_result
 
-from gsvis.io import load_scene
+from gsvis.cli.source import load_source
 from gsvis.pvs.build import build_pvs
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.config import PvsConfig
@@ -41,7 +41,7 @@ from gsvis.scene.navigable import NavigableSpace
 
 def main() -> None:
     parser = add_arguments(argparse.ArgumentParser(description=__doc__))
-    parser.add_argument("--scene", default="showroom", help="folder of scenes/, or a path")
+    parser.add_argument("--scene", default="showroom", help="folder of scenes/, a path, or builtin:NAME")
     parser.add_argument("--lod", type=int, default=3)
     parser.add_argument("--store", type=Path, help="a store of the scene; without it the drawn cells are built")
     parser.add_argument("--max-cells", type=int, default=256, help="of the grid, without --store")
@@ -56,9 +56,7 @@ def main() -> None:
     parser.add_argument("--rays", action="store_true", help="ask by ray casting, too, what is visible")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
-    path = Path(options.scene)
-    path = path if path.exists() else realdata() / "scenes" / options.scene / "lod-meta.json"
-    g = load_scene(path, lod=options.lod)
+    g = read_scene(options)
     space = NavigableSpace.from_scene(g)
     config = QualityConfig(
         cells=options.cells,
@@ -102,6 +100,13 @@ def main() -> None:
     write_result(
         options.out, "Do the visible sets hold what fresh viewpoints see, and are they small?", figures(found), details
     )
+
+
+def read_scene(options: argparse.Namespace) -> Gaussians:
+    """Return the scene, read from wherever it is."""
+    if options.scene.startswith("builtin:") or Path(options.scene).exists():
+        return load_source(options.scene, None).gaussians
+    return load_source(str(realdata() / "scenes" / options.scene / "lod-meta.json"), options.lod).gaussians
 
 
 def drawn(grid: CellGrid, count: int, seed: int) -> CellGrid:

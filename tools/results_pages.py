@@ -86,6 +86,8 @@ PAGES = {
             "pvs_memory",
             "pvs_quality",
             "pvs_images",
+            "pvs_images_two_rooms",
+            "pvs_images_box_in_room",
             "pvs_quality_nika",
             "certificate",
             "certificate_200",

@@ -178,26 +178,27 @@ class _Estimator:
         begun = stages.work.at(f"{stages.levels_name}.begun")
         views = self.config.level_views
         left = 1.0 if not (begun / SUBSETS).exists() else 0.0
-        looks = views.count * _WIDE_VIEW + left * self._choice(config)
+        choice, share = self._choice(config)
+        looks = views.count * _WIDE_VIEW + left * choice
         of_all = _STEP_SHARE + _STEP_SH * (self.levels.union.sh_degree + 1) ** 2 / 16.0
-        looks += config.iterations * of_all * sum(self.counts[:-1]) / self.counts[-1]
+        looks += config.iterations * share * of_all * sum(self.counts[:-1]) / self.counts[-1]
         seconds = looks * self.view_seconds(views)
         seconds += _LEVELS_START + _STEP * config.iterations * (len(self.counts) - 1)
         state = "to do" if left else "begun"
         what = f"{sizes}; {config.iterations:,} steps each"
         self.found.append(StageEstimate("levels", state, what, seconds, nbytes))
 
-    def _choice(self, config: LevelsConfig) -> float:
-        """Return what the choice of frozen Gaussians costs, in views."""
+    def _choice(self, config: LevelsConfig) -> tuple[float, float]:
+        """Return what the choice of frozen Gaussians costs, in views, and the share of Gaussians that a step draws."""
         stages, views = self.stages, self.config.level_views
         counts = sorted({frozen for _, frozen, _ in _sizes(stages)}, reverse=True)
         if stages.photos is not None:
             rounds = math.ceil(math.log(counts[-1] / self.counts[-1]) / math.log(1 - config.prune_share))
-            return views.count * rounds * _PRUNED_VIEW
+            return views.count * rounds * _PRUNED_VIEW, 1.0
         assert isinstance(stages.scene, Gaussians)
         tried = replace(views, count=16, fov=max(views.fov, WIDE)).cameras(stages.scene, stages.space)
         looks, share = count_looks(stages.scene, tried, counts, of=CHOOSING * views.count, space=stages.space)
-        return looks * (_LOOK + _LOOK_SHARE * share)
+        return looks * (_LOOK + _LOOK_SHARE * share), share if stages.space.kind.kind == "rooms" else 1.0
 
     def _sets(self) -> tuple[VisibilityStore | None, int, int]:
         """Return the store if it exists, bytes on disk, and memory."""

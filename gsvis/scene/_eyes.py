@@ -26,7 +26,7 @@ from gsvis.scene._occupancy import MIN_SHARE, Occupancy
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.kinds import WALKABLE, SpaceKind, find_kind, is_rooms
 
-__all__ = ["above_ground", "eye_heights", "find_eyes", "stand_around"]
+__all__ = ["above_ground", "eye_heights", "find_eyes", "stand_around", "where_people_stand"]
 
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -46,6 +46,7 @@ _HELD = "in the parts that hold the cameras"
 _SMALL = 4.0  # scene units; the sides of a smaller scene are not in meters
 _OF_SIDE = 0.3  # greatest height of eyes in narrower sides of the scene
 _LOWEST = 0.1  # least height, in greatest ones
+_STANDING = 0.4, 0.65  # heights of the eyes of people who stand, in greatest ones: 1.2 to 2 m
 _HEMMED = 0.7  # share of level directions that are stopped from which a place counts as hemmed in
 _SKY = 0.25  # least share of directions above that lead out of an open place
 _SKY_DIRECTIONS = 64  # over the sphere
@@ -150,14 +151,26 @@ def _around_object(space: Occupancy, low: F64, high: F64, up: F64) -> Mask:
     return space.largest_part(there & (heights <= np.tan(np.radians(STEEPEST)) * level))
 
 
+def where_people_stand(free: Mask, occupied: Mask, voxel_size: float, up: F64) -> Mask:
+    """Return the free voxels (X, Y, Z) at the height of a standing person above what lies below; may be empty."""
+    greatest = _greatest_height(free.shape, voxel_size, up)
+    heights = voxel_size * _heights(occupied, up)
+    low, high = (share * greatest for share in _STANDING)
+    return np.asarray(free & (heights >= low) & (heights <= max(high, low + 2.0 * voxel_size)))
+
+
 def eye_heights(space: Occupancy, up: F64) -> tuple[float, float]:
     """Return the least and the greatest height of an eye above the ground, scene units."""
-    sides = np.array(space.depth.shape) * space.voxel_size
+    greatest = _greatest_height(space.depth.shape, space.voxel_size, up)
+    return _LOWEST * greatest, greatest
+
+
+def _greatest_height(shape: tuple[int, ...], voxel_size: float, up: F64) -> float:
+    sides = np.array(shape) * voxel_size
     greatest = _OF_SIDE * float(np.delete(sides, int(np.abs(up).argmax())).min())
     if sides.max() >= _SMALL:
         greatest = min(greatest, PERSON)
-    greatest = max(greatest, 3.0 * space.voxel_size)
-    return _LOWEST * greatest, greatest
+    return max(greatest, 3.0 * voxel_size)
 
 
 def above_ground(space: Occupancy, up: F64) -> Mask:

@@ -37,19 +37,22 @@ class InSight:
         voxels: (N,) flat index of the voxel of each Gaussian; -1 for those always in sight: outside of the grid, or
             too large.
         reaches: (N,) index of the reach of each.
+        walls: Steps in occupied voxels after which a ray ends.
     """
 
     space: NavigableSpace
     voxels: I64
     reaches: NDArray[np.int8]
+    walls: int = _WALLS
 
     @classmethod
-    def from_scene(cls, g: Gaussians, space: NavigableSpace) -> InSight:
+    def from_scene(cls, g: Gaussians, space: NavigableSpace, *, walls: int = _WALLS) -> InSight:
         """Place N Gaussians in the voxels of a space.
 
         Args:
             g: The scene.
             space: Its space; one without occupied voxels hides nothing.
+            walls: Steps in occupied voxels after which a ray ends; more err less at thin walls, and hide less.
         """
         shape = np.array(space.occupied.shape)
         places = np.floor((g.means.astype(np.float64) - space.origin) / space.voxel_size)
@@ -59,7 +62,7 @@ class InSight:
         sizes = _DEVIATIONS * g.scales.max(axis=1) / space.voxel_size
         reaches = np.searchsorted(_REACHES, sizes).astype(np.int8)
         voxels[reaches == len(_REACHES)] = -1
-        return cls(space, voxels, reaches)
+        return cls(space, voxels, reaches, walls)
 
     def of(self, camera: Cameras) -> Mask:
         """Return (N,) whether each Gaussian may be in sight of one camera."""
@@ -69,7 +72,7 @@ class InSight:
         space = self.space
         near = np.zeros(space.occupied.shape, bool)
         eye = (camera.viewpoints[0] - space.origin) / space.voxel_size
-        mark_crossed(np.ascontiguousarray(space.occupied), eye, _directions(camera), _WALLS, near)
+        mark_crossed(np.ascontiguousarray(space.occupied), eye, _directions(camera), self.walls, near)
         grown = 0
         for index, reach in enumerate(_REACHES):
             near = _grow(near, reach - grown)

@@ -9,7 +9,7 @@ lines state the rules.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.errors import SceneError
-from gsvis.scene._eyes import find_eyes, stand_around
+from gsvis.scene._eyes import find_eyes, stand_around, where_people_stand
 from gsvis.scene._occupancy import MIN_ALPHA, Occupancy, robust_box
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
@@ -30,6 +30,7 @@ F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 MAX_RESOLUTION = 384
+_LEAST_STANDING = 0.01  # share of the space below which places to stand are taken for chance
 _TRIES = 16  # targets tried for a camera
 _GIVEN = SpaceKind("given", "navigable space given by hand")
 
@@ -215,6 +216,18 @@ class NavigableSpace:
         """Return (M,) whether each of the (M, 3) points lies in a navigable voxel."""
         array = _check.floats("points", points, ("M", 3), np.float64)
         return self._look_up(self.free, array)
+
+    def where_people_stand(self) -> NavigableSpace | None:
+        """Return the part of it at the height of the eyes of standing people; None outside of rooms, or if too small.
+
+        Rooms alone: elsewhere viewpoints are at such heights anyway, or around an object.
+        """
+        if self.kind.kind != "rooms":
+            return None
+        standing = where_people_stand(self.free, self.occupied, self.voxel_size, self.up)
+        if np.count_nonzero(standing) < _LEAST_STANDING * np.count_nonzero(self.free):
+            return None
+        return replace(self, free=standing, rule=f"{self.rule}, where people stand")
 
     def sample_viewpoints(self, count: int, rng: np.random.Generator) -> F64:
         """Return (count, 3) positions, uniform in the navigable space.

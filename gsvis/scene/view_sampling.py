@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gsvis import _check
 from gsvis.errors import SceneError
@@ -15,6 +16,8 @@ from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.solid import buried
 
 __all__ = ["ViewSampling"]
+
+F64 = NDArray[np.float64]
 
 _TRIES = 32  # draws of viewpoints until enough lie outside of everything solid
 
@@ -30,6 +33,7 @@ class ViewSampling:
         fov: Horizontal field of view, degrees.
         seed: Seed of the random numbers.
         stream: Index of one of the seed's independent random streams.
+        standing: Share of the cameras at the height of people who stand, in rooms; the others are anywhere.
 
     Raises:
         ValueError: If a value is out of range.
@@ -41,12 +45,15 @@ class ViewSampling:
     fov: float = 60.0
     seed: int = 0
     stream: int = 0
+    standing: float = 0.0
 
     def __post_init__(self) -> None:
         for name, least in (("count", 0), ("width", 1), ("height", 1), ("seed", 0), ("stream", 0)):
             _check.positive_int(name, getattr(self, name), at_least=least)
         if not 1.0 <= self.fov <= 179.0:
             raise ValueError(f"fov: expected degrees in [1, 179], got {self.fov!r}")
+        if not 0.0 <= self.standing <= 1.0:
+            raise ValueError(f"standing: expected a share in [0, 1], got {self.standing!r}")
 
     def cameras(self, g: Gaussians | Levels, navigable: NavigableSpace) -> Cameras:
         """Draw the cameras.
@@ -59,13 +66,22 @@ class ViewSampling:
             SceneError: If too few viewpoints lie outside of everything solid.
         """
         rng, union = np.random.default_rng([self.seed, self.stream]), union_of(g)
+        places = navigable.where_people_stand() if self.standing else None
+        standing = 0 if places is None else round(self.standing * self.count)
+        eyes = self._draw(union, navigable, self.count - standing, rng)
+        if places is not None:
+            eyes = np.concatenate([eyes, self._draw(union, places, standing, rng)])[rng.permutation(self.count)]
+        return navigable.cameras_at(eyes, rng, width=self.width, height=self.height, fov=self.fov)
+
+    def _draw(self, union: Gaussians, places: NavigableSpace, count: int, rng: np.random.Generator) -> F64:
+        """Return (count, 3) viewpoints in some part of navigable space, outside of everything solid."""
         eyes = np.zeros((0, 3))
         for _ in range(_TRIES):
-            drawn = navigable.sample_viewpoints(self.count, rng)
+            drawn = places.sample_viewpoints(count, rng)
             eyes = np.concatenate([eyes, drawn[~buried(union, drawn)]])
-            if len(eyes) >= self.count:
-                return navigable.cameras_at(eyes[: self.count], rng, width=self.width, height=self.height, fov=self.fov)
+            if len(eyes) >= count:
+                return eyes[:count]
         raise SceneError(
-            f"of {self.count * _TRIES:,} viewpoints drawn in navigable space, {len(eyes):,} lie outside of everything"
+            f"of {count * _TRIES:,} viewpoints drawn in navigable space, {len(eyes):,} lie outside of everything"
             " solid; give cameras, or another navigable space"
         )

@@ -42,7 +42,6 @@ _LATER = 0.6  # looks for a later cut to a half or less, over those for the firs
 _FEWEST = 40  # looks for a cut
 _POLLED = 200  # cameras that say how often a Gaussian is in sight
 _SELDOM = 0.02  # share of cameras below which it makes no difference
-_FAIRNESS = 1.0  # 0: worth is what an average camera loses; 1: what one loses that looks there
 _TRIED = 16  # cameras from which the number of looks is found
 _BINS, _PER_OCTAVE, _LOWEST = 2048, 16, -110  # of worth, logarithm to base 2
 
@@ -68,7 +67,9 @@ def choose_subsets(
 ) -> list[Mask]:
     """Find nested subsets that keep the images of many cameras.
 
-    The worth of a Gaussian is the squared change of the images by its removal, as in `prune`. Cameras take turns.
+    The worth of a Gaussian is the squared change of the images by its removal, as in `prune`. In rooms it is divided by
+    the share of cameras that have it in sight, to the power of what goes: the thinner a level, the more a small room
+    counts. Cameras take turns.
 
     Args:
         gaussians: N Gaussians.
@@ -106,7 +107,7 @@ def choose_subsets(
         sizes.append(left)
     done, last, sums = read_rounds(work, sizes, n)
     ranks, kept = np.where(last >= 0, last, len(rounds)), np.flatnonzero(last < 0)
-    state = _State(gaussians, cameras, sight, kept, sums, _rarity(len(gaussians), cameras, sight))
+    state = _State(gaussians, cameras, sight, kept, sums, _seen(len(gaussians), cameras, sight))
     total, before = sum(len(each.cameras) for each in rounds), sum(len(each.cameras) for each in rounds[:done])
     progress("prune", before, total)
     for number, each in enumerate(rounds[done:], done):
@@ -158,18 +159,18 @@ class _State:
         sight: What each may see; None for everything.
         kept: (K,) Gaussians that stand.
         sums: (K,) sums of squared changes, older ones with less weight.
-        rarity: (N,) factor on them.
+        seen: (N,) share of the cameras that have each in sight, in rooms; 1 elsewhere.
     """
 
     def __init__(
-        self, g: Gaussians, cameras: Cameras, sight: InSight | None, kept: NDArray[np.int64], sums: F64, rarity: F64
+        self, g: Gaussians, cameras: Cameras, sight: InSight | None, kept: NDArray[np.int64], sums: F64, seen: F64
     ) -> None:
-        self.scene, self.cameras, self.sight, self.kept, self.sums, self.rarity = g, cameras, sight, kept, sums, rarity
+        self.scene, self.cameras, self.sight, self.kept, self.sums, self.seen = g, cameras, sight, kept, sums, seen
         self._left = g[kept]
 
     def look(self, batch: NDArray[np.int64], count: int) -> None:
         """Look by some cameras, while each Gaussian is there by its chance to be among `count`."""
-        chances = stay_chances(self.rarity[self.kept] * self.sums, count / len(self.kept))
+        chances = stay_chances(self._worth(count), count / len(self.kept))
         self.sums *= _OLD
         for index in batch:
             camera = self.cameras[[index]]
@@ -179,9 +180,16 @@ class _State:
             near = np.flatnonzero(self.sight.of(camera)[self.kept])
             self.sums[near] += removal_effects(self._left[near], camera, presence=chances[near]).squared
 
+    def _worth(self, count: int) -> F64:
+        """Return (K,) what each is worth, between what an average camera loses and what one loses that looks there.
+
+        The thinner the level, the nearer to the latter: small rooms count as much as halls.
+        """
+        return np.asarray(self.seen[self.kept] ** (count / len(self.scene) - 1.0) * self.sums)
+
     def cut(self, count: int) -> NDArray[np.int64]:
         """Leave the `count` of most worth; return the others."""
-        stays = most_important(self._left, self.rarity[self.kept] * self.sums, count)
+        stays = most_important(self._left, self._worth(count), count)
         gone = self.kept[~stays]
         self.kept, self.sums = self.kept[stays], _BEFORE * self.sums[stays]
         self._left = self.scene[self.kept]
@@ -220,13 +228,13 @@ def _logistic(octaves: F64) -> F64:
     return np.asarray(np.maximum(chances, _LEAST_CHANCE))
 
 
-def _rarity(n: int, cameras: Cameras, sight: InSight | None) -> F64:
-    """Return (N,) a factor on worth, larger where few cameras look: small rooms count as much as halls."""
-    if sight is None:
+def _seen(n: int, cameras: Cameras, sight: InSight | None) -> F64:
+    """Return (N,) the share of the cameras that have a Gaussian in sight, in rooms; 1 elsewhere."""
+    if sight is None or sight.space.kind.kind != "rooms":
         return np.ones(n)
     tried = range(min(_POLLED, len(cameras)))
     seen = np.sum([sight.of(cameras[[index]]) for index in tried], axis=0, dtype=np.float64) / max(len(tried), 1)
-    return np.asarray((seen + _SELDOM) ** -_FAIRNESS)
+    return np.asarray(seen + _SELDOM)
 
 
 def _share_in_sight(cameras: Cameras, sight: InSight | None) -> float:

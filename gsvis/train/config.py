@@ -69,6 +69,7 @@ class TrainConfig:
         means_rate: Learning rate of centers at the start, over the extent of the scene; falls exponentially.
         means_rate_end: Learning rate of centers at the last step.
         scales_rate, quats_rate, opacities_rate, sh0_rate, shN_rate: Learning rates of the other raw values.
+        rates_end: Factor on these at the last step; they fall to it exponentially over the second half.
         densify: When to add and remove Gaussians; None for never.
         evaluate_every: Steps between measurements on held-out views; 0 measures only at the end.
         seed: Seed of the order of views and of the positions of split Gaussians.
@@ -86,6 +87,7 @@ class TrainConfig:
     opacities_rate: float = 5e-2
     sh0_rate: float = 2.5e-3
     shN_rate: float = 1.25e-4  # noqa: N815  the field's own name
+    rates_end: float = 1.0
     densify: DensifyConfig | None = field(default_factory=DensifyConfig)
     evaluate_every: int = 1_000
     seed: int = 0
@@ -103,3 +105,5 @@ class TrainConfig:
             name = name.replace("means_end", "means_rate_end") if name == "means_end" else f"{name}_rate"
             if not 0.0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name}: expected a finite number > 0, got {getattr(self, name)}")
+        if not 0.0 < self.rates_end <= 1.0:
+            raise ValueError(f"rates_end: expected a factor in (0, 1], got {self.rates_end}")

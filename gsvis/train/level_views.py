@@ -31,6 +31,9 @@ CHOOSING = 4
 WIDE = 120.0
 """Degrees: horizontal field of view of views to choose and to train by."""
 
+STANDING = 0.5
+"""Share of views to choose and to train by, in rooms, from the height of people who stand; the others are anywhere."""
+
 _SMALLER = 2.0 / 3.0  # side of a view to train on, over that of a view to measure on
 _UNLIKE = 12.0  # dB; photos of another scene, or in another frame, are not matched better
 _DARK = 1.0 / 255.0
@@ -81,7 +84,7 @@ def draw_views(
     Raises:
         SceneError: If no viewpoint is found, or the views are empty.
     """
-    wide = replace(sampling, fov=max(sampling.fov, WIDE))
+    wide = replace(sampling, fov=max(sampling.fov, WIDE), standing=STANDING)
     small = {name: max(round(_SMALLER * getattr(sampling, name)), 1) for name in ("width", "height")}
     asked = [replace(wide, **small)]
     if held_out:

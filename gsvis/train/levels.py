@@ -43,6 +43,8 @@ SUBSETS = "subsets.npz"
 
 Mask = NDArray[np.bool_]
 
+_CHOICE = 2  # increase it when the same cameras choose other Gaussians
+
 
 @dataclass(frozen=True)
 class LevelsConfig:
@@ -146,11 +148,12 @@ class LevelsConfig:
             iterations=self.iterations,
             sh_degree=sh_degree,
             sh_every=0,
-            means_rate=6e-4,  # faster than for a scene from scratch, because there are few steps
-            means_rate_end=6e-5,
-            scales_rate=0.01,
-            opacities_rate=0.1,
-            sh0_rate=0.01,
+            means_rate=4e-4,  # faster than for a scene from scratch, because there are few steps
+            means_rate_end=4e-5,
+            scales_rate=0.006,
+            opacities_rate=0.06,
+            sh0_rate=0.006,
+            rates_end=0.1,
             densify=rules,
             evaluate_every=self.evaluate_every,
             seed=self.seed,
@@ -192,7 +195,7 @@ def train_levels(
         choose_by: Cameras by which the frozen Gaussians are chosen; None for those of the views, at half their
             size. A Gaussian that none of them sees well is dropped first, so they should be many and lie everywhere,
             in random order.
-        space: Voxels that stop light, which save time where `choose_by` looks into rooms; None for none.
+        space: Voxels that stop light, which save time where cameras look into rooms; None for none.
         work: A folder for unfinished work, to resume from if it exists; it must belong to the same scene, views and
             configuration. It is kept at the end.
         progress: Called with stages "prune" and "train NAME".
@@ -239,6 +242,7 @@ def train_levels(
             config.training(total, scene.sh_degree),
             frozen=scene[stays],
             held_out=held_out,
+            space=space,
             checkpoint=None if work is None else Path(work) / f"{name}.checkpoint",
             progress=report,
         )
@@ -279,7 +283,7 @@ def _subsets(
         if space is None
         else [space_hash(space), hashlib.sha256(np.packbits(space.occupied).tobytes()).hexdigest()]
     )
-    rules = [scene_hash(scene), counts, config.prune_share, config.looks, shape, choose_by is not None, hides]
+    rules = [_CHOICE, scene_hash(scene), counts, config.prune_share, config.looks, shape, choose_by is not None, hides]
     digest = hashlib.sha256()
     for array in (views.images, views.cameras.viewmats, views.cameras.Ks, cameras.viewmats, cameras.Ks):
         digest.update(np.ascontiguousarray(array).data)

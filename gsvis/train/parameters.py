@@ -64,9 +64,16 @@ class Parameters:
     def __len__(self) -> int:
         return len(self.values["means"])
 
-    def activate(self) -> GaussianTensors:
-        """Return activated tensors for a rasterizer; gradients flow back to the raw values."""
+    def activate(self, rows: Tensor | None = None) -> GaussianTensors:
+        """Return activated tensors for a rasterizer; gradients flow back to the raw values.
+
+        Args:
+            rows: Indices of the frozen rows to return, before all others; None for all, and for gradients by them.
+        """
         v = self.values
+        if rows is not None:
+            stand = self.frozen
+            v = {name: torch.cat([t.detach()[:stand][rows], t[stand:]]) for name, t in v.items()}
         scales, opacities = v["log_scales"].exp(), v["logit_opacities"].sigmoid()
         return GaussianTensors(v["means"], v["quats"], scales, opacities, v["sh0"], v["shN"])
 

@@ -11,6 +11,7 @@ from gsvis.errors import FormatError
 from gsvis.files.resume import KeptWork
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.kinds import SpaceKind
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.train.choosing import choose_subsets, stay_chances
 from gsvis.train.importance import ROUNDS, prune
@@ -93,6 +94,28 @@ def test_a_space_limits_looks_and_asks_for_more_of_them() -> None:
         assert min(kept[:40].sum(), kept[40:].sum()) >= 7
     assert min(totals) == 60
     assert 80 < max(totals) <= 120  # a camera sees about half, or less
+
+
+def test_in_rooms_what_few_cameras_see_counts_more() -> None:
+    """Two equal rooms, one with an eighth of the cameras of the other: it keeps more if they are taken for rooms."""
+    half = scene("blobs", n=40)
+    shift = np.array([6.0, 0.0, 0.0])
+    means = np.concatenate([half.means - shift, half.means + shift])
+    g = Gaussians(means, *(np.concatenate([getattr(half, name)] * 2) for name in vars(half) if name != "means"))
+    sides = [Cameras.orbit(side, 3.0, count, width=40, height=30) for side, count in ((-shift, 64), (shift, 8))]
+    order = np.random.default_rng(0).permutation(72)
+    both = (np.concatenate([getattr(c, name) for c in sides])[order] for name in ("viewmats", "Ks"))
+    cameras = Cameras(*both, 40, 30)
+    occupied = np.zeros((48, 20, 20), bool)
+    occupied[22:26] = True
+    kept = []
+    for kind in ("rooms", "open place"):
+        where = SpaceKind(kind, "a test")
+        space = NavigableSpace(
+            np.array([-12.0, -5.0, -5.0]), 0.5, ~occupied, np.array([0.0, 0.0, 1.0]), occupied, kind=where
+        )
+        kept.append(choose_subsets(g, cameras, (16,), looks=60.0, space=space)[0][40:].sum())
+    assert kept[0] > kept[1]
 
 
 def test_choosing_refuses() -> None:

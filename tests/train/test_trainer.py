@@ -14,6 +14,8 @@ from gsvis.errors import FormatError
 from gsvis.render.rasterizer import rasterize
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.kinds import SpaceKind
+from gsvis.scene.navigable import NavigableSpace
 from gsvis.train.densify import DensifyConfig
 from gsvis.train.images import PosedImages
 from gsvis.train.likeness import mean_psnr
@@ -182,6 +184,7 @@ def test_what_cannot_be_trained_is_refused(views: PosedImages, start: Gaussians)
         ({"iterations": 0}, "iterations: expected"),
         ({"sh_degree": 4}, "sh_degree: expected 0 to 3, got 4"),
         ({"ssim_weight": 1.5}, "ssim_weight: expected a share"),
+        ({"rates_end": 0.0}, "rates_end: expected a factor"),
         ({"means_rate": 0.0}, "means_rate: expected a finite number > 0"),
         ({"means_rate_end": float("nan")}, "means_rate_end: expected a finite number > 0"),
     ],
@@ -210,3 +213,39 @@ def test_threads_do_not_change_the_course(views: PosedImages, start: Gaussians) 
     finally:
         numba.set_num_threads(threads)
         torch.set_num_threads(torch_threads)
+
+
+def test_frozen_ones_out_of_sight_are_left_out_of_a_step(
+    views: PosedImages, truth: Gaussians, start: Gaussians
+) -> None:
+    """Behind a wall of voxels they cost nothing and change nothing; where nothing is hidden, all is as without."""
+    few = replace(CONFIG, iterations=6, densify=None)
+    far = Gaussians(truth.means + np.float32(40.0), truth.quats, truth.scales, truth.opacities, truth.sh0)
+    frozen = Gaussians.concatenate([truth[:30], far])
+    occupied = np.zeros((60, 60, 60), bool)
+    up = np.array([0.0, 0.0, 1.0])
+    rooms = SpaceKind("rooms", "a test")
+    open_space = NavigableSpace(np.full(3, -10.0), 1.0, ~occupied, up, occupied, kind=rooms)
+    occupied = occupied.copy()
+    occupied[20:28] = occupied[:, 20:28] = occupied[:, :, 20:28] = True
+    walled = NavigableSpace(np.full(3, -10.0), 1.0, ~occupied, up, occupied, kind=rooms)
+    alone = Trainer(views, start[30:], few, frozen=frozen)
+    trainers = [Trainer(views, start[30:], few, frozen=frozen, space=space) for space in (open_space, walled)]
+    for trainer in (alone, *trainers):
+        for _ in range(6):
+            trainer.advance()
+    in_sight = trainers[1]._frozen_in_sight(views.cameras[0])
+    assert in_sight is not None
+    assert in_sight.max() < 30
+    for trainer in trainers:
+        for name, value in trainer.parameters.values.items():
+            torch.testing.assert_close(value, alone.parameters.values[name], rtol=1e-4, atol=1e-5)
+    assert len({trainer.key for trainer in (alone, *trainers)}) == 3
+
+
+def test_the_other_rates_fall_in_the_second_half(views: PosedImages, start: Gaussians) -> None:
+    trainer = Trainer(views, start, replace(CONFIG, iterations=61, rates_end=0.01))
+    found = []
+    for trainer.step in (0, 30, 45, 60):
+        found.append(trainer.rates()["sh0"] / CONFIG.sh0_rate)
+    np.testing.assert_allclose(found, [1.0, 1.0, 0.1, 0.01])
