@@ -60,7 +60,9 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=10.0)
     parser.add_argument("--precision", choices=("float", "half", "bytes"), default="half")
     parser.add_argument("--playcanvas", type=Path, help="playcanvas.mjs; not compared without it")
-    parser.add_argument("--spark", type=Path, help="node_modules with three and @sparkjsdev/spark; not compared without")
+    parser.add_argument(
+        "--spark", type=Path, help="node_modules with three and @sparkjsdev/spark; not compared without"
+    )
     parser.add_argument("--keep", type=Path, help="folder for pictures and scenes, used again where it has them")
     options = parser.parse_args()
     figures: list[dict[str, Any]] = []
@@ -108,9 +110,7 @@ def make_scene(folder: Path, name: str, size: list[int]) -> tuple[dict[str, Any]
 def bundle_spark(modules: Path, out: Path) -> None:
     """Make one script of three and Spark, minified."""
     entry = out.with_suffix(".entry.js")
-    entry.write_text(
-        "export * as THREE from 'three';\nexport { SparkRenderer, SplatMesh } from '@sparkjsdev/spark';\n"
-    )
+    entry.write_text("export * as THREE from 'three';\nexport { SparkRenderer, SplatMesh } from '@sparkjsdev/spark';\n")
     words = ["npx", "esbuild", str(entry), "--bundle", "--minify", "--format=esm", f"--outfile={out}"]
     environment = {**os.environ, "NODE_PATH": str(modules)}
     subprocess.run([*words, "--log-level=error"], cwd=ROOT / "viewer", env=environment, check=True)

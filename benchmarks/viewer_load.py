@@ -1,8 +1,8 @@
 """How soon does a browser show a scene, from opening its page?
 
 `gsvis view` serves a package on loopback; headless Chromium without a GPU (SwiftShader) opens its page. The first
-picture stands when the frame after the first draw of quads begins, counted from navigation; the scene is complete when the page says so, which it does
-0.7 s and three round trips after the last batch: that wait is taken off.
+picture stands when the frame after the first draw of quads begins, counted from navigation; the scene is complete when
+the page says so, which it does 0.7 s and three round trips after the last batch: 0.7 s are taken off.
 
 Given: a package (`--package`), the size of the window.
 Measured: seconds from navigation to the first picture and to the last batch; Gaussians that had come by then; seconds
