@@ -125,7 +125,8 @@ def main() -> None:
     carried = args.rate * 125_000 * PAYLOAD * steps
     details = {
         "package": args.package.name, "rate": args.rate, "seconds": steps, "page": page, "client": client,
-        "carried": carried, "last": {"page": [float(one[-1, 0]) for one in pages], "client": [float(one[-1, 0]) for one in clients]},
+        "carried": carried, "last of page": [float(one[-1, 0]) for one in pages],
+        "last of client": [float(one[-1, 0]) for one in clients],
     }  # fmt: skip
     write_result(args.out, (__doc__ or "").splitlines()[0], figures, details)
 
