@@ -18,6 +18,7 @@ import asyncio
 import logging
 import shutil
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -81,7 +82,7 @@ def visits(link: ShapedLink, scenes: Scenes, args: argparse.Namespace) -> tuple[
     try:
         for k in range(args.repeats + 1):
             found, hello, pose = link.at("client", lambda: visit_by_page(server, name, args.seconds, args.size))()
-            theirs = link.at("client", lambda: visit_by_client(server, hello, pose, args.seconds))()
+            theirs = link.at("client", partial(visit_by_client, server, hello, pose, args.seconds))()
             if k:  # the first loads everything anew
                 pages.append(found[found[:, 1] != len(served.scene.header)])
                 clients.append(theirs)
