@@ -18,6 +18,7 @@ import asyncio
 import logging
 import shutil
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -81,7 +82,7 @@ def visits(link: ShapedLink, scenes: Scenes, args: argparse.Namespace) -> tuple[
     try:
         for k in range(args.repeats + 1):
             found, hello, pose = link.at("client", lambda: visit_by_page(server, name, args.seconds, args.size))()
-            theirs = link.at("client", lambda: visit_by_client(server, hello, pose, args.seconds))()
+            theirs = link.at("client", partial(visit_by_client, server, hello, pose, args.seconds))()
             if k:  # the first loads everything anew
                 pages.append(found[found[:, 1] != len(served.scene.header)])
                 clients.append(theirs)
@@ -125,7 +126,8 @@ def main() -> None:
     carried = args.rate * 125_000 * PAYLOAD * steps
     details = {
         "package": args.package.name, "rate": args.rate, "seconds": steps, "page": page, "client": client,
-        "carried": carried, "last": {"page": [float(one[-1, 0]) for one in pages], "client": [float(one[-1, 0]) for one in clients]},
+        "carried": carried, "last of page": [float(one[-1, 0]) for one in pages],
+        "last of client": [float(one[-1, 0]) for one in clients],
     }  # fmt: skip
     write_result(args.out, (__doc__ or "").splitlines()[0], figures, details)
 

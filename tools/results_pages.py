@@ -149,6 +149,15 @@ PAGES = {
     "edit": Page("Editing scenes", ("cut", "cut_unseen", "clean")),
     "viewer": Page(
         "The viewer",
-        ("viewer_load", "viewer_draw", "static_site", "streamed_sog", "streamed_sog_nika", "tiles", "tiles_valid"),
+        (
+            "viewer_load",
+            "viewer_bytes",
+            "viewer_draw",
+            "static_site",
+            "streamed_sog",
+            "streamed_sog_nika",
+            "tiles",
+            "tiles_valid",
+        ),
     ),
 }

@@ -133,10 +133,14 @@ USE = (
         "viewer",
         (
             Row(
-                "How soon does the page show showroom, on loopback, without a GPU?",
-                ("viewer_load: first picture", "viewer_load: complete"),
-                ours="first picture {0:.2f} s, all of 9.8 MB {1:.1f} s",
-                target="≤ 1 s, 1.5 s",
+                "How soon does the page show showroom, on loopback, without a GPU? Its bytes, beside a client's?",
+                (
+                    "viewer_load: first picture",
+                    "viewer_load: complete",
+                    "viewer_bytes: largest difference in bytes, from 1 s on",
+                ),
+                ours="first picture {0:.2f} s, all of 9.5 MB {1:.1f} s (load 10); {2:.1%} at 10 Mbit/s",
+                target="≤ 1 s, 1.5 s, 10%",
             ),
             Row(
                 "How true and how fast is its picture of 747k Gaussians, beside PlayCanvas'?",

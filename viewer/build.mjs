@@ -23,6 +23,14 @@ const shaders = {
   },
 };
 
+// Names of properties in the page's own classes alone: no browser, JSON, Worker or program sees them.
+const OWN = "canStandAt cellsKnown flyTo focused goHome harmonicBytes inspecting isBusy layout mostIntensity mostScale nextMode " +
+  "nextPaint onComplete onContent onFailure onOrder onRenumbered optionsShown perGaussian placeOf problem recycle refocus " +
+  "refresh reframe savePicture setFov setOrder stale standOn statisticsShown stepView surroundings tableTexture targets " +
+  "termCount texels toggleBare toggleCells toggleFull toggleInspecting toggleOptions toggleStatistics toggleTheme " +
+  "toggleVr viewDependent vrOffered vrOn";
+const own = { properties: { regex: new RegExp(`^(${OWN.replaceAll(" ", "|")})$`) } };
+
 if (process.argv.includes("--tests")) {
   const tests = readdirSync(join(here, "test")).filter((name) => name.endsWith(".test.ts"));
   await build({
@@ -43,7 +51,7 @@ if (process.argv.includes("--tests")) {
   });
   const files = await Promise.all(bundled.outputFiles.map(async ({ path, text }) => {
     const { code } = await minify(text, {
-      module: true, ecma: 2020, format: { ascii_only: false },
+      module: true, ecma: 2020, format: { ascii_only: false }, mangle: path.endsWith("/page.js") ? own : {},
       compress: { passes: 5, unsafe: true, unsafe_arrows: true, unsafe_methods: true, pure_getters: true },
     });
     return { path, bytes: Buffer.from(code) };

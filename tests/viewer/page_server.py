@@ -21,6 +21,14 @@ POLICY = (
     "connect-src 'self'; base-uri 'none'; form-action 'none'"
 )
 NAME = "show room"
+AXE = """axe.run(document, {resultTypes: ["violations"]}).then((all) =>
+    all.violations.map((found) => [found.id, found.nodes.map((node) => node.html.slice(0, 120))]))"""
+OUTSIDE = """[...document.querySelectorAll(".scene > *, .tools > *, .dock > *")]
+    .filter((each) => each.checkVisibility({visibilityProperty: true}) && !each.matches(".hidden"))
+    .filter((each) => {
+        const box = each.getBoundingClientRect();
+        return box.left < -1 || box.right > innerWidth + 1 || box.top < -1 || box.bottom > innerHeight + 1;
+    }).map((each) => each.className)"""
 HOSTILE = "<img src=x onerror=alert(1)>"
 
 

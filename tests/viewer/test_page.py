@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from tests.serve.servers import PATIENCE
-from tests.viewer.page_server import HOSTILE, VIEWER, build_page, serve_page
+from tests.viewer.page_server import AXE, HOSTILE, OUTSIDE, VIEWER, build_page, serve_page
 
 pytestmark = pytest.mark.slow
 SIZES = {"wide": (1280, 800), "tablet": (768, 1024), "phone": (375, 667)}
@@ -24,14 +24,6 @@ ROOM = "/view/show%20room"
 Open = Callable[..., Any]
 READY = """() => document.documentElement.dataset.state === 'streaming' && location.hash.length > 1
     && fake.camera.position.some((x) => x !== 0)"""  # an address may come with its hash: the view is set a frame later
-AXE = """axe.run(document, {resultTypes: ["violations"]}).then((all) =>
-    all.violations.map((found) => [found.id, found.nodes.map((node) => node.html.slice(0, 120))]))"""
-OUTSIDE = """[...document.querySelectorAll(".scene > *, .tools > *, .dock > *")]
-    .filter((each) => each.checkVisibility({visibilityProperty: true}) && !each.matches(".hidden"))
-    .filter((each) => {
-        const box = each.getBoundingClientRect();
-        return box.left < -1 || box.right > innerWidth + 1 || box.top < -1 || box.bottom > innerHeight + 1;
-    }).map((each) => each.className)"""
 
 
 @pytest.fixture(scope="module")
@@ -308,8 +300,7 @@ def test_options_change_what_is_drawn(visit: Open) -> None:
     page.keyboard.press("g")
     assert page.evaluate("fake.paint") == "opacity"
     page.get_by_text("Weight", exact=True).click()
-    page.wait_for_function("() => fake.marks.weight?.length === 100")
-    assert page.evaluate("fake.paint") == "weight"
+    page.wait_for_function("() => fake.paint === 'weight' && fake.marks.weight?.length === 100")
     page.get_by_role("switch", name="medium").click()
     assert page.evaluate("[0, 1, 2].map((i) => fake.levelsShown[i] ?? true)") == [True, False, True]
     page.get_by_role("switch", name="View-dependent color").click()

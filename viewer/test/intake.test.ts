@@ -4,13 +4,13 @@ import { test } from "node:test";
 import { Intake, splitBatch } from "../src/core/intake.ts";
 import type { Batch } from "../src/core/types.ts";
 
-function batchOf(count: number, first: number, harmonics: boolean): Batch {
+function batchOf(count: number, first: number, harmonics: boolean, terms = 3): Batch {
   const count32 = (n: number, from = 0) => Uint32Array.from({ length: n }, (_, k) => from + k);
   return {
     first, ids: count32(count, 7), records: count32(4 * count), rows: count32(count, 3),
     means: Float32Array.from(count32(3 * count)), firstRow: 5, chunks: Float32Array.from(count32(16)),
-    boxes: Float32Array.from(count32(12)), chunkLevels: Uint8Array.of(0, 1, 1, 2), firstTerm: 9, terms: count32(6),
-    owners: count32(3, first), gone: count32(2), harmonics: harmonics ? Uint8Array.from(count32(9 * count)) : null,
+    boxes: Float32Array.from(count32(12)), chunkLevels: Uint8Array.of(0, 1, 1, 2), firstTerm: 9, terms: count32(2 * terms),
+    owners: count32(terms, first), gone: count32(2), harmonics: harmonics ? Uint8Array.from(count32(9 * count)) : null,
   };
 }
 
@@ -40,6 +40,17 @@ test("pieces of a batch are the batch, and share no memory that moves", () => {
       assert.equal(new Set(buffers).size, pieces);
       assert.deepEqual(made.slice(0, -1).flatMap((batch) => [...batch.owners, ...batch.gone]), []);
     }
+  }
+});
+
+test("many terms come in pieces of their own, behind their Gaussians", () => {
+  for (const [count, pieces] of [[25, 6], [5, 4], [0, 3]]) {
+    const given = batchOf(count, 100, false, 50), made = splitBatch(given, 10);
+    assert.equal(made.length, pieces);
+    assert.deepEqual(whole(made), whole([given]));
+    for (const batch of made) assert.ok(batch.ids.length === 0 || batch.owners.length === 0);
+    const own = made.filter((batch) => batch.owners.length);
+    assert.deepEqual(own.map((batch) => batch.firstTerm), [9, 29, 49]);
   }
 });
 

@@ -2,7 +2,7 @@
 
 import assert from "node:assert/strict";
 import { test, type TestContext } from "node:test";
-import type { Header, Source } from "../src/core/types.ts";
+import type { Header, Source, SourceEvents } from "../src/core/types.ts";
 import { readAddress, type SceneAddress } from "../src/page/address.ts";
 import { begin, guessMeter } from "../src/page/begin.ts";
 import { Facts, readCells, readFloor, readPoses, readWhy } from "../src/page/facts.ts";
@@ -218,6 +218,26 @@ test("no pose reaches a source before the first view is chosen; then the latest 
   release();
   source.pose({ position: [3, 0, 0], rotation: [1, 0, 0, 0] });
   assert.deepEqual(sent, [2, 3]);
+});
+
+test("a source starts at once, and what it has said until somebody listens comes in order", async () => {
+  let say: SourceEvents | null = null;
+  const inner: Source = {
+    start: (events) => { say = events; }, view: () => undefined, close: () => undefined, pose: () => undefined,
+  };
+  const { source } = holdPoses(inner), heard: string[] = [], fresh: boolean[] = [];
+  const { state, header } = say as unknown as SourceEvents;
+  state({ kind: "connecting" });
+  header({} as Header, true);
+  source.start({
+    state: ({ kind }) => heard.push(kind), batch: () => undefined, traffic: () => undefined,
+    header: (_, isFresh) => { heard.push("header"); fresh.push(isFresh); },
+  });
+  state({ kind: "streaming" });
+  await Promise.resolve();
+  await Promise.resolve();
+  state({ kind: "complete" });
+  assert.deepEqual([heard, fresh], [["connecting", "header", "streaming", "complete"], [true]]);
 });
 
 test("gamepads rest where sticks hardly move", () => {

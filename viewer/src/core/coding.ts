@@ -166,7 +166,8 @@ export function readRecords(
   if (bytes.length % 2 || (bytes.length > 0) !== (ids.length > 0)) return null;
   const reader = new Reader(bytes, tables), out = new Uint32Array(4 * ids.length);
   const lead = colorScale ? 3 : 2, mask = 2 ** scale - 1, half = 2 ** (rotation - 1) - 1;
-  const exponents = new Uint32Array(chunks.buffer, chunks.byteOffset, chunks.length), s = [0, 0, 0];
+  const exponents = new Uint32Array(chunks.buffer, chunks.byteOffset, chunks.length), s = new Int32Array(3);
+  const wide = new Int32Array(3), coarse = new Int32Array(3); // of the row: bits of places, logarithms of steps
   let strength = 0;
   for (let i = 0; i < ids.length; i++) {
     if (reader.isPastEnd) return null;
@@ -177,6 +178,10 @@ export function readRecords(
     let top = 0;
     if (i === 0 || row !== rows[i - 1]) {
       top = reader.symbol(4);
+      for (let k = 0; k < 3; k++) {
+        wide[k] = bitsOf(bits[row], k);
+        coarse[k] = logOfStep(exponents[8 * row + 4 + k], chunks[8 * row + k], chunks[8 * row + 4 + k], wide[k]);
+      }
     } else {
       top = reader.symbol(5 + Math.min(31 - Math.clz32(ids[i] - ids[i - 1]), 5));
       const expected = Math.floor((((strength - weight) >> 1) - low) / stride);
@@ -202,15 +207,18 @@ export function readRecords(
     if (colorScale) put(out, at + 32, reader.symbol(COLOR + 26 + (first >> 5)));
     const limit = steps ? Math.min(steps.place - (long >> 1) - LOGS[opacity], size - long) >> 6 : 0;
     for (let k = 0; k < 3; k++) {
-      const step = exponents[8 * row + 4 + k], wide = bitsOf(bits[row], k), low = chunks[8 * row + k];
-      const log2 = ((step >>> 23) & 255) - 127 + (step & 0x7fffff ? 1 : 0);
-      const high = low - (2 ** wide - 1) * chunks[8 * row + 4 + k]; // of a logarithmic chunk, whose steps stretch
-      const stretch = step >>> 31 ? Math.ceil(Math.max(Math.abs(low), Math.abs(high)) * Math.LOG2E) : 0;
-      const gone = steps ? clamp(limit - log2 - stretch, 0, wide) : 0;
-      put(out, at + from + k * width, reader.bits(wide - gone) << gone);
+      const gone = steps ? clamp(limit - coarse[k], 0, wide[k]) : 0;
+      put(out, at + from + k * width, reader.bits(wide[k] - gone) << gone);
     }
   }
   return ids.length === 0 || reader.isAtEnd ? out : null;
+}
+
+/** Return the binary logarithm of the largest step that places take, rounded up; `bits` are those of `step`. */
+function logOfStep(bits: number, low: number, step: number, wide: number): number {
+  const log2 = ((bits >>> 23) & 255) - 127 + (bits & 0x7fffff ? 1 : 0);
+  const high = low - (2 ** wide - 1) * step; // of a logarithmic chunk, whose steps stretch
+  return log2 + (bits >>> 31 ? Math.ceil(Math.max(Math.abs(low), Math.abs(high)) * Math.LOG2E) : 0);
 }
 
 /** Return records of terms, two words each; null unless the bytes are such. Owners never fall. */

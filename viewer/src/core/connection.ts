@@ -36,7 +36,7 @@ const OPEN_MS = 10_000; // most time to connect, and from there to WELCOME
 const FIRST_WAIT_MS = 100, LONGEST_WAIT_MS = 5_000;
 const STEADY_MS = 5_000; // a stream that lasts this long was a good one
 const POSE_MS = 66, STILL_MS = 1_000; // between poses: moving, and at rest
-const VIEW_MS = 250; // how long HELLO waits for the view
+const VIEW_MS = 1000; // how long HELLO waits for the view: a page that begins to draw is slow to say it
 const RESIZE_MS = 400; // how long a view rests before the server is asked anew
 const QUIET_MS = 700; // without a batch, and three round trips: the pose has what it needs
 const EMPTY_MS = 3_000; // the same, where nothing at all has come

@@ -4,23 +4,32 @@ import type { Batch } from "./types.ts";
 const PIECE = 8192; // Gaussians
 const TURN_MS = 6; // of the main thread, until others have a turn
 
-/** Return a batch as pieces of at most `most` Gaussians; terms and what is gone come with the last. */
+/**
+ * Return a batch as pieces of at most `most` Gaussians. Terms come with the last of them, or after it in pieces of their
+ * own, of twice as many; what is gone comes with the last piece.
+ */
 export function splitBatch(batch: Batch, most = PIECE): Batch[] {
-  const count = batch.ids.length, pieces: Batch[] = [], none = new Uint32Array(0), each = batch.harmonics?.length ?? 0;
-  if (count <= most) return [batch];
-  for (let low = 0; low < count; low += most) {
-    const high = Math.min(low + most, count), isFirst = low === 0;
+  const count = batch.ids.length, total = batch.owners.length, pieces: Batch[] = [], none = new Uint32Array(0);
+  const each = batch.harmonics?.length ?? 0, few = total <= 2 * most;
+  if (count <= most && few) return [batch];
+  const add = (low: number, high: number, from: number, to: number): void => {
+    const isFirst = pieces.length === 0;
     pieces.push({
       first: batch.first + low, ids: batch.ids.slice(low, high), records: batch.records.slice(4 * low, 4 * high),
       rows: batch.rows.slice(low, high), means: batch.means.slice(3 * low, 3 * high),
       firstRow: batch.firstRow + (isFirst ? 0 : batch.chunks.length / 8),
       chunks: isFirst ? batch.chunks : new Float32Array(0), boxes: isFirst ? batch.boxes : new Float32Array(0),
       chunkLevels: isFirst ? batch.chunkLevels : new Uint8Array(0),
-      firstTerm: batch.firstTerm, terms: none, owners: none, gone: none,
-      harmonics: batch.harmonics && batch.harmonics.slice((low * each) / count, (high * each) / count),
+      firstTerm: batch.firstTerm + from, terms: batch.terms.slice(2 * from, 2 * to), owners: batch.owners.slice(from, to),
+      gone: none, harmonics: batch.harmonics && batch.harmonics.slice((low * each) / count, (high * each) / count),
     });
+  };
+  for (let low = 0; low < count; low += most) {
+    add(low, Math.min(low + most, count), 0, few && low + most >= count ? total : 0);
   }
-  return [...pieces.slice(0, -1), { ...pieces[pieces.length - 1], terms: batch.terms, owners: batch.owners, gone: batch.gone }];
+  for (let from = 0; from < total && !few; from += 2 * most) add(count, count, from, Math.min(from + 2 * most, total));
+  pieces[pieces.length - 1].gone = batch.gone;
+  return pieces;
 }
 
 /** Hands batches on in order, a few milliseconds at a time. Timers do it, so that it goes on in hidden tabs. */

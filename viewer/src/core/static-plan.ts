@@ -1,13 +1,14 @@
 // What to fetch next of a static scene: blocks ranked by weight in view for each byte, cut into slices of neighbouring
 // bytes.
-// The factors are those of the streaming server's policy "utility" (gsvis.abr.policies).
+// The factors are those of the streaming server's policy "utility" (gsvis.abr.policies), but that of what is out of
+// view: chunks are coarse, so with 0.1 a view would get twice as much beside it as from the server.
 import { rotationOf } from "./camera.ts";
 import type { Blocks } from "./static-blocks.ts";
 import type { CellRow } from "./static-cells.ts";
 import type { Pose, View } from "./types.ts";
 
 export const MARGIN = 0.14; // radians by which the borders of the view move outwards
-const PERIPHERAL = Math.log2(0.1), ADJACENT = Math.log2(0.02), TERMS = Math.log2(0.1), BEYOND = Math.log2(0.05);
+const PERIPHERAL = Math.log2(0.03), ADJACENT = Math.log2(0.02), TERMS = Math.log2(0.1), BEYOND = Math.log2(0.05);
 const POWERS = { high: 1, medium: 1.5, low: 2 };
 const HORIZON = 3, STICKY = 1.2; // seconds; change of the rate that changes the regime
 
@@ -92,7 +93,7 @@ export function rank(
   const middle = Math.max(blocks.top - 1, 0);
   const caps = { high: [blocks.top, blocks.top], medium: [middle, middle], low: [middle, 0] }[regime];
   const least = regime === "high" ? blocks.top : 0;
-  const far = new Float32Array(chunks).fill(NaN), inside = new Uint8Array(chunks);
+  const far = new Float32Array(chunks).fill(NaN), inside = new Float32Array(chunks);
   const keys = new Float32Array(2 * row.blocks.length), found: number[] = [];
   for (let k = 0; k < row.blocks.length; k++) {
     const b = row.blocks[k], c = blocks.chunk[b];
@@ -102,14 +103,15 @@ export function rank(
         radius = blocks.spheres[4 * c + 3];
       const [ex, ey, ez] = pose.position;
       far[c] = Math.log2((x - ex) ** 2 + (y - ey) ** 2 + (z - ez) ** 2 + radius ** 2 / 4 + 1e-12);
-      inside[c] = 1;
+      let least = radius; // how far the center is inside of all borders
       for (let p = 0; p < 20; p += 4) {
-        if (planes[p] * x + planes[p + 1] * y + planes[p + 2] * z + planes[p + 3] + radius < 0) inside[c] = 0;
+        least = Math.min(least, planes[p] * x + planes[p + 1] * y + planes[p + 2] * z + planes[p + 3]);
       }
+      inside[c] = least < -radius ? 0 : (least + radius) / (2 * radius || 1); // about what share of it is in view
     }
     let key = row.gains[k] - far[c] - Math.log2(blocks.size(b));
     if (adjacent) key += power * ADJACENT;
-    else if (inside[c] === 0) key += power * PERIPHERAL;
+    else key += power * PERIPHERAL * (1 - inside[c]);
     if (blocks.levels[2 * c] > caps[inside[c] && !adjacent ? 0 : 1]) key += BEYOND;
     if (held.records[b] === NONE) {
       keys[2 * k] = key;

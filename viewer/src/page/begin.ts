@@ -43,11 +43,11 @@ export function viewsFromPoses(poses: readonly StartPose[]): View[] {
 }
 
 /** Ask for floor and cells; what does not come in time counts as unknown. */
-export async function survey(facts: Facts, poses: readonly StartPose[]): Promise<Surroundings> {
+export async function survey(facts: Facts, proposed: Promise<readonly StartPose[]>): Promise<Surroundings> {
   const late = new Promise<null>((done) => setTimeout(done, PATIENCE, null));
-  const [floor, cells, known] = await Promise.all(
-    [Promise.race([facts.floor(), late]), Promise.race([facts.cells(), late]), Promise.race([facts.views(), late])]
-  );
+  const [floor, cells, known, poses] = await Promise.all([
+    Promise.race([facts.floor(), late]), Promise.race([facts.cells(), late]), Promise.race([facts.views(), late]), proposed,
+  ]);
   return { floor, cells, poses: poses.length ? poses : (known ?? []) };
 }
 

@@ -1,6 +1,6 @@
 // Asks the server what a scene is, and static scenes for the views that they propose.
 
-import type { Pose, Source } from "../core/types.ts";
+import type { Pose, Source, SourceEvents } from "../core/types.ts";
 import type { SceneAddress } from "./address.ts";
 import { readPoses } from "./facts.ts";
 import type { StartPose } from "./facts.ts";
@@ -64,12 +64,29 @@ export async function proposedPoses(scene: SceneAddress): Promise<StartPose[]> {
   return readPoses(fields(content)?.poses);
 }
 
-/** Hold poses back until the page has chosen its first view: no byte is spent on a view that nobody sees. */
+/**
+ * Start a source at once, so that it connects while the page prepares to draw, and hold poses back until the page has
+ * chosen its first view: no byte is spent on a view that nobody sees.
+ */
 export function holdPoses(source: Source): { source: Source; release(): void } {
   let [held, open]: [Pose | null, boolean] = [null, false];
+  let begin = (_: SourceEvents): void => undefined;
+  const started = new Promise<SourceEvents>((resolve) => { begin = resolve; });
+  let events: SourceEvents | null = null;
+  const pass = (work: (to: SourceEvents) => void): void => {
+    if (events) work(events);
+    else void started.then(work);
+  };
+  source.start({
+    header: (header, fresh) => pass((to) => to.header(header, fresh)), batch: (batch) => pass((to) => to.batch(batch)),
+    state: (state) => pass((to) => to.state(state)), traffic: (traffic) => pass((to) => to.traffic(traffic)),
+  });
   return {
     source: {
-      start: (events) => source.start(events),
+      start: (to) => {
+        begin(to);
+        void started.then(() => { events = to; }); // behind what has waited
+      },
       view: (view) => source.view(view),
       close: () => source.close(),
       pose: (pose) => {

@@ -156,7 +156,7 @@ export class ViewPage {
         this.#notices.say(`The settings could not be used. ${error instanceof Error ? error.message : ""}`.trim());
       }
     };
-    const known = proposedPoses(this.scene).then((poses) => survey(this.#facts, poses));
+    const known = survey(this.#facts, proposedPoses(this.scene));
     [this.#surroundings] = await Promise.all([known, settings()]);
     this.#overlay.set(this.#surroundings.cells);
   }
@@ -168,11 +168,12 @@ export class ViewPage {
       tabindex: 0, role: "application", "aria-label": `Scene ${this.scene.name}`, "aria-describedby": "keys",
     })));
     this.#drive.listen(this.#canvas);
+    let source: Source | null = null;
     try {
-      const { source, release } = holdPoses(this.core.makeSource(this.scene, this.#token));
-      this.#release = release;
+      ({ source, release: this.#release } = holdPoses(this.core.makeSource(this.scene, this.#token)));
       this.#viewer = this.core.makeViewer(this.#canvas, { source, background: this.#background });
     } catch (error) {
+      source?.close();
       const message = error instanceof Error ? error.message : String(error);
       this.#showState("failed", "Stopped", 0);
       this.#notices.stop(offersWebGL() ? explainFailure(message) : { ...NO_WEBGL, detail: message });
