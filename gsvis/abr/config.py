@@ -63,7 +63,7 @@ class AbrConfig:
     horizon: float = 0.25
     window: float = 0.3
     piece: float = 0.05
-    begin: float = 32768.0
+    begin: float = 16384.0
     start_rate: float = 250e3
     utility: UtilityConfig = field(default_factory=UtilityConfig)
 
