@@ -103,11 +103,11 @@ export function rank(
         radius = blocks.spheres[4 * c + 3];
       const [ex, ey, ez] = pose.position;
       far[c] = Math.log2((x - ex) ** 2 + (y - ey) ** 2 + (z - ez) ** 2 + radius ** 2 / 4 + 1e-12);
-      let least = radius; // how far the center is inside of all borders
+      let depth = 0; // how far the center is inside of all borders, at most 0
       for (let p = 0; p < 20; p += 4) {
-        least = Math.min(least, planes[p] * x + planes[p + 1] * y + planes[p + 2] * z + planes[p + 3]);
+        depth = Math.min(depth, planes[p] * x + planes[p + 1] * y + planes[p + 2] * z + planes[p + 3]);
       }
-      inside[c] = least < -radius ? 0 : (least + radius) / (2 * radius || 1); // about what share of it is in view
+      inside[c] = Math.max(0, 1 + depth / (radius || 1e-12)); // 1 if the center is in view, 0 if nothing is
     }
     let key = row.gains[k] - far[c] - Math.log2(blocks.size(b));
     if (adjacent) key += power * ADJACENT;
