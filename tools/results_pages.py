@@ -121,7 +121,7 @@ PAGES = {
         (
             "streaming",
             "streaming_rivals",
-            "streaming_rivals_two_walks",
+            "streaming_rivals_eight_walks",
             "streaming_rivals_recorded",
             "streaming_rivals_showroom",
             "abr_planning",
