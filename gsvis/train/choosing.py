@@ -42,6 +42,7 @@ _LATER = 0.6  # looks for a later cut to a half or less, over those for the firs
 _FEWEST = 40  # looks for a cut
 _POLLED = 200  # cameras that say how often a Gaussian is in sight
 _SELDOM = 0.02  # share of cameras below which it makes no difference
+_FAIRNESS = 0.5  # in rooms; 0: worth is what an average camera loses; 1: what one loses that looks there
 _TRIED = 16  # cameras from which the number of looks is found
 _BINS, _PER_OCTAVE, _LOWEST = 2048, 16, -110  # of worth, logarithm to base 2
 
@@ -68,8 +69,7 @@ def choose_subsets(
     """Find nested subsets that keep the images of many cameras.
 
     The worth of a Gaussian is the squared change of the images by its removal, as in `prune`. In rooms it is divided by
-    the share of cameras that have it in sight, to the power of what goes: the thinner a level, the more a small room
-    counts. Cameras take turns.
+    the root of the share of cameras that have it in sight, so that small rooms count beside halls. Cameras take turns.
 
     Args:
         gaussians: N Gaussians.
@@ -170,7 +170,7 @@ class _State:
 
     def look(self, batch: NDArray[np.int64], count: int) -> None:
         """Look by some cameras, while each Gaussian is there by its chance to be among `count`."""
-        chances = stay_chances(self._worth(count), count / len(self.kept))
+        chances = stay_chances(self._worth(), count / len(self.kept))
         self.sums *= _OLD
         for index in batch:
             camera = self.cameras[[index]]
@@ -180,16 +180,13 @@ class _State:
             near = np.flatnonzero(self.sight.of(camera)[self.kept])
             self.sums[near] += removal_effects(self._left[near], camera, presence=chances[near]).squared
 
-    def _worth(self, count: int) -> F64:
-        """Return (K,) what each is worth, between what an average camera loses and what one loses that looks there.
-
-        The thinner the level, the nearer to the latter: small rooms count as much as halls.
-        """
-        return np.asarray(self.seen[self.kept] ** (count / len(self.scene) - 1.0) * self.sums)
+    def _worth(self) -> F64:
+        """Return (K,) what each is worth, between what an average camera loses and what one loses that looks there."""
+        return np.asarray(self.seen[self.kept] ** -_FAIRNESS * self.sums)
 
     def cut(self, count: int) -> NDArray[np.int64]:
         """Leave the `count` of most worth; return the others."""
-        stays = most_important(self._left, self._worth(count), count)
+        stays = most_important(self._left, self._worth(), count)
         gone = self.kept[~stays]
         self.kept, self.sums = self.kept[stays], _BEFORE * self.sums[stays]
         self._left = self.scene[self.kept]

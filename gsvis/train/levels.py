@@ -206,7 +206,7 @@ def train_levels(
         BackendError: If torch is missing.
     """
     require("training of levels", "torch")
-    from gsvis.train.trainer import train
+    from gsvis.train.trainer import Trainer
 
     config = config or LevelsConfig()
     if len(views) == 0:
@@ -236,16 +236,10 @@ def train_levels(
         merged = merge_gaussians(scene[~stays], begun - frozen)
         if choose_by is not None:  # photographs differ from the scene by more than what a merge changes
             merged = fit_opacities(merged, scene[stays], views)
-        result = train(
-            views,
-            merged,
-            config.training(total, scene.sh_degree),
-            frozen=scene[stays],
-            held_out=held_out,
-            space=space,
-            checkpoint=None if work is None else Path(work) / f"{name}.checkpoint",
-            progress=report,
-        )
+        training = config.training(total, scene.sh_degree)
+        trainer = Trainer(views, merged, training, frozen=scene[stays], held_out=held_out, space=space)
+        kept = None if work is None else Path(work) / f"{name}.checkpoint"
+        result = trainer.run(checkpoint=kept, progress=report)
         owns.append(result.gaussians[frozen:])
         histories[name] = result.history
     own = np.repeat(np.arange(top, dtype=np.uint8), [len(part) for part in owns])

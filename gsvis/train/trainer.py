@@ -243,7 +243,6 @@ def train(
     *,
     frozen: Gaussians | None = None,
     held_out: PosedImages | None = None,
-    space: NavigableSpace | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
     checkpoint_seconds: float = 120.0,
     progress: Progress = silent,
@@ -256,7 +255,6 @@ def train(
         config: How to train; None means `TrainConfig()`.
         frozen: Gaussians that are rendered but never changed; they come first in the result.
         held_out: Views to measure on, never trained on.
-        space: Voxels that stop light, which save time in rooms; None for none.
         checkpoint: A file to write regularly and on Ctrl-C, and to resume from if it exists. It must belong to the
             same images, initial Gaussians and configuration. It is kept at the end. Ctrl-C within a step saves the
             previous step; if `progress` raises it, as on the command line, nothing is lost.
@@ -268,7 +266,7 @@ def train(
         FormatError: If the checkpoint is damaged.
         KeyboardInterrupt: Raised again, after a checkpoint was written if it came between two steps.
     """
-    trainer = Trainer(views, start, config or TrainConfig(), frozen=frozen, held_out=held_out, space=space)
+    trainer = Trainer(views, start, config or TrainConfig(), frozen=frozen, held_out=held_out)
     return trainer.run(checkpoint=checkpoint, checkpoint_seconds=checkpoint_seconds, progress=progress)
 
 
