@@ -25,6 +25,7 @@ from gsvis.pvs.estimate import estimate_pvs
 from gsvis.pvs.store import VisibilityStore
 from gsvis.pvs.workers import Workers, machine_load
 from gsvis.render.rasterizer import rasterize
+from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
@@ -37,21 +38,25 @@ __all__ = ["PreparationEstimate", "StageEstimate", "estimate_preparation"]
 
 _clock = time.perf_counter  # tests set another
 
-# Measured on nika LOD 0, showroom LOD 3 and flowers LOD 2 (docs/design/022), in times of one narrow view of the scene.
-_WIDE_VIEW = 1.5  # a view to train on: smaller, but wide
+# Measured on flowers LOD 2, nika LOD 0 and showroom LOD 3 on two quiet cores (docs/design/022), in times of one narrow
+# view of the scene.
+_WIDE_VIEW = 0.8  # a view to train on: smaller, but wide
 _PRUNED_VIEW = 1.0  # a look that chooses by photos, which are taken to be as many as views
-_LOOK, _LOOK_SHARE = 0.2, 1.1  # a look that chooses without photos, and what one at the whole scene adds
-_STEP_SHARE, _STEP_SH = 3.3, 3.3  # a training step of all Gaussians, and what 16 coefficients of SH add
-_WEIGHED_VIEW = 2.0  # a view that measures importance
+_LOOK, _LOOK_SHARE = 0.7, 2.8  # a look that chooses without photos, and what one at the whole scene adds
+_STEP_VIEW, _STEP_SHARE, _STEP_SH = 0.25, 1.0, 1.6  # a training step, one of all Gaussians, what 16 SH coefficients add
+_WEIGHED_VIEW = 0.75  # a view that measures importance
+_COST_VIEW, _CLIENT_VIEW = 6.0, 12.0  # a view that measures what rounding costs, and one of what a client gets
 
-_LEVELS_START = 8.0  # seconds until torch and the kernels of training are loaded
-_STEP = 0.03  # seconds of each training step
+_HOLES = 1.7  # time of a cell with trained levels, whose holes ask for more looks, over one with stand-ins
+
+_LEVELS_START = 3.0  # seconds until torch and the kernels of training are loaded
+_STEP = 0.01  # seconds of each training step
 # Seconds for each Gaussian and core.
-_BASE_FIT, _TERMS_FIT, _RECORDS = 6e-5, 5e-4, 6e-6
+_BASE_FIT, _TERMS_FIT, _RECORDS = 2e-5, 3e-4, 6e-6
 
 _CHUNK = 31.0 / 200.0  # bytes for each Gaussian
 _PACKED = 0.82  # size of coded records over their raw size
-_VIEWS_TIMED = 4
+_VIEWS_TIMED = 5
 _IMAGES = 5  # of a view that measures what a client gets
 
 
@@ -178,27 +183,27 @@ class _Estimator:
         begun = stages.work.at(f"{stages.levels_name}.begun")
         views = self.config.level_views
         left = 1.0 if not (begun / SUBSETS).exists() else 0.0
-        choice, share = self._choice(config)
-        looks = views.count * _WIDE_VIEW + left * choice
-        of_all = _STEP_SHARE + _STEP_SH * (self.levels.union.sh_degree + 1) ** 2 / 16.0
-        looks += config.iterations * share * of_all * sum(self.counts[:-1]) / self.counts[-1]
+        looks = views.count * _WIDE_VIEW + left * self._choice(config)
+        of_all = _STEP_SHARE + _STEP_SH * self.levels.union.shN.shape[1] / 15.0
+        shares = [count / self.counts[-1] for count in self.counts[:-1]]
+        looks += config.iterations * sum(_STEP_VIEW + of_all * share for share in shares)
         seconds = looks * self.view_seconds(views)
         seconds += _LEVELS_START + _STEP * config.iterations * (len(self.counts) - 1)
         state = "to do" if left else "begun"
         what = f"{sizes}; {config.iterations:,} steps each"
         self.found.append(StageEstimate("levels", state, what, seconds, nbytes))
 
-    def _choice(self, config: LevelsConfig) -> tuple[float, float]:
-        """Return what the choice of frozen Gaussians costs, in views, and the share of Gaussians that a step draws."""
+    def _choice(self, config: LevelsConfig) -> float:
+        """Return what the choice of frozen Gaussians costs, in views."""
         stages, views = self.stages, self.config.level_views
         counts = sorted({frozen for _, frozen, _ in _sizes(stages)}, reverse=True)
         if stages.photos is not None:
             rounds = math.ceil(math.log(counts[-1] / self.counts[-1]) / math.log(1 - config.prune_share))
-            return views.count * rounds * _PRUNED_VIEW, 1.0
+            return views.count * rounds * _PRUNED_VIEW
         assert isinstance(stages.scene, Gaussians)
         tried = replace(views, count=16, fov=max(views.fov, WIDE)).cameras(stages.scene, stages.space)
         looks, share = count_looks(stages.scene, tried, counts, of=CHOOSING * views.count, space=stages.space)
-        return looks * (_LOOK + _LOOK_SHARE * share), share if stages.space.kind.kind == "rooms" else 1.0
+        return looks * (_LOOK + _LOOK_SHARE * share)
 
     def _sets(self) -> tuple[VisibilityStore | None, int, int]:
         """Return the store if it exists, bytes on disk, and memory."""
@@ -219,7 +224,8 @@ class _Estimator:
         state = "begun" if cost.finished or cost.looked else "to do"
         if cost.finished:
             what += f", {cost.finished:,} of them found"
-        self.found.append(StageEstimate("sets", state, what, cost.seconds, disk))
+        seconds = cost.seconds + (_HOLES - 1.0) * cost.of_cells * (self.known is None and stages.trains)
+        self.found.append(StageEstimate("sets", state, what, seconds, disk))
         return None, disk, cost.memory
 
     def _colors(self, store: VisibilityStore | None) -> SrbfColors | None:
@@ -250,7 +256,7 @@ class _Estimator:
         if exact is not None and self.stages.work.whole(self.stages.cost_name(self.levels, exact)):
             self.found.append(StageEstimate("cost", "done", what, 0.0, 100))
             return
-        seconds = 2.0 * views.count * self.view_seconds(views)
+        seconds = _COST_VIEW * views.count * self.view_seconds(views)
         self.found.append(StageEstimate("cost", "to do", what, seconds, 100))
 
     def _fidelity(self, exact: SrbfColors | None, store: VisibilityStore | None) -> None:
@@ -263,7 +269,7 @@ class _Estimator:
         ):
             self.found.append(StageEstimate("fidelity", "done", what, 0.0, 4000))
             return
-        seconds = _IMAGES * views.count * self.view_seconds(views)
+        seconds = _CLIENT_VIEW * views.count * self.view_seconds(views)
         self.found.append(StageEstimate("fidelity", "to do", what, seconds, 4000))
 
     def view_seconds(self, views: ViewSampling) -> float:
@@ -271,13 +277,16 @@ class _Estimator:
         if views not in self._timed:
             scene = self.levels.level(len(self.levels) - 1)
             cameras = replace(views, count=_VIEWS_TIMED + 1).cameras(scene, self.stages.space)
-            taken = []
-            for c in range(len(cameras)):  # the first view loads the kernels
-                began = _clock()
-                rasterize(scene, cameras[c])
-                taken.append(_clock() - began)
-            self._timed[views] = min(taken[1:])  # what else runs on the machine can only add to it
+            rasterize(scene, cameras[0])  # loads the kernels
+            taken = [min(self._draw(scene, cameras[c]) for _ in range(2)) for c in range(1, len(cameras))]
+            self._timed[views] = sum(taken) / len(taken)
         return self._timed[views]
+
+    @staticmethod
+    def _draw(scene: Gaussians, camera: Cameras) -> float:
+        began = _clock()
+        rasterize(scene, camera)
+        return _clock() - began  # what else runs on the machine can only add to it
 
     def _ply_bytes(self) -> float:
         return float(4 * (14 + 3 * self.levels.union.shN.shape[1]))

@@ -7,12 +7,15 @@ import time
 from dataclasses import dataclass, field
 
 import numpy as np
+from numba import get_num_threads, set_num_threads
+from numpy.typing import NDArray
 
 from gsvis import _check
 from gsvis.progress import Progress, silent
 from gsvis.pvs._journal import pack_sighting, pack_view
 from gsvis.pvs._workers import forget_scene
 from gsvis.pvs.build import Work, plan_work
+from gsvis.pvs.cell_view import Finder
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.config import PvsConfig
 from gsvis.pvs.workers import (
@@ -29,15 +32,17 @@ from gsvis.scene.navigable import NavigableSpace
 
 __all__ = ["Estimate", "estimate_pvs"]
 
+F64 = NDArray[np.float64]
+
 _clock = time.perf_counter  # tests set another
 
-_BUDGET = 6.0  # seconds after which no further cell is tried
+_BUDGET = 5.0  # seconds after which no further cell is tried
 _MOST_TRIED = 12
 _GOLDEN = 0.5 * (5.0**0.5 - 1.0)  # steps of this share of the cells spread the tried ones evenly, however many they are
 
 _BITS = 2.0  # bits for each visible Gaussian of a cell: its set and its classes
 _DISK_PER_GAUSSIAN = 6  # order and direction sets
-_START = 4.0  # seconds until worker processes are ready, for viewpoints and for cells
+_START = 3.0  # seconds until worker processes are ready, for viewpoints and for cells
 _CHECK = 0.3  # seconds of the second tracer, and for each Gaussian
 _CHECK_PER_GAUSSIAN = 3e-5
 
@@ -53,6 +58,7 @@ class Estimate:
         finished: Cells that it has kept.
         workers: Processes that fit the memory.
         seconds: Expected time.
+        of_cells: Part of it in which the sets of cells are found, after all viewpoints.
         memory: Peak bytes of memory, all processes together.
         visible: Gaussians that a cell sees, mean.
         disk: Bytes of the finished store.
@@ -67,6 +73,7 @@ class Estimate:
     finished: int
     workers: int
     seconds: float
+    of_cells: float
     memory: int
     visible: float
     disk: int
@@ -113,7 +120,8 @@ def estimate_pvs(
     left[seen] = False
     fine = int(np.count_nonzero(left & work.shared.fine))
     seconds = fine * tried.of_look(fine=True) + (int(left.sum()) - fine) * tried.of_look(fine=False)
-    seconds += tried.finding / tried.cells * (cells - len(finished))
+    faster = speed_up(count, workers, tried.threads)
+    of_cells = tried.finding / tried.cells * (cells - len(finished)) / faster
     processes = count > 1 and workers.executor is None
     rest = (2.0 * _START if processes else 0.0) + _CHECK + _CHECK_PER_GAUSSIAN * levels.counts[-1]
     return Estimate(
@@ -122,7 +130,8 @@ def estimate_pvs(
         looked=len(seen),
         finished=len(finished),
         workers=count,
-        seconds=seconds / speed_up(count, workers) + rest,
+        seconds=seconds / faster + of_cells + rest,
+        of_cells=of_cells,
         memory=expected_memory(levels, config, count if processes else 1),
         visible=tried.visible / tried.cells,
         disk=int(_BITS / 8.0 * tried.visible / tried.cells * cells) + _DISK_PER_GAUSSIAN * len(levels.union),
@@ -142,6 +151,7 @@ class _Tried:
     held: int = 0
     kept: int = 0
     visible: int = 0
+    threads: float = 1.0  # speed-up of a look by all threads
 
     @property
     def looks(self) -> int:
@@ -159,7 +169,8 @@ def _try_cells(work: Work, least: int, progress: Progress) -> _Tried:
     progress("trying", 0, len(some))
     finder = work.scene.finder()
     finder.warm()  # loads the kernels and makes the tracers before the timing starts
-    shared, tried, start = work.shared, _Tried(), _clock()
+    shared, tried = work.shared, _Tried(threads=_gain_of_threads(finder, work.shared.points[0]))
+    start = _clock()
     while tried.cells < least or (tried.cells < len(some) and _clock() - start < _BUDGET):
         cell, began = some[tried.cells], _clock()
         sightings = []
@@ -177,6 +188,20 @@ def _try_cells(work: Work, least: int, progress: Progress) -> _Tried:
     progress("trying", len(some), len(some))
     forget_scene()
     return tried
+
+
+def _gain_of_threads(finder: Finder, viewpoint: F64) -> float:
+    """Return how much faster a look is with all threads of this process than with one; at least 1."""
+    taken, before = [], get_num_threads()
+    try:
+        for threads in (before, 1):
+            set_num_threads(threads)
+            began = _clock()
+            finder.look(viewpoint)
+            taken.append(_clock() - began)
+    finally:
+        set_num_threads(before)
+    return max(1.0, taken[1] / taken[0]) if taken[0] > 0.0 else 1.0
 
 
 def _spread(cells: int, count: int) -> list[int]:

@@ -26,7 +26,7 @@ _CHECK_PER_GAUSSIAN = 420  # hierarchy of the first
 SCENE_BYTES = 58
 """Bytes of each Gaussian in the file of the scene that workers map."""
 
-_PROCESSES_OVER_THREADS = 1.3  # how much better processes use the cores than threads of one process
+_EFFICIENCY = 0.9  # of processes with one thread each, which share the memory
 
 
 @dataclass(frozen=True)
@@ -86,12 +86,17 @@ def expected_memory(levels: Levels, config: PvsConfig, count: int) -> int:
     return _parent(levels) + max(_check_twice(levels), count * _worker(levels, config))
 
 
-def speed_up(count: int, workers: Workers) -> float:
-    """Return the speed-up over one process that uses all threads of this machine."""
+def speed_up(count: int, workers: Workers, threads: float = 1.0) -> float:
+    """Return the speed-up by `count` workers over one process that uses all threads of this machine.
+
+    Args:
+        count: Workers.
+        workers: Which workers.
+        threads: Speed-up of the one process by its threads.
+    """
     if workers.executor is not None:
-        return max(1.0, 0.9 * count)
-    cores = os.cpu_count() or 1
-    return max(1.0, min(count, cores) * _PROCESSES_OVER_THREADS / cores) if count > 1 else 1.0
+        return max(1.0, _EFFICIENCY * count)
+    return _EFFICIENCY * min(count, os.cpu_count() or 1) / threads if count > 1 else 1.0
 
 
 def machine_load() -> float | None:

@@ -25,20 +25,20 @@ def test_an_estimate_is_near_and_writes_nothing(job: Job, tmp_path: Path, monkey
     estimate = estimate_pvs(job.scene, job.grid, job.space, path, CONFIG, workers=Workers(2))
     assert (estimate.viewpoints, estimate.cells, estimate.finished, estimate.workers) == (viewpoints, cells, 0, 2)
     work = 3.0 * viewpoints + 3.0 * cells
-    assert estimate.seconds == pytest.approx(work / 1.3 + 8.3, abs=0.2)  # two processes share it, and have to start
+    assert estimate.seconds == pytest.approx(work / 1.8 + 6.3, abs=0.2)  # two processes share it, and have to start
     assert estimate.memory > 1 << 28
     assert 0.3 < estimate.disk / len(job.wanted) < 5.0
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(KeyboardInterrupt):
         job.run(path, progress=Stop(3, "viewpoints"))
     fewer = estimate_pvs(job.scene, job.grid, job.space, path, CONFIG, workers=Workers(2))
-    assert estimate.seconds - fewer.seconds == pytest.approx(3.0 * 3 / 1.3)
+    assert estimate.seconds - fewer.seconds == pytest.approx(3.0 * 3 / 1.8)
     with pytest.raises(KeyboardInterrupt):
         job.run(path, progress=Stop(5))
     before = sorted(path.parent.rglob("*"))
     fewer = estimate_pvs(job.scene, job.grid, job.space, path, CONFIG, workers=Workers(2))
     assert fewer.finished == 5
-    assert fewer.seconds == pytest.approx(3.0 * (cells - 5) / 1.3 + 8.3, abs=0.2)
+    assert fewer.seconds == pytest.approx(3.0 * (cells - 5) / 1.8 + 6.3, abs=0.2)
     assert sorted(path.parent.rglob("*")) == before
     with pytest.raises(KeyboardInterrupt):
         job.run(path, progress=Stop(0, "check"))
@@ -79,3 +79,22 @@ def test_fine_looks_and_coarse_ones_are_counted_apart(
     assert 0 < fine < len(job.shared)
     looked = 4.0 * fine + 1.0 * (len(job.shared) - fine)
     assert looked <= estimate.seconds <= looked + 1.0
+
+
+def test_threads_that_were_tried_with_are_not_there_for_processes(
+    job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+
+    def seconds(threads: float, count: int) -> tuple[float, float]:
+        tried = estimates._Tried(cells=1, looking=([1.0], [1.0]), finding=2.0, threads=threads)
+        monkeypatch.setattr(estimates, "_try_cells", lambda *_: tried)
+        found = estimate_pvs(job.scene, job.grid, job.space, tmp_path / "x.pvs", CONFIG, workers=Workers(count))
+        return found.seconds, found.of_cells
+
+    slow, of_slow = seconds(1.0, 2)
+    fast, of_fast = seconds(1.5, 2)
+    work = len(job.shared) + 2.0 * len(job.grid)
+    assert fast - slow == pytest.approx(0.5 * work / 1.8)
+    assert (of_slow, of_fast) == pytest.approx((2.0 * len(job.grid) / 1.8, 3.0 * len(job.grid) / 1.8))
+    assert seconds(1.5, 1) == pytest.approx(seconds(1.0, 1))  # one process has its threads
