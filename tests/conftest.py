@@ -99,16 +99,5 @@ def pytest_collection() -> Generator[None, object, object]:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with the tests in a browser, the longest file: a worker must not be left alone with them.
-
-    The other files follow in turn from the front and from the back: neighbors use the same kernels, so in a fresh clone
-    one of two workers would wait while the other compiles them.
-    """
-    files: dict[Path, list[pytest.Item]] = {}
-    for item in items:
-        files.setdefault(item.path, []).append(item)
-    paths = list(files)
-    last = [path for path in paths if path.parent.name != "viewer"]
-    order = [path for path in paths if path.parent.name == "viewer"]
-    order += [last.pop(-(k % 2)) for k in range(len(last))]
-    items[:] = [item for path in order for item in files[path]]
+    """Begin with the tests in a browser: they are the longest file, and a worker must not be left alone with them."""
+    items.sort(key=lambda item: item.path.parent.name != "viewer")
