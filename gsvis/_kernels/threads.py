@@ -67,7 +67,7 @@ def _named_as(kernel: Any, run: Callable[..., None]) -> Callable[..., None]:
 
 
 def _run_all(kernel: Callable[..., object], calls: list[tuple[Any, ...]]) -> None:
-    """Make all calls, the first in this thread; raise what one of them raised when all have ended."""
+    """Make all calls, the first in this thread. Raise an error of one of them, once all have ended."""
     others = [_pool().submit(kernel, *call) for call in calls[1:]]
     try:
         kernel(*calls[0])

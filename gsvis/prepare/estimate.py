@@ -42,7 +42,7 @@ _clock = time.perf_counter  # tests set another
 # view of the scene.
 _WIDE_VIEW = 0.8  # a view to train on: smaller, but wide
 _PRUNED_VIEW = 1.0  # a look that chooses by photos, which are taken to be as many as views
-_LOOK, _LOOK_SHARE = 0.7, 2.8  # a look that chooses without photos, and what one at the whole scene adds
+_LOOK, _LOOK_SHARE = 0.7, 2.8  # a look that chooses without photos; added to it if all Gaussians are in sight
 _STEP_VIEW, _STEP_SHARE, _STEP_SH = 0.25, 1.0, 1.6  # a training step, one of all Gaussians, what 16 SH coefficients add
 _WEIGHED_VIEW = 0.75  # a view that measures importance
 _COST_VIEW, _CLIENT_VIEW = 6.0, 12.0  # a view that measures what rounding costs, and one of what a client gets
@@ -278,6 +278,7 @@ class _Estimator:
             scene = self.levels.level(len(self.levels) - 1)
             cameras = replace(views, count=_VIEWS_TIMED + 1).cameras(scene, self.stages.space)
             rasterize(scene, cameras[0])  # loads the kernels
+            # Of two times the shorter one: other work on the machine can only add to a time.
             taken = [min(self._draw(scene, cameras[c]) for _ in range(2)) for c in range(1, len(cameras))]
             self._timed[views] = sum(taken) / len(taken)
         return self._timed[views]
@@ -286,7 +287,7 @@ class _Estimator:
     def _draw(scene: Gaussians, camera: Cameras) -> float:
         began = _clock()
         rasterize(scene, camera)
-        return _clock() - began  # what else runs on the machine can only add to it
+        return _clock() - began
 
     def _ply_bytes(self) -> float:
         return float(4 * (14 + 3 * self.levels.union.shN.shape[1]))

@@ -9,7 +9,7 @@ import numpy as np
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 
-__all__ = ["scene_hash", "space_hash"]
+__all__ = ["scene_hash", "sight_hash", "space_hash"]
 
 _ARRAYS = ("means", "quats", "scales", "opacities", "sh0", "shN")
 
@@ -29,6 +29,11 @@ def scene_hash(g: Gaussians) -> str:
         digest.update(f"{name} {array.shape}\n".encode())
         digest.update(array.data if array.size else b"")
     return digest.hexdigest()
+
+
+def sight_hash(space: NavigableSpace) -> str:
+    """Return a hash of all that decides what `InSight` hides: the grid, the free and the occupied voxels."""
+    return space_hash(space) + hashlib.sha256(np.packbits(space.occupied).tobytes()).hexdigest()
 
 
 def space_hash(space: NavigableSpace) -> str:

@@ -42,7 +42,7 @@ _LATER = 0.6  # looks for a later cut to a half or less, over those for the firs
 _FEWEST = 40  # looks for a cut
 _POLLED = 200  # cameras that say how often a Gaussian is in sight
 _SELDOM = 0.02  # share of cameras below which it makes no difference
-_FAIRNESS = 0.5  # in rooms; 0: worth is what an average camera loses; 1: what one loses that looks there
+_FAIRNESS = 0.5  # in rooms; 0: worth is the mean loss over all cameras; 1: over the cameras with the Gaussian in sight
 _TRIED = 16  # cameras from which the number of looks is found
 _BINS, _PER_OCTAVE, _LOWEST = 2048, 16, -110  # of worth, logarithm to base 2
 
@@ -181,7 +181,7 @@ class _State:
             self.sums[near] += removal_effects(self._left[near], camera, presence=chances[near]).squared
 
     def _worth(self) -> F64:
-        """Return (K,) what each is worth, between what an average camera loses and what one loses that looks there."""
+        """Return (K,) the worth of each: between its mean loss over all cameras, and over those that see it."""
         return np.asarray(self.seen[self.kept] ** -_FAIRNESS * self.sums)
 
     def cut(self, count: int) -> NDArray[np.int64]:

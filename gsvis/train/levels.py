@@ -24,7 +24,7 @@ from gsvis.errors import ArgumentError, FormatError
 from gsvis.files.resume import KeptWork
 from gsvis.progress import Progress, silent
 from gsvis.scene.cameras import Cameras
-from gsvis.scene.content import scene_hash, space_hash
+from gsvis.scene.content import scene_hash, sight_hash
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
@@ -272,11 +272,7 @@ def _subsets(
     if work is None:
         return dict(zip(counts, choose(), strict=True))
     shape = cameras.width, cameras.height
-    hides = (
-        None
-        if space is None
-        else [space_hash(space), hashlib.sha256(np.packbits(space.occupied).tobytes()).hexdigest()]
-    )
+    hides = None if space is None else sight_hash(space)
     rules = [_CHOICE, scene_hash(scene), counts, config.prune_share, config.looks, shape, choose_by is not None, hides]
     digest = hashlib.sha256()
     for array in (views.images, views.cameras.viewmats, views.cameras.Ks, cameras.viewmats, cameras.Ks):

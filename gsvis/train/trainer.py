@@ -6,7 +6,6 @@ Every random choice is a function of the seed and the step, so a resumed run is 
 
 from __future__ import annotations
 
-import hashlib
 import logging
 import math
 import os
@@ -22,7 +21,7 @@ from gsvis.progress import Progress, silent
 from gsvis.render.rasterizer import rasterize
 from gsvis.render.tensors import GaussianTensors
 from gsvis.scene.cameras import Cameras
-from gsvis.scene.content import scene_hash, space_hash
+from gsvis.scene.content import scene_hash, sight_hash
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.in_sight import InSight
 from gsvis.scene.navigable import NavigableSpace
@@ -100,7 +99,7 @@ class Trainer:
         self._sight = None
         if space is not None and space.kind.kind == "rooms" and frozen is not None and len(frozen):
             self._sight = InSight.from_scene(frozen, space, walls=_WALLS)
-            self.beginning += space_hash(space) + hashlib.sha256(np.packbits(space.occupied).tobytes()).hexdigest()
+            self.beginning += sight_hash(space)
         degree = config.sh_degree if config.sh_every == 0 else min(start.sh_degree, config.sh_degree)
         whole = _set_degree(start, degree)
         if frozen is not None and len(frozen):

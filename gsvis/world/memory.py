@@ -54,8 +54,7 @@ def _levels(params: Facts, inputs: Sequence[Facts]) -> int:
 
 
 def _district(params: Facts, inputs: Sequence[Facts]) -> int:
-    lowest = [each["levels"][0][1] if "spacings" in each else each["gaussians"] for each in inputs]
-    return int(130 * _MB + 900 * sum(lowest))
+    return int(130 * _MB + 900 * _lowest(inputs))
 
 
 def _around(params: Facts, inputs: Sequence[Facts]) -> int:
@@ -63,8 +62,12 @@ def _around(params: Facts, inputs: Sequence[Facts]) -> int:
 
 
 def _tile(params: Facts, inputs: Sequence[Facts]) -> int:
-    lowest = [each["levels"][0][1] if "spacings" in each else each["gaussians"] for each in inputs[2:]]
-    return int(150 * _MB + 500 * (inputs[0]["gaussians"] + sum(lowest)))
+    return int(150 * _MB + 500 * (inputs[0]["gaussians"] + _lowest(inputs[2:])))
+
+
+def _lowest(nodes: Sequence[Facts]) -> int:
+    """Return the Gaussians in the lowest levels of tiles, and in districts, which have one level."""
+    return sum(each["levels"][0][1] if "spacings" in each else each["gaussians"] for each in nodes)
 
 
 _NEEDS: dict[str, Callable[[Facts, Sequence[Facts]], int]] = {

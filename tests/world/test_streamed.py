@@ -198,6 +198,7 @@ def test_a_world_without_a_tile_that_can_be_read_is_refused(copy: Path) -> None:
 def check_facts(server: Server, grid: Any, gaussians: int) -> None:
     """The floor covers the cells; a Gaussian of a tile knows its cells, one of a district is known."""
     floor = json.loads(ask(server, "/scenes/a/floor")[2])
+    assert json.loads(ask(server, "/scenes/a/seen")[2]) is None
     heights = np.array([value for value in floor["heights"] if value is not None])
     assert len(heights) > 10
     low, high = grid.centers[:, 2].min() - grid.sizes.max() / 2, grid.centers[:, 2].max() + grid.sizes.max() / 2

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -115,11 +116,11 @@ def test_tiles_cover_all_that_is_there_once_and_are_well_filled(seed: int) -> No
     assert len(tiles) <= 2.5 * counts.sum() / most + 1
 
 
-def leaves(tree: object) -> list[int]:
+def leaves(tree: Any) -> list[int]:
     """The numbers in a tree of cuts, ascending."""
     if isinstance(tree, list):
         return sorted(k for each in tree for k in leaves(each))
-    return [] if tree is None else [tree]  # type: ignore[list-item]
+    return [] if tree is None else [tree]
 
 
 def test_four_times_the_gaussians_are_four_times_the_tiles() -> None:

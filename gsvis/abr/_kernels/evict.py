@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numba import njit
 
 from gsvis._kernels.bits import has, lowest
-
-_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "no_cfunc_wrapper": True, "error_model": "numpy"}
+from gsvis._kernels.compiled import kernel
 
 
 @njit(inline="always")
@@ -17,7 +14,7 @@ def _remove(words, i):
     words[i >> 6] &= ~(np.uint64(1) << np.uint64(i & 63))
 
 
-@njit(**_OPTIONS)
+@kernel(error_model="numpy")
 def held_terms_of(words, held_terms, term_offsets):
     """Return how many terms of Gaussians, a packed set (W,), are held."""
     count, one = 0, np.uint64(1)
@@ -31,7 +28,7 @@ def held_terms_of(words, held_terms, term_offsets):
     return count
 
 
-@njit(**_OPTIONS)
+@kernel(error_model="numpy")
 def evict(order, masks, needed, sizes, held, term_offsets, links, out):
     """Remove Gaussians and their terms from what is held, until enough bytes are free.
 
@@ -81,7 +78,7 @@ def evict(order, masks, needed, sizes, held, term_offsets, links, out):
     return count, freed
 
 
-@njit(**_OPTIONS)
+@kernel(error_model="numpy")
 def owe_again(words, evicted, owed, checked):
     """Add evicted Gaussians, a packed set (W,), to what is `owed` (S,), and remove them from `checked` (S,)."""
     for s in range(len(words)):

@@ -10,13 +10,11 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from gsvis._kernels.bits import ones
-from gsvis._kernels.compiled import inner
+from gsvis._kernels.compiled import inner, kernel
 from gsvis.abr._kernels.units import BUCKETS, GEOMETRY, INSIDE, LEAST, OUTSIDE, TERMS
 
-_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "no_cfunc_wrapper": True, "error_model": "numpy"}
 _SAMPLE, _SPARE = 16, 1.5
 NEVER = 1 << 30  # the key of what is never sent
 UNKNOWN, DONE = -1, -2  # in `Cell.waits`: to be checked; replaced
@@ -133,7 +131,7 @@ class Work(NamedTuple):
     sizes: Any  # (K,) float64
 
 
-@njit(**_OPTIONS)
+@kernel(error_model="numpy")
 def test_words(x, y, z, radii, p, sides):
     """Raise `sides` (S,) to 1 where a sphere touches a frustum (5, 4), to 2 where it is inside."""
     a0, b0, c0, d0 = p[0, 0], p[0, 1], p[0, 2], p[0, 3]
@@ -156,7 +154,7 @@ def test_words(x, y, z, radii, p, sides):
         sides[s] = side if side > sides[s] else sides[s]
 
 
-@inner(**_OPTIONS)
+@inner(error_model="numpy")
 def _test_gaussians(words, places, bodies, planes, sides, inside):
     """Set which Gaussians of words (S,) are in a frustum (F, 5, 4); test them one by one where the side is 3."""
     xs, ys, zs, sizes = bodies[0], bodies[1], bodies[2], bodies[3]
@@ -189,7 +187,7 @@ def _test_gaussians(words, places, bodies, planes, sides, inside):
         inside[s] = bits
 
 
-@inner(**_OPTIONS)
+@inner(error_model="numpy")
 def _gather(words, allowed, owed, gaussians, gone, free, due):
     """Set what is neither held nor gone (`free`), and what is owed and not gone (`due`), for words (S,)."""
     for s in range(len(words)):
@@ -197,7 +195,7 @@ def _gather(words, allowed, owed, gaussians, gone, free, due):
         free[s], due[s] = allowed[s] & ~(gaussians[w] | gone[w]), allowed[s] & owed[s] & ~gone[w]
 
 
-@inner(**_OPTIONS)
+@inner(error_model="numpy")
 def _skip_checked(squares, travelled, parallax, checked, checked_at, due):
     """Remove from `due` (S,) what is checked; forget checks of words whose direction has changed by the parallax."""
     for s in range(len(due)):
@@ -207,7 +205,7 @@ def _skip_checked(squares, travelled, parallax, checked, checked_at, due):
         due[s] &= ~checked[s]
 
 
-@inner(**_OPTIONS)
+@inner(error_model="numpy")
 def _squares(x, y, z, spreads, eye, out):
     """Set the mean square of the distances between the Gaussians of each word and the eye."""
     a, b, c = eye[0], eye[1], eye[2]
@@ -216,14 +214,14 @@ def _squares(x, y, z, spreads, eye, out):
         out[s] = u * u + v * v + w * w + spreads[s] + np.float32(1e-12)
 
 
-@inner(**_OPTIONS)
+@inner(error_model="numpy")
 def _gains(slots, areas, pixels, squares, out):
     """Set the gain of each unit."""
     for u in range(len(slots)):
         out[u] = areas[u] / squares[slots[u]] + pixels[u]
 
 
-@inner(**_OPTIONS)
+@inner(error_model="numpy")
 def _buckets(bits, out):
     """Set the bucket of each gain, given by its bits; see `bucket_of`."""
     for u in range(len(bits)):
@@ -232,7 +230,7 @@ def _buckets(bits, out):
         out[u] = BUCKETS - 1 - (place if place < BUCKETS - 1 else BUCKETS - 1)
 
 
-@inner(**_OPTIONS)
+@inner(error_model="numpy")
 def _estimate_limit(units, runs, cell, table, limits, work):
     """Return a key below which about enough bytes lie, estimated from a sample of the words; at most all keys."""
     masks, codes, buckets = units.masks, units.codes, work.buckets
@@ -260,7 +258,7 @@ def _estimate_limit(units, runs, cell, table, limits, work):
     return len(sizes)
 
 
-@inner(**_OPTIONS)
+@inner(error_model="numpy")
 def _choose(units, runs, ahead, table, limit, work):
     """Choose the units that may have a key below a limit; mark their words on a border with 3, for a closer test.
 
@@ -290,7 +288,7 @@ def _choose(units, runs, ahead, table, limit, work):
     return filled, not skipped
 
 
-@njit(**_OPTIONS)
+@kernel(error_model="numpy")
 def rank(units, runs, cell, held, view, table, limits, work):
     """Rank the units that are left by key: the offset of their class, level and kind, plus the bucket of their gain.
 

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numba import njit
 
 from gsvis._kernels.bits import has, lowest
-from gsvis._kernels.compiled import inner
+from gsvis._kernels.compiled import inner, kernel
 from gsvis.abr._kernels.plan import DONE, SEVERAL, UNITS, UNKNOWN
-
-_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "no_cfunc_wrapper": True, "error_model": "numpy"}
 
 
 @njit(inline="always")
@@ -19,7 +15,7 @@ def _put(words, i):
     words[i >> 6] |= np.uint64(1) << np.uint64(i & 63)
 
 
-@njit(**_OPTIONS)
+@kernel(error_model="numpy")
 def forget_paid(words, active, held, term_offsets, owed):
     """Clear in `owed` (S,) the words of Gaussians whose active terms are all held."""
     count = len(term_offsets) - 1
@@ -30,7 +26,7 @@ def forget_paid(words, active, held, term_offsets, owed):
                 owed[s] = 0
 
 
-@njit(**_OPTIONS)
+@kernel(error_model="numpy")
 def is_left(seen, wanted, held, owed):
     """Return whether one of the Gaussians in `seen` and `wanted` (W,), not gone, is not held or owes terms (S,)."""
     gaussians, _, gone = held
@@ -92,7 +88,7 @@ def _less(wait, units):
     return wait - units if wait > units else UNKNOWN
 
 
-@njit(**_OPTIONS)
+@kernel(error_model="numpy")
 def take(plan, place, cell, held, view, records, links, budget, out):
     """Take the next records of a plan that fit into a budget, and mark them as held.
 
@@ -172,7 +168,7 @@ def take(plan, place, cell, held, view, records, links, budget, out):
     return place, found, found_terms, dropped, total
 
 
-@inner(**_OPTIONS)
+@inner(error_model="numpy")
 def _drop_replaced(g, held, cell, links, out, dropped):
     """Mark as gone what g replaces, where enough of the other replacements is held or cannot be seen from the cell.
 

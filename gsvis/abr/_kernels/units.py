@@ -13,8 +13,8 @@ import numpy as np
 from numba import njit
 
 from gsvis._kernels.bits import lowest, ones
+from gsvis._kernels.compiled import kernel
 
-_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "no_cfunc_wrapper": True, "error_model": "numpy"}
 BUCKETS = 1024
 LEAST = 129 * 32 - (BUCKETS - 1)  # a gain of 4, the largest there is: its float32 without the last 18 bits
 GEOMETRY, TERMS = 0, 1
@@ -54,7 +54,7 @@ def bucket_of(gain):
     return BUCKETS - 1 - min(max(place, 0), BUCKETS - 1)
 
 
-@njit(**_OPTIONS)
+@kernel(error_model="numpy")
 def word_spheres(means, radii, areas, spheres, spreads):
     """Set a sphere around the Gaussians of each word, and the mean square of their distance from its center.
 
@@ -87,7 +87,7 @@ def word_spheres(means, radii, areas, spheres, spreads):
         spreads[w] = min(spread / total, 1e30)
 
 
-@njit(**_OPTIONS)
+@kernel(error_model="numpy")
 def cell_units(words, classes, traits, class_weights, found):
     """Split the members of a cell into units of ring 0.
 
@@ -145,14 +145,14 @@ def cell_units(words, classes, traits, class_weights, found):
     return filled
 
 
-@njit(**_OPTIONS)
+@kernel(error_model="numpy")
 def add_words(words, seen, fresh):
     """Add to `fresh` what is in `words` and not in `seen`."""
     for w in range(len(words)):
         fresh[w] |= words[w] & ~seen[w]
 
 
-@njit(**_OPTIONS)
+@kernel(error_model="numpy")
 def ring_units(fresh, every, found):
     """Write the `fresh` part of the units of all Gaussians (`every`), and return the number of units."""
     words, masks, areas, pixels, codes, logs = every
@@ -167,7 +167,7 @@ def ring_units(fresh, every, found):
     return filled
 
 
-@njit(**_OPTIONS)
+@kernel(error_model="numpy")
 def pair_bytes(words, masks, codes, word_bytes, sums):
     """Add the bytes of units to sums (L * L,), by pair of levels."""
     for u in range(len(words)):
@@ -191,14 +191,14 @@ def _touches(planes, x, y, z, radius):
     return best
 
 
-@njit(**_OPTIONS)
+@kernel(error_model="numpy")
 def in_view(planes, means, radii, out):
     """Set which spheres (N,) touch one of the frusta (F, 5, 4)."""
     for g in range(len(means)):
         out[g] = _touches(planes, means[g, 0], means[g, 1], means[g, 2], radii[g]) > 0
 
 
-@njit(**_OPTIONS)
+@kernel(error_model="numpy")
 def active_words(ids, owners, active, owing):
     """Mark active terms (ids), and the Gaussians that own them (owners: (T,))."""
     one = np.uint64(1)

@@ -12,14 +12,9 @@ References:
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numba import njit
 
-from gsvis._kernels.compiled import inner
-
-OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "no_cfunc_wrapper": True}
+from gsvis._kernels.compiled import inner, kernel
 
 START = 1 << 31  # a probability of one half that has seen nothing
 TAIL = 2  # words after the last bit
@@ -30,7 +25,7 @@ _WORD, _LEAST = np.uint64(32), np.uint64(1 << 32)
 _FULL = np.uint64((1 << 64) - 1)
 
 
-@njit(**OPTIONS)
+@kernel
 def begin(data, writing):
     """Return the state before the first bit."""
     if writing:
@@ -41,7 +36,7 @@ def begin(data, writing):
     return low, _FULL, 2
 
 
-@njit(**OPTIONS)
+@kernel
 def end(low, at, data, writing):
     """Write the rest; return the number of words, or -1 if others were written than read."""
     if not writing:
@@ -50,7 +45,7 @@ def end(low, at, data, writing):
     return at + TAIL
 
 
-@inner(forceinline=True, **OPTIONS)
+@inner(forceinline=True)
 def code_tree(low, span, at, chances, start, value, bits, data, writing):
     """Write or read a value of so many bits, highest first, by 2^bits probabilities from `start` on.
 
@@ -94,7 +89,7 @@ def code_tree(low, span, at, chances, start, value, bits, data, writing):
     return node - (1 << bits), low, span, at
 
 
-@inner(forceinline=True, **OPTIONS)
+@inner(forceinline=True)
 def _read_tree(low, span, at, chances, start, bits, data):
     """Read a value; see `code_tree`. No branch depends on a bit, which a processor could not foresee."""
     node, first = np.uint64(1), np.uint64(start)

@@ -13,9 +13,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from gsvis._kernels.compiled import inner
+from gsvis._kernels.compiled import inner, kernel
 from gsvis._kernels.records import put, take, weight
-from gsvis.package._kernels.adaptive import OPTIONS, START, begin, code_tree, end
+from gsvis.package._kernels.adaptive import START, begin, code_tree, end
 
 DEPTH = 12  # bits of the path in the octree
 STEPS = 6  # bits of the distance of the largest scale from the expected one; the last value is for any other
@@ -69,7 +69,7 @@ def _grade(count):
     return 6 if count < 9 else 7 if count < 14 else 8 if count < 24 else 9
 
 
-@inner(forceinline=True, **OPTIONS)
+@inner(forceinline=True)
 def _code_path(low, span, at, chances, start, path, nodes, stamp, data, writing):
     """Write or read a path of DEPTH bits through the octree of a chunk; return it.
 
@@ -97,7 +97,7 @@ def _code_path(low, span, at, chances, start, path, nodes, stamp, data, writing)
     return node - (1 << DEPTH), low, span, at
 
 
-@inner(**OPTIONS)
+@inner
 def _take_record(words, i, fields, wide, v, low_bits):
     """Write the fields of a record to `v` and the lower bits of its places, of `wide` (3,) bits, to `low_bits`."""
     position, rotation, scale, levels = fields.position, fields.rotation, fields.scale, DEPTH // 3
@@ -123,7 +123,7 @@ def _take_record(words, i, fields, wide, v, low_bits):
             v[_PATH] |= (upper >> (levels - 1 - level) & 1) << (DEPTH - 1 - 3 * level - k)
 
 
-@inner(**OPTIONS)
+@inner
 def _put_record(words, i, fields, wide, v, low_bits, bits):
     """Write a record from its fields; `bits` (2,) uint64 is room to work in."""
     position, rotation, scale, levels = fields.position, fields.rotation, fields.scale, DEPTH // 3
@@ -147,7 +147,7 @@ def _put_record(words, i, fields, wide, v, low_bits, bits):
     words[i, 0], words[i, 1] = bits[0], bits[1]
 
 
-@inner(**OPTIONS)
+@inner
 def _code_color(low, span, at, chances, start, c, colors, data, writing):
     """Write or read the components of a base color, c, and return the state: one leads, the others are given by it.
 
@@ -169,7 +169,7 @@ def _code_color(low, span, at, chances, start, c, colors, data, writing):
     return low, span, at
 
 
-@inner(forceinline=True, **OPTIONS)
+@inner(forceinline=True)
 def _code_shape(low, span, at, chances, fields, before, v, data, writing):
     """Write or read opacity, order and ratios of the scales; return the state. `before` is the order before."""
     scale = fields.scale
@@ -182,7 +182,7 @@ def _code_shape(low, span, at, chances, fields, before, v, data, writing):
     return low, span, at
 
 
-@inner(forceinline=True, **OPTIONS)
+@inner(forceinline=True)
 def _code_top(low, span, at, chances, fields, expected, top, data, writing):
     """Write or read the largest scale, by the expected one if that is not -1; return it and the state."""
     scale, whole = fields.scale, _SHAPE + (2 << fields.scale)
@@ -197,7 +197,7 @@ def _code_top(low, span, at, chances, fields, expected, top, data, writing):
     return code_tree(low, span, at, chances, whole, top, scale, data, writing)
 
 
-@njit(**OPTIONS)
+@kernel
 def code(words, terms, low_bits, rows, fields, data, writing):
     """Write the records of a part as words of 32 bits, or read them from there.
 
@@ -250,7 +250,7 @@ def code(words, terms, low_bits, rows, fields, data, writing):
     return end(low, at, data, writing)
 
 
-@njit(**OPTIONS)
+@kernel
 def pack(values, bits, out):
     """Write so many low bits of each value as one string of bits, lowest first; `out` is of uint8 zeros."""
     at = 0
@@ -263,7 +263,7 @@ def pack(values, bits, out):
             value, left, at = value >> used, left - used, at + used
 
 
-@njit(**OPTIONS)
+@kernel
 def unpack(data, bits, out):
     """Write the values that `pack` packed; `data` has enough bytes."""
     at = 0

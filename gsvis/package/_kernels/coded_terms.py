@@ -7,16 +7,15 @@ than eight bits are coded in two halves. All arithmetic is of integers.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from gsvis._kernels.compiled import inner
+from gsvis._kernels.compiled import inner, kernel
 from gsvis._kernels.terms import near, upper_bits
-from gsvis.package._kernels.adaptive import OPTIONS, START, begin, code_tree, end
+from gsvis.package._kernels.adaptive import START, begin, code_tree, end
 
 _CONTEXTS = 1 + 9 + 8 + 9 + 8 + 16 + 13
 
 
-@inner(forceinline=True, **OPTIONS)
+@inner(forceinline=True)
 def _code_field(low, span, at, chances, context, value, bits, data, writing):
     """Write or read a field of 0 to 16 bits in a context; return it and the state."""
     rest, start = max(bits - 8, 0), context * 512
@@ -29,7 +28,7 @@ def _code_field(low, span, at, chances, context, value, bits, data, writing):
     return upper << rest | lower, low, span, at
 
 
-@njit(**OPTIONS)
+@kernel
 def code(records, firsts, fields, data, writing):
     """Write the terms of a part as words of 32 bits, or read them from there.
 

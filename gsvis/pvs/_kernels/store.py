@@ -6,19 +6,16 @@ fill whole roaring containers of 65,536 positions.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numba import njit
 
 from gsvis._kernels.bits import lowest, ones
+from gsvis._kernels.compiled import kernel
 
-_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "no_cfunc_wrapper": True}
 _CHUNK = 1024  # words of one roaring container: 65,536 positions
 _ARRAY = 4096  # most positions of a container that lists them
 
 
-@njit(**_OPTIONS)
+@kernel
 def count_shared(left, right):
     """Return the number of positions that two sets share."""
     total = 0
@@ -27,7 +24,7 @@ def count_shared(left, right):
     return total
 
 
-@njit(**_OPTIONS)
+@kernel
 def positions(words, out):
     """Write the positions of the set bits, ascending; `out` has room for exactly these."""
     filled = 0
@@ -39,7 +36,7 @@ def positions(words, out):
             word &= word - np.uint64(1)
 
 
-@njit(**_OPTIONS)
+@kernel
 def mark(ids, words):
     """Set the bits of ids."""
     for k in range(len(ids)):
@@ -47,7 +44,7 @@ def mark(ids, words):
         words[i >> np.uint64(6)] |= np.uint64(1) << (i & np.uint64(63))
 
 
-@njit(**_OPTIONS)
+@kernel
 def scatter(words, order, out):
     """Set the bits order[i] in `out` for the positions i of a set."""
     for w in range(len(words)):
@@ -58,7 +55,7 @@ def scatter(words, order, out):
             word &= word - np.uint64(1)
 
 
-@njit(**_OPTIONS)
+@kernel
 def reach(words, waiting, alive, order, value, out):
     """Write `value` at order[i] for the positions i of a set that still wait, and stop them from waiting.
 
@@ -86,7 +83,7 @@ def reach(words, waiting, alive, order, value, out):
     return kept
 
 
-@njit(**_OPTIONS)
+@kernel
 def add_signature(words, bit, signatures):
     """Set one bit in the signatures (N, W) of all positions of a set."""
     column, flag = bit >> 6, np.uint64(1) << np.uint64(bit & 63)
@@ -97,7 +94,7 @@ def add_signature(words, bit, signatures):
             word &= word - np.uint64(1)
 
 
-@njit(**_OPTIONS)
+@kernel
 def nearest_centers(signatures, centers, labels):
     """Write for each signature (M, W) the center (K, W) with the fewest differing bits; the first of equal ones."""
     for i in range(len(signatures)):
@@ -111,7 +108,7 @@ def nearest_centers(signatures, centers, labels):
         labels[i] = label
 
 
-@njit(**_OPTIONS)
+@kernel
 def count_bits(signatures, labels, bits, sizes):
     """Add up, for each label, the signatures (sizes (K,)) and their set bits (bits (K, 64 W))."""
     for i in range(len(signatures)):
@@ -124,7 +121,7 @@ def count_bits(signatures, labels, bits, sizes):
                 word &= word - np.uint64(1)
 
 
-@njit(**_OPTIONS)
+@kernel
 def count_contexts(words, parent, counts):
     """Add up how many positions of a set have each value in `parent`."""
     for w in range(len(words)):
@@ -134,7 +131,7 @@ def count_contexts(words, parent, counts):
             word &= word - np.uint64(1)
 
 
-@njit(**_OPTIONS)
+@kernel
 def place_classes(words, parent, symbols, starts, levels):
     """Give each position of a set the next of the symbols of its value in `parent`, plus 1."""
     at = starts.copy()
@@ -148,7 +145,7 @@ def place_classes(words, parent, symbols, starts, levels):
             word &= word - np.uint64(1)
 
 
-@njit(**_OPTIONS)
+@kernel
 def roaring(words, keys, cards, out):
     """Write the containers of the portable roaring format.
 

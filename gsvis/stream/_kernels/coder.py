@@ -10,13 +10,13 @@ References:
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "no_cfunc_wrapper": True}
+from gsvis._kernels.compiled import kernel
 
 BITS = 12
 TOTAL = 1 << BITS
@@ -110,7 +110,7 @@ def put_states(first, second, at, out):
     return at
 
 
-@njit(**_OPTIONS)
+@kernel
 def write(operations, symbols, out):
     """Write operations as words of 16 bits, from the end of `out` on, the states of the decoder first.
 
@@ -137,7 +137,7 @@ def write(operations, symbols, out):
     return put_states(first, second, at, out)
 
 
-@njit(**_OPTIONS)
+@kernel
 def count(operations, counts):
     """Add the symbols of operations to their counts (S,)."""
     for i in range(len(operations)):
@@ -145,7 +145,7 @@ def count(operations, counts):
             counts[operations[i]] += 1
 
 
-@njit(**_OPTIONS)
+@kernel
 def fill(weights, offsets, spans):
     """Write where each symbol begins in its table, and its size, from its weight.
 
@@ -170,7 +170,7 @@ def fill(weights, offsets, spans):
             start = end
 
 
-@njit(**_OPTIONS)
+@kernel
 def fill_slots(offsets, spans, rows, slots):
     """Write the symbol at each slot of each table that has a row."""
     for k in range(len(rows)):

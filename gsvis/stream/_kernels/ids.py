@@ -6,12 +6,11 @@ in a code of order k: w = v + 2^k has n bits; n - k - 1 zeros and a one, then th
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numba import njit
 
-_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "no_cfunc_wrapper": True}
+from gsvis._kernels.compiled import kernel
+
 MOST_ORDER = 24
 MOST_BITS = 2 * 33  # of a value below 2^32, in the worst order
 
@@ -22,7 +21,7 @@ def _length(value):
     return (np.float64(value).view(np.int64) >> 52) - 1022
 
 
-@njit(**_OPTIONS)
+@kernel
 def distances(ids, out):
     """Write the distance of each of the ascending ids from the one before, less one; for the first, the id itself."""
     before = np.int64(-1)
@@ -31,7 +30,7 @@ def distances(ids, out):
         before = np.int64(ids[i])
 
 
-@njit(**_OPTIONS)
+@kernel
 def owner_distances(terms, owners, share, out):
     """Write how far each owner is from the one that the distance of the terms predicts, the sign in the lowest bit.
 
@@ -49,7 +48,7 @@ def owner_distances(terms, owners, share, out):
         term, owner = to, of
 
 
-@njit(**_OPTIONS)
+@kernel
 def best_order(values):
     """Return the order of the code in which values take about the fewest bits."""
     lengths, longest = np.zeros(64, np.int64), 1
@@ -67,7 +66,7 @@ def best_order(values):
     return best
 
 
-@njit(**_OPTIONS)
+@kernel
 def write_ids(chunks, gaussians, terms, owners, gone, evicted, share, orders, out):
     """Append the ids of a batch to its row of ids.
 
@@ -112,7 +111,7 @@ def write_ids(chunks, gaussians, terms, owners, gone, evicted, share, orders, ou
     return bit
 
 
-@njit(**_OPTIONS)
+@kernel
 def write(values, order, out, bit):
     """Append values to a string of bits; those from `bit` to the end of its byte must be zero.
 
@@ -150,7 +149,7 @@ def _flush(out, byte, word):
     return byte + 1
 
 
-@njit(**_OPTIONS)
+@kernel
 def read(data, bit, order, values):
     """Read values until the array is full; return the bit after the last, or -1 if the bits are no such values."""
     end = 8 * len(data)
@@ -176,7 +175,7 @@ def read(data, bit, order, values):
     return np.int64(bit)
 
 
-@njit(**_OPTIONS)
+@kernel
 def ids_from(values, limit, out):
     """Write the ids whose `distances` are given; return whether all are below the limit."""
     at = np.int64(-1)
@@ -188,7 +187,7 @@ def ids_from(values, limit, out):
     return True
 
 
-@njit(**_OPTIONS)
+@kernel
 def owners_from(values, terms, share, gaussians, out):
     """Write the owners whose `owner_distances` are given; return whether they are below `gaussians` and ascend."""
     term, owner = np.int64(0), np.int64(0)
@@ -202,7 +201,7 @@ def owners_from(values, terms, share, gaussians, out):
     return True
 
 
-@njit(**_OPTIONS)
+@kernel
 def first_times(places, of, known, out):
     """Write those of `of[places]` that are not known yet, and mark them as known; return their number."""
     count = 0
@@ -215,7 +214,7 @@ def first_times(places, of, known, out):
     return count
 
 
-@njit(**_OPTIONS)
+@kernel
 def added(words, before, out):
     """Write the ascending ids in the set `words` that `before` lacks, and add them to it; return their number."""
     count, one = 0, np.uint64(1)
@@ -231,7 +230,7 @@ def added(words, before, out):
     return count
 
 
-@njit(**_OPTIONS)
+@kernel
 def group_terms(owners, slots, terms, offsets, out):
     """Group terms by the slot of their Gaussian, within a slot in the order of their arrival.
 
@@ -270,7 +269,7 @@ def group_terms(owners, slots, terms, offsets, out):
     return total
 
 
-@njit(**_OPTIONS)
+@kernel
 def gather(rows, places, out):
     """Copy the rows (N, B) at some places (M,) one after the other to out (M B,)."""
     width, at = rows.shape[1], 0

@@ -7,17 +7,16 @@ integers, so that any client gets the same records. Decoding never raises; any r
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from gsvis._kernels.compiled import kernel
 from gsvis._kernels.prefetch import prefetch
 from gsvis._kernels.records import put, take, weight
 from gsvis.stream._kernels.coder import LEAST, RAW, begin, next_bits, next_symbol, push, put_states
-
-_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "no_cfunc_wrapper": True}
 
 MOST_OPERATIONS = 17  # of a record
 ROW = 16  # parts of a record, see `split`
@@ -157,7 +156,7 @@ def _split(low, high, row, chunks, layout, offsets, s, out):
     out[14], out[15] = strength & 0xFFFF, (strength >> 16) & 0xFFFF
 
 
-@njit(**_OPTIONS)
+@kernel
 def split(words, rows, chunks, layout, offsets, out):
     """Write what can be known of each record without the one before, to encode it many times; see `operations`.
 
@@ -198,7 +197,7 @@ def _top(top, strength, before, low, stride, most):
     return off if 0 <= off < STEPS - 1 else np.int64(STEPS - 1)
 
 
-@njit(**_OPTIONS)
+@kernel
 def operations(parts, ids, rows, chunks, layout, offsets, out):
     """Write what the coder does for each record, in the order of decoding.
 
@@ -251,7 +250,7 @@ def operations(parts, ids, rows, chunks, layout, offsets, out):
     return at
 
 
-@njit(**_OPTIONS)
+@kernel
 def write(parts, ids, rows, chunks, layout, offsets, symbols, out):
     """Write records as `coder.write` writes their `operations`, in one pass from the last to the first.
 
@@ -310,7 +309,7 @@ def write(parts, ids, rows, chunks, layout, offsets, symbols, out):
     return put_states(y, x, at, out)
 
 
-@njit(**_OPTIONS)
+@kernel
 def read(words, ids, rows, chunks, layout, code, out):
     """Write the records that words hold, and return whether the words are such records and nothing else.
 
@@ -388,7 +387,7 @@ def read(words, ids, rows, chunks, layout, code, out):
     return at == len(words) and x == np.uint64(LEAST) and y == np.uint64(LEAST)
 
 
-@njit(**_OPTIONS)
+@kernel
 def coarsen(words, rows, chunks, layout, rounding, out):
     """Write records without the bits that a coarse layout leaves out.
 

@@ -6,15 +6,12 @@ second of three, or the only one. The others are coded as differences from it. A
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numba import njit
 
+from gsvis._kernels.compiled import kernel
 from gsvis._kernels.terms import near, upper_bits
 from gsvis.stream._kernels.coder import LEAST, RAW, begin, next_bits, next_symbol
-
-_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "no_cfunc_wrapper": True}
 
 MOST_OPERATIONS = 13  # of a term
 
@@ -38,7 +35,7 @@ def _add(out, at, symbol, value, bits, most):
     return at + 1
 
 
-@njit(**_OPTIONS)
+@kernel
 def operations(records, owners, fields, offsets, out):
     """Write what the coder does for each term, in the order of decoding; return the number of operations.
 
@@ -88,7 +85,7 @@ def _next(words, x, y, at, table, bits, most, slots, tables, offsets, spans):
     return (value << rest) | low, x, y, at
 
 
-@njit(**_OPTIONS)
+@kernel
 def read(words, owners, fields, code, out):
     """Write the terms that words hold, and return whether the words are such terms and nothing else.
 
