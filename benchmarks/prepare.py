@@ -5,8 +5,8 @@ proportional set size (PSS) of all their processes is sampled. The machine's loa
 figures: times on a busy machine say little.
 
 Given: scenes, defaults of the command.
-Measured: seconds from start to exit, peak PSS, and the estimate over what came.
-Defaults chosen on: showroom LOD 3 and flowers LOD 3 (rays, faces, steps); nika had no part in it.
+Measured: seconds from start to exit, peak PSS, and both against the estimate.
+Defaults chosen on: showroom LOD 3 and flowers LOD 3 (rays, faces, steps). Nika and guitar had no part in it.
 """
 
 from __future__ import annotations
@@ -25,11 +25,13 @@ from _harness import add_arguments, realdata, write_result
 from _memory import pss, tree
 
 EVERY = 0.2  # seconds between samples of memory
-SCENES = {  # name: file under the scenes' folder, LOD, target in seconds
+SCENES: dict[str, tuple[str, int | None, float | None]] = {  # file under the scenes' folder, LOD, target in seconds
     "flowers LOD 3": ("flowers_sh2/lod-meta.json", 3, 60.0),
     "flowers LOD 2": ("flowers_sh2/lod-meta.json", 2, 120.0),
     "nika LOD 0": ("nika_sh3/lod-meta.json", 0, 600.0),
     "showroom LOD 3": ("showroom/lod-meta.json", 3, 720.0),
+    "nika LOD 1": ("nika_sh3/lod-meta.json", 1, None),
+    "guitar": ("formats/guitar.compressed.ply", None, 120.0),
 }
 
 
@@ -43,10 +45,11 @@ def main() -> None:
         path, lod, target = SCENES[name]
         with tempfile.TemporaryDirectory() as folder:
             ply = Path(folder) / "scene.ply"
-            run(["convert", str(realdata() / "scenes" / path), str(ply), "--lod", str(lod)])
+            run(["convert", str(realdata() / "scenes" / path), str(ply), *(() if lod is None else ("--lod", str(lod)))])
             words = ["prepare", str(ply), "-o", str(Path(folder) / "scene.gsvis"), "--json"]
             said, ran = run([*words, "--dry-run"]), run(words)
         estimate = said.pop("answer")
+        ratio = ran["seconds"] / estimate["seconds"]
         answer = ran.pop("answer")
         details[name] = {
             "gaussians": estimate["gaussians"],
@@ -54,15 +57,16 @@ def main() -> None:
             "estimate": {key: estimate[key] for key in ("seconds", "memory", "stages", "cells")},
             "prepare": ran,
             "stages": answer.get("stages"),
+            "time over estimate": ratio,
         }
         figures += [
             {"name": f"{name}: prepare", "target": target, "reached": ran["seconds"], "unit": "s", "better": "lower"},
             {"name": f"{name}: peak memory", "target": 3.0, "reached": ran["peak_gb"], "unit": "GB", "better": "lower"},
             {"name": f"{name}: dry run", "target": 20.0, "reached": said["seconds"], "unit": "s", "better": "lower"},
             {
-                "name": f"{name}: time over estimate",
+                "name": f"{name}: time and estimate, the larger over the smaller",
                 "target": 1.3,
-                "reached": ran["seconds"] / estimate["seconds"],
+                "reached": max(ratio, 1 / ratio),
                 "unit": "x",
                 "better": "lower",
             },
