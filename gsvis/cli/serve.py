@@ -12,11 +12,15 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from gsvis.cli.arguments_serve import Serve
 from gsvis.cli.terminal import print_json
 from gsvis.errors import BackendError
 from gsvis.files.limits import open_regular
+
+if TYPE_CHECKING:
+    from gsvis.serve.processes import Child
 
 __all__ = ["log_to_stderr", "run_serve"]
 
@@ -29,18 +33,26 @@ def run_serve(command: Serve) -> None:
         OSError: If the address is taken.
         ValueError: If an argument is wrong.
     """
-    from gsvis.abr.config import AbrConfig
-    from gsvis.serve import Address, AppConfig, JsonLines, Limits, Server, TextLines, open_scenes
+    from gsvis.serve import JsonLines, TextLines
     from gsvis.serve.processes import Child
-    from gsvis.serve.siblings import Siblings
-    from gsvis.stream import Quality
 
     child = Child.from_environment()
     number = None if child is None else child.number
     form = JsonLines(number) if command.log_format == "json" else TextLines(number)
-    log_to_stderr(form, logging.DEBUG if command.debug else logging.INFO)
-    if child is None and command.processes > 1:
-        return _supervise(command)
+    with log_to_stderr(form, logging.DEBUG if command.debug else logging.INFO):
+        if child is None and command.processes > 1:
+            _supervise(command)
+        else:
+            _serve(command, child)
+
+
+def _serve(command: Serve, child: Child | None) -> None:
+    """Serve in this process; `child` if another one started it."""
+    from gsvis.abr.config import AbrConfig
+    from gsvis.serve import Address, AppConfig, Limits, Server, open_scenes
+    from gsvis.serve.siblings import Siblings
+    from gsvis.stream import Quality
+
     limits = Limits(
         connections=command.clients, message_bytes=command.message_bytes, messages_per_s=float(command.messages),
         poses_per_s=float(command.poses), handshake_s=command.handshake, idle_s=command.idle, stall_s=command.stall,
@@ -74,7 +86,6 @@ def run_serve(command: Serve) -> None:
             _print_address(server.url, command)
         with _start_spared_by_gc(), suppress(KeyboardInterrupt):  # how a server ends
             server.run()
-    return None
 
 
 def _supervise(command: Serve) -> None:
@@ -125,11 +136,20 @@ def _start_spared_by_gc() -> Iterator[None]:
         gc.unfreeze()
 
 
-def log_to_stderr(form: logging.Formatter, level: int) -> None:
-    """Write the log of a server to stderr: lines of gsvis from a level on, and warnings of uvicorn."""
+@contextmanager
+def log_to_stderr(form: logging.Formatter, level: int) -> Iterator[None]:
+    """Write the log of a server to stderr while it runs: lines of gsvis from a level on, and warnings of uvicorn."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(form)
-    for name, least in (("gsvis", level), ("uvicorn", logging.WARNING)):
-        logger = logging.getLogger(name)
+    least = {"gsvis": level, "uvicorn": logging.WARNING}
+    loggers = [logging.getLogger(name) for name in least]
+    before = [(logger.handlers, logger.propagate, logger.level) for logger in loggers]
+    for logger in loggers:
         logger.handlers, logger.propagate = [handler], False
-        logger.setLevel(least)
+        logger.setLevel(least[logger.name])
+    try:
+        yield
+    finally:
+        for logger, (handlers, propagate, was) in zip(loggers, before, strict=True):
+            logger.handlers, logger.propagate = handlers, propagate
+            logger.setLevel(was)

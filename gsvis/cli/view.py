@@ -43,8 +43,8 @@ def run_view(command: View) -> None:
     from gsvis.serve import TextLines
     from gsvis.serve.scenes import Scenes, open_scene
 
-    log_to_stderr(TextLines(), logging.DEBUG if command.debug else logging.WARNING)
     with ExitStack() as stack:
+        stack.enter_context(log_to_stderr(TextLines(), logging.DEBUG if command.debug else logging.WARNING))
         folder, name = _folder_of(command, stack)
         scene = open_scene(folder, name, max_cache_bytes=_CACHE)
         scenes, name = stack.enter_context(Scenes([scene])), scene.name

@@ -61,19 +61,14 @@ def process(*arguments: object, **environment: str) -> Iterator[tuple[subprocess
 
 
 @pytest.fixture
-def failed(capsys: pytest.CaptureFixture[str]) -> Iterator[Callable[..., str]]:
+def failed(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
     """Runs the command here, where it has to fail; what it says."""
-    loggers = [logging.getLogger(name) for name in ("gsvis", "uvicorn")]
-    before = [(list(one.handlers), one.propagate, one.level) for one in loggers]
 
     def run(*arguments: object) -> str:
         assert main(["serve", *map(str, arguments)]) == 2
         return capsys.readouterr().err
 
-    yield run
-    for one, (handlers, propagate, level) in zip(loggers, before, strict=True):
-        one.handlers, one.propagate = handlers, propagate
-        one.setLevel(level)
+    return run
 
 
 def test_it_says_where_it_is_and_ends_well(package: Path) -> None:
@@ -198,6 +193,14 @@ def test_tls(package: Path, tmp_path: Path) -> None:
     assert running.returncode == 0
 
 
+def test_the_log_is_as_before_once_the_server_has_ended(
+    package: Path, failed: Callable[..., str], caplog: pytest.LogCaptureFixture
+) -> None:
+    assert "nowhere" in failed(package.with_name("nowhere"))
+    logging.getLogger("gsvis.serve").warning("after it")
+    assert caplog.messages[-1:] == ["after it"]
+
+
 def test_the_garbage_collector_passes_over_what_stays(package: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     frozen = []
     gc.unfreeze()  # what tests set aside does not count
@@ -206,7 +209,6 @@ def test_the_garbage_collector_passes_over_what_stays(package: Path, monkeypatch
         frozen.append(gc.get_freeze_count())
         server._socket.close()
 
-    monkeypatch.setattr("gsvis.cli.serve.log_to_stderr", lambda *_, **__: None)
     monkeypatch.setattr(Server, "run", run)
     assert main(["serve", str(package), "--port", "0"]) == 0
     assert frozen[0] > 10_000
