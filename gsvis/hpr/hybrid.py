@@ -50,7 +50,8 @@ def hybrid(
         size: Pixels along a side of the six faces of the z-buffer.
         tau: Least weight of a visible Gaussian, in (0, 1).
         margin: Margin of the hull; see `OcclusionHull.from_scene`.
-        faint: Weight in (0, tau] from which fainter Gaussians are returned too; None for none.
+        faint: Weight in (0, tau] from which fainter Gaussians are returned too, if at least half of tau of the light
+            reaches them; None for none.
         hull: False accepts all that are in doubt, and keeps no z-buffer: for faces so fine that it would be large.
 
     Returns:
@@ -70,7 +71,7 @@ def hybrid(
     if not 0.0 < least <= tau:
         raise ValueError(f"faint: expected a weight in (0, {tau:g}], got {faint!r}")
     pixels = _check.positive_int("size", size, at_least=4)
-    seen = look_around(splats, viewpoint, size=pixels, spent=min(_DOUBT * tau, least), buffer=hull)
+    seen = look_around(splats, viewpoint, size=pixels, spent=_DOUBT * tau, buffer=hull)
     weights, limit = seen.weights, np.float32(tau)
     peak = seen.light * g.opacities[seen.ids]
     doubtful = np.flatnonzero((weights < limit) & (weights >= np.float32(_DOUBT) * limit) & (peak >= limit))
