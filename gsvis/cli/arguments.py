@@ -208,7 +208,7 @@ class Pvs(Where):
     """The store to write, such as scene.pvs; an existing one is replaced when the new one is complete."""
     lod: Lod = None
     """Level of detail of a streamed scene; 0 is the finest."""
-    cells: Annotated[int | None, CELLS, hint("512, or 128 around an object of which an eye sees much")] = None
+    cells: Annotated[int | None, CELLS, hint("512, or 128 around an object whose sets hardly grow then")] = None
     """Largest number of cells. They are as small as it allows."""
     cell_size: Annotated[float | None, DISTANCE, hint("the smallest that --cells allows")] = None
     """Side of a cell, scene units."""

@@ -59,7 +59,7 @@ class Prepare(Where):
     """Cameras to train levels from, sampled where viewers may stand; not with --photos."""
     size: Annotated[tuple[int, int] | None, SIZE, hint("480x360; with --photos theirs")] = None
     """Pixels of these views; photographs are shrunk to it."""
-    cells: Annotated[int | None, CELLS, hint("256, or 64 around an object of which an eye sees much")] = None
+    cells: Annotated[int | None, CELLS, hint("256, or 64 around an object whose sets hardly grow then")] = None
     """Largest number of cells. They are as small as it allows."""
     cell_size: Annotated[float | None, DISTANCE, hint("the smallest that --cells allows")] = None
     """Side of a cell, scene units."""

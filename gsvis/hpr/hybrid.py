@@ -31,7 +31,15 @@ Light counts as spent below the same share, so that weights in doubt are found l
 
 
 def hybrid(
-    g: Gaussians, splats: Splats, viewpoint: ArrayLike, *, size: int = 256, tau: float = TAU, margin: float = 0.1
+    g: Gaussians,
+    splats: Splats,
+    viewpoint: ArrayLike,
+    *,
+    size: int = 256,
+    tau: float = TAU,
+    margin: float = 0.1,
+    faint: float | None = None,
+    hull: bool = True,
 ) -> Seen:
     """Find what an eye sees, by the z-buffer and hidden point removal together.
 
@@ -42,9 +50,13 @@ def hybrid(
         size: Pixels along a side of the six faces of the z-buffer.
         tau: Least weight of a visible Gaussian, in (0, 1).
         margin: Margin of the hull; see `OcclusionHull.from_scene`.
+        faint: Weight in (0, tau] from which fainter Gaussians are returned too, if at least half of tau of the light
+            reaches them; None for none.
+        hull: False accepts all that are in doubt, and keeps no z-buffer: for faces so fine that it would be large.
 
     Returns:
-        The Gaussians of weight tau or more; those accepted by the hull have the weight tau.
+        The Gaussians of weight tau or more; those accepted by the hull have the weight tau. Then the fainter ones, with
+        the weights that the z-buffer measured.
 
     Raises:
         ValueError: If an argument is out of range, or the splats belong to another scene.
@@ -55,15 +67,21 @@ def hybrid(
         )
     if not 0.0 < tau < 1.0:
         raise ValueError(f"tau: expected a weight in (0, 1), got {tau!r}")
-    seen = look_around(splats, viewpoint, size=_check.positive_int("size", size, at_least=4), spent=_DOUBT * tau)
+    least = tau if faint is None else faint
+    if not 0.0 < least <= tau:
+        raise ValueError(f"faint: expected a weight in (0, {tau:g}], got {faint!r}")
+    pixels = _check.positive_int("size", size, at_least=4)
+    seen = look_around(splats, viewpoint, size=pixels, spent=_DOUBT * tau, buffer=hull)
     weights, limit = seen.weights, np.float32(tau)
     peak = seen.light * g.opacities[seen.ids]
     doubtful = np.flatnonzero((weights < limit) & (weights >= np.float32(_DOUBT) * limit) & (peak >= limit))
-    if len(doubtful):
+    if len(doubtful) and hull:
         levels = seen.zbuffer.pyramid()
         level = max(k for k in range(len(levels)) if k == 0 or levels[k].shape[1] >= _HULL_SIZE)
-        hull = OcclusionHull.from_depths(g[seen.ids[doubtful]], viewpoint, levels[level], margin=margin)
+        ends = OcclusionHull.from_depths(g[seen.ids[doubtful]], viewpoint, levels[level], margin=margin)
+        doubtful = doubtful[ends.nearness() <= ON_HULL]
+    if len(doubtful):
         weights = weights.copy()
-        weights[doubtful[hull.nearness() <= ON_HULL]] = limit
-    kept = weights >= limit
+        weights[doubtful] = limit
+    kept = weights >= np.float32(least)
     return replace(seen, ids=seen.ids[kept], weights=weights[kept], light=seen.light[kept])

@@ -153,7 +153,9 @@ class Seen:
     zbuffer: ZBuffer
 
 
-def look_around(splats: Splats, viewpoint: ArrayLike, *, size: int = 256, spent: float = MIN_ALPHA) -> Seen:
+def look_around(
+    splats: Splats, viewpoint: ArrayLike, *, size: int = 256, spent: float = MIN_ALPHA, buffer: bool = True
+) -> Seen:
     """Splat a scene around an eye, front to back, and keep the Gaussians that light reaches.
 
     Args:
@@ -162,6 +164,8 @@ def look_around(splats: Splats, viewpoint: ArrayLike, *, size: int = 256, spent:
         size: Pixels along a side of the six faces, 4 to 4096.
         spent: Transmittance in (0, 1) below which light counts as spent; Gaussians without a brighter pixel in
             front are dropped. To find all weights of tau, it must be at most tau.
+        buffer: False keeps no depths: the z-buffer has faces of 0 x 0 pixels. Then pixels that nothing reaches cost
+            nothing.
 
     Raises:
         ValueError: If an argument is out of range.
@@ -176,7 +180,8 @@ def look_around(splats: Splats, viewpoint: ArrayLike, *, size: int = 256, spent:
     clusters.place_clusters(splats.bounds, at, size, nearest, rectangles)
     lists, counts = np.empty((6, len(nearest)), np.int64), np.empty(6, np.int64)
     clusters.list_clusters(np.argsort(nearest, kind="stable"), rectangles, lists, counts)
-    light, depths = np.empty((6, size, size), np.float32), np.empty((6, size, size), np.float32)
+    side = size if buffer else 0
+    light, depths = np.empty((6, side, side), np.float32), np.empty((6, side, side), np.float32)
     best = np.zeros(2 * splats.total, np.float32)
     kernels.splat_squares(
         (splats.near, splats.covars, splats.columns, splats.ids), at, size, np.float32(spent), nearest, rectangles,

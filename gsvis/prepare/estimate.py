@@ -47,7 +47,9 @@ _STEP_VIEW, _STEP_SHARE, _STEP_SH = 0.25, 1.0, 1.6  # a training step, one of al
 _WEIGHED_VIEW = 0.75  # a view that measures importance
 _COST_VIEW, _CLIENT_VIEW = 6.0, 12.0  # a view that measures what rounding costs, and one of what a client gets
 
-_HOLES = 1.7  # time of a cell with trained levels, whose holes ask for more looks, over one with stand-ins
+# Mean time of a cell over that of the few that are tried: one in ten asks for six looks or more, which a few rarely
+# show. Around an object cells are alike (docs/design/067).
+_RARE = 1.7
 
 _LEVELS_START = 3.0  # seconds until torch and the kernels of training are loaded
 _STEP = 0.01  # seconds of each training step
@@ -224,7 +226,8 @@ class _Estimator:
         state = "begun" if cost.finished or cost.looked else "to do"
         if cost.finished:
             what += f", {cost.finished:,} of them found"
-        seconds = cost.seconds + (_HOLES - 1.0) * cost.of_cells * (self.known is None and stages.trains)
+        alike = stages.space.kind.kind == "object"
+        seconds = cost.seconds + (0.0 if alike else _RARE - 1.0) * cost.of_cells
         self.found.append(StageEstimate("sets", state, what, seconds, disk))
         return None, disk, cost.memory
 

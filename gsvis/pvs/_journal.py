@@ -28,9 +28,10 @@ __all__ = [
 
 U8 = NDArray[np.uint8]
 
-_SIGHTING = struct.Struct("<II3d")
+_SIGHTING = struct.Struct("<III3d")
 _VIEW = struct.Struct("<II3I3d")
-_SEEN = 5  # bytes of each Gaussian: difference to the previous id, class
+_ID = 4  # bytes of an id: difference to the previous one
+_SEEN = _ID + 1  # and its class
 _DIRECTIONS = 10
 _CHECKED = 48  # bytes of each ray
 _MOST_CHECKED = 1 << 10
@@ -39,8 +40,8 @@ _FREE = 1 << 17  # bytes that an entry may have beside its Gaussians, and what z
 
 def pack_sighting(sighting: Sighting) -> bytes:
     """Return what a viewpoint sees as bytes. `unpack_sighting` reads them."""
-    head = _SIGHTING.pack(len(sighting.ids), sighting.looks, *sighting.viewpoint.tolist())
-    return head + _compress(_pack_seen(sighting.ids, sighting.classes))
+    head = _SIGHTING.pack(len(sighting.ids), len(sighting.faint), sighting.looks, *sighting.viewpoint.tolist())
+    return head + _compress(_pack_seen(sighting.ids, sighting.classes) + _pack_ids(sighting.faint))
 
 
 def unpack_sighting(data: bytes, gaussians: int) -> Sighting | None:
@@ -53,10 +54,13 @@ def unpack_sighting(data: bytes, gaussians: int) -> Sighting | None:
     """
     if len(data) < _SIGHTING.size:
         return None
-    count, looks, *viewpoint = _SIGHTING.unpack_from(data)
-    body = _expand(data[_SIGHTING.size :], _SEEN * count) if count <= gaussians else None
+    count, faint, looks, *viewpoint = _SIGHTING.unpack_from(data)
+    if count + faint > gaussians:
+        return None
+    body = _expand(data[_SIGHTING.size :], _SEEN * count + _ID * faint)
     seen = None if body is None else _unpack_seen(body, count, gaussians)
-    return None if seen is None else Sighting(np.array(viewpoint), looks, *seen)
+    ids = None if body is None else _unpack_ids(body[_SEEN * count :], faint, gaussians)
+    return None if seen is None or ids is None else Sighting(np.array(viewpoint), looks, *seen, ids)
 
 
 def pack_view(view: CellView) -> bytes:
@@ -125,17 +129,26 @@ def find_kept(work: KeptWork, viewpoints: int, cells: int, gaussians: int) -> tu
     return seen, found
 
 
-def _pack_seen(ids: NDArray[np.int32], classes: U8) -> bytes:
+def _pack_ids(ids: NDArray[np.int32]) -> bytes:
     deltas = np.diff(ids, prepend=np.int32(0)).astype("<i4")
-    return bytes(deltas.view(np.uint8).reshape(-1, 4).T.tobytes() + classes.tobytes())
+    return bytes(deltas.view(np.uint8).reshape(-1, _ID).T.tobytes())
 
 
-def _unpack_seen(body: U8, count: int, gaussians: int) -> tuple[NDArray[np.int32], U8] | None:
-    deltas = np.ascontiguousarray(body[: 4 * count].reshape(4, count).T).view("<i4")[:, 0]
+def _pack_seen(ids: NDArray[np.int32], classes: U8) -> bytes:
+    return _pack_ids(ids) + classes.tobytes()
+
+
+def _unpack_ids(body: U8, count: int, gaussians: int) -> NDArray[np.int32] | None:
+    deltas = np.ascontiguousarray(body[: _ID * count].reshape(_ID, count).T).view("<i4")[:, 0]
     ids = np.cumsum(deltas, dtype=np.int64)
     if count and (ids[0] < 0 or ids[-1] >= gaussians or (deltas[1:] <= 0).any()):
         return None
-    return ids.astype(np.int32), body[4 * count : _SEEN * count].copy()
+    return ids.astype(np.int32)
+
+
+def _unpack_seen(body: U8, count: int, gaussians: int) -> tuple[NDArray[np.int32], U8] | None:
+    ids = _unpack_ids(body, count, gaussians)
+    return None if ids is None else (ids, body[_ID * count : _SEEN * count].copy())
 
 
 def _compress(body: bytes) -> bytes:

@@ -1,12 +1,13 @@
-"""How many cells a space is worth: fewer where an eye sees much of a small scene from anywhere. World frame.
+"""How many cells a space is worth: fewer around an object of which an eye sees much, or whose sets hardly grow with it.
 
-Smaller cells have smaller sets, and each costs a look and a certificate. From around an object neighbors see nearly the
-same, so that a quarter of the cells have sets that are hardly larger (docs/design/053).
+Smaller cells have smaller sets, and each costs looks and a certificate. From around an object neighbors see nearly the
+same, so that a quarter of the cells may have sets that are hardly larger (docs/design/053 and 067). World frame.
 """
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gsvis import _check
 from gsvis.pvs.cells import CellGrid
@@ -21,19 +22,25 @@ __all__ = ["MOST_CELLS", "fitting_cells"]
 
 MOST_CELLS = 256  # most cells of a space, unless somebody asks for another number
 
-_EYES = 8
-_SIZE = 128  # pixels along a side of the faces around an eye
+_EYES = 8  # eyes whose cells are compared
+_VIEWPOINTS = 4  # of each of these cells
+_SIZE = 128  # pixels along a side of the faces around a viewpoint
 _MUCH = 0.4  # share of a scene that an eye sees, mean, from which fewer cells are enough
+_LARGER = 1.1  # size of the sets of fewer cells over that of all, up to which fewer are enough
 _FEWER = 4
 
 
 def fitting_cells(g: Gaussians, space: NavigableSpace, most: int) -> int:
-    """Return how many cells to divide a space into: `most`, or a quarter where an eye around an object sees 40% of it.
+    """Return how many cells to divide a space into: `most`, or a quarter around some objects.
 
     Args:
         g: The scene, N Gaussians.
         space: Its navigable space. Only where it was found to be around an object are there fewer cells.
         most: Most cells, at least 1.
+
+    Returns:
+        A quarter of `most` around an object of which an eye sees 40%, or whose sets grow by a tenth at most with that;
+        else `most`.
 
     Raises:
         ValueError: If `most` is below 1.
@@ -44,8 +51,33 @@ def fitting_cells(g: Gaussians, space: NavigableSpace, most: int) -> int:
     bright = np.count_nonzero(g.opacities >= MIN_ALPHA)
     if not bright:
         return most
+    look = Look(g, "hybrid", _SIZE, TAU)
+    if _count_seen_by_one(look, space) >= _MUCH * bright:
+        return most // _FEWER
+    eyes, counts = _spread_eyes(space), (most, most // _FEWER)
+    all_cells, fewer = (_count_seen(look, CellGrid.over(space, max_cells=n), space, eyes) for n in counts)
+    return most // _FEWER if fewer <= _LARGER * all_cells else most
+
+
+def _count_seen_by_one(look: Look, space: NavigableSpace) -> float:
+    """Return how many Gaussians an eye sees, mean of a few."""
     grid = CellGrid.over(space, max_cells=4 * _EYES)
-    viewpoints, look = CellViewpoints(grid, space), Look(g, "hybrid", _SIZE, TAU)
+    viewpoints = CellViewpoints(grid, space)
     some = np.unique(np.arange(_EYES) * len(grid) // _EYES).tolist()
-    seen = [len(look(viewpoints.spread(cell, 1)[0])[0]) for cell in some]
-    return most // _FEWER if np.mean(seen) >= _MUCH * bright else most
+    return float(np.mean([len(look(viewpoints.spread(cell, 1)[0])[0]) for cell in some]))
+
+
+def _spread_eyes(space: NavigableSpace) -> NDArray[np.float64]:
+    """Return (E, 3) eyes in free voxels, evenly spread along their order."""
+    free = np.argwhere(space.free)
+    some = free[(2 * np.arange(_EYES) + 1) * len(free) // (2 * _EYES)]
+    return np.asarray(space.origin + space.voxel_size * (some + 0.5))
+
+
+def _count_seen(look: Look, grid: CellGrid, space: NavigableSpace, eyes: NDArray[np.float64]) -> int:
+    """Return how many Gaussians the cells of some eyes see from a few viewpoints, added up."""
+    viewpoints, total = CellViewpoints(grid, space), 0
+    for cell in grid.cell_at(eyes).tolist():
+        seen = [look(each)[0] for each in viewpoints.spread(cell, _VIEWPOINTS)]
+        total += len(np.unique(np.concatenate(seen)))
+    return total

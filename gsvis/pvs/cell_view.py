@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.pvs._kernels import cell as kernels
+from gsvis.pvs.aim import Aim
 from gsvis.pvs.certificate import Certificate, CertificateConfig, Certifier
 from gsvis.pvs.config import PvsConfig
 from gsvis.pvs.look import Look
@@ -35,9 +36,14 @@ I32 = NDArray[np.int32]
 I64 = NDArray[np.int64]
 U8 = NDArray[np.uint8]
 
+_FAINTEST = 0.25  # least weight, over tau, of what looks find too faint for a set; one that misses light takes it
+_FAINT, _UNSEEN = -1, -2  # classes of what is faint, and of what no look found
+_AIM_SIZE = 32  # pixels along a side of the faces on which a viewpoint marks where something may lie
+_FILLED = 0.25  # share of its directions below which its faces are finer, so that as many pixels meet something
+_FINEST = 4.0  # times
 _TILES = 8  # worst rays whose tiles are traced
 _LOOKED = 0.1  # part of the limit that the estimate must exceed for a look; below, more rays prove more than looks find
-_MORE_RAYS = 16  # largest factor by which rays are more where few meet something
+_SPARSE = 16  # largest factor by which rays are more where few meet something
 _TURNS = 4  # most probes of these tiles in one stage
 _COARSE = 0.75  # size of faces over that of fine looks, for up to half of the shared viewpoints of a cell
 _PROBE_SIZE = 128  # pixels along a side of the faces of a probe
@@ -57,12 +63,14 @@ class Sighting:
         looks: Levels that were looked at; those in which it lies inside something solid are not.
         ids: (V,) int32, Gaussians of weight tau or more in some level, ascending.
         classes: (V,) uint8, class of the largest weight of each.
+        faint: (F,) int32, Gaussians of less weight in every level, but a quarter of tau or more in some, ascending.
     """
 
     viewpoint: F64
     looks: int
     ids: I32
     classes: U8
+    faint: I32
 
 
 @dataclass(frozen=True)
@@ -143,15 +151,15 @@ class Finder:
 
     def look(self, viewpoint: F64, *, fine: bool = True) -> Sighting:
         """Return what a viewpoint (3,) sees in each level drawn alone; unless `fine`, coarsely in the highest alone."""
-        best = np.full(len(self.levels.union), -1, np.int8)
+        best = np.full(len(self.levels.union), _UNSEEN, np.int8)
         looks, top = 0, len(self.levels) - 1
         for level in range(0 if fine else top, top + 1):
             if not self._solids[level].buries(viewpoint[None])[0]:
                 ids, classes = self._see(level, viewpoint, fine=fine)
                 best[ids] = np.maximum(best[ids], classes)
                 looks += 1
-        found = np.flatnonzero(best >= 0)
-        return Sighting(viewpoint, looks, found.astype(np.int32), best[found].astype(np.uint8))
+        found, faint = np.flatnonzero(best >= 0), np.flatnonzero(best == _FAINT)
+        return Sighting(viewpoint, looks, found.astype(np.int32), best[found].astype(np.uint8), faint.astype(np.int32))
 
     def find_cell(self, voxels: FreeVoxels, sightings: Sequence[Sighting]) -> CellView:
         """Return the view of a cell.
@@ -167,7 +175,7 @@ class Finder:
         inner, rays, checked = self._probe(voxels, sightings, view), 0, np.zeros((0, 6))
         missed, bound, tile = (np.full(len(self.levels), np.nan) for _ in range(3))
         for level in reversed(range(len(self.levels))):
-            found = self._mend(level, voxels, view)
+            found = self._mend(level, voxels, sightings, view)
             if not found.certificates:
                 continue
             last = found.certificates[-1]
@@ -191,10 +199,22 @@ class Finder:
             size = min(size, self.config.lower_size)
         elif not fine:
             size = max(4, round(_COARSE * size))
-        ids, weights = self._looks[level](viewpoint, size=size, floor=floor)
+        faint = _FAINTEST * self.config.tau if floor is None else None
+        finer = self._finer(level, viewpoint)
+        ids, weights = self._looks[level](
+            viewpoint, size=round(finer * size), floor=floor, faint=faint, hull=finer == 1.0
+        )
         return self._scenes[level][1][ids], self._classify(weights)
 
+    def _finer(self, level: int, viewpoint: F64) -> float:
+        """Return how many times finer the faces around a viewpoint are, because it sees the void in most directions."""
+        if self.config.method != "hybrid":
+            return 1.0  # there pixels of the void cost time
+        share = Aim.of_box(self._certifiers[level].tracer, viewpoint, viewpoint, _AIM_SIZE).share
+        return 1.0 if share == 0.0 else float(np.clip(np.sqrt(_FILLED / share), 1.0, _FINEST))
+
     def _classify(self, weights: F32) -> NDArray[np.int8]:
+        """Return the classes of weights; below tau, `_FAINT`."""
         return (np.searchsorted(self._edges, weights, side="right") - 1).astype(np.int8)
 
     def _probe(self, voxels: FreeVoxels, sightings: Sequence[Sighting], view: _Growing) -> int:
@@ -228,14 +248,14 @@ class Finder:
         view.add(places[missing], self._classify(weights[missing]), eye[None])
         return float(weights[missing].sum())
 
-    def _mend(self, level: int, voxels: FreeVoxels, view: _Growing) -> _Mended:
+    def _mend(self, level: int, voxels: FreeVoxels, sightings: Sequence[Sighting], view: _Growing) -> _Mended:
         """Certify a level of a cell and add what is missed, stage by stage."""
         config, certifier, places = self.config, self._certifiers[level], self._scenes[level][1]
         options = CertificateConfig(
-            limit=config.limit, rays=config.rays, checked=_CHECKED, worst=_TILES, tau=config.tau
+            limit=config.limit, rays=config.rays, sparse=_SPARSE, checked=_CHECKED, worst=_TILES, tau=config.tau
         )
         certificates: list[Certificate] = []
-        inner, tile = 0, 0.0
+        inner, tile, faint = 0, 0.0, True
         while True:
             held = view.best[places] >= 0
             stage = 1 + len(certificates) + (level << 16)
@@ -249,11 +269,25 @@ class Finder:
             spent = len(certificates) > config.max_inner or not found.weights.any()
             if spent or (found.bound <= config.limit and tile <= config.tile_limit):
                 break
-            options = _with_more_rays(options, config.rays, found)
-            if found.bound > config.limit and found.missed > _LOOKED * config.limit:
-                view.add(*self._see(level, found.worst_o[0]), found.worst_o[:1])
+            if found.bound <= config.limit or found.missed <= _LOOKED * config.limit:
+                continue
+            if faint:
+                self._add_faint(level, sightings, view)
+                faint = False
+            else:
+                ids, classes = self._see(level, found.worst_o[0])
+                view.add(ids, np.maximum(classes, 0), found.worst_o[:1])
                 inner += 1
         return _Mended(certificates, inner, tile)
+
+    def _add_faint(self, level: int, sightings: Sequence[Sighting], view: _Growing) -> None:
+        """Add what shared viewpoints saw faintly, a level has and the set lacks."""
+        wanted = np.zeros(len(view.best), bool)
+        wanted[self._scenes[level][1]] = True
+        wanted &= view.best < 0
+        for each in sightings:
+            ids = each.faint[wanted[each.faint]]
+            view.add(ids, np.zeros(len(ids), np.int8), each.viewpoint[None])
 
     def _mend_tiles(self, level: int, found: Certificate, view: _Growing) -> tuple[int, float]:
         """Add what is missed in tiles around the worst rays; return the looks taken and the worst tile that is left.
@@ -271,18 +305,10 @@ class Finder:
                 break
             if turn:
                 eye = found.worst_o[int(tiles.missed.argmax())]
-                view.add(*self._see(level, eye), eye[None])
+                ids, classes = self._see(level, eye)
+                view.add(ids[classes >= 0], classes[classes >= 0], eye[None])
                 looks += 1
         return looks, tile
-
-
-def _with_more_rays(options: CertificateConfig, rays: int, found: Certificate) -> CertificateConfig:
-    """Return options with as many more rays as fewer meet something: from around an object most meet nothing.
-
-    A ray that meets nothing costs little and proves nothing.
-    """
-    factor = min(_MORE_RAYS, round(1.0 / max(float(found.weights.mean()), 1.0 / _MORE_RAYS)))
-    return replace(options, rays=factor * rays, round_rays=factor * CertificateConfig.round_rays)
 
 
 @dataclass(frozen=True, eq=False)

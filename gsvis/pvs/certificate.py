@@ -1,8 +1,8 @@
 """Certify a visible set by rays: bound the share of light that it misses, from rays that its build never used.
 
-Rays start at free points of a cell that lie in nothing solid, drawn afresh, and run in uniform directions. The missed
-light is the weight of Gaussians outside the set over the weight of all Gaussians, both in the mean over such rays.
-Scene frame and units.
+Rays start at free points of a cell that lie in nothing solid, drawn afresh, and run in uniform directions, save those
+in which nothing can lie. The missed light is the weight of Gaussians outside the set over the weight of all Gaussians,
+both in the mean over such rays. Scene frame and units.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
+from gsvis.pvs.aim import Aim
 from gsvis.pvs.bound import staged_bound, upper_bound
 from gsvis.pvs.viewpoints import FreeVoxels
 from gsvis.raycast import TAU, Tracer
@@ -40,6 +41,7 @@ HEAVY = 0.01
 """Weight from which a ray counts as one that misses much."""
 
 _RAYS = 3  # random stream of a cell; see `quality.py` for the others
+_AIM_SIZE = 64  # pixels along a side of the faces on which directions are marked
 _TRIES = 32  # draws of origins until enough lie outside everything solid
 _DIRECTION_BITS = 3  # bits of each coordinate of a direction in the order of tracing
 
@@ -52,6 +54,8 @@ class CertificateConfig:
         limit: Rounds end when the bound is at most this share, or the estimate is above it. 0 uses all rays.
         rays: Most rays of a cell.
         round_rays: Rays of a round.
+        sparse: Largest factor by which rays are more, and rounds larger, where few rays meet something. Such a ray
+            costs little and proves nothing.
         error: Probability in (0, 1) that the bound is too low.
         checked: Rays of a cell that `cross_check` traces a second time; 0 for none.
         worst: Number of rays that are kept because they miss most.
@@ -62,6 +66,7 @@ class CertificateConfig:
     limit: float = 0.0015
     rays: int = 8192
     round_rays: int = 2048
+    sparse: int = 1
     error: float = 0.05
     checked: int = 64
     worst: int = 16
@@ -69,7 +74,7 @@ class CertificateConfig:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("rays", "round_rays"):
+        for name in ("rays", "round_rays", "sparse"):
             _check.positive_int(name, getattr(self, name))
         for name in ("checked", "worst", "seed"):
             _check.positive_int(name, getattr(self, name), at_least=0)
@@ -161,12 +166,20 @@ class Certifier:
         self.tracer = tracer
         self._solid = Solid.from_scene(tracer.proxies.gaussians)
         self._near: tuple[FreeVoxels | None, Solid] = None, self._solid  # the last cell, and what is solid near it
+        self._aim: tuple[FreeVoxels | None, Aim | None] = None, None  # the last cell, and where it may see something
 
     def buries(self, voxels: FreeVoxels, points: F64) -> NDArray[np.bool_]:
         """Return which points (P, 3) of a cell lie inside something solid."""
         if self._near[0] is not voxels:
             self._near = voxels, self._solid.near(*voxels.bounds())
         return self._near[1].buries(points)
+
+    def aim(self, voxels: FreeVoxels) -> Aim:
+        """Return the directions in which eyes of a cell may meet something."""
+        if self._aim[0] is not voxels or self._aim[1] is None:
+            self._aim = voxels, Aim.of_box(self.tracer, *voxels.bounds(), _AIM_SIZE)
+        assert self._aim[1] is not None
+        return self._aim[1]
 
     def certify(
         self,
@@ -196,10 +209,11 @@ class Certifier:
         Raises:
             ValueError: If an id is out of range.
         """
+        aim = self.aim(voxels)
 
         def draw(count: int, rng: np.random.Generator) -> tuple[F64, F64] | None:
             origins = self._origins(voxels, count, rng)
-            return None if origins is None else (origins, _directions(count, rng))
+            return None if origins is None else (origins, aim.draw(count, rng))
 
         return self.certify_rays(draw, ids, config, name=voxels.cell, stage=stage, earlier=earlier)
 
@@ -234,9 +248,9 @@ class Certifier:
         missing[self.tracer.check_ids(ids)] = False
         before = None if earlier is None else [(each.missed_weights, each.weights) for each in earlier]
         rounds: list[_Round] = []
-        drawn, bound = 0, 1.0
-        while drawn < config.rays:
-            count = min(config.round_rays, config.rays - drawn)
+        drawn, bound, factor = 0, 1.0, 1
+        while drawn < factor * config.rays:
+            count = min(factor * config.round_rays, factor * config.rays - drawn)
             rng = np.random.default_rng([config.seed, name, _RAYS, stage, len(rounds)])
             rays = draw(count, rng)
             if rays is None:
@@ -245,6 +259,9 @@ class Certifier:
             drawn += count
             missed = np.concatenate([each.missed for each in rounds])
             weights = np.concatenate([each.weights for each in rounds])
+            factor = max(1, min(config.sparse, round(1.0 / max(float(weights.mean()), 1.0 / config.sparse))))
+            if drawn < factor * min(config.round_rays, config.rays):
+                continue
             if before is None:
                 bound = upper_bound(missed, weights, error=config.error)
             else:
@@ -283,12 +300,6 @@ def heaviest_hits(ids: I64, weights: F32) -> tuple[I64, I64]:
     order = np.lexsort((-weights, ids))
     distinct, first = np.unique(ids[order], return_index=True)
     return distinct, order[first]
-
-
-def _directions(count: int, rng: np.random.Generator) -> F64:
-    """Return (count, 3) unit vectors, uniform over the sphere."""
-    vectors = rng.normal(size=(count, 3))
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
 
 
 def _trace_round(tracer: Tracer, missing: NDArray[np.bool_], origins: F64, directions: F64) -> _Round:

@@ -27,7 +27,7 @@ I64 = NDArray[np.int64]
 Sight = tuple[I64, F32]
 """Ids (K,) of the Gaussians found, ascending, and their largest weights (K,)."""
 
-_See = Callable[[F64, int, float], Sight]
+_See = Callable[[F64, int, float, float, bool], Sight]
 
 
 class Look:
@@ -51,9 +51,22 @@ class Look:
         self.gaussians, self.size, self.floor = g, size, floor
         self._see = {"hybrid": _hybrid, "raster": _raster, "raycast": _raycast}[method](g)
 
-    def __call__(self, viewpoint: F64, *, size: int | None = None, floor: float | None = None) -> Sight:
-        """Return what an eye at `viewpoint` (3,) sees; `size` and `floor` replace those of the scene."""
-        return self._see(viewpoint, size or self.size, floor or self.floor)
+    def __call__(
+        self,
+        viewpoint: F64,
+        *,
+        size: int | None = None,
+        floor: float | None = None,
+        faint: float | None = None,
+        hull: bool = True,
+    ) -> Sight:
+        """Return what an eye at `viewpoint` (3,) sees; `size` and `floor` replace those of the scene.
+
+        Gaussians fainter than `floor` are returned too if they have a weight of `faint` or more. Without `hull`, the
+        hybrid decides by the z-buffer alone.
+        """
+        floor = floor or self.floor
+        return self._see(viewpoint, size or self.size, floor, faint or floor, hull)
 
 
 def _hybrid(g: Gaussians) -> _See:
@@ -61,8 +74,8 @@ def _hybrid(g: Gaussians) -> _See:
 
     splats = Splats.from_gaussians(g)
 
-    def see(viewpoint: F64, size: int, floor: float) -> Sight:
-        seen = hybrid(g, splats, viewpoint, size=size, tau=floor)
+    def see(viewpoint: F64, size: int, floor: float, faint: float, hull: bool) -> Sight:
+        seen = hybrid(g, splats, viewpoint, size=size, tau=floor, faint=faint, hull=hull)
         return seen.ids, seen.weights
 
     return see
@@ -72,9 +85,9 @@ def _raster(g: Gaussians) -> _See:
     from gsvis.render import view_weights
     from gsvis.scene.cameras import Cameras
 
-    def see(viewpoint: F64, size: int, floor: float) -> Sight:
+    def see(viewpoint: F64, size: int, floor: float, faint: float, hull: bool) -> Sight:
         largest = view_weights(g, Cameras.cubemap(viewpoint[None], size)).largest.max(axis=0)
-        ids = np.flatnonzero(largest >= floor)
+        ids = np.flatnonzero(largest >= min(floor, faint))
         return ids, largest[ids]
 
     return see
@@ -85,9 +98,9 @@ def _raycast(g: Gaussians) -> _See:
 
     tracer = Tracer(EllipsoidProxies.from_scene(g))
 
-    def see(viewpoint: F64, size: int, floor: float) -> Sight:
+    def see(viewpoint: F64, size: int, floor: float, faint: float, hull: bool) -> Sight:
         largest = visible_from(tracer, viewpoint[None], size=size)[0]
-        ids = np.flatnonzero(largest >= floor)
+        ids = np.flatnonzero(largest >= min(floor, faint))
         return ids, largest[ids]
 
     return see

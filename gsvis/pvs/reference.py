@@ -11,7 +11,7 @@ from gsvis.pvs.bound import STAKES
 from gsvis.raycast.reference import brute_force_contributions
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["missed_light_reference", "upper_bound_reference"]
+__all__ = ["marked_reference", "missed_light_reference", "upper_bound_reference"]
 
 
 def upper_bound_reference(part: Sequence[float], whole: Sequence[float], error: float, steps: int = 100_000) -> float:
@@ -54,3 +54,33 @@ def missed_light_reference(
         weights = [(int(hits.gaussian_ids[k]), float(hits.weights[k])) for k in row]
         sums.append((sum(w for k, w in weights if k not in ids), sum(w for _, w in weights)))
     return sums
+
+
+def marked_reference(
+    boxes: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64], size: int
+) -> NDArray[np.bool_] | None:
+    """Return (6, S, S) the pixels in which an eye may see a box, one box after the other; None if it may be inside one.
+
+    Args:
+        boxes: (N, 2, 3) lowest and highest corner of each box.
+        low: (3,) lowest corner of the eyes.
+        high: (3,) highest corner.
+        size: S, pixels along a side of the faces.
+    """
+    marked = np.zeros((6, size, size), bool)
+    edges = np.linspace(-1.0, 1.0, size + 1)
+    for near, far in zip(boxes[:, 0] - high, boxes[:, 1] - low, strict=True):
+        if (near <= 0.0).all() and (far >= 0.0).all():
+            return None
+        for face in range(6):
+            w = face // 2
+            u, v = (k for k in range(3) if k != w)
+            z = np.maximum([near[w], far[w]] if face % 2 == 0 else [-far[w], -near[w]], 1e-12)
+            if z[1] <= 1e-12:
+                continue
+            spans = []
+            for axis in (u, v):
+                tangents = np.divide.outer([near[axis], far[axis]], z)
+                spans.append((edges[1:] > tangents.min()) & (edges[:-1] <= tangents.max()))
+            marked[face] |= spans[1][:, None] & spans[0][None, :]
+    return marked

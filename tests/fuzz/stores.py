@@ -159,7 +159,8 @@ def journals() -> list[Case]:
         directions = rng.integers(0, 256, (len(ids), 10)).astype(np.uint8)
         view = CellView(ids, classes, directions, figures, rng.normal(size=(k, 6)))
         found[name_cell(k)] = seal(pack_view(view))
-        found[name_viewpoint(k)] = seal(pack_sighting(Sighting(rng.normal(size=3), 1, ids, classes)))
+        faint = np.setdiff1d(np.arange(0, SEEN, 7, np.int32), ids)
+        found[name_viewpoint(k)] = seal(pack_sighting(Sighting(rng.normal(size=3), 1, ids, classes, faint)))
     return [{**found, "plan.json": b"{}\n"}]
 
 

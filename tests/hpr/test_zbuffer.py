@@ -143,6 +143,30 @@ def test_rooms_behind_a_wall_change_nothing() -> None:
     np.testing.assert_array_equal(both.zbuffer.light, alone.zbuffer.light)
 
 
+@pytest.mark.parametrize("size", [40, 100])
+def test_without_a_buffer_the_same_is_found(size: int) -> None:
+    splats = Splats.from_gaussians(around(900, 4))
+    for eye in (np.zeros(3), np.array([30.0, 2.0, 1.0])):  # from afar most squares are empty
+        with_one, without = (look_around(splats, eye, size=size, buffer=buffer) for buffer in (True, False))
+        np.testing.assert_array_equal(with_one.ids, without.ids)
+        np.testing.assert_array_equal(with_one.weights, without.weights)
+        np.testing.assert_array_equal(with_one.light, without.light)
+        assert without.zbuffer.size == 0
+
+
+def test_fainter_gaussians_come_beside_those_that_are_found_without_them() -> None:
+    g = random_scene(np.random.default_rng(3), 3000)
+    splats, eye = Splats.from_gaussians(g), g.means.mean(axis=0)
+    plain, more = hybrid(g, splats, eye, size=64), hybrid(g, splats, eye, size=64, faint=0.25 * TAU)
+    assert len(more.ids) > len(plain.ids)
+    visible = more.weights >= np.float32(TAU)
+    np.testing.assert_array_equal(more.ids[visible], plain.ids)
+    np.testing.assert_array_equal(more.weights[visible], plain.weights)
+    assert (more.weights >= np.float32(0.25 * TAU)).all()
+    with pytest.raises(ValueError, match="faint"):
+        hybrid(g, splats, eye, size=64, faint=2.0 * TAU)
+
+
 def test_more_in_front_never_shows_more_behind() -> None:
     behind = around(800, 6, near=2.0)
     for opacity in (0.1, 0.5, 0.9):

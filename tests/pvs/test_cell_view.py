@@ -37,6 +37,7 @@ SIZES = {"hybrid": 384, "raster": 384, "raycast": 64}
 # so there they must be of few.
 COUNTS = {"hybrid": 20_000, "raster": 20_000, "raycast": 1200}
 FINDERS: dict[tuple[str, str], tuple[OccluderScene, Finder]] = {}
+NONE = np.zeros(0, np.int32)
 QUICK = PvsConfig(size=16, limit=0.05, rays=256, max_inner=2)
 
 
@@ -136,7 +137,7 @@ def sightings_of(cell: int) -> list[Sighting]:
 def everything(eye: F64, classes: int | NDArray[np.uint8] = 0) -> Sighting:
     """A viewpoint that sees all of the rooms."""
     count = len(rooms()[0].levels.union)
-    return Sighting(eye, 1, np.arange(count, dtype=np.int32), np.full(count, classes, np.uint8))
+    return Sighting(eye, 1, np.arange(count, dtype=np.int32), np.full(count, classes, np.uint8), NONE)
 
 
 def same(a: CellView, b: CellView) -> bool:
@@ -176,6 +177,31 @@ def test_more_viewpoints_never_shrink_what_a_set_was_found_from() -> None:
         view = finder.find_cell(viewpoints.voxels(2), sightings[:count])
         for seen in sightings[:count]:
             assert np.isin(seen.ids, view.ids).all()
+
+
+def test_a_set_that_misses_light_takes_what_was_faint_before_anyone_looks_again() -> None:
+    _, viewpoints, _ = rooms()
+    finder = another(probes=0, tile_limit=1.0, max_inner=1)
+    eye, some = (
+        viewpoints.draw(1, 1, np.random.default_rng(0))[0],
+        np.arange(len(rooms()[0].levels.union), dtype=np.int32),
+    )
+    classes = np.zeros(len(some) // 2, np.uint8)
+    lacking = Sighting(eye, 1, some[::2], classes, some[1::2])
+    view = finder.find_cell(viewpoints.voxels(1), [lacking])
+    assert view.ids.tolist() == some.tolist()
+    assert view.figures.inner == 0
+    assert view.figures.missed == 0.0
+    whole = finder.find_cell(viewpoints.voxels(1), [replace(everything(eye), faint=some[:0])])
+    assert whole.ids.tolist() == some.tolist()
+
+
+def test_what_a_look_finds_faint_is_in_no_set_of_its_own() -> None:
+    scene, finder = finder_of("rooms", "hybrid")
+    seen = finder.look(scene.viewpoints[0])
+    assert len(seen.faint) > 0
+    assert not np.intersect1d(seen.ids, seen.faint).size
+    assert (np.diff(seen.faint) > 0).all()
 
 
 def test_where_nothing_is_missed_the_set_is_what_viewpoints_see() -> None:
@@ -340,7 +366,7 @@ def level_discs() -> Levels:
 @pytest.mark.parametrize("held", [[], [0], [1], [0, 1]])
 def test_each_level_is_certified_alone_and_the_worst_one_counts(held: list[int]) -> None:
     finder = Finder(level_discs(), replace(QUICK, max_inner=0, tile_limit=1.0, probes=0))
-    seen = Sighting(np.full(3, 0.5), 1, np.array(held, np.int32), np.zeros(len(held), np.uint8))
+    seen = Sighting(np.full(3, 0.5), 1, np.array(held, np.int32), np.zeros(len(held), np.uint8), NONE)
     view = finder.find_cell(one_cell(1.0), [seen])
     assert view.ids.tolist() == [0, 1]  # neither disc hides the other
     assert view.figures.missed == float(len(held) < 2)

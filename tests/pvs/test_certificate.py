@@ -104,12 +104,36 @@ def test_half_of_the_light_is_missed_where_half_of_the_world_is() -> None:
     assert set(np.round(found.missed_weights, 2)) == {0.0, 1.0}
 
 
-def test_rays_that_meet_nothing_do_not_count() -> None:
+def test_rays_that_meet_nothing_do_not_count_and_are_not_drawn_where_nothing_lies() -> None:
     g = half_space().tracer.proxies.gaussians[:1]  # rays down leave the world
-    found = Certifier(Tracer(EllipsoidProxies.from_scene(g))).certify(one_cell(), [], QUICK)
-    assert found is not None
-    assert 0.4 < np.mean(found.weights > 0.0) < 0.6
-    assert found.missed == 1.0
+    certifier = Certifier(Tracer(EllipsoidProxies.from_scene(g)))
+
+    def everywhere(count: int, rng: np.random.Generator) -> tuple[F64, F64]:
+        directions = rng.normal(size=(count, 3))
+        return rng.uniform(-1, 1, (count, 3)), directions / np.linalg.norm(directions, axis=1, keepdims=True)
+
+    around, aimed = certifier.certify_rays(everywhere, [], QUICK), certifier.certify(one_cell(), [], QUICK)
+    assert around is not None
+    assert aimed is not None
+    assert 0.4 < np.mean(around.weights > 0.0) < 0.6
+    assert np.mean(aimed.weights > 0.0) > 0.99
+    assert around.missed == aimed.missed == 1.0
+
+
+def test_there_are_more_rays_where_few_meet_something_but_not_without_end() -> None:
+    g = Gaussians([[6, 0, 0]], [[1, 0, 0, 0]], [[0.2, 0.2, 0.2]], [0.9], np.zeros((1, 1, 3)))
+    certifier = Certifier(Tracer(EllipsoidProxies.from_scene(g)))
+    counts = []
+    for sparse in (1, 3, 16):
+        found = certifier.certify(
+            one_cell(), [0], CertificateConfig(limit=0.0, rays=600, round_rays=256, sparse=sparse)
+        )
+        assert found is not None
+        factor = min(sparse, round(1.0 / found.weights.mean()))
+        assert factor * 600 * 0.8 <= len(found) <= sparse * 600
+        counts.append(len(found))
+    assert counts[:2] == [600, 1800]
+    assert counts == sorted(counts)
 
 
 def test_a_larger_set_never_misses_more() -> None:

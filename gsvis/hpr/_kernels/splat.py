@@ -196,6 +196,17 @@ def _open(square, lit, extent):
     return extent[0] * extent[1]
 
 
+@njit(cache=True)
+def _is_reached(rectangles, order, corner, extent):
+    """Return whether the rectangle of a cluster meets a square."""
+    column, line = np.int64(corner[0]), np.int64(corner[1])
+    for c in order:
+        place = rectangles[c]
+        if place[0] < column + extent[0] and place[1] >= column and place[2] < line + extent[1] and place[3] >= line:
+            return True
+    return False
+
+
 @inner
 def _fill(
     scene, eye, face, corner, extent, half, spent, nearest, rectangles, order, square, lit, most, room, best
@@ -265,8 +276,8 @@ def splat_squares(
         counts: (6,) int64, how many.
         best: (2 N,) float32, zeros; receives for each Gaussian its largest weight and the largest light in front, over
             pixels that are not spent.
-        light: (6, S, S) float32, receives what is left behind everything, or when it fell below `spent`.
-        depths: (6, S, S) float32, receives the distance at which that happened, or inf.
+        light: (6, S, S) float32, receives what is left behind everything, or when it fell below `spent`; or (6, 0, 0).
+        depths: (6, S, S) float32, receives the distance at which that happened, or inf; or (6, 0, 0).
     """
     side = (size + SQUARE - 1) // SQUARE
     turn = take_next(taken)
@@ -280,11 +291,14 @@ def splat_squares(
         face, x, y = turn // (side * side), turn % side * SQUARE, turn // side % side * SQUARE
         corner[0], corner[1] = x, y
         extent[0], extent[1] = min(size - x, SQUARE), min(size - y, SQUARE)
+        if light.shape[1] == 0 and not _is_reached(rectangles[face], lists[face, : counts[face]], corner, extent):
+            turn = take_next(taken)
+            continue
         room = _fill(
             scene, eye, face, corner, extent, np.float32(0.5 * size), spent, nearest, rectangles[face],
             lists[face, : counts[face]], square, lit, most, room, best,
         )  # fmt: skip
-        for row in range(extent[1]):
+        for row in range(extent[1] if light.shape[1] > 0 else 0):
             for column in range(extent[0]):
                 light[face, y + row, x + column] = square[0, row, column]
                 depths[face, y + row, x + column] = square[1, row, column]

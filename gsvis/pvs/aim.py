@@ -1,0 +1,80 @@
+"""The directions in which eyes of a cell can meet anything at all: from around an object these are few.
+
+A ray in another direction meets nothing, so it has no weight. To leave it out changes no share of light and no bound.
+Scene frame and units.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gsvis.pvs._kernels.aim import mark_directions
+from gsvis.raycast import Tracer
+
+__all__ = ["Aim"]
+
+F64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Aim:
+    """Directions that may meet something, as pixels of a cube.
+
+    Attributes:
+        marked: (6, S, S) bool: pixels of the faces +x, -x, +y, -y, +z, -z. Columns run along the first, rows along the
+            second of the other two axes.
+        share: Part of the pixels that is marked.
+    """
+
+    marked: NDArray[np.bool_]
+    share: float
+
+    @classmethod
+    def of_box(cls, tracer: Tracer, low: ArrayLike, high: ArrayLike, size: int) -> Aim:
+        """Return the directions of eyes in a box or at a point; all of them if an eye may be inside a Gaussian's box.
+
+        Args:
+            tracer: The scene.
+            low: (3,) lowest corner of the box.
+            high: (3,) highest corner.
+            size: S, pixels along a side of the faces.
+        """
+        marked = np.zeros((6, size, size), bool)
+        hierarchy = tracer.hierarchy
+        if len(hierarchy.ids) and not mark_directions(
+            hierarchy.boxes, hierarchy.children, np.asarray(low, np.float64), np.asarray(high, np.float64), marked
+        ):
+            marked[:] = True
+        return cls(marked, float(marked.mean()))
+
+    def draw(self, count: int, rng: np.random.Generator) -> F64:
+        """Return (count, 3) unit vectors, uniform over the marked directions; over the sphere if none is marked."""
+        if self.share in (0.0, 1.0):
+            vectors = rng.normal(size=(count, 3))
+            return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
+        size, places = self.marked.shape[1], np.argwhere(self.marked)
+        found: list[F64] = []
+        left = count
+        while left > 0:
+            some = places[rng.integers(len(places), size=2 * left + 16)]
+            u, v = (2.0 * (some[:, axis] + rng.random(len(some))) / size - 1.0 for axis in (2, 1))
+            lengths = np.sqrt(1.0 + u * u + v * v)
+            # A pixel toward a corner of the cube takes up less of the sphere.
+            kept = np.flatnonzero(rng.random(len(some)) * lengths**3 < 1.0)[:left]
+            found.append(_directions(some[kept, 0], u[kept] / lengths[kept], v[kept] / lengths[kept]))
+            left -= len(kept)
+        return np.concatenate(found or [np.zeros((0, 3))])
+
+
+def _directions(faces: NDArray[np.int64], u: F64, v: F64) -> F64:
+    """Return unit vectors (K, 3) of places on faces, whose coordinates are those of unit vectors."""
+    out = np.empty((len(faces), 3))
+    axes, toward = faces >> 1, 1.0 - 2.0 * (faces & 1)
+    rows = np.arange(len(faces))
+    out[rows, axes] = toward * np.sqrt(np.maximum(1.0 - u * u - v * v, 0.0))
+    out[rows, np.where(axes == 0, 1, 0)] = u
+    out[rows, np.where(axes == 2, 1, 2)] = v
+    return out
