@@ -58,7 +58,7 @@ class AbrConfig:
     parallax: float = 0.03
     picture: float = 0.1
     replaced: float = 0.4
-    covered: float = 0.8
+    covered: float = 0.6
     fill: bool = True
     turn: float = 0.087
     move: float = 0.1

@@ -65,11 +65,11 @@ class UtilityConfig:
         low: Exponent on `peripheral` and `adjacent` at low bandwidth, which then favors what is in view.
     """
 
-    peripheral: float = 0.1
-    ahead: float = 0.05
-    adjacent: float = 0.02
-    terms: float = 0.1
-    finer: float = 1.0
+    peripheral: float = 0.03
+    ahead: float = 0.02
+    adjacent: float = 0.01
+    terms: float = 0.03
+    finer: float = 0.1
     beyond: float = 0.05
     medium: float = 1.5
     low: float = 2.0
