@@ -32,8 +32,9 @@ class AbrConfig:
         first_epsilon: The same for a first pass over the view, so that details of colors do not hold up geometry.
         parallax: Radians by which the direction to a Gaussian changes before its terms are checked again.
         picture: A view begins with the levels of at most this share of the Gaussians, also where the highest level
-            arrives soon. 0 means that it does not.
+            arrives soon. What belongs to them alone is sent in view only. 0 means that there is no such level.
         replaced: A Gaussian is dropped when its replacements are held, or this share of their area, in (0, 1].
+        covered: The same share for a Gaussian of these levels alone, which is much larger than its replacements.
         fill: Whether an idle link gets what the view does not need: the terms of what is out of view, then the rest of
             the scene by distance to the nearest cell that sees it.
         move: Share of the side of a cell by which the head must move before records are ranked again.
@@ -57,6 +58,7 @@ class AbrConfig:
     parallax: float = 0.03
     picture: float = 0.1
     replaced: float = 0.4
+    covered: float = 0.6
     fill: bool = True
     turn: float = 0.087
     move: float = 0.1
@@ -78,8 +80,9 @@ class AbrConfig:
             raise ValueError(f"begin: expected bytes >= 0, got {self.begin!r}")
         if not 0 <= self.picture <= 1:
             raise ValueError(f"picture: expected a share in [0, 1], got {self.picture!r}")
-        if not 0 < self.replaced <= 1:
-            raise ValueError(f"replaced: expected a share in (0, 1], got {self.replaced!r}")
+        for name in ("replaced", "covered"):
+            if not 0 < getattr(self, name) <= 1:
+                raise ValueError(f"{name}: expected a share in (0, 1], got {getattr(self, name)!r}")
         for name in ("epsilon", "first_epsilon", "horizon", "window", "piece", "start_rate"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
                 raise ValueError(f"{name}: expected a finite number > 0, got {getattr(self, name)!r}")

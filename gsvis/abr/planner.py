@@ -115,6 +115,8 @@ class Planner:
             raise ValueError(f"holdings: expected those of {index!r}, got {self.holdings!r}")
         self.memory = None if memory is None else ClientMemory(candidates, self.holdings, memory)
         self._picture = index.highest_within(self.config.picture)
+        self._shares = np.full(index.num_levels, self.config.replaced)
+        self._shares[: self._picture + 1] = self.config.covered
         self._is_full = False  # nothing fits that is worth more than what the client holds
         self._given_up: Words | None = None  # what was evicted for this view, and is not sent again for it
         self.regime: str | None = None
@@ -125,7 +127,7 @@ class Planner:
         self._planned: tuple[int, int, Pose, Pose, str] | None = None
         self._here: Candidates | None = None
         self._near: tuple[Candidates, int, kernels.Cell, kernels.Cell] | None = None  # to return to after filling
-        self._cell = kernels.Cell(*(np.zeros(0, np.int32),) * 12)
+        self._cell = kernels.Cell(*(np.zeros(0, np.int32),) * 13)
         self._rest: kernels.Cell | None = None  # the whole scene, to fill an idle link
         self._shells: list[list[int]] = []
         self._view = kernels.View(*(np.zeros(0, np.float32),) * 8)
@@ -426,7 +428,8 @@ class Planner:
         return kernels.Cell(
             words=here.words, places=here.places, term_bytes=here.term_bytes, owed=owed, active=active,
             candidates=here.union, allowed=self.candidates.all_bits[: len(none)], ahead=none, checked=none.copy(),
-            checked_at=np.zeros(len(none), np.float32), waits=self._waits, share=self.config.replaced,
+            checked_at=np.zeros(len(none), np.float32), waits=self._waits, last=self.candidates.index.last,
+            shares=self._shares,
         )  # fmt: skip
 
     def _rank(self, here: Candidates, enough: float) -> None:

@@ -58,21 +58,24 @@ class UtilityConfig:
         adjacent: Factor in (0, 1] for Gaussians that only a neighbor by face sees. With r = adjacent / peripheral, it
             is peripheral * r^2 for a neighbor by edge and peripheral * r^3 for one by corner. At most `ahead`.
         terms: Factor in (0, 1] for active terms, relative to the geometry of their Gaussian.
+        finer: Factor in (0, 1] for Gaussians in view that enter above the lowest level that is no first picture: those
+            that they replace are there already, so they gain less than their weight.
         beyond: Factor in (0, 1] for levels above the highest level of the regime.
         medium: Exponent on `peripheral` and `adjacent` at medium bandwidth.
         low: Exponent on `peripheral` and `adjacent` at low bandwidth, which then favors what is in view.
     """
 
-    peripheral: float = 0.1
-    ahead: float = 0.05
-    adjacent: float = 0.02
-    terms: float = 0.1
+    peripheral: float = 0.03
+    ahead: float = 0.02
+    adjacent: float = 0.01
+    terms: float = 0.03
+    finer: float = 0.1
     beyond: float = 0.05
     medium: float = 1.5
     low: float = 2.0
 
     def __post_init__(self) -> None:
-        for name in ("peripheral", "ahead", "adjacent", "terms", "beyond"):
+        for name in ("peripheral", "ahead", "adjacent", "terms", "finer", "beyond"):
             if not 1e-6 <= getattr(self, name) <= 1.0:
                 raise ValueError(f"{name}: expected a factor in [1e-6, 1], got {getattr(self, name)!r}")
         for name in ("medium", "low"):
@@ -111,13 +114,13 @@ def lowest_last(regime: str, levels: int) -> int:
     return levels - 1 if _check.one_of("regime", regime, REGIMES) == "high" else 0
 
 
-def caps(regime: str, levels: int) -> tuple[int, int]:
+def caps(regime: str, levels: int, picture: int = -1) -> tuple[int, int]:
     """Return the highest level to send first in a regime, in view and elsewhere; higher levels go last."""
-    middle = max(levels - 2, 0)
-    return {"high": (levels - 1, levels - 1), "medium": (middle, middle), "low": (middle, 0)}[regime]
+    middle, low = max(levels - 2, 0), min(picture + 1, levels - 1)
+    return {"high": (levels - 1, levels - 1), "medium": (middle, middle), "low": (max(middle, low), low)}[regime]
 
 
-def pairs(policy: str, regime: str, levels: int) -> list[tuple[int, int]]:
+def pairs(policy: str, regime: str, levels: int, picture: int = -1) -> list[tuple[int, int]]:
     """Return the groups and levels of one of the paper's two orders, first to last.
 
     Args:
@@ -125,22 +128,21 @@ def pairs(policy: str, regime: str, levels: int) -> list[tuple[int, int]]:
             in view, low out of view, medium in view, the rest by distance. The cell ahead counts as the nearest.
         regime: One of `REGIMES`. Levels above those of `caps` go last, in the same order.
         levels: L, number of levels.
+        picture: Highest level of the first picture; the level above it is "low". -1 if there is none.
     """
     _check.one_of("policy", policy, POLICIES[:2])
     _check.one_of("regime", regime, REGIMES)
     everything = range(levels)
-    if policy == "fov-first":
-        order = [(0, level) for level in everything] + [(1, level) for level in everything]
-    else:
-        order = [(0, 0), (1, 0)] + [(0, level) for level in everything[1:]] + [(1, level) for level in everything[1:]]
+    split = levels if policy == "fov-first" else min(picture + 2, levels)
+    order = [(group, level) for some in (everything[:split], everything[split:]) for group in (0, 1) for level in some]
     order += [(group, level) for group in range(AHEAD, GROUPS) for level in everything]
-    in_view, elsewhere = caps(regime, levels)
+    in_view, elsewhere = caps(regime, levels, picture)
     beyond = [(group, level) for group, level in order if level > (in_view if group == 0 else elsewhere)]
     return [pair for pair in order if pair not in beyond] + beyond
 
 
 @lru_cache(maxsize=256)
-def offsets(policy: str, regime: str, levels: int, config: UtilityConfig | None = None) -> I64:
+def offsets(policy: str, regime: str, levels: int, config: UtilityConfig | None = None, picture: int = -1) -> I64:
     """Return (6, L, 2) offsets to add to the bucket of a record: by group, level at which it enters, geometry or terms.
 
     Args:
@@ -148,11 +150,12 @@ def offsets(policy: str, regime: str, levels: int, config: UtilityConfig | None 
         regime: One of `REGIMES`.
         levels: L, number of levels.
         config: Factors of `utility`; None means `UtilityConfig()`.
+        picture: Highest level of the first picture; -1 if there is none.
     """
     _check.one_of("policy", policy, POLICIES)
     out = np.zeros((GROUPS, _check.positive_int("levels", levels), 2), np.int64)
     if policy != "utility":
-        for rank, (group, level) in enumerate(pairs(policy, regime, levels)):
+        for rank, (group, level) in enumerate(pairs(policy, regime, levels, picture)):
             out[group, level] = (np.array([0, 1]) + 2 * rank) * kernels.BUCKETS
         return out
     config = config or UtilityConfig()
@@ -161,12 +164,13 @@ def offsets(policy: str, regime: str, levels: int, config: UtilityConfig | None 
     rings = [min(config.peripheral * ratio**ring, config.ahead) for ring in range(1, RINGS)]
     shares = [config.peripheral, config.ahead, *rings]
     worth = [1.0, *(share**power for share in shares)]
-    in_view, elsewhere = caps(regime, levels)
+    in_view, elsewhere = caps(regime, levels, picture)
     for group in range(GROUPS):
         for level in range(levels):
-            beyond = config.beyond if level > (in_view if group == 0 else elsewhere) else 1.0
+            later = config.beyond if level > (in_view if group == 0 else elsewhere) else 1.0
+            later *= config.finer if group == 0 and level > picture + 1 else 1.0
             for kind, factor in ((kernels.GEOMETRY, 1.0), (kernels.TERMS, config.terms)):
-                out[group, level, kind] = round(-_STEPS * np.log2(worth[group] * beyond * factor))
+                out[group, level, kind] = round(-_STEPS * np.log2(worth[group] * later * factor))
     return out
 
 
@@ -184,10 +188,12 @@ def table(
 
     The offsets are by code of a unit, geometry or terms, and for ring 0 in view or out of view, for other rings in the
     cell ahead or not. They are `NEVER` for records that are not sent: terms of Gaussians out of view, unless
-    `terms_around`, or that only neighbors see which are not ahead, and Gaussians that end below `lowest_last`. Of
-    these, those in view that enter at level `picture` or below are sent without terms: the first picture.
+    `terms_around`, or that only neighbors see which are not ahead, and Gaussians that end below `lowest_last` or at
+    level `picture` or below. Of these, those in view that enter at level `picture` or below are sent without terms: the
+    first picture.
     """
-    found, least = offsets(policy, regime, levels, config), lowest_last(regime, levels)
+    found, least = offsets(policy, regime, levels, config, picture), lowest_last(regime, levels)
+    least = max(least, picture + 1)
     out = np.full((RINGS, levels, levels, 2, 2), NEVER, np.int32)
     for last in range(least, levels):
         out[0, :, last] = found[:AHEAD].transpose(1, 2, 0)

@@ -72,10 +72,10 @@ def order_records(
     index = shared.index
     units, strength = _units(index, view.cell), strengths(index, shared.pixel_area)
     classes = classify(index, view.cell, view.planes).classes
-    table = offsets(policy, view.regime, index.num_levels, utility)
-    top = lowest_last(view.regime, index.num_levels)
     config = config or AbrConfig()
     picture = index.highest_within(config.picture)
+    table = offsets(policy, view.regime, index.num_levels, utility, picture)
+    top = max(lowest_last(view.regime, index.num_levels), picture + 1)
     active, ahead = _active(index, [view.cell]), set[int]()
     if index.cones is not None:
         active = set(range(index.num_terms))
@@ -100,7 +100,9 @@ def order_records(
                 entry = key, 4 * number + 2 * terms + part, terms, inside, log
                 (around if ring == 0 and terms and part else entries).append(entry)
     candidates = {g for _, members in units for g in members}
-    walk = _Walk(shared, holdings, view, config.replaced)
+    shares = np.full(index.num_levels, config.replaced)
+    shares[: picture + 1] = config.covered
+    walk = _Walk(shared, holdings, view, shares)
     walk.send(entries, active, candidates, config.first_epsilon)
     walk.send(entries, active, candidates, config.epsilon)
     if fill:
@@ -187,9 +189,9 @@ def _gain(shared: CandidateIndex, word: int, strength: list[F32], eye: F32, weig
 class _Walk:
     """Records in the order in which they are sent one by one."""
 
-    def __init__(self, shared: CandidateIndex, holdings: Holdings, view: View, replaced: float) -> None:
+    def __init__(self, shared: CandidateIndex, holdings: Holdings, view: View, shares: NDArray[np.float64]) -> None:
         self.out: list[tuple[str, int]] = []
-        self._spare = 1.0 - replaced
+        self._spares = 1.0 - shares
         self._index, self._pixel = shared.index, shared.pixel_area
         self._held, self._held_terms = set(holdings.received.tolist()), set(holdings.received_terms.tolist())
         self._gone = set(ids_of(holdings.gone).tolist())
@@ -251,7 +253,7 @@ class _Walk:
                 wanted = [h for h in index.replacement_ids[low:high].tolist() if h in candidates]
                 areas = [max(float(index.areas[h]), 1e-30) for h in wanted]
                 left = sum(a for h, a in zip(wanted, areas, strict=True) if h not in self._held | self._gone)
-                if x not in self._gone and left <= self._spare * sum(areas):
+                if x not in self._gone and left <= self._spares[index.last[x]] * sum(areas):
                     self._gone.add(x)
                     queue.append(x)
                     self.out += [("drop", x)] if x in self._held else []

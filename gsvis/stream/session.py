@@ -226,7 +226,7 @@ class Session:
 
     def _encode(self, batch: Batch) -> bytes:
         scene = self.scene
-        gaussians, terms = np.sort(batch.gaussians), np.sort(batch.terms)
+        gaussians, terms = _ascending(batch.gaussians), _ascending(batch.terms)
         if len(batch.evicted):
             self._gone &= ~pack(batch.evicted, len(scene))
         fresh = np.empty(min(len(gaussians), len(scene.chunk_rows)), np.int32)
@@ -246,6 +246,12 @@ class Session:
             evicted=np.sort(batch.evicted),
         )
         return sections.to_message(scene.about)
+
+
+def _ascending(ids: NDArray[Any]) -> NDArray[Any]:
+    out = np.empty_like(ids)
+    kernels.sort_ids(ids, np.empty_like(ids), out)
+    return out
 
 
 def _gather(rows: NDArray[np.uint8], places: NDArray[np.integer[Any]]) -> NDArray[np.uint8]:

@@ -81,9 +81,10 @@ def test_fast_and_slow_give_the_same_records_in_the_same_order(seed, policy, reg
     rng = np.random.default_rng(seed)
     held = Holdings(len(index), index.num_terms)
     held.add(np.flatnonzero(rng.random(len(index)) < 0.2), np.zeros(0, np.int64), np.zeros(0, np.int64))
-    picture, replaced = float(rng.choice([0.0, 0.5, 1.0])), float(rng.choice([0.3, 0.6, 1.0]))
-    config = AbrConfig(policy=policy, fill=fill, picture=picture, replaced=replaced)
-    slow = order_records(store, view, policy, held, fill=fill, config=config)
+    picture, (replaced, covered) = float(rng.choice([0.0, 0.5, 1.0])), rng.choice([0.3, 0.6, 1.0], 2).tolist()
+    utility = UtilityConfig(finer=float(rng.choice([0.01, 0.3, 1.0])))
+    config = AbrConfig(policy=policy, fill=fill, picture=picture, replaced=replaced, covered=covered, utility=utility)
+    slow = order_records(store, view, policy, held, utility=utility, fill=fill, config=config)
     reach = float(rng.choice([1.0, 500.0, 1e9]))
     batches = taken(aimed(store, view, policy, held.copy(), reach, config=config), [1e9])
     assert joined(batches, "gaussians") == [i for kind, i in slow if kind == "gaussian"]
@@ -172,7 +173,9 @@ def test_those_of_a_level_alone_go_when_enough_of_what_replaces_them_is_there(se
     index = scenes.random_index(seed)
     store, view = CandidateIndex(index), some_view(index, seed, regime)
     share = float(np.random.default_rng(seed).choice([0.3, 0.6, 1.0]))
-    planner = aimed(store, view, "fov-first", config=AbrConfig(policy="fov-first", fill=False, replaced=share))
+    planner = aimed(
+        store, view, "fov-first", config=AbrConfig(policy="fov-first", fill=False, replaced=share, covered=share)
+    )
     candidates = ids_of(store.in_cell(view.cell).union)
     while not planner.done:
         batch = planner.take(400.0)
@@ -195,7 +198,7 @@ def test_none_waits_for_longer_than_it_has_to_while_views_change(seed, regime, f
     index, rng = scenes.random_index(seed), np.random.default_rng(seed)
     store, view = CandidateIndex(index), some_view(index, seed, regime)
     share = float(rng.choice([0.3, 0.6, 1.0]))
-    planner = aimed(store, view, "utility", config=AbrConfig(fill=fill, replaced=share))
+    planner = aimed(store, view, "utility", config=AbrConfig(fill=fill, replaced=share, covered=share))
     near = [view.cell, *index.grid.neighbors(view.cell).tolist()]
     replaced = np.repeat(np.arange(len(index)), np.diff(index.replacement_offsets))
     for _ in range(20):
@@ -225,10 +228,10 @@ def test_under_high_bandwidth_nothing_is_sent_that_the_highest_level_has_not(see
 
 
 @FEW
-@given(st.integers(0, 10_000), st.sampled_from(POLICIES))
-def test_a_first_picture_is_of_what_is_in_view_and_without_terms(seed, policy) -> None:
+@given(st.integers(0, 10_000), st.sampled_from(POLICIES), st.sampled_from(REGIMES))
+def test_a_first_picture_is_of_what_is_in_view_and_without_terms(seed, policy, regime) -> None:
     index = scenes.random_index(seed, count=300, cones=True)
-    store, view = CandidateIndex(index), some_view(index, seed)
+    store, view = CandidateIndex(index), some_view(index, seed, regime)
     config = AbrConfig(policy=policy, fill=False, picture=1.0)
     batches = taken(aimed(store, view, policy, config=config), [1e9])
     found = np.array(joined(batches, "gaussians"), np.int64)

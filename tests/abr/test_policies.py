@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gsvis.abr.index import nearest_replacements
-from gsvis.abr.policies import POLICIES, REGIMES, lowest_last, offsets, pairs, regime_of
+from gsvis.abr.policies import POLICIES, REGIMES, UtilityConfig, lowest_last, offsets, pairs, regime_of
 from tests.abr import abr_scenes as scenes
 
 FEW = settings(max_examples=12)
@@ -40,8 +40,16 @@ def test_tables_of_the_policies() -> None:
                     found = pairs(policy, regime, levels)
                     assert len(set(found)) == len(found) == 6 * levels
                 assert lowest_last(regime, levels) == (levels - 1 if regime == "high" else 0)
+    assert pairs("low-first", "high", 4, picture=0)[:5] == [(0, 0), (0, 1), (1, 0), (1, 1), (0, 2)]
+    assert pairs("fov-first", "low", 4, picture=0)[:6] == [(0, 0), (0, 1), (0, 2), (1, 0), (1, 1), (2, 0)]
     low, high = offsets("utility", "low", 3), offsets("utility", "high", 3)
     assert (low[1:] >= high[1:]).all()
+
+
+def test_finer_levels_in_view_wait_by_their_factor() -> None:
+    plain, later = (offsets("utility", "high", 4, UtilityConfig(finer=factor), picture=0) for factor in (1.0, 0.5))
+    assert (later - plain)[0].tolist() == [[0, 0], [0, 0], [32, 32], [32, 32]]
+    assert np.array_equal(later[1:], plain[1:])
 
 
 @FEW

@@ -95,6 +95,14 @@ def test_owners_go_on_with_their_terms(counts: list[int], data: st.DataObject) -
         assert not kernels.owners_from(values, chosen, share, int(back[-1]), back)
 
 
+@given(st.lists(st.integers(0, 2**31 - 1), max_size=80), st.sampled_from([np.int32, np.uint32]))
+def test_ids_are_sorted(some: list[int], kind: type[np.int32] | type[np.uint32]) -> None:
+    ids = np.array(some, kind) if kind is np.int32 else 2 * np.array(some, kind) + kind(1)
+    out = np.empty_like(ids)
+    kernels.sort_ids(ids, np.empty_like(ids), out)
+    assert np.array_equal(out, np.sort(ids))
+
+
 def test_what_is_read_is_what_was_written() -> None:
     about, s = header(), sections(np.array([0, 1, 2, 70, 4000]))
     found = Sections.parse(s.to_message(about), about)

@@ -36,7 +36,8 @@ class Cell(NamedTuple):
     checked: Any  # (S,) uint64, Gaussians that owe only terms which are not active for the eye
     checked_at: Any  # (S,) float32, `View.travelled` when the first of them were checked
     waits: Any  # (E,) int32, units of area that have to arrive before each is checked again
-    share: Any  # of the area of its replacements that must be held before a Gaussian is dropped
+    last: Any  # (N,) uint8, level at which each Gaussian ends
+    shares: Any  # (L,) by that level: of the area of its replacements that must be held before it is dropped
 
 
 class Held(NamedTuple):

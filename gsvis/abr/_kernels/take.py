@@ -172,13 +172,13 @@ def take(plan, place, cell, held, view, records, links, budget, out):
 def _drop_replaced(g, held, cell, links, out, dropped):
     """Mark as gone what g replaces, where enough of the other replacements is held or cannot be seen from the cell.
 
-    Enough is a share of their area, `Cell.share`. A Gaussian that is gone counts as held, so what it was to replace is
+    Enough is a share of their area, `Cell.shares`. A Gaussian that is gone counts as held, so what it was to replace is
     checked too. What still waits remembers in `waits` how much area has to arrive at least, in units that are rounded
     down, and is not checked again before.
     """
     gaussians, gone, candidates, waits = held.gaussians, held.gone, cell.candidates, cell.waits
     offsets, ranks, ending, starts, ids = links.offsets, links.ranks, links.ending, links.starts, links.ids
-    queue, out_dropped, spare, one = out.queue, out.dropped, 1.0 - cell.share, np.uint64(1)
+    queue, out_dropped, last, shares, one = out.queue, out.dropped, cell.last, cell.shares, np.uint64(1)
     units, sizes, every = links.units, links.areas, links.every
     waiting, done, y = 0, 0, g
     while True:
@@ -198,6 +198,7 @@ def _drop_replaced(g, held, cell, links, out, dropped):
                 counts, lacks = candidates[w], candidates[w] & ~(gaussians[w] | gone[w])
                 total += np.float64((counts >> bit) & one) * sizes[m]
                 missing += np.float64((lacks >> bit) & one) * sizes[m]
+            spare = 1.0 - shares[last[x]]
             if missing > spare * total:
                 waits[e] = max(np.int64((missing - spare * total) / every[e] * UNITS) - 1, 1)
                 continue

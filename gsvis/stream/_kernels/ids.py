@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from gsvis._kernels.compiled import kernel
+from gsvis._kernels.compiled import inner, kernel
 
 MOST_ORDER = 24
 MOST_BITS = 2 * 33  # of a value below 2^32, in the worst order
@@ -199,6 +199,31 @@ def owners_from(values, terms, share, gaussians, out):
         term, owner = terms[i], found
         out[i] = found
     return True
+
+
+@kernel
+def sort_ids(ids, spare, out):
+    """Write ids (M,), of 32 bits and not negative, to `out` in ascending order; `spare` has the same room."""
+    counts = np.zeros((3, 2048), np.int64)
+    for i in range(len(ids)):
+        for k in range(3):
+            counts[k, np.int64(ids[i]) >> 11 * k & 2047] += 1
+    for k in range(3):
+        begin = 0
+        for digit in range(2048):
+            counts[k, digit], begin = begin, begin + counts[k, digit]
+    _by_digit(ids, np.int64(0), counts, out)
+    _by_digit(out, np.int64(1), counts, spare)
+    _by_digit(spare, np.int64(2), counts, out)
+
+
+@inner
+def _by_digit(ids, k, places, out):
+    """Write ids (M,) to `out` in the order of a digit of 11 bits; `places` (3, 2048) says where each digit begins."""
+    for i in range(len(ids)):
+        digit = np.int64(ids[i]) >> 11 * k & 2047
+        out[places[k, digit]] = ids[i]
+        places[k, digit] += 1
 
 
 @kernel
