@@ -256,7 +256,7 @@ test("every end of a source has words", () => {
     const { title, text, retry } = explainFailure("x".repeat(5000), code);
     assert.ok(title && text && retry);
   }
-  assert.equal(describeState({ kind: "waiting", seconds: 2.2, message: "" }, 5), "Offline · next try in 3 s");
+  assert.equal(describeState({ kind: "waiting", seconds: 2.2, message: "" }, 5), "Retrying in 3 s");
 });
 
 /** Answer requests of a test, one after the other; `null` is a server that does not answer. */

@@ -16,7 +16,7 @@ import { readHash, writeHash } from "./hash.ts";
 import type { View } from "./hash.ts";
 import { Help } from "./help.ts";
 import { Inspector } from "./inspector.ts";
-import { BAD_HASH, describeState, explainFailure, LOST_CONTEXT, NO_WEBGL } from "./messages.ts";
+import { BAD_HASH, describeState, explainFailure, LOST_CONTEXT, NOTHING, NO_WEBGL } from "./messages.ts";
 import { MODES } from "./navigator.ts";
 import type { Mode, Navigator } from "./navigator.ts";
 import { Notices } from "./notice.ts";
@@ -42,6 +42,7 @@ export interface Core {
 
 const AHEAD_MS = 200; // most time for the first view to be sent before the page prepares to draw
 const LOOKS_MS = 250; // between two looks at the statistics
+const BLANK_LOOKS = 8; // until the page says that nothing is to be seen
 const CLIMB_M = 0.7; // from square to square of a floor
 
 export class ViewPage {
@@ -58,6 +59,7 @@ export class ViewPage {
   #ready: Promise<unknown>;
   #views: View[] = [];
   #view = 0;
+  #blank = 0; // looks at a complete picture without a Gaussian
   #placed = false;
   #focused = false;
   #release: () => void = () => undefined;
@@ -87,11 +89,11 @@ export class ViewPage {
     this.#facts = factsOf(scene);
     this.#theme = new ThemeChoice(() => this.#showBackground());
     this.#notices = new Notices(
-      { retry: () => this.#restart(), token: (token) => ((this.#token = token), this.#restart()) },
+      { retry: () => this.#restart(), token: (token) => this.#enter(token) },
     );
     this.#drive = new Drive({
       actions: this.#actions, moved: () => this.#sendCamera(),
-      rested: () => (this.#panel.refresh(), this.#writeAddress()),
+      rested: () => (this.#panel.refresh(), this.#actions.changed(), this.#writeAddress()),
       click: (x, y, withAlt) => void (this.#inspector.on || withAlt ? this.#inspector.inspect(x, y) : undefined),
       doubleClick: (x, y) => void this.#goTo(x, y), view: (index) => this.#goToView(index),
       escape: () => this.#side.close() || this.#stopInspecting(),
@@ -216,6 +218,12 @@ export class ViewPage {
     this.#canvas.focus();
   }
 
+  /** Try a token. A server of pages needs it for the scripts of Workers too: it makes a cookie of the one in an address. */
+  #enter(token: string): void {
+    if (this.scene.root) location.search = `token=${encodeURIComponent(token)}`;
+    else ((this.#token = token), this.#restart());
+  }
+
   /** Show the same scene from elsewhere, such as a stream after it has been prepared; the view stays. */
   change(scene: SceneAddress): void {
     this.scene = scene;
@@ -243,6 +251,7 @@ export class ViewPage {
   }
 
   #place(): void {
+    const plays = this.#settings.plays && location.hash.length < 2 && !this.page.still && !this.#navigator.calm;
     const first = begin(location.hash, this.#settings.views, this.#navigator.frame, this.#surroundings);
     this.#views = this.#settings.views.length ? this.#settings.views : viewsFromPoses(this.#surroundings.poses);
     this.#placed = true;
@@ -253,8 +262,7 @@ export class ViewPage {
     this.#setMode(mode);
     this.#start = begin("", this.#settings.views, this.#navigator.frame, this.#surroundings).rig;
     if (first.problem) this.#notices.say(first.problem);
-    const asked = location.hash.length > 1 || this.page.still || this.#navigator.calm;
-    if (this.#settings.plays && !asked) this.#play();
+    if (plays) this.#play();
   }
 
   /** Find out how far away lies what is looked at, where no view has said it. */
@@ -279,8 +287,8 @@ export class ViewPage {
     if (state.kind === "waiting") this.#notices.say(
       "The connection is lost. What has arrived stays; the rest comes when the server is back.", true,
     );
-    else if (this.#notices.line.textContent?.startsWith("The connection is lost")) {
-      this.#notices.say("Connected again.");
+    else if (state.kind !== "connecting" && this.#notices.line.textContent?.startsWith("The connection is lost")) {
+      this.#notices.say(state.kind === "failed" ? "" : "Connected again.");
     }
     if ((state.kind === "streaming" || state.kind === "complete") && "message" in state && state.message) {
       this.#notices.say(String(state.message));
@@ -297,6 +305,8 @@ export class ViewPage {
     this.#showState(
       now.state.kind, describeState(now.state, now.gaussians), this.#header ? now.gaussians / this.#header.gaussians : 0,
     );
+    this.#blank = now.state.kind === "complete" && !now.drawn ? this.#blank + 1 : 0;
+    if (this.#blank === BLANK_LOOKS) this.#notices.say(NOTHING);
     if (!this.#figures.element.hidden) this.#figures.show(now, this.#header);
   }
 
@@ -401,7 +411,6 @@ export class ViewPage {
       const view = tour((this.#toured += seconds));
       if (view) return rigFromView(view, navigator.frame);
       this.#toured = 0;
-      setTimeout(() => this.#actions.changed());
       return null;
     };
     this.#drive.wake();
