@@ -24,7 +24,7 @@ from tests.stream.worlds import package_of
 from tests.viewer.browser import browser_page, chromium, served, viewer_files
 
 pytestmark = pytest.mark.slow
-SMALL = {"viewport": {"width": 240, "height": 160}}
+SMALL: dict[str, Any] = {"viewport": {"width": 240, "height": 160}}
 HOSTILE = "<img src=x onerror=alert(1)>"
 DRAWN = """() => document.documentElement.dataset.state === 'complete'
     && /[1-9]/.test(document.querySelector('.state').textContent)"""
