@@ -4,7 +4,7 @@ import { build, transform } from "esbuild";
 import { minify } from "terser";
 import { mkdirSync, readdirSync, readFileSync, writeFileSync } from "node:fs";
 import { gzipSync } from "node:zlib";
-import { dirname, join } from "node:path";
+import { basename, dirname, join } from "node:path";
 import { fileURLToPath } from "node:url";
 import { shorten } from "./shaders.mjs";
 import { bundleTypes } from "./types.mjs";
@@ -23,13 +23,27 @@ const shaders = {
   },
 };
 
-// Names of properties in the page's own classes alone: no browser, JSON, Worker or program sees them.
-const OWN = "canStandAt cellsKnown flyTo focused goHome harmonicBytes inspecting isBusy layout mostIntensity mostScale nextMode " +
-  "nextPaint onComplete onContent onFailure onOrder onRenumbered optionsShown perGaussian placeOf problem recycle refocus " +
-  "refresh reframe savePicture setFov setOrder stale standOn statisticsShown stepView surroundings tableTexture targets " +
-  "termCount texels toggleBare toggleCells toggleFull toggleInspecting toggleOptions toggleStatistics toggleTheme " +
-  "toggleVr viewDependent vrOffered vrOn";
-const own = { properties: { regex: new RegExp(`^(${OWN.replaceAll(" ", "|")})$`) } };
+// Names of properties in the own classes of a script alone: no browser, JSON, other script or program sees them.
+const OWN = {
+  page: "answered antialiased appendMilliseconds busy calm canStandAt cellsKnown choose chosen climb corners degrees " +
+    "detailed doubleClick drag dropped east enterXr fast firstImageSeconds flyTo flying focused fovY " +
+    "frameMilliseconds goHome goTo gpuBytes harmonicBytes inspecting isBusy known layout levelsShown listen " +
+    "makeSource makeViewer maxPixelRatio meter mostIntensity mostScale moved navigator nearest nextMode " +
+    "nextPaint north offered onComplete onContent onFailure onOrder onRenumbered optionsShown perGaussian " +
+    "pickCenter pixelRatio placeOf problem program recycle redraw refocus reframe refresh reserve rested " +
+    "savePicture screenshot setFov setMode setOrder settled shown shows sortMilliseconds sortWorker sorting " +
+    "spent stale standOn statisticsShown stepView surroundings tableTexture targets termCount termsShown texels " +
+    "toggleBare toggleCells toggleFull toggleInspecting toggleOptions toggleStatistics toggleTheme toggleVr " +
+    "viewDependent viewer vrOffered vrOn",
+  static: "addRecords addReplaced addTerms arrivals beside chunk firstId firstSlot gainTop gains harmonicBytes isAtEnd " +
+    "isPastEnd meanRadius ranges recordStart regime resumed roundTrip setTerms shares sleep spheres sums sweep symbol " +
+    "termStart throughput",
+  sort: "batches harmonicBytes idAt rowCount slotAt splat widest",
+};
+const mangleOf = (path) => {
+  const names = OWN[basename(path, ".js")];
+  return names ? { properties: { builtins: true, regex: new RegExp(`^(${names.replaceAll(" ", "|")})$`) } } : {};
+};
 
 if (process.argv.includes("--tests")) {
   const tests = readdirSync(join(here, "test")).filter((name) => name.endsWith(".test.ts"));
@@ -46,12 +60,14 @@ if (process.argv.includes("--tests")) {
       sort: join(here, "src/core/sort.worker.ts"),
       static: join(here, "src/core/static.worker.ts"),
       page: join(here, "src/page/index.ts"),
+      xr: join(here, "src/core/xr.ts"),
+      tour: join(here, "src/page/tour.ts"),
       list: join(here, "src/page/listing.ts"),
     },
   });
   const files = await Promise.all(bundled.outputFiles.map(async ({ path, text }) => {
     const { code } = await minify(text, {
-      module: true, ecma: 2020, format: { ascii_only: false }, mangle: path.endsWith("/page.js") ? own : {},
+      module: true, ecma: 2020, format: { ascii_only: false }, mangle: mangleOf(path),
       compress: { passes: 5, unsafe: true, unsafe_arrows: true, unsafe_methods: true, pure_getters: true },
     });
     return { path, bytes: Buffer.from(code) };

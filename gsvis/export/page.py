@@ -38,7 +38,7 @@ VIEWER = Path(__file__).parents[1] / "viewer"
 
 PAGE, SETTINGS, FOLDER = "index.html", "settings.json", "scene"
 
-_SCRIPTS = ("page.js", "sort.js", "static.js", "network.js")
+_SCRIPTS = ("page.js", "sort.js", "static.js", "network.js", "tour.js", "xr.js")
 _WORKERS = ("sort.js", "static.js", "network.js")
 _PIECE = 3 << 20  # bytes of a file that are written at once as base64
 _DISTANCE = 3.0  # from an eye to what it looks at, in settings

@@ -57,7 +57,7 @@ from gsvis.stream.wire import CLOSE_CODES, FAULTS, POLICY, ServerFault
 __all__ = ["AppConfig", "build_app"]
 
 _SHORT_OF = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOBUFS, errno.EAGAIN)  # errors that pass
-_LIST, _VIEW = "list.html", "view.html"
+_LIST = "list.html"
 _ID = re.compile(r"[0-9]{1,10}")
 
 
@@ -226,7 +226,7 @@ class _App:
             return Response(status_code=303, headers={"location": to, "referrer-policy": "no-referrer"})
         if name not in self.scenes:
             return self.pages.say("No such scene", f"This server has no scene {name[:100]!r}.", 404)
-        return self.pages.page(request, _VIEW)
+        return self.pages.view(request, self.scenes[name].is_streamed)
 
     async def viewer_file(self, request: Request) -> Response:
         """Return a file of the viewer."""

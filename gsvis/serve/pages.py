@@ -37,6 +37,8 @@ _KINDS = {
     ".ico": "image/x-icon",
     ".txt": "text/plain; charset=utf-8",
 }
+_STREAMED = b'<meta name="gsvis-streamed" content="true">\n    <title>'
+_VIEW = "view.html"
 _LEAST_PACKED = 1024  # bytes from which compression pays
 _HTML = "text/html; charset=utf-8"
 
@@ -82,7 +84,9 @@ class Pages:
         at = VIEWER if folder is None else folder
         for path in sorted(at.iterdir()) if at.is_dir() else ():
             if path.suffix in _KINDS and not path.is_symlink() and path.is_file():
-                self._files[path.name] = _file(path)
+                self._files[path.name] = _file(read_whole(path), _KINDS[path.suffix])
+        view = self._files.get(_VIEW)
+        self._streamed = None if view is None else _file(view.data.replace(b"<title>", _STREAMED, 1), view.kind)
         frames = " ".join(["'self'", *(("*",) if "*" in origins else origins)])
         self._policy = "; ".join([
             "default-src 'none'", "script-src 'self'", "worker-src 'self'", "style-src 'self'",
@@ -94,14 +98,22 @@ class Pages:
     def __contains__(self, name: str) -> bool:
         return name in self._files
 
-    def page(self, request: Request, name: str, status: int = 200) -> Response:
+    def page(self, request: Request, name: str) -> Response:
         """Answer with a page, under the strict policy; 503 where the viewer is not built."""
-        if name not in self._files:
+        found = self._files.get(name)
+        if found is None:
             line = "the viewer is not built here: run `make viewer`, or install gsvis from a wheel\n"
             return PlainTextResponse(line, 503, {"cache-control": "no-store"})
-        response = self.file(request, name)
-        if response.status_code == 200:
-            response.status_code = status
+        return self._guarded(request, found)
+
+    def view(self, request: Request, streamed: bool) -> Response:
+        """Answer with the page of a scene, which says whether the scene is streamed: then the page need not ask."""
+        if streamed and self._streamed is not None:
+            return self._guarded(request, self._streamed)
+        return self.page(request, _VIEW)
+
+    def _guarded(self, request: Request, found: _File) -> Response:
+        response = self._send(request, found)
         self._guard(response, self._policy)
         response.headers.add_vary_header("Accept")
         return response
@@ -111,6 +123,9 @@ class Pages:
         found = self._files.get(name)
         if found is None:
             return PlainTextResponse("no such file\n", 404)
+        return self._send(request, found)
+
+    def _send(self, request: Request, found: _File) -> Response:
         packed = found.packed if "gzip" in _codings(request) else None
         tag = f'"{found.tag}{"-gz" if packed else ""}"'
         headers = {
@@ -171,11 +186,10 @@ class Pages:
         response.headers["permissions-policy"] = "camera=(), microphone=(), geolocation=(), payment=(), usb=()"
 
 
-def _file(path: Path) -> _File:
-    data = read_whole(path)
+def _file(data: bytes, kind: str) -> _File:
     packed = gzip.compress(data, 9, mtime=0) if len(data) >= _LEAST_PACKED else data
     small = packed if len(packed) < len(data) else None
-    return _File(data, small, hashlib.sha256(data).hexdigest()[:32], _KINDS[path.suffix])
+    return _File(data, small, hashlib.sha256(data).hexdigest()[:32], kind)
 
 
 def _codings(request: Request) -> set[str]:

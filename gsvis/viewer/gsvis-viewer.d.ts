@@ -345,6 +345,7 @@ export type ViewerEvent = "header" | "state" | "traffic" | "frame" | "contextlos
 /** What may be set when a viewer is made. */
 export interface ViewerOptions {
   source?: Source;
+  camera?: Eye; // where the eye is at first
   background?: [number, number, number];
   antialiased?: boolean;
   precision?: Precision; // of the picture that is blended; the finest available up to this

@@ -18,6 +18,8 @@ PAGE = "text/html,application/xhtml+xml,application/xml;q=0.9,*/*;q=0.8"
 TOKEN = "s3cret-word"
 SCRIPT = "export const many = 1;\n" * 200
 
+STREAMED = '<meta name="gsvis-streamed" content="true">\n    '
+
 
 @pytest.fixture
 def viewer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
@@ -55,7 +57,7 @@ def test_browsers_get_pages_and_all_others_json(plain: Path, viewer: Path) -> No
             assert (status, fields["content-type"], "accept" in fields["vary"]) == (200, "application/json", True)
         (row,) = json.loads(body)["scenes"]
         assert (row["view"], row["stream"], row["static"]) == ("view/plain", "stream/plain", None)
-        assert ask(server, "/" + row["view"])[2] == b"<!doctype html><title>view</title>"
+        assert ask(server, "/" + row["view"])[2] == f"<!doctype html>{STREAMED}<title>view</title>".encode()
         status, fields, body = ask(server, "/view/none<b>", Accept=PAGE)
         assert (status, b"<b>" in body, b"none&lt;b&gt;" in body) == (404, False, True)
 

@@ -63,13 +63,15 @@ def served(folder: Path) -> Iterator[str]:
 
 
 @contextmanager
-def browser_page(address: str, **context: Any) -> Iterator[tuple[Any, list[str]]]:
+def browser_page(
+    address: str, *, flags: tuple[str, ...] = (*FLAGS, *MEASURED), **context: Any
+) -> Iterator[tuple[Any, list[str]]]:
     """Open an address; gives the page and what it says on its console, errors included."""
     path = chromium()
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=path, args=[*FLAGS, *MEASURED])
+        browser = playwright.chromium.launch(executable_path=path, args=list(flags))
         try:
             page = browser.new_context(**context).new_page()
             said: list[str] = []

@@ -79,6 +79,20 @@ SETTINGS = {
         {"title": HOSTILE, "camera": {"initial": {"position": [5, 3, 1.6], "target": [2, 1, 1], "fov": 75}}},
     ],
 }
+TOUR = {
+    **SETTINGS,
+    "startMode": "animTrack",
+    "animTracks": [{
+        "name": "around", "duration": 8, "frameRate": 30, "loopMode": "repeat", "interpolation": "spline",
+        "smoothness": 1,
+        "keyframes": {
+            "times": [0, 60, 120, 180],
+            "values": {
+                "position": [1, 1, 1.6, 5, 1, 1.6, 5, 3, 1.6, 1, 3, 1.6], "target": [3, 2, 1] * 4, "fov": [60] * 4,
+            },
+        },
+    }],
+}  # fmt: skip
 
 
 @contextmanager
@@ -95,6 +109,8 @@ def serve_page(script: Path) -> Iterator[str]:
         "/viewer/list.css": ((pages / "list.css").read_bytes(), "text/css"),
         "/viewer/list.js": ((VIEWER.parent / "gsvis" / "viewer" / "list.js").read_bytes(), "text/javascript"),
         "/view/show%20room": ((pages / "view.html").read_bytes(), "text/html; charset=utf-8"),
+        "/viewer/tour.js": ((VIEWER.parent / "gsvis" / "viewer" / "tour.js").read_bytes(), "text/javascript"),
+        "/view/tour.json": (json.dumps(TOUR).encode(), "application/json"),
         "/view/settings.json": (json.dumps(SETTINGS).encode(), "application/json"),
         **{path: (data, "application/json") for path, data in facts.items()},
     }

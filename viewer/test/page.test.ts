@@ -9,6 +9,8 @@ import { readHash, writeHash } from "../src/page/hash.ts";
 import { NOTHING_HELD, Navigator } from "../src/page/navigator.ts";
 import * as rigs from "../src/page/rig.ts";
 import { readSettings } from "../src/page/settings.ts";
+import { along, readTour } from "../src/page/tour.ts";
+import type { Tour } from "../src/page/tour.ts";
 import * as v from "../src/page/vector.ts";
 import type { Vec3 } from "../src/page/vector.ts";
 
@@ -211,7 +213,7 @@ test("settings of both versions, other frames, and bad ones", () => {
   const one = readSettings(
     { camera: { ...pose, startAnim: "none" }, background: { color: [0.1, 0.2, 3] }, animTracks: [] }
   );
-  assert.deepEqual(one, { views: [{ eye: [-1, -2, 3], to: [-4, -5, 6], fov: 75 }], background: [0.1, 0.2, 1] });
+  assert.deepEqual(one, { views: [{ eye: [-1, -2, 3], to: [-4, -5, 6], fov: 75 }], background: [0.1, 0.2, 1], animated: false, plays: false });
   const two = readSettings({
     version: 2, frame: "scene", cameras: [{ initial: pose }, { initial: { position: [1, 2] } }],
     annotations: [{ title: " <b>Door</b> ", camera: { initial: pose } }, 7], background: {},
@@ -219,7 +221,83 @@ test("settings of both versions, other frames, and bad ones", () => {
   assert.deepEqual(two.views.map((view) => view.name), [undefined, "<b>Door</b>"]);
   assert.deepEqual(two.views[0].eye, [1, 2, 3]);
   for (const bad of [null, 3, [], { version: 3 }]) assert.throws(() => readSettings(bad), /settings: expected/);
-  assert.deepEqual(readSettings({}), { views: [], background: null });
+  assert.deepEqual(readSettings({}), { views: [], background: null, animated: false, plays: false });
+  for (const said of [{ version: 2, startMode: "animTrack" }, { camera: { startAnim: "animTrack" } }]) {
+    assert.deepEqual([readSettings(said).animated, readSettings(said).plays], [false, true]);
+    assert.equal(readSettings({ ...said, animTracks: [{}] }).animated, true);
+  }
+});
+
+const TRACK = {
+  name: "round", duration: 4, frameRate: 10, loopMode: "none", interpolation: "spline", smoothness: 1,
+  keyframes: {
+    times: [0, 10, 40],
+    values: { position: [0, 0, 0, 1, 2, 3, 4, 0, 0], target: [0, 5, 0, 0, 5, 0, 0, 5, 0], fov: [60, 70, 200] },
+  },
+};
+const tourOf = (changes: object = {}, more: object = {}): Tour =>
+  readTour({ version: 2, frame: "scene", animTracks: [{ ...TRACK, ...changes }], ...more });
+
+test("a camera passes through the keys of its track, and ends as the track says", () => {
+  const tour = tourOf();
+  assert.deepEqual(tour(0), { eye: [0, 0, 0], to: [0, 5, 0], fov: 60 });
+  assert.deepEqual(tour(1), { eye: [1, 2, 3], to: [0, 5, 0], fov: 70 });
+  assert.deepEqual(tour(4), { eye: [4, 0, 0], to: [0, 5, 0], fov: 120 });
+  assert.equal(tour(4.01), null);
+  const there = tourOf({ loopMode: "pingpong" });
+  for (const [late, early] of [[5, 3], [7.5, 0.5], [9, 1]]) assert.deepEqual(there(late), there(early));
+  const round = tourOf({ loopMode: "repeat" });
+  assert.deepEqual(round(5), round(1));
+  assert.deepEqual(round(1)!.eye, [1, 2, 3]);
+  assert.deepEqual(tourOf({ interpolation: "step" })(3.9)!.eye, [1, 2, 3]);
+});
+
+test("curves are straight where keys lie evenly on a line, and have no corner at a key", () => {
+  const times = [0, 2, 4, 6], points = times.map((time) => [3 * time - 1]);
+  for (let time = 0; time <= 6; time += 0.25) near(along(times, points, time, 1), [3 * time - 1]);
+  const bent = [[0], [5], [1], [1]], step = 1e-5;
+  const slope = (time: number): number => (along(times, bent, time + step, 1)[0] - along(times, bent, time, 1)[0]) / step;
+  near([slope(2 - step)], [slope(2)], 1e-3);
+  near([slope(2)], [1 / 4], 1e-3);
+  near(along(times, bent, 3, 0), [3]); // no slope at keys: half way in the middle
+});
+
+test("tracks of version 1: the frame is turned, times without a rate are seconds, the camera names track and angle", () => {
+  const { frameRate: _, ...bare } = TRACK, { fov: __, ...values } = TRACK.keyframes.values;
+  const keyframes = { times: [0, 1, 4], values };
+  const tour = readTour({
+    camera: { fov: 50, animTrack: "round" }, animTracks: [{ ...TRACK, name: "other", duration: 1 }, { ...bare, keyframes }],
+  });
+  assert.deepEqual(tour(1), { eye: [-1, -2, 3], to: [-0, -5, 0], fov: 50 });
+});
+
+test("a track that makes no sense is refused in one line", () => {
+  const { keyframes } = TRACK, { values } = keyframes;
+  for (const bad of [
+    { duration: 0 }, { duration: "4" }, { keyframes: null }, { keyframes: { ...keyframes, times: [0, 10, 10] } },
+    { keyframes: { ...keyframes, times: [0, 10] } }, { keyframes: { times: [], values: { position: [], target: [] } } },
+    { keyframes: { ...keyframes, values: { ...values, position: [0, 0, 0, 1, 2, 3, 4, 0, 1e9] } } },
+  ]) assert.throws(() => tourOf(bad), /^Error: settings: expected an animation/);
+  assert.throws(() => readTour({}), /settings/);
+});
+
+test("a track leads the view until it ends or somebody moves, and nothing jumps then", () => {
+  const frame = v.frameFromUp([0, 0, 1]), navigator = new Navigator(frame, rigs.rigFromTarget([0, 0, 0], [1, 0, 0], frame));
+  let passed = 0;
+  const lead = (seconds: number) =>
+    (passed += seconds) > 1 ? null : rigs.rigFromTarget([passed, 0, 0], [passed, 5, 0], frame);
+  navigator.track = lead;
+  assert.ok(navigator.step(0.5) && navigator.flying);
+  assert.deepEqual(navigator.shown.eye, [0.5, 0, 0]);
+  navigator.step(0.6);
+  assert.deepEqual([navigator.flying, navigator.shown.eye], [false, [0.5, 0, 0]]);
+  passed = 0;
+  navigator.track = lead;
+  navigator.step(0.25);
+  navigator.drag(0.1, 0);
+  navigator.step(0.01);
+  assert.deepEqual([navigator.flying, navigator.track], [false, null]);
+  assert.ok(Math.abs(navigator.shown.turn - rigs.rigFromTarget([0.25, 0, 0], [0.25, 5, 0], frame).turn) <= 0.1);
 });
 
 test("numbers as people read them", () => {

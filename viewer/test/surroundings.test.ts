@@ -225,10 +225,12 @@ test("a source starts at once, and what it has said until somebody listens comes
   const inner: Source = {
     start: (events) => { say = events; }, view: () => undefined, close: () => undefined, pose: () => undefined,
   };
-  const { source } = holdPoses(inner), heard: string[] = [], fresh: boolean[] = [];
+  const { source, header: first } = holdPoses(inner), heard: string[] = [], fresh: boolean[] = [];
   const { state, header } = say as unknown as SourceEvents;
   state({ kind: "connecting" });
-  header({} as Header, true);
+  header({ gaussians: 7 } as Header, true);
+  header({ gaussians: 8 } as Header, true);
+  assert.equal((await first).gaussians, 7);
   source.start({
     state: ({ kind }) => heard.push(kind), batch: () => undefined, traffic: () => undefined,
     header: (_, isFresh) => { heard.push("header"); fresh.push(isFresh); },
@@ -237,7 +239,7 @@ test("a source starts at once, and what it has said until somebody listens comes
   await Promise.resolve();
   await Promise.resolve();
   state({ kind: "complete" });
-  assert.deepEqual([heard, fresh], [["connecting", "header", "streaming", "complete"], [true]]);
+  assert.deepEqual([heard, fresh], [["connecting", "header", "header", "streaming", "complete"], [true, true]]);
 });
 
 test("gamepads rest where sticks hardly move", () => {
@@ -254,7 +256,7 @@ test("every end of a source has words", () => {
     const { title, text, retry } = explainFailure("x".repeat(5000), code);
     assert.ok(title && text && retry);
   }
-  assert.equal(describeState({ kind: "waiting", seconds: 2.2, message: "" }, 5), "Offline · next try in 3 s");
+  assert.equal(describeState({ kind: "waiting", seconds: 2.2, message: "" }, 5), "Retrying in 3 s");
 });
 
 /** Answer requests of a test, one after the other; `null` is a server that does not answer. */

@@ -86,6 +86,14 @@ export class Renderer {
     this.count = 0;
   }
 
+  /** Wait until the programs are compiled, and find their uniforms: each is a question to the GPU. */
+  ready(): void {
+    for (const program of [this.#colors!, this.#project!, this.#splat, this.#present]) {
+      program.use();
+      program.at("size");
+    }
+  }
+
   /** Draw these places from now on, in this order. */
   setOrder(order: Uint32Array, count: number): void {
     const rows = Math.ceil(count / ROW);
@@ -95,26 +103,29 @@ export class Renderer {
     this.#order.write(0, order.subarray(0, rows * ROW));
   }
 
-  /** Draw the picture of a camera. Returns false where there is nothing to draw from. */
-  draw(camera: Camera, look: Look, to: Destination = CANVAS): boolean {
+  /** Draw the picture of a camera: of the background alone, and without a program, before there is anything else. */
+  draw(camera: Camera, look: Look, to: Destination = CANVAS): void {
     const gl = this.#gl, store = this.#store;
+    if (!store || !this.count) {
+      gl.bindFramebuffer(gl.FRAMEBUFFER, to.framebuffer);
+      gl.clearColor(...look.background, 1);
+      gl.clear(gl.COLOR_BUFFER_BIT);
+      return;
+    }
     this.#resize(camera.width, camera.height);
     gl.disable(gl.BLEND);
-    if (store) {
-      store.flush();
-      this.#findColors(store, camera, look);
-      if (this.count) this.#projectAll(store, camera, look);
-    }
+    store.flush();
+    this.#findColors(store, camera, look);
+    this.#projectAll(store, camera, look);
     this.#blend(camera);
     gl.bindFramebuffer(gl.FRAMEBUFFER, to.framebuffer);
     gl.viewport(to.x, to.y, camera.width, camera.height);
-    gl.useProgram(this.#present.program);
+    this.#present.use();
     this.#bind(this.#present, { picture: this.#picture });
     gl.uniform3fv(this.#present.at("background"), look.background);
     gl.uniform2i(this.#present.at("offset"), to.x, to.y);
     gl.bindVertexArray(this.#empty);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
-    return store !== null;
   }
 
   /** Draw and return the pixels, RGBA, rows from the top. */
@@ -180,7 +191,7 @@ export class Renderer {
       gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, this.#colorTexture, 0);
     }
     gl.viewport(0, 0, ROW, store.colors.rows);
-    gl.useProgram(program.program);
+    program.use();
     this.#bind(program, {
       records: store.records.texture, links: store.links.texture, chunks: store.chunks.texture,
       heads: store.heads.texture,
@@ -220,7 +231,7 @@ export class Renderer {
       gl.drawBuffers([gl.COLOR_ATTACHMENT0, gl.COLOR_ATTACHMENT1]);
     }
     gl.viewport(0, 0, ROW, rows);
-    gl.useProgram(program.program);
+    program.use();
     this.#bind(program, {
       order: this.#order.texture, records: store.records.texture, links: store.links.texture,
       chunks: store.chunks.texture, colors: store.colors.texture,
@@ -241,8 +252,7 @@ export class Renderer {
     gl.viewport(0, 0, camera.width, camera.height);
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT);
-    if (this.count === 0 || !this.#store) return;
-    gl.useProgram(program.program);
+    program.use();
     this.#bind(program, { shapes: this.#shapes.texture, paints: this.#paints.texture });
     gl.uniform2f(program.at("size"), camera.width, camera.height);
     gl.enable(gl.BLEND);

@@ -304,14 +304,17 @@ void main() {
 }`;
 }
 
-/** Compile a program; `uniforms` finds locations by name. */
+/** A program of the GPU; `at` finds uniforms by name. */
 export interface Program {
   program: WebGLProgram;
+  use(): void; // from now on
   at(name: string): WebGLUniformLocation | null;
 }
 
+/** Begin to compile a program. Its first use waits until that is done, and raises where it is no good. */
 export function compile(gl: WebGL2RenderingContext, vertex: string, fragment: string): Program {
-  const program = gl.createProgram();
+  const program = gl.createProgram(), found = new Map<string, WebGLUniformLocation | null>();
+  let isKnown = false;
   for (const [kind, source] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]] as const) {
     const shader = gl.createShader(kind);
     if (!shader) throw new Error("the graphics context is lost");
@@ -319,17 +322,18 @@ export function compile(gl: WebGL2RenderingContext, vertex: string, fragment: st
     gl.compileShader(shader);
     gl.attachShader(program, shader);
     gl.deleteShader(shader);
-    if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS) && !gl.isContextLost()) {
-      throw new Error(`a program of the viewer does not compile here: ${gl.getShaderInfoLog(shader)}`);
-    }
   }
   gl.linkProgram(program);
-  if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) {
-    throw new Error(`a program of the viewer does not link here: ${gl.getProgramInfoLog(program)}`);
-  }
-  const found = new Map<string, WebGLUniformLocation | null>();
   return {
     program,
+    use() {
+      if (!isKnown && !gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) {
+        const said = gl.getAttachedShaders(program)?.map((shader) => gl.getShaderInfoLog(shader)).join(" ");
+        throw new Error(`A program of the viewer does not compile here: ${said} ${gl.getProgramInfoLog(program)}`);
+      }
+      isKnown = true;
+      gl.useProgram(program);
+    },
     at(name) {
       if (!found.has(name)) found.set(name, gl.getUniformLocation(program, name));
       return found.get(name) ?? null;

@@ -11,6 +11,7 @@ export interface Eye extends Pose {
 /** What may be set when a viewer is made. */
 export interface ViewerOptions {
   source?: Source;
+  camera?: Eye; // where the eye is at first
   background?: [number, number, number];
   antialiased?: boolean;
   precision?: Precision; // of the picture that is blended; the finest available up to this

@@ -9,11 +9,19 @@ import type { Region } from "./sorting.ts";
 import { Store } from "./store.ts";
 import type { Batch, Camera, Header, Marks, Paint, Pose, Source, SourceState, Traffic } from "./types.ts";
 import type { Eye, Statistics, ViewerEvent, ViewerOptions } from "./viewer-types.ts";
-import { type EyeView, frameAt, runSession, type XrSession } from "./xr.ts";
+import type { EyeView, XrSession } from "./xr.ts";
 
 /** Raised where the browser cannot draw at all. */
 export class UnsupportedError extends Error {}
 
+/** What an order of Gaussians is for. */
+interface Order {
+  camera: Camera;
+  version: number; // of the data
+  region: Region;
+}
+
+const REST = 2, LOOK_MS = 20; // pause after a picture, in times of what it took; between looks whether it is done
 const START: Eye = { position: [0, 0, 0], rotation: [1, 0, 0, 0], fovY: Math.PI / 3 };
 
 /** Shows what a source gives on a canvas. Events of `ViewerEvent` say what has changed. */
@@ -30,7 +38,7 @@ export class Viewer extends EventTarget {
   #source: Source | null = null;
   #header: Header | null = null;
   #state: SourceState = { kind: "connecting" };
-  #eye: Eye = START;
+  #eye: Eye;
   #fixed: Camera | null = null;
   #levels: boolean[] = [];
   #lost = false;
@@ -39,8 +47,11 @@ export class Viewer extends EventTarget {
   #waiting: Batch[] | null = null; // what arrived while the GPU is lost or filled anew
   #dirty = true;
   #version = 0; // of the data
-  #sorted: { camera: Camera; version: number; region: Region } | null = null; // what the last order is for
-  #asked: { camera: Camera; version: number; region: Region } | null = null;
+  #sorted: Order | null = null; // what the last order is for
+  #asked: Order | null = null;
+  #pause = 0; // a timer: what has come of late is drawn when it ends
+  #fence: WebGLSync | null = null; // the GPU has drawn the last picture
+  #until = 0; // when the next one may be
   #frame = 0;
   #recent: number[] = []; // times of the last frames
   #settled: (() => void)[] = [];
@@ -56,6 +67,7 @@ export class Viewer extends EventTarget {
     super();
     this.canvas = canvas;
     this.#options = options;
+    this.#eye = options.camera ?? START;
     const gl = canvas.getContext(
       "webgl2", { alpha: false, antialias: false, depth: false, stencil: false, powerPreference: "high-performance" },
     );
@@ -108,6 +120,7 @@ export class Viewer extends EventTarget {
   dispose(): void {
     this.#lost = true; // what is still on its way draws nothing
     cancelAnimationFrame(this.#frame);
+    clearTimeout(this.#pause);
     this.#source?.close();
     this.#source = null;
     this.#intake.clear();
@@ -257,6 +270,8 @@ export class Viewer extends EventTarget {
   /** Show the scene in an immersive session, from where the camera is, until the session ends. */
   async enterXr(session: XrSession): Promise<void> {
     const { up, metersPerUnit } = this.#header ?? { up: [0, 1, 0], metersPerUnit: 1 };
+    // a module of its own, as few visitors have a headset
+    const { frameAt, runSession } = await import(new URL("xr.js", import.meta.url).href) as typeof import("./xr.ts");
     this.#immersed = true;
     try {
       await runSession(session, this.#gl, frameAt(this.#pose(), up, metersPerUnit), (eyes) => this.#drawEyes(eyes));
@@ -314,7 +329,6 @@ export class Viewer extends EventTarget {
     this.#replaced += batch.gone.length;
     this.#figures.replaced += batch.gone.length;
     this.#version += 1;
-    if (batch.owners.length) this.#dirty = true;
     this.#sorter.append(fitting);
     this.#figures.append = performance.now() - begin;
     if (store && this.#replaced > 100_000 && this.#replaced > store.count * 0.35) this.#refill();
@@ -398,6 +412,7 @@ export class Viewer extends EventTarget {
   #restore = (): void => {
     if (this.#gl.isContextLost()) return; // lost once more since
     this.#lost = false;
+    this.#fence = null;
     this.#renderer = new Renderer(this.#gl, this.#options.precision);
     this.#store = null;
     if (this.#header) this.#refill();
@@ -424,12 +439,36 @@ export class Viewer extends EventTarget {
     const region: Region = {
       left: -slack, top: -slack, right: width + slack, bottom: height + slack, levels: this.#mask(),
     };
-    const done = still && last.version === this.#version && last.region.levels === this.#mask();
-    if (!done && !this.#sorter.sorting) {
+    const same = still && last.region.levels === region.levels, done = same && last.version === this.#version;
+    if (!done && !this.#sorter.sorting && !(same && this.#rests())) {
       this.#asked = { camera, version: this.#version, region };
       this.#sorter.sort(camera, region);
+      if (!last) this.#renderer.ready();
     }
     return done;
+  }
+
+  /** Return whether a picture of the same view with more data has to wait: each takes cores from what loads it. */
+  #rests(): boolean {
+    const left = this.#fence ? LOOK_MS : this.#until - performance.now();
+    if (left <= 0 || this.#settled.length) return false;
+    this.#pause ||= setTimeout(() => {
+      this.#pause = 0;
+      this.#request();
+    }, left) as unknown as number;
+    return true;
+  }
+
+  /** Find out when the GPU has drawn a picture that was begun then. */
+  #await(begin: number): void {
+    setTimeout(() => {
+      const gl = this.#gl, fence = this.#fence, now = performance.now();
+      if (!fence || this.#lost) return;
+      if (gl.getSyncParameter(fence, gl.SYNC_STATUS) !== gl.SIGNALED) return this.#await(begin);
+      gl.deleteSync(fence);
+      this.#fence = null;
+      this.#until = now + REST * (now - begin);
+    }, LOOK_MS);
   }
 
   #count(time: number): void {
@@ -442,23 +481,34 @@ export class Viewer extends EventTarget {
     this.#frame = 0;
     if (this.#lost) return;
     const begin = performance.now(), camera = this.lens;
-    const ordered = this.#order(camera);
-    if (this.#dirty) {
-      const { canvas } = this;
-      if (canvas.width !== camera.width || canvas.height !== camera.height) {
-        canvas.width = camera.width;
-        canvas.height = camera.height;
-      }
-      this.#dirty = false;
-      this.#renderer.draw(camera, this.#look);
-      this.#count(begin);
-      this.#figures.frame = performance.now() - begin;
-      if (this.#figures.first === null && this.#renderer.count) {
-        this.#figures.first = (performance.now() - this.#opened) / 1000;
-      }
-      this.#say("frame");
+    try {
+      const ordered = this.#order(camera);
+      if (this.#dirty) this.#paint(camera, begin);
+      if (ordered && !this.#intake.isBusy) for (const resolve of this.#settled.splice(0)) resolve();
+    } catch (error) {
+      this.#lost = true; // no later picture can be better
+      this.#say("problem", (error as Error).message);
     }
-    if (ordered && !this.#intake.isBusy) for (const resolve of this.#settled.splice(0)) resolve();
+  }
+
+  #paint(camera: Camera, begin: number): void {
+    const { canvas } = this;
+    if (canvas.width !== camera.width || canvas.height !== camera.height) {
+      canvas.width = camera.width;
+      canvas.height = camera.height;
+    }
+    this.#dirty = false;
+    this.#renderer.draw(camera, this.#look);
+    if (!this.#fence && this.#renderer.count) {
+      this.#fence = this.#gl.fenceSync(this.#gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+      this.#await(begin);
+    }
+    this.#count(begin);
+    this.#figures.frame = performance.now() - begin;
+    if (this.#figures.first === null && this.#renderer.count) {
+      this.#figures.first = (performance.now() - this.#opened) / 1000;
+    }
+    this.#say("frame");
   }
 }
 

@@ -13,6 +13,7 @@ export interface PageAddress {
   settings: string | null;
   token: string | null;
   bare: boolean; // no interface
+  still: boolean; // an animation waits until it is asked for
 }
 
 interface Metas {
@@ -33,6 +34,7 @@ export function readAddress(href: string, metas: Metas): PageAddress {
     settings: given ? resolve(given, page) : null,
     token: query.get("token"),
     bare: query.has("noui"),
+    still: query.has("noanim"),
   };
 }
 

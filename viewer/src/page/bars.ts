@@ -66,7 +66,7 @@ export class Dock {
       { value: "walk", label: "Walk", icon: "walk" },
     ], targets.mode, targets.setMode);
     this.views.append(actionButton(actions, "previous"), this.#label, actionButton(actions, "next"));
-    this.element.append(this.#modes.element, actionButton(actions, "home"), this.views);
+    this.element.append(this.#modes.element, actionButton(actions, "home"), actionButton(actions, "play"), this.views);
   }
 
   refresh(): void {

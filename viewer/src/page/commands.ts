@@ -19,6 +19,9 @@ export interface Commands {
   views(): number;
   stepView(by: number): void;
   nextMode(): void;
+  animated(): boolean;
+  playing(): boolean;
+  togglePlaying(): void;
   toggleTheme(): void;
   toggleBare(): void;
   vrOffered(): boolean;
@@ -49,6 +52,10 @@ export function defineActions(actions: Actions, page: Commands): void {
       id: "previous", label: "Previous view", key: ",", icon: "back", available: several, run: () => page.stepView(-1),
     },
     { id: "next", label: "Next view", key: ".", icon: "next", available: several, run: () => page.stepView(1) },
+    {
+      id: "play", label: "Play the animation", key: "k", icon: "play", available: page.animated, pressed: page.playing,
+      run: page.togglePlaying,
+    },
     { id: "mode", label: "Next way to move", key: "m", run: page.nextMode },
     { id: "full", label: "Full screen", key: "f", icon: "full", available: () => document.fullscreenEnabled === true,
       pressed: () => document.fullscreenElement !== null, run: page.toggleFull },

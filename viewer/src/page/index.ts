@@ -22,7 +22,8 @@ if (page.scene) {
       scene.url, token ? { token, memory } : { memory },
     ) : gsvis.staticSource(scene.url)),
   };
-  void locate(page.scene).then(({ scene, preparing }) => {
+  const { scene } = page, known = meta("streamed") && scene.kind === "stream"; // then there is nothing to ask
+  void (known ? Promise.resolve({ scene, preparing: false }) : locate(scene)).then(({ scene, preparing }) => {
     const shown = new ViewPage(scene, page, core);
     if (preparing) void awaitStream(scene).then((stream) => stream && shown.change(stream));
   });

@@ -24,6 +24,7 @@ export const NO_SCENE: Message = {
 
 export const LOST_CONTEXT = "The graphics card has taken the picture back. It is drawn again as soon as it returns.";
 export const BAD_HASH = "The view in the address could not be read. You are at the first view.";
+export const NOTHING = "Nothing of the scene can be seen from here. Key R leads to the first view.";
 export const FAR_HASH = "The view in the address lies outside of the scene. You are at the first view.";
 
 /** Return what to say when a source has given up. */
@@ -63,7 +64,7 @@ export function describeState(state: SourceState, gaussians: number): string {
     case "streaming": return gaussians ? `Loading · ${formatCount(gaussians)}` : "Loading …";
     case "complete": return `${formatCount(gaussians)} Gaussians`;
     case "waiting":
-      return state.seconds >= 1 ? `Offline · next try in ${Math.ceil(state.seconds)} s` : "Offline · trying again";
+      return state.seconds >= 1 ? `Retrying in ${Math.ceil(state.seconds)} s` : "Retrying …";
     case "failed": return "Stopped";
   }
 }

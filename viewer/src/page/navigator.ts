@@ -38,6 +38,7 @@ export class Navigator {
   calm = false; // jump instead of flying
   shown: Rig;
   #wanted: Rig;
+  track: ((seconds: number) => Rig | null) | null = null; // leads the view, by seconds since the last one, until it ends
   #flight: { from: Rig; to: Rig; spent: number } | null = null;
   #ground: Ground;
 
@@ -50,12 +51,12 @@ export class Navigator {
   }
 
   get flying(): boolean {
-    return this.#flight !== null;
+    return this.#flight !== null || this.track !== null;
   }
 
   /** Stand there at once. */
   place(rig: Rig): void {
-    this.#flight = null;
+    this.#flight = this.track = null;
     this.#wanted = this.mode === "walk" ? this.#standing(rig) : rig;
     this.shown = this.#wanted;
   }
@@ -64,6 +65,7 @@ export class Navigator {
   flyTo(rig: Rig): void {
     const to = this.mode === "walk" ? this.#standing(rig) : rig;
     if (this.calm) return this.place(to);
+    this.track = null;
     this.#flight = { from: this.shown, to, spent: 0 };
     this.#wanted = to;
   }
@@ -152,14 +154,19 @@ export class Navigator {
     const before = this.shown;
     const still = held.ahead === 0 && held.aside === 0 && held.above === 0 && held.turn === 0 && held.tilt === 0;
     if (!still) this.#hold(seconds, held);
-    if (this.#flight) this.#fly(this.#flight, seconds);
-    else this.#settle(seconds);
+    const led = this.track?.(seconds);
+    if (led) this.shown = this.#wanted = led;
+    else {
+      this.track = null;
+      if (this.#flight) this.#fly(this.#flight, seconds);
+      else this.#settle(seconds);
+    }
     return this.shown !== before;
   }
 
   #take(): void {
     if (this.#flight) this.#wanted = this.shown;
-    this.#flight = null;
+    this.#flight = this.track = null;
   }
 
   #hold(seconds: number, held: Held): void {

@@ -1,6 +1,6 @@
 // Asks the server what a scene is, and static scenes for the views that they propose.
 
-import type { Pose, Source, SourceEvents } from "../core/types.ts";
+import type { Header, Pose, Source, SourceEvents } from "../core/types.ts";
 import type { SceneAddress } from "./address.ts";
 import { readPoses } from "./facts.ts";
 import type { StartPose } from "./facts.ts";
@@ -46,7 +46,7 @@ export async function awaitStream(
   }
 }
 
-const rest = (milliseconds: number): Promise<void> => new Promise((done) => { setTimeout(done, milliseconds); });
+export const rest = (milliseconds: number): Promise<void> => new Promise((done) => { setTimeout(done, milliseconds); });
 
 function streamUrl(path: string, root: string): string {
   const url = new URL(path, root);
@@ -66,10 +66,12 @@ export async function proposedPoses(scene: SceneAddress): Promise<StartPose[]> {
 
 /**
  * Start a source at once, so that it connects while the page prepares to draw, and hold poses back until the page has
- * chosen its first view: no byte is spent on a view that nobody sees.
+ * chosen its first view: no byte is spent on a view that nobody sees. `header` is the first header that it says.
  */
-export function holdPoses(source: Source): { source: Source; release(): void } {
+export function holdPoses(source: Source): { source: Source; header: Promise<Header>; release(): void } {
   let [held, open]: [Pose | null, boolean] = [null, false];
+  let know = (_: Header): void => undefined;
+  const known = new Promise<Header>((resolve) => { know = resolve; });
   let begin = (_: SourceEvents): void => undefined;
   const started = new Promise<SourceEvents>((resolve) => { begin = resolve; });
   let events: SourceEvents | null = null;
@@ -78,10 +80,15 @@ export function holdPoses(source: Source): { source: Source; release(): void } {
     else void started.then(work);
   };
   source.start({
-    header: (header, fresh) => pass((to) => to.header(header, fresh)), batch: (batch) => pass((to) => to.batch(batch)),
+    header: (header, fresh) => {
+      know(header);
+      pass((to) => to.header(header, fresh));
+    },
+    batch: (batch) => pass((to) => to.batch(batch)),
     state: (state) => pass((to) => to.state(state)), traffic: (traffic) => pass((to) => to.traffic(traffic)),
   });
   return {
+    header: known,
     source: {
       start: (to) => {
         begin(to);

@@ -1,4 +1,5 @@
-// Reads settings.json as supersplat-viewer has it (versions 1 and 2): first views, annotations, background.
+// Reads settings.json as supersplat-viewer has it (versions 1 and 2): first views, annotations, background, and whether
+// there is an animation.
 // Its frame is the scene's, turned by 180 degrees around z; `"frame": "scene"` says that positions are the scene's own.
 
 import type { View } from "./hash.ts";
@@ -10,6 +11,8 @@ import type { Vec3 } from "./vector.ts";
 export interface Settings {
   views: View[];
   background: Vec3 | null; // 0 to 1
+  animated: boolean; // there is a track, which `tour.ts` reads
+  plays: boolean; // from the start
 }
 
 const MOST_VIEWS = 99;
@@ -33,7 +36,10 @@ export function readSettings(json: unknown): Settings {
   }
   const color = vector(fields(all.background)?.color, FARTHEST);
   const bounded = color?.map((c) => clamp(c, 0, 1)) as Vec3 | undefined;
-  return { views, background: bounded ?? null };
+  return {
+    views, background: bounded ?? null, animated: list(all.animTracks).length > 0,
+    plays: all.startMode === "animTrack" || fields(all.camera)?.startAnim === "animTrack",
+  };
 }
 
 function addView(views: View[], pose: unknown, name: unknown, own: boolean): void {

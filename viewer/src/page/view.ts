@@ -16,7 +16,7 @@ import { readHash, writeHash } from "./hash.ts";
 import type { View } from "./hash.ts";
 import { Help } from "./help.ts";
 import { Inspector } from "./inspector.ts";
-import { BAD_HASH, describeState, explainFailure, LOST_CONTEXT, NO_WEBGL } from "./messages.ts";
+import { BAD_HASH, describeState, explainFailure, LOST_CONTEXT, NOTHING, NO_WEBGL } from "./messages.ts";
 import { MODES } from "./navigator.ts";
 import type { Mode, Navigator } from "./navigator.ts";
 import { Notices } from "./notice.ts";
@@ -24,14 +24,15 @@ import { Overlay } from "./overlay.ts";
 import { Panel } from "./panel.ts";
 import { DEGREES, rotation } from "./rig.ts";
 import type { Rig } from "./rig.ts";
-import { holdPoses, proposedPoses } from "./scene.ts";
+import { holdPoses, proposedPoses, rest } from "./scene.ts";
 import { readSettings } from "./settings.ts";
 import type { Settings } from "./settings.ts";
 import { Side } from "./side.ts";
 import { StatisticsCard } from "./statistics.ts";
 import { ThemeChoice } from "./theme.ts";
+import type { Tour } from "./tour.ts";
 import { frameFromUp } from "./vector.ts";
-import type { ViewerLike, ViewerOptions } from "./viewer-like.ts";
+import type { PageCamera, ViewerLike, ViewerOptions } from "./viewer-like.ts";
 import { Immersion } from "./xr.ts";
 
 export interface Core {
@@ -39,20 +40,26 @@ export interface Core {
   makeSource(scene: SceneAddress, token: string | null): Source;
 }
 
+const AHEAD_MS = 200; // most time for the first view to be sent before the page prepares to draw
 const LOOKS_MS = 250; // between two looks at the statistics
+const BLANK_LOOKS = 8; // until the page says that nothing is to be seen
 const CLIMB_M = 0.7; // from square to square of a floor
 
 export class ViewPage {
   readonly #root: HTMLElement;
   #canvas = make("canvas");
   #viewer: ViewerLike | null = null;
+  #source: Source | null = null;
   #header: Header | null = null;
   #facts: Facts;
   #surroundings: Surroundings = { floor: null, cells: null, poses: [] };
-  #settings: Settings = { views: [], background: null };
+  #settings: Settings = { views: [], background: null, animated: false, plays: false };
+  #tour: Tour | null = null;
+  #toured = 0; // seconds of it that were shown
   #ready: Promise<unknown>;
   #views: View[] = [];
   #view = 0;
+  #blank = 0; // looks at a complete picture without a Gaussian
   #placed = false;
   #focused = false;
   #release: () => void = () => undefined;
@@ -82,11 +89,11 @@ export class ViewPage {
     this.#facts = factsOf(scene);
     this.#theme = new ThemeChoice(() => this.#showBackground());
     this.#notices = new Notices(
-      { retry: () => this.#restart(), token: (token) => ((this.#token = token), this.#restart()) },
+      { retry: () => this.#restart(), token: (token) => this.#enter(token) },
     );
     this.#drive = new Drive({
       actions: this.#actions, moved: () => this.#sendCamera(),
-      rested: () => (this.#panel.refresh(), this.#writeAddress()),
+      rested: () => (this.#panel.refresh(), this.#actions.changed(), this.#writeAddress()),
       click: (x, y, withAlt) => void (this.#inspector.on || withAlt ? this.#inspector.inspect(x, y) : undefined),
       doubleClick: (x, y) => void this.#goTo(x, y), view: (index) => this.#goToView(index),
       escape: () => this.#side.close() || this.#stopInspecting(),
@@ -120,7 +127,7 @@ export class ViewPage {
     this.#help = new Help(this.#actions);
     this.#build();
     this.#ready = this.#prepare();
-    this.#open();
+    void this.#open();
     setInterval(() => this.#look(), LOOKS_MS);
   }
 
@@ -151,7 +158,12 @@ export class ViewPage {
       try {
         const response = await fetch(this.page.settings);
         if (!response.ok) throw new Error(`settings: the server answered ${response.status}`);
-        this.#settings = readSettings(await response.json());
+        const said: unknown = await response.json();
+        this.#settings = readSettings(said);
+        if (this.#settings.animated) {
+          const { readTour } = await import(new URL("tour.js", import.meta.url).href) as typeof import("./tour.ts");
+          this.#tour = readTour(said);
+        }
       } catch (error) {
         this.#notices.say(`The settings could not be used. ${error instanceof Error ? error.message : ""}`.trim());
       }
@@ -161,26 +173,32 @@ export class ViewPage {
     this.#overlay.set(this.#surroundings.cells);
   }
 
-  /** Open the scene in a fresh canvas. */
-  #open(): void {
+  /**
+   * Open the scene in a fresh canvas. The first view is on its way before the page prepares to draw: that holds it up
+   * for a while, and takes nothing that has not come.
+   */
+  async #open(): Promise<void> {
     this.#header = null;
     this.#canvas.replaceWith((this.#canvas = make("canvas", {
       tabindex: 0, role: "application", "aria-label": `Scene ${this.scene.name}`, "aria-describedby": "keys",
     })));
     this.#drive.listen(this.#canvas);
-    let source: Source | null = null;
+    const { source, header, release } = holdPoses(this.core.makeSource(this.scene, this.#token));
+    [this.#source, this.#release] = [source, release];
+    this.#sendCamera();
+    await Promise.race([header.then((known) => this.#takeHeader(known, source)), rest(AHEAD_MS)]);
+    if (this.#source !== source) return;
     try {
-      ({ source, release: this.#release } = holdPoses(this.core.makeSource(this.scene, this.#token)));
-      this.#viewer = this.core.makeViewer(this.#canvas, { source, background: this.#background });
+      this.#viewer = this.core.makeViewer(this.#canvas, { source, background: this.#background, camera: this.#camera });
     } catch (error) {
-      source?.close();
+      source.close();
       const message = error instanceof Error ? error.message : String(error);
       this.#showState("failed", "Stopped", 0);
       this.#notices.stop(offersWebGL() ? explainFailure(message) : { ...NO_WEBGL, detail: message });
       return;
     }
     const viewer = this.#viewer;
-    viewer.addEventListener("header", () => void this.#takeHeader(viewer));
+    viewer.addEventListener("header", () => void (viewer.header && this.#takeHeader(viewer.header, source)));
     viewer.addEventListener("state", () => this.#takeState());
     viewer.addEventListener("contextlost", () => this.#notices.say(LOST_CONTEXT, true));
     viewer.addEventListener("contextrestored", () => this.#notices.say(""));
@@ -188,15 +206,22 @@ export class ViewPage {
       "problem", (event) => this.#notices.say(event instanceof CustomEvent ? String(event.detail) : ""),
     );
     this.#takeState();
-    if (viewer.header) void this.#takeHeader(viewer);
+    this.#panel.fill(this.#header);
   }
 
   #restart(): void {
+    this.#source?.close();
     this.#viewer?.dispose();
     this.#viewer = null;
     this.#notices.clear();
-    this.#open();
+    void this.#open();
     this.#canvas.focus();
+  }
+
+  /** Try a token. A server of pages needs it for the scripts of Workers too: it makes a cookie of the one in an address. */
+  #enter(token: string): void {
+    if (this.scene.root) location.search = `token=${encodeURIComponent(token)}`;
+    else ((this.#token = token), this.#restart());
   }
 
   /** Show the same scene from elsewhere, such as a stream after it has been prepared; the view stays. */
@@ -208,12 +233,10 @@ export class ViewPage {
     this.#notices.say("The scene is prepared: it is streamed from now on.");
   }
 
-  async #takeHeader(viewer: ViewerLike): Promise<void> {
-    const header = viewer.header;
-    if (!header) return;
+  async #takeHeader(header: Header, source: Source): Promise<void> {
     await this.#ready;
     // connected again: all stays as it is
-    if (this.#viewer !== viewer || this.#header?.identity === header.identity) return;
+    if (this.#source !== source || this.#header?.identity === header.identity) return;
     this.#header = header;
     const navigator = this.#navigator, surroundings = this.#surroundings;
     navigator.reframe(frameFromUp(header.up));
@@ -228,6 +251,7 @@ export class ViewPage {
   }
 
   #place(): void {
+    const plays = this.#settings.plays && location.hash.length < 2 && !this.page.still && !this.#navigator.calm;
     const first = begin(location.hash, this.#settings.views, this.#navigator.frame, this.#surroundings);
     this.#views = this.#settings.views.length ? this.#settings.views : viewsFromPoses(this.#surroundings.poses);
     this.#placed = true;
@@ -238,6 +262,7 @@ export class ViewPage {
     this.#setMode(mode);
     this.#start = begin("", this.#settings.views, this.#navigator.frame, this.#surroundings).rig;
     if (first.problem) this.#notices.say(first.problem);
+    if (plays) this.#play();
   }
 
   /** Find out how far away lies what is looked at, where no view has said it. */
@@ -262,8 +287,8 @@ export class ViewPage {
     if (state.kind === "waiting") this.#notices.say(
       "The connection is lost. What has arrived stays; the rest comes when the server is back.", true,
     );
-    else if (this.#notices.line.textContent?.startsWith("The connection is lost")) {
-      this.#notices.say("Connected again.");
+    else if (state.kind !== "connecting" && this.#notices.line.textContent?.startsWith("The connection is lost")) {
+      this.#notices.say(state.kind === "failed" ? "" : "Connected again.");
     }
     if ((state.kind === "streaming" || state.kind === "complete") && "message" in state && state.message) {
       this.#notices.say(String(state.message));
@@ -280,6 +305,8 @@ export class ViewPage {
     this.#showState(
       now.state.kind, describeState(now.state, now.gaussians), this.#header ? now.gaussians / this.#header.gaussians : 0,
     );
+    this.#blank = now.state.kind === "complete" && !now.drawn ? this.#blank + 1 : 0;
+    if (this.#blank === BLANK_LOOKS) this.#notices.say(NOTHING);
     if (!this.#figures.element.hidden) this.#figures.show(now, this.#header);
   }
 
@@ -298,10 +325,20 @@ export class ViewPage {
 
   // Motion
 
-  #sendCamera(): void {
+  get #camera(): PageCamera {
     const { shown, frame } = this.#navigator;
+    return { position: shown.eye, rotation: rotation(shown, frame), fovY: shown.fovY };
+  }
+
+  #sendCamera(): void {
+    const camera = this.#camera, up = Math.tan(camera.fovY / 2);
+    if (!this.#viewer) {
+      const side = (up * this.#canvas.clientWidth) / (this.#canvas.clientHeight || 1);
+      this.#source?.view({ left: side, right: side, up, down: up });
+      this.#source?.pose(camera);
+    }
     if (!this.#viewer || !this.#placed) return;
-    this.#viewer.camera = { position: shown.eye, rotation: rotation(shown, frame), fovY: shown.fovY };
+    this.#viewer.camera = camera;
     this.#inspector.mark.hidden = true;
     this.#drawCells();
   }
@@ -365,6 +402,20 @@ export class ViewPage {
     this.#drive.wake();
   }
 
+  /** Follow the animation from where it was left, until it ends or somebody moves. */
+  #play(): void {
+    const tour = this.#tour, { navigator } = this.#drive;
+    if (!tour) return;
+    if (navigator.mode === "walk") this.#setMode("fly"); // tracks know no floor
+    navigator.track = (seconds) => {
+      const view = tour((this.#toured += seconds));
+      if (view) return rigFromView(view, navigator.frame);
+      this.#toured = 0;
+      return null;
+    };
+    this.#drive.wake();
+  }
+
   async #goTo(x: number, y: number): Promise<void> {
     const pick = await this.#viewer?.pick(x, y);
     if (!pick) return;
@@ -417,6 +468,12 @@ export class ViewPage {
       views: () => this.#views.length,
       stepView: (by) => this.#goToView((this.#view + by + this.#views.length) % Math.max(this.#views.length, 1)),
       nextMode: () => this.#setMode(MODES[(MODES.indexOf(this.#navigator.mode) + 1) % MODES.length]),
+      animated: () => this.#tour !== null,
+      playing: () => this.#navigator.track !== null,
+      togglePlaying: () => {
+        if (this.#navigator.track) this.#navigator.track = null;
+        else this.#play();
+      },
       toggleTheme: () => {
         this.#theme.choose(this.#theme.dark ? "light" : "dark");
         this.#panel.refresh();

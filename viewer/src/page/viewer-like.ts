@@ -36,6 +36,7 @@ export type ViewerEvent = "header" | "state" | "frame" | "traffic" | "contextlos
 
 export interface ViewerOptions {
   source: Source;
+  camera?: PageCamera;
   background?: [number, number, number];
   memory?: number;
   maxPixelRatio?: number;
