@@ -8,6 +8,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from gsvis._kernels.compiled import inner
+
 __all__ = ["logarithms", "put", "take", "weight"]
 
 
@@ -19,7 +21,7 @@ def logarithms() -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     return logs.astype(np.int32), sums.astype(np.int32)
 
 
-@njit(inline="always")
+@inner(forceinline=True)
 def take(low, high, bit, width):
     """Return some bits of a record of two words."""
     if bit >= 64:
@@ -43,13 +45,13 @@ def put(bits, bit, value):
             bits[1] |= word >> np.uint64(64 - bit)
 
 
-@njit(inline="always")
+@inner(forceinline=True)
 def _sum(a, b, sums):
     """Return 64 log2(2^(a / 64) + 2^(b / 64))."""
     return max(a, b) + sums[min(abs(a - b), len(sums) - 1)]
 
 
-@njit(inline="always")
+@inner(forceinline=True)
 def weight(middle, smallest, opacity, stride, logs, sums):
     """Return 64 log2 of the strength of a Gaussian whose largest scale is 1; scales are steps below it."""
     a, b = -middle * stride, -smallest * stride

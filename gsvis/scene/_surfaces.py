@@ -101,12 +101,22 @@ class Sheet:
             for a, b in self.holes
         ]
 
-    def patch(self) -> Patch:
-        """Return the discs, one in the middle of each cell that is not in a hole."""
+    @property
+    def count(self) -> int:
+        """Number of discs."""
+        return len(self._middles())
+
+    def _middles(self) -> F64:
+        """Return (M, 2) the middles of the cells that are not in a hole."""
         u, v = (a + (np.arange(n) + 0.5) * s for a, n, s in zip(self.low, self.cells, self.steps, strict=True))
         flat = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
         for low, high in self.snapped:
             flat = flat[~np.all((flat > low) & (flat < high), axis=1)]
+        return np.asarray(flat)
+
+    def patch(self) -> Patch:
+        """Return the discs, one in the middle of each cell that is not in a hole."""
+        flat = self._middles()
         means = np.full((len(flat), 3), self.at)
         means[:, self.across] = flat
         frame = np.eye(3)[:, [*self.across, self.axis]]

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,8 +56,7 @@ class OccluderScene:
     Args:
         gaussians: The N Gaussians.
         viewpoints: (V, 3) eyes.
-        visible: (V, N) certainly visible: the largest weight on a line from the eye is at least 1/255.
-        hidden: (V, N) certainly hidden: it is below 1/255 on every line.
+        surfaces: What it consists of, in the order of the Gaussians.
         navigable: Allowed viewpoints.
         up: (3,) up axis.
         name: Name in `BUILTIN_SCENES`.
@@ -64,11 +64,25 @@ class OccluderScene:
 
     gaussians: Gaussians
     viewpoints: F64
-    visible: Mask
-    hidden: Mask
+    surfaces: tuple[Surface, ...]
     navigable: NavigableSpace
     up: F64
     name: str
+
+    @property
+    def visible(self) -> Mask:
+        """(V, N) certainly visible: the largest weight on a line from the eye is at least 1/255."""
+        return self._verdicts[0]
+
+    @property
+    def hidden(self) -> Mask:
+        """(V, N) certainly hidden: it is below 1/255 on every line."""
+        return self._verdicts[1]
+
+    @cached_property
+    def _verdicts(self) -> tuple[Mask, Mask]:
+        """Found when somebody asks: it takes longer than all the rest, and those who draw a scene never do."""
+        return _judge(self.gaussians, self.surfaces, self.viewpoints)
 
     @property
     def undecided(self) -> Mask:
@@ -246,18 +260,16 @@ def _scene(
     _check.positive_int("count", count, at_least=1000)
     step = 0.1
     for _ in range(4):  # small balls keep their own step, so the count is not an exact power of it
-        built = sum(len(surface.patch().means) for surface, _ in surfaces(step))
+        built = sum(surface.count for surface, _ in surfaces(step))
         step *= float(np.sqrt(built / count))
-    painted = surfaces(step)
-    patches = [surface.patch() for surface, _ in painted]
-    g = _dress(patches, [color for _, color in painted], sh_degree)
+    parts, colors = zip(*surfaces(step), strict=True)
+    g = _dress([surface.patch() for surface in parts], colors, sh_degree)
     viewpoints = np.array(eyes, np.float64)
-    visible, hidden = _judge(g, [surface for surface, _ in painted], patches, viewpoints)
-    space = _space(g, [surface for surface, _ in painted], box, viewpoints[0])
-    return OccluderScene(g, viewpoints, visible, hidden, space, np.array(UP), name)
+    space = _space(g, parts, box, viewpoints[0])
+    return OccluderScene(g, viewpoints, parts, space, np.array(UP), name)
 
 
-def _dress(patches: list[Patch], colors: list[Triple], sh_degree: int) -> Gaussians:
+def _dress(patches: list[Patch], colors: Sequence[Triple], sh_degree: int) -> Gaussians:
     """Return the Gaussians of the patches, with a soft checker pattern and colors that vary with the view direction."""
     if sh_degree not in (0, 1, 2, 3):
         raise ValueError(f"sh_degree: expected 0, 1, 2 or 3, got {sh_degree!r}")
@@ -281,9 +293,9 @@ def _dress(patches: list[Patch], colors: list[Triple], sh_degree: int) -> Gaussi
     )
 
 
-def _judge(g: Gaussians, surfaces: list[Surface], patches: list[Patch], eyes: F64) -> tuple[Mask, Mask]:
+def _judge(g: Gaussians, surfaces: Sequence[Surface], eyes: F64) -> tuple[Mask, Mask]:
     """Return (V, N) certainly visible and certainly hidden; every surface is tested against every Gaussian."""
-    means, covars = g.means.astype(np.float64), g.covars()
+    means, covars, patches = g.means.astype(np.float64), g.covars(), [surface.patch() for surface in surfaces]
     starts = np.cumsum([0, *(len(patch.means) for patch in patches)])
     visible, hidden = np.ones((len(eyes), len(g)), bool), np.zeros((len(eyes), len(g)), bool)
     for v, eye in enumerate(eyes):
@@ -298,7 +310,7 @@ def _judge(g: Gaussians, surfaces: list[Surface], patches: list[Patch], eyes: F6
     return visible & ~hidden, hidden
 
 
-def _space(g: Gaussians, surfaces: list[Surface], box: tuple[Triple, Triple], home: F64) -> NavigableSpace:
+def _space(g: Gaussians, surfaces: Sequence[Surface], box: tuple[Triple, Triple], home: F64) -> NavigableSpace:
     """Return the part of the box that lies away from all surfaces and is connected to `home`."""
     from scipy import ndimage  # here: it takes long to import, and few need it
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from gsvis.render.rasterizer import rasterize
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
-from gsvis.scene.procedural import two_rooms
+from gsvis.scene.procedural import BUILTIN_SCENES, two_rooms, wall_with_hole
 from gsvis.train.images import PosedImages
 from gsvis.train.levels import LevelsConfig
 from tests.cli.halted import Halted
@@ -29,6 +30,15 @@ TINY = ["--iterations", "3", "--size", "24x20"]
 QUICK = [*TINY, "--views", "3", "--held-out", "2"]
 PLYS = ["high.ply", "low.ply", "medium.ply"]
 WRITTEN = [*PLYS[:1], "levels.arrow", *PLYS[1:]]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def small_scene() -> Iterator[None]:
+    """The built-in scene of these tests has 2,000 Gaussians, not 20,000: training more is no matter of theirs."""
+    made = wall_with_hole(2000)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(BUILTIN_SCENES, "wall_with_hole", lambda: made)
+        yield
 
 
 @pytest.fixture(scope="module")

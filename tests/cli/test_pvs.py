@@ -230,12 +230,9 @@ def test_the_time_left_does_not_count_what_was_done_before(monkeypatch: pytest.M
     assert "91 of 100, about 6 min 00 s left" in capsys.readouterr().err
 
 
-LONG = ["builtin:two_rooms", "--cells", "16", "--size", "24", "--rays", "256", "--max-inner", "1"]
-
-
-def test_killed_interrupted_and_finished(tmp_path: Path, capsys: Capture) -> None:
-    out = tmp_path / "rooms.pvs"
-    killed = Halted("cells", 2, "pvs", *LONG, "-o", out, "--workers", "2")
+def test_killed_interrupted_and_finished(ply: Path, tmp_path: Path, capsys: Capture) -> None:
+    out, long = tmp_path / "rooms.pvs", [str(ply), "--cells", "16", "--size", "24", "--rays", "256", "--max-inner", "1"]
+    killed = Halted("cells", 2, "pvs", *long, "-o", out, "--workers", "2")
     killed.wait()
     assert len(killed.members()) > 1
     code, *_ = killed.end(signal.SIGKILL, group=False)  # returns once its workers have noticed
@@ -243,7 +240,7 @@ def test_killed_interrupted_and_finished(tmp_path: Path, capsys: Capture) -> Non
     earlier = {path.name: path.stat().st_mtime_ns for path in tmp_path.glob("*.partial-*/*.bin")}
     assert len([name for name in earlier if name.startswith("cell-")]) == 2
     assert not out.exists()
-    stopped = Halted("cells", 4, "pvs", *LONG, "-o", out, "--workers", "2")
+    stopped = Halted("cells", 4, "pvs", *long, "-o", out, "--workers", "2")
     stopped.wait()
     code, said, text = stopped.end(signal.SIGINT)
     assert (code, said) == (130, "")
@@ -256,8 +253,8 @@ def test_killed_interrupted_and_finished(tmp_path: Path, capsys: Capture) -> Non
     looked, found = (len([name for name in now if name.startswith(kind)]) for kind in ("viewpoint-", "cell-"))
     assert found == 4
     assert f"{looked} of {looked} viewpoints and 4 of" in last
-    assert main(["pvs", *LONG, "-o", str(out), "--workers", "1", "--json"]) == 0
+    assert main(["pvs", *long, "-o", str(out), "--workers", "1", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["format"] == "gsvis-pvs"
-    assert main(["pvs", *LONG, "-o", str(tmp_path / "at_once.pvs"), "--workers", "1"]) == 0
+    assert main(["pvs", *long, "-o", str(tmp_path / "at_once.pvs"), "--workers", "1"]) == 0
     assert out.read_bytes() == (tmp_path / "at_once.pvs").read_bytes()
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["at_once.pvs", "rooms.pvs"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["at_once.pvs", "in", "rooms.pvs"]

@@ -64,6 +64,14 @@ def drawn(rng: np.random.Generator, mask: NDArray[np.bool_], count: int) -> list
 
 @pytest.mark.parametrize("name", NAMES)
 class TestClosedForm:
+    def test_surfaces_are_in_the_order_of_the_gaussians(self, name: str) -> None:
+        scene, start = small(name), 0
+        for surface in scene.surfaces:
+            discs = scene.gaussians.means[start : start + surface.count]
+            assert np.array_equal(discs, surface.patch().means.astype(np.float32))
+            start += surface.count
+        assert start == len(scene.gaussians)
+
     def test_visible_ones_are_seen_on_the_ray_to_their_center(self, name: str) -> None:
         scene, rng = small(name), np.random.default_rng(1)
         brute = BruteForce(scene.gaussians)

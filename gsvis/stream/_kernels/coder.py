@@ -13,10 +13,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from gsvis._kernels.compiled import kernel
+from gsvis._kernels.compiled import inner, kernel
 
 BITS = 12
 TOTAL = 1 << BITS
@@ -41,14 +40,14 @@ class Decoder(NamedTuple):
     spans: NDArray[np.uint32]
 
 
-@njit(inline="always")
+@inner(forceinline=True)
 def begin(words):
     """Return the two states that the first four words hold."""
     high = np.uint64(16)
     return np.uint64(words[0]) | (np.uint64(words[1]) << high), np.uint64(words[2]) | (np.uint64(words[3]) << high)
 
 
-@njit(inline="always")
+@inner(forceinline=True)
 def next_symbol(words, state, other, at, table, slots, rows, offsets, spans):
     """Return a symbol of a table, the state of the next operation and the other one, and the place of the next word.
 
@@ -67,7 +66,7 @@ def next_symbol(words, state, other, at, table, slots, rows, offsets, spans):
     return found - offsets[table], other, state, at
 
 
-@njit(inline="always")
+@inner(forceinline=True)
 def next_bits(words, state, other, at, count):
     """Return 0 to 16 raw bits, then the same as `next_symbol`; no bits are no operation."""
     if count == 0:
@@ -80,7 +79,7 @@ def next_bits(words, state, other, at, count):
     return found, other, state, at
 
 
-@njit(inline="always")
+@inner(forceinline=True)
 def push(operation, state, at, symbols, out):
     """Write an operation before all others; return its state, and the place of the first word."""
     out[at - 1] = np.uint16(state & np.uint64(0xFFFF))
@@ -100,7 +99,7 @@ def push(operation, state, at, symbols, out):
     return state, at - full
 
 
-@njit(inline="always")
+@inner(forceinline=True)
 def put_states(first, second, at, out):
     """Write the states that a decoder begins with before all words; return the place of the first word."""
     for state in (second, first):

@@ -10,10 +10,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from gsvis._kernels.compiled import kernel
+from gsvis._kernels.compiled import inner, kernel
 from gsvis._kernels.prefetch import prefetch
 from gsvis._kernels.records import put, take, weight
 from gsvis.stream._kernels.coder import LEAST, RAW, begin, next_bits, next_symbol, push, put_states
@@ -31,6 +30,8 @@ TABLES = COLOR + 34
 
 STEPS = 64  # symbols of the largest scale; the last is for any other distance
 BELOW = 47  # distance of symbol 0 below the prediction
+
+_NONE, _BYTE = np.int64(0), np.int64(255)  # typed, because a literal compiles a function once more
 
 
 class Layout(NamedTuple):
@@ -85,14 +86,14 @@ class Chunks(NamedTuple):
     bits: NDArray[np.int64]
 
 
-@njit(inline="always")
+@inner(forceinline=True)
 def _place_limit(size, middle, opacity, stride, layout):
     """Return log2 of the longest step of a coordinate: less for long and opaque Gaussians, at most the middle scale."""
     long = middle * stride
     return min(layout.place - (long >> 1) - layout.logs[opacity], size - long) >> 6
 
 
-@njit(inline="always")
+@inner(forceinline=True)
 def _turn(size, middle, stride, layout):
     """Return how many bits of the quaternion are left out: fewer for large and for long Gaussians."""
     if not layout.coarse:
@@ -100,7 +101,7 @@ def _turn(size, middle, stride, layout):
     return min(max((layout.turn - (2 * size + middle * stride) // 4) >> 6, 0), TURNS - 1)
 
 
-@njit(inline="always")
+@inner(forceinline=True)
 def _gap(distance):
     """Return which table codes the largest scale: 0 for neighbors, 5 for 32 ids away or more."""
     k = 0
@@ -109,7 +110,7 @@ def _gap(distance):
     return k
 
 
-@njit(inline="always")
+@inner(forceinline=True)
 def _split(low, high, row, chunks, layout, offsets, s, out):
     """Write to `out` (ROW,) what can be known of a record without the one before; `s` (3,) is scratch.
 
@@ -173,13 +174,13 @@ def split(words, rows, chunks, layout, offsets, out):
         _split(words[i, 0], words[i, 1], rows[i], chunks, layout, offsets, s, out[i])
 
 
-@njit(inline="always")
+@inner(forceinline=True)
 def _strength(low, high):
     """Return a strength from its two parts."""
     return np.int64(np.int32(np.uint32(low) | np.uint32(high) << np.uint32(16)))
 
 
-@njit(inline="always")
+@inner(forceinline=True)
 def _top(top, strength, before, low, stride, most):
     """Return the symbol of the largest scale of a record in its table; `STEPS` - 1 if raw bits follow.
 
@@ -337,13 +338,13 @@ def read(words, ids, rows, chunks, layout, code, out):
             return False
         row = rows[i]
         stride = chunks.strides[row]
-        opacity, x, y, at = next_symbol(words, x, y, at, OPACITY, slots, tables, offsets, spans)
-        order, x, y, at = next_symbol(words, x, y, at, ORDER, slots, tables, offsets, spans)
-        middle, x, y, at = next_symbol(words, x, y, at, MIDDLE, slots, tables, offsets, spans)
-        smallest, x, y, at = next_symbol(words, x, y, at, SMALLEST, slots, tables, offsets, spans)
+        opacity, x, y, at = next_symbol(words, x, y, at, np.int64(OPACITY), slots, tables, offsets, spans)
+        order, x, y, at = next_symbol(words, x, y, at, np.int64(ORDER), slots, tables, offsets, spans)
+        middle, x, y, at = next_symbol(words, x, y, at, np.int64(MIDDLE), slots, tables, offsets, spans)
+        smallest, x, y, at = next_symbol(words, x, y, at, np.int64(SMALLEST), slots, tables, offsets, spans)
         strong = weight(middle, smallest, opacity, stride, layout.logs, layout.sums)
         if row != before:
-            top, x, y, at = next_symbol(words, x, y, at, FIRST, slots, tables, offsets, spans)
+            top, x, y, at = next_symbol(words, x, y, at, np.int64(FIRST), slots, tables, offsets, spans)
         else:
             table = LARGEST + _gap(ids[i] - last)
             top, x, y, at = next_symbol(words, x, y, at, table, slots, tables, offsets, spans)
@@ -366,16 +367,16 @@ def read(words, ids, rows, chunks, layout, code, out):
             value = (((value - half) << turn) + half) & ((1 << rotation) - 1)
             put(bits, head + k * width + position, value)
             put(bits, head + k * width + position + rotation, s[k])
-        first, x, y, at = next_symbol(words, x, y, at, COLOR, slots, tables, offsets, spans)
+        first, x, y, at = next_symbol(words, x, y, at, np.int64(COLOR), slots, tables, offsets, spans)
         put(bits, 8 * (1 + lead), first)
         base = first if layout.colors == 3 else 0
         value, x, y, at = next_symbol(words, x, y, at, SECOND + (first >> 5), slots, tables, offsets, spans)
-        put(bits, 8, (value + base) & 255)
+        put(bits, np.int64(8), (value + base) & 255)
         value, x, y, at = next_symbol(words, x, y, at, THIRD + layout.before[value], slots, tables, offsets, spans)
         put(bits, 8 * (4 - lead), (value + base) & 255)
         if layout.colors == 4:
             value, x, y, at = next_symbol(words, x, y, at, FOURTH + (first >> 5), slots, tables, offsets, spans)
-            put(bits, 32, value)
+            put(bits, np.int64(32), value)
         limit = _place_limit(size, middle, opacity, stride, layout)
         for k in range(3):
             left = chunks.bits[row, k]
@@ -406,13 +407,13 @@ def coarsen(words, rows, chunks, layout, rounding, out):
     for i in range(len(words)):
         low, high, row = words[i, 0], words[i, 1], rows[i]
         stride = chunks.strides[row]
-        opacity = _round(np.int64(low & np.uint64(255)), rounding.opacity, 0, 255)
+        opacity = _round(np.int64(low & np.uint64(255)), rounding.opacity, _NONE, _BYTE)
         for k in range(3):
             s[k] = take(low, high, head + k * width + position + rotation, scale)
         top = max(s[0], s[1], s[2])
         middle, smallest = top, np.int64(0)
         for k in range(3):  # shapes relative to the largest, which stays
-            s[k] = top - _round(top - s[k], rounding.shape, 0, top)
+            s[k] = top - _round(top - s[k], rounding.shape, _NONE, top)
             smallest = max(smallest, top - s[k])
         middle = 3 * top - s[0] - s[1] - s[2] - smallest
         bits[0], bits[1] = np.uint64(opacity), np.uint64(0)
@@ -421,18 +422,18 @@ def coarsen(words, rows, chunks, layout, rounding, out):
         limit = _place_limit(size, middle, opacity, stride, layout)
         for k in range(layout.colors):
             color = np.int64((low >> np.uint64(8 * (1 + k))) & np.uint64(255))
-            put(bits, 8 * (1 + k), _round(color, rounding.color, 0, 255))
+            put(bits, 8 * (1 + k), _round(color, rounding.color, _NONE, _BYTE))
         for k in range(3):
             at = head + k * width
             wide = chunks.bits[row, k]
             left_out = min(max(limit - chunks.steps[row, k], 0), wide)
-            put(bits, at, _round(take(low, high, at, position), left_out, 0, (1 << wide) - 1))
+            put(bits, at, _round(take(low, high, at, position), left_out, _NONE, (np.int64(1) << wide) - 1))
             put(bits, at + position, _round(take(low, high, at + position, rotation), turn, half, 2 * half + 1))
             put(bits, at + position + rotation, s[k])
         out[i, 0], out[i, 1] = bits[0], bits[1]
 
 
-@njit(inline="always")
+@inner(forceinline=True)
 def _round(value, bits, center, most):
     """Return the nearest value, from 0 to `most`, that is a multiple of 2^bits away from the center; ties to even."""
     step = np.int64(1) << bits

@@ -7,9 +7,8 @@ second of three, or the only one. The others are coded as differences from it. A
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from gsvis._kernels.compiled import kernel
+from gsvis._kernels.compiled import inner, kernel
 from gsvis._kernels.terms import near, upper_bits
 from gsvis.stream._kernels.coder import LEAST, RAW, begin, next_bits, next_symbol
 
@@ -23,8 +22,10 @@ OTHER = AZIMUTH + 8  # by the leading intensity
 LAST = OTHER + 16  # by the other one
 TABLES = LAST + 13
 
+_SIX, _SEVEN = np.int64(6), np.int64(7)  # upper bits; typed, because a literal compiles a function once more
 
-@njit(inline="always")
+
+@inner(forceinline=True)
 def _add(out, at, symbol, value, bits, most):
     """Write a field: the symbol of its upper bits, counted from `symbol` on, and the raw bits below."""
     rest = max(bits - most, 0)
@@ -56,27 +57,27 @@ def operations(records, owners, fields, offsets, out):
         table = LEAD if owners[i] != before else table
         before = np.int64(owners[i])
         if f:
-            at = _add(out, at, offsets[0], np.int64(word & np.uint64((1 << f) - 1)), f, 6)
+            at = _add(out, at, offsets[0], np.int64(word & np.uint64((1 << f) - 1)), f, _SIX)
         polar = np.int64(word >> np.uint64(f)) & ((1 << p) - 1)
         azimuth = np.int64(word >> np.uint64(f + p)) & ((1 << a) - 1)
         decay = np.int64(word >> np.uint64(f + p + a)) & ((1 << d) - 1)
         first = np.int64(word >> np.uint64(f + p + a + d)) & mask
         lead = np.int64(word >> np.uint64(f + p + a + d + n)) & mask if fields.others else first
-        at = _add(out, at, offsets[table], lead, n, 6)
+        at = _add(out, at, offsets[table], lead, n, _SIX)
         upper = upper_bits(lead, n, 6)
         table = LEAD + 1 + (upper >> 3)
-        at = _add(out, at, offsets[DECAY + (upper >> 3)], decay, d, 6)
-        at = _add(out, at, offsets[POLAR], polar, p, 6)
-        at = _add(out, at, offsets[AZIMUTH + (upper_bits(polar, p, 6) >> 3)], azimuth, a, 7)
+        at = _add(out, at, offsets[DECAY + (upper >> 3)], decay, d, _SIX)
+        at = _add(out, at, offsets[POLAR], polar, p, _SIX)
+        at = _add(out, at, offsets[AZIMUTH + (upper_bits(polar, p, 6) >> 3)], azimuth, a, _SEVEN)
         if fields.others:
             last = np.int64(word >> np.uint64(f + p + a + d + 2 * n)) & mask
             other = (first - lead) & mask
-            at = _add(out, at, offsets[OTHER + (upper >> 2)], other, n, 6)
-            at = _add(out, at, offsets[LAST + near(other, n)], (last - lead) & mask, n, 6)
+            at = _add(out, at, offsets[OTHER + (upper >> 2)], other, n, _SIX)
+            at = _add(out, at, offsets[LAST + near(other, n)], (last - lead) & mask, n, _SIX)
     return at
 
 
-@njit(inline="always")
+@inner(forceinline=True)
 def _next(words, x, y, at, table, bits, most, slots, tables, offsets, spans):
     """Return a field, then the states and the place after it."""
     rest = max(bits - most, 0)
@@ -110,20 +111,20 @@ def read(words, owners, fields, code, out):
         before = np.int64(owners[i])
         function = np.int64(0)
         if f:
-            function, x, y, at = _next(words, x, y, at, 0, f, 6, slots, tables, offsets, spans)
-        lead, x, y, at = _next(words, x, y, at, table, n, 6, slots, tables, offsets, spans)
+            function, x, y, at = _next(words, x, y, at, np.int64(0), f, _SIX, slots, tables, offsets, spans)
+        lead, x, y, at = _next(words, x, y, at, table, n, _SIX, slots, tables, offsets, spans)
         upper = upper_bits(lead, n, 6)
         table = LEAD + 1 + (upper >> 3)
-        decay, x, y, at = _next(words, x, y, at, DECAY + (upper >> 3), d, 6, slots, tables, offsets, spans)
-        polar, x, y, at = _next(words, x, y, at, POLAR, p, 6, slots, tables, offsets, spans)
+        decay, x, y, at = _next(words, x, y, at, DECAY + (upper >> 3), d, _SIX, slots, tables, offsets, spans)
+        polar, x, y, at = _next(words, x, y, at, np.int64(POLAR), p, _SIX, slots, tables, offsets, spans)
         azimuth, x, y, at = _next(
-            words, x, y, at, AZIMUTH + (upper_bits(polar, p, 6) >> 3), a, 7, slots, tables, offsets, spans
+            words, x, y, at, AZIMUTH + (upper_bits(polar, p, 6) >> 3), a, _SEVEN, slots, tables, offsets, spans
         )
         word = np.uint64(function) | np.uint64(polar) << np.uint64(f) | np.uint64(azimuth) << np.uint64(f + p)
         word |= np.uint64(decay) << np.uint64(f + p + a)
         if fields.others:
-            rest, x, y, at = _next(words, x, y, at, OTHER + (upper >> 2), n, 6, slots, tables, offsets, spans)
-            last, x, y, at = _next(words, x, y, at, LAST + near(rest, n), n, 6, slots, tables, offsets, spans)
+            rest, x, y, at = _next(words, x, y, at, OTHER + (upper >> 2), n, _SIX, slots, tables, offsets, spans)
+            last, x, y, at = _next(words, x, y, at, LAST + near(rest, n), n, _SIX, slots, tables, offsets, spans)
             word |= np.uint64((rest + lead) & mask) << np.uint64(f + p + a + d)
             word |= np.uint64(lead) << np.uint64(f + p + a + d + n)
             word |= np.uint64((last + lead) & mask) << np.uint64(f + p + a + d + 2 * n)
