@@ -32,7 +32,7 @@ class Need(NamedTuple):
 
 NEEDS = {
     "convert": Need(150 << 20, 200, 12),
-    "clean": Need(420 << 20, 700, 4),
+    "clean": Need(500 << 20, 500, 12),
 }
 """The need of each command, measured and rounded up (docs/results/world.md)."""
 
