@@ -145,7 +145,7 @@ def _elsewhere(params: Facts, given: Given) -> NavigableSpace | None:
     reach = grid["side"] * np.array(grid["shape"])
     shape[axes] = np.ceil(reach / size)
     shape[upright] = max(1, int(np.ceil((params["band"][1] - params["band"][0]) / size)))
-    middles = first[axes] + size * (np.indices(shape[axes]).reshape(2, -1).T + 0.5)
+    middles = first[axes] + size * (np.indices(tuple(shape[axes].tolist())).reshape(2, -1).T + 0.5)
     points = np.full((len(middles), 3), 0.5 * (facts["bottom"] + facts["top"]))
     points[:, axes] = middles
     beyond = ((middles < low) | (middles >= high)).any(axis=1) & (tiles_of(points, facts) >= 0)

@@ -179,7 +179,7 @@ class WorldBuild:
         package = self.config.package.as_dict()
         tasks = list(self._row_tasks)
         for k, rect in enumerate(self.tiles):
-            needs = (f"rows {k}",)
+            needs: tuple[str, ...] = (f"rows {k}",)
             if rect is not None:
                 near = tuple(f"rows {other}" for other in self.touching(rect))
                 tasks.append(Task(f"space {k}", "gsvis.world.tiles:tile_space", self.square_of(rect), (*needs, *near)))

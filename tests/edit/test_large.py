@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from gsvis.edit import CLASSES, LargeCleaning, class_of, clean_large
-from gsvis.errors import SceneError
 from gsvis.files.objects import open_store
 from gsvis.io import batches, load_scene, save_scene
 from gsvis.io.ply import save_ply_parts
@@ -90,10 +89,3 @@ def test_order_and_batches_change_nothing(
 def test_a_tile_that_does_not_fit_the_memory_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="Gaussians in and around it for the memory, got"):
         cleaned(tmp_path, DIRTY.scene, max_memory=500 << 20)
-
-
-def test_a_scene_without_a_place_for_eyes_is_refused(tmp_path: Path) -> None:
-    g = DIRTY.scene
-    lump = Gaussians(g.means * 1e-3, g.quats, g.scales, g.opacities, g.sh0)
-    with pytest.raises(SceneError, match="place for eyes"):
-        cleaned(tmp_path, lump)
