@@ -64,7 +64,8 @@ def clean_in_tiles(command: Clean, config: CleanConfig) -> None:
 
     assert command.max_memory is not None
     degree = count_gaussians(command.scene, command.lod)[1]
-    tiling = TilingConfig(_most(command.max_memory, degree), up=command.up)
+    up = None if command.up is None else command.up.strip()
+    tiling = TilingConfig(_most(command.max_memory, degree), up=up)
     with Status() as status:
         status.line(f"{command.scene}: does not fit {size_of(command.max_memory)}, so it is cleaned in tiles")
         with _store(command) as store:

@@ -134,7 +134,7 @@ def _check_arguments(command: World) -> WorldConfig:
         sets=sets_config(size=command.face_size, limit=command.limit),
         meters_per_unit=command.meters_per_unit or 0.0,
     )
-    up = command.up
+    up = None if command.up is None else command.up.strip()
     return WorldConfig(TilingConfig(command.tile, up=up), package, command.far, command.angle)
 
 

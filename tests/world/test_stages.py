@@ -52,7 +52,22 @@ def test_the_command_writes_them_again_and_refuses_other_folders(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     cities.write(cities.street(), tmp_path / "s.ply")
-    words = ["world", "s.ply", "-o", "city", "--tile", "700", "--levels", "none", "--until", "tiles", "--workers", "1"]
+    words = [
+        "world",
+        "s.ply",
+        "-o",
+        "city",
+        "--tile",
+        "700",
+        "--levels",
+        "none",
+        "--up",
+        "+z",
+        "--until",
+        "tiles",
+        "--workers",
+        "1",
+    ]
     assert main([*words, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["gaussians"] == len(cities.street())
     before = cities.content(tmp_path / "city")
