@@ -74,6 +74,8 @@ def _candidates(signatures: U64) -> Iterator[U16]:
     """
     n = len(signatures)
     yield np.zeros(n, np.uint16)
+    if n < 16 * _SIDES[0] ** 2:
+        return
     distinct = _distinct(signatures)
     for side in _SIDES:
         if n < 16 * side * side:
