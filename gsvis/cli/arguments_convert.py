@@ -10,6 +10,7 @@ from tyro.conf import Positional, arg
 from gsvis.cli.readers import (
     ANGLES,
     BOX,
+    BYTES,
     COMPRESSION,
     LODS,
     OPACITY,
@@ -58,6 +59,8 @@ class Convert:
     """Round an SPZ as other encoders do: a quarter to two fifths smaller, several dB worse."""
     compression: Annotated[int | None, COMPRESSION, hint("1")] = None
     """Of a .ksplat: 0 whole floats, 1 half floats, 2 also a byte for each SH coefficient."""
+    max_memory: Annotated[int | None, BYTES, hint("no bound")] = None
+    """Refuse work that needs more memory, such as 4GB. A .ply is written batch by batch and fits."""
     overwrite: Flag = False
     """Replace OUT if it exists."""
     json: Flag = False

@@ -9,6 +9,7 @@ from tyro.conf import arg
 
 from gsvis.cli.arguments_where import Where
 from gsvis.cli.readers import (
+    BYTES,
     COUNTED,
     DECIBELS,
     DEGREES,
@@ -62,6 +63,8 @@ class Clean(Where):
     """Axis that points upwards in the scene, such as -y."""
     seed: Annotated[int, WHOLE] = 0
     """Seed of eyes and views: the same seed gives the same result."""
+    max_memory: Annotated[int | None, BYTES, hint("no bound")] = None
+    """Memory limit, such as 2GB. A scene that needs more is cleaned in tiles, to a .ply; a killed run resumes."""
     overwrite: Flag = False
     """Replace OUT and the file of --select if they exist."""
     json: Flag = False

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
@@ -14,6 +14,7 @@ from gsvis.cli.readers import (
     DISTANCE,
     FACE_PIXELS,
     LODS,
+    PLAIN,
     RADIANS,
     SCENES,
     SHARE,
@@ -69,6 +70,8 @@ class World:
     """Dask scheduler whose workers do the work, such as tcp://10.0.0.5:8786. They must reach the scenes and --store."""
     store: Annotated[str | None, arg(metavar="DIR or URL", help_behavior_hint="(default: beside DIR)")] = None
     """Where results of tasks lie: a shared folder or a URL of fsspec, such as s3://bucket/city."""
+    until: Annotated[Literal["tiles", "levels", "world"], PLAIN] = "world"
+    """Stop early: tiles writes a PLY for each into DIR, levels a folder of levels, with tiles.json. (default: world)"""
     dry_run: Flag = False
     """Print tiles, time, memory, disk and core hours, and write nothing."""
     discard: Flag = False

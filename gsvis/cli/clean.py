@@ -11,6 +11,7 @@ import numpy as np
 
 from gsvis.cli import version
 from gsvis.cli.arguments import Clean
+from gsvis.cli.clean_large import clean_in_tiles, in_tiles
 from gsvis.cli.scene_out import check_one_level, check_outputs, check_scene_out
 from gsvis.cli.source import (
     check_report,
@@ -48,6 +49,9 @@ def run_clean(command: Clean) -> None:
         OSError: If the result cannot be written.
     """
     config = _check_arguments(command)
+    if in_tiles(command):
+        clean_in_tiles(command, config)
+        return
     walk = check_where(command)
     cameras = None if command.cameras is None else evenly(file_cameras(command.cameras, None, None), _CAMERAS)
     with Status() as status:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.cli.arguments_convert import Convert
+from gsvis.cli.memory import check_memory
 from gsvis.cli.scene_out import check_scene_out
-from gsvis.cli.source import Source, check_source, is_builtin, is_levels, load_source, up_of
+from gsvis.cli.source import Source, check_source, is_builtin, is_levels, load_source, title_of, up_of
 from gsvis.cli.starts import find_starts
 from gsvis.cli.terminal import Status, print_json, show
+from gsvis.io.batches import Batch, list_batches
 from gsvis.io.convert import AXES, convert_scene, merge_scenes, rotation_about_axes
+from gsvis.io.convert_batches import convert_batches
 from gsvis.io.ksplat import save_ksplat
 from gsvis.io.scenes import check_scene, save_scene
 from gsvis.io.spz import save_spz
@@ -42,20 +46,24 @@ def run_convert(command: Convert) -> None:
     given = scenes[0] if len(scenes) == 1 else scenes
     target = check_scene_out(out, given, command.overwrite, name="OUT", source="IN", others=(_PAGE,))
     _check_options(command, target)
+    convert = partial(
+        convert_scene,
+        crop=None if command.crop is None else (command.crop[:3], command.crop[3:]),
+        min_opacity=command.min_opacity,
+        up=up,
+        scale=command.scale,
+        rotate=command.rotate or (0.0, 0.0, 0.0),
+        translate=command.translate or (0.0, 0.0, 0.0),
+    )
+    batches = _batches(command, scenes, lods, target)
+    if batches:
+        with Status() as status:
+            found = _convert_batches(command, batches, convert, target, status)
+        _print_result(command, out, target, *found)
+        return
     with Status() as status:
         inputs, before, known_up = _read(scenes, lods, status)
-        degree = _degree(command, target, before, status)
-        crop = None if command.crop is None else (command.crop[:3], command.crop[3:])
-        after = convert_scene(
-            before,
-            crop=crop,
-            min_opacity=command.min_opacity,
-            max_sh_degree=degree,
-            up=up,
-            scale=command.scale,
-            rotate=command.rotate or (0.0, 0.0, 0.0),
-            translate=command.translate or (0.0, 0.0, 0.0),
-        )
+        after = convert(before, max_sh_degree=_degree(command, target, before, status))
         if target.suffix.lower() == _PAGE:
             upright = known_up if up is None else axis_vector(up[1])
             turned = rotation_about_axes(command.rotate or (0.0, 0.0, 0.0)) @ upright
@@ -64,13 +72,7 @@ def run_convert(command: Convert) -> None:
             status("writing", 0, 1)
             _write(command, target, after)
             status("writing", 1, 1)
-    size = target.stat().st_size
-    if command.json:
-        print_json(_document(command, out, inputs, before, after) | {"bytes": size})
-        return
-    kept = f"{len(after):,} of {len(before):,} Gaussians" if len(after) < len(before) else f"{len(after):,} Gaussians"
-    of = f" of {len(inputs)} scenes" if len(inputs) > 1 else ""
-    show(f"{out}: {kept}{of}, SH degree {after.sh_degree}, {size / 1e6:.2f} MB")
+    _print_result(command, out, target, inputs, len(after), after.sh_degree)
 
 
 @dataclass(frozen=True)
@@ -82,6 +84,52 @@ class _Input:
     lod: int | None
     gaussians: int
     sh_degree: int
+
+
+def _batches(command: Convert, scenes: tuple[str, ...], lods: list[int | None], target: Path) -> list[list[Batch]]:
+    """Return the batches of each scene if they are converted one by one; else an empty list, and the memory suffices.
+
+    Files become a PLY that way, if there is more than one batch: its bytes are those of the whole.
+
+    Raises:
+        ValueError: If they do not fit `--max-memory` otherwise.
+    """
+    found = (
+        [] if any(is_builtin(scene) or is_levels(scene) for scene in scenes) else list(map(list_batches, scenes, lods))
+    )
+    if target.suffix.lower() == ".ply" and sum(map(len, found)) > 1:
+        whole = [batch for scene in found for batch in scene if batch.kind == "whole"]
+        check_memory("convert", [(batch.path, batch.lod) for batch in whole], command.max_memory, together=False)
+        return found
+    remedy = "a .ply is written batch by batch from a PLY or a streamed SOG, whatever its size"
+    check_memory("convert", list(zip(scenes, lods, strict=True)), command.max_memory, remedy)
+    return []
+
+
+def _convert_batches(
+    command: Convert, batches: list[list[Batch]], convert: partial[Gaussians], target: Path, status: Status
+) -> tuple[list[_Input], int, int]:
+    """Write the PLY batch by batch; return what was read, and Gaussians and SH degree of what was written."""
+    drops = command.crop is not None or command.min_opacity > 0.0
+    convert = partial(convert, max_sh_degree=command.max_sh_degree)
+    made = convert_batches(batches, target, convert, drops=drops, max_sh_degree=command.max_sh_degree, progress=status)
+    inputs = [
+        _Input(scene[0].path, title_of(scene[0].path, scene[0].lod), scene[0].lod, count, degree)
+        for scene, count, degree in zip(batches, made.counts, made.sh_degrees, strict=True)
+    ]
+    return inputs, made.gaussians, made.sh_degree
+
+
+def _print_result(
+    command: Convert, out: str, target: Path, inputs: list[_Input], gaussians: int, sh_degree: int
+) -> None:
+    size, before = target.stat().st_size, sum(each.gaussians for each in inputs)
+    if command.json:
+        print_json(_document(command, out, inputs, gaussians, sh_degree) | {"bytes": size})
+        return
+    kept = f"{gaussians:,} of {before:,} Gaussians" if gaussians < before else f"{gaussians:,} Gaussians"
+    of = f" of {len(inputs)} scenes" if len(inputs) > 1 else ""
+    show(f"{out}: {kept}{of}, SH degree {sh_degree}, {size / 1e6:.2f} MB")
 
 
 def _split_paths(command: Convert) -> tuple[tuple[str, ...], str]:
@@ -198,7 +246,7 @@ def _write_page(target: Path, name: str, scene: Gaussians, up: NDArray[np.float6
     write_html(target, scene, StaticOptions(name, (x, y, z), poses=poses), progress=status)
 
 
-def _document(command: Convert, out: str, inputs: list[_Input], before: Gaussians, after: Gaussians) -> dict[str, Any]:
+def _document(command: Convert, out: str, inputs: list[_Input], gaussians: int, sh_degree: int) -> dict[str, Any]:
     alone = inputs[0] if len(inputs) == 1 else None
     return {
         "format": "gsvis-conversion",
@@ -210,10 +258,10 @@ def _document(command: Convert, out: str, inputs: list[_Input], before: Gaussian
             for each in inputs
         ],
         "out": out,
-        "gaussians_in": len(before),
-        "gaussians_out": len(after),
-        "sh_degree_in": before.sh_degree,
-        "sh_degree_out": after.sh_degree,
+        "gaussians_in": sum(each.gaussians for each in inputs),
+        "gaussians_out": gaussians,
+        "sh_degree_in": max(each.sh_degree for each in inputs),
+        "sh_degree_out": sh_degree,
         "placement": {
             "up": None if command.up is None else command.up.strip(),
             "scale": command.scale,

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from gsvis._extras import require
 from gsvis.cli import version
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from gsvis.world.config import WorldConfig
     from gsvis.world.estimate import WorldEstimate
     from gsvis.world.prepare import PreparedWorld
+    from gsvis.world.stages import WrittenTile
 
 __all__ = ["run_world"]
 
@@ -42,6 +43,7 @@ def run_world(command: World) -> None:
     """
     from gsvis.world.estimate import estimate_world
     from gsvis.world.prepare import prepare_world
+    from gsvis.world.stages import write_tiles
 
     scenes, config = _check_scenes(command), _check_arguments(command)
     with Status() as status:
@@ -50,22 +52,25 @@ def run_world(command: World) -> None:
             estimate = estimate_world(scenes, config, workers=count, progress=status)
         else:
             about = {"made_by": f"gsvis {version()}", "scenes": [title_of(path) for path, _ in scenes]}
-            work = Path(f"{command.out}.work")
+            work = Path(f"{os.path.abspath(command.out)}.work")
             try:
                 with _workers(command) as workers:
-                    made = prepare_world(
-                        scenes, command.out, config,
-                        about=about, store=command.store, workers=workers, progress=status,
-                    )  # fmt: skip
+                    common: dict[str, Any] = {"store": command.store, "workers": workers, "progress": status}
+                    if command.until == "world":
+                        made = prepare_world(scenes, command.out, config, about=about, **common)
+                    else:
+                        tiles = write_tiles(scenes, command.out, command.until, config, **common)
             except KeyboardInterrupt:
                 kept = f"what was finished is kept in {work.name}; run the same command to resume"
                 raise KeyboardInterrupt(kept) from None
             if command.discard:
-                shutil.rmtree(made.work, ignore_errors=True)
+                shutil.rmtree(work, ignore_errors=True)
     if command.dry_run:
         _print_estimate(command, estimate)
-    else:
+    elif command.until == "world":
         _print_result(command, made)
+    else:
+        _print_tiles(command, tiles)
 
 
 def _check_scenes(command: World) -> list[tuple[str, int | None]]:
@@ -95,10 +100,11 @@ def _check_arguments(command: World) -> WorldConfig:
     from gsvis.train.levels import LevelsConfig
     from gsvis.world.config import WorldConfig
     from gsvis.world.prepare import check_world_target
+    from gsvis.world.stages import check_tiles_target
     from gsvis.world.tiling import TilingConfig
 
     check_folder(Path(command.out).absolute().parent)
-    check_world_target(Path(command.out))
+    (check_world_target if command.until == "world" else check_tiles_target)(Path(command.out))
     parse_up(command.up)
     for other in ("workers", "max_memory"):
         if command.scheduler is not None and getattr(command, other) is not None:
@@ -128,7 +134,7 @@ def _check_arguments(command: World) -> WorldConfig:
         sets=sets_config(size=command.face_size, limit=command.limit),
         meters_per_unit=command.meters_per_unit or 0.0,
     )
-    up = command.up
+    up = None if command.up is None else command.up.strip()
     return WorldConfig(TilingConfig(command.tile, up=up), package, command.far, command.angle)
 
 
@@ -159,6 +165,18 @@ def _print_estimate(command: World, estimate: WorldEstimate) -> None:
     ]
     stages = [(name, clock(seconds)) for name, seconds in estimate.core_seconds.items()]
     show(facts(f"{command.out}: what it would cost", rows), facts("on one core", stages), " Nothing was written.")
+
+
+def _print_tiles(command: World, tiles: list[WrittenTile]) -> None:
+    count = sum(tile.gaussians for tile in tiles)
+    if command.json:
+        print_json({
+            "format": "gsvis-written-tiles", "version": 1, "folder": command.out, "stage": command.until,
+            "gaussians": count, "tiles": len(tiles),
+        })  # fmt: skip
+        return
+    of = ", all levels together" if command.until == "levels" else ""
+    show(f"{command.out}: {len(tiles):,} tiles, {count:,} Gaussians{of}")
 
 
 def _print_result(command: World, made: PreparedWorld) -> None:

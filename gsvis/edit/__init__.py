@@ -6,6 +6,7 @@ from gsvis.edit.cut import Cut, CutConfig, HeldOut, cut
 from gsvis.edit.evidence import Evidence, gather_evidence
 from gsvis.edit.eyes import Eyes, EyesInSpace, EyesOfCameras
 from gsvis.edit.guard import Cost, guard, measure_cost
+from gsvis.edit.large import LargeCleaning, clean_large
 from gsvis.edit.paint import Band, bands_of, colors_of, draw_legend, paint
 from gsvis.edit.quantities import QUANTITIES, Quantity, QuantityConfig, measure_quantity, stored_quantity
 from gsvis.edit.shape import Shape
@@ -27,6 +28,7 @@ __all__ = [
     "EyesInSpace",
     "EyesOfCameras",
     "HeldOut",
+    "LargeCleaning",
     "Quantity",
     "QuantityConfig",
     "Shape",
@@ -35,6 +37,7 @@ __all__ = [
     "class_of",
     "classify",
     "clean",
+    "clean_large",
     "colors_of",
     "core_of",
     "cut",

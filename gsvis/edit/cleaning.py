@@ -70,6 +70,7 @@ def clean(
     navigable: NavigableSpace | None = None,
     cameras: Cameras | None = None,
     config: CleanConfig | None = None,
+    elsewhere: NavigableSpace | None = None,
     progress: Progress = silent,
 ) -> Cleaning:
     """Find the Gaussians of a scene that can go.
@@ -79,6 +80,7 @@ def clean(
         navigable: Where eyes may be; None finds it without haze and flyaways.
         cameras: Cameras of photographs, whose viewpoints are eyes too.
         config: Which classes, how readily, and the guard; None means `CleanConfig()`.
+        elsewhere: Where eyes may be beyond `g`, if it is a part of a larger scene; None: nowhere.
         progress: Called with stages "space", "air", "viewpoints", "structure", "directions" and "guard".
 
     Returns:
@@ -102,7 +104,9 @@ def clean(
         progress("space", 0, 1)
         navigable = NavigableSpace.from_scene(core_of(g, shape), seeds=viewpoints)
         progress("space", 1, 1)
-    evidence = gather_evidence(g, shape, navigable, config, viewpoints=viewpoints, progress=progress)
+    evidence = gather_evidence(
+        g, shape, navigable, config, viewpoints=viewpoints, elsewhere=elsewhere, progress=progress
+    )
     found = classes = classify(evidence, config)
     costs: dict[str, Cost] = {}
     held_out = None

@@ -27,7 +27,7 @@ from gsvis.scene.solid import Solid
 if TYPE_CHECKING:
     from gsvis.edit.classes import CleanConfig
 
-__all__ = ["Evidence", "gather_evidence"]
+__all__ = ["Evidence", "gather_evidence", "part_of_backdrop"]
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -81,6 +81,7 @@ def gather_evidence(
     config: CleanConfig,
     *,
     viewpoints: F64 | None = None,
+    elsewhere: NavigableSpace | None = None,
     progress: Progress = silent,
 ) -> Evidence:
     """Gather the evidence on each Gaussian.
@@ -93,6 +94,7 @@ def gather_evidence(
         navigable: Where eyes may be.
         config: Number of eyes, size of their faces, strength.
         viewpoints: (V, 3) further eyes, such as those of photographs.
+        elsewhere: Where eyes may be that only rays outward look for, such as beyond a part of a larger scene.
         progress: Called with stages "air", "viewpoints", "structure" and "directions".
     """
     given = np.zeros((0, 3)) if viewpoints is None else viewpoints
@@ -118,12 +120,13 @@ def gather_evidence(
     seen, faces = np.zeros(len(g), bool), np.zeros(len(g), np.uint8)
     seen[ids], faces[ids] = _look(core, looked, config, progress)
     rest = np.flatnonzero(~seen[ids])
-    seen[ids[rest]] = _look_outward(core, navigable, rest, config.tau, progress)
+    spaces = [navigable] if elsewhere is None else [navigable, elsewhere]
+    seen[ids[rest]] = _look_outward(core, spaces, rest, config.tau, progress)
     hazy = ~shape.core & ~shape.far & (g.opacities >= MIN_ALPHA)
     seen[hazy] = met[hazy]  # light gets to where it is
     far = np.flatnonzero(shape.far)
     backdrop = np.zeros(len(g), bool)
-    backdrop[far] = _part_of_backdrop(g[far], 0.5 * (shape.low + shape.high))
+    backdrop[far] = part_of_backdrop(g[far], 0.5 * (shape.low + shape.high))
     return Evidence(
         seen=seen,
         faces=faces,
@@ -249,9 +252,9 @@ def _look(core: Gaussians, eyes: F64, config: CleanConfig, progress: Progress) -
 
 
 def _look_outward(
-    core: Gaussians, navigable: NavigableSpace, ids: NDArray[np.int64], tau: float, progress: Progress
+    core: Gaussians, spaces: list[NavigableSpace], ids: NDArray[np.int64], tau: float, progress: Progress
 ) -> Mask:
-    """Return (M,) which Gaussians ids (M,) an eye in navigable space sees, by rays outward."""
+    """Return (M,) which Gaussians ids (M,) an eye in one of some spaces sees, by rays outward."""
     from gsvis.raycast import EllipsoidProxies, Tracer
     from gsvis.raycast.directions import seen_from_space
 
@@ -262,16 +265,16 @@ def _look_outward(
     _ = tracer.hierarchy
     progress("structure", 1, 1)
     seen = np.zeros(len(ids), bool)
-    for fineness in (1, 4):
+    for space, fineness in ((space, fineness) for fineness in (1, 4) for space in spaces):
         rest = np.flatnonzero(~seen)
         if fineness > 1 and 80 * fineness * len(rest) > _RAYS:
             break
         show = progress if fineness == 1 else silent
-        seen[rest] = seen_from_space(tracer, navigable, ids=ids[rest], rays_per_face=fineness, tau=tau, progress=show)
+        seen[rest] = seen_from_space(tracer, space, ids=ids[rest], rays_per_face=fineness, tau=tau, progress=show)
     return seen
 
 
-def _part_of_backdrop(far: Gaussians, middle: F64) -> Mask:
+def part_of_backdrop(far: Gaussians, middle: F64) -> Mask:
     """Return (F,) which Gaussians far outside fill, together, enough of the direction in which they lie."""
     from gsvis.raycast.directions import NUM_FACES, face_of
 

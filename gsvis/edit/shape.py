@@ -16,7 +16,7 @@ from gsvis.scene.density import Density
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.inspection import FLOATER_EXTENT, MIN_ALPHA
 
-__all__ = ["FEW", "RESOLUTION", "Shape", "affordable_resolution", "find_surfaces"]
+__all__ = ["FEW", "RESOLUTION", "Shape", "affordable_resolution", "far_from", "find_surfaces"]
 
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -64,9 +64,8 @@ class Shape:
         if not can_be_seen.any():
             raise SceneError("the scene has no Gaussian with an opacity of at least 1/255: there is nothing to see")
         low, high = g[can_be_seen].bounds(0.98)
-        middle, half = 0.5 * (low + high), 0.5 * (high - low)
-        far = np.any(np.abs(g.means - middle) > FLOATER_EXTENT * np.maximum(half, 0.02 * half.max()), axis=1)
-        far &= bool(half.max() > 0.0)
+        half = 0.5 * (high - low)
+        far = far_from(g.means, low, high)
         least, mid, _ = np.sort(g.scales, axis=1).T
         large = (mid >= LARGE * 2.0 * half.max()) & bool(half.max() > 0.0)
         hazy = large & (least >= ROUND * mid) & (g.opacities <= FAINT)
@@ -85,6 +84,13 @@ class Shape:
     def surfaces(self) -> Mask:
         """(N,) Gaussians between which navigable space is to be found: the core without lonely groups."""
         return self.core & ~self.lonely
+
+
+def far_from(means: NDArray[np.float32], low: F64, high: F64) -> Mask:
+    """Return which centers (N, 3) lie outside 5 times a robust box; none if the box is a point."""
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    far = np.any(np.abs(means - middle) > FLOATER_EXTENT * np.maximum(half, 0.02 * half.max()), axis=1)
+    return np.asarray(far & bool(half.max() > 0.0))
 
 
 def affordable_resolution(sides: F64, resolution: int) -> int:

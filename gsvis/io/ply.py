@@ -7,6 +7,7 @@ opacity (logit), scale_* (log), rot_* (wxyz). Other columns and elements are ski
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from io import BufferedReader
 from typing import Any
@@ -23,7 +24,7 @@ from gsvis.io._ply_rows import CHUNK_BYTES, row_chunks
 from gsvis.io.compressed_ply import is_compressed, read_compressed
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["load_ply", "ply_rows", "save_ply"]
+__all__ = ["load_ply", "ply_rows", "save_ply", "save_ply_parts"]
 
 _MEANS = ("x", "y", "z")
 _SH0 = ("f_dc_0", "f_dc_1", "f_dc_2")
@@ -183,21 +184,55 @@ def save_ply(scene: Gaussians, path: str | os.PathLike[str]) -> None:
     Raises:
         OSError: If it cannot be written.
     """
-    n, k = len(scene), scene.shN.shape[1]
+    save_ply_parts([scene], path, len(scene), scene.sh_degree)
+
+
+def save_ply_parts(parts: Iterable[Gaussians], path: str | os.PathLike[str], count: int, sh_degree: int) -> None:
+    """Write the parts of a scene one after the other, as `save_ply` writes the whole; memory holds one part.
+
+    Args:
+        parts: The parts, in order. A lower SH degree is padded with zeros.
+        path: The file; its folder is created if missing.
+        count: Gaussians of all parts.
+        sh_degree: Highest SH degree of all parts.
+
+    Raises:
+        ValueError: If the parts have other Gaussians than `count` says, or a higher degree.
+        OSError: If it cannot be written.
+    """
+    k = (sh_degree + 1) ** 2 - 1
     rest = tuple(f"f_rest_{i}" for i in range(3 * k))
     names = (*_MEANS, "nx", "ny", "nz", *_SH0, *rest, "opacity", *_SCALES, *_QUATS)
-    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {n}", *(f"property float {p}" for p in names)]
-    at = {name: i for i, name in enumerate(names)}
-    per_chunk = max(1, CHUNK_BYTES // (4 * len(names)))
+    lines = [
+        "ply", "format binary_little_endian 1.0", f"element vertex {count}", *(f"property float {p}" for p in names)
+    ]  # fmt: skip
+    left = count
     with atomic_path(path) as partial, open(partial, "wb") as stream:
         stream.write(("\n".join(lines) + "\nend_header\n").encode("ascii"))
-        for start in range(0, n, per_chunk):
-            some = slice(start, min(start + per_chunk, n))
-            table = np.zeros((some.stop - start, len(names)), "<f4")
-            table[:, 0:3] = scene.means[some]
-            table[:, at["f_dc_0"] : at["f_dc_0"] + 3] = scene.sh0[some, 0]
-            table[:, at["f_dc_0"] + 3 : at["opacity"]] = scene.shN[some].transpose(0, 2, 1).reshape(len(table), 3 * k)
-            table[:, at["opacity"]] = logits(scene.opacities[some])
-            table[:, at["scale_0"] : at["scale_0"] + 3] = np.log(scene.scales[some].astype(np.float64))
-            table[:, at["rot_0"] :] = scene.quats[some]
-            stream.write(table.data)
+        for part in parts:
+            if len(part) > left or part.sh_degree > sh_degree:
+                got = f"more, or SH degree {part.sh_degree}"
+                raise ValueError(f"parts: expected {count:,} Gaussians of SH degree {sh_degree}, got {got}")
+            left -= len(part)
+            for table in _tables(part, names, k):
+                stream.write(table.data)
+        if left:
+            raise ValueError(f"parts: expected {count:,} Gaussians, got {count - left:,}")
+
+
+def _tables(scene: Gaussians, names: tuple[str, ...], k: int) -> Iterator[NDArray[np.float32]]:
+    """Yield the rows of a scene in columns of these names, some at a time; k SH coefficients above degree 0."""
+    at, own = {name: i for i, name in enumerate(names)}, scene.shN.shape[1]
+    per_chunk = max(1, CHUNK_BYTES // (4 * len(names)))
+    for start in range(0, len(scene), per_chunk):
+        some = slice(start, min(start + per_chunk, len(scene)))
+        table = np.zeros((some.stop - start, len(names)), "<f4")
+        table[:, 0:3] = scene.means[some]
+        table[:, at["f_dc_0"] : at["f_dc_0"] + 3] = scene.sh0[some, 0]
+        higher = np.zeros((len(table), 3, k), np.float32)
+        higher[:, :, :own] = scene.shN[some].transpose(0, 2, 1)
+        table[:, at["f_dc_0"] + 3 : at["opacity"]] = higher.reshape(len(table), 3 * k)
+        table[:, at["opacity"]] = logits(scene.opacities[some])
+        table[:, at["scale_0"] : at["scale_0"] + 3] = np.log(scene.scales[some].astype(np.float64))
+        table[:, at["rot_0"] :] = scene.quats[some]
+        yield table

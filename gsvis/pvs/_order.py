@@ -8,7 +8,7 @@ every machine, with any number of threads.
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ KEY_CELLS = 128
 MAX_DEPTH = 4
 """Longest chain of parents. A query for classes decodes at most five cells."""
 
-_SIDES = (0, 16, 64, 128)  # square roots of the numbers of labels to try; 0 keeps scene order
+_SIDES = (16, 64, 128)  # square roots of the numbers of labels to try
 _SAMPLE = 131_072  # most signatures used to find centers
 _ROUNDS = 8
 _TRIAL_CELLS = 12
@@ -60,14 +60,42 @@ def choose_labels(n: int, cells: int, read: Callable[[int], U64]) -> U16:
         kernels.add_signature(read(cell), bit, signatures)
     trials = [read(cell) for cell in keys[:: -(-len(keys) // _TRIAL_CELLS)].tolist()]
     best, least = np.zeros(n, np.uint16), np.inf
-    for side in _SIDES:
-        if n < 16 * side * side:
-            break
-        labels = _cluster(signatures, side) if side else np.zeros(n, np.uint16)
+    for labels in _candidates(signatures):
         size = len(_codec.encode_labels(labels)) + cells / len(trials) * _trial_size(trials, labels)
         if size < least:
             best, least = labels, size
     return best
+
+
+def _candidates(signatures: U64) -> Iterator[U16]:
+    """Yield labels (N,) to try: all 0, which keeps scene order, then finer and finer ones.
+
+    Where there are no more different signatures than labels, each has its own, and nothing finer follows.
+    """
+    n = len(signatures)
+    yield np.zeros(n, np.uint16)
+    if n < 16 * _SIDES[0] ** 2:
+        return
+    distinct = _distinct(signatures)
+    for side in _SIDES:
+        if n < 16 * side * side:
+            return
+        if distinct is not None and len(distinct[0]) <= side * side:
+            chain = _chain(distinct[0])
+            places = np.empty(len(chain), np.uint16)
+            places[chain] = np.arange(len(chain), dtype=np.uint16)
+            yield places[distinct[1]]
+            return
+        yield _cluster(signatures, side)
+
+
+def _distinct(signatures: U64) -> tuple[U64, NDArray[np.int64]] | None:
+    """Return the different signatures and which of them (N,) each is; None if a sample has more than any labels."""
+    step = -(-len(signatures) // _SAMPLE)
+    if len(np.unique(signatures[::step], axis=0)) > _SIDES[-1] ** 2:
+        return None
+    distinct, which = np.unique(signatures, axis=0, return_inverse=True)
+    return np.ascontiguousarray(distinct), which.reshape(-1)
 
 
 def _trial_size(trials: list[U64], labels: U16) -> int:

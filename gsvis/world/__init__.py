@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from gsvis.world.estimate import WorldEstimate, estimate_world
     from gsvis.world.graph import Given, Result, Task, run_graph
     from gsvis.world.prepare import PreparedWorld, prepare_world
+    from gsvis.world.stages import WrittenTile, write_tiles
     from gsvis.world.tiling import TilingConfig
 
 __all__ = [
@@ -42,10 +43,12 @@ __all__ = [
     "WorldConfig",
     "WorldEstimate",
     "WorldManifest",
+    "WrittenTile",
     "estimate_world",
     "is_world",
     "prepare_world",
     "run_graph",
+    "write_tiles",
 ]
 
 _HOMES = {
@@ -53,6 +56,7 @@ _HOMES = {
     "estimate": ("WorldEstimate", "estimate_world"),
     "graph": ("Given", "Result", "Task", "run_graph"),
     "prepare": ("PreparedWorld", "prepare_world"),
+    "stages": ("WrittenTile", "write_tiles"),
     "tiling": ("TilingConfig",),
 }
 

@@ -87,7 +87,8 @@ class WorldBuild:
         return self.survey["grid"].facts
 
     @cached_property
-    def _split_tasks(self) -> list[Task]:
+    def split_tasks(self) -> list[Task]:
+        """The tasks that end in `splits`."""
         splits = [
             Task(f"split {k}", "gsvis.world.tiling:split_batch", {"batch": asdict(batch)}, ("grid",))
             for k, batch in enumerate(self.batches)
@@ -98,7 +99,7 @@ class WorldBuild:
     def splits(self) -> list[Result]:
         """The files of rows of each batch, one for each tile in it."""
         _ = self.survey
-        found = self._run(self._split_tasks, "splitting")
+        found = self._run(self.split_tasks, "splitting")
         return [found[f"split {k}"] for k in range(len(self.batches))]
 
     @cached_property
@@ -163,24 +164,34 @@ class WorldBuild:
         return found
 
     @cached_property
-    def _level_tasks(self) -> list[Task]:
-        package = self.config.package.as_dict()
-        tasks = list(self._split_tasks)
+    def _row_tasks(self) -> list[Task]:
+        tasks = list(self.split_tasks)
         for k, rect in enumerate(self.tiles):
             files = self.files[rect]
             used = sorted({batch for batch, _ in files})
             listed: Facts = {"files": [(used.index(batch), name) for batch, name in files]}
             needs = tuple(f"split {batch}" for batch in used)
             tasks.append(Task(f"rows {k}", "gsvis.world.tiles:gather_rows", listed, needs))
+        return tasks
+
+    @cached_property
+    def _level_tasks(self) -> list[Task]:
+        package = self.config.package.as_dict()
+        tasks = list(self._row_tasks)
         for k, rect in enumerate(self.tiles):
-            needs = (f"rows {k}",)
+            needs: tuple[str, ...] = (f"rows {k}",)
             if rect is not None:
-                near = tuple(f"rows {other}" for other in self._around(rect))
-                tasks.append(Task(f"space {k}", "gsvis.world.tiles:tile_space", self._square(rect), (*needs, *near)))
+                near = tuple(f"rows {other}" for other in self.touching(rect))
+                tasks.append(Task(f"space {k}", "gsvis.world.tiles:tile_space", self.square_of(rect), (*needs, *near)))
                 needs = (*needs, f"space {k}")
             params: Facts = {"config": package, "most": self.config.far}
             tasks.append(Task(f"levels {k}", "gsvis.world.tiles:make_tile_levels", params, needs))
-        about = {"most": self.config.far, "up": self.grid["up"], "meters_per_unit": package["meters_per_unit"]}
+        return tasks
+
+    @cached_property
+    def _district_tasks(self) -> list[Task]:
+        package, tasks = self.config.package, list(self._level_tasks)
+        about = {"most": self.config.far, "up": self.grid["up"], "meters_per_unit": package.meters_per_unit}
         about["reach"] = self.reach
         for k, plan in enumerate(self.districts):
             of_tile = len(plan.children) == 1
@@ -200,12 +211,22 @@ class WorldBuild:
                 own = (f"levels {k}", f"space {k}")
                 params = {"tile": k, "tiles": len(self.tiles), **options}
                 tasks.append(Task(f"around {k}", "gsvis.world.pieces:choose_nodes", params, (*own, *needs)))
-        return [*self._level_tasks, *tasks]
+        return [*self._district_tasks, *tasks]
+
+    @cached_property
+    def rows(self) -> dict[str, Result]:
+        """Rows of tiles."""
+        return self._run(self._row_tasks, "tiles")
+
+    @cached_property
+    def levels(self) -> dict[str, Result]:
+        """Rows, spaces and levels of tiles."""
+        return self._run(self._level_tasks, "levels")
 
     @cached_property
     def made(self) -> dict[str, Result]:
         """Rows, spaces and levels of tiles, and districts."""
-        return self._run(self._level_tasks, "levels")
+        return self._run(self._district_tasks, "levels")
 
     @cached_property
     def chosen(self) -> dict[str, Result]:
@@ -250,7 +271,7 @@ class WorldBuild:
         names = [f"tile {k}" for k in some]
         _ = self.nodes
         wanted = [task for task in self._package_tasks if task.name in set(names)]
-        found = self._run([*self._level_tasks, *wanted], "tiles")
+        found = self._run([*self._district_tasks, *wanted], "tiles")
         return [found[name] for name in names]
 
     def district(self, number: int) -> Result:
@@ -260,7 +281,7 @@ class WorldBuild:
     def _district(self, node: int) -> str:
         return f"district {node - len(self.tiles)}"
 
-    def _around(self, rect: Rect) -> list[int]:
+    def touching(self, rect: Rect) -> list[int]:
         """Return the tiles that touch a tile, or lie within the margin in which its space is looked for."""
         reach = max(MARGIN * max(rect[2:]), 1e-9)
 
@@ -270,7 +291,7 @@ class WorldBuild:
 
         return [k for k, other in enumerate(self.tiles) if other is not None and near(other)]
 
-    def _square(self, rect: Rect) -> dict[str, Any]:
+    def square_of(self, rect: Rect) -> dict[str, Any]:
         """Return the params of the space of a tile."""
         grid = grid_of(self.grid["grid"])
         low = [grid.origin[axis] + grid.side * place for axis, place in zip(grid.axes, rect[:2], strict=True)]

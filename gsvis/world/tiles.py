@@ -6,6 +6,7 @@ Scene frame and units. Each function here is a task of a graph.
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,16 @@ from gsvis.train.levels import LevelsConfig
 from gsvis.world.graph import Facts, Given
 from gsvis.world.rows import load_gaussians, load_rows, median_spacing, save_gaussians, save_tile_levels
 
-__all__ = ["MARGIN", "VERSIONS", "config_of", "gather_rows", "load_space", "make_tile_levels", "tile_space"]
+__all__ = [
+    "MARGIN",
+    "VERSIONS",
+    "config_of",
+    "gather_rows",
+    "load_space",
+    "make_tile_levels",
+    "save_space",
+    "tile_space",
+]
 
 VERSIONS = {"gather_rows": 1, "make_tile_levels": 1, "tile_space": 2}
 
@@ -68,18 +78,18 @@ def tile_space(params: Facts, given: Given, out: Path, work: Path) -> Facts:
         free &= ((middles >= first) & (middles < last)).reshape(shape)
     if not free.any():
         return {"voxels": 0}
-    save_arrays(
-        out / "space",
-        {
-            "origin": found.origin, "voxel_size": np.array([found.voxel_size]), "free": free, "up": found.up,
-            "occupied": found.occupied, "targets": found.targets,
-        },
-    )  # fmt: skip
+    save_space(out / "space", replace(found, free=free))
     return {"voxels": int(np.count_nonzero(free))}
 
 
+def save_space(path: Path, space: NavigableSpace) -> None:
+    """Write where eyes may be."""
+    arrays = {name: getattr(space, name) for name in ("origin", "free", "up", "occupied", "targets")}
+    save_arrays(path, {**arrays, "voxel_size": np.array([space.voxel_size])})
+
+
 def load_space(path: Path) -> NavigableSpace:
-    """Return the space that `tile_space` wrote.
+    """Return the space that `save_space` wrote.
 
     Raises:
         FormatError: If the file is damaged.

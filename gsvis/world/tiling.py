@@ -39,6 +39,7 @@ __all__ = [
     "sampling_interval",
     "split_batch",
     "tile_name",
+    "tiles_of",
 ]
 
 F64 = NDArray[np.float64]
@@ -189,14 +190,7 @@ def split_batch(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     """
     g = read_batch(Batch(**params["batch"]))
     found = given.inputs[0].facts
-    grid, upright = grid_of(found["grid"]), 3 - sum(found["grid"]["axes"])
-    squares = grid.squares_of(g.means)
-    heights = g.means[:, upright]
-    squares[(heights < found["bottom"]) | (heights > found["top"])] = -1
-    owners = np.full(grid.shape, -1)
-    for k, (x, y, width, height) in enumerate(found["tiles"]):
-        owners[x : x + width, y : y + height] = k
-    keys = np.where(squares[:, 0] < 0, -1, owners[squares[:, 0], squares[:, 1]])
+    keys = tiles_of(g.means, found)
     counts = {}
     for key in np.unique(keys).tolist():
         name = tile_name(None if key < 0 else found["tiles"][key])
@@ -205,6 +199,17 @@ def split_batch(params: Facts, given: Given, out: Path, work: Path) -> Facts:
         counts[name] = len(rows)
     colors = np.maximum(0.5 + SH_C0 * g.sh0[:, 0].astype(np.float64), 0.0) if len(g) else np.full((1, 3), 0.5)
     return {"counts": counts, "reach": np.stack([colors.min(axis=0), colors.max(axis=0)], axis=1).tolist()}
+
+
+def tiles_of(points: NDArray[np.floating[Any]], found: Facts) -> I64:
+    """Return (M,) the tile of each of the (M, 3) points, by its place in the facts of `find_grid`; -1 outside."""
+    grid, upright = grid_of(found["grid"]), 3 - sum(found["grid"]["axes"])
+    squares, heights = grid.squares_of(points), points[:, upright]
+    squares[(heights < found["bottom"]) | (heights > found["top"])] = -1
+    owners = np.full(grid.shape, -1)
+    for k, (x, y, width, height) in enumerate(found["tiles"]):
+        owners[x : x + width, y : y + height] = k
+    return np.where(squares[:, 0] < 0, -1, owners[squares[:, 0], squares[:, 1]])
 
 
 def tile_name(rect: Rect | None) -> str:

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsvis.cli import main
+from gsvis.cli import clean_large, main
+from gsvis.cli.memory import NEEDS
 from gsvis.edit import class_of
 from gsvis.io import load_scene, save_scene
 from gsvis.scene.procedural import random_scene
@@ -138,3 +139,42 @@ def test_a_selection_of_a_scene_that_changed_is_refused(
     assert "this scene" in capsys.readouterr().err
     note_of(tmp_path / "s.npy").unlink()  # as other programs write it
     assert main(words) == 0
+
+
+def test_a_scene_that_does_not_fit_is_cleaned_in_tiles(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(NEEDS, "clean", NEEDS["clean"]._replace(base=598_000_000))
+    monkeypatch.setattr(clean_large, "_LEAST", 100)
+    scene, out = str(folder / "dirty.ply"), str(tmp_path / "clean.ply")
+    words = ["clean", scene, "-o", out, "--max-memory", "600MB", "--eyes", "3", "--held-out", "0", "--up", "+z"]
+    assert main([*words, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["tiles"] >= 3
+    assert found["gaussians"] == len(load_scene(scene))
+    assert (
+        found["kept"]
+        == len(load_scene(out))
+        == found["gaussians"] - sum(each["removed"] for each in found["classes"].values())
+    )
+    assert [path.name for path in tmp_path.iterdir()] == ["clean.ply"]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--max-memory", "100MB"], "a tile does not fit"),
+        (["--max-memory", "100MB", "--select", "s.npy"], "--select needs all of them: leave it out"),
+        (["--max-memory", "100MB", "-o", "clean.spz"], "tiles are written to a .ply"),
+    ],
+)
+def test_memory_that_does_not_suffice_is_one_line(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+    words: list[str], message: str,
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    assert main(["clean", str(folder / "dirty.ply"), *words]) != 0
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1
+    assert message in lines[0]
+    assert not list(tmp_path.iterdir())

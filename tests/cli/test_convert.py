@@ -251,3 +251,12 @@ def test_a_checkpoint_of_a_trainer_is_converted(trainer: str) -> None:
     got = load_scene("c.ply")
     np.testing.assert_allclose(got.means, np.add(raw["means"].detach().numpy(), (1, 0, 0)), atol=1e-6)
     assert got.sh_degree == 2
+
+
+def test_memory_that_does_not_suffice_is_one_line_but_a_ply_needs_little(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], nothing_is_read: None
+) -> None:
+    assert main(["convert", "a.ply", "c.spz", "--max-memory", "1MB"]) != 0
+    assert "--max-memory: expected at least" in capsys.readouterr().err
+    assert main(["convert", "a.ply", "b.ply", "-o", "c.ply", "--max-memory", "1MB", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["gaussians_out"] == len(load_scene("c.ply")) == 50

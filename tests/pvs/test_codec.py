@@ -152,6 +152,21 @@ def test_an_order_is_taken_only_if_it_pays_for_its_labels(cells: int, shuffled: 
     assert size(_order.choose_labels(n, cells, sets.__getitem__)) <= size(np.zeros(n, np.uint16))
 
 
+@pytest.mark.parametrize("cells", [2, 7])
+def test_few_kinds_of_gaussians_have_a_label_each(cells: int) -> None:
+    n, _ = rooms(shuffled=True)
+    kinds = np.random.default_rng(2).integers(0, 2, (cells, n)).astype(bool)
+    signatures = np.zeros((n, 1), np.uint64)
+    for bit in range(cells):
+        signatures[:, 0] |= kinds[bit].astype(np.uint64) << np.uint64(bit)
+    scene_order, own, *finer = _order._candidates(signatures)
+    assert not scene_order.any()
+    assert not finer
+    pairs = np.unique(np.stack([signatures[:, 0], own.astype(np.uint64)]), axis=1)
+    assert pairs.shape[1] == len(np.unique(signatures)) == len(np.unique(own))
+    assert own.max() == len(np.unique(own)) - 1
+
+
 @given(st.lists(st.tuples(st.integers(0, 9), st.integers(0, 11), st.integers(0, 11)), max_size=40))
 def test_parents_are_neighbors_and_chains_are_short(edges: list[tuple[int, int, int]]) -> None:
     edges = [edge for edge in edges if edge[1] != edge[2]]

@@ -1,0 +1,135 @@
+"""`gsvis clean` of a scene that does not fit `--max-memory`: in tiles, each with what lies around it."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gsvis.cli import version
+from gsvis.cli.arguments import Clean
+from gsvis.cli.memory import NEEDS, count_gaussians, expected_memory
+from gsvis.cli.source import is_builtin
+from gsvis.cli.terminal import Status, facts, print_json, show, size_of
+from gsvis.cli.where import WORDS
+from gsvis.errors import SceneError
+
+if TYPE_CHECKING:
+    from gsvis.edit import CleanConfig, LargeCleaning
+    from gsvis.files.objects import ObjectStore
+
+__all__ = ["clean_in_tiles", "in_tiles"]
+
+_WHOLE = ("report", "select", "apply", "cameras", *WORDS)  # options that need the whole scene
+_JOINT = 1.9  # most Gaussians in a tile and its halo, in those of the tile
+_LEAST = 50_000  # Gaussians of a tile: smaller ones are mostly halo
+
+
+def in_tiles(command: Clean) -> bool:
+    """Return whether a scene is to be cleaned in tiles, because it does not fit `--max-memory`.
+
+    Raises:
+        ValueError: If not even a tile fits, or an option needs the whole scene.
+    """
+    if command.max_memory is None or is_builtin(command.scene):
+        return False
+    count, degree = count_gaussians(command.scene, command.lod)
+    need = expected_memory("clean", count, degree)
+    if need <= command.max_memory:
+        return False
+    words = f"--max-memory: expected at least {size_of(need)} for {count:,} Gaussians at once"
+    given = [name for name in _WHOLE if getattr(command, name) != getattr(Clean, name)]
+    if given:
+        option = "--" + given[0].replace("_", "-")
+        raise ValueError(f"{words}, got {size_of(command.max_memory)}; {option} needs all of them: leave it out")
+    if command.out is not None and Path(command.out).suffix.lower() != ".ply":
+        raise ValueError(f"{words}, got {size_of(command.max_memory)}; tiles are written to a .ply: name one with -o")
+    if _most(command.max_memory, degree) < _LEAST:
+        least = expected_memory("clean", int(_LEAST * _JOINT) + 1, degree)
+        raise ValueError(
+            f"--max-memory: expected at least {size_of(least)}, got {size_of(command.max_memory)}; a tile does not fit"
+        )
+    return True
+
+
+def clean_in_tiles(command: Clean, config: CleanConfig) -> None:
+    """Clean a scene in tiles: look, guard, write the PLY, print the result."""
+    from gsvis.edit import clean_large
+    from gsvis.io.ply import save_ply_parts
+    from gsvis.pvs.workers import Workers
+    from gsvis.world.tiling import TilingConfig
+
+    assert command.max_memory is not None
+    degree = count_gaussians(command.scene, command.lod)[1]
+    up = None if command.up is None else command.up.strip()
+    tiling = TilingConfig(_most(command.max_memory, degree), up=up)
+    with Status() as status:
+        status.line(f"{command.scene}: does not fit {size_of(command.max_memory)}, so it is cleaned in tiles")
+        with _store(command) as store:
+            found = clean_large(
+                (command.scene, command.lod), config, tiling, store,
+                workers=Workers(1, command.max_memory), progress=status,
+            )  # fmt: skip
+            if not found.kept:
+                raise SceneError(f"{command.scene}: everything would go: nothing written; name fewer --classes")
+            if command.out is not None:
+                status("writing", 0, 1)
+                save_ply_parts(found.parts(), command.out, found.kept, found.sh_degree)
+                status("writing", 1, 1)
+    if command.json:
+        print_json(_document(command, found))
+        return
+    rows = [
+        (name, f"{gone:,}", f"{gone / found.gaussians:.2%}", f"{found.found[name] - gone:,}", _decibels(found, name))
+        for name, gone in found.removed.items()
+    ]
+    gone = found.gaussians - found.kept
+    rows.append(("all", f"{gone:,}", f"{gone / found.gaussians:.2%}", "", _decibels(found, "all")))
+    header = ("class", "goes", "share", "given back", "worst dB")
+    show(facts(f"{command.scene}: {found.gaussians:,} Gaussians in {found.tiles} tiles", rows, header))
+    if command.out is None:
+        show(" Nothing was removed; -o OUT writes the clean scene.")
+    else:
+        size = size_of(Path(command.out).stat().st_size)
+        show(f"{command.out}: {found.kept:,} of {found.gaussians:,} Gaussians, {size}")
+
+
+def _most(max_memory: int, sh_degree: int) -> int:
+    """Return the most Gaussians of a tile that fits the memory with its halo."""
+    each = expected_memory("clean", 1, sh_degree) - NEEDS["clean"].base
+    return int(max(0, max_memory - NEEDS["clean"].base) / (_JOINT * each))
+
+
+@contextmanager
+def _store(command: Clean) -> Iterator[ObjectStore]:
+    """Yield where results of tasks lie: beside OUT until it is complete, so that a killed run resumes."""
+    from gsvis.files.objects import open_store
+    from gsvis.prepare.work_folder import WorkFolder
+
+    if command.out is None:
+        with tempfile.TemporaryDirectory(prefix="gsvis-") as folder:
+            yield open_store(folder)
+        return
+    work = WorkFolder(command.out)
+    with work.opened():
+        yield open_store(work.folder)
+    shutil.rmtree(work.folder, ignore_errors=True)
+
+
+def _decibels(found: LargeCleaning, name: str) -> str:
+    return f"{found.worst_db[name]:.1f}" if name in found.worst_db else ""
+
+
+def _document(command: Clean, found: LargeCleaning) -> dict[str, Any]:
+    classes = {
+        name: {"found": found.found[name], "removed": gone, "worst_db": found.worst_db.get(name)}
+        for name, gone in found.removed.items()
+    }
+    return {
+        "format": "gsvis-clean", "version": 1, "gsvis": version(), "in": command.scene, "lod": command.lod,
+        "out": command.out, "gaussians": found.gaussians, "kept": found.kept, "tiles": found.tiles,
+        "classes": classes, "worst_db": found.worst_db.get("all"),
+    }  # fmt: skip

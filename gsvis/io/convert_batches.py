@@ -1,0 +1,125 @@
+"""Convert scenes of any size to a PLY, batch by batch. The bytes are those of `merge_scenes` and `convert_scene`.
+
+Memory holds one batch. Scenes are read twice where only reading tells how many Gaussians are left.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gsvis.errors import SceneError
+from gsvis.io.batches import Batch, read_batch
+from gsvis.io.ply import save_ply_parts
+from gsvis.progress import Progress, silent
+from gsvis.scene.gaussians import Gaussians
+
+__all__ = ["Converted", "convert_batches"]
+
+Convert = Callable[[Gaussians], Gaussians]
+
+
+@dataclass(frozen=True)
+class Converted:
+    """What was read and written.
+
+    Attributes:
+        counts: Gaussians of each scene.
+        sh_degrees: SH degree of each scene.
+        gaussians: Gaussians that were written.
+        sh_degree: SH degree that was written.
+    """
+
+    counts: tuple[int, ...]
+    sh_degrees: tuple[int, ...]
+    gaussians: int
+    sh_degree: int
+
+
+def convert_batches(
+    scenes: Sequence[Sequence[Batch]],
+    out: str | os.PathLike[str],
+    convert: Convert,
+    *,
+    drops: bool,
+    max_sh_degree: int = 3,
+    progress: Progress = silent,
+) -> Converted:
+    """Write scenes to one PLY, in their order, each batch converted by itself.
+
+    Args:
+        scenes: The batches of each scene.
+        out: The PLY.
+        convert: Takes a batch, as `convert_scene` does; raises SceneError if nothing of it is left.
+        drops: Whether it leaves Gaussians out.
+        max_sh_degree: The highest SH degree that it keeps.
+        progress: Called with stages "reading", if all has to be read first, and "writing", in batches.
+
+    Raises:
+        SceneError: If nothing is left.
+        FormatError: If a scene is damaged.
+        OSError: If the file cannot be written.
+    """
+    by_header = not drops and all(batch.kind == "rows" for scene in scenes for batch in scene)
+    survey = _headers(scenes) if by_header else _survey(scenes, convert if drops else None, progress)
+    if not survey.gaussians:
+        raise SceneError(
+            f"convert: none of {sum(survey.counts):,} Gaussians is left by crop and min_opacity; gsvis inspect shows"
+            " where the scene lies"
+        )
+    degree = max(survey.sh_degrees)
+    written = min(degree, max_sh_degree)
+    save_ply_parts(_parts(scenes, degree, convert, progress), out, survey.gaussians, written)
+    return replace(survey, sh_degree=written)
+
+
+def _headers(scenes: Sequence[Sequence[Batch]]) -> Converted:
+    """Return what headers and first rows tell of PLYs of which all is kept."""
+    counts = tuple(sum(batch.count for batch in scene) for scene in scenes)
+    degrees = tuple(read_batch(replace(scene[0], count=1)).sh_degree for scene in scenes)
+    return Converted(counts, degrees, sum(counts), max(degrees))
+
+
+def _survey(scenes: Sequence[Sequence[Batch]], convert: Convert | None, progress: Progress) -> Converted:
+    """Read all batches and count; without a conversion all Gaussians are left."""
+    total, done, left = sum(map(len, scenes)), 0, 0
+    counts, degrees = [0] * len(scenes), [0] * len(scenes)
+    progress("reading", 0, total)
+    for k, scene in enumerate(scenes):
+        for batch in scene:
+            part = read_batch(batch)
+            counts[k] += len(part)
+            degrees[k] = max(degrees[k], part.sh_degree)
+            left += len(part) if convert is None else sum(map(len, _converted(part, convert)))
+            done += 1
+            progress("reading", done, total)
+    return Converted(tuple(counts), tuple(degrees), left, max(degrees))
+
+
+def _parts(scenes: Sequence[Sequence[Batch]], degree: int, convert: Convert, progress: Progress) -> Iterator[Gaussians]:
+    """Yield what is left of each batch."""
+    batches = [batch for scene in scenes for batch in scene]
+    progress("writing", 0, len(batches))
+    for done, batch in enumerate(batches, 1):
+        yield from _converted(_padded(read_batch(batch), degree), convert)
+        progress("writing", done, len(batches))
+
+
+def _converted(part: Gaussians, convert: Convert) -> list[Gaussians]:
+    """Return what is left of a batch; an empty list if nothing is."""
+    try:
+        return [convert(part)]
+    except SceneError:
+        return []
+
+
+def _padded(part: Gaussians, degree: int) -> Gaussians:
+    """Return a batch with zeros for SH coefficients that other batches have."""
+    missing = (degree + 1) ** 2 - 1 - part.shN.shape[1]
+    if not missing:
+        return part
+    higher = np.pad(part.shN, ((0, 0), (0, missing), (0, 0)))
+    return Gaussians(part.means, part.quats, part.scales, part.opacities, part.sh0, higher)

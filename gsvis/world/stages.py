@@ -1,0 +1,142 @@
+"""Stop the preparation of a world early: its tiles as PLYs, or their levels as folders, for any other tool.
+
+The tasks are those of the world, and their results stay beside the folder. So `prepare_world` into the same place goes
+on from there. What the cells of a tile see, and its colors, have no files of their own: they are in its package.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Literal
+
+from gsvis import _check
+from gsvis.errors import FormatError
+from gsvis.files.atomic import atomic_path
+from gsvis.files.objects import open_store
+from gsvis.io.levels import save_levels
+from gsvis.io.ply import save_ply
+from gsvis.prepare.work_folder import WorkFolder
+from gsvis.progress import Progress, silent
+from gsvis.pvs.workers import Workers
+from gsvis.scene.inspection import axis_vector
+from gsvis.world.build import WorldBuild
+from gsvis.world.config import WorldConfig
+from gsvis.world.rows import load_gaussians, load_tile_levels
+from gsvis.world.tiling import tile_name
+
+__all__ = ["INDEX", "STAGES", "WrittenTile", "check_tiles_target", "write_tiles"]
+
+INDEX = "tiles.json"
+"""Name of the list of the tiles in their folder."""
+
+Stage = Literal["tiles", "levels"]
+STAGES: tuple[Stage, ...] = ("tiles", "levels")
+"""Stages after which a preparation can stop."""
+
+_FORMAT = "gsvis-tiles"
+
+
+@dataclass(frozen=True)
+class WrittenTile:
+    """A tile on disk.
+
+    Attributes:
+        file: Name of its PLY or of its folder of levels.
+        gaussians: Gaussians of all its levels together.
+        levels: Names and sizes of its levels, lowest first; empty for a PLY.
+        low: (3,) lowest corner of its rectangle, without the axis that is not cut; empty for the outside.
+        high: (3,) highest corner.
+    """
+
+    file: str
+    gaussians: int
+    levels: tuple[tuple[str, int], ...]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+
+
+def write_tiles(
+    scenes: Sequence[tuple[str, int | None]],
+    out: str | os.PathLike[str],
+    until: Stage,
+    config: WorldConfig | None = None,
+    *,
+    store: str | None = None,
+    workers: Workers | None = None,
+    progress: Progress = silent,
+) -> list[WrittenTile]:
+    """Write the tiles of scenes, or their levels, and resume an earlier run; the outside is the last tile.
+
+    With more than one worker, a script that calls this needs an `if __name__ == "__main__":` guard.
+
+    Args:
+        scenes: As for `prepare_world`.
+        out: Folder for a PLY or a folder of levels for each tile, and `tiles.json`. Results of tasks lie beside it.
+        until: "tiles" or "levels".
+        config: Options; None means `WorldConfig()`.
+        store: As for `prepare_world`.
+        workers: As for `prepare_world`.
+        progress: Called with stages "sampling", "splitting", "tiles" or "levels", and "writing".
+
+    Raises:
+        SceneError: If the scenes have nothing to see.
+        FormatError: If a scene is damaged, or the folder holds something else.
+        ValueError: If a tile does not fit the memory of a worker, or another process works there.
+        OSError: If a file cannot be written; finished work is kept.
+    """
+    _check.one_of("until", until, STAGES)
+    target, config = _check.path("out", out), config or WorldConfig()
+    check_tiles_target(target)
+    work = WorkFolder(target)
+    with work.opened():
+        found = open_store(store or work.folder)
+        build = WorldBuild(
+            [(os.path.abspath(path), lod) for path, lod in scenes], config, found, workers or Workers(), progress
+        )
+        results = build.rows if until == "tiles" else build.levels
+        target.mkdir(parents=True, exist_ok=True)
+        written = []
+        progress("writing", 0, len(build.tiles))
+        for k in range(len(build.tiles)):
+            written.append(_write(build, k, until, results, target))
+            progress("writing", k + 1, len(build.tiles))
+        about = {"format": _FORMAT, "version": 1, "stage": until, "up": axis_vector(build.grid["up"]).tolist()}
+        rows = [{**each.__dict__, "levels": dict(each.levels)} for each in written]
+        with atomic_path(target / INDEX) as partial:
+            partial.write_text(json.dumps({**about, "tiles": rows}, indent=1) + "\n", encoding="utf-8")
+    return written
+
+
+def check_tiles_target(target: Path) -> None:
+    """Raise unless tiles may be written to a folder: a new or empty one, or one of an earlier run.
+
+    Raises:
+        FormatError: If the path holds something else.
+    """
+    if target.exists() and not target.is_dir():
+        raise FormatError(target, "", "a folder, or nothing", "a file", "choose another name")
+    others = [] if not target.is_dir() else [path.name for path in target.iterdir() if not path.name.startswith("tile")]
+    if others:
+        raise FormatError(target, "", "tiles or an empty folder", f"{min(others)!r}", "choose another name")
+
+
+def _write(build: WorldBuild, number: int, until: Stage, results: dict[str, Any], target: Path) -> WrittenTile:
+    """Write a tile."""
+    rect = build.tiles[number]
+    square = None if rect is None else build.square_of(rect)
+    corners = ((), ()) if square is None else (tuple(square["low"]), tuple(square["high"]))
+    result = results[f"{'rows' if until == 'tiles' else 'levels'} {number}"]
+    name = f"tile-{tile_name(rect)}"
+    with TemporaryDirectory(prefix="gsvis-") as cache:
+        if until == "tiles":
+            save_ply(load_gaussians(build.store.path_of(result.files["rows"], Path(cache))), target / f"{name}.ply")
+            return WrittenTile(f"{name}.ply", result.facts["gaussians"], (), *corners)
+        levels = load_tile_levels(build.store.path_of(result.files["levels"], Path(cache)))
+        save_levels(levels, target / name, {"up": axis_vector(build.grid["up"]).tolist()})
+    sizes = tuple(zip(levels.names, levels.counts, strict=True))
+    return WrittenTile(name, len(levels.union), sizes, *corners)

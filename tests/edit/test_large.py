@@ -1,0 +1,91 @@
+"""Cleaning in tiles: each class is found where it was put, the room stays, order and batches change nothing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsvis.edit import CLASSES, LargeCleaning, class_of, clean_large
+from gsvis.files.objects import open_store
+from gsvis.io import batches, load_scene, save_scene
+from gsvis.io.ply import save_ply_parts
+from gsvis.pvs.workers import Workers
+from gsvis.scene.content import scene_hash
+from gsvis.scene.gaussians import Gaussians
+from gsvis.world.tiling import TilingConfig
+from tests.edit.worlds import QUICK, dirty_room
+
+DIRTY = dirty_room()
+
+
+def cleaned(folder: Path, g: Gaussians, most: int = 2500, **workers: int) -> LargeCleaning:
+    save_scene(g, folder / "scene.ply")
+    tiling = TilingConfig(most, up="+z")
+    return clean_large((str(folder / "scene.ply"), None), QUICK, tiling, open_store(folder / "work"), **_of(workers))
+
+
+def _of(workers: dict[str, int]) -> dict[str, Workers]:
+    return {"workers": Workers(1, **workers)} if workers else {}
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory: pytest.TempPathFactory) -> LargeCleaning:
+    return cleaned(tmp_path_factory.mktemp("large"), DIRTY.scene)
+
+
+@pytest.fixture(scope="module")
+def classes(found: LargeCleaning) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
+    return np.concatenate(list(found.classes()))
+
+
+def test_the_scene_is_cut(found: LargeCleaning) -> None:
+    assert found.tiles >= 3  # the outside is one
+    assert found.around > 0
+
+
+@pytest.mark.parametrize("name", CLASSES)
+def test_what_was_put_in_is_found_in_its_class(classes: np.ndarray, name: str) -> None:  # type: ignore[type-arg]
+    there = DIRTY.classes == class_of(name)
+    assert classes[there].tolist() == [class_of(name)] * int(there.sum())
+
+
+def test_the_room_stays(classes: np.ndarray) -> None:  # type: ignore[type-arg]
+    own = DIRTY.classes == 0
+    assert (classes[own] == 0).mean() > 0.995
+
+
+def test_counts_and_parts_agree_with_the_classes_in_the_order_of_the_scene(
+    found: LargeCleaning,
+    classes: np.ndarray,
+    tmp_path: Path,  # type: ignore[type-arg]
+) -> None:
+    assert found.gaussians == len(DIRTY.scene)
+    assert found.kept == int((classes == 0).sum())
+    assert found.removed == {name: int((classes == class_of(name)).sum()) for name in CLASSES}
+    save_scene(DIRTY.scene, tmp_path / "whole.ply")
+    save_scene(load_scene(tmp_path / "whole.ply")[classes == 0], tmp_path / "wanted.ply")
+    save_ply_parts(found.parts(), tmp_path / "parts.ply", found.kept, found.sh_degree)
+    assert (tmp_path / "parts.ply").read_bytes() == (tmp_path / "wanted.ply").read_bytes()
+
+
+def test_order_and_batches_change_nothing(
+    found: LargeCleaning,
+    classes: np.ndarray,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,  # type: ignore[type-arg]
+) -> None:
+    monkeypatch.setattr(batches, "ROWS", 1500)
+    turn = np.random.default_rng(3).permutation(len(DIRTY.scene))
+    again = cleaned(tmp_path, DIRTY.scene[turn])
+    assert len(again.build.batches) == 3
+    np.testing.assert_array_equal(np.concatenate(list(again.classes())), classes[turn])
+    assert scene_hash(Gaussians.concatenate(list(again.parts()))) == scene_hash(
+        load_scene(tmp_path / "scene.ply")[classes[turn] == 0]
+    )
+
+
+def test_a_tile_that_does_not_fit_the_memory_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="Gaussians in and around it for the memory, got"):
+        cleaned(tmp_path, DIRTY.scene, max_memory=500 << 20)
