@@ -143,7 +143,10 @@ PAGES = {
             "scaling",
         ),
     ),
-    "world": Page("Worlds", ("world_borders", "world_borders_far", "world", "world_opening", "world_kills", "out_of_core", "world_cluster")),
+    "world": Page(
+        "Worlds",
+        ("world_borders", "world_borders_far", "world", "world_opening", "world_kills", "out_of_core", "world_cluster"),
+    ),
     "edit": Page("Editing scenes", ("cut", "cut_unseen", "clean")),
     "viewer": Page(
         "The viewer",
