@@ -59,6 +59,8 @@ def list_batches(path: str | os.PathLike[str], lod: int | None = None) -> list[B
         ValueError: If `lod` is given for a format with one level.
     """
     where = os.fspath(_check.path("path", path))
+    if where.startswith("~"):  # a folder of that name, which a text means only so
+        where = os.path.join(os.curdir, where)
     if check_scene(where, lod):
         level, files = streamed_files(where, lod)
         return [Batch(where, level, "file", number, count, *_size_and_stamp(at)) for number, count, at in files]
