@@ -43,26 +43,14 @@ def main() -> None:
     given.work.mkdir(parents=True, exist_ok=True)
     parts = given.only or ("convert", "scene", "larger")
     runs, figures = dict[str, dict[str, Any]](), list[dict[str, Any]]()
-    scene, larger = (
-        [str(realdata() / "scenes/showroom/lod-meta.json"), "--lod", str(given.lod)],
-        given.work / "large.ply",
-    )
+    scene = [str(realdata() / "scenes/showroom/lod-meta.json"), "--lod", str(given.lod)]
+    larger = given.work / "large.ply"
     copies = given.work / f"copies-{given.copied}-{given.copies}"
     if not copies.is_dir():
         write_copies(scene[0], given.copied, given.copies, copies)
     runs["merge"] = command("convert", *map(str, sorted(copies.glob("*.ply"))), "-o", str(larger), "--overwrite")
     if "convert" in parts:
-        out = [
-            "-o",
-            str(given.work / "converted.ply"),
-            "--overwrite",
-            "--min-opacity",
-            "0.02",
-            "--rotate",
-            "0",
-            "0",
-            "9",
-        ]
+        out = ["-o", str(given.work / "converted.ply"), "--overwrite", "--min-opacity", "0.02", "--rotate", *"009"]
         runs["convert scene"] = command("convert", *scene, *out)
         runs["convert larger"] = command("convert", str(larger), *out)
         pair = [runs[f"convert {which}"] for which in ("scene", "larger")]

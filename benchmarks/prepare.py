@@ -6,7 +6,8 @@ figures: times on a busy machine say little.
 
 Given: scenes, defaults of the command.
 Measured: seconds from start to exit, peak PSS, and both against the estimate.
-Defaults chosen on: showroom LOD 3 and flowers LOD 3 (rays, faces, steps). Nika and guitar had no part in it.
+Defaults chosen on: showroom LOD 3 and flowers LOD 3 (rays, faces, steps), guitar (sets of thin objects, their
+    estimate). Nika had no part in it.
 """
 
 from __future__ import annotations

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from gsvis.edit import CLASSES, LargeCleaning, class_of, clean_large
 from gsvis.files.objects import open_store
@@ -17,17 +18,15 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.world.tiling import TilingConfig
 from tests.edit.worlds import QUICK, dirty_room
 
+Classes = NDArray[np.uint8]
+
 DIRTY = dirty_room()
 
 
-def cleaned(folder: Path, g: Gaussians, most: int = 2500, **workers: int) -> LargeCleaning:
+def cleaned(folder: Path, g: Gaussians, max_memory: int | None = None) -> LargeCleaning:
     save_scene(g, folder / "scene.ply")
-    tiling = TilingConfig(most, up="+z")
-    return clean_large((str(folder / "scene.ply"), None), QUICK, tiling, open_store(folder / "work"), **_of(workers))
-
-
-def _of(workers: dict[str, int]) -> dict[str, Workers]:
-    return {"workers": Workers(1, **workers)} if workers else {}
+    tiling, workers = TilingConfig(2500, up="+z"), Workers(1, max_memory=max_memory)
+    return clean_large((str(folder / "scene.ply"), None), QUICK, tiling, open_store(folder / "work"), workers=workers)
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +35,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> LargeCleaning:
 
 
 @pytest.fixture(scope="module")
-def classes(found: LargeCleaning) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
+def classes(found: LargeCleaning) -> Classes:
     return np.concatenate(list(found.classes()))
 
 
@@ -46,20 +45,18 @@ def test_the_scene_is_cut(found: LargeCleaning) -> None:
 
 
 @pytest.mark.parametrize("name", CLASSES)
-def test_what_was_put_in_is_found_in_its_class(classes: np.ndarray, name: str) -> None:  # type: ignore[type-arg]
+def test_what_was_put_in_is_found_in_its_class(classes: Classes, name: str) -> None:
     there = DIRTY.classes == class_of(name)
     assert classes[there].tolist() == [class_of(name)] * int(there.sum())
 
 
-def test_the_room_stays(classes: np.ndarray) -> None:  # type: ignore[type-arg]
+def test_the_room_stays(classes: Classes) -> None:
     own = DIRTY.classes == 0
     assert (classes[own] == 0).mean() > 0.995
 
 
 def test_counts_and_parts_agree_with_the_classes_in_the_order_of_the_scene(
-    found: LargeCleaning,
-    classes: np.ndarray,
-    tmp_path: Path,  # type: ignore[type-arg]
+    found: LargeCleaning, classes: Classes, tmp_path: Path
 ) -> None:
     assert found.gaussians == len(DIRTY.scene)
     assert found.kept == int((classes == 0).sum())
@@ -71,10 +68,7 @@ def test_counts_and_parts_agree_with_the_classes_in_the_order_of_the_scene(
 
 
 def test_order_and_batches_change_nothing(
-    found: LargeCleaning,
-    classes: np.ndarray,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,  # type: ignore[type-arg]
+    found: LargeCleaning, classes: Classes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(batches, "ROWS", 1500)
     turn = np.random.default_rng(3).permutation(len(DIRTY.scene))

@@ -196,7 +196,7 @@ def _open(square, lit, extent):
     return extent[0] * extent[1]
 
 
-@njit(cache=True)
+@inner
 def _is_reached(rectangles, order, corner, extent):
     """Return whether the rectangle of a cluster meets a square."""
     column, line = np.int64(corner[0]), np.int64(corner[1])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from gsvis._kernels.compiled import inner, kernel
 
@@ -13,7 +12,7 @@ _WIDTH = 8  # children of a node
 _TINY = 1e-12
 
 
-@njit(cache=True)
+@inner
 def _tangents(low, high, z_low, z_high):
     """Return the least and the largest u / z over u in low..high and z in z_low..z_high, z_low > 0."""
     return (low / z_high if low >= 0.0 else low / z_low), (high / z_low if high >= 0.0 else high / z_high)
