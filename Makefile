@@ -97,10 +97,10 @@ others: .venv/.gsvis-dev .venv/.gsvis-docs
 	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target examples lint types viewer-check docs doctests
 
 # Tests that start processes, listen on sockets, lock files or wait for others.
-STRESSED := tests/serve tests/stream tests/tools \
-    $(addprefix tests/cli/test_,serve.py process.py pvs.py color.py levels.py) \
+STRESSED := tests/serve tests/stream tests/tools tests/viewer tests/world \
+    $(addprefix tests/cli/test_,serve.py view.py world.py process.py pvs.py color.py levels.py) \
     $(addprefix tests/pvs/test_,build.py cluster.py journal.py store.py) \
-    tests/simulate/test_link.py tests/files/test_atomic.py
+    tests/simulate/test_link.py $(addprefix tests/files/test_,atomic.py locks.py)
 
 # Kernels are compiled anew in the first run, as for a newcomer. The loops end with the tests, or at the limit.
 stress: .venv/.gsvis-dev

@@ -6,9 +6,10 @@ import random
 import signal
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Iterator
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from gsvis.world.graph import Task, machine_kind, run_graph
 from gsvis.world.memory import IDLE
 from tests.world.small_tasks import HERE, tree
 
+HANG_S = 300.0
 TOTAL = "(((leaf 0 leaf 1) (leaf 2 leaf 3)) ((leaf 4 leaf 5) (leaf 6 leaf 7)))"
 
 
@@ -127,36 +129,36 @@ def test_processes_that_die_again_and_again_end_with_one_line(tmp_path: Path) ->
 
 
 def test_a_slow_worker_holds_up_nothing_else(tmp_path: Path) -> None:
-    order: list[str] = []
-    tasks = [Task("slow", f"{HERE}:slow", {"value": 1, "seconds": 3.0}), *tree(4)]
-
-    class Noting(ThreadPoolExecutor):
-        def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
-            future = super().submit(fn, *args, **kwargs)
-            future.add_done_callback(lambda _: order.append(args[0].task.name))
-            return future
-
-    # Tasks hold a lock for kernels in one process, so the slow one waits outside of it.
-    with Noting(2) as executor:
-        run_graph(tasks, open_store(tmp_path), Workers(2, executor=_Unlocked(executor)))
-    assert order[-1] == "slow"
+    tasks = [Task("slow", f"{HERE}:count", {"value": 1}), *tree(4)]
+    with _SlowWorker(2, others=len(tasks) - 1) as executor:
+        run_graph(tasks, open_store(tmp_path), Workers(2, executor=executor))
+        assert executor.is_last
 
 
-class _Unlocked(Executor):
-    """Runs the tasks named slow without the lock of kernels, as on a worker of its own."""
+class _SlowWorker(ThreadPoolExecutor):
+    """Keeps the task named slow, outside of the lock that tasks hold for kernels, until all others have ended."""
 
-    def __init__(self, executor: Executor) -> None:
-        self._executor = executor
+    def __init__(self, workers: int, others: int) -> None:
+        super().__init__(workers)
+        self.is_last = False
+        self._left = others
+        self._others_ended = threading.Event()
 
     def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
         if args[0].task.name == "slow":
-            return self._executor.submit(_wait_then_perform, *args)
-        return self._executor.submit(fn, *args, **kwargs)
+            return super().submit(self._wait_then_run, fn, *args)
+        future = super().submit(fn, *args, **kwargs)
+        future.add_done_callback(self._count)
+        return future
 
+    def _count(self, _: Future[Any]) -> None:
+        self._left -= 1
+        if not self._left:
+            self._others_ended.set()
 
-def _wait_then_perform(job: graph.Job) -> graph.Result:
-    time.sleep(3.0)
-    return graph.perform(job)
+    def _wait_then_run(self, fn: Callable[..., Any], *args: Any) -> Any:
+        self.is_last = self._others_ended.wait(HANG_S)
+        return fn(*args)
 
 
 def test_another_version_or_processor_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -199,7 +201,7 @@ def test_kills_at_random_moments_change_no_byte(tmp_path: Path) -> None:
     done = 0
     for _ in range(8):
         process = start(killed)
-        deadline = time.monotonic() + 60.0
+        deadline = time.monotonic() + HANG_S
         while not (killed / "notes").is_dir() and time.monotonic() < deadline and process.poll() is None:
             time.sleep(0.01)
         time.sleep(0.15 * rng.random())
