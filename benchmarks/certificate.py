@@ -1,11 +1,12 @@
 """How much light do visible sets miss, is the bound right, and how large are the sets?
 
-Cells of showroom LOD 3 are drawn at random, and their sets are found as `gsvis pvs` finds them: from shared viewpoints,
-certified and mended by rays. Rays that no build uses then measure the truth: twenty times as many as certified the
-cell. A bound that lies below is a violation. Of some of these rays, 2,048 and 8,192, three more are shown: by betting,
-an empirical Bernstein bound, and the normal approximation, which is no bound. The sets of some cells are found by the
-rule that was before it, too: 6 to 24 spread viewpoints at 320 pixels, until two grow the set by at most 1%. A sample of
-rays is traced a second time, through the proxy meshes by Open3D's Embree.
+Cells of showroom LOD 3 are drawn at random, and their sets are found as `gsvis pvs` finds them: from viewpoints that
+the whole grid shares, some of which look finely, certified and mended by rays. Rays that no build uses then measure the
+truth: twenty times as many as certified the cell. A bound that lies below is a violation. Of some of these rays, 2,048
+and 8,192, three more are shown: by betting, an empirical Bernstein bound, and the normal approximation, which is no
+bound. The sets of some cells are found by the rule that was before it, too: 6 to 24 spread viewpoints at 320 pixels,
+until two grow the set by at most 1%. A sample of rays is traced a second time, through the proxy meshes by Open3D's
+Embree.
 
 Given: showroom LOD 3, its cells; no levels.
 Measured: missed weight over all weight on random rays from free points outside everything solid, in the mean of cells
@@ -23,20 +24,18 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-from _cells import DrawnCells, add_cell_arguments, draw_cells
+from _cells import DrawnCells, add_cell_arguments, draw_cells, find_sets
 from _harness import add_arguments, write_result
 from numba import get_num_threads
 from numpy.typing import NDArray
 from scipy.stats import binom
 
 from gsvis.pvs.bound import upper_bound
-from gsvis.pvs.cell_view import CellView, Finder, Sighting
+from gsvis.pvs.cell_view import CellView
 from gsvis.pvs.certificate import Certificate, CertificateConfig, Certifier
 from gsvis.pvs.config import PvsConfig
 from gsvis.pvs.look import Look
-from gsvis.pvs.viewpoints import SharedViewpoints
 from gsvis.raycast import TAU, CrossCheck, EllipsoidProxies, Tracer, cross_check
-from gsvis.scene.levels import Levels
 from gsvis.scene.solid import buried
 
 F64 = NDArray[np.float64]
@@ -83,21 +82,6 @@ def main() -> None:
         figures(views, true, before, check, rays / seconds),
         details,
     )
-
-
-def find_sets(drawn: DrawnCells, config: PvsConfig) -> dict[int, CellView]:
-    """Return the view of each drawn cell, by number, as a build finds it."""
-    shared = SharedViewpoints(drawn.viewpoints)
-    finder = Finder(Levels.single(drawn.scene), config)
-    seen: dict[int, Sighting] = {}
-    views = {}
-    for cell in drawn.cells:
-        for k in shared.of_cell(cell).tolist():
-            if k not in seen:
-                seen[k] = finder.look(shared.points[k])
-        views[cell] = finder.find_cell(drawn.viewpoints.voxels(cell), [seen[k] for k in shared.of_cell(cell).tolist()])
-        print(f"cell {cell}: {len(views[cell].ids):,} Gaussians", file=sys.stderr, flush=True)
-    return views
 
 
 def find_sets_before(drawn: DrawnCells, cells: list[int]) -> dict[int, int]:

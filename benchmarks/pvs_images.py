@@ -18,18 +18,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from _cells import add_cell_arguments, draw_cells, find_sets, store_of
 from _harness import add_arguments, write_result
 from numpy.typing import NDArray
-from pvs_quality import drawn, read_scene, said
 
-from gsvis.pvs.build import build_pvs
-from gsvis.pvs.cells import CellGrid
+from gsvis.pvs.config import PvsConfig
 from gsvis.pvs.store import VisibilityStore
 from gsvis.pvs.viewpoints import CellViewpoints
 from gsvis.render import psnr, rasterize, view_weights
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
-from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.solid import buried
 
 QUESTION = "Do images from visible sets match the full scene, at the size of a display?"
@@ -43,26 +41,18 @@ Rows = dict[str, list[list[float]]]
 
 
 def main() -> None:
-    parser = add_arguments(argparse.ArgumentParser(description=__doc__))
-    parser.add_argument("--scene", default="showroom", help="folder of scenes/, a path, or builtin:NAME")
-    parser.add_argument("--lod", type=int, default=3)
-    parser.add_argument("--max-cells", type=int, default=256, help="of the grid")
-    parser.add_argument("--cells", type=int, default=10, help="cells measured")
+    parser = add_cell_arguments(add_arguments(argparse.ArgumentParser(description=__doc__)))
     parser.add_argument("--viewpoints", type=int, default=4, help="fresh ones a cell")
     parser.add_argument("--size", type=int, default=128, help="pixels of the faces that measure recall")
-    parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
-    g = read_scene(options)
-    space = NavigableSpace.from_scene(g)
-    whole = CellGrid.over(space, max_cells=options.max_cells)
-    grid = drawn(whole, options.cells, options.seed)
+    drawn, config = draw_cells(options), PvsConfig()
     with (
         tempfile.TemporaryDirectory() as folder,
-        build_pvs(g, grid, space, Path(folder) / "drawn.pvs", progress=said) as store,
+        store_of(drawn, find_sets(drawn, config), config, Path(folder) / "drawn.pvs") as store,
     ):
-        found = measure(store, g, CellViewpoints(grid, space), options)
-        details = {"gaussians": len(g), "cells": len(grid), "cells_of_the_grid": len(whole), "found": found}
-        details |= {"build": dict(store.info.config), "inner": store.certificates.inner}
+        found = measure(store, drawn.scene, CellViewpoints(store.grid, drawn.viewpoints.space), options)
+        details = {"gaussians": len(drawn.scene), "cells": len(store), "cells_of_the_grid": len(drawn.grid)}
+        details |= {"found": found, "build": dict(store.info.config), "inner": store.certificates.inner}
     write_result(options.out, QUESTION, list_figures(found), details)
 
 

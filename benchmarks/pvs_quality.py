@@ -7,8 +7,8 @@ from the set and from the full scene (PSNR, values clipped to [0, 1] as a displa
 the image drawn from exactly the Gaussians with a weight of at least tau in it. The dense union is what 27 more fresh
 viewpoints of the cell see on faces of `--dense-size` pixels, 320 as the target says.
 
-With `--store` a finished store is measured. Without, only the drawn cells of the grid are built: the sets are the
-same.
+With `--store` a finished store is measured. Without, only the drawn cells of the grid are built, from the viewpoints
+that they share with all others: their sets are those of a whole build.
 
 Given: showroom LOD 3, its cells, sets built as `gsvis pvs` builds them.
 Measured: recall at 128 pixels a face, size over a dense union at 320, PSNR at 480 x 360, from fresh viewpoints.
@@ -24,40 +24,31 @@ import time
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from _harness import add_arguments, realdata, write_result
+from _cells import add_cell_arguments, draw_cells, find_sets, store_of
+from _harness import add_arguments, write_result
 
-from gsvis.cli.source import load_source
-from gsvis.pvs.build import build_pvs
-from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.config import PvsConfig
 from gsvis.pvs.quality import Quality, QualityConfig, measure_quality
 from gsvis.pvs.store import VisibilityStore
 from gsvis.pvs.viewpoints import CellViewpoints
 from gsvis.scene.content import space_hash
 from gsvis.scene.gaussians import Gaussians
-from gsvis.scene.navigable import NavigableSpace
 
 
 def main() -> None:
-    parser = add_arguments(argparse.ArgumentParser(description=__doc__))
-    parser.add_argument("--scene", default="showroom", help="folder of scenes/, a path, or builtin:NAME")
-    parser.add_argument("--lod", type=int, default=3)
+    parser = add_cell_arguments(add_arguments(argparse.ArgumentParser(description=__doc__)))
     parser.add_argument("--store", type=Path, help="a store of the scene; without it the drawn cells are built")
-    parser.add_argument("--max-cells", type=int, default=256, help="of the grid, without --store")
     parser.add_argument("--method", default=PvsConfig.method, help="of building, without --store")
     parser.add_argument(
         "--size", type=int, default=PvsConfig.size, help="pixels of a face in building, without --store"
     )
-    parser.add_argument("--cells", type=int, default=10, help="cells measured")
     parser.add_argument("--viewpoints", type=int, default=4, help="fresh ones a cell")
     parser.add_argument("--dense", type=int, default=27, help="viewpoints of the dense union; 0 for none")
     parser.add_argument("--dense-size", type=int, default=320, help="pixels of the faces around these viewpoints")
     parser.add_argument("--rays", action="store_true", help="ask by ray casting, too, what is visible")
-    parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
-    g = read_scene(options)
-    space = NavigableSpace.from_scene(g)
+    drawn = draw_cells(options)
+    g, space = drawn.scene, drawn.viewpoints.space
     config = QualityConfig(
         cells=options.cells,
         viewpoints=options.viewpoints,
@@ -67,23 +58,13 @@ def main() -> None:
         seed=options.seed,
     )
     with tempfile.TemporaryDirectory() as folder:
-        grid_cells, seconds_to_build = None, None
+        seconds_to_build = None
         if options.store is None:
-            whole = CellGrid.over(space, max_cells=options.max_cells)
-            grid = drawn(whole, options.cells, options.seed)
-            grid_cells, start = len(whole), time.perf_counter()
-            store = build_pvs(
-                g,
-                grid,
-                space,
-                Path(folder) / "drawn.pvs",
-                PvsConfig(method=options.method, size=options.size),
-                progress=said,
-            )
+            start, build = time.perf_counter(), PvsConfig(method=options.method, size=options.size)
+            store = store_of(drawn, find_sets(drawn, build), build, Path(folder) / "drawn.pvs")
             seconds_to_build = time.perf_counter() - start
         else:
             store = VisibilityStore.open(options.store, scene=g)
-            grid_cells = len(store)
             if store.info.config.get("space") != space_hash(space):
                 raise SystemExit(f"{options.store}: built in another navigable space than this scene has by default")
         with store:
@@ -92,7 +73,7 @@ def main() -> None:
             seconds = time.perf_counter() - start
             details = described(store, g, found)
     details |= {
-        "cells_of_the_grid": grid_cells,
+        "cells_of_the_grid": len(drawn.grid),
         "store": "given" if options.store else f"only the {options.cells} drawn cells were built",
         "seconds_to_build": seconds_to_build,
         "seconds_to_measure": seconds,
@@ -100,19 +81,6 @@ def main() -> None:
     write_result(
         options.out, "Do the visible sets hold what fresh viewpoints see, and are they small?", figures(found), details
     )
-
-
-def read_scene(options: argparse.Namespace) -> Gaussians:
-    """Return the scene, read from wherever it is."""
-    if options.scene.startswith("builtin:") or Path(options.scene).exists():
-        return load_source(options.scene, None).gaussians
-    return load_source(str(realdata() / "scenes" / options.scene / "lod-meta.json"), options.lod).gaussians
-
-
-def drawn(grid: CellGrid, count: int, seed: int) -> CellGrid:
-    """The same grid with only `count` of its cells."""
-    some = np.sort(np.random.default_rng(seed).choice(len(grid), min(count, len(grid)), replace=False))
-    return CellGrid(grid.origin, grid.cell_size, grid.shape, grid.coords[some], grid.up)
 
 
 def figures(found: Quality) -> list[dict[str, Any]]:

@@ -7,8 +7,9 @@ manifest, as JSON, and from the parts, through the reader of packages that the s
 apart by the code of our client. Neither is what encodes messages. WELCOME is compared with the rules of
 docs/streaming.md, but for its identity, which only has to be the same in all visits.
 
-Given: 30 viewers behind links of one rate (`--mbit`), each walking and beginning anew when the server has nothing more for it; the
-    numbers of hostile clients and their pauses, in `_hostile.CROWD`; 30 minutes, five sixths of them under attack.
+Given: 30 viewers behind links of one rate (`--mbit`), each walking and beginning anew when the server has nothing more
+    for it; the numbers of hostile clients and their pauses, in `_hostile.CROWD`; 30 minutes, five sixths of them under
+    attack.
     Attackers and checks yield to the viewers on the cores that the server does not use (nice 15 and 10), as on machines
     of their own; where 60 visits wait for checks, no other visit begins.
 Measured: bytes that differ; visits that the server cut; the delay from the acknowledgement that makes room for a batch
