@@ -29,7 +29,7 @@ const OWN = {
     "detailed doubleClick drag dropped east enterXr fast firstImageSeconds flyTo flying focused fovY " +
     "frameMilliseconds goHome goTo gpuBytes harmonicBytes inspecting isBusy known layout levelsShown listen " +
     "makeSource makeViewer maxPixelRatio meter mostIntensity mostScale moved navigator nearest nextMode " +
-    "nextPaint north offered onComplete onContent onFailure onOrder onRenumbered optionsShown perGaussian " +
+    "nextPaint north offered onComplete onContent onFailure onOrder onRenumbered optionsShown " +
     "pickCenter pixelRatio placeOf problem program recycle redraw refocus reframe refresh reserve rested " +
     "savePicture screenshot setFov setMode setOrder settled shown shows sortMilliseconds sortWorker sorting " +
     "spent stale standOn statisticsShown stepView surroundings tableTexture targets termCount termsShown texels " +

@@ -44,7 +44,7 @@ _PIECE = 3 << 20  # bytes of a file that are written at once as base64
 _DISTANCE = 3.0  # from an eye to what it looks at, in settings
 
 _POLICY = (
-    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self' ws: wss:;"
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self';"
     " worker-src 'self'; base-uri 'none'; form-action 'none'"
 )
 

@@ -145,12 +145,14 @@ class Receiver:
         """Return first ids of chunks, ascending, the row of each, and all rows, with the chunks of a batch added.
 
         Raises:
-            ValueError: If chunks overlap, or their ids or levels are not of the scene.
+            ValueError: If chunks overlap, are more than the scene has, or their ids or levels are not of the scene.
         """
         fresh = self._are_new(s.chunks)
         if not fresh.any():
             return self._starts, self._rows, self._table
         r, first = s.rows[fresh], s.chunks[fresh]
+        if len(self._table) + len(first) > self.about.chunks:
+            raise ValueError(f"chunks: expected at most {self.about.chunks:,}, got more")
         origins, steps, lows, strides, counts = (
             np.ascontiguousarray(r[name]) for name in ("origin", "step", "low", "stride", "count")
         )
@@ -193,16 +195,20 @@ class Receiver:
         """Add a batch to the holdings; return the ids of Gaussians that are no longer drawn.
 
         Raises:
-            ValueError: If the client has an id already, a term comes before its Gaussian, or a Gaussian is replaced
-                twice.
+            ValueError: If the client has an id already, a term comes before its Gaussian, a Gaussian comes after it was
+                replaced or is replaced twice, or something is evicted though there is no limit of memory.
         """
         held = self.holdings.copy()
         if len(s.evicted):
+            if self.memory == 0:
+                raise ValueError("evicted: expected none without a limit of memory, got some")
             held.evict(s.evicted, self._drawn.terms_of(s.evicted))
         was_gone = held.gone.copy()
         held.add(s.gaussians, s.terms, s.gone)
         if len(s.terms) and not _are_in(held.sent, s.owners).all():
             raise ValueError("terms: expected those of Gaussians that have come, got others")
+        if np.any(_are_in(was_gone, s.gaussians)):
+            raise ValueError("gaussians: expected none that is replaced, got one")
         if np.any(_are_in(was_gone, s.gone)):
             raise ValueError("gone: expected each once, got one again")
         self.holdings = held

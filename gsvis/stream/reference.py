@@ -7,7 +7,7 @@ from itertools import pairwise
 
 from gsvis.package.codec import ChunkTable
 
-__all__ = ["PlainReader", "decode_values", "encode_values", "read_record", "read_term", "table_slots"]
+__all__ = ["PlainReader", "decode_values", "encode_values", "longest_step", "read_record", "read_term", "table_slots"]
 
 
 def encode_values(values: list[int], order: int) -> str:
@@ -146,7 +146,7 @@ def read_record(
         wide = left = int(table.bits[row, k])
         if limits is not None:
             limit = min(limits[0] - (middle * stride) // 2 - _logarithm(opacity), size - middle * stride) // 64
-            left -= min(max(limit - _longest_step(table, row, k), 0), wide)
+            left -= min(max(limit - longest_step(table, row, k), 0), wide)
         place = reader.bits(left) << (wide - left)
         field = place | turns[k] << position | scales[k] << (position + rotation)
         word |= field << (k * sum(bits))
@@ -154,11 +154,17 @@ def read_record(
     return color + word.to_bytes(12, "little"), 2 * size + weight
 
 
-def _longest_step(table: ChunkTable, row: int, axis: int) -> int:
-    """Return log2 of the longest step of a coordinate, rounded up."""
+def longest_step(table: ChunkTable, row: int, axis: int) -> int:
+    """Return log2 of the longest step of a coordinate, rounded up; at least -126, and -127 for a step of 0.
+
+    Args:
+        table: Rows of chunks.
+        row: One of them.
+        axis: 0, 1 or 2.
+    """
     step, origin = float(table.steps[row, axis]), float(table.origins[row, axis])
     fraction, exponent = math.frexp(abs(step))
-    found: int = -127 if step == 0 else exponent - 1 + (fraction > 0.5)
+    found: int = -127 if step == 0 else max(exponent - 1 + (fraction > 0.5), -126)
     if step >= 0:
         return found
     end = origin - step * (2 ** int(table.bits[row, axis]) - 1)

@@ -68,7 +68,9 @@ def test_a_site_has_the_page_its_scripts_and_the_scene(viewer: Path, scene: Gaus
     )
     scripts = [(a.get("src"), text.strip()) for tag, a, text in page.found if tag == "script"]
     assert scripts == [("viewer/page.js", "")]
-    assert "script-src 'self'" in str(metas["Content-Security-Policy"])
+    rules = [rule.split() for rule in str(metas["Content-Security-Policy"]).split(";")]
+    assert ["script-src", "'self'"] in rules
+    assert ["connect-src", "'self'"] in rules  # also with `?content=wss://elsewhere`
     for name in ("page.js", "sort.js", "static.js", "page.css"):
         assert (tmp_path / "site" / "viewer" / name).read_bytes() == (viewer / name).read_bytes()
     assert len(Reader(tmp_path / "site" / "scene").ids) == 200

@@ -7,12 +7,11 @@ import logging
 import re
 import shlex
 import shutil
-import socket
 import ssl
 import subprocess
 import urllib.request
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from urllib.error import HTTPError
 from urllib.parse import urljoin
@@ -22,30 +21,12 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from gsvis.serve import ClientConfig, Limits, Server
-from tests.serve.servers import ask, has_all, patient, serving, until
+from tests.serve.nginx import GUARD_S, NGINX, free_port, nginx
+from tests.serve.servers import ask, has_all, patient, serving
 
 ROOT = Path(__file__).parents[2]
 DEPLOY = ROOT / "examples" / "deploy"
-NGINX = shutil.which("nginx") or shutil.which("/usr/sbin/nginx")
 OPENSSL = shutil.which("openssl")
-GUARD_S = 120.0
-
-FRAME = """\
-daemon off;
-master_process off;
-pid {folder}/nginx.pid;
-error_log {folder}/error.log;
-events {{ worker_connections 128; }}
-http {{
-    access_log off;
-    client_body_temp_path {folder}/body;
-    proxy_temp_path {folder}/proxy;
-    fastcgi_temp_path {folder}/fastcgi;
-    uwsgi_temp_path {folder}/uwsgi;
-    scgi_temp_path {folder}/scgi;
-    include {folder}/site.conf;
-}}
-"""
 
 needs_nginx = pytest.mark.skipif(NGINX is None or OPENSSL is None, reason="needs nginx, and openssl for a certificate")
 
@@ -75,8 +56,7 @@ def site(text: str, changes: dict[str, str]) -> str:
 def proxied(server: Server, folder: Path, **changes: str) -> Iterator[tuple[str, ssl.SSLContext]]:
     """nginx in front of a server: "127.0.0.1:PORT", and who trusts its certificate."""
     chain, key = certificate(folder)
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
+    port = free_port()
     text = site(
         (DEPLOY / "nginx.conf").read_text(),
         {
@@ -88,25 +68,8 @@ def proxied(server: Server, folder: Path, **changes: str) -> Iterator[tuple[str,
             **changes,
         },
     )
-    (folder / "site.conf").write_text(text)
-    (folder / "nginx.conf").write_text(FRAME.format(folder=folder))
-    running = subprocess.Popen(
-        [str(NGINX), "-p", str(folder), "-c", str(folder / "nginx.conf"), "-e", str(folder / "error.log")],
-        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
-
-    def answers() -> bool:
-        assert running.poll() is None, (folder / "error.log").read_text()
-        with suppress(OSError), socket.create_connection(("127.0.0.1", port), timeout=GUARD_S):
-            return True
-        return False
-
-    try:
-        until(answers, GUARD_S)
+    with nginx(folder, text, port):
         yield f"127.0.0.1:{port}", ssl.create_default_context(cafile=str(chain))
-    finally:
-        running.kill()
-        running.communicate()
 
 
 def fetched(url: str, tls: ssl.SSLContext) -> tuple[int, bytes]:

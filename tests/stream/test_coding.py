@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -16,7 +17,7 @@ from gsvis.package.codec import ChunkTable
 from gsvis.package.layout import RecordLayout, TermLayout
 from gsvis.stream._kernels import coder, records, terms
 from gsvis.stream.coding import Coding, Quality, Steps, chunks_of, coarsen, table_sizes
-from gsvis.stream.reference import PlainReader, read_record, read_term, table_slots
+from gsvis.stream.reference import PlainReader, longest_step, read_record, read_term, table_slots
 from gsvis.stream.tables import MOST_LEVEL, Tables
 from tests.package.worlds import colors_of, levels_of, without_wide_places
 
@@ -127,6 +128,18 @@ def test_the_plain_twin_reads_the_same(coarse: bool, seed: int, share: float) ->
             word, lead = read_term(reader, lead if k and owners[some[k]] == owners[some[k - 1]] else None)
             assert word.to_bytes(5, "little") == contents.term_records[some[k]].tobytes()
         reader.end()
+
+
+@given(seed=SEEDS)
+@settings(max_examples=20)
+def test_the_longest_step_is_that_of_the_plain_twin(seed: int) -> None:
+    """Down to steps that float32 has as denormal numbers alone."""
+    rng = np.random.default_rng(seed)
+    table = hostile_table(rng, 300, 14)
+    powers = np.where(table.logarithmic[:, None], 0, rng.integers(-149, 3, table.steps.shape))
+    table = replace(table, steps=np.ldexp(table.steps, powers))
+    found = chunks_of(table).steps
+    assert found.tolist() == [[longest_step(table, row, k) for k in range(3)] for row in range(len(table))]
 
 
 @pytest.mark.parametrize("variant", ["rgb", "hsl"])

@@ -93,7 +93,7 @@ def test_memory_is_what_makes_a_server_evict(scenes: dict[str, StreamedScene]) -
 
 def test_a_batch_that_evicts_what_the_client_does_not_have_changes_nothing(scenes: dict[str, StreamedScene]) -> None:
     scene = scenes["rgb"]
-    receiver, session = Receiver(scene.header), Session(scene, VIEW)
+    receiver, session = Receiver(scene.header, memory=1 << 20), Session(scene, VIEW)
     session.welcome(0.0)
     session.on_pose(0.0, scene.index.grid.centers[0], [1, 0, 0, 0])
     message = session.next_message(0.0, 3000.0)

@@ -193,6 +193,38 @@ def test_a_client_refuses_rows_of_chunks_that_the_protocol_does_not_have(scene: 
             receive(**values)
 
 
+def test_rules_of_batches_hold_for_ids_that_came_before(scene: StreamedScene) -> None:
+    """A row of a chunk that comes again is ignored; the others are refused, and change nothing."""
+    about, none = scene.about, np.zeros(0, np.uint8)
+
+    def batch(
+        sequence: int, *, chunks: np.ndarray = NONE, gone: np.ndarray = NONE, evicted: np.ndarray = NONE
+    ) -> bytes:
+        rows = scene.chunk_rows[np.searchsorted(scene.starts, chunks)]
+        return Sections(sequence, chunks, rows, NONE, none, NONE, NONE, none, gone, evicted).to_message(about)
+
+    first, some = scene.starts[:1], np.array([1], np.int64)
+    receiver = Receiver(scene.header)
+    receiver.receive(batch(1, chunks=first, gone=some))
+    receiver.receive(batch(2, chunks=scene.starts[:2]))
+    before = receiver.holdings.to_bytes()
+    arrives = Sections.parse(message(about, gaussians=[1]), about)
+    coded = scene.coding.encode_some(scene.parts, np.ones(1, np.int32), scene.chunks[1:2], scene.chunk_numbers)
+    for data, words in (
+        (batch(3, gone=some), "gone: expected each once"),
+        (replace(arrives, sequence=3, records=coded).to_message(about), "expected none that is replaced"),
+        (batch(3, evicted=some), "expected none without a limit of memory"),
+    ):
+        with pytest.raises(ProtocolError, match=words):
+            receiver.receive(data)
+        assert receiver.holdings.to_bytes() == before
+    receiver.receive(batch(3))
+    few = Receiver(replace(about, chunks=1).to_message())
+    few.receive(batch(1, chunks=first))
+    with pytest.raises(ProtocolError, match="chunks: expected at most 1"):
+        few.receive(batch(2, chunks=scene.starts[1:2]))
+
+
 def test_a_welcome_that_promises_billions_is_refused(scene: StreamedScene) -> None:
     most = 1 << 28
     with pytest.raises(ProtocolError, match="WELCOME: gaussians: expected an integer"):

@@ -34,7 +34,7 @@ def path(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
 def walk(scene: StreamedScene, memory: float | None = None, between: object = None) -> list[bytes]:
     """Return all messages of a walk, with a reconnect in the middle."""
     config = AbrConfig(start_rate=3e4)
-    session, receiver = Session(scene, VIEW, config, memory=memory), Receiver(scene.header)
+    session, receiver = Session(scene, VIEW, config, memory=memory), Receiver(scene.header, memory=int(memory or 0))
     found = [session.welcome(0.0).data]
     session.on_ack(0.0, 0)
     for k in range(80):

@@ -1,16 +1,19 @@
-"""A recorded exchange: what other implementations can check themselves against, and what this one must go on saying.
+"""Recorded exchanges: what other implementations can check themselves against, and what this one must go on saying.
 
-`python tests/stream/test_vector.py --write` records it anew, after a change of the protocol and of its version.
+`python tests/stream/test_vector.py --write` records them anew, after a change of the protocol and of its version.
 """
 
 from __future__ import annotations
 
 import json
+import struct
 import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -20,17 +23,40 @@ from gsvis.abr.config import AbrConfig
 from gsvis.abr.planner import Batch
 from gsvis.color.evaluate import evaluate
 from gsvis.stream import Ack, Bye, Hello, PoseAt, Receiver, Session, StreamedScene, parse_client
+from gsvis.stream.coding import Quality
 from gsvis.stream.header import SceneHeader
 
-PATH = Path(__file__).with_name("vector.json")
 EYE = [0.25, -1.5, 0.5]
 
 
-def package_of(folder: Path) -> Any:
+class Record(NamedTuple):
+    """What is recorded: the scene, how its records are rounded, the memory of the client, bytes of the batches."""
+
+    file: str
+    variant: str
+    lattice: bool
+    quality: Quality | None
+    memory: int
+    budgets: tuple[float, ...]
+
+    @property
+    def path(self) -> Path:
+        return Path(__file__).with_name(self.file)
+
+
+RECORDS = (
+    Record("vector.json", "hsl", True, None, 0, (1100.0, 1300.0, 4000.0)),
+    Record("vector_memory.json", "rgb", False, Quality(), 1400, (1200.0,) * 8),
+)
+
+
+@contextmanager
+def opened(record: Record, folder: Path) -> Iterator[StreamedScene]:
     sys.path.insert(0, str(Path(__file__).parents[2]))
     from tests.stream.worlds import package_of
 
-    return package_of(folder, 300, "hsl", seed=4, lattice=True)
+    with package_of(folder / "s.gsvis", 300, record.variant, seed=4, lattice=record.lattice) as package:
+        yield StreamedScene.open(package, quality=record.quality)
 
 
 def drawn(receiver: Receiver) -> dict[str, Any]:
@@ -44,28 +70,31 @@ def drawn(receiver: Receiver) -> dict[str, Any]:
     }
 
 
-def recorded() -> dict[str, Any]:
-    with tempfile.TemporaryDirectory() as folder, package_of(Path(folder) / "s.gsvis") as package:
-        scene = StreamedScene.open(package)
+def recorded(record: Record) -> dict[str, Any]:
+    memory = record.memory
+    with tempfile.TemporaryDirectory() as folder, opened(record, Path(folder)) as scene:
         view = FieldOfView(1.0, 1.0, 0.75, 0.75, 0.125, 0.0625)
         config = AbrConfig(policy="low-first", start_rate=100.0)
-        session, receiver = Session(scene, view, config), Receiver(scene.header)
+        receiver = Receiver(scene.header, memory=memory)
+        session = Session(scene, view, config, memory=memory or None)
         steps: list[dict[str, Any]] = []
 
         def said(side: str, data: bytes, **facts: Any) -> None:
             steps.append({"from": side, **facts, "bytes": data.hex()})
 
-        said("client", Hello(view).to_bytes())
+        said("client", Hello(view, memory=memory).to_bytes())
         said("server", session.welcome(0.0).data)
         said("client", Ack(0).to_bytes())
-        for k in range(3):
-            pose = PoseAt(100 * k, (1.5 * k - 1.5, -1.0, 0.25), (1.0, 0.0, 0.25 * k, 0.0))
+        for k, budget in enumerate(record.budgets):
+            pose = PoseAt(100 * k, (1.5 * (k % 3) - 1.5, -1.0, 0.25), (1.0, 0.0, 0.25 * k, 0.0))
             said("client", pose.to_bytes())
             session.on_pose(k / 10, pose.position, pose.quat)
-            message = session.next_message(k / 10, (1100.0, 1300.0, 4000.0)[k])
+            message = session.next_message(k / 10, budget)
             assert message is not None
             received = receiver.receive(message.data)
             lists = {name: getattr(received, name).tolist() for name in ("gaussians", "terms", "dropped")}
+            if memory:
+                lists["evicted"] = np.sort(message.batch.evicted).tolist()
             held = session.holdings
             said("server", message.data, **lists, gone=sorted({int(g) for g in np.flatnonzero(bits(held.gone))}))
             said("client", Ack(received.sequence).to_bytes())
@@ -83,12 +112,28 @@ def bits(words: np.ndarray) -> np.ndarray:
     return np.unpackbits(words.view(np.uint8), bitorder="little")
 
 
+@pytest.fixture(scope="module", params=RECORDS, ids=lambda record: record.file)
+def record(request: pytest.FixtureRequest) -> Record:
+    return request.param
+
+
 @pytest.fixture(scope="module")
-def vector() -> dict[str, Any]:
-    return json.loads(PATH.read_text(encoding="utf-8"))
+def vector(record: Record) -> dict[str, Any]:
+    return json.loads(record.path.read_text(encoding="utf-8"))
 
 
-def test_a_client_of_the_record_draws_what_it_says(vector: dict[str, Any]) -> None:
+def test_the_records_show_what_the_page_says_of_them(record: Record, vector: dict[str, Any]) -> None:
+    (welcome, *_) = (bytes.fromhex(step["bytes"]) for step in vector["steps"] if step["from"] == "server")
+    assert (SceneHeader.parse(welcome).steps is not None) == (record.quality is not None)
+    brought = [step for step in vector["steps"] if "gaussians" in step]
+    assert any(step["gone"] for step in brought)
+    assert any(step["terms"] for step in brought)
+    assert any(step.get("evicted") for step in brought) == (record.memory > 0)
+    both = [set(step["gaussians"]) for step in brought]
+    assert (len(set.union(*both)) < sum(map(len, both))) == (record.memory > 0)  # some come again
+
+
+def test_a_client_of_the_record_draws_what_it_says(record: Record, vector: dict[str, Any]) -> None:
     receiver = None
     for step in vector["steps"]:
         data = bytes.fromhex(step["bytes"])
@@ -96,7 +141,7 @@ def test_a_client_of_the_record_draws_what_it_says(vector: dict[str, Any]) -> No
             assert parse_client(data).to_bytes() == data
         elif "gaussians" not in step:
             if receiver is None:
-                receiver = Receiver(data)
+                receiver = Receiver(data, memory=record.memory)
             assert receiver.resume(data)
         else:
             assert receiver is not None
@@ -111,10 +156,10 @@ def test_a_client_of_the_record_draws_what_it_says(vector: dict[str, Any]) -> No
         np.testing.assert_allclose(found[name], values, atol=1e-6, err_msg=name)
 
 
-def test_a_server_of_the_record_says_the_same_bytes(vector: dict[str, Any], tmp_path: Path) -> None:
+def test_a_server_of_the_record_says_the_same_bytes(record: Record, vector: dict[str, Any], tmp_path: Path) -> None:
     """Whatever order a planner finds, what is chosen becomes the same bytes."""
-    with package_of(tmp_path / "s.gsvis") as package:
-        scene, session = StreamedScene.open(package), None
+    with opened(record, tmp_path) as scene:
+        session = None
         # The identity is of the files of the package, whose bytes are not the same with every version of pyarrow.
         welcome = next(bytes.fromhex(step["bytes"]) for step in vector["steps"] if step["from"] == "server")
         scene.about = replace(scene.about, identity=SceneHeader.parse(welcome).identity)
@@ -125,10 +170,13 @@ def test_a_server_of_the_record_says_the_same_bytes(vector: dict[str, Any], tmp_
             assert session is not None
             step = chosen.pop()
             ids = [np.array(step[name], np.int64) for name in ("gaussians", "terms", "gone")]
+            evicted, held = np.array(step.get("evicted", []), np.int64), session.holdings.received_terms
+            session.holdings.evict(evicted, held[np.isin(scene.owners[held], evicted)])
             before = session.holdings.gone.copy()
             session.holdings.add(*ids)
             fresh = np.flatnonzero(bits(session.holdings.gone & ~before)).astype(np.int32)
-            return Batch(ids[0][::-1].astype(np.int32), ids[1][::-1].astype(np.uint32), fresh, 1000.0)
+            some, terms = ids[0][::-1].astype(np.int32), ids[1][::-1].astype(np.uint32)
+            return Batch(some, terms, fresh, 1000.0, evicted=evicted[::-1].astype(np.int32))
 
         for step in vector["steps"]:
             data = bytes.fromhex(step["bytes"])
@@ -157,7 +205,39 @@ def test_the_page_shows_the_bytes_around_the_rows(vector: dict[str, Any]) -> Non
     assert "".join(lines) == data[8:168].hex()
 
 
+def test_the_page_says_where_the_json_of_welcome_is(vector: dict[str, Any]) -> None:
+    """The steps of the page, without an Arrow library."""
+    (data, *_) = (bytes.fromhex(step["bytes"]) for step in vector["steps"] if step["from"] == "server")
+    flat = data[16:]
+    assert struct.unpack_from("<Ii", data, 8) == (0xFFFFFFFF, len(flat))
+
+    def follow(place: int) -> int:
+        return place + int(struct.unpack_from("<I", flat, place)[0])
+
+    def field(table: int, k: int) -> int:
+        fields = table - struct.unpack_from("<i", flat, table)[0]
+        (size,) = struct.unpack_from("<H", flat, fields)
+        apart = struct.unpack_from("<H", flat, fields + 4 + 2 * k)[0] if 4 + 2 * k < size else 0
+        assert apart
+        return int(table + apart)
+
+    def text(place: int) -> bytes:
+        (size,) = struct.unpack_from("<I", flat, place)
+        return flat[place + 4 : place + 4 + size]
+
+    message = follow(0)
+    assert flat[field(message, 1)] == 1
+    entries = follow(field(follow(field(message, 2)), 2))
+    tables = [follow(entries + 4 + 4 * k) for k in range(struct.unpack_from("<I", flat, entries)[0])]
+    (said,) = [text(follow(field(t, 1))) for t in tables if text(follow(field(t, 0))) == b"gsvis"]
+    assert json.loads(said)["protocol"] == 3
+    at = data.index(b'{"chunks":')
+    assert data[at - 4 : at] == struct.pack("<I", len(said))
+    assert data[at : at + len(said)] == said
+
+
 if __name__ == "__main__":
     if sys.argv[1:] != ["--write"]:
         raise SystemExit("python tests/stream/test_vector.py --write")
-    PATH.write_text(json.dumps(recorded(), indent=1) + "\n", encoding="utf-8")
+    for each in RECORDS:
+        each.path.write_text(json.dumps(recorded(each), indent=1) + "\n", encoding="utf-8")

@@ -229,11 +229,14 @@ def test_what_was_replaced_is_gone_from_the_gpu_after_a_lost_context(
 
 
 def test_a_small_memory_leaves_gaussians_out_and_says_so(opened: Any, cameras: Cameras) -> None:
-    opened.evaluate("test.open('terms', { memory: 450000 })")
+    memory = 2_000_000
+    opened.evaluate("memory => test.open('terms', { memory })", memory)
     shown = canvases(opened, cameras)[0]
     figures = opened.evaluate("test.viewer.statistics")
     assert 0 < figures["gaussians"] < COUNT
+    assert 0 < figures["terms"] < contents_of(scene_of(), "rgb", 5).term_offsets[-1]
     assert figures["gaussians"] + figures["dropped"] == len(scene_of().union)
+    assert memory / 2 < figures["gpuBytes"] <= memory
     assert shown.std() > 0.01
     (problem,) = opened.evaluate("window.problems")
     assert "left out" in problem

@@ -6,12 +6,14 @@ import type { Clock, ConnectionOptions, Socket } from "../src/core/connection.ts
 import type { Batch, Header, SourceState, Traffic } from "../src/core/types.ts";
 
 export interface Step {
-  from: string; bytes: string; gaussians?: number[]; terms?: number[]; dropped?: number[]; gone?: number[]
+  from: string; bytes: string; gaussians?: number[]; terms?: number[]; dropped?: number[]; gone?: number[];
+  evicted?: number[]
 }
 export interface Vector { eye: [number, number, number]; steps: Step[]; drawn: Record<string, number[] | number[][]> }
 
-/** The recorded exchange. */
-export const vector = JSON.parse(readFileSync(join(process.cwd(), "../tests/stream/vector.json"), "utf8")) as Vector;
+const read = (name: string) => JSON.parse(readFileSync(join(process.cwd(), "../tests/stream", name), "utf8")) as Vector;
+/** The recorded exchange, and the one of a client with little memory. */
+export const vector = read("vector.json"), evicting = read("vector_memory.json");
 export const bytesOf = (step: Step) => new Uint8Array(Buffer.from(step.bytes, "hex"));
 export const isBatch = (step: Step) => step.from === "server" && step.gaussians !== undefined;
 export const hex = (bytes: Uint8Array) => Buffer.from(bytes).toString("hex");

@@ -192,6 +192,12 @@ test("addresses: a server's scene behind any prefix, a static folder, a stream, 
   assert.equal(readAddress("http://x.org/view/a?content=ws://h/stream/b", none).scene?.kind, "stream");
   assert.equal(readAddress("http://x.org/view/a?content=javascript:alert(1)", none).scene, null);
   assert.equal(readAddress("http://x.org/", none).scene, null);
+  const content = "room/", shown = (link: string) => readAddress(`http://x.org/s/?content=${link}`, { ...none, content });
+  for (const link of ["wss://h/stream/b", "http://h/room/", "//h/room/", "http://x.org:81/", "data:,", "inline:"]) {
+    assert.equal(shown(link).scene, null, link);
+  }
+  assert.equal(shown("../other/").scene?.url, "http://x.org/other/");
+  assert.equal(shown("ws://x.org/stream/b").scene?.kind, "stream");
   assert.equal(readAddress("http://x.org/view/a?settings=s.json", none).settings, "http://x.org/view/s.json");
   assert.equal(readAddress("http://x.org/view/%E0%A4%A", none).scene?.name, "%E0%A4%A");
 });

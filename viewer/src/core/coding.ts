@@ -218,7 +218,7 @@ export function readRecords(
 function logOfStep(bits: number, low: number, step: number, wide: number): number {
   const log2 = ((bits >>> 23) & 255) - 127 + (bits & 0x7fffff ? 1 : 0);
   const high = low - (2 ** wide - 1) * step; // of a logarithmic chunk, whose steps stretch
-  return log2 + (bits >>> 31 ? Math.ceil(Math.max(Math.abs(low), Math.abs(high)) * Math.LOG2E) : 0);
+  return log2 + (step < 0 ? Math.ceil(Math.max(Math.abs(low), Math.abs(high)) * Math.LOG2E) : 0);
 }
 
 /** Return records of terms, two words each; null unless the bytes are such. Owners never fall. */

@@ -83,9 +83,9 @@ export class Receiver {
     };
     if (s.sequence !== this.next) refuse(`expected number ${this.next}`);
     if (s.evicted.length && !this.#owners) refuse("expected none evicted");
+    this.#check(s, refuse);
     const chunks = addChunks(this.#chunks, ...this.#unknown(s), this.about, refuse);
     const rows = rowsOf(s.gaussians, chunks, refuse);
-    this.#check(s, refuse);
     const code = this.about.code;
     if (code === null) throw new Error("a WELCOME has a code");
     const records = readRecords(s.records, s.gaussians, rows, chunks, code);
@@ -94,11 +94,15 @@ export class Receiver {
     return this.#enter(s, chunks, rows, records, terms);
   }
 
-  /** Return the chunks whose rows are new, and these rows. A chunk that was evicted as a whole comes once more. */
+  /** Return the chunks whose rows are new, and these rows. One comes again when all of its chunk was evicted. */
   #unknown(s: Sections): [Uint32Array, Uint8Array] {
-    if (!this.#owners) return [s.chunks, s.rows];
-    const known = new Set(this.#chunks.starts), fresh: number[] = [];
-    s.chunks.forEach((start, k) => { if (!known.has(start)) fresh.push(k); });
+    const { starts } = this.#chunks, fresh: number[] = [];
+    let at = 0; // both rise
+    s.chunks.forEach((start, k) => {
+      while (at < starts.length && starts[at] < start) at++;
+      if (starts[at] !== start) fresh.push(k);
+    });
+    if (fresh.length === s.chunks.length) return [s.chunks, s.rows];
     const rows = new Uint8Array(CHUNK_BYTES * fresh.length);
     fresh.forEach((k, i) => rows.set(s.rows.subarray(CHUNK_BYTES * k, CHUNK_BYTES * (k + 1)), CHUNK_BYTES * i));
     return [s.chunks = Uint32Array.from(fresh, (k) => s.chunks[k]), s.rows = rows];
@@ -125,11 +129,14 @@ export class Receiver {
     return drawn.map((id) => this.#slots[id] - 1);
   }
 
-  /** Raise unless the ids of a batch are new, terms have a Gaussian, and no Gaussian is replaced twice. */
+  /** Raise unless what is evicted is held, ids are new, terms have a Gaussian, and no Gaussian is replaced twice. */
   #check(s: Sections, refuse: (what: string) => never): void {
     const evicted = new Set(s.evicted);
     const sent = (id: number) => has(this.#sent, id) && !evicted.has(id);
     const replaced = (id: number) => has(this.#gone, id) && !evicted.has(id);
+    for (const id of s.evicted) {
+      if (!has(this.#sent, id) && !has(this.#gone, id)) refuse(`expected to evict what is held, got ${id}`);
+    }
     for (const id of s.gaussians) {
       if (sent(id)) refuse(`expected each Gaussian once, got ${id} again`);
       if (replaced(id)) refuse(`expected no Gaussian that is replaced, got ${id}`);

@@ -99,7 +99,7 @@ export class Renderer {
     const rows = Math.ceil(count / ROW);
     this.count = count;
     if (rows === 0) return;
-    this.#order.reserve(rows * ROW);
+    this.#order.reserve(rows * ROW, this.#store?.header.gaussians);
     this.#order.write(0, order.subarray(0, rows * ROW));
   }
 
@@ -222,8 +222,8 @@ export class Renderer {
 
   #projectAll(store: Store, camera: Camera, look: Look): void {
     const gl = this.#gl, program = this.#project!, rows = Math.ceil(this.count / ROW);
-    const grown = this.#shapes.reserve(rows * ROW);
-    this.#paints.reserve(rows * ROW);
+    const grown = this.#shapes.reserve(rows * ROW, store.header.gaussians);
+    this.#paints.reserve(rows * ROW, store.header.gaussians);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.#splats);
     if (grown) {
       gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, this.#shapes.texture, 0);

@@ -4,6 +4,11 @@ import { harmonicTexels, packTables, padHarmonics, type PackedTables } from "./c
 import { GrowingTexture, ROW } from "./textures.ts";
 import type { Batch, Header } from "./types.ts";
 
+/** Return the bytes on the GPU that each Gaussian takes, without its terms. */
+export function bytesOfGaussian({ harmonics, terms }: Header): number {
+  return 16 + 8 + 8 + (terms ? 4 : 0) + (harmonics ? 16 * harmonicTexels(harmonics) : 0);
+}
+
 export class Store {
   readonly header: Header;
   readonly tables: PackedTables;
@@ -53,12 +58,6 @@ export class Store {
 
   get bytes(): number {
     return this.#all().reduce((sum, texture) => sum + texture.bytes, 0);
-  }
-
-  /** Bytes on the GPU for each Gaussian, without its terms. */
-  get perGaussian(): number {
-    const { harmonics, terms } = this.header;
-    return 16 + 8 + 8 + (terms ? 4 : 0) + (harmonics ? 16 * harmonicTexels(harmonics) : 0);
   }
 
   /** Gaussians that the largest textures of this device hold. */

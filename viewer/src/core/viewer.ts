@@ -6,7 +6,8 @@ import type { Pick } from "./picking.ts";
 import { choosePrecision, type Look, type Precision, Renderer } from "./renderer.ts";
 import { Sorter } from "./sorter.ts";
 import type { Region } from "./sorting.ts";
-import { Store } from "./store.ts";
+import { bytesOfGaussian, Store } from "./store.ts";
+import { ROW } from "./textures.ts";
 import type { Batch, Camera, Header, Marks, Paint, Pose, Source, SourceState, Traffic } from "./types.ts";
 import type { Eye, Statistics, ViewerEvent, ViewerOptions } from "./viewer-types.ts";
 import type { EyeView, XrSession } from "./xr.ts";
@@ -21,6 +22,8 @@ interface Order {
   region: Region;
 }
 
+// bytes for each Gaussian to draw it, with its share of a chunk, for each term, and beside them
+const DRAWN = 44, TERM = 16, BESIDE = 2 ** 19;
 const REST = 2, LOOK_MS = 20; // pause after a picture, in times of what it took; between looks whether it is done
 const START: Eye = { position: [0, 0, 0], rotation: [1, 0, 0, 0], fovY: Math.PI / 3 };
 
@@ -45,6 +48,8 @@ export class Viewer extends EventTarget {
   #immersed = false;
   #marks: Marks = {};
   #waiting: Batch[] | null = null; // what arrived while the GPU is lost or filled anew
+  #room = 0; // Gaussians that the budget holds, each with its share of the terms
+  #share = 0;
   #dirty = true;
   #version = 0; // of the data
   #sorted: Order | null = null; // what the last order is for
@@ -335,13 +340,13 @@ export class Viewer extends EventTarget {
     this.#request();
   }
 
-  /** Return the batch without its Gaussians if they do not fit into the budget. */
+  /** Return the batch without its Gaussians, or its terms, if they do not fit into the budget. */
   #trim(batch: Batch): Batch {
-    const store = this.#store, count = batch.ids.length;
-    if (!store || count === 0) return batch;
-    const memory = this.#options.memory ?? memoryOfDevice();
-    const most = Math.min(store.most, memory / (store.perGaussian + 36));
-    if (store.count + count <= most) return batch;
+    const store = this.#store, count = batch.ids.length, none = new Uint32Array(0);
+    if (!store) return batch;
+    const fitting = store.termCount + batch.owners.length <= this.#room * this.#share ? batch
+      : { ...batch, terms: none, owners: none };
+    if (count === 0 || store.count + count <= Math.min(store.most, this.#room)) return fitting;
     if (this.#figures.dropped === 0) {
       this.#say(
         "problem",
@@ -350,8 +355,7 @@ export class Viewer extends EventTarget {
       );
     }
     this.#figures.dropped += count;
-    const none = new Uint32Array(0);
-    return { ...batch, ids: none, records: none, rows: none, harmonics: null };
+    return { ...fitting, ids: none, records: none, rows: none, harmonics: null };
   }
 
   /** Return whether the GPU has lost all; the event that says so may come later. */
@@ -376,10 +380,20 @@ export class Viewer extends EventTarget {
   #beginStore(slots: Uint32Array | null): void {
     if (!this.#header || this.#isLost()) return;
     this.#store?.dispose();
-    this.#store = new Store(this.#gl, this.#header);
+    this.#store = new Store(this.#gl, this.#fitted(this.#header));
     this.#store.slots = slots;
     this.#store.marks = this.#marks[this.paint] ?? null;
     this.#renderer.use(this.#store);
+  }
+
+  /** Find how many Gaussians the budget holds, and return a header of so many: the GPU reserves no more. */
+  #fitted(header: Header): Header {
+    const { gaussians, terms } = header, { width, height } = this.lens;
+    this.#share = terms / (gaussians || 1);
+    const left = (this.#options.memory ?? memoryOfDevice()) - BESIDE - 8 * width * height;
+    this.#room = ROW * Math.max(1, Math.floor(left / ROW / (bytesOfGaussian(header) + DRAWN + TERM * this.#share)));
+    const most = Math.min(gaussians, this.#room);
+    return { ...header, gaussians: most, terms: Math.ceil(most * this.#share) };
   }
 
   #finishStore(): void {

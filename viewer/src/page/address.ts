@@ -28,9 +28,11 @@ interface Metas {
 export function readAddress(href: string, metas: Metas): PageAddress {
   const page = new URL(href);
   const query = page.searchParams;
-  const given = query.get("settings") ?? metas.settings;
+  const given = query.get("settings") ?? metas.settings, asked = query.get("content");
+  // A page with an own scene, as exports are, opens others of its site alone: Workers do not heed its policy.
+  const other = asked && metas.content ? resolve(asked, page) : null, isAway = other && new URL(other).host !== page.host;
   return {
-    scene: findScene(page, query.get("content") ?? metas.content, metas.scene),
+    scene: isAway ? null : findScene(page, asked ?? metas.content, metas.scene),
     settings: given ? resolve(given, page) : null,
     token: query.get("token"),
     bare: query.has("noui"),
