@@ -8,6 +8,7 @@ import numpy as np
 
 from gsvis import _check
 from gsvis.prepare.config import PrepareConfig
+from gsvis.train.levels import LevelsConfig
 from gsvis.world.tiling import TilingConfig
 
 __all__ = ["WorldConfig"]
@@ -19,7 +20,7 @@ class WorldConfig:
 
     Attributes:
         tiling: How it is cut into tiles.
-        package: Options of the package of each tile; `cells` is for each tile.
+        package: Options of the package of each tile; `cells` is for each tile. Levels have no first picture.
         far: Most Gaussians of a district.
         angle: Largest spacing of a node over its distance from a tile, radians, from which it may stand in.
         looks: Eyes in a tile that look for nodes around it, coarsely.
@@ -30,7 +31,7 @@ class WorldConfig:
     """
 
     tiling: TilingConfig = field(default_factory=TilingConfig)
-    package: PrepareConfig = field(default_factory=lambda: PrepareConfig(cells=32))
+    package: PrepareConfig = field(default_factory=lambda: PrepareConfig(LevelsConfig(preview=0.0), cells=32))
     far: int = 8_192
     angle: float = 0.006
     looks: int = 24

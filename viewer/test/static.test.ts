@@ -432,6 +432,21 @@ test("the plan begins with what weighs most in view for its bytes, and joins nei
   assert.equal(runs.reduce((sum, run) => sum + run.end - run.first, 0), order.blocks.length);
 });
 
+test("a first picture is not asked for, and the level above it counts as the lowest", async () => {
+  const { blocks, file, cells } = await open(VECTOR.package), { header } = blocks.scene;
+  const row = await readRow(blocks.scene, file("cells").subarray(...cells.range(0)));
+  const held = { records: new Uint8Array(blocks.count), terms: new Uint8Array(blocks.count) };
+  const pose: Pose = { position: VECTOR.package.centers![0] as [number, number, number], rotation: [1, 0, 0, 0] };
+  const lasts = (of: Blocks): Set<number> =>
+    new Set([...rank(of, row, held, pose, VIEW, "low").blocks].map((b) => of.last(b)));
+  const some = lasts(blocks), few = header.levels.map((level, k) => (k === 0 ? { ...level, count: 1 } : level));
+  assert.ok(some.has(0));
+  const other = await Blocks.open({ ...blocks.scene, header: { ...header, levels: few } }, file("index"));
+  assert.deepEqual([blocks.lowest, other.lowest], [0, 1]);
+  some.delete(0);
+  assert.deepEqual(lasts(other), some);
+});
+
 test("frusta and regimes are those of the server", () => {
   const planes = frustum({ position: [1, 2, 3], rotation: [1, 0, 0, 0] }, VIEW, 0);
   const distance = (x: number, y: number, z: number): number => Math.min(

@@ -9,6 +9,7 @@ import { recordLayout } from "./tables.ts";
 
 const UNIT = 16, HEAD = 32; // bytes
 const MOST_MEMBERS = 256;
+const PICTURE = 0.1; // largest share of the Gaussians in a first picture, as on a server
 const STEPS = 64, OCTAVE = 4; // of places, and of radii
 
 export class Blocks {
@@ -22,6 +23,7 @@ export class Blocks {
   readonly levels: Uint8Array; // (2 C) first and last level
   readonly spheres: Float32Array; // (4 C): what each chunk reaches
   readonly top: number; // the highest level
+  readonly lowest: number; // the lowest level that is no first picture: that is for a server, which knows what is in view
   readonly meanRadius: number; // of the spheres of chunks
   readonly harmonicBytes: number; // of a Gaussian
   termStart: Float64Array | null = null; // (B + 1) byte in `terms`; null until `setTerms`
@@ -38,6 +40,7 @@ export class Blocks {
     const refuse = () => new Error("index: expected the blocks of the file of records; export the scene again");
     if (index.length !== 13 * c + 2 * scene.blocks) throw refuse();
     this.top = header.levels.length - 1;
+    this.lowest = header.levels.findIndex((level) => level.count > PICTURE * header.levels[this.top].count);
     this.count = scene.blocks;
     this.harmonicBytes = header.harmonics ? 3 * ((header.harmonics.degree + 1) ** 2 - 1) : 0;
     this.rows = new Float32Array(8 * c);
