@@ -27,7 +27,7 @@ from gsvis.progress import Progress, silent
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.content import scene_hash, sight_hash
 from gsvis.scene.gaussians import Gaussians
-from gsvis.scene.levels import Levels
+from gsvis.scene.levels import PREVIEW, Levels
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.train.choosing import LOOKS, choose_subsets
 from gsvis.train.config import DensifyConfig, TrainConfig
@@ -37,10 +37,8 @@ from gsvis.train.images import PosedImages
 from gsvis.train.importance import ROUNDS, prune
 from gsvis.train.merge import merge_gaussians
 
-__all__ = ["PREVIEW", "SUBSETS", "LevelsConfig", "TrainedLevels", "frozen_sizes", "train_levels"]
+__all__ = ["SUBSETS", "LevelsConfig", "TrainedLevels", "frozen_sizes", "train_levels"]
 
-PREVIEW = 0.1
-"""Largest share of the Gaussians of a scene in a first picture, as in `AbrConfig.picture`."""
 SUBSETS = "subsets.npz"
 """Name of the file of the chosen subsets in a folder of unfinished work."""
 

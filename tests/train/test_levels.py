@@ -110,6 +110,7 @@ def test_a_first_picture_is_merges_alone_and_changes_no_other_level(
     assert levels.names == ("preview", *brief.names)
     assert levels.counts[0] == COUNT // 20
     assert levels.reuse[0] == 0.0
+    assert (levels.previews, brief.previews) == (1, 0)
     assert not levels.member(0)[:COUNT].any()
     for k in range(len(brief)):
         assert same(levels.level(k + 1), brief.level(k))

@@ -23,7 +23,7 @@ export class Blocks {
   readonly levels: Uint8Array; // (2 C) first and last level
   readonly spheres: Float32Array; // (4 C): what each chunk reaches
   readonly top: number; // the highest level
-  readonly lowest: number; // the lowest level that is no first picture: that is for a server, which knows what is in view
+  readonly lowest: number; // the lowest level that is no first picture; those are for servers
   readonly meanRadius: number; // of the spheres of chunks
   readonly harmonicBytes: number; // of a Gaussian
   termStart: Float64Array | null = null; // (B + 1) byte in `terms`; null until `setTerms`
@@ -40,7 +40,6 @@ export class Blocks {
     const refuse = () => new Error("index: expected the blocks of the file of records; export the scene again");
     if (index.length !== 13 * c + 2 * scene.blocks) throw refuse();
     this.top = header.levels.length - 1;
-    this.lowest = header.levels.findIndex((level) => level.count > PICTURE * header.levels[this.top].count);
     this.count = scene.blocks;
     this.harmonicBytes = header.harmonics ? 3 * ((header.harmonics.degree + 1) ** 2 - 1) : 0;
     this.rows = new Float32Array(8 * c);
@@ -64,6 +63,7 @@ export class Blocks {
         throw new Error(`index: chunk ${k}: expected known levels; export the scene again`);
       }
     }
+    this.lowest = this.#lowest(c);
     this.chunk = new Uint32Array(this.count);
     this.firstId = new Uint32Array(this.count);
     this.start = new Uint32Array(this.count + 1);
@@ -73,6 +73,16 @@ export class Blocks {
       this.recordStart[b + 1] = this.recordStart[b] + UNIT * units;
     });
     if (this.recordStart[this.count] !== scene.files.get("records")!.bytes) throw refuse();
+  }
+
+  /** Return the lowest level that is large or shares chunks with the level above it. */
+  #lowest(chunks: number): number {
+    const counts = this.scene.header.levels.map((level) => level.count);
+    for (let low = 0; low < this.top; low++) {
+      if (counts[low] > PICTURE * counts[this.top]) return low;
+      for (let k = 0; k < chunks; k++) if (this.levels[2 * k] <= low && this.levels[2 * k + 1] > low) return low;
+    }
+    return this.top;
   }
 
   /**
