@@ -122,7 +122,7 @@ def _check_arguments(command: World) -> WorldConfig:
         reuse = LevelsConfig.reuse if count == 2 else (0.9,) * count
         try:
             levels = LevelsConfig(
-                command.levels, reuse, (*names, _HIGHEST), iterations=command.steps, seed=command.seed, preview=0.0
+                command.levels, reuse, (*names, _HIGHEST), iterations=command.steps, seed=command.seed
             )
         except ArgumentError as error:
             raise error.renamed("--levels") from None

@@ -104,7 +104,7 @@ def estimate_world(
     tiles, cells = len(expected), config.package.cells or MOST_CELLS
     largest = int(max(expected.max(), 1))
     levels = config.package.levels
-    drawn = 1.0 if levels is None else 1.0 + levels.preview + sum(levels.shares)
+    drawn = 1.0 if levels is None else 1.0 + sum(levels.shares)
     terms = _TERMS if degree else 0.0
     around = min(_AROUND, float(tiles))
     looks = _JOINT + _CELL * cells
