@@ -27,6 +27,7 @@ __all__ = [
     "REGIMES",
     "UtilityConfig",
     "filling_table",
+    "first_offset",
     "lowest_last",
     "offsets",
     "pairs",
@@ -60,6 +61,7 @@ class UtilityConfig:
         terms: Factor in (0, 1] for active terms, relative to the geometry of their Gaussian.
         finer: Factor in (0, 1] for Gaussians in view that enter above the lowest level that is no first picture: those
             that they replace are there already, so they gain less than their weight.
+        first: Factor in (0, 1] for Gaussians of a first picture alone, which are soon replaced.
         beyond: Factor in (0, 1] for levels above the highest level of the regime.
         medium: Exponent on `peripheral` and `adjacent` at medium bandwidth.
         low: Exponent on `peripheral` and `adjacent` at low bandwidth, which then favors what is in view.
@@ -70,12 +72,13 @@ class UtilityConfig:
     adjacent: float = 0.01
     terms: float = 0.03
     finer: float = 0.1
+    first: float = 0.3
     beyond: float = 0.05
     medium: float = 1.5
     low: float = 2.0
 
     def __post_init__(self) -> None:
-        for name in ("peripheral", "ahead", "adjacent", "terms", "finer", "beyond"):
+        for name in ("peripheral", "ahead", "adjacent", "terms", "finer", "first", "beyond"):
             if not 1e-6 <= getattr(self, name) <= 1.0:
                 raise ValueError(f"{name}: expected a factor in [1e-6, 1], got {getattr(self, name)!r}")
         for name in ("medium", "low"):
@@ -193,7 +196,7 @@ def table(
     first picture.
     """
     found, least = offsets(policy, regime, levels, config, picture), lowest_last(regime, levels)
-    least = max(least, picture + 1)
+    least, later = max(least, picture + 1), first_offset(policy, config)
     out = np.full((RINGS, levels, levels, 2, 2), NEVER, np.int32)
     for last in range(least, levels):
         out[0, :, last] = found[:AHEAD].transpose(1, 2, 0)
@@ -202,10 +205,15 @@ def table(
         out[1:, :, last, kernels.GEOMETRY, kernels.OUTSIDE] = found[AHEAD + 1 :, :, kernels.GEOMETRY]
     for last in range(least):
         first = slice(0, min(picture, last) + 1)
-        out[0, first, last, kernels.GEOMETRY, kernels.INSIDE] = found[0, first, kernels.GEOMETRY]
+        out[0, first, last, kernels.GEOMETRY, kernels.INSIDE] = found[0, first, kernels.GEOMETRY] + later
     out = out.reshape(-1, 2, 2)
     out.flags.writeable = False
-    return out, int(found.max()) + kernels.BUCKETS
+    return out, int(found.max()) + later + kernels.BUCKETS
+
+
+def first_offset(policy: str, config: UtilityConfig | None = None) -> int:
+    """Return what is added to the offset of Gaussians of a first picture alone."""
+    return round(-_STEPS * np.log2((config or UtilityConfig()).first)) if policy == "utility" else 0
 
 
 @lru_cache(maxsize=256)

@@ -17,7 +17,7 @@ from gsvis.abr.classes import FOV, classify
 from gsvis.abr.config import AbrConfig
 from gsvis.abr.holdings import Holdings
 from gsvis.abr.index import SceneIndex
-from gsvis.abr.policies import AHEAD, UtilityConfig, lowest_last, offsets
+from gsvis.abr.policies import AHEAD, UtilityConfig, first_offset, lowest_last, offsets
 from gsvis.pvs.codec import ids_of
 
 __all__ = ["View", "order_records"]
@@ -96,7 +96,8 @@ def order_records(
         for part, inside in enumerate((near, [] if is_picture else [g for g in members if g not in near])):
             group = part if ring == 0 else AHEAD + part * ring
             for terms in (0, 1) if (ring == 0 or part == 0) and not is_picture else (0,):
-                key = int(table[group, enters, terms]) + bucket
+                later = first_offset(policy, utility) if is_picture else 0
+                key = int(table[group, enters, terms]) + later + bucket
                 entry = key, 4 * number + 2 * terms + part, terms, inside, log
                 (around if ring == 0 and terms and part else entries).append(entry)
     candidates = {g for _, members in units for g in members}

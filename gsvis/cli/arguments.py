@@ -39,6 +39,7 @@ from gsvis.cli.readers import (
     PIXELS,
     PLAIN,
     POINT,
+    PREVIEW_SHARE,
     RATE,
     SH_DEGREE,
     SHARE,
@@ -387,7 +388,9 @@ class Levels(Where):
     reuse: Annotated[tuple[float, ...] | None, SHARES, hint("0.9 0.96")] = None
     """Least share of each lower level that stands unchanged in the next."""
     names: Annotated[tuple[str, ...] | None, NAMES, hint("low medium high")] = None
-    """Names of all levels and their files, that of the scene itself last."""
+    """Names of these levels and their files, that of the scene itself last."""
+    preview: Annotated[float | None, PREVIEW_SHARE, hint("0.02; 0 below 50,000 Gaussians")] = None
+    """Size of the first picture, merged Gaussians below all other levels, as a share of the scene's; 0 for none."""
     iterations: Annotated[int, STEPS] = 400
     """Steps of training for each lower level, one view each."""
     views: Annotated[int | None, COUNTED, hint("400")] = None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -108,12 +108,13 @@ def _check_arguments(command: Levels) -> LevelsConfig:
         got = f"{command.size[0]}x{command.size[1]}"
         raise ValueError(f"--size: expected at least {_LEAST_SIDE} pixels a side, got {got}")
     try:
-        config = levels_config(command.shares, command.reuse, command.names, command.iterations, command.seed)
+        sizes = command.shares, command.reuse, command.names, command.preview
+        config = levels_config(*sizes, command.iterations, command.seed)
     except ValueError as error:
         raise ValueError(f"--{error}") from None
     check_folder(command.out)
     check_folder(_target(command.out).parent)  # unfinished work is kept there
-    _check_target(command, config.names)
+    _check_target(command, config.level_names)
     if command.photos is None:  # photographs check themselves
         held_out = _HELD_OUT if command.held_out is None else command.held_out
         check_views(view_sampling(command.views, command.size, command.seed), held_out)
@@ -124,6 +125,7 @@ def levels_config(
     shares: tuple[float, ...],
     reuse: tuple[float, ...] | None,
     names: tuple[str, ...] | None,
+    preview: float | None,
     iterations: int,
     seed: int,
 ) -> LevelsConfig:
@@ -138,6 +140,8 @@ def levels_config(
     names = names or _NAMES.get(lower) or (*(f"level{k}" for k in range(lower)), "high")
     reuse = reuse or (*_REUSE[:lower], *_REUSE[-1:] * (lower - len(_REUSE)))
     config = LevelsConfig(shares, reuse, names, iterations, seed=seed)
+    if preview is not None:  # also in a small scene
+        config = replace(config, preview=preview, preview_from=0)
     check_names(names)
     return config
 
@@ -168,6 +172,7 @@ def _plan(command: Levels, config: LevelsConfig, walk: HeadPath | None, status: 
     g = source.gaussians
     if len(g) == 0:
         raise SceneError(f"{command.scene}: the scene has no Gaussian: there is nothing to make levels of")
+    config = config.fit_to(len(g))
     try:
         config.sizes(len(g))
     except ValueError as error:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 __all__ = ["run_prepare"]
 
-_OF_TRAINING = ("levels", "reuse", "names", "steps", "views", "size", "photos")
+_OF_TRAINING = ("levels", "reuse", "names", "preview", "steps", "views", "size", "photos")
 
 
 def run_prepare(command: Prepare) -> None:
@@ -109,7 +109,8 @@ def _check_arguments(command: Prepare) -> PrepareConfig:
     levels = None
     if command.levels and not is_levels(command.scene):
         try:
-            levels = levels_config(command.levels, command.reuse, command.names, command.steps, command.seed)
+            sizes = command.levels, command.reuse, command.names, command.preview
+            levels = levels_config(*sizes, command.steps, command.seed)
         except ArgumentError as error:
             raise error.renamed("--levels" if error.name == "shares" else f"--{error.name}") from None
         except ValueError as error:

@@ -46,6 +46,7 @@ __all__ = [
     "PLAIN",
     "POINT",
     "PORT",
+    "PREVIEW_SHARE",
     "RADIANS",
     "RATE",
     "SCALE",
@@ -243,6 +244,7 @@ BYTES = _spec(1, "SIZE", _read_bytes)
 FACE_PIXELS = _number("PX", int, 4, 4096, "4 to 4096 pixels")
 TAU = _number("W", float, 1e-6, 0.5, "a weight in [1e-6, 0.5]")
 SHARE = _number("S", float, 0.0, 1.0, "a share in [0, 1]")
+PREVIEW_SHARE = _number("S", float, 0.0, 0.1, "a share in [0, 0.1]")
 SHARES = _spec("*", "S [S ...]", _read_shares)
 SHARES_OR_NONE = _spec("*", "S [S ...]|none", _read_shares_or_none)
 NAMES = _spec("*", "NAME [NAME ...]", _read_names)

@@ -42,12 +42,14 @@ class Leaves:
         tree: Leaves 0 to B - 1 from left to right.
         of_ids: (N,) int32 leaf of each Gaussian of the union; -1 for none.
         environment: (E,) ascending ids of the Gaussians of the highest level that lie far outside.
+        lowest: The lowest level that has a level of detail.
     """
 
     levels: Levels
     tree: Tree
     of_ids: NDArray[np.int32]
     environment: I64
+    lowest: int = 0
 
     def __len__(self) -> int:
         """Return B."""
@@ -77,7 +79,7 @@ class Leaves:
     @property
     def _levels(self) -> range:
         """Numbers of the levels, highest first."""
-        return range(len(self.levels) - 1, -1, -1)
+        return range(len(self.levels) - 1, self.lowest - 1, -1)
 
     def ids(self, lod: int, leaf: int) -> I64:
         """Return the ids of a leaf at a level of detail, in the order of the file."""
@@ -111,13 +113,14 @@ class Leaves:
         return LeafScene(self.tree, self.bounds, self.counts, lambda lod, leaf: union[self.ids(lod, leaf)], far)
 
 
-def cut_leaves(levels: Levels, *, most: int = LEAF, kept: NDArray[np.bool_] | None = None) -> Leaves:
+def cut_leaves(levels: Levels, *, most: int = LEAF, kept: NDArray[np.bool_] | None = None, lowest: int = 0) -> Leaves:
     """Return the leaves of levels.
 
     Args:
         levels: The levels.
         most: Most Gaussians of a leaf at one level, at least 1.
         kept: (N,) which Gaussians of the union to keep; None keeps all.
+        lowest: The lowest level to keep.
 
     Raises:
         SceneError: If none is kept.
@@ -125,7 +128,7 @@ def cut_leaves(levels: Levels, *, most: int = LEAF, kept: NDArray[np.bool_] | No
     """
     _check.positive_int("most", most)
     union = levels.union
-    some = np.ones(len(union), np.bool_) if kept is None else np.asarray(kept, np.bool_)
+    some = (levels.last >= lowest) & (True if kept is None else np.asarray(kept, np.bool_))
     if not some.any():
         raise SceneError("leaves: no Gaussian is left; nothing to write")
     far = some & _far(union)
@@ -134,7 +137,7 @@ def cut_leaves(levels: Levels, *, most: int = LEAF, kept: NDArray[np.bool_] | No
         far, near = np.zeros_like(some), some
     of_ids = np.full(len(union), -1, np.int32)
     counter = [0]
-    members = [levels.member(k) for k in range(len(levels))]
+    members = [levels.member(k) for k in range(lowest, len(levels))]
 
     def cut(ids: I64) -> Tree:
         if max(int(member[ids].sum()) for member in members) > most:
@@ -149,7 +152,7 @@ def cut_leaves(levels: Levels, *, most: int = LEAF, kept: NDArray[np.bool_] | No
 
     tree = cut(np.flatnonzero(near))
     environment = np.flatnonzero(far & members[-1])
-    return Leaves(levels, tree, of_ids, environment.astype(np.int64))
+    return Leaves(levels, tree, of_ids, environment.astype(np.int64), lowest)
 
 
 def _far(g: Gaussians) -> NDArray[np.bool_]:

@@ -131,7 +131,8 @@ def write_streamed_sog(
         )
     if seen is not None and said.never_seen == "drop" and not seen.any():
         raise SceneError("everything would go: no cell sees a Gaussian; nothing written")
-    leaves = cut_leaves(levels, most=said.leaf, kept=seen if said.never_seen == "drop" else None)
+    kept = seen if said.never_seen == "drop" else None
+    leaves = cut_leaves(levels, most=said.leaf, kept=kept, lowest=levels.previews)
     needs = find_needs(leaves, store, lost=said.lost, progress=progress)
     grid = None if store is None else store.grid
     up = said.up or known.up or ((0.0, 0.0, 1.0) if grid is None else tuple(grid.up.tolist()))

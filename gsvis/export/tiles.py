@@ -208,7 +208,7 @@ def write_tiles(
     seen = None if store is None else ever_seen(store, len(levels.union))
     if drop and seen is not None and not seen.any():
         raise SceneError("everything would go: no cell sees a Gaussian; nothing written")
-    leaves = cut_leaves(levels, most=said.leaf, kept=seen if drop else None)
+    leaves = cut_leaves(levels, most=said.leaf, kept=seen if drop else None, lowest=levels.previews)
     volumes, needs = None, None
     if said.request_volumes:
         needs = find_needs(leaves, store, lost=said.lost, progress=progress)

@@ -32,7 +32,7 @@ from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.view_sampling import ViewSampling
 from gsvis.train.choosing import count_looks
 from gsvis.train.level_views import CHOOSING, WIDE
-from gsvis.train.levels import SUBSETS, LevelsConfig
+from gsvis.train.levels import SUBSETS, LevelsConfig, frozen_sizes
 
 __all__ = ["PreparationEstimate", "StageEstimate", "estimate_preparation"]
 
@@ -198,7 +198,7 @@ class _Estimator:
     def _choice(self, config: LevelsConfig) -> float:
         """Return what the choice of frozen Gaussians costs, in views."""
         stages, views = self.stages, self.config.level_views
-        counts = sorted({frozen for _, frozen, _ in _sizes(stages)}, reverse=True)
+        counts = frozen_sizes(_sizes(stages))
         if stages.photos is not None:
             rounds = math.ceil(math.log(counts[-1] / self.counts[-1]) / math.log(1 - config.prune_share))
             return views.count * rounds * _PRUNED_VIEW
@@ -324,7 +324,8 @@ def _stand_in(stages: Stages) -> Levels:
     assert isinstance(g, Gaussians)
     assert config is not None
     order = np.argsort(-g.opacities * np.sort(g.scales, axis=1)[:, 1:].prod(axis=1), kind="stable")
-    first = np.full(len(g), len(config.shares), np.uint8)
+    top = len(config.level_names) - 1
+    first = np.full(len(g), top, np.uint8)
     for k, (total, _, _) in reversed(list(enumerate(_sizes(stages)))):
         first[order[:total]] = k
-    return Levels(g, first, np.full(len(g), len(config.shares), np.uint8), config.names)
+    return Levels(g, first, np.full(len(g), top, np.uint8), config.level_names)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -190,6 +190,8 @@ def stages_of(
         BackendError: If levels have to be trained and torch is missing.
     """
     config = config or PrepareConfig()
+    if isinstance(scene, Gaussians) and config.levels is not None:
+        config = replace(config, levels=config.levels.fit_to(len(scene)))
     check_scene(scene, config)
     check_target(_check.path("out", out))
     if photos is not None and not _check.path("photos", photos).exists():

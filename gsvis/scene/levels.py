@@ -17,9 +17,12 @@ from numpy.typing import ArrayLike, NDArray
 from gsvis import _check
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["Levels", "as_levels", "level_scenes", "levels_record", "union_of"]
+__all__ = ["PREVIEW", "Levels", "as_levels", "level_scenes", "levels_record", "union_of"]
 
 I64 = NDArray[np.int64]
+
+PREVIEW = 0.1
+"""Largest share of the Gaussians of the highest level in a first picture, as in `AbrConfig.picture`."""
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
@@ -102,6 +105,12 @@ class Levels:
     def reuse(self) -> tuple[float, ...]:
         """Share of each level but the last that belongs to the next too: L - 1 values in [0, 1]."""
         return tuple(float((self.member(k) & self.member(k + 1)).sum() / self.counts[k]) for k in range(len(self) - 1))
+
+    @property
+    def previews(self) -> int:
+        """Number of first pictures: lowest levels of at most `PREVIEW` that share nothing with the level above."""
+        counts = self.counts
+        return next((k for k, r in enumerate(self.reuse) if r > 0.0 or counts[k] > PREVIEW * counts[-1]), len(self) - 1)
 
     @property
     def overhead(self) -> float:

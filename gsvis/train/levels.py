@@ -2,7 +2,8 @@
 
 The highest level is the scene itself. Each lower level keeps a part of it unchanged, nested in the part that the next
 level keeps. A few merged Gaussians represent the rest; they are trained on photos, or on renders of the scene if there
-are none. An upgrade therefore sends only the difference. docs/design/019-levels.md reports what was tested.
+are none. An upgrade therefore sends only the difference. docs/design/019-levels.md reports what was tested. Below them
+lies a first picture of few merged Gaussians, which a viewer has at once (docs/design/073-the-first-picture.md).
 
 References:
     SRBF-Gaussian, section 6.1.
@@ -12,7 +13,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +27,7 @@ from gsvis.progress import Progress, silent
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.content import scene_hash, sight_hash
 from gsvis.scene.gaussians import Gaussians
-from gsvis.scene.levels import Levels
+from gsvis.scene.levels import PREVIEW, Levels
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.train.choosing import LOOKS, choose_subsets
 from gsvis.train.config import DensifyConfig, TrainConfig
@@ -36,13 +37,14 @@ from gsvis.train.images import PosedImages
 from gsvis.train.importance import ROUNDS, prune
 from gsvis.train.merge import merge_gaussians
 
-__all__ = ["SUBSETS", "LevelsConfig", "TrainedLevels", "train_levels"]
+__all__ = ["SUBSETS", "LevelsConfig", "TrainedLevels", "frozen_sizes", "train_levels"]
 
 SUBSETS = "subsets.npz"
 """Name of the file of the chosen subsets in a folder of unfinished work."""
 
 Mask = NDArray[np.bool_]
 
+_PREVIEW_NAME = "preview"
 _CHOICE = 2  # increase it when the same cameras choose other Gaussians
 
 
@@ -53,7 +55,7 @@ class LevelsConfig:
     Attributes:
         shares: Largest number of Gaussians of each, as a share of the scene's; ascending, in (0, 1).
         reuse: Least share of each that belongs to the next.
-        names: Names of all levels, the scene's own last.
+        names: Names of these levels and of the scene itself, which is last.
         iterations: Training steps for each level.
         merged: Share of a level's own Gaussians that start as merges of all that it lacks; the rest are clones that
             training adds where it needs them.
@@ -66,6 +68,9 @@ class LevelsConfig:
         evaluate_every: Steps between measurements on held-out views; 0 measures only at the end.
         seed: Seed of training.
         backend: Backend of the rasterizer.
+        preview: Number of merged Gaussians of the first picture, as a share of the scene's, in [0, `PREVIEW`]; below
+            all other levels, with the name "preview". 0 for none.
+        preview_from: Gaussians of a scene from which it has a first picture; see `fit_to`.
     """
 
     shares: tuple[float, ...] = (0.25, 0.5)
@@ -80,6 +85,8 @@ class LevelsConfig:
     evaluate_every: int = 500
     seed: int = 0
     backend: str = "auto"
+    preview: float = 0.02
+    preview_from: int = 50_000
 
     def __post_init__(self) -> None:
         for name in ("shares", "reuse", "names"):
@@ -103,6 +110,11 @@ class LevelsConfig:
             raise ValueError(
                 f"names: expected {len(self.shares) + 1} different ones, the scene's own last, got {list(self.names)}"
             )
+        if not 0.0 <= self.preview <= PREVIEW:
+            raise ArgumentError("preview", f"expected a share in [0, {PREVIEW:g}], got {self.preview!r}")
+        if self.preview and self.shares[0] > PREVIEW and _PREVIEW_NAME in self.names:
+            raise ValueError(f"names: expected none that is {_PREVIEW_NAME!r} beside a first picture, got it")
+        _check.positive_int("preview_from", self.preview_from, at_least=0)
         if not 0.0 <= self.merged <= 1.0:
             raise ValueError(f"merged: expected a share in [0, 1], got {self.merged!r}")
         if not 0.0 < self.prune_share < 1.0:
@@ -111,18 +123,35 @@ class LevelsConfig:
             _check.positive_int("looks", self.looks)
         self.training(2, 1)
 
+    def fit_to(self, count: int) -> LevelsConfig:
+        """Return the same settings, without a first picture where a scene of `count` Gaussians needs none.
+
+        The level above it is there as soon in a small scene, and is a first picture itself if it has at most a share of
+        `PREVIEW`.
+        """
+        needs = count >= self.preview_from and self.shares[0] > PREVIEW
+        return self if needs else replace(self, preview=0.0)
+
+    @property
+    def level_names(self) -> tuple[str, ...]:
+        """Names of all levels, lowest first."""
+        return (_PREVIEW_NAME, *self.names) if self.preview else self.names
+
     def sizes(self, count: int) -> list[tuple[int, int, int]]:
         """Return for each level below a scene of `count` Gaussians: the maximum, the frozen and the initial number.
 
-        All three are equal if the requested reuse leaves a level no Gaussians of its own to train.
+        All three are equal if the requested reuse leaves a level no Gaussians of its own to train. In a first picture,
+        which not every scene has (`fit_to`), nothing is frozen.
 
         Raises:
             ValueError: If a level would have fewer than 2.
         """
         found = []
-        for share, reuse in zip(self.shares, self.reuse, strict=True):
+        preview = self.fit_to(count).preview
+        first = [(preview, 0.0)] if preview else []
+        for share, reuse in [*first, *zip(self.shares, self.reuse, strict=True)]:
             total = int(share * count + 1e-9)
-            frozen = max(int(np.ceil(reuse * total - 1e-9)), 1)
+            frozen = max(int(np.ceil(reuse * total - 1e-9)), 1) if reuse else 0
             if total < 2:
                 raise ArgumentError("shares", f"expected at least 2 Gaussians in each level, got {share:g} of {count}")
             found.append((total, frozen, min(frozen + max(round(self.merged * (total - frozen)), 1), total)))
@@ -208,7 +237,7 @@ def train_levels(
     require("training of levels", "torch")
     from gsvis.train.trainer import Trainer
 
-    config = config or LevelsConfig()
+    config = (config or LevelsConfig()).fit_to(len(scene))
     if len(views) == 0:
         raise ValueError("views: expected at least one image to train on, got none")
     sizes = config.sizes(len(scene))
@@ -223,7 +252,7 @@ def train_levels(
     for k in reversed(range(top)):  # a lower level keeps less
         first[masks[sizes[k][1]]] = k
     for k, (total, frozen, begun) in enumerate(sizes):
-        name = config.names[k]
+        name = config.level_names[k]
         stays = masks[frozen]
 
         def report(stage: str, done: int, of: int, name: str = name) -> None:
@@ -245,7 +274,7 @@ def train_levels(
     own = np.repeat(np.arange(top, dtype=np.uint8), [len(part) for part in owns])
     last = np.concatenate([np.full(len(scene), top, np.uint8), own])
     union = Gaussians.concatenate([scene, *owns])
-    return TrainedLevels(Levels(union, np.concatenate([first, own]), last, config.names), histories)
+    return TrainedLevels(Levels(union, np.concatenate([first, own]), last, config.level_names), histories)
 
 
 def _subsets(
@@ -259,7 +288,7 @@ def _subsets(
     progress: Progress,
 ) -> dict[int, Mask]:
     """Return nested masks by their size, from a file of the same run if there is one."""
-    counts = sorted({frozen for _, frozen, _ in sizes}, reverse=True)
+    counts, none = frozen_sizes(sizes), {0: np.zeros(len(scene), bool)}
     cameras = _halve(views.cameras) if choose_by is None else choose_by
 
     def choose(kept: KeptWork | None = None) -> list[Mask]:
@@ -270,7 +299,7 @@ def _subsets(
         return choose_subsets(scene, cameras, counts, looks=each, space=space, work=kept, progress=progress)
 
     if work is None:
-        return dict(zip(counts, choose(), strict=True))
+        return none | dict(zip(counts, choose(), strict=True))
     shape = cameras.width, cameras.height
     hides = None if space is None else sight_hash(space)
     rules = [_CHOICE, scene_hash(scene), counts, config.prune_share, config.looks, shape, choose_by is not None, hides]
@@ -289,11 +318,16 @@ def _subsets(
             raise FormatError(
                 kept.folder / SUBSETS, "", "the chosen subsets", got, "delete it to start again"
             ) from error
-        return dict(zip(counts, bits, strict=True))
+        return none | dict(zip(counts, bits, strict=True))
     masks = choose(kept)
     kept.keep_own(SUBSETS, {"masks": np.packbits(np.stack(masks), axis=1)})
     (kept.folder / ROUNDS).unlink(missing_ok=True)
-    return dict(zip(counts, masks, strict=True))
+    return none | dict(zip(counts, masks, strict=True))
+
+
+def frozen_sizes(sizes: list[tuple[int, int, int]]) -> list[int]:
+    """Return the different numbers of frozen Gaussians above 0 of `LevelsConfig.sizes`, descending."""
+    return sorted({frozen for _, frozen, _ in sizes} - {0}, reverse=True)
 
 
 def _halve(cameras: Cameras) -> Cameras:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -19,7 +19,8 @@ class WorldConfig:
 
     Attributes:
         tiling: How it is cut into tiles.
-        package: Options of the package of each tile; `cells` is for each tile.
+        package: Options of the package of each tile; `cells` is for each tile. Its levels lose their first
+            picture: districts stand in for what is far.
         far: Most Gaussians of a district.
         angle: Largest spacing of a node over its distance from a tile, radians, from which it may stand in.
         looks: Eyes in a tile that look for nodes around it, coarsely.
@@ -43,3 +44,5 @@ class WorldConfig:
             raise ValueError(f"angle: expected radians in (0, 1], got {self.angle!r}")
         if self.package.level_size is not None:
             raise ValueError("package: expected no level_size, got one; tiles have no photos")
+        if (levels := self.package.levels) is not None:
+            object.__setattr__(self, "package", replace(self.package, levels=replace(levels, preview=0.0)))

@@ -82,7 +82,7 @@ def test_fast_and_slow_give_the_same_records_in_the_same_order(seed, policy, reg
     held = Holdings(len(index), index.num_terms)
     held.add(np.flatnonzero(rng.random(len(index)) < 0.2), np.zeros(0, np.int64), np.zeros(0, np.int64))
     picture, (replaced, covered) = float(rng.choice([0.0, 0.5, 1.0])), rng.choice([0.3, 0.6, 1.0], 2).tolist()
-    utility = UtilityConfig(finer=float(rng.choice([0.01, 0.3, 1.0])))
+    utility = UtilityConfig(finer=float(rng.choice([0.01, 0.3, 1.0])), first=float(rng.choice([0.02, 1.0])))
     config = AbrConfig(policy=policy, fill=fill, picture=picture, replaced=replaced, covered=covered, utility=utility)
     slow = order_records(store, view, policy, held, utility=utility, fill=fill, config=config)
     reach = float(rng.choice([1.0, 500.0, 1e9]))

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gsvis.abr._kernels import units as kernels
+from gsvis.abr.candidates import RINGS
 from gsvis.abr.index import nearest_replacements
-from gsvis.abr.policies import POLICIES, REGIMES, UtilityConfig, lowest_last, offsets, pairs, regime_of
+from gsvis.abr.policies import POLICIES, REGIMES, UtilityConfig, lowest_last, offsets, pairs, regime_of, table
 from tests.abr import abr_scenes as scenes
 
 FEW = settings(max_examples=12)
@@ -50,6 +53,16 @@ def test_finer_levels_in_view_wait_by_their_factor() -> None:
     plain, later = (offsets("utility", "high", 4, UtilityConfig(finer=factor), picture=0) for factor in (1.0, 0.5))
     assert (later - plain)[0].tolist() == [[0, 0], [0, 0], [32, 32], [32, 32]]
     assert np.array_equal(later[1:], plain[1:])
+
+
+@pytest.mark.parametrize("policy", POLICIES)
+def test_only_what_belongs_to_a_first_picture_alone_waits_by_its_factor(policy: str) -> None:
+    tables = [table(policy, "low", 4, UtilityConfig(first=factor), picture=0) for factor in (1.0, 0.5)]
+    added = (tables[1][0] - tables[0][0]).reshape(RINGS, 4, 4, 2, 2)
+    alone = added[0, 0, 0, kernels.GEOMETRY, kernels.INSIDE]
+    assert alone == (32 if policy == "utility" else 0)
+    assert np.count_nonzero(added) == (alone > 0)
+    assert tables[1][1] - tables[0][1] == alone
 
 
 @FEW

@@ -270,6 +270,16 @@ def test_the_help_states_the_defaults_of_the_library(capsys: Capture) -> None:
     assert f"(default: {usual.iterations})" in text
 
 
+def test_a_first_picture_is_a_level_of_its_own(tmp_path: Path, capsys: Capture) -> None:
+    out = tmp_path / "levels"
+    found = document(capsys, BUILTIN, "-o", out, *QUICK, "--preview", "0.05")
+    assert [row["name"] for row in found["levels"]] == ["preview", "low", "medium", "high"]
+    assert found["levels"][0]["reuse"] == 0.0
+    assert "preview.ply" in names(out)
+    words = [BUILTIN, "-o", str(tmp_path / "other"), *QUICK]
+    assert "expected a share in [0, 0.1]" in refused(capsys, *words, "--preview", "0.5")
+
+
 def test_a_run_that_is_stopped_is_resumed(ply: Path, photos: Path, tmp_path: Path, capsys: Capture) -> None:
     words = [str(ply), "-o", str(tmp_path / "out"), "--photos", str(photos), "--iterations", "16"]
     stopped = Halted("train", 1, "levels", *words)

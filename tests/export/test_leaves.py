@@ -87,6 +87,20 @@ def test_what_is_not_kept_is_in_no_leaf() -> None:
         cut_leaves(levels, kept=np.zeros(200, np.bool_))
 
 
+def test_a_first_picture_is_no_level_of_detail() -> None:
+    g = random_scene(np.random.default_rng(6), 330)
+    kind = np.repeat([0, 1, 2], [10, 20, 300])  # merges of the first picture, of the level above, the scene
+    first, last = np.array([0, 1, 1], np.uint8)[kind], np.array([0, 1, 2], np.uint8)[kind]
+    first[130:] = 2
+    levels = Levels(g, first, last, ("preview", "low", "high"))
+    assert (levels.previews, Levels.single(g).previews) == (1, 0)
+    leaves = cut_leaves(levels, most=50, lowest=levels.previews)
+    assert (leaves.of_ids[:10] == -1).all()
+    plain = cut_leaves(Levels(g[10:], first[10:] - 1, last[10:] - 1, ("low", "high")), most=50)
+    assert np.array_equal(leaves.counts, plain.counts)
+    assert np.array_equal(leaves.of_ids[10:], plain.of_ids)
+
+
 def test_the_order_does_not_depend_on_other_leaves() -> None:
     levels = levels_of(300)
     first, second = cut_leaves(levels, most=30), cut_leaves(levels, most=30)

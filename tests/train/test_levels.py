@@ -103,6 +103,32 @@ def test_the_union_begins_with_the_scene_and_frozen_ones_are_its_own_to_the_bit(
         assert same(low[stands], scene[shared[:COUNT]])
 
 
+def test_a_first_picture_is_merges_alone_and_changes_no_other_level(
+    scene: Gaussians, views: PosedImages, brief: Levels
+) -> None:
+    levels = train_levels(scene, views, replace(BRIEF, preview=0.05, preview_from=COUNT)).levels
+    assert levels.names == ("preview", *brief.names)
+    assert levels.counts[0] == COUNT // 20
+    assert levels.reuse[0] == 0.0
+    assert (levels.previews, brief.previews) == (1, 0)
+    assert not levels.member(0)[:COUNT].any()
+    for k in range(len(brief)):
+        assert same(levels.level(k + 1), brief.level(k))
+
+
+def test_only_a_scene_that_is_large_enough_has_a_first_picture() -> None:
+    config = LevelsConfig(preview=0.05, preview_from=1000)
+    assert config.fit_to(1000) == config
+    assert config.level_names == ("preview", *config.names)
+    assert [total for total, _, _ in config.sizes(1000)] == [50, 250, 500]
+    assert config.sizes(1000)[0] == (50, 0, 50)
+    assert config.fit_to(999).level_names == config.names
+    assert [total for total, _, _ in config.sizes(999)] == [249, 499]
+    small = replace(config, shares=(0.1, 0.5))  # a first picture itself
+    assert small.fit_to(1000).level_names == config.names
+    assert replace(config, preview=0.0).level_names == config.names
+
+
 def test_what_is_kept_is_nested_and_what_a_level_has_of_its_own_is_nowhere_else(trained: TrainedLevels) -> None:
     levels = trained.levels
     low, medium = frozen_of(levels, 0), frozen_of(levels, 1)
@@ -295,6 +321,9 @@ def test_what_cannot_be_done_is_refused_before_any_work(scene: Gaussians, views:
         ({"names": ("low", "high")}, "names: expected 3 different ones"),
         ({"names": ("low", "low", "high")}, "names: expected 3 different ones"),
         ({"iterations": 0}, "iterations: expected"),
+        ({"preview": 0.2}, "preview: expected a share in"),
+        ({"names": ("preview", "medium", "high")}, "names: expected none that is 'preview'"),
+        ({"preview_from": -1}, "preview_from: expected"),
         ({"merged": 1.5}, "merged: expected a share in"),
         ({"prune_share": 0.0}, "prune_share: expected a share in"),
         ({"prune_share": 1.0}, "prune_share: expected a share in"),

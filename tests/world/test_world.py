@@ -152,7 +152,7 @@ def test_a_stopped_run_goes_on_to_the_same_bytes(
 
 def test_levels_are_trained_for_tiles(scene: Scene, tmp_path: Path) -> None:
     path = tmp_path / "city.gsworld"
-    levels = LevelsConfig((0.3,), (0.9,), ("low", "high"), iterations=3)
+    levels = LevelsConfig((0.3,), (0.9,), ("low", "high"), iterations=3, preview=0.1, preview_from=0)  # none in tiles
     prepare_world([scene], path, cities.config(levels, most=4000))
     world = World.open(path)
     world.verify()

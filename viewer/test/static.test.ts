@@ -5,6 +5,7 @@ import { readFileSync } from "node:fs";
 import { createServer, type IncomingMessage, type ServerResponse } from "node:http";
 import type { AddressInfo } from "node:net";
 import { join } from "node:path";
+import { deflateSync, inflateSync } from "node:zlib";
 import { test, type TestContext } from "node:test";
 import { Arrivals } from "../src/core/static-arrivals.ts";
 import { Blocks } from "../src/core/static-blocks.ts";
@@ -430,6 +431,26 @@ test("the plan begins with what weighs most in view for its bytes, and joins nei
   const runs = slice(blocks, order, 0, apart, Infinity, 0).runs;
   assert.ok(runs.length >= all.runs.length);
   assert.equal(runs.reduce((sum, run) => sum + run.end - run.first, 0), order.blocks.length);
+});
+
+test("a first picture is not asked for, and the level above it counts as the lowest", async () => {
+  const { blocks, file, cells } = await open(VECTOR.package), { header } = blocks.scene;
+  const row = await readRow(blocks.scene, file("cells").subarray(...cells.range(0)));
+  const held = { records: new Uint8Array(blocks.count), terms: new Uint8Array(blocks.count) };
+  const pose: Pose = { position: VECTOR.package.centers![0] as [number, number, number], rotation: [1, 0, 0, 0] };
+  const lasts = (of: Blocks): Set<number> =>
+    new Set([...rank(of, row, held, pose, VIEW, "low").blocks].map((b) => of.last(b)));
+  const some = lasts(blocks), few = header.levels.map((level, k) => (k === 0 ? { ...level, count: 1 } : level));
+  assert.ok(some.has(0));
+  const reopen = async (index: Uint8Array): Promise<Blocks> =>
+    Blocks.open({ ...blocks.scene, header: { ...header, levels: few } }, index);
+  const index = new Uint8Array(inflateSync(file("index"))), last = 12 * header.chunks;
+  assert.deepEqual([blocks.lowest, (await reopen(file("index"))).lowest], [0, 0]); // it shares chunks
+  for (let k = 0; k < header.chunks; k++) if (blocks.levels[2 * k] === 0) index[last + k] = 0; // none any more
+  const other = await reopen(new Uint8Array(deflateSync(index)));
+  assert.equal(other.lowest, 1);
+  const others = lasts(other);
+  assert.ok(!others.has(0) && others.size > 0);
 });
 
 test("frusta and regimes are those of the server", () => {

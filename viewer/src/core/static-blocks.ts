@@ -9,6 +9,7 @@ import { recordLayout } from "./tables.ts";
 
 const UNIT = 16, HEAD = 32; // bytes
 const MOST_MEMBERS = 256;
+const PICTURE = 0.1; // largest share of the Gaussians in a first picture, as on a server
 const STEPS = 64, OCTAVE = 4; // of places, and of radii
 
 export class Blocks {
@@ -22,6 +23,7 @@ export class Blocks {
   readonly levels: Uint8Array; // (2 C) first and last level
   readonly spheres: Float32Array; // (4 C): what each chunk reaches
   readonly top: number; // the highest level
+  readonly lowest: number; // the lowest level that is no first picture; those are for servers
   readonly meanRadius: number; // of the spheres of chunks
   readonly harmonicBytes: number; // of a Gaussian
   termStart: Float64Array | null = null; // (B + 1) byte in `terms`; null until `setTerms`
@@ -61,6 +63,7 @@ export class Blocks {
         throw new Error(`index: chunk ${k}: expected known levels; export the scene again`);
       }
     }
+    this.lowest = this.#lowest(c);
     this.chunk = new Uint32Array(this.count);
     this.firstId = new Uint32Array(this.count);
     this.start = new Uint32Array(this.count + 1);
@@ -70,6 +73,16 @@ export class Blocks {
       this.recordStart[b + 1] = this.recordStart[b] + UNIT * units;
     });
     if (this.recordStart[this.count] !== scene.files.get("records")!.bytes) throw refuse();
+  }
+
+  /** Return the lowest level that is large or shares chunks with the level above it. */
+  #lowest(chunks: number): number {
+    const counts = this.scene.header.levels.map((level) => level.count);
+    for (let low = 0; low < this.top; low++) {
+      if (counts[low] > PICTURE * counts[this.top]) return low;
+      for (let k = 0; k < chunks; k++) if (this.levels[2 * k] <= low && this.levels[2 * k + 1] > low) return low;
+    }
+    return this.top;
   }
 
   /**

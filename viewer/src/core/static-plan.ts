@@ -90,9 +90,9 @@ export function rank(
   blocks: Blocks, row: CellRow, held: Holdings, pose: Pose, view: View, regime: Regime, adjacent = false,
 ): Order {
   const planes = frustum(pose, view), chunks = blocks.levels.length / 2, power = POWERS[regime];
-  const middle = Math.max(blocks.top - 1, 0);
-  const caps = { high: [blocks.top, blocks.top], medium: [middle, middle], low: [middle, 0] }[regime];
-  const least = regime === "high" ? blocks.top : 0;
+  const { top, lowest } = blocks, middle = Math.max(top - 1, lowest);
+  const caps = { high: [top, top], medium: [middle, middle], low: [middle, lowest] }[regime];
+  const least = regime === "high" ? top : lowest;
   const far = new Float32Array(chunks).fill(NaN), inside = new Float32Array(chunks);
   const keys = new Float32Array(2 * row.blocks.length), found: number[] = [];
   for (let k = 0; k < row.blocks.length; k++) {
