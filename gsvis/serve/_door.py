@@ -27,7 +27,7 @@ _PAUSE_S = 0.05  # pause before accepting again after an error; doubles each tim
 _LONGEST_PAUSE_S = 1.0
 _QUIET_S = 10.0  # seconds between log lines about failures to accept
 _YIELD_S = 0.02  # head start of a process with fewer viewers
-_IN_A_ROW = 16  # connections to accept before other tasks run
+_IN_A_ROW = 2  # connections to accept in a slot
 _NEVER = 1e6  # seconds; for time-outs of asyncio that the guard replaces
 
 
@@ -82,11 +82,12 @@ class Door:
         pause = _PAUSE_S
         try:
             while True:
+                await self._wait_for_some()
                 for _ in range(_IN_A_ROW):
                     try:
-                        sock, place = await self._next()
-                    except BlockingIOError:  # another process has taken it
-                        continue
+                        sock, place = self._next()
+                    except BlockingIOError:  # no more, or another process has taken it
+                        break
                     except OSError as error:
                         self._make_do(error)
                         await asyncio.sleep(pause)
@@ -94,23 +95,25 @@ class Door:
                         continue
                     pause = _PAUSE_S
                     self._take(sock, (str(place[0]), int(place[1])) if isinstance(place, tuple) else ("-", 0))
-                await asyncio.sleep(0)
         finally:
             self._listener.close()
 
-    async def _next(self) -> tuple[socket.socket, Any]:
-        """Return the next connection and its peer; raise BlockingIOError if another process takes it first."""
-        loop = asyncio.get_running_loop()
-        if self._is_ahead is None:
-            return await loop.sock_accept(self._listener)
-        there = asyncio.Event()
+    async def _wait_for_some(self) -> None:
+        """Wait until connections can be accepted, and then for a slot."""
+        loop, there = asyncio.get_running_loop(), asyncio.Event()
         loop.add_reader(self._listener, there.set)
         try:
             await there.wait()
         finally:
             loop.remove_reader(self._listener)
-        if self._is_ahead():
+        if self._is_ahead is not None and self._is_ahead():
             await asyncio.sleep(_YIELD_S)
+        slot = asyncio.Event()
+        self._means.precedence.call(slot.set)
+        await slot.wait()
+
+    def _next(self) -> tuple[socket.socket, Any]:
+        """Return a new connection and its peer; raise BlockingIOError if there is none."""
         return self._listener.accept()
 
     def _make_do(self, error: OSError) -> None:

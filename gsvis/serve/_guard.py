@@ -36,6 +36,7 @@ from gsvis.serve._log import EventLog
 from gsvis.serve.clock import Clock, Timer
 from gsvis.serve.limits import Limits
 from gsvis.serve.metrics import Metrics
+from gsvis.serve.precedence import Precedence
 from gsvis.serve.turns import Readings
 
 __all__ = ["Guard", "Means", "Phase", "Wire"]
@@ -70,6 +71,7 @@ class Means:
         log: Log of events.
         metrics: Counters of events.
         readings: Turns in which bursts are parsed.
+        precedence: Which sockets the event loop looks at first.
     """
 
     limits: Limits
@@ -77,6 +79,7 @@ class Means:
     log: EventLog
     metrics: Metrics
     readings: Readings = field(default_factory=Readings)
+    precedence: Precedence = field(default_factory=Precedence)
 
 
 class _Inner(Protocol):
@@ -150,6 +153,7 @@ class Guard(asyncio.Protocol):
     ) -> None:  # fmt: skip
         self._sock, self.peer, self._limits, self._clock = sock, peer, means.limits, means.clock
         self._log, self._metrics, self._readings = means.log, means.metrics, means.readings
+        self._precedence, self._fd = means.precedence, sock.fileno()
         self._make, self._seen, self._gone = inner, seen, gone
         self.address, self.owner, self.is_cut = peer[0], owner_of(peer[0]), False
         self._transport: Any = None
@@ -243,11 +247,13 @@ class Guard(asyncio.Protocol):
         self._rest()
         self._transport.resume_reading()
         if self._buffer:
-            asyncio.get_running_loop().call_soon(self._go_on)
+            self._readings.add(self._go_on)
 
-    def _go_on(self) -> None:
-        if self.phase is Phase.IDLE and not self._is_over:
+    def _go_on(self) -> bool:
+        """Take the next request of those that came at once; return False, as one is enough for a turn."""
+        if self.phase is Phase.IDLE and not self._has_ended():
             self._take_request()
+        return False
 
     def upgrade(self, protocol: Any) -> None:
         """Switch the connection to a WebSocket."""
@@ -324,6 +330,7 @@ class Guard(asyncio.Protocol):
             if timer is not None:
                 timer.cancel()
         self._buffer.clear()
+        self._precedence.forget(self._fd, self)
         self._gone(self)
 
     # inside
@@ -332,6 +339,7 @@ class Guard(asyncio.Protocol):
         if self._deadline is not None:
             self._deadline.cancel()
         self._deadline = None if seconds is None else self._clock.call_later(seconds, self._too_late)
+        self._precedence.put(self._fd, self, is_first=phase is Phase.STREAMING)
         self.phase, self.since = phase, next(_numbers)  # last: who reads it from another thread finds the deadline set
 
     def _rest(self) -> None:

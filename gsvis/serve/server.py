@@ -28,8 +28,10 @@ from gsvis.serve.app import AppConfig, build_app
 from gsvis.serve.clock import Clock
 from gsvis.serve.limits import Pace, RateBucket
 from gsvis.serve.metrics import Metrics
+from gsvis.serve.precedence import Precedence, run
 from gsvis.serve.scenes import ServedScene
 from gsvis.serve.siblings import Siblings
+from gsvis.serve.turns import Readings
 from gsvis.serve.upkeep import LOOK_S, Upkeep
 
 __all__ = ["Address", "Server", "listen", "url_of"]
@@ -105,7 +107,7 @@ class Server:
         self._threads = None
         if _check.positive_int("planners", planners, at_least=0):
             self._threads = ThreadPoolExecutor(planners, thread_name_prefix="gsvis-plan")
-        self._pace = Pace()
+        self._pace, self._precedence = Pace(), Precedence()
         self._upkeep = Upkeep(scenes, self.config.limits, self.metrics, self._log, self.clock.now)
         app = build_app(
             scenes,
@@ -122,7 +124,8 @@ class Server:
 
     def _open_door(self, inner: Callable[[], Any], tls: ssl.SSLContext | None) -> Door:
         proxies = Proxies(self.config.proxies)
-        means = Means(self.config.limits, self.clock, self._log, self.metrics)
+        readings = Readings(call=self._precedence.call)
+        means = Means(self.config.limits, self.clock, self._log, self.metrics, readings, self._precedence)
         siblings, clients = self._siblings, self.metrics.clients
         is_ahead = None if siblings is None else lambda: siblings.is_ahead(int(clients.value()))
         return Door(self._socket, means, inner, proxies, tls, is_ahead)
@@ -146,7 +149,7 @@ class Server:
         if self.config.token is None and not _is_loopback(self._socket.getsockname()[0]):
             self._log("open", logging.WARNING, why="everybody who reaches this address can stream: no token is set")
         try:
-            asyncio.run(self._serve())
+            run(self._serve(), self._precedence)
         finally:
             self._socket.close()
             if self._threads is not None:

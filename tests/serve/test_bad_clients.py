@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import errno
 import logging
@@ -17,6 +16,7 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 
 from gsvis.serve import Server
+from gsvis.serve._door import Door
 from gsvis.serve._head import Head
 from gsvis.stream import Hello
 from gsvis.stream.wire import FAULTS, ServerFault
@@ -387,15 +387,15 @@ def test_without_descriptors_it_says_so_once_makes_room_and_goes_on(
 ) -> None:
     left = [40]
     waiting: list[int] = []
-    accept = asyncio.SelectorEventLoop.sock_accept
+    accept = Door._next
 
-    async def failing(self: asyncio.SelectorEventLoop, listener: socket.socket) -> object:
+    def failing(door: Door) -> object:
         if waiting and left[0] > 0:
             left[0] -= 1
             raise OSError(errno.EMFILE, "Too many open files")
-        return await accept(self, listener)
+        return accept(door)
 
-    monkeypatch.setattr(asyncio.SelectorEventLoop, "sock_accept", failing)
+    monkeypatch.setattr(Door, "_next", failing)
     monkeypatch.setattr("gsvis.serve._door._LONGEST_PAUSE_S", 0.06)
     with caplog.at_level(logging.INFO), serving(plain) as server, crowd(3, lambda _: plain_socket(server)) as many:
         until(lambda: len(phases(server)) == 3)
