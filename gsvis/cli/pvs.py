@@ -170,7 +170,7 @@ def _plan(command: Pvs, config: PvsConfig, walk: HeadPath | None, status: Status
     status("reading", 1, 1)
     status("space", 0, 1)
     place = find_place(source, command, command.up, walk)
-    space = place.required("say where eyes may be with --box")
+    space = place.required("say where eyes may be with --box or --around")
     remarks = [*place.remarks, *suspect_views(source.gaussians, space)]
     size = command.cell_size
     if size is None:
