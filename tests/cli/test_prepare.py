@@ -68,7 +68,7 @@ def test_a_scene_becomes_a_package_with_levels_and_tables(tmp_path: Path, capsys
     text, _ = run(capsys, SCENE, "-o", target, *QUICK, "--meters-per-unit", "0.5")
     assert max(map(len, text.splitlines())) <= 80
     labels = ["low", "against the scene", "cost of rounding", "dB", "What a client gets", "records for exact values"]
-    for label in (*labels, "+z; 0.5 meters", "s.gsvis.work", "made"):
+    for label in (*labels, "proven to miss", "worst 16 x 16 tile", "+z; 0.5 meters", "s.gsvis.work", "made"):
         assert label in text
     with Package.open(target) as package:
         assert package.manifest.names == ("low", "medium", "high")
@@ -107,9 +107,12 @@ def test_one_document_for_a_result_and_for_an_estimate(tmp_path: Path, capsys: C
     assert found["cost"]["views"] == found["fidelity"]["views"] == 1
     assert list(found["fidelity"]["steps"]) == ["levels", "terms", "rounding", "cells"]
     assert found["meters_per_unit"] == 0.0
+    assert found["certificates"]["cells"] == 2
+    assert 0.0 <= found["certificates"]["tile"]["mean"] <= found["certificates"]["tile"]["max"] <= 1.0
     text, _ = run(capsys, *words, "--dry-run")
     assert "Nothing was written." in text
     assert text.count("done") == 4
+    assert "memory" in text  # the other stages need some, too
 
 
 def test_it_says_what_is_kept_when_it_is_stopped(

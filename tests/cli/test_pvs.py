@@ -88,6 +88,7 @@ def test_what_a_store_without_certificates_or_a_second_tracer_says() -> None:
     rows = dict(spell_certificates(StoredCertificates(one, 256 * one, share, 2.0 * share, share), None))
     assert rows["light missed"].startswith("0.100% on average, 0.100% in the worst cell")
     assert rows["proven to miss"].startswith("at most 0.200% in any cell")
+    assert rows["worst 16 x 16 tile"] == "0.1% missed on average, 0.1% in the worst cell"
     assert rows["rays"].startswith("512 ")
     assert "Open3D is not installed" in rows["two tracers agree"]
     agreed = {"rays": 16, "agreeing": 15, "largest_difference": 0.5}
