@@ -90,7 +90,25 @@ class FormatError(GsvisError):
 
 
 class SceneError(GsvisError):
-    """A scene is well formed but cannot serve what was asked of it."""
+    """A scene is well formed but cannot serve what was asked of it.
+
+    Args:
+        problem: What was asked for, and why the scene cannot serve it.
+        remedy: What the user can do about it, in arguments of the library; a command names its options instead. May be
+            empty.
+
+    Examples:
+        >>> print(SceneError("no navigable space: nothing is free", "raise max_alpha"))
+        no navigable space: nothing is free; raise max_alpha
+    """
+
+    def __init__(self, problem: str, remedy: str = "") -> None:
+        self.problem, self.remedy = problem, remedy
+        super().__init__(problem + (f"; {remedy}" if remedy else ""))
+
+    def __reduce__(self) -> tuple[type[SceneError], tuple[str, str]]:
+        """Pickled by its parts."""
+        return type(self), (self.problem, self.remedy)
 
 
 def _one_line(text: str) -> str:

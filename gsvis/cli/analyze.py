@@ -163,7 +163,9 @@ def _given_cameras(command: Analyze) -> Cameras | None:
 
 def _sample_cameras(command: Analyze, navigable: NavigableSpace | None, no_space: str) -> Cameras:
     if navigable is None:
-        raise SceneError(f"{no_space}; give cameras with --cameras FILE, or say where eyes may be with --box")
+        raise SceneError(
+            f"{no_space}; give cameras with --cameras FILE, or say where eyes may be with --box or --around"
+        )
     return navigable.sample_cameras(
         command.views or _VIEWS,
         np.random.default_rng(command.seed),

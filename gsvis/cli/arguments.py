@@ -83,7 +83,7 @@ __all__ = [
 
 
 @dataclass(frozen=True)
-class Inspect:
+class Inspect(Where):
     """Report what a scene holds and what looks wrong with it."""
 
     scene: Scene

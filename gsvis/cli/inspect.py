@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Any
 
 from gsvis.cli.arguments import Inspect
-from gsvis.cli.arguments_where import Where
 from gsvis.cli.histograms import TITLES, band_lines, can_draw_blocks, histogram_lines, line_width
 from gsvis.cli.source import Source, inspect_scene_of, load_source
 from gsvis.cli.terminal import Status, facts, print_json, show, size_of
-from gsvis.cli.where import find_place, space_document, suspect_views
+from gsvis.cli.where import check_where, find_place, flyaway_remarks, space_document, suspect_views
 from gsvis.scene.histograms import Band, Histogram, measure_bands, measure_histograms
+from gsvis.scene.paths import HeadPath
 
 __all__ = ["run_inspect"]
 
@@ -24,13 +24,14 @@ def run_inspect(command: Inspect) -> None:
         ValueError: If an argument is wrong.
         FileNotFoundError: If there is no such file.
     """
+    walk = check_where(command)
     with Status() as status:
         status("reading", 0, 1)
         source = load_source(command.scene, command.lod)
         report = inspect_scene_of(source)
         status("reading", 1, 1)
         status("space", 0, 1)
-        report["space"], remarks = _space(source)
+        report["space"], remarks = _space(command, source, walk)
         report["problems"] += [remark.strip() for remark in remarks]
         status("space", 1, 1)
         spread = measure_histograms(source.gaussians) if command.histograms else {}
@@ -55,14 +56,16 @@ def _draw(spread: dict[str, Histogram], bands: list[Band]) -> list[str]:
     return [*lines, *band_lines(bands, width=width, blocks=blocks), ""] if bands else lines
 
 
-def _space(source: Source) -> tuple[dict[str, Any] | None, list[str]]:
+def _space(command: Inspect, source: Source, walk: HeadPath | None) -> tuple[dict[str, Any] | None, list[str]]:
     """Return where eyes may be, for JSON, None if nowhere; and what is implausible about it."""
     if len(source.gaussians) == 0:
         return None, []
-    place = find_place(source, Where())
+    place = find_place(source, command, walk=walk)
+    counted = flyaway_remarks(source.gaussians)  # the report counts them, too
+    said = [remark for remark in place.remarks if remark not in counted]
     if place.space is None:
-        return None, [f"{place.why_not}; say where eyes may be with --box or --around"]
-    return space_document(place.space), suspect_views(source.gaussians, place.space)
+        return None, [*said, f"{place.why_not}; say where eyes may be with --box or --around"]
+    return space_document(place.space), [*said, *suspect_views(source.gaussians, place.space)]
 
 
 def _rows(source: Source, report: dict[str, Any]) -> list[tuple[str, str]]:

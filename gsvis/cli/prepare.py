@@ -53,8 +53,13 @@ def run_prepare(command: Prepare) -> None:
             raise SceneError(f"{command.scene}: the scene has no Gaussian: there is nothing to see")
         status("reading", 1, 1)
         status("space", 0, 1)
-        place = find_place(source, command, command.up, walk)
-        space = place.required("say where eyes may be with --box")
+        seeds = None
+        if command.photos is not None:
+            from gsvis.train.photos import load_viewpoints
+
+            seeds = load_viewpoints(command.photos)
+        place = find_place(source, command, command.up, walk, seeds)
+        space = place.required("say where eyes may be with --box or --around")
         remarks = [*place.remarks, *suspect_views(source.gaussians, space)]
         status("space", 1, 1)
         work = WorkFolder(command.out).folder

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from gsvis.cli.arguments import Prepare
 from gsvis.cli.package import fidelity_table, size_rows
+from gsvis.cli.pvs import spell_certificates
 from gsvis.cli.source import Source
 from gsvis.cli.terminal import busy_note, clock, facts, print_json, show, size_of
 from gsvis.cli.where import kind_row, space_document
@@ -53,6 +54,8 @@ def print_result(
     if cost is not None:
         text = f"{cost.psnr:.1f} dB, worst {cost.worst:.1f}, in {cost.views} views of {cost.width} x {cost.height}"
         rows.append(("cost of rounding", text))
+    if prepared.certificates is not None:
+        rows += spell_certificates(prepared.certificates, prepared.traced_twice)
     rows.append(("package", f"{command.out}, {size_of(prepared.nbytes)} in {prepared.parts:,} parts"))
     rows += size_rows(m)
     if prepared.parts_kept:
@@ -90,6 +93,8 @@ def _document(command: Prepare, prepared: Prepared, levels: list[dict[str, Any]]
         "meters_per_unit": m.info.meters_per_unit,
         "cost": None if m.info.cost is None else asdict(m.info.cost),
         "fidelity": None if m.info.fidelity is None else m.info.fidelity.summary(),
+        "certificates": None if prepared.certificates is None else prepared.certificates.as_dict(),
+        "traced_twice": prepared.traced_twice,
         "parts": prepared.parts,
         "parts_kept": prepared.parts_kept,
         "sizes": m.sizes(),
@@ -130,8 +135,7 @@ def print_estimate(
         ("package", f"about {size_of(estimate.nbytes)}"),
         ("kept beside it", f"about {size_of(estimate.work_bytes)}"),
     ]
-    if estimate.memory:
-        rows.append(("memory", f"at most about {size_of(estimate.memory)}, all processes together"))
+    rows.append(("memory", f"at most about {size_of(estimate.memory)}, all processes together"))
     show(
         facts(f"{source.name}: what it would cost", rows),
         facts("", stages),

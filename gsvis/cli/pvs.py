@@ -170,7 +170,7 @@ def _plan(command: Pvs, config: PvsConfig, walk: HeadPath | None, status: Status
     status("reading", 1, 1)
     status("space", 0, 1)
     place = find_place(source, command, command.up, walk)
-    space = place.required("say where eyes may be with --box")
+    space = place.required("say where eyes may be with --box or --around")
     remarks = [*place.remarks, *suspect_views(source.gaussians, space)]
     size = command.cell_size
     if size is None:
@@ -246,10 +246,11 @@ def spell_certificates(certified: StoredCertificates, twice: Any) -> list[tuple[
     known = certified.known
     if not known.any():
         return [("light missed", "not certified: the store is of an older version")]
-    missed, bound = certified.missed[known], certified.bound[known]
+    missed, bound, tile = certified.missed[known], certified.bound[known], certified.tile[known]
     rows = [
         ("light missed", f"{missed.mean():.3%} on average, {missed.max():.3%} in the worst cell, by fresh rays"),
         ("proven to miss", f"at most {bound.max():.3%} in any cell, with 95% confidence each"),
+        ("worst 16 x 16 tile", f"{tile.mean():.1%} missed on average, {tile.max():.1%} in the worst cell"),
         ("rays", f"{int(certified.rays.sum()):,} certified the sets"),
     ]
     return [*rows, ("two tracers agree", describe_check(None if twice is None else CrossCheck(**twice)))]

@@ -120,7 +120,7 @@ def _command_line(command: PvsReport) -> str:
 
 def _tables(document: dict[str, Any]) -> list[Any]:
     """Return three tables: what was measured, the figures beside their targets, and the value of faint classes."""
-    from gsvis.report.pvs_page import format_target, format_value
+    from gsvis.report.pvs_page import format_label, format_target, format_value
 
     store, quality = document["store"], document["quality"]
     config, share = quality["config"], store["visible_share"]
@@ -129,17 +129,18 @@ def _tables(document: dict[str, Any]) -> list[Any]:
     about = [
         ("Gaussians", f"{store['gaussians']:,}"),
         ("measured", measured),
+        ("faces", f"six of {config['size']} x {config['size']} pixels (px) around a viewpoint"),
         ("images", f"{config['width']} x {config['height']}, field of view {config['fov']:g} degrees"),
         ("visible from a cell", f"{share['mean']:.1%} of all; {share['min']:.1%} to {share['max']:.1%}"),
     ]
     figures = []
-    for each in quality["figures"].values():
+    for key, each in quality["figures"].items():
         mean, worst = (format_value(each[which], each["unit"]) for which in ("mean", "worst"))
         wanted = [(each[f"target_{which}"], each[f"met_{which}"]) for which in ("mean", "worst")]
         beside = "; ".join("" if target is None else format_target(target, each["unit"]) for target, _ in wanted)
         verdicts = [met for _, met in wanted if met is not None]
         verdict = "" if not verdicts else "met" if all(verdicts) else "MISSED"
-        figures.append((each["label"], mean, worst, beside.strip("; "), verdict))
+        figures.append((format_label(key, each["label"], config), mean, worst, beside.strip("; "), verdict))
     classes = [
         (
             "whole set" if not each["least_class"] else f"weights from {each['least_weight']:.3g}",
@@ -164,11 +165,15 @@ def _tables(document: dict[str, Any]) -> list[Any]:
 
 
 def _remarks(document: dict[str, Any]) -> list[str]:
-    from gsvis.report.pvs_page import describe_certificate
+    from gsvis.report.pvs_page import describe_bounds, describe_certificate, describe_tiles
 
     remarks = [f" Fresh viewpoints were drawn {document['viewpoints_from']}."]
     if document["quality"]["certificate"] is not None:
         remarks.append(f" {describe_certificate(document['quality']['certificate'])}")
+    if document["bounds_checked"] is not None:
+        remarks.append(f" {describe_bounds(document['bounds_checked'])}")
+    if tiles := describe_tiles(document["store"]["certificates"]):
+        remarks.append(f" {tiles}")
     left_out = document["quality"]["cells_left_out"]
     if left_out:
         remarks.append(f" {len(left_out):,} cells were left out: every viewpoint drawn lies in something solid.")

@@ -15,7 +15,7 @@ from gsvis.cli.arguments import Render
 from gsvis.cli.pictures import Frame, Target, target_of, write_frames
 from gsvis.cli.source import Source, check_source, load_source
 from gsvis.cli.terminal import Status, facts, print_json, show
-from gsvis.cli.views import camera_count, check_views, given_cameras, place_cameras
+from gsvis.cli.views import camera_count, check_buried, check_views, given_cameras, place_cameras
 from gsvis.cli.where import space_document
 from gsvis.errors import BackendError, SceneError
 from gsvis.io.report_cameras import describe_cameras
@@ -88,7 +88,11 @@ def _render(
         raise SceneError(f"{command.scene}: the scene has no Gaussian: there is nothing to see")
     status("reading", 1, 1)
     status("space", 0, 1)
-    cameras, space, remarks = (given, None, []) if given is not None else place_cameras(command, source, walk)
+    if given is None:
+        cameras, space, remarks = place_cameras(command, source, walk)
+    else:
+        cameras, space = given, None
+        remarks = check_buried(source.gaussians, given.viewpoints, "the cameras of --camera")
     status("space", 1, 1)
     if command.contributors is not None:
         _check_pixel(command.contributors, cameras)

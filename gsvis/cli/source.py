@@ -212,7 +212,7 @@ def navigable_space(
         axis = source.known_up if up is None else up
         return NavigableSpace.from_scene(source.gaussians, up=axis, seeds=seeds), ""
     except SceneError as error:
-        return None, str(error)
+        return None, error.problem
 
 
 def parse_up(axis: str | None) -> NDArray[np.float64] | None:

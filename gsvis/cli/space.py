@@ -12,12 +12,15 @@ from gsvis.cli.arguments_space import Space
 from gsvis.cli.scene_out import check_outputs
 from gsvis.cli.source import check_source, load_source, parse_up
 from gsvis.cli.terminal import Status, facts, print_json, show, size_of
-from gsvis.cli.where import WORDS, check_where, find_place, kind_row
+from gsvis.cli.where import WORDS, check_where, find_place, flyaway_remarks, kind_row
+from gsvis.errors import SceneError
 from gsvis.files.atomic import atomic_path
 from gsvis.io.voxels import VOXELS, save_voxels
 from gsvis.scene.navigable import NavigableSpace
 
 __all__ = ["run_space"]
+
+_REMEDY = "say where eyes may be with --box or --around, or raise --resolution"
 
 
 def run_space(command: Space) -> None:
@@ -39,10 +42,14 @@ def run_space(command: Space) -> None:
         status("space", 0, 1)
         if command.resolution is None:
             place = find_place(source, command, command.up, walk)
-            space, remarks = place.required("say where eyes may be with --box or --around"), place.remarks
+            space, remarks = place.required(_REMEDY), place.remarks
         else:
             up = source.known_up if command.up is None else parse_up(command.up)
-            space, remarks = NavigableSpace.from_scene(source.gaussians, resolution=command.resolution, up=up), []
+            remarks = flyaway_remarks(source.gaussians)
+            try:
+                space = NavigableSpace.from_scene(source.gaussians, resolution=command.resolution, up=up)
+            except SceneError as error:
+                raise SceneError(f"{command.scene}: {error.problem}; {_REMEDY}") from None
         status("space", 1, 1)
         status("writing", 0, 1)
         found = _write_voxels(space, files) if len(files) == 2 else _write_meshes(command, space, files[0])

@@ -17,7 +17,7 @@ from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
 from gsvis.scene.solid import buried
 
-__all__ = ["camera_count", "check_views", "given_cameras", "place_cameras"]
+__all__ = ["camera_count", "check_buried", "check_views", "given_cameras", "place_cameras"]
 
 F64 = NDArray[np.float64]
 
@@ -90,16 +90,16 @@ def place_cameras(
     g = source.gaussians
     if command.eye is None and command.orbit is None:
         place = find_place(source, command, command.up, walk)
-        space = place.required("name a place with --eye X Y Z, --orbit N or --box")
+        space = place.required("name a place with --eye X Y Z, --orbit N, --box or --around")
         if command.up is None:
             space = replace(space, up=up)
         cameras = space.sample_cameras(1, np.random.default_rng(command.seed), fov=fov, **size)
-        more = _check_buried(g, cameras.viewpoints, "the sampled eye")
+        more = check_buried(g, cameras.viewpoints, "the sampled eye")
         return cameras, space, [*remarks, *place.remarks, *more, f" Again: {_options_of(cameras)}"]
     middle, reach = _extent(g)
     target = middle if command.target is None else np.array(command.target)
     if command.eye is not None:
-        remarks += _check_buried(g, np.array([command.eye]), "--eye")
+        remarks += check_buried(g, np.array([command.eye]), "--eye")
         return Cameras.look_at([command.eye], target, up=up, fov=fov, **size), None, remarks
     half = np.tan(np.radians(fov) / 2.0) * min(1.0, size["height"] / size["width"])
     radius = command.radius or reach / np.sin(np.arctan(half))
@@ -107,10 +107,16 @@ def place_cameras(
     return Cameras.orbit(target, radius, command.orbit or 1, up=up, elevation=elevation, fov=fov, **size), None, remarks
 
 
-def _check_buried(g: Gaussians, eyes: F64, name: str) -> list[str]:
-    """Return a remark if an eye lies inside something solid."""
-    if not buried(g, np.asarray(eyes, np.float64)).any():
+def check_buried(g: Gaussians, eyes: F64, name: str) -> list[str]:
+    """Return a remark if eyes (P, 3) lie inside something solid."""
+    lost = int(np.count_nonzero(buried(g, np.asarray(eyes, np.float64))))
+    if not lost:
         return []
+    if len(eyes) > 1:
+        return [
+            f" Expected {name} in free space, got {lost:,} of {len(eyes):,} inside something solid, which fills their"
+            " pictures; leave them out."
+        ]
     return [f" Expected {name} in free space, got a point inside something solid, which fills the picture; move it."]
 
 

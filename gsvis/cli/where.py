@@ -12,7 +12,8 @@ from gsvis.cli.arguments_where import Where
 from gsvis.cli.source import Source, navigable_space, parse_up
 from gsvis.errors import SceneError
 from gsvis.io.poses import load_path
-from gsvis.scene.corridor import corridor
+from gsvis.scene.corridor import corridor, share_in_solid
+from gsvis.scene.flyaways import find_flyaways
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
@@ -23,6 +24,7 @@ __all__ = [
     "Place",
     "check_where",
     "find_place",
+    "flyaway_remarks",
     "given",
     "kind_row",
     "space_document",
@@ -115,6 +117,7 @@ def find_place(
         ValueError: If the walk lies elsewhere.
     """
     axis = source.known_up if up is None else parse_up(up)
+    outside = flyaway_remarks(source.gaussians)
     if where.box is not None:
         upward = (0.0, 0.0, 1.0) if axis is None else axis
         space = NavigableSpace.from_box(where.box[:3], where.box[3:], _BOX_VOXELS, up=upward)
@@ -124,19 +127,30 @@ def find_place(
         try:
             space = NavigableSpace.around(source.gaussians, center, radius, up=axis)
         except SceneError as error:
-            raise SceneError(f"--around: {error}") from None
-        return Place(space, "", [])
+            raise SceneError(f"--around: {error.problem}; give another center or radius") from None
+        return Place(space, "", outside)
     found, why_not = navigable_space(source, up=axis, seeds=seeds)
     if found is None:
-        return Place(None, f"{source.path or source.name}: {why_not}", [])
+        return Place(None, f"{source.path or source.name}: {why_not}", outside)
     if walk is None:
-        return Place(found, "", [])
-    return _along(found, where, walk)
+        return Place(found, "", outside)
+    return _along(found, where, walk, outside)
 
 
-def _along(space: NavigableSpace, where: Where, walk: HeadPath) -> Place:
-    """Return the space near a walk."""
-    remarks = []
+def flyaway_remarks(g: Gaussians) -> list[str]:
+    """Return a remark on Gaussians that lie too far outside to count, if they are many."""
+    count = int(np.count_nonzero(find_flyaways(g.means, g.scales, g.opacities)))
+    if not count:
+        return []
+    return [
+        f" {count:,} Gaussians, {count / len(g):.1%} of all, lie far outside of the scene and do not count for where"
+        " eyes may be; gsvis clean removes them."
+    ]
+
+
+def _along(space: NavigableSpace, where: Where, walk: HeadPath, remarks: list[str]) -> Place:
+    """Return the space near a walk, with more remarks."""
+    remarks = [*remarks]
     if where.retarget:
         from gsvis.scene.retarget import retarget
 
@@ -146,7 +160,8 @@ def _along(space: NavigableSpace, where: Where, walk: HeadPath) -> Place:
     try:
         return Place(corridor(space, walk.positions, where.margin), "", remarks, walk)
     except ValueError as error:
-        hint = "" if where.retarget else "; --retarget brings it there"
+        lost = where.retarget or share_in_solid(space, walk.positions) >= 0.5
+        hint = "" if lost else "; --retarget brings it there"
         raise ValueError(f"--path {where.path}: {error}{hint}") from None
 
 

@@ -23,7 +23,7 @@ from gsvis.prepare.stages import Stages
 from gsvis.progress import Progress, silent
 from gsvis.pvs.estimate import estimate_pvs
 from gsvis.pvs.store import VisibilityStore
-from gsvis.pvs.workers import Workers, machine_load
+from gsvis.pvs.workers import Workers, expected_memory, machine_load
 from gsvis.render.rasterizer import rasterize
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
@@ -46,10 +46,6 @@ _LOOK, _LOOK_SHARE = 0.7, 2.8  # a look that chooses without photos; added to it
 _STEP_VIEW, _STEP_SHARE, _STEP_SH = 0.25, 1.0, 1.6  # a training step, one of all Gaussians, what 16 SH coefficients add
 _WEIGHED_VIEW = 0.75  # a view that measures importance
 _COST_VIEW, _CLIENT_VIEW = 6.0, 12.0  # a view that measures what rounding costs, and one of what a client gets
-
-# Mean time of a cell over that of the few that are tried: one in ten asks for six looks or more, which a few rarely
-# show. Around an object cells are alike (docs/design/067).
-_RARE = 1.7
 
 _LEVELS_START = 3.0  # seconds until torch and the kernels of training are loaded
 _STEP = 0.01  # seconds of each training step
@@ -91,7 +87,8 @@ class PreparationEstimate:
         levels: Names and sizes of levels, lowest first.
         cells: Cells of the visible sets.
         nbytes: Bytes of the package.
-        memory: Peak bytes of memory of all processes while visible sets are built; 0 if they exist.
+        memory: Peak bytes of memory of all processes while visible sets are built; if they exist, those of one process
+            that would build them, which bounds what the other stages need.
         seconds: Time left.
         load: Processes that used or waited for a core when the estimate began; None if unknown.
     """
@@ -217,7 +214,7 @@ class _Estimator:
             store = VisibilityStore.open(path)
             size = path.stat().st_size
             self.found.append(StageEstimate("sets", "done", what, 0.0, size))
-            return store, size, 0
+            return store, size, expected_memory(self.levels, self.config.sets, 1)
         cost = estimate_pvs(
             self.levels, grid, stages.space, stages.work.at(name), self.config.sets,
             workers=self.workers, progress=stages.progress,
@@ -226,9 +223,7 @@ class _Estimator:
         state = "begun" if cost.finished or cost.looked else "to do"
         if cost.finished:
             what += f", {cost.finished:,} of them found"
-        alike = stages.space.kind.kind == "object"
-        seconds = cost.seconds + (0.0 if alike else _RARE - 1.0) * cost.of_cells
-        self.found.append(StageEstimate("sets", state, what, seconds, disk))
+        self.found.append(StageEstimate("sets", state, what, cost.seconds, disk))
         return None, disk, cost.memory
 
     def _colors(self, store: VisibilityStore | None) -> SrbfColors | None:

@@ -27,6 +27,7 @@ from gsvis.prepare.start_views import choose_start_views
 from gsvis.prepare.work_folder import WorkFolder
 from gsvis.progress import Progress, silent
 from gsvis.pvs.store import VisibilityStore
+from gsvis.pvs.stored_certificates import StoredCertificates
 from gsvis.pvs.workers import Workers
 from gsvis.raycast.proxies import MIN_ALPHA
 from gsvis.scene.gaussians import Gaussians
@@ -53,6 +54,8 @@ class Prepared:
         work_bytes: Bytes of that folder.
         remarks: Sentences that the user should read.
         around: The store of what cells see around the scene; None without surroundings.
+        certificates: What the visible sets are proven to miss.
+        traced_twice: What two tracers found on a sample of these rays; None if there was one.
     """
 
     manifest: Manifest
@@ -66,6 +69,8 @@ class Prepared:
     work_bytes: int
     remarks: tuple[str, ...]
     around: Path | None = None
+    certificates: StoredCertificates | None = None
+    traced_twice: dict[str, Any] | None = None
 
 
 def prepare_package(
@@ -143,6 +148,7 @@ def finish_package(
             packed = quantize(exact, "wire", reach=stages.reach)
             cost = stages.cost(levels, exact, packed)
             fidelity = stages.fidelity(levels, exact, packed, store)
+            certificates, twice = store.certificates, store.info.config.get("traced_twice")
         began = time.perf_counter()
         views = choose_start_views(levels.level(len(levels) - 1), space, seed=config.level_views.seed)
         provenance = {
@@ -168,6 +174,8 @@ def finish_package(
         work.nbytes,
         tuple(stages.remarks),
         None if stages.around is None else work.folder / around_of(sets.name),
+        certificates,
+        twice,
     )
 
 

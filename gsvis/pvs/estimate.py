@@ -37,6 +37,12 @@ F64 = NDArray[np.float64]
 _clock = time.perf_counter  # tests set another
 
 _BUDGET = 5.0  # seconds after which no further cell is tried
+_CEILING = 12.0  # seconds that the tried cells may take together, as far as one tells what the next takes
+
+# Mean time of a cell over that of the few that are tried: one in ten asks for six looks or more, which a few rarely
+# show. Around an object cells are alike (docs/design/067).
+_RARE = 1.7
+
 _MOST_TRIED = 12
 _GOLDEN = 0.5 * (5.0**0.5 - 1.0)  # steps of this share of the cells spread the tried ones evenly, however many they are
 
@@ -101,7 +107,8 @@ def estimate_pvs(
         path: The file that `build_pvs` would write.
         config: Options; None means `PvsConfig()`.
         workers: The workers; None means this process.
-        sample: Least number of cells to try; more are tried while that takes a few seconds.
+        sample: Least number of cells to try; more are tried while that takes a few seconds, and fewer, at least one,
+            where these would take more than twelve.
         progress: Called with stage "trying".
 
     Raises:
@@ -121,7 +128,8 @@ def estimate_pvs(
     fine = int(np.count_nonzero(left & work.shared.fine))
     seconds = fine * tried.of_look(fine=True) + (int(left.sum()) - fine) * tried.of_look(fine=False)
     faster = speed_up(count, workers, tried.threads)
-    of_cells = tried.finding / tried.cells * (cells - len(finished)) / faster
+    rare = 1.0 if space.kind.kind == "object" else _RARE
+    of_cells = rare * tried.finding / tried.cells * (cells - len(finished)) / faster
     processes = count > 1 and workers.executor is None
     rest = (2.0 * _START if processes else 0.0) + _CHECK + _CHECK_PER_GAUSSIAN * levels.counts[-1]
     return Estimate(
@@ -164,15 +172,19 @@ class _Tried:
 
 
 def _try_cells(work: Work, least: int, progress: Progress) -> _Tried:
-    """Find the sets of `least` cells, and of more while that takes a few seconds."""
+    """Find the sets of `least` cells, of more while that takes a few seconds, of fewer where it takes too long."""
     some = _spread(len(work.grid), max(least, min(_MOST_TRIED, len(work.grid))))
     progress("trying", 0, len(some))
     finder = work.scene.finder()
     finder.warm()  # loads the kernels and makes the tracers before the timing starts
     shared, tried = work.shared, _Tried(threads=_gain_of_threads(finder, work.shared.points[0]))
     start = _clock()
-    while tried.cells < least or (tried.cells < len(some) and _clock() - start < _BUDGET):
-        cell, began = some[tried.cells], _clock()
+    while tried.cells < len(some):
+        began = _clock()
+        taken = began - start
+        if taken >= _BUDGET and (tried.cells >= least or taken * (tried.cells + 1) > _CEILING * tried.cells > 0.0):
+            break
+        cell = some[tried.cells]
         sightings = []
         for k in shared.of_cell(cell).tolist():
             sightings.append(finder.look(shared.points[k], fine=bool(shared.fine[k])))

@@ -55,7 +55,18 @@ def pvs_document(quality: Quality, store: VisibilityStore, subject: Subject) -> 
         "viewpoints_from": subject.cameras_from,
         "store": _describe_store(store),
         "quality": quality.as_dict(),
+        "bounds_checked": _check_bounds(quality, store),
     }
+
+
+def _check_bounds(quality: Quality, store: VisibilityStore) -> dict[str, Any] | None:
+    """Return how many stored bounds lie below what fresh rays estimate; None where there is nothing to compare."""
+    bound = store.certificates.bound[quality.cells]
+    known = ~np.isnan(bound)
+    if quality.light is None or not known.any():
+        return None
+    below = int(np.count_nonzero(quality.light.missed_by_cell[known] > bound[known]))
+    return {"cells": int(np.count_nonzero(known)), "below_estimate": below}
 
 
 def _describe_store(store: VisibilityStore) -> dict[str, Any]:
@@ -82,6 +93,7 @@ def _describe_store(store: VisibilityStore) -> dict[str, Any]:
             "visible": store.visible_counts.tolist(),
             "viewpoints": looked.tolist(),
             "inner_viewpoints": certified.inner.tolist(),
+            "tile": [None if np.isnan(share) else float(share) for share in certified.tile],
             "bound": [None if np.isnan(share) else float(share) for share in certified.bound],
         },
     }

@@ -11,9 +11,19 @@ from gsvis.pvs.quality import PSNR_CAP, TARGETS, Quality
 from gsvis.pvs.quality import Figure as Measure
 from gsvis.report.html import Figure, describe_run, figure, fill_template, table, tiles
 
-__all__ = ["describe_certificate", "format_target", "format_value", "pvs_page"]
+__all__ = [
+    "describe_bounds",
+    "describe_certificate",
+    "describe_tiles",
+    "format_label",
+    "format_target",
+    "format_value",
+    "pvs_page",
+]
 
 _WORST = 8  # number of listed cells
+_ON_FACES = ("weighted_recall", "recall", "ray_recall")
+_ON_DENSE_FACES = ("size_over_dense", "dense_recall")
 
 
 def pvs_page(quality: Quality, document: dict[str, Any], figures: dict[str, Figure]) -> str:
@@ -74,6 +84,46 @@ def describe_certificate(found: dict[str, Any]) -> str:
     return f"{text} the tracers differ on {differing:,}, by at most {found['largest_difference']:.3g} of a weight."
 
 
+def describe_bounds(found: dict[str, Any]) -> str:
+    """Return a sentence on the bounds of the store against fresh rays.
+
+    Args:
+        found: Entry "bounds_checked" of `report.json`.
+    """
+    return (
+        f"The bound in the store lies below the estimate by fresh rays in {found['below_estimate']:,} of"
+        f" {found['cells']:,} measured cells; bounds with 95% confidence may in one of twenty."
+    )
+
+
+def describe_tiles(certified: dict[str, Any]) -> str:
+    """Return a sentence on the worst tiles of pictures; empty without certificates.
+
+    Args:
+        certified: Entry "certificates" of "store" in `report.json`.
+    """
+    tile = certified["tile"]
+    if tile is None:
+        return ""
+    return (
+        f"The worst tile of 16 x 16 pixels misses {tile['mean']:.1%} of its light on average over the cells,"
+        f" {tile['max']:.1%} in the worst cell."
+    )
+
+
+def format_label(key: str, label: str, config: dict[str, Any]) -> str:
+    """Return the label of a figure, with the size of the faces in pixels where it was measured on faces.
+
+    Args:
+        key: Key of the figure.
+        label: Its label.
+        config: Entry "config" of "quality" in `report.json`.
+    """
+    if key in _ON_DENSE_FACES:
+        return f"{label}, {config['dense_size'] or config['size']} px"
+    return f"{label}, {config['size']} px" if key in _ON_FACES else label
+
+
 def _target(measure: Measure, which: int) -> str:
     """Return the target of a mean (0) or a worst value (1) and whether it is met; empty without one."""
     target = measure.targets[which]
@@ -126,7 +176,7 @@ def _cells(store: dict[str, Any], figures: dict[str, Figure]) -> str:
         proven = (
             f"What {certified['rays']:,} fresh rays prove about each set, with 95% confidence, highest first. The"
             f" estimate is {certified['missed']['mean']:.3%} on average, {certified['missed']['max']:.3%} in the worst"
-            " cell."
+            f" cell. {describe_tiles(certified)}"
         )
     if above:
         proven += f" {above:,} cells stayed above the limit."
@@ -145,7 +195,8 @@ def _quality(quality: Quality, document: dict[str, Any], figures: dict[str, Figu
     rows = []
     for each in quality.figures():
         worst = f"{format_value(each.worst, each.unit)} ({each.worst_of})" if each.worst is not None else ""
-        rows.append((each.label, format_value(each.mean, each.unit), _target(each, 0), worst, _target(each, 1)))
+        label = format_label(each.key, each.label, document["quality"]["config"])
+        rows.append((label, format_value(each.mean, each.unit), _target(each, 0), worst, _target(each, 1)))
     good, least = (f"{1.0 - value:.1%}" for value in TARGETS["weighted_recall"] if value is not None)
     missed = (
         "Share of the light that the set misses, by measured cell and at each viewpoint; lower is better. The targets"
@@ -173,8 +224,10 @@ def _quality(quality: Quality, document: dict[str, Any], figures: dict[str, Figu
     if found is not None:
         text += (
             f"<p>{describe_certificate(found)} Rays are finer than pixels: they find what falls between the pixels of"
-            " the faces above. The bound of a single cell holds for that cell alone.</p>"
+            " the faces above. The bound of a single cell holds for that cell alone."
         )
+        checked = document["bounds_checked"]
+        text += f" {describe_bounds(checked)}</p>" if checked is not None else "</p>"
     if quality.left_out:
         text += f"<p>{len(quality.left_out):,} cells were left out: all viewpoints drawn lie in something solid.</p>"
     return text

@@ -5,6 +5,7 @@ _MODULES = (
     "content",
     "corridor",
     "density",
+    "flyaways",
     "gaussians",
     "histograms",
     "icosphere",

@@ -114,7 +114,8 @@ def stand_around(build: Callable[[F64, F64], Occupancy], low: F64, high: F64, up
     if not free.any():
         raise SceneError(
             f"no navigable space: nothing is free between {NEAR * longest:.3g} and {AROUND * longest:.3g} units around"
-            " the object; give another center or radius"
+            " the object",
+            "give another center or radius",
         )
     return space, free, f"around it, {NEAR * longest:.2g} to {AROUND * longest:.2g} units away"
 

@@ -78,7 +78,8 @@ class Occupancy:
         if not clear.any():
             raise SceneError(
                 f"no navigable space: all {clear.size} voxels of {voxel_size:.3g} units are occupied or too close to an"
-                " occupied one; raise max_alpha or resolution, lower clearance, or give cameras"
+                " occupied one",
+                "raise max_alpha or resolution, lower clearance, or give cameras",
             )
         return cls(origin, voxel_size, depth, occupied, clear)
 
@@ -116,8 +117,9 @@ class Occupancy:
             if size >= MIN_SHARE * labels.size or (min_below, min_around) == RULES[-1]:
                 return part, rule, enclosed
         raise SceneError(
-            f"no navigable space: fewer than half of the {len(seeds)} seeds lie within two voxels of free space;"
-            " check that they are in the scene's frame, or raise max_alpha or lower clearance"
+            f"no navigable space: fewer than half of the {len(seeds)} seeds, such as cameras, lie within two voxels of"
+            " free space",
+            "check that they are in the scene's frame, or raise max_alpha or lower clearance",
         )
 
     def largest_part(self, among: Mask | None = None) -> Mask:

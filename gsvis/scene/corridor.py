@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from gsvis import _check
 from gsvis.scene.navigable import NavigableSpace
 
-__all__ = ["corridor"]
+__all__ = ["corridor", "share_in_solid"]
 
 F64 = NDArray[np.float64]
 
@@ -34,7 +34,7 @@ def corridor(space: NavigableSpace, positions: ArrayLike, margin: float | None =
 
     Raises:
         ValueError: If the margin is not a finite number > 0, or if fewer than half of the positions lie within it of a
-            free voxel: the walk is in another frame or belongs to another scene.
+            free voxel: the walk is in another frame, belongs to another scene, or leads through something solid.
 
     Examples:
         >>> room = NavigableSpace.from_box((0, 0, 0), (4, 4, 4), 16)
@@ -54,6 +54,11 @@ def corridor(space: NavigableSpace, positions: ArrayLike, margin: float | None =
     to_free = np.asarray(ndimage.distance_transform_edt(~space.free))
     own, held = _voxels(space, points)
     near = float(np.mean(held & (to_free[tuple(np.where(held[:, None], own, 0).T)] <= reach)))
+    if near < _INSIDE and (solid := share_in_solid(space, points)) >= _INSIDE:
+        raise ValueError(
+            f"path: expected positions in the navigable space of the scene, got {solid:.0%} of them inside something"
+            " solid; give a walk through the open"
+        )
     if near < _INSIDE:
         raise ValueError(
             f"path: expected positions in the navigable space of the scene, got {near:.0%} of them within {margin:.3g}"
@@ -64,6 +69,13 @@ def corridor(space: NavigableSpace, positions: ArrayLike, margin: float | None =
     on_way[tuple(way[held].T)] = True
     kept = space.free & (np.asarray(ndimage.distance_transform_edt(~on_way)) <= reach)
     return replace(space, free=kept, rule=f"{space.rule}, along a path")
+
+
+def share_in_solid(space: NavigableSpace, positions: ArrayLike) -> float:
+    """Return the share of positions (T, 3) that lie in voxels which stop light; 0 without any."""
+    points = _check.floats("positions", positions, ("T", 3), np.float64)
+    own, held = _voxels(space, points)
+    return float(np.mean(space.occupied[tuple(own[held].T)])) * float(held.mean()) if held.any() else 0.0
 
 
 def _voxels(space: NavigableSpace, points: F64) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:

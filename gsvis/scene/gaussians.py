@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
+from gsvis.scene.flyaways import find_flyaways
 from gsvis.scene.sh import rotation_of_sh, sh_degree_of
 
 __all__ = ["Gaussians", "quats_from_rotations", "rotations_from_quats"]
@@ -142,10 +143,11 @@ class Gaussians:
     def bounds(self, coverage: float = 0.98) -> F64:
         """Return an axis-aligned box with the middle `coverage` of the centers on each axis.
 
-        Trained scenes have floaters thousands of scene sizes away, so the extreme centers are of no use.
+        Trained scenes have floaters thousands of scene sizes away, so the extreme centers are of no use. If more than
+        one in a hundred are flyaways, as `find_flyaways` finds them, the box leaves them out first.
 
         Args:
-            coverage: Share of the centers kept on each axis, in (0, 1]; 1 gives the exact box.
+            coverage: Share of the centers kept on each axis, in (0, 1]; 1 gives the exact box of all.
 
         Returns:
             (2, 3) float64, lowest and highest corner.
@@ -158,7 +160,10 @@ class Gaussians:
         if not 0.0 < coverage <= 1.0:
             raise ValueError(f"coverage: expected a value in (0, 1], got {coverage!r}")
         tail = (1.0 - coverage) / 2.0
-        return np.asarray(np.quantile(self.means.astype(np.float64), [tail, 1.0 - tail], axis=0))
+        counted = self.means.astype(np.float64)
+        if tail > 0.0 and (flown := find_flyaways(self.means, self.scales, self.opacities)).any():
+            counted = counted[~flown]
+        return np.asarray(np.quantile(counted, [tail, 1.0 - tail], axis=0))
 
     def rotations(self) -> F64:
         """Return (N, 3, 3) rotation matrices, world from Gaussian; columns are the principal axes."""

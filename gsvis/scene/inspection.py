@@ -145,7 +145,7 @@ def _problems(r: SceneReport, g: Gaussians) -> Iterator[str]:
     if r.floaters:
         yield (
             f"{_some(r.floaters)} outside {FLOATER_EXTENT:g} times the robust box, the farthest {r.farthest:,.0f}"
-            " scene sizes away; crop before using exact bounds"
+            " scene sizes away; gsvis clean removes them"
         )
     if r.invisible_share > 0.1:
         yield f"{r.invisible_share:.0%} of the Gaussians have an opacity below 1/255 and can never be seen; drop them"

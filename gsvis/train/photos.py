@@ -26,7 +26,7 @@ from gsvis.scene.points import PointCloud
 from gsvis.train._photo_files import FAULTS, find_files, find_views, join_names, quiet_pillow, read_sizes, whole_factor
 from gsvis.train.images import PosedImages
 
-__all__ = ["FEWEST_VIEWS", "Photos", "load_photos"]
+__all__ = ["FEWEST_VIEWS", "Photos", "load_photos", "load_viewpoints"]
 
 Size = tuple[int, int]
 
@@ -60,6 +60,20 @@ class Photos:
     def __repr__(self) -> str:
         points = "no points" if self.points is None else f"{len(self.points):,} points"
         return f"Photos({self.views!r}, {points})"
+
+
+def load_viewpoints(folder: str | PathLike[str]) -> NDArray[np.float64]:
+    """Return (C, 3) where the photos of a folder were taken, in the frame of the model; reads no photo.
+
+    Args:
+        folder: As in `load_photos`.
+
+    Raises:
+        FileNotFoundError: If there is no such folder.
+        FormatError: If there is no model, or it is malformed or distorted.
+    """
+    poses = np.reshape(find_views(_check.path("folder", folder), None)[0].viewmats, (-1, 4, 4))
+    return np.asarray(-np.einsum("nij,ni->nj", poses[:, :3, :3], poses[:, :3, 3]))
 
 
 def load_photos(

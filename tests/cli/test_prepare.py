@@ -6,13 +6,18 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from gsvis.cli import main
+from gsvis.io import save_scene
 from gsvis.io.levels import load_levels
 from gsvis.package import Package
+from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.procedural import BUILTIN_SCENES, two_rooms
+from tests.scene.places import box
 
 Capture = pytest.CaptureFixture[str]
 SCENE = "builtin:wall_with_hole"
@@ -63,7 +68,7 @@ def test_a_scene_becomes_a_package_with_levels_and_tables(tmp_path: Path, capsys
     text, _ = run(capsys, SCENE, "-o", target, *QUICK, "--meters-per-unit", "0.5")
     assert max(map(len, text.splitlines())) <= 80
     labels = ["low", "against the scene", "cost of rounding", "dB", "What a client gets", "records for exact values"]
-    for label in (*labels, "+z; 0.5 meters", "s.gsvis.work", "made"):
+    for label in (*labels, "proven to miss", "worst 16 x 16 tile", "+z; 0.5 meters", "s.gsvis.work", "made"):
         assert label in text
     with Package.open(target) as package:
         assert package.manifest.names == ("low", "medium", "high")
@@ -102,9 +107,12 @@ def test_one_document_for_a_result_and_for_an_estimate(tmp_path: Path, capsys: C
     assert found["cost"]["views"] == found["fidelity"]["views"] == 1
     assert list(found["fidelity"]["steps"]) == ["levels", "terms", "rounding", "cells"]
     assert found["meters_per_unit"] == 0.0
+    assert found["certificates"]["cells"] == 2
+    assert 0.0 <= found["certificates"]["tile"]["mean"] <= found["certificates"]["tile"]["max"] <= 1.0
     text, _ = run(capsys, *words, "--dry-run")
     assert "Nothing was written." in text
     assert text.count("done") == 4
+    assert "memory" in text  # the other stages need some, too
 
 
 def test_it_says_what_is_kept_when_it_is_stopped(
@@ -119,6 +127,28 @@ def test_it_says_what_is_kept_when_it_is_stopped(
     assert "kept in s.gsvis.work; run the same command to resume" in err
     found = json.loads(run(capsys, SCENE, "-o", tmp_path / "s.gsvis", *TINY, *FLAT, "--json")[0])
     assert [stage["name"] for stage in found["stages"] if not stage["reused"]] == ["cost", "fidelity", "package"]
+
+
+def test_cameras_of_photographs_say_where_eyes_are(tmp_path: Path, capsys: Capture) -> None:
+    """Of two closed rooms the smaller one is taken where the photographs were taken in it."""
+    small, large = (box(*corners, 0.1) for corners in (((0, 0, 0), (2, 2, 2)), ((3, 0, 0), (6, 3, 2))))
+    save_scene(Gaussians.concatenate([small, large]), tmp_path / "rooms.ply")
+    (tmp_path / "images").mkdir()
+    frames = []
+    for k in range(9):
+        Image.fromarray(np.full((12, 16, 3), 128, np.uint8)).save(tmp_path / "images" / f"{k}.png")
+        pose = np.eye(4)
+        pose[:3, 3] = 0.8 + 0.04 * k, 1.0, 1.0
+        frames.append({"file_path": f"images/{k}.png", "transform_matrix": pose.tolist()})
+    (tmp_path / "transforms.json").write_text(json.dumps({"fl_x": 16.0, "w": 16, "h": 12, "frames": frames}))
+    words = [tmp_path / "rooms.ply", "-o", tmp_path / "s.gsvis", *TINY, "--up", "+z", "--levels", "0.5", "--steps", "1"]
+    words += ["--dry-run", "--json"]
+    alone = json.loads(run(capsys, *words)[0])["space"]
+    among = json.loads(run(capsys, *words, "--photos", tmp_path)[0])["space"]
+    assert "holding seeds" in among["rule"]
+    assert "holding seeds" not in alone["rule"]
+    assert among["kind"]["eyes"] == "in the parts that hold the cameras"
+    assert among["volume"] < 8.0 < alone["volume"]
 
 
 def test_wrong_arguments_are_refused_at_once(tmp_path: Path, capsys: Capture) -> None:

@@ -14,7 +14,11 @@ from gsvis.cli import main
 from gsvis.io import save_scene
 from gsvis.io.poses import write_poses
 from gsvis.pvs import PvsConfig, VisibilityStore
+from gsvis.pvs.certificate import CertificateConfig, Certifier
+from gsvis.pvs.viewpoints import CellViewpoints
+from gsvis.raycast import EllipsoidProxies, Tracer
 from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
 from gsvis.scene.procedural import two_rooms
 from tests.cli.halted import Halted
@@ -79,6 +83,22 @@ def test_a_looser_limit_is_met_and_nothing_is_remarked(ply: Path, tmp_path: Path
         assert f"at most {store.certificates.bound.max():.3%} in any cell" in text
 
 
+def test_a_limit_of_one_in_two_thousand_is_reached_and_holds_for_fresh_rays(tmp_path: Path, capsys: Capture) -> None:
+    out, made = tmp_path / "rooms.pvs", two_rooms(1000, sh_degree=0)
+    save_scene(made.gaussians, tmp_path / "rooms.ply")
+    words = ["--cells", "2", "--size", "128", "--workers", "1", "--limit", "0.0005", *BOX]
+    found = document(capsys, tmp_path / "rooms.ply", "-o", out, *words)
+    assert found["cells_above_limit"] == 0
+    assert 0.0 < found["certificates"]["bound"]["max"] <= 0.0005
+    certifier = Certifier(Tracer(EllipsoidProxies.from_scene(made.gaussians)))
+    space = NavigableSpace.from_box((0.5, 0.5, 0.5), (3.5, 3.5, 2.5), 96)
+    with VisibilityStore.open(out) as store:
+        places = CellViewpoints(store.grid, space)
+        for cell in range(len(store)):
+            fresh = CertificateConfig(limit=0.0, rays=20_000, round_rays=20_000, seed=77)
+            assert certifier.certify(places.voxels(cell), store.visible(cell), fresh).missed <= 0.0005
+
+
 def test_what_a_store_without_certificates_or_a_second_tracer_says() -> None:
     from gsvis.cli.pvs import spell_certificates
     from gsvis.pvs.stored_certificates import StoredCertificates
@@ -88,6 +108,7 @@ def test_what_a_store_without_certificates_or_a_second_tracer_says() -> None:
     rows = dict(spell_certificates(StoredCertificates(one, 256 * one, share, 2.0 * share, share), None))
     assert rows["light missed"].startswith("0.100% on average, 0.100% in the worst cell")
     assert rows["proven to miss"].startswith("at most 0.200% in any cell")
+    assert rows["worst 16 x 16 tile"] == "0.1% missed on average, 0.1% in the worst cell"
     assert rows["rays"].startswith("512 ")
     assert "Open3D is not installed" in rows["two tracers agree"]
     agreed = {"rays": 16, "agreeing": 15, "largest_difference": 0.5}

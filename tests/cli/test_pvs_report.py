@@ -64,6 +64,11 @@ def test_it_writes_a_report_and_prints_tables(
     assert "99.5%" in "".join(row)
     assert "in the navigable space that the store was built in" in " ".join(text.split())
     assert "rooms" in text
+    assert "visible Gaussians that it has, " in text
+    said = " ".join(text.split())
+    assert "pixels (px) around a viewpoint" in said
+    assert "of 2 measured cells; bounds with 95% confidence may in one of twenty" in said
+    assert "The worst tile of 16 x 16 pixels misses " in said
     assert "400 random rays from free points" in " ".join(text.split())
     assert max(map(len, text.splitlines())) <= 80
     assert json.loads(Path("new/report/report.json").read_text())["quality"]["cells_measured"] == 2

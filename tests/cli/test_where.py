@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -19,11 +20,11 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
 from gsvis.scene.procedural import two_rooms
-from tests.scene.places import apartment, box, discs, filled, statue
+from tests.scene.places import apartment, box, discs, filled, outside, statue
 
 Capture = pytest.CaptureFixture[str]
 BOX = ["--box", "0.5", "0.5", "0.5", "3.5", "3.5", "2.5"]
-SAMPLERS = ("analyze", "render", "color", "levels", "pvs", "prepare")
+SAMPLERS = ("inspect", "analyze", "render", "color", "levels", "pvs", "prepare")
 QUICK = ["--limit", "0.05", "--max-inner", "1"]
 SMALL = {
     "inspect": [],
@@ -95,7 +96,7 @@ class TestKindIsSaid:
 class TestByHand:
     @pytest.mark.parametrize("command", SAMPLERS)
     def test_every_command_that_samples_eyes_takes_a_place(self, command: str) -> None:
-        out = [] if command == "render" else ["-o", "x"]
+        out = [] if command in ("inspect", "render") else ["-o", "x"]
         around = parse([command, "scene.ply", *out, "--around", "-1", "0", "2.5", "0.5"])
         assert isinstance(around, Where)
         assert around.around == (-1.0, 0.0, 2.5, 0.5)
@@ -108,7 +109,7 @@ class TestByHand:
         assert isinstance(walked, Where)
         assert (walked.path, walked.margin, walked.retarget) == ("w.csv", 0.3, True)
 
-    @pytest.mark.parametrize("command", ["analyze", "render", "color", "pvs", "prepare"])
+    @pytest.mark.parametrize("command", ["inspect", "analyze", "render", "color", "pvs", "prepare"])
     def test_a_box_is_where_eyes_are(self, command: str, tmp_path: Path, capsys: Capture) -> None:
         space = document(capsys, command, saved(two_rooms(1000, sh_degree=0).gaussians, tmp_path), *BOX)["space"]
         assert (space["rule"], space["kind"]["kind"]) == ("box", "given")
@@ -137,6 +138,11 @@ class TestBadInput:
         line = refused(capsys, "pvs", scene, "-o", tmp_path / "s.pvs")
         assert "no navigable space: all" in line
         assert "--box" in line
+        for argument in ("max_alpha", "resolution", "clearance"):  # no command has them
+            assert argument not in line
+        finer = refused(capsys, "space", scene, "-o", tmp_path / "s.glb", "--resolution", 16)
+        assert "no navigable space: all" in finer
+        assert finer.endswith("say where eyes may be with --box or --around, or raise --resolution")
         assert any("no navigable space" in each for each in document(capsys, "inspect", scene)["problems"])
 
     def test_all_one_object(self, tmp_path: Path, capsys: Capture) -> None:
@@ -163,6 +169,20 @@ class TestBadInput:
         words = ["--eye", 0, 0, 0, "--target", 1, 0, 0]
         (remark,) = [each for each in document(capsys, "render", scene, *words)["remarks"] if "solid" in each]
         assert remark.startswith("Expected --eye in free space, got a point inside something solid")
+
+    def test_cameras_of_a_file_that_are_buried_are_said(self, tmp_path: Path, capsys: Capture) -> None:
+        scene = saved(discs(np.zeros((1, 3)), (1.0, 1.0, 1.0), 0.99), tmp_path)
+        views = {"fl_x": 16.0, "w": 16, "h": 12}
+        for heights, expected in (([0.0], "a point"), ([0.0, 0.1, 9.0], "2 of 3"), ([9.0], "")):
+            poses = [np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, z], [0, 0, 0, 1]]) for z in heights]
+            frames = [{"file_path": f"{k}.png", "transform_matrix": pose.tolist()} for k, pose in enumerate(poses)]
+            (tmp_path / "transforms.json").write_text(json.dumps({**views, "frames": frames}))
+            words = ["--camera", tmp_path / "transforms.json"]
+            out = tmp_path / (f"{heights[0]}.png" if len(poses) == 1 else "eyes")
+            assert main([str(word) for word in ("render", scene, "-o", out, *words, "--json")]) == 0
+            remarks = [each for each in json.loads(capsys.readouterr().out)["remarks"] if "solid" in each]
+            wanted = f"Expected the cameras of --camera in free space, got {expected} inside something solid"
+            assert [each.startswith(wanted) for each in remarks] == ([True] if expected else [])
 
     @pytest.mark.parametrize("words", [["1", "2", "3"], ["1", "2", "3", "0"], ["1", "2", "3", "nan"], ["all"], []])
     def test_around_is_read_strictly(self, words: list[str], capsys: Capture) -> None:
@@ -191,6 +211,33 @@ class TestBadInput:
         source = Source("rooms", apartment())
         with pytest.raises(ValueError, match="--retarget brings it there"):
             find_place(source, where, "+z", check_where(where))
+
+    @pytest.mark.parametrize("make", [filled, lambda: discs(np.zeros((1, 3)), (5.0, 5.0, 5.0), 0.99)])
+    def test_a_path_inside_something_solid(self, make: Callable[[], Gaussians], tmp_path: Path) -> None:
+        times, places = np.arange(3.0), np.array([[0.0, 0, 0], [0.1, 0, 0], [0.2, 0, 0]])
+        walk = HeadPath(times, places, np.tile([1.0, 0, 0, 0], (3, 1)), up=np.array([0, 0, 1.0]))
+        write_poses(walk, tmp_path / "walk.csv")
+        where = Where(path=str(tmp_path / "walk.csv"))
+        with pytest.raises(ValueError, match=r"got 100% of them inside something solid; give a walk") as error:
+            find_place(Source("solid", make()), where, "+z", check_where(where))
+        assert "--retarget" not in str(error.value)
+
+
+class TestFlyaways:
+    def test_they_are_said_where_they_are_many(self, tmp_path: Path, capsys: Capture) -> None:
+        g = apartment()
+        for share, expected in ((0.005, 0), (0.05, 1)):
+            more = outside(g, share)
+            remarks = find_place(Source("flown", more), Where()).remarks
+            assert len(remarks) == expected
+            count = len(more) - len(g)
+            assert all(f"{count:,} Gaussians, {count / len(more):.1%} of all," in remark for remark in remarks)
+            assert all("gsvis clean removes them" in remark for remark in remarks)
+        assert find_place(Source("flown", more), Where(box=(1, 1, 1, 2, 2, 2))).remarks == []  # the box is given
+        assert main(["inspect", str(saved(more, tmp_path))]) == 0
+        text = " ".join(capsys.readouterr().out.split())
+        assert "taken for rooms: " in text
+        assert text.count("gsvis clean removes them") == 1
 
 
 class TestImplausible:

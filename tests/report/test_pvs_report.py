@@ -117,6 +117,11 @@ def test_the_document_holds_every_figure(kept: tuple[VisibilityStore, Quality, P
     assert document["store"]["cells_above_limit"] == count_above_limit(store) == np.count_nonzero(bound > 0.0025) > 0
     assert document["store"]["certificates"] == store.certificates.as_dict()
     assert document["store"]["cells"]["bound"] == bound.tolist()
+    assert document["store"]["cells"]["tile"] == store.certificates.tile.tolist()
+    assert found.light is not None
+    below = np.count_nonzero(found.light.missed_by_cell > bound[found.cells])
+    assert document["bounds_checked"] == {"cells": len(found), "below_estimate": below}
+    assert below > 0  # the certificates of this store are made up: each set misses a tenth of the scene
     assert document["store"]["cells"]["inner_viewpoints"] == store.certificates.inner.tolist()
 
 
@@ -157,6 +162,10 @@ def test_figures_stand_beside_their_targets_and_worst_cells_have_places(
     assert "inner ones are added where the rays of a certificate ask for them" in " ".join(text.split())
     assert f"{int(store.certificates.rays.sum()):,} fresh rays prove" in text
     assert "16 x 16 pixels" in text
+    assert "The worst tile of 16 x 16 pixels misses 2.0% of its light on average" in " ".join(text.split())
+    assert "below the estimate by fresh rays in" in " ".join(text.split())
+    for label in ("light that the set keeps, 16 px", "visible Gaussians that it has, 16 px"):
+        assert label in text
     assert "300 random rays" in text
     assert "at most 0.05%" in text
     assert "at most 0.15%" in text

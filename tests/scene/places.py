@@ -150,3 +150,23 @@ KINDS = {
     "rooms": (apartment, statue_in_room, cathedral),
     "open place": (street, plaza, forest, terrain),
 }
+
+
+def outside(g: Gaussians, share: float, how: str = "sphere", *, seed: int = 3) -> Gaussians:
+    """A scene with small Gaussians far outside of it, which are a share of the whole."""
+    rng = np.random.default_rng(seed)
+    count = round(share / (1.0 - share) * len(g))
+    ahead = rng.normal(size=(count, 3))
+    ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+    distances = {
+        "sphere": np.full(count, 8000.0),
+        "ball": 8000.0 * np.cbrt(rng.random(count)),
+        "every scale": np.exp(rng.uniform(np.log(60.0), np.log(1e6), count)),
+        "one side": np.full(count, 8000.0),
+        "one point": np.full(count, 8000.0),
+    }[how]
+    if how == "one side":
+        ahead[:, 0] = np.abs(ahead[:, 0]) + 0.1
+    elif how == "one point":
+        ahead[:] = [0.6, 0.0, 0.8]
+    return Gaussians.concatenate([g, discs(g.means.mean(axis=0) + distances[:, None] * ahead, (0.09, 0.09, 0.09))])
