@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis.abr import AbrConfig
 from gsvis.abr.index import extents
 from gsvis.export.blocks import GAIN_STEPS, Blocks, quantize_gains
 from gsvis.export.columns import column, compress, differences
@@ -26,6 +27,9 @@ __all__ = ["CellRows", "rows_of_package", "rows_of_scene"]
 
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
+
+REPLACED = AbrConfig().replaced
+"""Share of the area of its replacements after which a Gaussian is no longer drawn, as on a server."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,25 +129,38 @@ def _top(gains: F64) -> int:
 
 
 def replaced_rows(
-    offsets: NDArray[np.int64], ids: NDArray[np.int32], blocks: Blocks, ending: NDArray[np.int64]
+    offsets: NDArray[np.int64], ids: NDArray[np.int32], blocks: Blocks, ending: NDArray[np.int64], g: Gaussians
 ) -> bytes:
     """Return the content of `replaced`: what replaces each Gaussian that ends below the highest level, block by block.
+
+    Named are the fewest blocks that hold `REPLACED` of the area of its replacements: a page reads this beside the
+    records, and all blocks would take more bytes than the records themselves.
 
     Args:
         offsets: (N + 1,) of `gsvis.abr.index.nearest_replacements`.
         ids: Their replacements.
         blocks: The blocks.
         ending: (E,) blocks whose Gaussians end below the highest level, ascending.
+        g: The N Gaussians.
     """
-    rows = list(_replaced(offsets, ids, blocks, ending))
+    rows = list(_replaced(offsets, ids, blocks, ending, _areas(g)))
     ends = 4 * (len(rows) + 1) + np.concatenate([[0], np.cumsum([len(row) for row in rows])])
     return ends.astype("<u4").tobytes() + b"".join(rows)
 
 
 def _replaced(
-    offsets: NDArray[np.int64], ids: NDArray[np.int32], blocks: Blocks, ending: NDArray[np.int64]
+    offsets: NDArray[np.int64], ids: NDArray[np.int32], blocks: Blocks, ending: NDArray[np.int64], areas: F64
 ) -> Iterator[bytes]:
     for block in ending.tolist():
         members = blocks.order[blocks.starts[block] : blocks.starts[block + 1]].tolist()
-        lists = [np.unique(blocks.of_ids[ids[offsets[g] : offsets[g + 1]]])[:255] for g in members]
+        lists = [_main_blocks(ids[offsets[g] : offsets[g + 1]], blocks, areas) for g in members]
         yield bytes(len(each) for each in lists) + np.concatenate(lists).astype("<u4").tobytes()
+
+
+def _main_blocks(ids: NDArray[np.int32], blocks: Blocks, areas: F64) -> NDArray[np.int32]:
+    """Return the fewest blocks, ascending, that hold `REPLACED` of the area of some Gaussians; at most 255."""
+    found, of = np.unique(blocks.of_ids[ids], return_inverse=True)
+    held = np.bincount(of, areas[ids], minlength=len(found))
+    order = np.argsort(-held, kind="stable")
+    before = np.cumsum(held[order]) - held[order]
+    return np.sort(found[order[before < REPLACED * held.sum()]][:255])

@@ -229,7 +229,7 @@ def _package_parts(package: Package, progress: Progress) -> _Parts:
     ending = np.flatnonzero(contents.chunk_levels[blocks.chunks, 1] < len(manifest.names) - 1)
     if len(ending):
         replacements = nearest_replacements(Levels(g, contents.first, contents.last, contents.names))
-        data["replaced"] = replaced_rows(*replacements, blocks, ending)
+        data["replaced"] = replaced_rows(*replacements, blocks, ending, g)
     levels = tuple(zip(manifest.names, manifest.counts, strict=True))
     return _Parts(
         blocks, cells, data, manifest.grids, levels, len(table), manifest.terms, None, spheres, coding, g.bounds(0.9),
@@ -257,7 +257,7 @@ def _bare_parts(scene: Levels | Gaussians, progress: Progress) -> _Parts:
     ending = np.flatnonzero(found.chunk_levels[blocks.chunks, 1] < len(levels) - 1)
     if len(ending):
         placed = Levels(g, levels.first[found.ids], levels.last[found.ids], levels.names)
-        data["replaced"] = replaced_rows(*nearest_replacements(placed), blocks, ending)
+        data["replaced"] = replaced_rows(*nearest_replacements(placed), blocks, ending, g)
     harmonics = found.harmonics
     if harmonics is not None:
         data["harmonics"] = harmonics.encode(levels.union.shN, ids)

@@ -345,7 +345,7 @@ class _App:
         self.metrics.refused.add(of="token")
         self.log("refused", logging.WARNING, peer=self.place(request), reason="token")
         if wants_page(request):
-            return self.pages.ask_token()
+            return self.pages.ask_token(request.query_params.multi_items())
         return PlainTextResponse("a token is needed\n", 401, {"www-authenticate": "Bearer"})
 
 

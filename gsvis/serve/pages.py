@@ -9,7 +9,7 @@ from __future__ import annotations
 import gzip
 import hashlib
 from base64 import b64encode
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -149,15 +149,21 @@ class Pages:
         head = f'<meta http-equiv="refresh" content="0; url={at}">'
         return self._small("Opening the viewer", f'<p><a href="{at}">Open the viewer</a></p>', head)
 
-    def ask_token(self, status: int = 401) -> Response:
-        """Answer with a page that asks for the token."""
+    def ask_token(self, fields: Iterable[tuple[str, str]] = ()) -> Response:
+        """Answer with a page that asks for the token; it comes back to the same address, with these fields of it."""
+        kept = "".join(
+            f'<input type="hidden" name="{escape(name)}" value="{escape(value)}">'
+            for name, value in fields
+            if name != "token"
+        )
         form = (
             "<p>This server needs a token. Ask the person who runs it.</p>"
-            '<form><label>Token <input name="token" type="password" autocomplete="current-password" autofocus required>'
+            f"<form>{kept}<label>Token "
+            '<input name="token" type="password" autocomplete="current-password" autofocus required>'
             "</label> <button>Open</button></form>"
         )
         response = self._small("A token is needed", form, forms="'self'")
-        response.status_code = status
+        response.status_code = 401
         response.headers["www-authenticate"] = "Bearer"
         return response
 

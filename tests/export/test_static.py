@@ -241,11 +241,14 @@ def test_a_cell_lists_the_blocks_that_it_sees_and_what_they_weigh(package: Packa
         assert wanted == seen.tolist()
 
 
-def test_what_ends_below_the_highest_level_names_the_blocks_that_replace_it(package: Package, tmp_path: Path) -> None:
-    from gsvis.abr.index import nearest_replacements
+def test_what_ends_below_the_highest_level_names_the_fewest_blocks_that_replace_most_of_it(
+    package: Package, tmp_path: Path
+) -> None:
+    from gsvis.abr.index import extents, nearest_replacements
 
     write_static(tmp_path / "out", package)
     read, contents = Reader(tmp_path / "out"), package.contents
+    areas = extents(contents.gaussians())[1].astype(float)
     offsets, ids = nearest_replacements(Levels(contents.gaussians(), contents.first, contents.last, contents.names))
     block_of, of = np.empty(700, int), ids_in_package(package)
     block_of[of[read.ids]] = np.repeat(np.arange(len(read.blocks)), np.diff(read.starts))
@@ -261,8 +264,14 @@ def test_what_ends_below_the_highest_level_names_the_blocks_that_replace_it(pack
             found = np.frombuffer(data, "<u4", length, at)
             at += 4 * length
             one = of[first + j]
-            assert found.tolist() == sorted(set(block_of[ids[offsets[one] : offsets[one + 1]]].tolist()))
-            assert length > 0
+            replacing = ids[offsets[one] : offsets[one + 1]]
+            held = {b: areas[replacing[block_of[replacing] == b]].sum() for b in set(block_of[replacing].tolist())}
+            named = sorted((held[b] for b in found.tolist()), reverse=True)
+            assert found.tolist() == sorted(set(found.tolist()) & set(held))
+            assert named == sorted(held.values(), reverse=True)[: len(named)]
+            share = 0.4 * sum(held.values())
+            assert sum(named[:-1]) < share * (1 + 1e-6)
+            assert sum(named) >= share * (1 - 1e-6)
         assert at == ends[k + 1]
 
 

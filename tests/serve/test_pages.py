@@ -163,6 +163,19 @@ def test_a_cookie_is_for_tls_alone_where_the_proxy_has_it(plain: Path, viewer: P
         assert "; secure" not in ask(server, place, Accept=PAGE, X_Forwarded_Proto="https")[1]["set-cookie"]
 
 
+def test_the_form_for_a_token_keeps_the_scene_and_runs_nothing(plain: Path, viewer: Path) -> None:
+    with serving(plain, token=TOKEN) as server:
+        status, _, body = ask(server, f"/?token={TOKEN}x&scene=plain&noui=%22%3E%3Cscript%3E", Accept=PAGE)
+    text = body.decode()
+    assert status == 401
+    assert re.findall(r'<input type="hidden" name="([^"]*)" value="([^"]*)">', text) == [
+        ("scene", "plain"),
+        ("noui", "&quot;&gt;&lt;script&gt;"),
+    ]
+    assert TOKEN not in text
+    assert "<script" not in text
+
+
 @pytest.mark.parametrize("scene", ["//evil.example", "https://evil.example", '"><script>', "..", "other"])
 def test_nobody_is_sent_elsewhere(plain: Path, viewer: Path, scene: str) -> None:
     from urllib.parse import quote

@@ -33,7 +33,7 @@ function whole(batches: Batch[]): Record<string, number[]> {
 test("pieces of a batch are the batch, and share no memory that moves", () => {
   for (const harmonics of [false, true]) {
     for (const [count, most, pieces] of [[10, 10, 1], [11, 10, 2], [30, 10, 3], [0, 10, 1]]) {
-      const made = splitBatch(batchOf(count, 100, harmonics), most);
+      const made = splitBatch(batchOf(count, 100, harmonics), most).map((piece) => piece());
       assert.equal(made.length, pieces);
       assert.deepEqual(whole(made), whole([batchOf(count, 100, harmonics)]));
       const buffers = made.map((batch) => batch.records.buffer);
@@ -45,7 +45,7 @@ test("pieces of a batch are the batch, and share no memory that moves", () => {
 
 test("many terms come in pieces of their own, behind their Gaussians", () => {
   for (const [count, pieces] of [[25, 6], [5, 4], [0, 3]]) {
-    const given = batchOf(count, 100, false, 50), made = splitBatch(given, 10);
+    const given = batchOf(count, 100, false, 50), made = splitBatch(given, 10).map((piece) => piece());
     assert.equal(made.length, pieces);
     assert.deepEqual(whole(made), whole([given]));
     for (const batch of made) assert.ok(batch.ids.length === 0 || batch.owners.length === 0);

@@ -416,6 +416,24 @@ test("a Gaussian that ends below the highest level goes when what replaces it is
   assert.equal(arrivals.sweep(seen), null);
 });
 
+test("a cell that has all of its highest level waits neither for lower levels nor for what is out of sight", async () => {
+  const { blocks, file } = await open(VECTOR.package), records = file("records"), replaced = file("replaced");
+  const held = { records: new Uint8Array(blocks.count), terms: new Uint8Array(blocks.count) };
+  const arrivals = new Arrivals(blocks, held), seen = new Uint8Array(blocks.count);
+  const ends = new DataView(replaced.buffer, replaced.byteOffset);
+  const ending = Array.from({ length: blocks.count }, (_, b) => b).filter((b) => blocks.last(b) < blocks.top);
+  const [b] = ending;
+  arrivals.addRecords(
+    { terms: false, first: b, end: b + 1, place: 0 },
+    records.subarray(blocks.recordStart[b], blocks.recordStart[b + 1]), null, (error) => assert.fail(String(error)),
+  );
+  arrivals.addReplaced(b, replaced.subarray(ends.getUint32(0, true), ends.getUint32(4, true)));
+  assert.equal(arrivals.sweep(seen, true), null); // of another cell: it stays
+  for (const other of ending) seen[other] = 1;
+  assert.equal(arrivals.sweep(seen), null);
+  assert.equal(arrivals.sweep(seen, true)?.gone.length, blocks.size(b));
+});
+
 test("the plan begins with what weighs most in view for its bytes, and joins neighbors", async () => {
   const { blocks, file, cells } = await open(VECTOR.package);
   const row = await readRow(blocks.scene, file("cells").subarray(...cells.range(0)));

@@ -15,6 +15,7 @@ class LinkedParts implements Parts {
   now = 0;
   requests = 0;
   bytes = 0;
+  readonly kinds: Record<string, number> = {}; // bytes of each kind of file
   private free = 0; // when the link has carried all that was asked for
   private readonly files = new Map<string, Uint8Array>();
   private readonly due: { at: number; resolve: () => void }[] = [];
@@ -26,13 +27,13 @@ class LinkedParts implements Parts {
 
   async scene(): Promise<string> {
     const data = readFileSync(join(this.folder, "scene.json"));
-    await this.carry(data.length);
+    await this.carry("scene", data.length);
     return data.toString();
   }
 
   async read(file: StaticFile, start: number, end: number): Promise<Uint8Array> {
     const data = new Uint8Array(this.file(file.name).subarray(start, end));
-    await this.carry(data.length);
+    await this.carry(file.name.split("-")[0], data.length);
     return data;
   }
 
@@ -42,13 +43,14 @@ class LinkedParts implements Parts {
     return data;
   }
 
-  private carry(bytes: number): Promise<void> {
+  private carry(kind: string, bytes: number): Promise<void> {
     this.requests++;
     this.free = Math.max(this.free, this.now + this.trip) + bytes / this.rate;
     const at = this.free;
     return new Promise((done) => {
       this.due.push({ at, resolve: () => {
         this.bytes += bytes;
+        this.kinds[kind] = (this.kinds[kind] ?? 0) + bytes;
         this.events.bytes(bytes);
         done();
       } });
@@ -72,7 +74,8 @@ const [folder, rate, trip, most] = [
 ];
 for (const { pose, view } of JSON.parse(readFileSync(0, "utf8")) as { pose: Pose; view: View }[]) {
   const steps: {
-    bytes: number; requests: number; seconds: number; ids: number[]; owners: number[]; gone: number[]
+    bytes: number; requests: number; seconds: number; kinds: Record<string, number>; ids: number[]; owners: number[];
+    gone: number[];
   }[] = [];
   let parts: LinkedParts | null = null, isComplete = false;
   const post = (report: Report): void => {
@@ -81,8 +84,8 @@ for (const { pose, view } of JSON.parse(readFileSync(0, "utf8")) as { pose: Pose
     const { ids, owners, gone } = report.batch;
     steps.push(
       {
-        bytes: parts!.bytes, requests: parts!.requests, seconds: parts!.now, ids: [...ids],
-        owners: [...new Set(owners)], gone: [...gone],
+        bytes: parts!.bytes, requests: parts!.requests, seconds: parts!.now,
+        kinds: { ...parts!.kinds }, ids: [...ids], owners: [...new Set(owners)], gone: [...gone],
       }
     );
   };

@@ -9,6 +9,7 @@ import type { Batch } from "./types.ts";
 
 interface Replaced {
   slot: number;
+  block: number;
   needs: Uint32Array; // blocks with what replaces it
 }
 
@@ -97,18 +98,22 @@ export class Arrivals {
     for (let k = 0; k < size; k++) {
       const needs = new Uint32Array(row[k]);
       for (let j = 0; j < needs.length; j++, at += 4) needs[j] = view.getUint32(at, true);
-      if (needs.length > 0) this.#waiting.push({ slot: this.firstSlot[block] + k, needs });
+      if (needs.length > 0) this.#waiting.push({ slot: this.firstSlot[block] + k, block, needs });
     }
   }
 
-  /** Return a batch with what is replaced by now, given what the cell sees; null where nothing is. */
-  sweep(seen: Uint8Array): Batch | null {
+  /**
+   * Return a batch with what is replaced by now, given what the cell sees; null where nothing is. `whole`: all that the
+   * cell sees of the highest level is here, so of what it sees nothing has to wait for lower levels, or for what is out
+   * of sight.
+   */
+  sweep(seen: Uint8Array, whole = false): Batch | null {
     const gone: number[] = [], left: Replaced[] = [];
     for (const each of this.#waiting) {
-      let some = false, all = true;
+      let some = whole && seen[each.block] === 1, all = true;
       for (const b of each.needs) {
         if (this.held.records[b] === HELD) some = true;
-        else if (seen[b] === 1) all = false;
+        else if (seen[b] === 1 && !(whole && this.blocks.last(b) < this.blocks.top)) all = false;
       }
       if (some && all) gone.push(each.slot);
       else left.push(each);

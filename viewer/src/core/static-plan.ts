@@ -8,7 +8,8 @@ import type { CellRow } from "./static-cells.ts";
 import type { Pose, View } from "./types.ts";
 
 export const MARGIN = 0.14; // radians by which the borders of the view move outwards
-const PERIPHERAL = Math.log2(0.03), ADJACENT = Math.log2(0.02), TERMS = Math.log2(0.1), BEYOND = Math.log2(0.05);
+const PERIPHERAL = Math.log2(0.003), ADJACENT = Math.log2(0.02), TERMS = Math.log2(0.03), FINER = Math.log2(0.1),
+  BEYOND = Math.log2(0.05);
 const POWERS = { high: 1, medium: 1.5, low: 2 };
 const HORIZON = 3, STICKY = 1.2; // seconds; change of the rate that changes the regime
 
@@ -111,7 +112,7 @@ export function rank(
     }
     let key = row.gains[k] - far[c] - Math.log2(blocks.size(b));
     if (adjacent) key += power * ADJACENT;
-    else key += power * PERIPHERAL * (1 - inside[c]);
+    else key += power * PERIPHERAL * (1 - inside[c]) + (blocks.levels[2 * c] > 0 ? FINER : 0);
     if (blocks.levels[2 * c] > caps[inside[c] && !adjacent ? 0 : 1]) key += BEYOND;
     if (held.records[b] === NONE) {
       keys[2 * k] = key;

@@ -191,6 +191,7 @@ export class StaticSession {
     }
     if (this.#termsAsked && this.blocks.termCount === null && !this.#termsLost) return;
     if (!this.#isComplete) {
+      if (this.#planned!.regime === "high") this.#sweep(true);
       this.#isComplete = true;
       this.report();
     }
@@ -280,7 +281,11 @@ export class StaticSession {
     for (const [block, row] of await replaced) {
       if (this.#held.records[block] === HELD) this.#takeBlock(() => this.arrivals.addReplaced(block, row));
     }
-    const gone = this.#seen === null ? null : this.arrivals.sweep(this.#seen.flags);
+    this.#sweep();
+  }
+
+  #sweep(whole = false): void {
+    const gone = this.#seen === null ? null : this.arrivals.sweep(this.#seen.flags, whole);
     if (gone !== null && !this.#isClosed) this.events.batch(gone);
   }
 

@@ -220,7 +220,9 @@ export class ViewPage {
 
   /** Try a token. A server of pages needs it for the scripts of Workers too: it makes a cookie of the one in an address. */
   #enter(token: string): void {
-    if (this.scene.root) location.search = `token=${encodeURIComponent(token)}`;
+    const query = new URLSearchParams(location.search);
+    query.set("token", token);
+    if (this.scene.root) location.search = `${query}`;
     else ((this.#token = token), this.#restart());
   }
 
