@@ -96,7 +96,7 @@ def trace_ray(
     inverse = (1.0 / (dx if dx != 0.0 else TINY), 1.0 / (dy if dy != 0.0 else TINY), 1.0 / (dz if dz != 0.0 else TINY))
     t_stop = np.inf
     left = 1.0  # transmittance behind all hits found so far
-    count, prune_at = 0, 0
+    count, prune_at = np.int64(0), 0
     stack_node[0], stack_near[0], top = 0, 0.0, 1
     while top > 0:
         top -= 1
@@ -281,7 +281,7 @@ def weigh_candidates(
         ids = np.empty(stop - start, np.int64)
         alphas = np.empty(stop - start, np.float64)
         depths = np.empty(stop - start, np.float32)
-        count = 0
+        count = np.int64(0)
         for c in range(start, stop):
             g = candidates[c]
             squared, depth = _peak(

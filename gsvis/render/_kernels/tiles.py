@@ -183,8 +183,8 @@ def _open_tile(left, top, width, height):
 
     Returns the state, the gates of its rows, and the rows and columns inside the image.
     """
-    state = _allocate(TILE * CHANNELS * TILE).reshape((TILE, CHANNELS, TILE))
-    gates = _allocate(TILE)
+    state = _allocate(np.int64(TILE * CHANNELS * TILE)).reshape((TILE, CHANNELS, TILE))
+    gates = _allocate(np.int64(TILE))
     rows = min(TILE, height - top)
     columns = min(TILE, width - left)
     gates[:rows] = np.inf
