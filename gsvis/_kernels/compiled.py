@@ -23,7 +23,7 @@ inner = partial(njit, cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True
 """Compile a function that only kernels call: without the wrapper for Python, too."""
 
 
-class _Pause(event.Listener):
+class _Pause(event.Listener):  # type: ignore[misc]  # numba has no types
     """Pauses the collector from the first function that is compiled to the end of the last that it calls.
 
     Numba compiles in one thread at a time.
