@@ -54,6 +54,13 @@ def test_no_slice_is_assigned_to_a_slice(path: Path) -> None:
     assert slices_to_slices(path.read_text(encoding="utf-8")) == []
 
 
+def test_no_loop_is_compiled_three_times_over() -> None:
+    for path in KERNELS:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            for decorator in getattr(node, "decorator_list", ()):
+                assert "parallel" not in ast.unparse(decorator), f"{path}:{decorator.lineno}: use threads.py or `share`"
+
+
 def test_read_only_views_share_memory_and_leave_the_arrays_alone() -> None:
     array = np.arange(3.0)
     (view,) = _check.read_only(array)
@@ -71,7 +78,7 @@ def draw() -> tuple[Callable[[], object], Callable[[], object], tuple[object, ..
     g = Gaussians(*shape, rng.normal(size=(9, 1, 3)))
     view = Cameras.orbit((0.0, 0.0, 0.0), 4.0, 1, width=16, height=16)
     tensors = GaussianTensors.from_gaussians(g, torch.float32)
-    kernels = _kernels_project.project.kernel, _kernels_order.order_ties.kernel, _kernels_sh.colors_from_sh
+    kernels = _kernels_project.project.kernel, _kernels_order.order_ties.kernel, _kernels_sh.colors_from_sh.kernel
     return lambda: rasterize(g, view), lambda: rasterize(tensors, view), kernels
 
 

@@ -2,36 +2,57 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
-from numba import njit, prange
+import pytest
+from numba import get_num_threads, njit, set_num_threads
 
-from gsvis._kernels.shared import WORKERS, raise_to, take_next
-
-
-@njit(parallel=True)
-def _take_all(taken, times):
-    for _worker in prange(WORKERS):
-        unit = take_next(taken)
-        while unit < len(times):
-            times[unit] += 1
-            unit = take_next(taken)
+from gsvis._kernels.shared import raise_to, share, take_next
+from gsvis._kernels.threads import on_numba_threads
 
 
-@njit(parallel=True)
-def _raise_all(places, values, largest):
-    for i in prange(len(values)):
-        raise_to(largest, places[i], values[i])
+@njit
+def _count_unit(unit, times, order, taken):  # type: ignore[no-untyped-def]
+    times[unit] += 1
+    order[take_next(taken)] = unit
 
 
-def test_every_unit_is_taken_once() -> None:
-    for count in (0, 1, 1000):
-        times = np.zeros(count, np.int64)
-        taken = np.zeros(1, np.int64)
-        _take_all(taken, times)
-        assert (times == 1).all()
-        assert taken[0] == count + WORKERS  # each worker asks once in vain
+@on_numba_threads
+@njit(nogil=True)
+def _count_all(times, order):  # type: ignore[no-untyped-def]
+    share(_count_unit, len(times), (times, order, np.zeros(1, np.int64)))
 
 
+@njit
+def _raise_one(i, places, values, largest):  # type: ignore[no-untyped-def]
+    raise_to(largest, places[i], values[i])
+
+
+@on_numba_threads
+@njit(nogil=True)
+def _raise_all(places, values, largest):  # type: ignore[no-untyped-def]
+    share(_raise_one, len(values), (places, values, largest))
+
+
+@pytest.fixture(params=[1, 2])
+def threads(request: pytest.FixtureRequest) -> Iterator[None]:
+    before = get_num_threads()
+    set_num_threads(min(request.param, before))
+    yield
+    set_num_threads(before)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 1000])
+@pytest.mark.usefixtures("threads")
+def test_every_unit_is_taken_once(count: int) -> None:
+    times, order = np.zeros(count, np.int64), np.full(count, -1)
+    _count_all(times, order)
+    assert (times == 1).all()
+    assert sorted(order) == list(range(count))
+
+
+@pytest.mark.usefixtures("threads")
 def test_values_rise_to_the_largest() -> None:
     rng = np.random.default_rng(0)
     places, values = rng.integers(0, 7, 5000), (10.0 ** rng.uniform(-40, 30, 5000)).astype(np.float32)

@@ -1,8 +1,7 @@
-"""What threads of one kernel share: a counter that gives out work, and largest values.
+"""What threads of one kernel share: a counter that gives out work, largest values, and calls of one function.
 
-numba cuts a `prange` into one part a thread. Parts of unequal cost leave threads idle, and so does a thread that other
-programs interrupt. Kernels instead run `prange(WORKERS)`, and each worker takes units of work from a counter until none
-is left: the first worker of each thread does the work. Results do not depend on who took what.
+Parts of equal size leave threads idle where their cost differs, and so does a thread that other programs interrupt.
+Threads take units of work from a counter instead, until none is left. Results do not depend on who took what.
 """
 
 from __future__ import annotations
@@ -11,14 +10,69 @@ from typing import Any
 
 from llvmlite import ir
 from numba import types
+from numba.core import cgutils
 from numba.extending import intrinsic
 
-__all__ = ["WORKERS", "raise_to", "take_next"]
+__all__ = ["raise_to", "share", "take_next"]
 
-WORKERS = 256
-"""Most threads that share the work of a kernel."""
+_I64, _BYTES = ir.IntType(64), ir.IntType(8).as_pointer()
+_PART = ir.FunctionType(ir.VoidType(), [_BYTES.as_pointer(), _I64.as_pointer(), _I64.as_pointer(), _BYTES])
+"""What numba's threads call: arrays, their lengths and steps, of which there are none here, and anything else."""
+_RUN = ir.FunctionType(ir.VoidType(), [_BYTES] * 5 + [_I64] * 3)
+"""The function of numba's threading layers that runs parts: a part and its four arguments, two counts, threads."""
 
-_I64 = ir.IntType(64)
+
+@intrinsic
+def share(typing_context: Any, function: Any, units: Any, arguments: Any) -> Any:
+    """Call function(unit, *arguments) for each unit in [0, units): numba's threads take them as they come free.
+
+    The function is an `inner` one that never raises. In a kernel under `on_numba_threads`. Compared with a loop over
+    `prange`, the function is typed once and optimized twice, and a single unit starts no thread.
+    """
+    call = function.get_call_type(typing_context, (types.int64, *arguments), {})
+
+    def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        given = ir.LiteralStructType([_I64, _I64, args[2].type])  # the next unit, how many there are, the arguments
+        part = _build_part(context, builder.module, given, signature.args[0].dispatcher.get_compile_result(call), call)
+        count = context.cast(builder, args[1], signature.args[1], types.int64)
+        place = cgutils.alloca_once(builder, given)
+        for k, value in enumerate((_I64(0), count, args[2])):
+            builder.store(value, cgutils.gep_inbounds(builder, place, 0, k))
+        data, none = builder.bitcast(place, _BYTES), _BYTES(None)
+        with builder.if_else(builder.icmp_signed(">", count, _I64(1))) as (several, one):
+            with several:
+                ask = cgutils.get_or_insert_function(builder.module, ir.FunctionType(_I64, []), "get_num_threads")
+                run = cgutils.get_or_insert_function(builder.module, _RUN, "numba_parallel_for")
+                threads = builder.call(ask, [])
+                size = builder.bitcast(cgutils.alloca_once_value(builder, threads), _BYTES)
+                builder.call(run, [builder.bitcast(part, _BYTES), none, size, none, data, _I64(0), _I64(0), threads])
+            with one:
+                builder.call(part, [ir.Constant(kind, None) for kind in _PART.args[:3]] + [data])
+        return context.get_dummy_value()
+
+    return types.void(function, units, arguments), build
+
+
+def _build_part(context: Any, module: Any, given: Any, compiled: Any, call: Any) -> Any:
+    """Return what each thread runs: it takes units and calls the compiled function, until none is left."""
+    part = ir.Function(module, _PART, module.get_unique_name("part." + compiled.fndesc.mangled_name))
+    part.linkage = "internal"
+    builder = ir.IRBuilder(part.append_basic_block("start"))
+    take, work, end = (part.append_basic_block(name) for name in ("take", "work", "end"))
+    place = builder.bitcast(part.args[3], given.as_pointer())
+    counter, count, values = (cgutils.gep_inbounds(builder, place, 0, k) for k in range(3))
+    count, values = builder.load(count), cgutils.unpack_tuple(builder, builder.load(values))
+    builder.branch(take)
+    builder.position_at_end(take)
+    unit = builder.atomic_rmw("add", counter, _I64(1), "monotonic")
+    builder.cbranch(builder.icmp_signed("<", unit, count), work, end)
+    builder.position_at_end(work)
+    context.add_linking_libs([compiled.library])
+    context.call_internal_no_propagate(builder, compiled.fndesc, call, [unit, *values])
+    builder.branch(take)
+    builder.position_at_end(end)
+    builder.ret_void()
+    return part
 
 
 @intrinsic

@@ -3,6 +3,7 @@
 numba shares out a loop by itself with `parallel=True`, but then it types and optimizes the body three times over, and
 the kernel takes two to four times as long to compile. Here the kernel is a plain one that releases Python's lock
 (`nogil=True`, and `error_model="numpy"`, as numba's own threads have it). A call costs some tens of microseconds more.
+Kernels whose calls take a millisecond or less use numba's threads instead, by `share`.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from typing import Any
 import numpy as np
 from numba import get_num_threads
 
-__all__ = ["in_parts", "in_threads"]
+__all__ = ["in_parts", "in_threads", "on_numba_threads"]
 
 _pools: dict[int, ThreadPoolExecutor] = {}
 
@@ -57,6 +58,16 @@ def in_threads(units: Callable[..., int]) -> Callable[[Any], Callable[..., None]
         return _named_as(kernel, run)
 
     return wrap
+
+
+def on_numba_threads(kernel: Any) -> Callable[..., None]:
+    """Make a kernel that calls `share` ready to be called: numba's threads are there before its code is loaded."""
+
+    def run(*arguments: Any) -> None:
+        get_num_threads()  # starts them, at the first call
+        kernel(*arguments)
+
+    return _named_as(kernel, run)
 
 
 def _named_as(kernel: Any, run: Callable[..., None]) -> Callable[..., None]:

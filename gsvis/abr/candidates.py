@@ -125,7 +125,7 @@ class CandidateIndex:
         self.index, self.cache = index, Cache(256 << 20) if cache is None else cache
         count = word_count(len(index))
         self.spheres, self.spreads = np.zeros((count, 4), np.float32), np.zeros(count, np.float32)
-        kernels.word_spheres(index.means, index.radii, index.areas, self.spheres, self.spreads)
+        kernels.word_spheres(*_check.read_only(index.means, index.radii, index.areas), self.spheres, self.spreads)
         self._word_bytes = _word_means(index.gaussian_bytes, count)
         self._term_size = float(index.term_bytes.mean()) if index.num_terms else 0.0
         self.least_sizes = _least(index.gaussian_bytes), _least(index.term_bytes)
@@ -138,15 +138,13 @@ class CandidateIndex:
         self.stored = stored
         ratios = [size / each for size, each in zip(self.least_sizes, stored, strict=True)]
         self.sent_per_stored = min(ratios) if index.num_terms else ratios[0]
-        self.records = plan.Records(
-            sizes, index.term_offsets, index.term_bytes, cones.centers, cones.places, cones.cosines, cones.widths,
-            index.areas,
-        )  # fmt: skip
+        terms = index.term_offsets, index.term_bytes, cones.centers, cones.places, cones.cosines, cones.widths
+        self.records = plan.Records(*_check.read_only(sizes, *terms, index.areas))
         self.links = _links(index)
         pairs = index.first.astype(np.uint16) * index.num_levels + index.last
         mixed = np.zeros(count, np.bool_)
         mixed[(np.flatnonzero(np.diff(pairs)) + 1) >> 6] = True
-        self._traits = kernels.Traits(strengths(index, self.pixel_area), pairs, mixed)
+        self._traits = kernels.Traits(*_check.read_only(strengths(index, self.pixel_area), pairs, mixed))
         self._owners = np.repeat(np.arange(len(index), dtype=np.int32), np.diff(index.term_offsets))
         self._scratch, self._shell_counts = threading.local(), dict[int, int]()
         all_of_them = pack(np.arange(len(index)), len(index))
@@ -199,7 +197,7 @@ class CandidateIndex:
         self.sent_per_stored = numbers["sent_per_stored"]
         self.spheres, self.spreads, self.bodies, self.highest = a["spheres"], a["spreads"], a["bodies"], a["highest"]
         self._word_bytes, self._word_terms, self._owners = a["word_bytes"], a["word_terms"], a["owners"]
-        self._traits = kernels.Traits(a["strengths"], a["pairs"], a["mixed"])
+        self._traits = kernels.Traits(*_check.read_only(a["strengths"], a["pairs"], a["mixed"]))
         self._every_term = a["active"], a["owing"]
         self.records, self.links = _typed("record", plan.Records, a), _typed("link", plan.Links, a)
         self._every = _typed("every", Units, a)
@@ -397,7 +395,7 @@ class CandidateIndex:
             raise ValueError(f"classes: expected one for each member, got {len(classes)}")
         _check.in_range("classes", classes, 0, len(weights) - 1)
         found = _room(len(classes))
-        count = kernels.cell_units(words, classes, self._traits, weights, found)
+        count = kernels.cell_units(words, classes, self._traits, *_check.read_only(weights), found)
         return Units(*(array[:count] for array in found))
 
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis import _check
 from gsvis.abr._kernels import plan
 from gsvis.abr._kernels import units as kernels
 from gsvis.abr.candidates import _room, _word_means
@@ -168,7 +169,8 @@ def write_words(out: ArrayFiles, numbers: PieceNumbers) -> dict[str, Any]:
         mixed[np.flatnonzero(np.diff(pairs, prepend=before)) >> 6], last_pair = True, pairs[-1]
         owing = pack(np.flatnonzero(terms) if numbers.terms else np.zeros(0, np.int64), _BLOCK)
         owed += int(np.count_nonzero(terms)) if numbers.terms else 0
-        own = _Block(low // 64, means, radii, areas, kernels.Traits(out.rows("strengths", low, high), pairs, mixed))
+        traits = kernels.Traits(*_check.read_only(out.rows("strengths", low, high), pairs, mixed))
+        own = _Block(low // 64, means, radii, areas, traits)
         sizes = np.full(high - low, numbers.nbytes, np.float32)
         named: dict[str, NDArray[Any]] = {
             "mixed": mixed, "highest": pack(np.flatnonzero(lasts == numbers.levels - 1), _BLOCK), "owing": owing,
@@ -204,7 +206,7 @@ class _Block:
         """Append the spheres and the units of the words."""
         words, n = _BLOCK // 64, len(self.means)
         spheres, spreads = np.zeros((words, 4), np.float32), np.zeros(words, np.float32)
-        kernels.word_spheres(self.means, self.radii, self.areas, spheres, spreads)
+        kernels.word_spheres(*_check.read_only(self.means, self.radii, self.areas), spheres, spreads)
         out.append("spheres", spheres)
         out.append("spreads", spreads)
         used = -(-n // 64)
@@ -212,7 +214,7 @@ class _Block:
             out.append(f"place_{k}", row[:used])
         out.append("all_words", np.arange(self.first, self.first + used, dtype=np.int32))
         out.append("all_owing", owing[:used])
-        found, weights = _room(n), np.array([numbers.weight], np.float32)
+        found, (weights,) = _room(n), _check.read_only(np.array([numbers.weight], np.float32))
         members = pack(np.arange(n), _BLOCK)
         count = kernels.cell_units(members, np.zeros(n, np.uint8), self.traits, weights, found)
         slots = found.slots[:count] + np.int32(self.first)

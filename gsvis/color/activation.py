@@ -70,7 +70,7 @@ class Activation:
         additive = colors.kind.space == "rgb"
         factors = self._reaches if additive else np.ones(colors.num_terms)
         found = np.zeros(colors.num_terms)
-        (means,) = _check.read_only(self._means)
+        means, at = _check.read_only(self._means, at)
         kernels.responses(means, colors.offsets, self._centers, colors.decays, factors, at, found)
         if additive:
             return found.astype(np.float32)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.io._build import exp_scales, gaussians_from, sh0_from_rgb
 from gsvis.io._kernels.spz import spread_8888, spread_111011, unpack_quats
@@ -57,6 +58,7 @@ def read_compressed(header: PlyHeader, stream: BufferedReader) -> Gaussians:
     rows, ranges = _rows(header, vertex, stream), _rows(header, chunk, stream)
     position, rotation, scale, color = (np.ascontiguousarray(rows[name], np.uint32) for name in _VERTEX)
     means, log_scales, rgb = (np.empty((vertex.count, 3), np.float32) for _ in range(3))
+    position, rotation, scale, color = _check.read_only(position, rotation, scale, color)
     spread_111011(position, *_ends(ranges, "min_", "max_", "xyz"), _CHUNK, means)
     spread_111011(scale, *_ends(ranges, "min_scale_", "max_scale_", "xyz"), _CHUNK, log_scales)
     opacities, quats = np.empty(vertex.count, np.float32), np.empty((vertex.count, 4), np.float32)

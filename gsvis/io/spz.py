@@ -17,6 +17,7 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
+from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.files.atomic import atomic_path
 from gsvis.files.limits import Budget, read_whole
@@ -220,7 +221,9 @@ def _decode(path: str | os.PathLike[str], header: _Header, streams: dict[str, U8
             _logger.warning("%s: SH degree 4 is dropped; gsvis keeps degrees 0 to 3", path)
         signs = np.diag(rotation_of_sh(_TURN, min(degree, 3)))[1:].round().astype(np.float32)
         shN = np.empty((n, len(signs), 3), np.float32)
-        unpack_higher(streams["sh"].reshape(n, -1), np.repeat(signs / np.float32(128.0), 3), shN.reshape(n, -1))
+        unpack_higher(
+            *_check.read_only(streams["sh"].reshape(n, -1)), np.repeat(signs / np.float32(128.0), 3), shN.reshape(n, -1)
+        )
     return gaussians_from(path, means, quats, scales, opacities, sh0, shN)
 
 
@@ -231,7 +234,7 @@ def _positions(header: _Header, stream: U8) -> F32:
         with np.errstate(all="ignore"):
             return stream.view("<f2").astype(np.float32).reshape(-1, 3) * turn
     means = np.empty((header.count, 3), np.float32)
-    unpack_fixed_points(stream, turn / np.float32(1 << header.fraction_bits), means)
+    unpack_fixed_points(*_check.read_only(stream), turn / np.float32(1 << header.fraction_bits), means)
     return means
 
 
@@ -256,7 +259,7 @@ def _smallest_three(stream: U8) -> F32:
     bits = stream.view("<u4").astype(np.uint32, copy=False)
     quats = np.empty((len(bits), 4), np.float32)
     table = np.where(codes & 0x200, -size, size)
-    unpack_quats(bits, table, np.array([1, 2, 3, 0]), np.array([1, -1, -1, 1], np.float32), quats)
+    unpack_quats(*_check.read_only(bits), table, np.array([1, 2, 3, 0]), np.array([1, -1, -1, 1], np.float32), quats)
     return quats
 
 

@@ -12,6 +12,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis import _check
 from gsvis.package._kernels import records as kernels
 from gsvis.package.codec import chunk_starts
 from gsvis.package.lattice import Lattices, find_lattices
@@ -89,7 +90,7 @@ def morton_codes(means: NDArray[np.float32], center: NDArray[np.float64], half: 
         half: Half the width of the even part, > 0; outside of it, cells are larger.
     """
     codes = np.empty(len(means), np.uint64)
-    kernels.morton(means, center, half, codes)
+    kernels.morton(*_check.read_only(means), center, half, codes)
     return codes
 
 

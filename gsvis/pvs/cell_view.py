@@ -335,4 +335,5 @@ class _Growing:
 
     def add(self, ids: I32 | I64, classes: NDArray[np.int8], viewpoints: F64) -> None:
         """Add Gaussians (V,) with the classes of their weights, seen from viewpoints (V, 3), or all from one (1, 3)."""
-        kernels.add_seen(ids.astype(np.int64), classes, viewpoints, self._means, *self._planes, self.best, self.sets)
+        eyes = np.ascontiguousarray(viewpoints)
+        kernels.add_seen(ids.astype(np.int64), classes, eyes, self._means, *self._planes, self.best, self.sets)

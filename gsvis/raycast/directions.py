@@ -221,7 +221,7 @@ def seen_from_space(
     chosen, hierarchy = tracer.check_ids(ids), tracer.hierarchy
     rays = face_directions(rays_per_face).reshape(-1, 3)
     rays = np.ascontiguousarray(rays[np.random.default_rng(0).permutation(len(rays))])  # neighbors fail together
-    grid = (navigable.free, np.asarray(navigable.origin, np.float64), float(navigable.voxel_size))
+    grid = (*_check.read_only(navigable.free, np.asarray(navigable.origin, np.float64)), float(navigable.voxel_size))
     seen = np.zeros(len(chosen), bool)
     progress("directions", 0, len(chosen))
     for start in range(0, len(chosen), _CHUNK):
@@ -236,7 +236,7 @@ def seen_from_space(
 
 def _trace(tracer: Tracer, navigable: NavigableSpace, ids: NDArray[np.int64], rays: F64, tau: float, sets: U8) -> None:
     hierarchy = tracer.hierarchy
-    grid = (navigable.free, np.asarray(navigable.origin, np.float64), float(navigable.voxel_size))
+    grid = (*_check.read_only(navigable.free, np.asarray(navigable.origin, np.float64)), float(navigable.voxel_size))
     targets = hierarchy.positions[ids]
     _kernels_directions.trace_outward(*hierarchy.arrays, targets, rays, *grid, tracer.limits, float(tau), sets)
 

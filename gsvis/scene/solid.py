@@ -73,7 +73,9 @@ class Solid:
         some = self.gaussians[self.ids]
         whitening = np.swapaxes(some.rotations(), 1, 2) / some.scales.astype(np.float64)[:, :, None]
         alphas = np.zeros(len(points))
-        kernels.largest_alpha(some.means, np.ascontiguousarray(whitening), some.opacities, points, alphas)
+        kernels.largest_alpha(
+            some.means, np.ascontiguousarray(whitening), some.opacities, np.ascontiguousarray(points), alphas
+        )
         return alphas
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from gsvis import _check
 from gsvis.render import GaussianTensors, rasterize, view_weights
 from gsvis.render._kernels import order as _kernels_order
 from gsvis.render._kernels import tiles as _kernels_tiles
@@ -135,6 +136,6 @@ def test_long_and_short_runs_sort_alike() -> None:
     content = [rng.integers(0, 3, (n, k)).astype(np.float32) for k in (3, 3, 4, 1, 3)]
     order, ids = np.empty(n, np.int32), np.arange(n, dtype=np.int32)
     keys = (depths << np.uint64(32)) | ids.astype(np.uint64)
-    _kernels_order.order_ties(keys, ids, *content, order)
+    _kernels_order.order_ties(keys, ids, *_check.read_only(*content), order)
     columns = np.concatenate(content, axis=1).T
     assert (order == np.lexsort([ids, *reversed(columns), depths])).all()

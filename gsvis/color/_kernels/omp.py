@@ -176,8 +176,8 @@ def _load(chunk, start, count, atoms, work, codes):
         for c in range(channels):
             for d in range(raw.shape[1]):
                 raw[0, d] = signals[m, d * channels + c]
-            whole += _dot(raw, 0, raw, 0)
-            _product(raw, 0, roots, b if own else 0, rows, c * BLOCK + b)
+            whole += _dot(raw, np.int64(0), raw, np.int64(0))
+            _product(raw, np.int64(0), roots, b if own else 0, rows, c * BLOCK + b)
             energy += _dot(rows, c * BLOCK + b, rows, c * BLOCK + b)
         if not math.isfinite(whole):
             counts[m] = BAD_SIGNAL
@@ -214,7 +214,7 @@ def _weigh(atoms, work, count):
     roots, sent, shares, gains = work.roots, work.sent, work.spread, work.gains
     if len(roots) == 0:
         for b in range(count):
-            _copy(atoms.gains, 0, gains, b)
+            _copy(atoms.gains, np.int64(0), gains, b)
         return
     for b in range(count):
         _product(roots, b, roots, b, sent, b)

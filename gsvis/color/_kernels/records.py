@@ -89,12 +89,17 @@ def round_jointly(offsets, functions, lobes, intensities, table, middles, out):
         most = max(most, offsets[g + 1] - offsets[g])
     channels = intensities.shape[1]
     gram, sizes, errors, alone = np.empty((most, most)), np.empty(most), np.empty(most), np.empty(most)
-    places = np.empty(most, np.int64)
+    places, order = np.empty(most, np.int64), np.empty(most, np.int64)
     for g in range(len(offsets) - 1):
         start, count = offsets[g], offsets[g + 1] - offsets[g]
-        for j in range(count):
-            sizes[j] = -np.abs(intensities[start + j]).max()
-        order = np.argsort(sizes[:count], kind="mergesort")[::-1] + start  # the largest last
+        for j in range(count):  # the largest last, of equal ones the first; numba's sort takes long to compile
+            size, at = 0.0, j
+            for c in range(channels):
+                size = max(size, np.float64(abs(intensities[start + j, c])))
+            while at > 0 and sizes[at - 1] >= size:
+                sizes[at], order[at] = sizes[at - 1], order[at - 1]
+                at -= 1
+            sizes[at], order[at] = size, start + j
         for j in range(count):
             for k in range(j + 1):
                 alike = functions[order[j]] == functions[order[k]]

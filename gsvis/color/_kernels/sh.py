@@ -7,10 +7,11 @@ derivatives. `tests/color/test_sh_kernels.py` compares the two.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
-from gsvis._kernels.compiled import kernel
-from gsvis._kernels.threads import in_parts
+from gsvis._kernels.compiled import inner, kernel
+from gsvis._kernels.shared import share
+from gsvis._kernels.threads import in_parts, on_numba_threads
 from gsvis.scene.sh import SH_C0, SH_C1, SH_C2, SH_C3
 
 _BLOCK = 512
@@ -117,13 +118,18 @@ def _color(i, means, sh0, higher, degree, eye):
     return color
 
 
-@kernel(parallel=True)
+@inner
+def _color_block(block, ids, means, sh0, higher, degree, eye, lowest, features):
+    for j in range(_BLOCK * block, min(len(ids), _BLOCK * (block + 1))):
+        red, green, blue = _color(ids[j], means, sh0, higher, degree, eye)
+        features[j, 0], features[j, 1], features[j, 2] = max(red, lowest), max(green, lowest), max(blue, lowest)
+
+
+@on_numba_threads
+@kernel
 def colors_from_sh(ids, means, sh0, higher, degree, eye, lowest, features):
     """Write colors of the Gaussians ids (M,), at least `lowest` (float32), into features[:, :3]; `higher` is shN."""
-    for block in prange((len(ids) + _BLOCK - 1) // _BLOCK):
-        for j in range(_BLOCK * block, min(len(ids), _BLOCK * (block + 1))):
-            red, green, blue = _color(ids[j], means, sh0, higher, degree, eye)
-            features[j, 0], features[j, 1], features[j, 2] = max(red, lowest), max(green, lowest), max(blue, lowest)
+    share(_color_block, (len(ids) + _BLOCK - 1) // _BLOCK, (ids, means, sh0, higher, degree, eye, lowest, features))
 
 
 @in_parts(lambda ids, *_: (len(ids) + _BLOCK - 1) // _BLOCK)

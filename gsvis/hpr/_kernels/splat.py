@@ -189,7 +189,7 @@ def _splat(near, covars, ids, eye, face, corner, extent, half, spent, i, square,
 def _open(square, lit, extent):
     """Give light to the pixels of a square, none to those around it; return how many there are."""
     for y in range(SQUARE):
-        lit[y] = _columns(0, extent[0] - 1) if y < extent[1] else _NONE
+        lit[y] = _columns(np.int64(0), extent[0] - 1) if y < extent[1] else _NONE
         for x in range(STRIDE):
             square[0, y, x] = _ONE if x < extent[0] and y < extent[1] else np.float32(0.0)
             square[1, y, x] = np.inf

@@ -7,10 +7,11 @@ Gaussian in hierarchy order: mean (3), whitening matrix (9), squared reach, opac
 from __future__ import annotations
 
 import numpy as np
-from numba import get_thread_id, njit, prange
+from numba import njit
 
 from gsvis._kernels.compiled import inner, kernel
-from gsvis._kernels.threads import in_parts
+from gsvis._kernels.shared import share, take_next
+from gsvis._kernels.threads import in_parts, on_numba_threads
 from gsvis.raycast._kernels.bvh import MOST_LEVELS, WIDTH
 from gsvis.raycast._kernels.simd import meets_eight
 
@@ -95,7 +96,7 @@ def trace_ray(
     inverse = (1.0 / (dx if dx != 0.0 else TINY), 1.0 / (dy if dy != 0.0 else TINY), 1.0 / (dz if dz != 0.0 else TINY))
     t_stop = np.inf
     left = 1.0  # transmittance behind all hits found so far
-    count, prune_at = 0, 0
+    count, prune_at = np.int64(0), 0
     stack_node[0], stack_near[0], top = 0, 0.0, 1
     while top > 0:
         top -= 1
@@ -280,7 +281,7 @@ def weigh_candidates(
         ids = np.empty(stop - start, np.int64)
         alphas = np.empty(stop - start, np.float64)
         depths = np.empty(stop - start, np.float32)
-        count = 0
+        count = np.int64(0)
         for c in range(start, stop):
             g = candidates[c]
             squared, depth = _peak(
@@ -305,18 +306,17 @@ def weigh_candidates(
         )
 
 
-@kernel(parallel=True)
-def largest_weights(table, content, boxes, children, rays_o, rays_d, limits, out):
-    """Write the largest weight of every Gaussian over the rays into out (threads, N) float32, one row per thread."""
-    for block in prange((len(rays_o) + 63) // 64):
-        row = out[get_thread_id()]
-        ids = np.empty(512, np.int64)
-        alphas = np.empty(512, np.float64)
-        depths = np.empty(512, np.float32)
-        stack_node = np.empty(STACK, np.int64)
-        stack_near = np.empty(STACK, np.float64)
-        t_near = np.empty(WIDTH, np.float64)
-        for r in range(64 * block, min(len(rays_o), 64 * block + 64)):
+@inner(error_model="numpy")
+def _raise_row(row, table, content, boxes, children, rays_o, rays_d, limits, taken, out):
+    ids = np.empty(512, np.int64)
+    alphas = np.empty(512, np.float64)
+    depths = np.empty(512, np.float32)
+    stack_node = np.empty(STACK, np.int64)
+    stack_near = np.empty(STACK, np.float64)
+    t_near = np.empty(WIDTH, np.float64)
+    first = 64 * take_next(taken)
+    while first < len(rays_o):
+        for r in range(first, min(len(rays_o), first + 64)):
             count, ids, alphas, depths = trace_ray(
                 table,
                 content,
@@ -334,8 +334,20 @@ def largest_weights(table, content, boxes, children, rays_o, rays_d, limits, out
             )
             transmittance = 1.0
             for i in range(count):
-                row[ids[i]] = max(row[ids[i]], np.float32(alphas[i] * transmittance))
+                out[row, ids[i]] = max(out[row, ids[i]], np.float32(alphas[i] * transmittance))
                 transmittance *= 1.0 - alphas[i]
+        first = 64 * take_next(taken)
+
+
+@on_numba_threads
+@kernel
+def largest_weights(table, content, boxes, children, rays_o, rays_d, limits, out):
+    """Write the largest weight of every Gaussian over the rays into the rows of out (threads, N) float32, together."""
+    share(
+        _raise_row,
+        len(out),
+        (table, content, boxes, children, rays_o, rays_d, limits, np.zeros(1, np.int64), out),
+    )
 
 
 @in_parts(lambda owners, offsets, rays, *_: len(rays))

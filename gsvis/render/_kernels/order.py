@@ -7,35 +7,42 @@ bits. Threads take blocks of fixed size as they come free: the order does not de
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from gsvis._kernels.compiled import inner, kernel
-from gsvis._kernels.shared import WORKERS, take_next
-from gsvis._kernels.threads import in_threads
+from gsvis._kernels.shared import share, take_next
+from gsvis._kernels.threads import in_threads, on_numba_threads
 
 BLOCK = 1 << 13  # splats that one thread takes at a time
 DIGIT = 11  # most bits sorted by in one pass
 _SHORT = 32  # runs up to this length are sorted by insertion
 
 
-@kernel(parallel=True)
+@inner
+def _join_block(block, bits, least, out):
+    for m in range(block * BLOCK, min(len(bits), (block + 1) * BLOCK)):
+        out[m] = (np.uint64(bits[m] - least) << np.uint64(32)) | np.uint64(m)
+
+
+@on_numba_threads
+@kernel
 def join_keys(bits, least, out):
     """Join bits (M,) uint32, less the least of them, and indices into out (M,) uint64."""
-    for block in prange((len(bits) + BLOCK - 1) // BLOCK):
-        for m in range(block * BLOCK, min(len(bits), (block + 1) * BLOCK)):
-            out[m] = (np.uint64(bits[m] - least) << np.uint64(32)) | np.uint64(m)
+    share(_join_block, (len(bits) + BLOCK - 1) // BLOCK, (bits, least, out))
 
 
-@kernel(parallel=True)
+@inner
+def _count_block(block, keys, shift, counts):
+    mask = np.uint64(counts.shape[1] - 1)
+    for k in range(block * BLOCK, min(len(keys), (block + 1) * BLOCK)):
+        counts[block, np.int64((keys[k] >> shift) & mask)] += 1
+
+
+@on_numba_threads
+@kernel
 def count_digits(keys, shift, counts):
     """Count the digits above bit `shift` of the keys of each block into counts (blocks, digits)."""
-    mask, taken = np.uint64(counts.shape[1] - 1), np.zeros(1, np.int64)
-    for _worker in prange(WORKERS):
-        block = take_next(taken)
-        while block < len(counts):
-            for k in range(block * BLOCK, min(len(keys), (block + 1) * BLOCK)):
-                counts[block, np.int64((keys[k] >> shift) & mask)] += 1
-            block = take_next(taken)
+    share(_count_block, len(counts), (keys, shift, counts))
 
 
 @njit(cache=True)
@@ -50,18 +57,20 @@ def place_blocks(counts, ends):
         ends[group] = total
 
 
-@kernel(parallel=True)
+@inner
+def _move_block(block, keys, shift, places, out):
+    mask = np.uint64(places.shape[1] - 1)
+    for k in range(block * BLOCK, min(len(keys), (block + 1) * BLOCK)):
+        digit = np.int64((keys[k] >> shift) & mask)
+        out[places[block, digit]] = keys[k]
+        places[block, digit] += 1
+
+
+@on_numba_threads
+@kernel
 def move_keys(keys, shift, places, out):
     """Move keys to their places (blocks, digits), which are counted up; equal digits keep their order."""
-    mask, taken = np.uint64(places.shape[1] - 1), np.zeros(1, np.int64)
-    for _worker in prange(WORKERS):
-        block = take_next(taken)
-        while block < len(places):
-            for k in range(block * BLOCK, min(len(keys), (block + 1) * BLOCK)):
-                digit = np.int64((keys[k] >> shift) & mask)
-                out[places[block, digit]] = keys[k]
-                places[block, digit] += 1
-            block = take_next(taken)
+    share(_move_block, len(places), (keys, shift, places, out))
 
 
 @njit(cache=True)

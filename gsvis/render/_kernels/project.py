@@ -11,11 +11,11 @@ References:
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from gsvis._kernels.compiled import inner, kernel
-from gsvis._kernels.shared import take_next
-from gsvis._kernels.threads import in_parts, in_threads
+from gsvis._kernels.shared import share, take_next
+from gsvis._kernels.threads import in_parts, in_threads, on_numba_threads
 
 NEAR = 0.01
 DILATION = 0.3
@@ -144,15 +144,20 @@ def project(
         block = take_next(taken)
 
 
-@kernel(parallel=True, fastmath=FUSED)
+@inner
+def _gather_block(block, counts, starts, ids, splats, depths, out_ids, out_splats, out_depths):
+    for k in range(counts[block]):
+        source, target = block * _BLOCK + k, starts[block] + k
+        out_ids[target], out_depths[target] = ids[source], depths[source]
+        for c in range(8):
+            out_splats[target, c] = splats[source, c]
+
+
+@on_numba_threads
+@kernel
 def gather_blocks(counts, starts, ids, splats, depths, out_ids, out_splats, out_depths):
     """Close the gaps that `project` leaves between blocks."""
-    for block in prange(len(counts)):
-        for k in range(counts[block]):
-            source, target = block * _BLOCK + k, starts[block] + k
-            out_ids[target], out_depths[target] = ids[source], depths[source]
-            for c in range(8):
-                out_splats[target, c] = splats[source, c]
+    share(_gather_block, len(counts), (counts, starts, ids, splats, depths, out_ids, out_splats, out_depths))
 
 
 @in_parts(lambda *arguments: (len(arguments[8]) + 255) // 256)

@@ -7,11 +7,11 @@ Threads take tiles as they come free. Lists, images and gradients do not depend 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from gsvis._kernels.compiled import inner, kernel
-from gsvis._kernels.shared import WORKERS, take_next
-from gsvis._kernels.threads import in_parts, in_threads
+from gsvis._kernels.shared import share, take_next
+from gsvis._kernels.threads import in_parts, in_threads, on_numba_threads
 from gsvis.render._kernels.lanes import CHANNELS, LANES, RECORD, blend, blend_backward, find_reached_rows, weigh
 
 TILE = LANES
@@ -52,43 +52,49 @@ def _box(splat, tiles_x, tiles_y):
     return x0, x1, y0, y1
 
 
-@kernel(parallel=True)
+@inner
+def _count_under_boxes(block, splats, tiles_x, tiles_y, out):
+    total = 0
+    for m in range(block * BLOCK, min(len(splats), (block + 1) * BLOCK)):
+        x0, x1, y0, y1 = _box(splats[m], tiles_x, tiles_y)
+        total += max(x1 - x0 + 1, 0) * max(y1 - y0 + 1, 0)
+    out[block] = total
+
+
+@on_numba_threads
+@kernel
 def count_candidates(splats, tiles_x, tiles_y, out):
     """Tiles under the boxes of the splats of each block into out (blocks,)."""
-    for block in prange(len(out)):
-        total = 0
-        for m in range(block * BLOCK, min(len(splats), (block + 1) * BLOCK)):
-            x0, x1, y0, y1 = _box(splats[m], tiles_x, tiles_y)
-            total += max(x1 - x0 + 1, 0) * max(y1 - y0 + 1, 0)
-        out[block] = total
+    share(_count_under_boxes, len(out), (splats, tiles_x, tiles_y, out))
 
 
-@kernel(parallel=True)
+@inner(error_model="numpy")
+def _meet_block(block, splats, room, tiles_x, tiles_y, met, spans):
+    at = np.int64(0)
+    for m in range(block * BLOCK, min(len(splats), (block + 1) * BLOCK)):
+        splat = splats[m]
+        x0, x1, y0, y1 = _box(splat, tiles_x, tiles_y)
+        spans[m, 0] = at
+        for ty in range(y0, y1 + 1):
+            first, last = x0, x1
+            if x0 < x1 and y0 < y1:  # else the box touches just the tiles the ellipse does
+                low, high = _span(splat, ty * TILE + 0.5, ty * TILE + TILE - 0.5)
+                first, last = _tiles_between(low - _MARGIN, high + _MARGIN, tiles_x)
+                first, last = max(x0, first), min(x1, last)
+            for tx in range(first, last + 1):
+                met[room[block] + at] = ty * tiles_x + tx
+                at += 1
+        spans[m, 1] = at - spans[m, 0]
+
+
+@on_numba_threads
+@kernel
 def meet_tiles(splats, room, tiles_x, tiles_y, met, spans):
     """Tiles that each splat reaches into met, those of block b from room[b] on.
 
     spans (M, 2) receives where those of each splat begin, from room[b] on, and how many they are.
     """
-    taken = np.zeros(1, np.int64)
-    for _worker in prange(WORKERS):
-        block = take_next(taken)
-        while block < len(room) - 1:
-            at = np.int64(0)
-            for m in range(block * BLOCK, min(len(splats), (block + 1) * BLOCK)):
-                splat = splats[m]
-                x0, x1, y0, y1 = _box(splat, tiles_x, tiles_y)
-                spans[m, 0] = at
-                for ty in range(y0, y1 + 1):
-                    first, last = x0, x1
-                    if x0 < x1 and y0 < y1:  # else the box touches just the tiles the ellipse does
-                        low, high = _span(splat, ty * TILE + 0.5, ty * TILE + TILE - 0.5)
-                        first, last = _tiles_between(low - _MARGIN, high + _MARGIN, tiles_x)
-                        first, last = max(x0, first), min(x1, last)
-                    for tx in range(first, last + 1):
-                        met[room[block] + at] = ty * tiles_x + tx
-                        at += 1
-                spans[m, 1] = at - spans[m, 0]
-            block = take_next(taken)
+    share(_meet_block, len(room) - 1, (splats, room, tiles_x, tiles_y, met, spans))
 
 
 @inner
@@ -104,59 +110,63 @@ def _find_met(order, start, count, spans, room, met, found):
         found[j, 2] = met[found[j, 0]]
 
 
-@kernel(parallel=True)
+@inner(error_model="numpy")
+def _count_chunk(chunk, order, spans, room, met, counts, pairs):
+    chunks, found = len(counts), np.empty((_BATCH, 3), np.int64)
+    total, last = 0, len(order) * (chunk + 1) // chunks
+    for start in range(len(order) * chunk // chunks, last, _BATCH):
+        count = min(_BATCH, last - start)
+        _find_met(order, start, count, spans, room, met, found)
+        for j in range(count):
+            if found[j, 1] > 0:
+                counts[chunk, found[j, 2]] += 1
+            for i in range(1, found[j, 1]):
+                counts[chunk, met[found[j, 0] + i]] += 1
+            total += found[j, 1]
+    pairs[chunk] = total
+
+
+@on_numba_threads
+@kernel
 def count_tiles(order, spans, room, met, counts, pairs):
     """Count how many splats each chunk of the depth order puts into each tile: counts (chunks, tiles).
 
     `pairs` (chunks,) receives the sums.
     """
-    chunks, taken = len(counts), np.zeros(1, np.int64)
-    for _worker in prange(WORKERS):
-        chunk, found = take_next(taken), np.empty((_BATCH, 3), np.int64)
-        while chunk < chunks:
-            total, last = 0, len(order) * (chunk + 1) // chunks
-            for start in range(len(order) * chunk // chunks, last, _BATCH):
-                count = min(_BATCH, last - start)
-                _find_met(order, start, count, spans, room, met, found)
-                for j in range(count):
-                    if found[j, 1] > 0:
-                        counts[chunk, found[j, 2]] += 1
-                    for i in range(1, found[j, 1]):
-                        counts[chunk, met[found[j, 0] + i]] += 1
-                    total += found[j, 1]
-            pairs[chunk] = total
-            chunk = take_next(taken)
+    share(_count_chunk, len(counts), (order, spans, room, met, counts, pairs))
 
 
-@kernel(parallel=True)
+@inner(error_model="numpy")
+def _fill_chunk(chunk, order, spans, room, met, places, first_pair, members, pair_of):
+    chunks, found = len(places), np.empty((_BATCH, 3), np.int64)
+    first, last = len(order) * chunk // chunks, len(order) * (chunk + 1) // chunks
+    pair = first_pair[first]
+    for start in range(first, last, _BATCH):
+        count = min(_BATCH, last - start)
+        _find_met(order, start, count, spans, room, met, found)
+        for j in range(count):
+            first_pair[start + j] = pair
+            tile = found[j, 2]
+            for i in range(found[j, 1]):
+                if i > 0:
+                    tile = met[found[j, 0] + i]
+                place = places[chunk, tile]
+                places[chunk, tile] = place + 1
+                members[place] = order[start + j]
+                if len(pair_of):
+                    pair_of[place] = pair
+                pair += 1
+
+
+@on_numba_threads
+@kernel
 def fill_tiles(order, spans, room, met, places, first_pair, members, pair_of):
     """Write each tile's list, front to back, from places (chunks, tiles) on, which are counted up.
 
     `pair_of` (may be empty) numbers the pairs along the depth order: splat order[k] owns those from first_pair[k] on,
     of which the first of each chunk is given, and the others are filled in.
     """
-    chunks, taken = len(places), np.zeros(1, np.int64)
-    for _worker in prange(WORKERS):
-        chunk, found = take_next(taken), np.empty((_BATCH, 3), np.int64)
-        while chunk < chunks:
-            first, last = len(order) * chunk // chunks, len(order) * (chunk + 1) // chunks
-            pair = first_pair[first]
-            for start in range(first, last, _BATCH):
-                count = min(_BATCH, last - start)
-                _find_met(order, start, count, spans, room, met, found)
-                for j in range(count):
-                    first_pair[start + j] = pair
-                    tile = found[j, 2]
-                    for i in range(found[j, 1]):
-                        if i > 0:
-                            tile = met[found[j, 0] + i]
-                        place = places[chunk, tile]
-                        places[chunk, tile] = place + 1
-                        members[place] = order[start + j]
-                        if len(pair_of):
-                            pair_of[place] = pair
-                        pair += 1
-            chunk = take_next(taken)
+    share(_fill_chunk, len(places), (order, spans, room, met, places, first_pair, members, pair_of))
 
 
 @inner
@@ -173,8 +183,8 @@ def _open_tile(left, top, width, height):
 
     Returns the state, the gates of its rows, and the rows and columns inside the image.
     """
-    state = _allocate(TILE * CHANNELS * TILE).reshape((TILE, CHANNELS, TILE))
-    gates = _allocate(TILE)
+    state = _allocate(np.int64(TILE * CHANNELS * TILE)).reshape((TILE, CHANNELS, TILE))
+    gates = _allocate(np.int64(TILE))
     rows = min(TILE, height - top)
     columns = min(TILE, width - left)
     gates[:rows] = np.inf
