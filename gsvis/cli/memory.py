@@ -30,15 +30,16 @@ class Need(NamedTuple):
     harmonic: int
 
 
-NEEDS = {
-    "convert": Need(150 << 20, 200, 12),
-    "clean": Need(500 << 20, 500, 12),
-}
+NEEDS = {"convert": Need(150 << 20, 200, 12)}
 """The need of each command, measured and rounded up (docs/results/world.md)."""
 
 
 def expected_memory(command: str, gaussians: int, sh_degree: int) -> int:
     """Return the bytes that a command needs at its peak."""
+    if command == "clean":
+        from gsvis.edit.memory import cleaning_memory
+
+        return cleaning_memory(gaussians, sh_degree)
     need = NEEDS[command]
     return need.base + gaussians * (need.gaussian + need.harmonic * 3 * ((sh_degree + 1) ** 2 - 1))
 
