@@ -30,7 +30,11 @@ class Need(NamedTuple):
     harmonic: int
 
 
-NEEDS = {"convert": Need(150 << 20, 200, 12)}
+NEEDS = {
+    "convert": Need(150 << 20, 200, 12),
+    "levels": Need(700 << 20, 1400, 48),
+    "color": Need(700 << 20, 1400, 48),
+}
 """The need of each command, measured and rounded up (docs/results/world.md)."""
 
 
@@ -51,6 +55,7 @@ def check_memory(
     remedy: str = "raise it, or take a coarser level of the scene",
     *,
     together: bool = True,
+    more: int = 0,
 ) -> None:
     """Raise unless a command fits the memory, before it reads a scene.
 
@@ -60,6 +65,7 @@ def check_memory(
         max_memory: Bytes; None sets no limit.
         remedy: What else to do.
         together: Whether all scenes are in memory at once.
+        more: Bytes beside the scenes, such as images.
 
     Raises:
         ValueError: If it does not fit.
@@ -70,7 +76,7 @@ def check_memory(
     if together and sizes:
         sizes = [(sum(count for count, _ in sizes), max(degree for _, degree in sizes))]
     for count, degree in sizes:
-        need = expected_memory(command, count, degree)
+        need = expected_memory(command, count, degree) + more
         if need > max_memory:
             raise ValueError(
                 f"--max-memory: expected at least {size_of(need)} for {count:,} Gaussians of SH degree {degree}, got"

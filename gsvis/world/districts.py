@@ -16,9 +16,11 @@ from gsvis.world.bare import reach_of, write_bare_package
 from gsvis.world.graph import Facts, Given
 from gsvis.world.rows import content_order, flatten, load_gaussians, load_tile_levels, median_spacing, save_gaussians
 
-__all__ = ["VERSIONS", "make_district", "merge_down"]
+__all__ = ["VERSIONS", "make_district", "merge_down", "round_shapes"]
 
-VERSIONS = {"make_district": 2}
+VERSIONS = {"make_district": 3}
+
+_TURNS, _OCTAVE = 16, 4  # steps of a component of a quaternion on each side of 0, and of a scale in an octave
 
 
 def make_district(params: Facts, given: Given, out: Path, work: Path) -> Facts:
@@ -31,7 +33,7 @@ def make_district(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     else:
         g = Gaussians.concatenate([load_gaussians(given.path(k, "district")) for k in range(len(given))])
     g = flatten(g)
-    merged = merge_down(g[content_order(g)], params["most"])
+    merged = round_shapes(merge_down(g[content_order(g)], params["most"]))
     about = params["up"], params["meters_per_unit"]
     levels, facts = write_bare_package(out, Levels.single(merged, "far"), *about, reach_of(params))
     save_gaussians(out / "district", levels.union)
@@ -44,3 +46,22 @@ def merge_down(g: Gaussians, most: int) -> Gaussians:
         return g
     different = len(np.unique(g.means, axis=0))
     return merge_gaussians(g, min(most, different))
+
+
+def round_shapes(g: Gaussians) -> Gaussians:
+    """Return a scene with scales rounded to quarters of an octave, and orientations to a few degrees.
+
+    Nobody sees more of what is a few pixels wide. And each value that occurs takes a share of the tables by which a
+    stream codes the records of all nodes.
+    """
+    scales = np.exp2(np.rint(_OCTAVE * np.log2(np.maximum(g.scales.astype(np.float64), 1e-30))) / _OCTAVE)
+    quats, rows = g.quats.astype(np.float64), np.arange(len(g))
+    largest = np.abs(quats).argmax(axis=1)
+    quats *= np.where(quats[rows, largest] < 0.0, -1.0, 1.0)[:, None]
+    step = np.sqrt(0.5) / _TURNS
+    rounded = np.rint(quats / step) * step
+    rounded[rows, largest] = 0.0
+    squares = np.einsum("ij,ij->i", rounded, rounded)
+    fits = squares < 1.0
+    rounded[rows, largest] = np.sqrt(np.maximum(1.0 - squares, 0.0))
+    return Gaussians(g.means, np.where(fits[:, None], rounded, quats), scales, g.opacities, g.sh0, g.shN)

@@ -1,4 +1,4 @@
-"""What is known of a whole scene: found from parts, it is what is found at once; merged tiles hide what they stand for."""
+"""What is known of a whole scene: found from parts, it is what is found at once."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from gsvis.edit import Shape, clean, core_of, gather_evidence
 from gsvis.edit.whole import Whole, core_within, load_whole, save_whole
 from gsvis.errors import SceneError
 from gsvis.scene.density import Density
-from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from tests.edit.worlds import QUICK, dirty_room, dots
 
