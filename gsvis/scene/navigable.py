@@ -128,8 +128,8 @@ class NavigableSpace:
         points = np.zeros((0, 3)) if seeds is None else _check.floats("seeds", seeds, ("S", 3), np.float64)
         seen, axis = _visible(g), _up_axis(g, up)
         low, high = robust_box(seen, coverage, points)
-        limits = {"max_alpha": max_alpha, "clearance": clearance}
-        build = partial(Occupancy.from_gaussians, [seen], resolution=resolution, **limits)
+        grid = partial(Occupancy.from_gaussians, [seen], resolution=resolution)
+        build = partial(grid, max_alpha=max_alpha, clearance=clearance)
         return cls._over(*find_eyes(build, low, high, seen, axis, points), axis, seen)
 
     @classmethod

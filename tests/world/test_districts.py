@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gsvis.scene.gaussians import Gaussians
-from gsvis.world.districts import round_shapes
+from gsvis.scene.sh import SH_C0
+from gsvis.world.districts import round_colors, round_shapes
 
 
 def random_scene(seed: int, count: int = 200) -> Gaussians:
@@ -40,3 +41,13 @@ def test_few_values_are_left() -> None:
 def test_an_axis_of_a_quaternion_may_be_exact() -> None:
     one = Gaussians([[0, 0, 0]], [[0, -1, 0, 0]], [[1, 2, 4]], [0.5], np.zeros((1, 1, 3)))
     np.testing.assert_allclose(np.abs(round_shapes(one).quats), [[0, 1, 0, 0]], atol=1e-7)
+
+
+def test_rounded_colors_are_few_and_near() -> None:
+    g, reach = random_scene(5, 3000), ((0.0, 1.0), (0.1, 1.3), (0.4, 0.4))
+    before, after = (np.maximum(0.5 + SH_C0 * each.sh0[:, 0], 0.0) for each in (g, round_colors(g, reach)))
+    for k, (low, high) in enumerate(reach[:2]):
+        within = (before[:, k] >= low) & (before[:, k] <= high)
+        assert np.abs(after - before)[within, k].max() <= 3.01 * (high - low) / 255
+        assert len(np.unique(np.round(after[:, k], 5))) <= 64
+    np.testing.assert_allclose(after[:, 2], 0.4, atol=1e-6)
