@@ -32,8 +32,8 @@ class Need(NamedTuple):
 
 NEEDS = {
     "convert": Need(150 << 20, 200, 12),
-    "levels": Need(700 << 20, 1400, 48),
-    "color": Need(700 << 20, 1400, 48),
+    "levels": Need(480 << 20, 1400, 48),
+    "color": Need(500 << 20, 1000, 48),
 }
 """The need of each command, measured and rounded up (docs/results/world.md)."""
 
