@@ -321,6 +321,8 @@ class Color(Where):
     """Folder for report.html (all in one file), report.json and the pictures; made if missing."""
     staircase: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Write a web page on which a person finds their own epsilon, such as test.html."""
+    max_memory: Annotated[int | None, BYTES, hint("no bound")] = None
+    """Refuse a scene that needs more memory, such as 8GB, before it is read."""
     json: Flag = False
     """Print one JSON document instead of tables."""
     debug: Flag = False
@@ -403,6 +405,8 @@ class Levels(Where):
     """Axis that points upwards in the scene, such as -y; not with --photos."""
     seed: Annotated[int, WHOLE] = 0
     """Seed of everything random: the same seed gives the same levels."""
+    max_memory: Annotated[int | None, BYTES, hint("no bound")] = None
+    """Refuse a scene that needs more memory, such as 8GB, before it is read."""
     json: Flag = False
     """Print one JSON document instead of tables."""
     debug: Flag = False

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from gsvis.cli import version
 from gsvis.cli.arguments import Clean
-from gsvis.cli.memory import NEEDS, count_gaussians, expected_memory
+from gsvis.cli.memory import count_gaussians, expected_memory
 from gsvis.cli.source import is_builtin
 from gsvis.cli.terminal import Status, facts, print_json, show, size_of
 from gsvis.cli.where import WORDS
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 __all__ = ["clean_in_tiles", "in_tiles"]
 
 _WHOLE = ("report", "select", "apply", "cameras", *WORDS)  # options that need the whole scene
-_JOINT = 1.9  # most Gaussians in a tile and its halo, in those of the tile
 _LEAST = 50_000  # Gaussians of a tile: smaller ones are mostly halo
 
 
@@ -47,8 +46,10 @@ def in_tiles(command: Clean) -> bool:
         raise ValueError(f"{words}, got {size_of(command.max_memory)}; {option} needs all of them: leave it out")
     if command.out is not None and Path(command.out).suffix.lower() != ".ply":
         raise ValueError(f"{words}, got {size_of(command.max_memory)}; tiles are written to a .ply: name one with -o")
-    if _most(command.max_memory, degree) < _LEAST:
-        least = expected_memory("clean", int(_LEAST * _JOINT) + 1, degree)
+    if _most(command.max_memory) < _LEAST:
+        from gsvis.edit.large import JOINT
+
+        least = expected_memory("clean", int(_LEAST * JOINT) + 1, 0)
         raise ValueError(
             f"--max-memory: expected at least {size_of(least)}, got {size_of(command.max_memory)}; a tile does not fit"
         )
@@ -63,9 +64,8 @@ def clean_in_tiles(command: Clean, config: CleanConfig) -> None:
     from gsvis.world.tiling import TilingConfig
 
     assert command.max_memory is not None
-    degree = count_gaussians(command.scene, command.lod)[1]
     up = None if command.up is None else command.up.strip()
-    tiling = TilingConfig(_most(command.max_memory, degree), up=up)
+    tiling = TilingConfig(_most(command.max_memory), up=up)
     with Status() as status:
         status.line(f"{command.scene}: does not fit {size_of(command.max_memory)}, so it is cleaned in tiles")
         with _store(command) as store:
@@ -97,10 +97,12 @@ def clean_in_tiles(command: Clean, config: CleanConfig) -> None:
         show(f"{command.out}: {found.kept:,} of {found.gaussians:,} Gaussians, {size}")
 
 
-def _most(max_memory: int, sh_degree: int) -> int:
-    """Return the most Gaussians of a tile that fits the memory with its halo."""
-    each = expected_memory("clean", 1, sh_degree) - NEEDS["clean"].base
-    return int(max(0, max_memory - NEEDS["clean"].base) / (_JOINT * each))
+def _most(max_memory: int) -> int:
+    """Return the most Gaussians of a tile that fits the memory with what is around it; all have base colors alone."""
+    from gsvis.edit.large import JOINT
+    from gsvis.edit.memory import most_gaussians
+
+    return int(most_gaussians(max_memory, 0) / JOINT)
 
 
 @contextmanager

@@ -16,6 +16,7 @@ from gsvis.cli import version
 from gsvis.cli.arguments import Color
 from gsvis.cli.color_result import print_result
 from gsvis.cli.kernels import warm_colors
+from gsvis.cli.memory import check_memory
 from gsvis.cli.source import (
     Source,
     check_file,
@@ -121,6 +122,8 @@ def _check_arguments(command: Color) -> ColorConfig:
     if command.report is not None and command.held_out == 0:
         raise ValueError("--held-out: expected at least 1 with --report, got 0; leave it out")
     parse_up(command.up)
+    remedy = "raise it, or let gsvis world fit the colors of tiles; gsvis world --until levels leaves their scenes"
+    check_memory("color", [(command.scene, command.lod)], command.max_memory, remedy)
     from gsvis.prepare.colors import ColorConfig
     from gsvis.scene.view_sampling import ViewSampling
 

@@ -13,6 +13,7 @@ from gsvis._extras import require
 from gsvis.cli.arguments import Levels
 from gsvis.cli.kernels import warm_levels
 from gsvis.cli.levels_result import print_result, record_of
+from gsvis.cli.memory import check_memory
 from gsvis.cli.source import Source, check_folder, check_source, load_source, parse_up
 from gsvis.cli.stopping import between_steps
 from gsvis.cli.terminal import Status
@@ -115,9 +116,14 @@ def _check_arguments(command: Levels) -> LevelsConfig:
     check_folder(command.out)
     check_folder(_target(command.out).parent)  # unfinished work is kept there
     _check_target(command, config.level_names)
+    images = 0
     if command.photos is None:  # photographs check themselves
+        sampling = view_sampling(command.views, command.size, command.seed)
         held_out = _HELD_OUT if command.held_out is None else command.held_out
-        check_views(view_sampling(command.views, command.size, command.seed), held_out)
+        check_views(sampling, held_out)
+        images = image_bytes(sampling, held_out)
+    remedy = "raise it, or make the levels of tiles with gsvis world --until levels"
+    check_memory("levels", [(command.scene, command.lod)], command.max_memory, remedy, more=images)
     return config
 
 
@@ -152,17 +158,22 @@ def check_views(sampling: ViewSampling, held_out: int) -> None:
     Raises:
         ValueError: If they do not fit.
     """
-    width, height, count = sampling.width, sampling.height, sampling.count + held_out
-    needed = 12 * count * width * height
+    needed = image_bytes(sampling, held_out)
     try:
         memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, ValueError, OSError):  # not on this system
         return
     if needed > _MEMORY_SHARE * memory:
         raise ValueError(
-            f"--views: expected images that fit into half of the memory ({memory / 1e9:.1f} GB), got {count:,} of"
-            f" {width} x {height}, {needed / 1e9:.1f} GB; take fewer, or smaller ones with --size"
+            f"--views: expected images that fit into half of the memory ({memory / 1e9:.1f} GB), got"
+            f" {sampling.count + held_out:,} of {sampling.width} x {sampling.height}, {needed / 1e9:.1f} GB; take"
+            " fewer, or smaller ones with --size"
         )
+
+
+def image_bytes(sampling: ViewSampling, held_out: int) -> int:
+    """Return the bytes of all images of a sampling and of further ones."""
+    return 12 * (sampling.count + held_out) * sampling.width * sampling.height
 
 
 def _plan(command: Levels, config: LevelsConfig, walk: HeadPath | None, status: Status) -> _Plan:

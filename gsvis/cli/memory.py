@@ -32,13 +32,18 @@ class Need(NamedTuple):
 
 NEEDS = {
     "convert": Need(150 << 20, 200, 12),
-    "clean": Need(500 << 20, 500, 12),
+    "levels": Need(480 << 20, 1400, 48),
+    "color": Need(500 << 20, 1000, 48),
 }
 """The need of each command, measured and rounded up (docs/results/world.md)."""
 
 
 def expected_memory(command: str, gaussians: int, sh_degree: int) -> int:
     """Return the bytes that a command needs at its peak."""
+    if command == "clean":
+        from gsvis.edit.memory import cleaning_memory
+
+        return cleaning_memory(gaussians, sh_degree)
     need = NEEDS[command]
     return need.base + gaussians * (need.gaussian + need.harmonic * 3 * ((sh_degree + 1) ** 2 - 1))
 
@@ -50,6 +55,7 @@ def check_memory(
     remedy: str = "raise it, or take a coarser level of the scene",
     *,
     together: bool = True,
+    more: int = 0,
 ) -> None:
     """Raise unless a command fits the memory, before it reads a scene.
 
@@ -59,6 +65,7 @@ def check_memory(
         max_memory: Bytes; None sets no limit.
         remedy: What else to do.
         together: Whether all scenes are in memory at once.
+        more: Bytes beside the scenes, such as images.
 
     Raises:
         ValueError: If it does not fit.
@@ -69,7 +76,7 @@ def check_memory(
     if together and sizes:
         sizes = [(sum(count for count, _ in sizes), max(degree for _, degree in sizes))]
     for count, degree in sizes:
-        need = expected_memory(command, count, degree)
+        need = expected_memory(command, count, degree) + more
         if need > max_memory:
             raise ValueError(
                 f"--max-memory: expected at least {size_of(need)} for {count:,} Gaussians of SH degree {degree}, got"

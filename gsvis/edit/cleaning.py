@@ -18,7 +18,7 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.view_sampling import ViewSampling
 
-__all__ = ["Cleaning", "clean", "core_of", "held_out_cameras"]
+__all__ = ["Cleaning", "clean", "core_of", "held_out_cameras", "judge"]
 
 _WIDTH, _HEIGHT, _FOV = 320, 240, 75.0  # of held-out views
 _STREAM = 2  # of the seed, for held-out views
@@ -70,7 +70,6 @@ def clean(
     navigable: NavigableSpace | None = None,
     cameras: Cameras | None = None,
     config: CleanConfig | None = None,
-    elsewhere: NavigableSpace | None = None,
     progress: Progress = silent,
 ) -> Cleaning:
     """Find the Gaussians of a scene that can go.
@@ -80,7 +79,6 @@ def clean(
         navigable: Where eyes may be; None finds it without haze and flyaways.
         cameras: Cameras of photographs, whose viewpoints are eyes too.
         config: Which classes, how readily, and the guard; None means `CleanConfig()`.
-        elsewhere: Where eyes may be beyond `g`, if it is a part of a larger scene; None: nowhere.
         progress: Called with stages "space", "air", "viewpoints", "structure", "directions" and "guard".
 
     Returns:
@@ -104,12 +102,35 @@ def clean(
         progress("space", 0, 1)
         navigable = NavigableSpace.from_scene(core_of(g, shape), seeds=viewpoints)
         progress("space", 1, 1)
-    evidence = gather_evidence(
-        g, shape, navigable, config, viewpoints=viewpoints, elsewhere=elsewhere, progress=progress
-    )
-    found = classes = classify(evidence, config)
-    costs: dict[str, Cost] = {}
-    held_out = None
+    evidence = gather_evidence(g, shape, navigable, config, viewpoints=viewpoints, progress=progress)
+    return judge(g, shape, navigable, evidence, config, progress=progress)
+
+
+def judge(
+    g: Gaussians,
+    shape: Shape,
+    navigable: NavigableSpace,
+    evidence: Evidence,
+    config: CleanConfig,
+    *,
+    progress: Progress = silent,
+) -> Cleaning:
+    """Find what can go by the evidence, and guard held-out views.
+
+    Args:
+        g: The scene, N Gaussians.
+        shape: Its shape.
+        navigable: Where eyes may be.
+        evidence: On the first M of the Gaussians; the others stay.
+        config: The classes and the guard.
+        progress: Called with stage "guard".
+
+    Raises:
+        SceneError: If all held-out viewpoints lie inside something solid.
+    """
+    found = np.zeros(len(g), np.uint8)
+    found[: len(evidence.seen)] = classify(evidence, config)
+    classes, costs, held_out = found, dict[str, Cost](), None
     if config.held_out:
         held_out = held_out_cameras(g, shape, navigable, config.held_out, config.seed)
         count = int(np.clip(_DRAWN // len(g), 0, _MOST))  # as many as take a few seconds

@@ -7,6 +7,7 @@ connects with the outside or with such light, and no surface is near. This modul
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -27,7 +28,7 @@ from gsvis.scene.solid import Solid
 if TYPE_CHECKING:
     from gsvis.edit.classes import CleanConfig
 
-__all__ = ["Evidence", "gather_evidence", "part_of_backdrop"]
+__all__ = ["Air", "Evidence", "find_air", "gather_evidence", "part_of_backdrop"]
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -40,6 +41,25 @@ BACKDROP = 0.05  # share of a direction's solid angle that Gaussians far outside
 _EYES = 512  # that find air
 _RAYS = 8_000_000  # outward, at most, to look again at what the first found hidden
 _SAMPLES = 32  # points of a Gaussian that say where its mass lies
+
+
+@dataclass(frozen=True, eq=False)
+class Air:
+    """Where a scene has air and surfaces, and eyes that look around in it.
+
+    Attributes:
+        origin: (3,) lowest corner of voxel (0, 0, 0), scene frame.
+        voxel_size: Side of a voxel, scene units.
+        labels: (X, Y, Z) uint8, 1 for open air away from surfaces, 2 at a surface, else 0.
+        open_air: (X, Y, Z) voxels that open air touches.
+        eyes: (E, 3) viewpoints outside everything solid.
+    """
+
+    origin: F64
+    voxel_size: float
+    labels: NDArray[np.uint8]
+    open_air: Mask
+    eyes: F64
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +101,8 @@ def gather_evidence(
     config: CleanConfig,
     *,
     viewpoints: F64 | None = None,
-    elsewhere: NavigableSpace | None = None,
+    air: Air | None = None,
+    judged: int | None = None,
     progress: Progress = silent,
 ) -> Evidence:
     """Gather the evidence on each Gaussian.
@@ -94,56 +115,90 @@ def gather_evidence(
         navigable: Where eyes may be.
         config: Number of eyes, size of their faces, strength.
         viewpoints: (V, 3) further eyes, such as those of photographs.
-        elsewhere: Where eyes may be that only rays outward look for, such as beyond a part of a larger scene.
+        air: The air and the eyes of a larger scene of which `g` is a part; None finds those of `g`.
+        judged: Of so many Gaussians, the first, the evidence is wanted; None: of all. The others only hide.
         progress: Called with stages "air", "viewpoints", "structure" and "directions".
     """
-    given = np.zeros((0, 3)) if viewpoints is None else viewpoints
+    count = len(g) if judged is None else judged
     ids = np.flatnonzero(shape.core & (g.opacities >= MIN_ALPHA))
     core = g[ids]
     if len(core) == 0:
         raise SceneError("the scene has nothing but haze and Gaussians far outside: no surface is left to look at")
     progress("air", 0, 1)
-    rng = np.random.default_rng([config.seed, 1])
-    density, passed = _find_passed(core, shape, navigable, given, config, rng)
-    open_air = _open_air(density, passed)
-    air, near = _find_air(core, density, open_air, config.strength)
-    shares, met = _shares_in_air(g, density, air, near)
-    enclosed = ~density.look_up(open_air, g.means)
-    enclosed &= density.voxels_of(g.means)[1]
+    if air is None:
+        given = np.zeros((0, 3)) if viewpoints is None else viewpoints
+        air = find_air([core], shape.low, shape.high, navigable, config, given)
+    shares, met = _shares_in_air(g, air)
+    voxels, within = _voxels_of(g.means, air)
+    enclosed = within & ~air.open_air[tuple(voxels.T)]
     progress("air", 1, 1)
-    solid = Solid.from_scene(core)
-    drawn = navigable.sample_viewpoints(4 * config.eyes, rng)
-    drawn = drawn[~solid.buries(drawn)][: config.eyes]
-    looked = np.concatenate([drawn, given])
-    if len(looked) == 0:
-        raise SceneError("all viewpoints drawn in navigable space lie inside something solid; say where eyes belong")
     seen, faces = np.zeros(len(g), bool), np.zeros(len(g), np.uint8)
-    seen[ids], faces[ids] = _look(core, looked, config, progress)
-    rest = np.flatnonzero(~seen[ids])
-    spaces = [navigable] if elsewhere is None else [navigable, elsewhere]
-    seen[ids[rest]] = _look_outward(core, spaces, rest, config.tau, progress)
+    seen[ids], faces[ids] = _look(core, air.eyes, config, progress)
+    rest = np.flatnonzero(~seen[ids] & (ids < count))
+    seen[ids[rest]] = _look_outward(core, navigable, rest, config.tau, progress)
     hazy = ~shape.core & ~shape.far & (g.opacities >= MIN_ALPHA)
     seen[hazy] = met[hazy]  # light gets to where it is
     far = np.flatnonzero(shape.far)
     backdrop = np.zeros(len(g), bool)
     backdrop[far] = part_of_backdrop(g[far], 0.5 * (shape.low + shape.high))
+    some = slice(count)
     return Evidence(
-        seen=seen,
-        faces=faces,
-        air=shares,
-        alone=_find_alone(g, core, density, shares, config.strength),
-        large=shape.large,
-        far=shape.far,
-        backdrop=backdrop,
-        enclosed=enclosed,
-        opacities=g.opacities,
-        voxel_size=density.voxel_size,
-        eyes=len(looked),
+        seen=seen[some],
+        faces=faces[some],
+        air=shares[some],
+        alone=_find_alone(g[some], core, air.voxel_size, shares[some], config.strength),
+        large=shape.large[some],
+        far=shape.far[some],
+        backdrop=backdrop[some],
+        enclosed=enclosed[some],
+        opacities=g.opacities[some],
+        voxel_size=air.voxel_size,
+        eyes=len(air.eyes),
     )
 
 
+def find_air(
+    parts: Iterable[Gaussians], low: F64, high: F64, navigable: NavigableSpace, config: CleanConfig, given: F64
+) -> Air:
+    """Find the air of a scene, and eyes in it.
+
+    Args:
+        parts: The core of the scene, part by part; iterated over three times, one part in memory at a time.
+        low: (3,) lowest corner of the robust box.
+        high: (3,) highest corner.
+        navigable: Where eyes may be.
+        config: Number of eyes, resolution, strength, seed.
+        given: (V, 3) further eyes.
+
+    Raises:
+        SceneError: If all eyes lie inside something solid.
+    """
+    from scipy import ndimage
+
+    rng = np.random.default_rng([config.seed, 1])
+    density, passed = _find_passed(parts, low, high, navigable, given, config, rng)
+    open_air = _open_air(density, passed)
+    surface = find_surfaces(parts, density, config.strength)
+    near = ndimage.binary_dilation(surface, np.ones((3, 3, 3), bool))
+    labels = np.where(near, np.uint8(2), open_air.astype(np.uint8))
+    drawn = navigable.sample_viewpoints(4 * config.eyes, rng)
+    solid = np.zeros(len(drawn), bool)
+    for part in parts:
+        solid |= Solid.from_scene(part).buries(drawn)
+    eyes = np.concatenate([drawn[~solid][: config.eyes], given])
+    if len(eyes) == 0:
+        raise SceneError("all viewpoints drawn in navigable space lie inside something solid; say where eyes belong")
+    return Air(density.origin, density.voxel_size, labels, open_air, eyes)
+
+
 def _find_passed(
-    core: Gaussians, shape: Shape, navigable: NavigableSpace, given: F64, config: CleanConfig, rng: np.random.Generator
+    parts: Iterable[Gaussians],
+    low: F64,
+    high: F64,
+    navigable: NavigableSpace,
+    given: F64,
+    config: CleanConfig,
+    rng: np.random.Generator,
 ) -> tuple[Density, Mask]:
     """Return the grid over the scene and navigable space, and (X, Y, Z) the voxels of it that light from eyes enters.
 
@@ -151,10 +206,10 @@ def _find_passed(
     """
     voxels = np.argwhere(navigable.free)
     corners = navigable.origin + navigable.voxel_size * np.stack([voxels.min(axis=0), voxels.max(axis=0) + 1])
-    low, high = np.minimum(shape.low, corners[0]), np.maximum(shape.high, corners[1])
+    low, high = np.minimum(low, corners[0]), np.maximum(high, corners[1])
     resolution = affordable_resolution(high - low, config.resolution)
     margin = 2.0 * float((high - low).max()) / resolution
-    density = Density.from_scene(core, low - margin, high + margin, resolution)
+    density = Density.from_parts(parts, low - margin, high + margin, resolution)
     eyes = np.concatenate([navigable.sample_viewpoints(_EYES, rng), given])
     directions = np.ascontiguousarray(face_directions(16).reshape(-1, 3))
     passed = _in_space(density, navigable)
@@ -176,43 +231,41 @@ def _in_space(density: Density, navigable: NavigableSpace) -> Mask:
     return found
 
 
-def _find_air(core: Gaussians, density: Density, open_air: Mask, strength: float) -> tuple[Mask, Mask]:
-    """Return (X, Y, Z) voxels of open air away from surfaces, and those at a surface."""
-    from scipy import ndimage
+def _voxels_of(points: NDArray[np.float32], air: Air) -> tuple[NDArray[np.int64], Mask]:
+    """Return (P, 3) the voxel of each of the points (P, 3), and (P,) whether it lies on the grid; 0 elsewhere."""
+    with np.errstate(over="ignore"):
+        places = (points.astype(np.float64) - air.origin) / air.voxel_size
+    within = np.all((places >= 0.0) & (places < air.labels.shape), axis=1)
+    return np.where(within[:, None], places, 0.0).astype(np.int64), within
 
-    surface, _ = find_surfaces(core, density, strength)
-    near = ndimage.binary_dilation(surface, np.ones((3, 3, 3), bool))
-    return np.asarray(open_air & ~near), np.asarray(near)
 
-
-def _shares_in_air(g: Gaussians, density: Density, air: Mask, near: Mask) -> tuple[F32, Mask]:
+def _shares_in_air(g: Gaussians, air: Air) -> tuple[F32, Mask]:
     """Return (N,) shares of the mass in air, and (N,) whether any of it is in air or at a surface.
 
     Without any surface all shares are 0.
     """
-    labels = np.where(near, np.uint8(2), air.astype(np.uint8))
     points = np.random.default_rng(0).normal(size=(_SAMPLES, 3))
     points[0] = 0.0
     counts = np.empty((len(g), 3), np.int32)
     step = 1 << 17
     for start in range(0, len(g), step):
         part = g[start : start + step]
-        axes = part.rotations() * np.minimum(part.scales / density.voxel_size, 1e6)[:, None, :]
-        means = (part.means.astype(np.float64) - density.origin) / density.voxel_size
-        kernels.count_places(means, np.ascontiguousarray(axes), points, labels, counts[start : start + step])
+        axes = part.rotations() * np.minimum(part.scales / air.voxel_size, 1e6)[:, None, :]
+        means = (part.means.astype(np.float64) - air.origin) / air.voxel_size
+        kernels.count_places(means, np.ascontiguousarray(axes), points, air.labels, counts[start : start + step])
     known = counts[:, 1] + counts[:, 2]
-    in_air = counts[:, 1] if near.any() else np.zeros(len(g), np.int32)
+    in_air = counts[:, 1] if np.any(air.labels == 2) else np.zeros(len(g), np.int32)
     return (in_air / np.maximum(known, 1)).astype(np.float32), known > 0
 
 
-def _find_alone(g: Gaussians, core: Gaussians, density: Density, shares: F32, strength: float) -> Mask:
+def _find_alone(g: Gaussians, core: Gaussians, voxel_size: float, shares: F32, strength: float) -> Mask:
     """Return (N,) Gaussians in air with few of the core around them, each of these counted by its center."""
     from scipy.spatial import KDTree
 
     alone = shares >= 0.5
     ids = np.flatnonzero(alone)
     most = int(FEW * strength) + 1  # itself among them
-    reach = REACH * density.voxel_size
+    reach = REACH * voxel_size
     distances, _ = KDTree(core.means).query(g.means[ids], [most + 1], distance_upper_bound=reach)
     alone[ids] = ~np.isfinite(distances[:, 0])
     return alone
@@ -252,9 +305,9 @@ def _look(core: Gaussians, eyes: F64, config: CleanConfig, progress: Progress) -
 
 
 def _look_outward(
-    core: Gaussians, spaces: list[NavigableSpace], ids: NDArray[np.int64], tau: float, progress: Progress
+    core: Gaussians, navigable: NavigableSpace, ids: NDArray[np.int64], tau: float, progress: Progress
 ) -> Mask:
-    """Return (M,) which Gaussians ids (M,) an eye in one of some spaces sees, by rays outward."""
+    """Return (M,) which Gaussians ids (M,) an eye in navigable space sees, by rays outward."""
     from gsvis.raycast import EllipsoidProxies, Tracer
     from gsvis.raycast.directions import seen_from_space
 
@@ -265,12 +318,12 @@ def _look_outward(
     _ = tracer.hierarchy
     progress("structure", 1, 1)
     seen = np.zeros(len(ids), bool)
-    for space, fineness in ((space, fineness) for fineness in (1, 4) for space in spaces):
+    for fineness in (1, 4):
         rest = np.flatnonzero(~seen)
         if fineness > 1 and 80 * fineness * len(rest) > _RAYS:
             break
         show = progress if fineness == 1 else silent
-        seen[rest] = seen_from_space(tracer, space, ids=ids[rest], rays_per_face=fineness, tau=tau, progress=show)
+        seen[rest] = seen_from_space(tracer, navigable, ids=ids[rest], rays_per_face=fineness, tau=tau, progress=show)
     return seen
 
 

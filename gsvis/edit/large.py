@@ -1,8 +1,8 @@
-"""Clean a scene that does not fit the memory: in tiles, each with what lies around it.
+"""Clean a scene that does not fit the memory: in tiles, each in the whole scene of which what is far is coarse.
 
-The classes are those of `clean` but for what differs by its nature: voxels, and what counts as large, follow the size
-of a tile; flyaways are judged by a sample of the scene; what is outside all tiles and no flyaway stays; and what an eye
-beyond the halo of a tile might see stays too. docs/design/070-out-of-core.md.
+The classes are those of `clean`, with its eyes, its air and its voxels. What differs: what hides is coarse far from a
+tile, so a little more or less counts as seen; flyaways are judged by a sample of the scene; and what is outside all
+tiles and no flyaway stays. docs/design/074-clean-in-tiles.md.
 """
 
 from __future__ import annotations
@@ -16,8 +16,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 
-from gsvis.edit.classes import CLASSES, KEPT, CleanConfig
-from gsvis.errors import SceneError
+from gsvis.edit.classes import CLASSES, HIDDEN, KEPT, CleanConfig, class_of
 from gsvis.files.archive import load_arrays
 from gsvis.files.objects import ObjectStore
 from gsvis.io.batches import read_batch
@@ -29,7 +28,10 @@ from gsvis.world.config import WorldConfig
 from gsvis.world.graph import Facts, Result, Task, run_graph
 from gsvis.world.tiling import OUTSIDE, Rect, TilingConfig, tile_name, tiles_of
 
-__all__ = ["LargeCleaning", "clean_large"]
+__all__ = ["JOINT", "LargeCleaning", "clean_large"]
+
+JOINT = 2.2
+"""Gaussians that a task holds, of the tile, its halo and what stands for the rest, in those of the tile at most."""
 
 
 @dataclass(eq=False)
@@ -45,6 +47,7 @@ class LargeCleaning:
         worst_db: The worst PSNR of a held-out view of any tile, by class and "all"; empty without a guard.
         tiles: Tiles that were cleaned.
         around: Gaussians around them, all together.
+        back: Classes that were given back, because all tiles together would show too much of them.
         build: How the scene was cut.
         results: The results of the tiles.
     """
@@ -57,6 +60,7 @@ class LargeCleaning:
     worst_db: dict[str, float]
     tiles: int
     around: int
+    back: frozenset[str]
     build: WorldBuild
     results: dict[str, Result]
 
@@ -83,6 +87,7 @@ class LargeCleaning:
                 result = self.results[self._home(name)]
                 path = self.build.store.path_of(result.files["classes"], Path(cache))
                 classes[keys == key] = load_arrays(path, sealed=True)[f"{number} {name}"]
+        classes[np.isin(classes, [class_of(name) for name in self.back])] = KEPT
         return classes
 
     def _home(self, name: str) -> str:
@@ -106,10 +111,10 @@ def clean_large(
     Args:
         scene: Path and level of detail, as for `gsvis.io.load_scene`.
         config: As for `clean`.
-        tiling: How the scene is cut. A task holds a tile and the halo around it, up to twice `most`.
+        tiling: How the scene is cut. A task holds a tile and what is around it, up to `JOINT` times `most`.
         store: Where results of tasks lie.
         workers: The workers; None means this process.
-        progress: Called with stages "sampling", "splitting", "eyes" and "cleaning", in tasks.
+        progress: Called with stages "sampling", "splitting", "space" and "cleaning", in tasks.
 
     Raises:
         SceneError: If the scene has nothing to see, or no eye can be anywhere.
@@ -121,18 +126,13 @@ def clean_large(
     build = WorldBuild([scene], WorldConfig(tiling), store, workers, progress)
     listed = _Tasks(build, asdict(config))
     rects = [rect for rect in build.tiles if rect is not None]
-    eyes = [*build.split_tasks, *(listed.eyes(rect) for rect in rects)]
-    results = run_graph(eyes, store, workers, stage="eyes", progress=progress)
-    facts = [results[_name("eyes", rect)].facts for rect in rects]
-    bands = [(each["low"], each["high"]) for each in facts if each["voxels"]]
-    if not bands:
-        raise SceneError("no tile of the scene has a place for eyes; clean a level of it that fits the memory")
-    band = [min(low for low, _ in bands), max(high for _, high in bands)]
-    tasks = [listed.clean(rect, band) for rect in rects]
+    tasks = [*build.split_tasks, listed.survey(), *(listed.merge(rect) for rect in build.tiles)]
+    run_graph(tasks, store, workers, stage="space", progress=progress)
+    tasks += [listed.clean(rect) for rect in rects]
     if None in build.tiles:
         tasks.append(listed.outside())
-    results = run_graph([*eyes, *tasks], store, workers, stage="cleaning", progress=progress)
-    return _summary(build, {task.name: results[task.name] for task in tasks})
+    results = run_graph(tasks, store, workers, stage="cleaning", progress=progress)
+    return _summary(build, {_name("clean", rect): results[_name("clean", rect)] for rect in build.tiles}, config)
 
 
 class _Tasks:
@@ -146,42 +146,60 @@ class _Tasks:
     def __init__(self, build: WorldBuild, config: Facts) -> None:
         self._build, self._config = build, config
 
-    def eyes(self, rect: Rect) -> Task:
-        """Return the task that finds where eyes may be in a tile."""
-        params, needs = self._files(rect)
-        return Task(_name("eyes", rect), "gsvis.edit.tiles:find_eyes", params, needs)
+    def survey(self) -> Task:
+        """Return the task that finds what is known of the whole scene."""
+        build = self._build
+        batches = len(build.batches)
+        params = {
+            "files": list(build.files.values()), "samples": list(range(batches, 2 * batches)),
+            "up": build.grid["up"], "config": self._config,
+        }  # fmt: skip
+        needs = (f"{kind} {k}" for kind in ("split", "sample") for k in range(batches))
+        return Task("whole", "gsvis.edit.tiles:survey_scene", params, tuple(needs))
 
-    def clean(self, rect: Rect, band: list[float]) -> Task:
-        """Return the task that judges a tile; `band` are the heights of eyes anywhere."""
-        params, needs = self._files(rect)
-        params |= {"grid": len(needs), "eyes": len(needs) + 1, "band": band, **self._common(rect)}
-        return Task(_name("clean", rect), "gsvis.edit.tiles:clean_tile", params, (*needs, "grid", _name("eyes", rect)))
+    def merge(self, rect: Rect | None) -> Task:
+        """Return the task that merges a tile to few Gaussians; all tiles together are fewer than `most`."""
+        build = self._build
+        most, touching = build.config.tiling.most, [len(build.touching(each)) for each in build.tiles if each]
+        files, needs = self._read(build.files[rect])
+        params = {
+            "files": files, "whole": len(needs), "near": max(1, most // (4 * max(1, *touching))),
+            "far": max(1, most // (8 * len(build.tiles))),
+        }  # fmt: skip
+        return Task(_name("merge", rect), "gsvis.edit.tiles:merge_tile", params, (*needs, "whole"))
+
+    def clean(self, rect: Rect) -> Task:
+        """Return the task that judges a tile."""
+        build = self._build
+        touching = build.touching(rect)
+        near = [file for k in touching for file in build.files[build.tiles[k]]]
+        both, needs = self._read([*build.files[rect], *near])
+        others = [k for k, each in enumerate(build.tiles) if each != rect]
+        square, count = build.square_of(rect), len(build.files[rect])
+        params = {
+            "files": both[:count], "halo": both[count:], "whole": len(needs),
+            "merged": [
+                (len(needs) + 1 + i, "near" if k in touching or build.tiles[k] is None else "far", k in touching)
+                for i, k in enumerate(others)
+            ],
+            **{name: square[name] for name in ("low", "high", "axes")}, "room": int(JOINT * build.config.tiling.most),
+            **self._common(rect),
+        }  # fmt: skip
+        merged = (_name("merge", build.tiles[k]) for k in others)
+        return Task(_name("clean", rect), "gsvis.edit.tiles:clean_tile", params, (*needs, "whole", *merged))
 
     def outside(self) -> Task:
         """Return the task that finds flyaways."""
-        files = self._build.files[None]
-        used = sorted({batch for batch, _ in files})
-        samples = range(len(used), len(used) + len(self._build.batches))
-        params = {
-            "files": [(used.index(batch), name) for batch, name in files], "samples": list(samples),
-            **self._common(None), "batches": [batch for batch, _ in files],
-        }  # fmt: skip
-        needs = (*(f"split {k}" for k in used), *(f"sample {k}" for k in range(len(self._build.batches))))
+        files, needs = self._read(self._build.files[None])
+        samples = tuple(f"sample {k}" for k in range(len(self._build.batches)))
+        params = {"files": files, "samples": list(range(len(needs), len(needs) + len(samples))), **self._common(None)}
+        needs = (*needs, *samples)
         return Task(_name("clean", None), "gsvis.edit.tiles:find_flyaways", params, needs)
 
-    def _files(self, rect: Rect) -> tuple[Facts, tuple[str, ...]]:
-        """Return the params of a tile, and the splits that it reads."""
-        build = self._build
-        own = build.files[rect]
-        near = [file for k in build.touching(rect) for file in build.files[build.tiles[k]]]
-        used = sorted({batch for batch, _ in (*own, *near)})
-        square = build.square_of(rect)
-        params = {
-            "files": [(used.index(batch), name) for batch, name in own],
-            "halo": [(used.index(batch), name) for batch, name in near],
-            **{name: square[name] for name in ("low", "high", "axes", "up")},
-        }
-        return params, tuple(f"split {batch}" for batch in used)
+    def _read(self, files: list[tuple[int, str]]) -> tuple[list[tuple[int, str]], tuple[str, ...]]:
+        """Return files by the number of their input, and the splits that are these inputs."""
+        used = sorted({batch for batch, _ in files})
+        return [(used.index(batch), name) for batch, name in files], tuple(f"split {batch}" for batch in used)
 
     def _common(self, rect: Rect | None) -> Facts:
         batches = [batch for batch, _ in self._build.files[rect]]
@@ -192,24 +210,32 @@ def _name(kind: str, rect: Rect | None) -> str:
     return f"{kind} {tile_name(rect)}"
 
 
-def _summary(build: WorldBuild, results: dict[str, Result]) -> LargeCleaning:
-    """Return the sums over tiles."""
+def _summary(build: WorldBuild, results: dict[str, Result], config: CleanConfig) -> LargeCleaning:
+    """Return the sums over tiles. Fog or floaters of which all tiles together show too much are given back."""
     facts = [result.facts for result in results.values()]
     totals = {
         key: {name: sum(each[key].get(name, 0) for each in facts) for name in CLASSES} for key in ("found", "removed")
     }
     worst: dict[str, float] = {}
+    changed: dict[str, float] = {}
     for each in facts:
         for name, cost in each["costs"].items():
             worst[name] = min(worst.get(name, np.inf), cost["worst_db"])
+            if each["removed"].get(name, 0):
+                changed[name] = changed.get(name, 0.0) + cost["changed"]
+    back = {name for name, share in changed.items() if name not in HIDDEN and share > config.most_changed}
+    removed = {name: 0 if name in back else count for name, count in totals["removed"].items()}
+    gaussians = sum(each["gaussians"] for each in facts)
     return LargeCleaning(
-        gaussians=sum(each["gaussians"] for each in facts),
-        kept=sum(each["kept"] for each in facts),
+        gaussians=gaussians,
+        kept=gaussians - sum(removed.values()),
         sh_degree=max(build.survey[f"sample {k}"].facts["sh_degree"] for k in range(len(build.batches))),
-        **totals,
+        found=totals["found"],
+        removed=removed,
         worst_db=worst,
         tiles=len(results),
         around=sum(each["around"] for each in facts),
+        back=frozenset(back),
         build=build,
         results=results,
     )

@@ -6,7 +6,8 @@ is known here.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from gsvis.scene.density import Density
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.inspection import FLOATER_EXTENT, MIN_ALPHA
 
-__all__ = ["FEW", "RESOLUTION", "Shape", "affordable_resolution", "far_from", "find_surfaces"]
+__all__ = ["FEW", "RESOLUTION", "Shape", "Surfaces", "affordable_resolution", "far_from", "find_surfaces"]
 
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -63,17 +64,23 @@ class Shape:
         can_be_seen = g.opacities >= MIN_ALPHA
         if not can_be_seen.any():
             raise SceneError("the scene has no Gaussian with an opacity of at least 1/255: there is nothing to see")
-        low, high = g[can_be_seen].bounds(0.98)
+        shape = cls.within(g, *g[can_be_seen].bounds(0.98))
+        core = shape.core & can_be_seen
+        if not (core.any() and np.any(shape.high > shape.low)):
+            return shape
+        lonely = np.zeros(len(g), bool)
+        lonely[core] = Surfaces.over([g[core]], shape.low, shape.high).lonely(g[core].means)
+        return replace(shape, lonely=lonely)
+
+    @classmethod
+    def within(cls, g: Gaussians, low: F64, high: F64) -> Shape:
+        """Measure a part of a scene by the robust box (3,), (3,) of the whole; which groups are lonely is not asked."""
         half = 0.5 * (high - low)
         far = far_from(g.means, low, high)
         least, mid, _ = np.sort(g.scales, axis=1).T
         large = (mid >= LARGE * 2.0 * half.max()) & bool(half.max() > 0.0)
         hazy = large & (least >= ROUND * mid) & (g.opacities <= FAINT)
-        core = ~(far | hazy) & can_be_seen
-        lonely = np.zeros(len(g), bool)
-        if half.max() > 0.0 and core.any():
-            lonely[core] = _find_lonely(g[core], low, high)
-        return cls(np.asarray(far), np.asarray(hazy), np.asarray(large), lonely, low, high)
+        return cls(np.asarray(far), np.asarray(hazy), np.asarray(large), np.zeros(len(g), bool), low, high)
 
     @property
     def core(self) -> Mask:
@@ -104,35 +111,55 @@ def affordable_resolution(sides: F64, resolution: int) -> int:
     return int(np.clip(np.cbrt(_VOXELS / np.prod(shares)), 8, resolution))
 
 
-def find_surfaces(core: Gaussians, density: Density, strength: float) -> tuple[Mask, Mask]:
-    """Return which voxels belong to surfaces, and which Gaussians have their center in none of them.
+def find_surfaces(parts: Iterable[Gaussians], density: Density, strength: float) -> Mask:
+    """Return which voxels belong to surfaces.
 
     A voxel that takes much light belongs to a surface, unless its group is small and holds few centers.
 
     Args:
-        core: (N) Gaussians of which the grid was made.
+        parts: The Gaussians of which the grid was made, in parts.
         density: The grid, (X, Y, Z) voxels.
         strength: How readily a group is too small, above 0.
 
     Returns:
-        (X, Y, Z) bool, voxels of surfaces; (N,) bool, Gaussians on the grid but at no surface.
+        (X, Y, Z) bool.
     """
     from scipy import ndimage
 
     labels, count = ndimage.label(density.depth >= SURFACE * strength, np.ones((3, 3, 3), bool))
     sizes = np.bincount(labels.ravel(), minlength=count + 1)
-    voxels, within = density.voxels_of(core.means)
-    members = labels[tuple(voxels.T)]
-    held = np.bincount(members[within], minlength=count + 1)
+    held = np.zeros(count + 1, np.int64)
+    for part in parts:
+        voxels, within = density.voxels_of(part.means)
+        held += np.bincount(labels[tuple(voxels[within].T)], minlength=count + 1)
     is_surface = (held > FEW * strength) | (sizes > SMALL * strength)
     is_surface[0] = False
-    return is_surface[labels], np.asarray(within & ~is_surface[members])
+    return np.asarray(is_surface[labels])
 
 
-def _find_lonely(core: Gaussians, low: F64, high: F64) -> Mask:
-    """Return which Gaussians of a core are at no surface, on a grid over the robust box; none if there is none."""
-    resolution = affordable_resolution(high - low, RESOLUTION)
-    margin = 2.0 * float((high - low).max()) / resolution
-    density = Density.from_scene(core, low - margin, high + margin, resolution)
-    surface, lonely = find_surfaces(core, density, 1.0)
-    return lonely if surface.any() else np.zeros(len(core), bool)
+@dataclass(frozen=True, eq=False)
+class Surfaces:
+    """The voxels of a grid that belong to surfaces.
+
+    Attributes:
+        density: The grid.
+        mask: (X, Y, Z) bool.
+    """
+
+    density: Density
+    mask: Mask
+
+    @classmethod
+    def over(cls, parts: Iterable[Gaussians], low: F64, high: F64) -> Surfaces:
+        """Find the surfaces of a core in parts, on a grid over a robust box; `parts` is iterated over twice."""
+        resolution = affordable_resolution(high - low, RESOLUTION)
+        margin = 2.0 * float((high - low).max()) / resolution
+        density = Density.from_parts(parts, low - margin, high + margin, resolution)
+        return cls(density, find_surfaces(parts, density, 1.0))
+
+    def lonely(self, means: NDArray[np.float32]) -> Mask:
+        """Return which centers (N, 3) are on the grid but at no surface; none in a scene without any surface."""
+        if not self.mask.any():
+            return np.zeros(len(means), bool)
+        within = self.density.voxels_of(means)[1]
+        return np.asarray(within & ~self.density.look_up(self.mask, means))

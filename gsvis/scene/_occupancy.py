@@ -14,6 +14,7 @@ scene is no rooms.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -62,9 +63,9 @@ class Occupancy:
 
     @classmethod
     def from_gaussians(
-        cls, seen: Gaussians, low: F64, high: F64, resolution: int, max_alpha: float, clearance: float
+        cls, parts: Iterable[Gaussians], low: F64, high: F64, resolution: int, max_alpha: float, clearance: float
     ) -> Occupancy:
-        """Build the grid over a box, with `resolution` voxels along its longest side.
+        """Build the grid of a scene in parts over a box, with `resolution` voxels along its longest side.
 
         Raises:
             SceneError: If no voxel is clear.
@@ -72,7 +73,10 @@ class Occupancy:
         voxel_size = float((high - low).max()) / resolution
         counts = np.clip(np.ceil((high - low) / voxel_size - 1e-6), 1, resolution).astype(int)
         origin = 0.5 * (low + high) - 0.5 * counts * voxel_size
-        depth = optical_depth(seen, origin, voxel_size, (int(counts[0]), int(counts[1]), int(counts[2])))
+        shape = int(counts[0]), int(counts[1]), int(counts[2])
+        depth = np.zeros(shape, np.float32)
+        for part in parts:
+            depth += optical_depth(part, origin, voxel_size, shape)
         occupied = np.asarray(depth >= -np.log1p(-max_alpha), bool)
         clear = ~_dilate(occupied, clearance)
         if not clear.any():

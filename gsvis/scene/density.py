@@ -6,6 +6,7 @@ entered into coarser grids, so that the time does not grow with their volume.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,6 +52,15 @@ class Density:
         Raises:
             ValueError: If the box is empty, or `resolution` is out of range.
         """
+        return cls.from_parts([g], low, high, resolution)
+
+    @classmethod
+    def from_parts(cls, parts: Iterable[Gaussians], low: ArrayLike, high: ArrayLike, resolution: int = 192) -> Density:
+        """Measure a scene that comes in parts, of which one is in memory at a time; arguments as for `from_scene`.
+
+        Raises:
+            ValueError: If the box is empty, or `resolution` is out of range.
+        """
         corner = _check.floats("low", low, (3,), np.float64)
         side = _check.floats("high", high, (3,), np.float64) - corner
         if not (side.min() >= 0.0 and side.max() > 0.0):
@@ -61,18 +71,9 @@ class Density:
         counts = np.clip(np.ceil(side / size - 1e-6), 1, resolution).astype(int)
         shape = int(counts[0]), int(counts[1]), int(counts[2])
         origin = corner + 0.5 * (side - counts * size)
-        seen = g[g.opacities >= MIN_ALPHA]
-        thickness = seen.scales.min(axis=1).astype(np.float64) / size if len(seen) else np.zeros(0)
-        level = np.floor(np.log2(np.maximum(thickness / _THICK, 0.5))).astype(int) + 1
-        level = np.minimum(level, int(np.log2(resolution)))
-        depth = optical_depth(seen[level == 0], origin, size, shape)
-        for k in np.unique(level[level > 0]).tolist():
-            step = 1 << k
-            few = -(-shape[0] // step), -(-shape[1] // step), -(-shape[2] // step)
-            coarse = optical_depth(seen[level == k], origin, size * step, few)
-            for axis in range(3):
-                coarse = np.repeat(coarse, step, axis=axis)
-            depth += coarse[: shape[0], : shape[1], : shape[2]]
+        depth = np.zeros(shape, np.float32)
+        for part in parts:
+            _add_depth(part[part.opacities >= MIN_ALPHA], origin, size, depth)
         return cls(origin, size, depth)
 
     def voxels_of(self, points: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
@@ -87,3 +88,18 @@ class Density:
         """Return (P,) the values of a mask (X, Y, Z) at points (P, 3); False outside the grid."""
         voxels, within = self.voxels_of(points)
         return np.asarray(within & grid[voxels[:, 0], voxels[:, 1], voxels[:, 2]])
+
+
+def _add_depth(seen: Gaussians, origin: F64, size: float, depth: Depth) -> None:
+    """Add the optical depth of Gaussians to a grid (X, Y, Z)."""
+    thickness = seen.scales.min(axis=1).astype(np.float64) / size if len(seen) else np.zeros(0)
+    level = np.floor(np.log2(np.maximum(thickness / _THICK, 0.5))).astype(int) + 1
+    level = np.minimum(level, int(np.log2(max(depth.shape))))
+    x, y, z = depth.shape
+    depth += optical_depth(seen[level == 0], origin, size, (x, y, z))
+    for k in np.unique(level[level > 0]).tolist():
+        step = 1 << k
+        coarse = optical_depth(seen[level == k], origin, size * step, (-(-x // step), -(-y // step), -(-z // step)))
+        for axis in range(3):
+            coarse = np.repeat(coarse, step, axis=axis)
+        depth += coarse[:x, :y, :z]

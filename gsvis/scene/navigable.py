@@ -9,6 +9,7 @@ lines state the rules.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -127,8 +128,31 @@ class NavigableSpace:
         points = np.zeros((0, 3)) if seeds is None else _check.floats("seeds", seeds, ("S", 3), np.float64)
         seen, axis = _visible(g), _up_axis(g, up)
         low, high = robust_box(seen, coverage, points)
-        build = partial(Occupancy.from_gaussians, seen, resolution=resolution, max_alpha=max_alpha, clearance=clearance)
+        grid = partial(Occupancy.from_gaussians, [seen], resolution=resolution)
+        build = partial(grid, max_alpha=max_alpha, clearance=clearance)
         return cls._over(*find_eyes(build, low, high, seen, axis, points), axis, seen)
+
+    @classmethod
+    def from_parts(
+        cls, parts: Iterable[Gaussians], sample: Gaussians, *, resolution: int = 160, up: ArrayLike | str | None = None
+    ) -> NavigableSpace:
+        """Find the navigable space of a scene that does not fit the memory, as `from_scene` does.
+
+        Args:
+            parts: The scene, part by part; iterated over once for each grid.
+            sample: Some of its Gaussians, drawn at random. They give the box, the up axis and what the scene is.
+            resolution: Voxels along the longest side of the box, 8 to 384.
+            up: (3,) direction or an axis such as "+z"; guessed by default.
+
+        Raises:
+            ValueError: If an argument is out of range.
+            SceneError: If the scene has no free space.
+        """
+        _check_resolution(resolution)
+        seen, axis, none = _visible(sample), _up_axis(sample, up), np.zeros((0, 3))
+        low, high = robust_box(seen, 0.98, none)
+        build = partial(Occupancy.from_gaussians, parts, resolution=resolution, max_alpha=0.25, clearance=1.0)
+        return cls._over(*find_eyes(build, low, high, seen, axis, none), axis, seen)
 
     @classmethod
     def around(
@@ -165,7 +189,7 @@ class NavigableSpace:
                 raise ValueError(f"radius: expected a finite number > 0, got {radius!r}")
             middle = _check.floats("center", center, (3,), np.float64)
             low, high = middle - radius, middle + radius
-        build = partial(Occupancy.from_gaussians, seen, resolution=resolution, max_alpha=0.25, clearance=1.0)
+        build = partial(Occupancy.from_gaussians, [seen], resolution=resolution, max_alpha=0.25, clearance=1.0)
         space, free, eyes = stand_around(build, low, high, axis)
         kind = SpaceKind("given", "an object given by hand", None, eyes)
         return cls._over(space, free, "free, around an object", kind, axis, seen)

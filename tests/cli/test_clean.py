@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from gsvis.cli import clean_large, main
-from gsvis.cli.memory import NEEDS
 from gsvis.edit import class_of
 from gsvis.io import load_scene, save_scene
 from gsvis.scene.procedural import random_scene
@@ -144,7 +143,7 @@ def test_a_selection_of_a_scene_that_changed_is_refused(
 def test_a_scene_that_does_not_fit_is_cleaned_in_tiles(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setitem(NEEDS, "clean", NEEDS["clean"]._replace(base=598_000_000))
+    monkeypatch.setattr("gsvis.edit.memory.BASE", 598_000_000)
     monkeypatch.setattr(clean_large, "_LEAST", 100)
     scene, out = str(folder / "dirty.ply"), str(tmp_path / "clean.ply")
     words = ["clean", scene, "-o", out, "--max-memory", "600MB", "--eyes", "3", "--held-out", "0", "--up", "+z"]

@@ -202,6 +202,15 @@ def test_the_help_states_the_defaults_and_choices_of_the_library(capsys: Capture
         assert f"(default: {value})" in text
 
 
+def test_a_scene_that_does_not_fit_the_memory_is_refused_before_it_is_read(
+    ply: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    said = refused(capsys, ply, "-o", tmp_path / "a.arrow", *QUICK, "--max-memory", "100MB")
+    assert "--max-memory: expected at least" in said
+    assert "gsvis world --until levels" in said
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_scenes_that_cannot_serve_are_refused_with_a_remedy(
     tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -225,6 +226,23 @@ def test_wrong_arguments_exit_with_2_and_say_which(
     said = refused(capsys, BUILTIN, "-o", "out", *words)
     assert message in said.replace("│ ", "").replace(" │", "")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_scene_that_does_not_fit_the_memory_is_refused_before_it_is_read(
+    ply: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    said = refused(capsys, ply, "-o", tmp_path / "out", "--max-memory", "100MB")
+    assert "--max-memory: expected at least" in said
+    assert "gsvis world --until levels" in said
+    assert names(tmp_path) == []
+    images = [
+        re.search(
+            "at least ([0-9.]+) GB", refused(capsys, ply, "-o", tmp_path / "out", "--max-memory", "100MB", "--views", n)
+        )
+        for n in ("500", "900")
+    ]
+    sizes = [float(found[1]) for found in images if found]
+    assert sizes[1] - sizes[0] == pytest.approx(12 * 400 * 480 * 360 / 1e9, abs=0.11)
 
 
 def test_wrong_files_and_folders_are_refused_at_once(ply: Path, tmp_path: Path, capsys: Capture) -> None:

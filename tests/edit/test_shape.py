@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from gsvis.edit import Shape, core_of
-from gsvis.edit.shape import FEW, affordable_resolution, find_surfaces
+from gsvis.edit.shape import FEW, Surfaces, affordable_resolution, find_surfaces
 from gsvis.scene.density import Density
 from gsvis.scene.gaussians import Gaussians
 from tests.edit.worlds import dots
@@ -56,11 +56,11 @@ def test_a_scene_in_one_point_has_no_grid() -> None:
 def test_more_strength_never_finds_more_surface() -> None:
     scene = Gaussians.concatenate([corner(), clump(FEW + 10, (3.0, 0.5, 2.0))])
     density = Density.from_scene(scene, (-1, -1, -1), (7, 2, 4), 96)
-    surfaces = [find_surfaces(scene, density, strength) for strength in (0.3, 1.0, 2.0)]
-    for (weak, free), (strong, freer) in pairwise(surfaces):
-        assert not (strong & ~weak).any()
-        assert not (free & ~freer).any()
-    assert [found[1][-1] for found in surfaces] == [False, False, True]
+    surfaces = [Surfaces(density, find_surfaces([scene], density, strength)) for strength in (0.3, 1.0, 2.0)]
+    for weak, strong in pairwise(surfaces):
+        assert not (strong.mask & ~weak.mask).any()
+        assert not (weak.lonely(scene.means) & ~strong.lonely(scene.means)).any()
+    assert [found.lonely(scene.means)[-1] for found in surfaces] == [False, False, True]
 
 
 @pytest.mark.parametrize("sides", [(1.0, 1.0, 1.0), (9.0, 9.0, 1.0), (1.0, 1e-9, 0.0), (1e-6, 2e-6, 3e-6)])
