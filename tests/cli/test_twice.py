@@ -13,6 +13,7 @@ import pytest
 
 from gsvis.cli import main
 from gsvis.export.page import write_site
+from gsvis.files.resume import unseal
 from gsvis.io import save_scene
 from gsvis.io.poses import write_poses
 from gsvis.prepare import PrepareConfig
@@ -111,6 +112,12 @@ def contents(folder: Path) -> dict[str, bytes]:
             record = json.loads(data)
             assert record.pop("timing")["seconds"]
             found[name] = json.dumps(record).encode()
+        elif "notes" in Path(name).parts:  # of a task of a world
+            note = json.loads(unseal(data) or b"")
+            assert note.pop("cpu") >= 0.0
+            assert note.pop("seconds") > 0.0
+            assert note.pop("peak") >= 0
+            found[name] = json.dumps(note).encode()
         elif Path(name).name == "timings.json":
             assert json.loads(data)["seconds"]
             found[name] = b""
