@@ -26,6 +26,7 @@ from gsvis.errors import BackendError, FormatError
 from gsvis.export.static import SCENE, StaticOptions, StaticScene, is_static, write_static
 from gsvis.files.atomic import atomic_path
 from gsvis.files.limits import open_regular, read_whole
+from gsvis.files.output import TEMPORARY, output_errors
 from gsvis.package.package import Package
 from gsvis.progress import Progress, silent
 from gsvis.scene.gaussians import Gaussians, rotations_from_quats
@@ -165,7 +166,8 @@ def write_html(
     """
     target, files = _check.path("path", path), _viewer_files(VIEWER if viewer is None else Path(viewer))
     with tempfile.TemporaryDirectory(prefix="gsvis-") as made_in:
-        found = write_static(Path(made_in) / FOLDER, scene, options, progress=progress)
+        with output_errors(made_in, remedy=TEMPORARY):
+            found = write_static(Path(made_in) / FOLDER, scene, options, progress=progress)
         document = json.loads(read_whole(found.path / SCENE))
         style, script = files["page.css"].decode(), _inline(files["page.js"].decode())
         policy = (

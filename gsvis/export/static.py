@@ -32,6 +32,7 @@ from gsvis.export.columns import column, compress
 from gsvis.export.index import Spheres, index_of
 from gsvis.export.start import Start, start_poses
 from gsvis.files.atomic import atomic_path, remove_all_partials
+from gsvis.files.fields import parse_json
 from gsvis.files.limits import digest_of, read_whole
 from gsvis.package.layout import RECORD_BYTES, TermLayout
 from gsvis.package.package import Package
@@ -181,8 +182,8 @@ def check_target(target: Path) -> None:
 
 def is_static(folder: Path) -> bool:
     """Return whether a folder holds a static scene."""
-    with suppress(OSError, ValueError, FormatError, RecursionError):
-        found = json.loads(read_whole(folder / SCENE, _MOST_JSON))
+    with suppress(OSError, FormatError):
+        found = parse_json(folder / SCENE, read_whole(folder / SCENE, _MOST_JSON))
         return isinstance(found, dict) and found.get("format") == FORMAT
     return False
 

@@ -8,6 +8,7 @@ its memory.
 from __future__ import annotations
 
 import json
+import math
 import mmap
 import os
 import shutil
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.files.atomic import atomic_path
+from gsvis.files.fields import Fields, parse_object
 from gsvis.files.limits import DAMAGED, open_regular
 from gsvis.files.resume import seal, unseal
 
@@ -30,7 +32,7 @@ __all__ = ["ArrayFiles", "MappedArrays", "resident_bytes", "write_arrays"]
 _MAGIC = b"\x93gsvisM\n"
 _HEAD = struct.Struct("<8sQ")  # magic, bytes of the sealed JSON after it
 _PAGE = 1 << 12
-_MOST_HEAD = 64 << 20
+_MOST_HEAD, _MOST_BYTES = 64 << 20, 1 << 50
 
 
 def write_arrays(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]], facts: Mapping[str, Any]) -> None:
@@ -171,17 +173,29 @@ class MappedArrays:
         with open_regular(self.path) as file:
             size = os.fstat(file.fileno()).st_size
             start, said = _read_head(self.path, file.read(_HEAD.size), file.read)
-            self.nbytes, self.facts = int(said["bytes"]), said["facts"]
+            self.nbytes, self.facts = said.integer("bytes", 0, _MOST_BYTES), said.child("facts").value
             if size != start + self.nbytes:
                 raise FormatError(self.path, "", f"{start + self.nbytes:,} bytes", f"{size:,}", DAMAGED)
             self._map = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_COPY)
         self._start = start
-        self.arrays = {row[0]: self._view(*row[1:]) for row in said["arrays"]}
+        self.arrays = dict(self._view(row) for row in said.items("arrays"))
 
-    def _view(self, kind: str, shape: list[int], place: int, writable: bool) -> NDArray[Any]:
-        found = np.frombuffer(self._map, np.dtype(kind), int(np.prod(shape)), self._start + place).reshape(shape)
+    def _view(self, row: Any) -> tuple[str, NDArray[Any]]:
+        """Return the name of an array and its view; raise unless the file holds such an array."""
+        try:
+            name, kind, shape, place, writable = row
+            dtype = np.dtype(kind if isinstance(kind, str) else "O")
+            good = isinstance(name, str) and type(writable) is bool and dtype.kind in "biuf"
+            good = good and type(place) is int and place >= 0 and place % _PAGE == 0
+            good = good and all(type(length) is int and length >= 0 for length in shape)
+            if not good or place + dtype.itemsize * math.prod(shape) > self.nbytes:
+                raise ValueError("another row")
+            flat = np.frombuffer(self._map, dtype, math.prod(shape), self._start + place)
+            found = flat.reshape(shape)
+        except (TypeError, ValueError, OverflowError) as error:
+            raise FormatError(self.path, "arrays", "arrays in the file", repr(row)[:80], DAMAGED) from error
         found.flags.writeable = writable
-        return found
+        return name, found
 
     def release(self) -> None:
         """Give back the memory of all pages; a page that is touched again comes from the file.
@@ -208,11 +222,11 @@ def _write_head(file: BinaryIO, facts: Mapping[str, Any], rows: list[list[Any]],
     file.write(bytes(-file.tell() % _PAGE))
 
 
-def _read_head(path: Path, head: bytes, read: Any) -> tuple[int, dict[str, Any]]:
+def _read_head(path: Path, head: bytes, read: Any) -> tuple[int, Fields]:
     """Return where the arrays begin, and the content of the head."""
     magic, length = _HEAD.unpack(head) if len(head) == _HEAD.size else (b"", 0)
     sealed = read(length) if magic == _MAGIC and length <= _MOST_HEAD else b""
     data = unseal(sealed)
     if data is None:
         raise FormatError(path, "byte 0", "a file of arrays", "another file", "remove it; it is made again")
-    return -(-(_HEAD.size + length) // _PAGE) * _PAGE, json.loads(data)
+    return -(-(_HEAD.size + length) // _PAGE) * _PAGE, parse_object(path, data)

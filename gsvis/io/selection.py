@@ -56,8 +56,10 @@ def save_selection(
         raise ValueError(f"path: expected a name that ends in .npy, got {os.fspath(path)!r}")
     values = _check.integers("classes", classes, (len(g),), np.uint8)
     note = {"format": _FORMAT, "version": 1, "scene": scene_hash(g), "gaussians": len(g), "classes": list(names)}
-    with atomic_path(target) as partial, open(partial, "wb") as file:
-        np.save(file, values)
+    data = io.BytesIO()  # np.save to a file does not notice that the last bytes of a small array did not fit
+    np.save(data, values)
+    with atomic_path(target) as partial:
+        partial.write_bytes(data.getvalue())
     with atomic_path(note_of(target)) as partial:
         partial.write_text(json.dumps(note, indent=2) + "\n", encoding="utf-8")
 

@@ -7,7 +7,6 @@ client becomes a path.
 from __future__ import annotations
 
 import asyncio
-import json
 import os
 import re
 from collections.abc import AsyncIterator
@@ -19,6 +18,7 @@ from starlette.responses import PlainTextResponse, Response, StreamingResponse
 
 from gsvis.errors import FormatError
 from gsvis.export.static import FORMAT, SCENE
+from gsvis.files.fields import parse_json
 from gsvis.files.limits import open_regular, read_whole
 from gsvis.serve.parts import part_of
 
@@ -53,10 +53,7 @@ class Site:
 
     def __init__(self, folder: Path) -> None:
         path = folder / SCENE
-        try:
-            about = json.loads(read_whole(path, _MOST_JSON))
-        except (ValueError, RecursionError) as error:
-            raise FormatError(path, "", "JSON", type(error).__name__) from error
+        about = parse_json(path, read_whole(path, _MOST_JSON))
         if not isinstance(about, dict) or about.get("format") != FORMAT:
             raise FormatError(path, "format", FORMAT, repr(about.get("format") if isinstance(about, dict) else None))
         self.folder, self.about = folder, about
@@ -67,7 +64,7 @@ class Site:
     def gaussians(self) -> int | None:
         """Number of Gaussians; None if `scene.json` does not say."""
         found = self.about.get("gaussians")
-        return found if isinstance(found, int) and 0 <= found < 1 << 31 else None
+        return found if type(found) is int and 0 <= found < 1 << 31 else None
 
     async def respond(self, request: Request, name: str, *, private: bool) -> Response:
         """Answer a GET or HEAD request for a file, whole or a range.

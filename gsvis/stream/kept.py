@@ -90,7 +90,7 @@ def open_kept(
     except OSError as error:
         _LOG.warning("tables are not kept: %s", error)
         return StreamedScene.open(package, max_cache_bytes=max_cache_bytes, pixel=pixel, quality=quality), None
-    if identity_of(package.manifest, None) != mapped.facts["identity"]:
+    if identity_of(package.manifest, None) != mapped.facts.get("identity"):
         raise FormatError(mapped.path, "identity", "that of the package", "another", "remove the file")
     scene = StreamedScene.from_arrays(
         package, mapped.arrays, mapped.facts, max_cache_bytes=max_cache_bytes, quality=quality

@@ -230,17 +230,15 @@ def read_rounds(
     if work is None or found is None:
         return 0, np.full(n, -1), np.zeros(n)
     try:
-        done, left, values = int(found["rounds"][0]), found["left"], found["values"]
-        if (
-            left.dtype.kind != "i"
-            or not 0 < done <= len(schedule)
-            or left.shape != (n,)
-            or left.max(initial=-1) >= done
-        ):
+        rounds, left, values = found["rounds"], found["left"], found["values"]
+        if rounds.shape != (1,) or (rounds.dtype.kind, left.dtype.kind, values.dtype.kind) != ("i", "i", "f"):
+            raise ValueError("arrays of another kind")
+        done = int(rounds[0])
+        if not 0 < done <= len(schedule) or left.shape != (n,) or not -1 <= left.min() <= left.max() < done:
             raise ValueError("rounds of another schedule")
-        if values.shape != ((left < 0).sum(),) or len(values) != min(schedule[done - 1], n):
+        if values.shape != ((left < 0).sum(),) or len(values) != min(schedule[done - 1], n) or np.isnan(values).any():
             raise ValueError("values of another size")
-    except (LookupError, TypeError, ValueError) as error:
+    except (LookupError, ValueError) as error:
         got = f"{type(error).__name__}: {error}"
         raise FormatError(work.folder / ROUNDS, "", "the finished rounds", got, "delete it to start again") from error
     return done, np.asarray(left, np.int64), np.asarray(values, np.float64)

@@ -13,6 +13,7 @@ import heapq
 import json
 import logging
 import os
+import re
 import shutil
 import tempfile
 import time
@@ -25,7 +26,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from gsvis.errors import BackendError, GsvisError, OutputError
+from gsvis.errors import BackendError, FormatError, GsvisError, OutputError
+from gsvis.files.fields import Fields, parse_object
+from gsvis.files.limits import DAMAGED
 from gsvis.files.locks import try_lock
 from gsvis.files.objects import FolderStore, ObjectStore, StoredObject, open_store
 from gsvis.files.output import output_errors
@@ -39,6 +42,8 @@ __all__ = ["Given", "Job", "Result", "Task", "machine_kind", "perform", "run_gra
 Facts = dict[str, Any]
 
 _log = logging.getLogger(__name__)
+_DIGEST = re.compile("[0-9a-f]{64}")
+_MOST_BYTES = 1 << 50
 _RESTARTS = 3  # losses of workers in a row without a finished task
 _DASK_LOST = "KilledWorker"  # name of the error of a task whose workers died again and again
 
@@ -89,10 +94,22 @@ class Result:
 
     @classmethod
     def from_json(cls, data: bytes) -> Result:
-        """Return the result of a note."""
-        value = json.loads(data)
-        value["files"] = {name: (str(digest), int(size)) for name, (digest, size) in value["files"].items()}
-        return cls(**value)
+        """Return the result of a note.
+
+        Raises:
+            FormatError: If it is none.
+        """
+        said = parse_object("a note", data)
+        files, facts = said.child("files"), said.child("facts")
+        stored = {name: _stored(files, name) for name in files.value}
+        found = cls(
+            stored, facts.value, said.number("seconds"), said.number("cpu"), said.integer("peak", 0, _MOST_BYTES)
+        )
+        try:
+            _ = found.digest
+        except ValueError as error:
+            raise FormatError("a note", "facts", "finite numbers", str(error), DAMAGED) from error
+        return found
 
 
 @dataclass(frozen=True)
@@ -212,7 +229,7 @@ def find_result(store: ObjectStore, key: str) -> Result | None:
     data = store.note(f"{key}.json")
     try:
         found = None if data is None else Result.from_json(data)
-    except (ValueError, TypeError, KeyError, AttributeError):
+    except FormatError:
         return None
     return found if found is not None and all(store.has(stored) for stored in found.files.values()) else None
 
@@ -457,6 +474,14 @@ def _peak_memory() -> int:
     except ImportError:
         return 0
     return int(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss) * 1024
+
+
+def _stored(files: Fields, name: str) -> StoredObject:
+    """Return the object of a file; its digest becomes a path, so it is checked."""
+    found = files.items(name, 2)
+    if not (isinstance(found[0], str) and _DIGEST.fullmatch(found[0]) and type(found[1]) is int and found[1] >= 0):
+        raise FormatError(files.path, files.where(name), "a SHA-256 and a size", repr(found)[:80], DAMAGED)
+    return found[0], found[1]
 
 
 def _hash(value: Any) -> str:

@@ -14,11 +14,13 @@ import pytest
 
 from gsvis.cli import main
 from gsvis.errors import GsvisError, OutputError
+from gsvis.export.page import write_html, write_site
 from gsvis.io import save_scene
 from gsvis.io.poses import write_poses
 from gsvis.package import in_package_order, write_package
 from gsvis.scene.levels import Levels
 from gsvis.scene.procedural import two_rooms
+from tests.export.viewers import viewer_of
 from tests.package.worlds import colors_of
 from tests.simulate.streets import walk
 from tests.train.photo_files import cloud, write_photos
@@ -46,6 +48,11 @@ COMMANDS = {
     "world": "world {ply} -o {out}/a.gsworld --levels none --cells 1 --face-size 16 --limit 0.05 --workers 1"
     " --tile 5000",
     "unpack": "unpack {package} -o {out}",
+    "clean": f"clean {{ply}} -o {{out}}/a.ply --select {{out}}/a.npy --eyes 1 --held-out 0 --overwrite {BOX}",
+    "cut": f"cut {{ply}} -o {{out}}/a.ply --select {{out}}/a.npy --size 16 --views 0 --limit 0.1 --overwrite {BOX}",
+    "paint": f"paint {{ply}} -o {{out}}/a.ply --values {{out}}/a.npy --size 16 --eyes 1 --overwrite {BOX}",
+    "space": "space {ply} -o {out}/a.voxel.json --overwrite",
+    "export": "export {package} -o {out}/site",
     "simulate": "simulate {package} --path {walk} -o {out} --as-is --seconds 1 --every 0.5 --width 32 --height 24"
     " --whole-file {ply}",
 }
@@ -74,6 +81,24 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 @pytest.fixture(autouse=True)
 def _small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("gsvis.cli.analyze.PICTURE", 24)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _few_voxels() -> Iterator[None]:
+    """Look at the grids of so small a scene coarsely."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gsvis.edit.shape._VOXELS", 1 << 17)
+        yield
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _viewer(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Put a stand-in for the built viewer into sites."""
+    viewer = viewer_of(tmp_path_factory.mktemp("viewer") / "built")
+    with pytest.MonkeyPatch.context() as patch:
+        for write in (write_site, write_html):
+            patch.setitem(write.__kwdefaults__, "viewer", viewer)
+        yield
 
 
 @contextmanager
@@ -163,8 +188,18 @@ def test_each_fault_has_its_remedy(
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"a.ply": b"mine"}
 
 
-def test_temporary_files_that_do_not_fit_are_named(world: dict[str, Path], tmp_path: Path, capsys: Capture) -> None:
-    words = f"render {world['ply']} -o {tmp_path}/a.gif --orbit 2 --depth --width 64 --height 48".split()
+@pytest.mark.parametrize(
+    "command",
+    [
+        "render {ply} -o {out}/a.gif --orbit 2 --depth --width 64 --height 48",
+        "export {package} -o {out}/a.html --format html --overwrite",
+    ],
+    ids=["render", "export"],
+)
+def test_temporary_files_that_do_not_fit_are_named(
+    command: str, world: dict[str, Path], tmp_path: Path, capsys: Capture
+) -> None:
+    words = [word.format(out=tmp_path, **world) for word in command.split()]
     assert main(words) == 0
     before = contents(tmp_path)
     capsys.readouterr()

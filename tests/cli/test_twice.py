@@ -12,16 +12,20 @@ from typing import Any
 import pytest
 
 from gsvis.cli import main
+from gsvis.export.page import write_site
+from gsvis.files.resume import unseal
 from gsvis.io import save_scene
 from gsvis.io.poses import write_poses
 from gsvis.prepare import PrepareConfig
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.procedural import BUILTIN_SCENES, two_rooms
+from tests.export.viewers import viewer_of
 from tests.simulate.streets import walk
 from tests.train.photo_files import write_transforms
 
 VIEW = ["--width", "32", "--height", "24"]
 SETS = ["--cells", "4", "--size", "16", "--rays", "256", "--max-inner", "1"]
+BOX = ["--box", "0.5", "0.5", "0.5", "3.5", "3.5", "2.5"]
 COMMANDS = {
     "convert to ply": ["convert", "../rooms.ply", "out.ply", "--min-opacity", "0.1"],
     "convert to spz": ["convert", "../rooms.ply", "out.spz"],
@@ -47,6 +51,12 @@ COMMANDS = {
               "--evaluate-every", "3"],
     "prepare": ["prepare", "builtin:wall_with_hole", "-o", "out.gsvis", "--cells", "2", "--face-size", "16",
                 "--limit", "0.05", "--max-inner", "1", "--workers", "1", "--max-terms", "1", "--levels", "none"],
+    "clean": ["clean", "../rooms.ply", "-o", "out.ply", "--select", "out.npy", "--report", "report", "--eyes", "1",
+              "--held-out", "1", *BOX],
+    "export": ["export", "../rooms.gsvis", "-o", "out"],
+    "space": ["space", "../rooms.ply", "-o", "out.voxel.json", *BOX],
+    "world": ["world", "../rooms.ply", "-o", "out.gsworld", "--levels", "none", "--cells", "1", "--face-size", "16",
+              "--limit", "0.05", "--workers", "1", "--tile", "5000"],
     "unpack": ["unpack", "../rooms.gsvis", "-o", "out"],
     "simulate": ["simulate", "../rooms.gsvis", "--path", "../walk.csv", "-o", "out", "--mbit", "1", "--seconds", "0.5",
                  *VIEW],
@@ -59,8 +69,9 @@ def known_spaces() -> None:
 
 
 @pytest.fixture(scope="module", autouse=True)
-def quick() -> object:
-    """A package of few views, small pictures."""
+def quick(tmp_path_factory: pytest.TempPathFactory) -> object:
+    """A package of few views, small pictures, a stand-in for the built viewer."""
+    viewer = viewer_of(tmp_path_factory.mktemp("viewer") / "built")
     few = replace(PrepareConfig().cost_views, count=1, width=24, height=20)
     before = PrepareConfig.__init__
 
@@ -73,6 +84,8 @@ def quick() -> object:
         patch.setitem(BUILTIN_SCENES, "wall_with_hole", lambda: made)
         patch.setattr(PrepareConfig, "__init__", smaller)
         patch.setattr("gsvis.cli.analyze.PICTURE", 24)
+        patch.setattr("gsvis.edit.shape._VOXELS", 1 << 17)
+        patch.setitem(write_site.__kwdefaults__, "viewer", viewer)
         yield
 
 
@@ -99,6 +112,12 @@ def contents(folder: Path) -> dict[str, bytes]:
             record = json.loads(data)
             assert record.pop("timing")["seconds"]
             found[name] = json.dumps(record).encode()
+        elif "notes" in Path(name).parts:  # of a task of a world
+            note = json.loads(unseal(data) or b"")
+            assert note.pop("cpu") >= 0.0
+            assert note.pop("seconds") > 0.0
+            assert note.pop("peak") >= 0
+            found[name] = json.dumps(note).encode()
         elif Path(name).name == "timings.json":
             assert json.loads(data)["seconds"]
             found[name] = b""

@@ -15,8 +15,10 @@ import pytest
 
 from gsvis.errors import FormatError, SceneError
 from gsvis.package import Package, decode_records
+from gsvis.package.fidelity import Fidelity
 from gsvis.package.manifest import MANIFEST, Manifest
 from gsvis.package.unpack import unpack_levels
+from gsvis.scene.cameras import Cameras
 from gsvis.stream import StreamedScene
 from gsvis.world.manifest import WORLD, WorldManifest
 from tests.fuzz.cameras import files_in
@@ -44,7 +46,12 @@ def packages() -> list[Case]:
 
 
 def manifests() -> list[Case]:
-    return [{MANIFEST: case[MANIFEST]} for case in packages()]
+    """Manifests of all packages, and one that says how near what a client gets comes to the scene."""
+    found = [{MANIFEST: case[MANIFEST]} for case in packages()]
+    values = {"records": [30.0, 31.0], "cell": [29.0, 30.5], "levels": [40.0, 41.0], "rounding": [60.0, 61.0]}
+    near = Fidelity.from_values(values, Cameras.orbit((0, 0, 0), 4.0, 2, width=24, height=20))
+    said = {**json.loads(found[0][MANIFEST]), "fidelity": near.as_dict()}
+    return [*found, {MANIFEST: sealed_manifest(said)}]
 
 
 def in_manifest(folder: Path, case: Case) -> None:
@@ -52,6 +59,10 @@ def in_manifest(folder: Path, case: Case) -> None:
     found = Manifest.read(folder / name)
     assert found.gaussians == sum(block.count for block in found.blocks)
     found.sizes()
+    near = found.info.fidelity
+    if near is not None:
+        assert len(near.cameras) == near.summary()["views"]
+        assert np.isfinite(near.cameras.viewmats).all()
 
 
 def worlds() -> list[Case]:
@@ -139,7 +150,7 @@ def _rows(manifest: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
 P = "gsvis.package."
 
 TARGETS = [
-    Target("manifest", manifests, in_manifest, kinds={MANIFEST: "manifest"}, modules=(P + "manifest",)),
+    Target("manifest", manifests, in_manifest, kinds={MANIFEST: "manifest"}, modules=(P + "manifest", P + "fidelity")),
     Target("world", worlds, in_world, kinds={WORLD: "manifest"}, modules=("gsvis.world.manifest",)),
     Target(
         "package",

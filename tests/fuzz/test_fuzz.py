@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import os
 import re
+import sys
+from importlib.util import find_spec
 from pathlib import Path
 from random import Random
 
@@ -15,6 +17,9 @@ import pytest
 from tests.fuzz.engine import run_input, run_whole
 from tests.fuzz.families import TARGETS
 from tests.fuzz.targets import Target, case_of, unpack_case
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
+import fuzz_coverage
 
 CORPUS = Path(__file__).parents[1] / "corpus"
 ENTRIES = sorted(CORPUS.rglob("*.zip"))
@@ -106,3 +111,17 @@ def test_readers_of_training_and_archives_are_among_the_targets() -> None:
         "gsvis.train.levels",
         "gsvis.train.photos",
     }
+
+
+def test_modules_of_targets_and_functions_set_apart_exist() -> None:
+    modules = {module for target in TARGETS.values() for module in target.modules}
+    origins = {module: find_spec(module) for module in modules}
+    assert [module for module, spec in origins.items() if spec is None] == []
+    owners: dict[str, set[str]] = {}
+    for module, spec in origins.items():
+        assert spec is not None
+        assert spec.origin is not None
+        owners[module] = set(fuzz_coverage.owners_of(Path(spec.origin)).values())
+    for place in (place for places in fuzz_coverage.APART.values() for place in places):
+        module, _, name = place.partition(":")
+        assert any(owner == name or owner.startswith(f"{name}.") for owner in owners[module]), place

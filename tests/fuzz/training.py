@@ -192,7 +192,7 @@ def in_subsets(folder: Path, case: Case) -> None:
         assert mask.sum() == count
 
 
-TRAIN, IO = "gsvis.train.", "gsvis.io."
+TRAIN, FILES = "gsvis.train.", "gsvis.files."
 
 TARGETS = [
     Target(
@@ -209,7 +209,7 @@ TARGETS = [
         subsets,
         in_subsets,
         change=change_subsets,
-        modules=(IO + "archive", TRAIN + "levels"),
+        modules=(FILES + "archive", TRAIN + "levels"),
         weight=0.5,
         beginnings=("work: expected ",),
     ),

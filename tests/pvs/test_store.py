@@ -310,6 +310,16 @@ def test_a_header_that_lies_is_refused(tmp_path: Path, changes: dict[str, object
     assert assert_never_wrong(path, truth)
 
 
+@pytest.mark.parametrize(("count", "place"), [((1 << 31) - 1, "header"), (1 << 31, "gaussians")])
+def test_a_header_counts_fewer_gaussians_than_ids_of_31_bits_name(tmp_path: Path, count: int, place: str) -> None:
+    path = tmp_path / "x.pvs"
+    small_store(path)
+    forge(path, gaussians=count)
+    with pytest.raises(FormatError) as caught:
+        VisibilityStore.open(path)
+    assert caught.value.where == place
+
+
 def test_other_files_and_newer_versions_are_named_as_such(tmp_path: Path) -> None:
     path = tmp_path / "x.pvs"
     for foreign in (b"ply\nformat ascii 1.0\n", b"PK\x03\x04" + bytes(100)):
