@@ -42,7 +42,10 @@ SAME = {"all_active": "active", "every_slots": "unit_slots"} | {
 }
 """Arrays with two names."""
 
-FROZEN = ("record_term_offsets", "record_term_sizes", "link_ids", "replacement_offsets", "first", "last")
+FROZEN = (
+    *("record_term_offsets", "record_term_sizes", "link_ids", "replacement_offsets", "first", "last"),
+    *("record_sizes", "record_areas", "strengths", "pairs", "mixed"),
+)
 """Arrays that nobody may write to, as in a scene in memory: kernels are compiled for one of the two."""
 
 _BLOCK = 1 << 16  # ids; `word_count` rounds up to as many

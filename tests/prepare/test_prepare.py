@@ -260,7 +260,8 @@ def test_an_estimate_says_what_is_there_and_writes_nothing(
     fresh = estimate_preparation(rooms.gaussians, tmp_path / "new.gsvis", rooms.navigable, CONFIG)
     assert {stage.state for stage in fresh.stages} == {"to do"}
     assert fresh.seconds > 10.0
-    assert 0 < done.memory <= fresh.memory  # what is left needs some, too
+    # What is left needs some, too; levels that are made have merged Gaussians beside those of the scene.
+    assert 0 < done.memory <= 1.001 * fresh.memory
     assert dict(fresh.levels)["high"] == len(rooms.gaussians)
     assert abs(fresh.gaussians - done.gaussians) <= 0.05 * done.gaussians
     assert files(tmp_path) == before

@@ -121,7 +121,8 @@ def test_tables_made_node_by_node_are_those_of_the_whole(
     assert sorted(arrays) == sorted(mapped.arrays)
     for name, array in arrays.items():
         found = mapped.arrays[name]
-        assert (found.dtype, found.shape, found.flags.writeable) == (array.dtype, array.shape, array.flags.writeable)
+        flags = found.flags.writeable, array.flags.writeable
+        assert (found.dtype, found.shape, flags[0]) == (array.dtype, array.shape, flags[1]), name
         if name == "all_level_bytes":  # a sum of the whole in single precision
             assert np.allclose(found, array, rtol=1e-5)
         else:
