@@ -123,6 +123,13 @@ def say(page: Any, text: str) -> None:
     page.wait_for_function("text => document.body.textContent.includes(text)", arg=text)
 
 
+def explains(page: Any) -> bool:
+    """Ask what is in the middle: at first, the view may still be on its way back to where something is."""
+    page.keyboard.press("Enter")
+    page.wait_for_timeout(300)
+    return "cells see it" in page.locator("body").inner_text()
+
+
 def picture(page: Any) -> np.ndarray:
     """The window once it rests, (H, W, 3) in [0, 1]."""
     last = b""
@@ -159,8 +166,7 @@ def test_every_key_of_the_help_does_its_work_in_silence(visit: Open, package: Pa
         page.keyboard.press("x")  # the interface is back
         page.keyboard.press("r")
         page.keyboard.press("i")
-        page.keyboard.press("Enter")
-        say(page, "cells see it")
+        until(lambda: explains(page))
         page.keyboard.press("Escape")
         page.keyboard.press("f")
         page.wait_for_function("() => document.fullscreenElement !== null")
