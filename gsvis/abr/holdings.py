@@ -24,6 +24,8 @@ I64 = NDArray[np.int64]
 
 _HEAD = struct.Struct("<4sIIIII")
 _MAGIC = b"GVH1"
+_CONTAINER = 1 << 16  # ids of a container of a roaring bitmap
+_CONTAINER_BYTES = 8192  # most bytes of one: a bit for each id, or 2 bytes for each of at most 4,096
 
 
 class Holdings:
@@ -140,6 +142,11 @@ class Holdings:
             parts.append(bytes(bitmap.serialize()))
         return _HEAD.pack(_MAGIC, self.gaussians, self.terms, *(len(part) for part in parts)) + b"".join(parts)
 
+    @staticmethod
+    def most_bytes(gaussians: int, terms: int) -> int:
+        """Return the most bytes that `to_bytes` can have, for N Gaussians and T terms."""
+        return _HEAD.size + 2 * _most_bitmap(gaussians) + _most_bitmap(terms)
+
     @classmethod
     def from_bytes(cls, data: bytes, gaussians: int, terms: int) -> Holdings:
         """Return the holdings that a client reports.
@@ -168,6 +175,12 @@ class Holdings:
             words[:] = _words_of(data[start : start + length], size)
             start += length
         return out
+
+
+def _most_bitmap(size: int) -> int:
+    """Return the most bytes of a roaring bitmap of ids below `size`: a head, and for each container 9 and its body."""
+    whole, rest = divmod(size, _CONTAINER)
+    return 8 + 9 * -(-size // _CONTAINER) + whole * _CONTAINER_BYTES + min(2 * rest, _CONTAINER_BYTES)
 
 
 def _words_of(data: bytes, size: int) -> Words:

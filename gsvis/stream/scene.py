@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from gsvis import _check
 from gsvis.abr.candidates import CandidateIndex
 from gsvis.abr.cones import TermCones
+from gsvis.abr.holdings import Holdings
 from gsvis.abr.index import SceneIndex, SceneTerms
 from gsvis.color.activation import Activation
 from gsvis.color.srbf import unit_vectors
@@ -206,9 +207,8 @@ class StreamedScene:
 
     @property
     def most_hello(self) -> int:
-        """Most bytes of a HELLO for this scene; holdings are three bitmaps."""
-        bits = 2 * self.about.gaussians + self.about.terms
-        return 4096 + bits // 8 + bits // 64
+        """Most bytes of a HELLO for this scene, whatever its client holds; enough for a TOKEN, too."""
+        return 4096 + Holdings.most_bytes(self.about.gaussians, self.about.terms)
 
 
 class EveryCell:

@@ -87,3 +87,14 @@ def test_what_is_held_is_not_taken_in_again() -> None:
     made.add(none, none, np.array([1]))
     assert made.shown.tolist() == [2]
     assert made.received.tolist() == [1, 2]
+
+
+@pytest.mark.parametrize("size", [0, 1, 100, 5000, 16_000, 65_536, 65_537, 70_000, 200_000])
+def test_nothing_that_is_held_takes_more_bytes_than_are_allowed(size: int) -> None:
+    most = Holdings.most_bytes(size, size)
+    every = np.arange(size)
+    for held in (every, every[::2], every[every % 3 > 0], every[:4096], every[::16], every[-4096:]):
+        client = Holdings(size, size)
+        client.add(held, held, held)
+        assert len(client.to_bytes()) <= most
+    assert most < 200 + 3 * (2 * size if size < 4096 else size // 8 + 8192 + 9)
