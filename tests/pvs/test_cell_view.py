@@ -186,7 +186,7 @@ def test_a_set_that_misses_light_takes_what_was_faint_before_anyone_looks_again(
         viewpoints.draw(1, 1, np.random.default_rng(0))[0],
         np.arange(len(rooms()[0].levels.union), dtype=np.int32),
     )
-    classes = np.zeros(len(some) // 2, np.uint8)
+    classes = np.zeros(len(some[::2]), np.uint8)
     lacking = Sighting(eye, 1, some[::2], classes, some[1::2])
     view = finder.find_cell(viewpoints.voxels(1), [lacking])
     assert view.ids.tolist() == some.tolist()
