@@ -53,6 +53,7 @@ PAGES = {
             "fuzz_coverage",
             "kill",
             "server_soak",
+            "server_soak_short",
             "stress",
             "check_repeated",
             "suite",
