@@ -10,6 +10,7 @@ from gsvis import _check
 from gsvis.abr.estimate import ESTIMATORS
 from gsvis.abr.policies import POLICIES, UtilityConfig
 from gsvis.abr.predict import PREDICTORS
+from gsvis.scene.levels import PREVIEW
 
 __all__ = ["AbrConfig"]
 
@@ -56,7 +57,7 @@ class AbrConfig:
     epsilon: float = 0.2
     first_epsilon: float = 0.3
     parallax: float = 0.03
-    picture: float = 0.1
+    picture: float = PREVIEW
     replaced: float = 0.4
     covered: float = 0.6
     fill: bool = True

@@ -22,7 +22,7 @@ __all__ = ["PREVIEW", "Levels", "as_levels", "level_scenes", "levels_record", "u
 I64 = NDArray[np.int64]
 
 PREVIEW = 0.1
-"""Largest share of the Gaussians of the highest level in a first picture, as in `AbrConfig.picture`."""
+"""Largest share of the Gaussians of the highest level in a first picture; the default of `AbrConfig.picture`."""
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)

@@ -19,10 +19,11 @@ from websockets.protocol import State
 from websockets.sync.client import connect
 from websockets.typing import Origin
 
+from gsvis.abr.holdings import Holdings
 from gsvis.errors import ProtocolError
 from gsvis.serve import Address, ClientConfig, ManualClock, Server, StreamClient, fetch, open_scenes
 from gsvis.serve.connection import PoseClock
-from gsvis.stream import Ack, Bye, Hello, Receiver, Session, Token
+from gsvis.stream import Ack, Bye, Hello, Receiver, Session, StreamedScene, Token
 from gsvis.stream.wire import ServerFault
 from tests.serve.servers import (
     LIMITS,
@@ -47,6 +48,7 @@ from tests.serve.servers import (
     still,
     until,
 )  # fmt: skip
+from tests.stream.worlds import package_of
 
 
 def test_all_arrives_and_nothing_twice(plain: Path) -> None:
@@ -118,6 +120,19 @@ def test_a_client_that_comes_back_is_sent_what_is_missing(plain: Path) -> None:
         assert second.receiver is first.receiver
         assert after_a_plan(server, second.receiver).nbytes == 0
         assert whole.restarts == second.restarts == 0
+
+
+def test_whatever_is_held_of_a_small_scene_its_client_may_come_back(tmp_path: Path) -> None:
+    with package_of(tmp_path / "small.gsvis", 5000, stores=False) as package:
+        header = StreamedScene.open(package).header
+    known = Receiver(header).about
+    held = Holdings(known.gaussians, known.terms)
+    gaussians, terms = np.arange(held.gaussians), np.arange(held.terms)
+    held.add(gaussians[gaussians % 3 > 0], terms[terms % 3 > 0], gaussians[:0])  # neither runs nor a few
+    hello = Hello(VIEW, bytes.fromhex(known.identity), held.to_bytes())
+    with serving(tmp_path / "small.gsvis") as server:
+        answer, code = first_answer(server, hello.to_bytes())
+    assert (answer[0], code) == (129, None), answer
 
 
 def test_what_is_held_of_another_scene_is_worth_nothing(plain: Path, celled: Path) -> None:
