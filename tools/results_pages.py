@@ -53,7 +53,6 @@ PAGES = {
             "fuzz_coverage",
             "kill",
             "server_soak",
-            "server_soak_short",
             "stress",
             "check_repeated",
             "suite",
