@@ -75,7 +75,7 @@ def main() -> None:
     parser.add_argument("--scenes", nargs="+", choices=SCENES, default=list(SCENES))
     parser.add_argument("--size", type=int, nargs=2, default=[960, 540])
     parser.add_argument("--seconds", type=float, default=10.0)
-    parser.add_argument("--precision", choices=("float", "half", "bytes"), default="half")
+    parser.add_argument("--precision", choices=("float", "half", "bytes"), help="default: what the page chooses")
     parser.add_argument("--playcanvas", type=Path, help="playcanvas.mjs; not compared without it")
     parser.add_argument(
         "--spark", type=Path, help="node_modules with three and @sparkjsdev/spark; not compared without"
@@ -166,7 +166,7 @@ def measure(
             details[name] = {"statistics": spun, "append ms": appended, "append one by one": single, "heap": heap,
                              "console": said}  # fmt: skip
         terms = name != "showroom"
-        least = {"bytes": 36.0 if terms else 45.0}.get(options.precision, 42.0 if terms else 50.0)
+        least = (36.0 if terms else 45.0) if options.precision == "bytes" else 42.0 if terms else 50.0
         add("PSNR", psnr(image, truth), "dB", "higher", least)
         add("frames a second", spun["fps"], "1/s", "higher")
         add("cores' seconds a frame", spun["core seconds"], "s", "lower")
@@ -206,7 +206,7 @@ def spin(page: Any, lens: dict[str, Any], seconds: float) -> dict[str, Any]:
     return {**spun, "core seconds": (core_seconds() - before) / max(spun["frames shown"], 1)}
 
 
-def append(page: Any, name: str, precision: str) -> list[dict[str, Any]]:
+def append(page: Any, name: str, precision: str | None) -> list[dict[str, Any]]:
     """Append batches one by one; milliseconds of each block of the main thread, of all on a core and without."""
     thread, spent = PageThread(page), []
     page.evaluate(BLOCKS)

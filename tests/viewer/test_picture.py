@@ -120,7 +120,8 @@ def canvases(page: Any, cameras: Cameras) -> list[F32]:
 @pytest.mark.parametrize(
     ("name", "precision", "least"),
     [
-        ("flat", "half", 50.0), ("flat", "bytes", 45.0), ("terms", "half", 42.0), ("terms", "bytes", 36.0),
+        ("flat", "float", 50.0), ("flat", "half", 50.0), ("flat", "bytes", 45.0),
+        ("terms", "half", 42.0), ("terms", "bytes", 36.0),
         ("hsl", "half", 42.0), ("lattice", "half", 42.0), ("bare", "half", 42.0),
     ],
 )  # fmt: skip

@@ -53,7 +53,7 @@ export class Renderer {
   #seen = ""; // what all colors were found for
   count = 0; // Gaussians in the order
 
-  constructor(gl: WebGL2RenderingContext, wanted: Precision = "half") {
+  constructor(gl: WebGL2RenderingContext, wanted?: Precision) {
     this.#gl = gl;
     this.precision = choosePrecision(gl, wanted);
     this.#splat = compile(gl, splatVertex, splatFragment);
@@ -277,10 +277,17 @@ export class Renderer {
 }
 
 /** Return the finest kind of picture, up to the one that is wanted, into which this GPU blends. */
-export function choosePrecision(gl: WebGL2RenderingContext, wanted: Precision): Precision {
+export function choosePrecision(gl: WebGL2RenderingContext, wanted?: Precision): Precision {
   const full = gl.getExtension("EXT_color_buffer_float"), half = full ?? gl.getExtension("EXT_color_buffer_half_float");
-  if (wanted === "float" && full && gl.getExtension("EXT_float_blend")) return "float";
-  return wanted !== "bytes" && half ? "half" : "bytes";
+  const finest = wanted ?? (isSoftware(gl) ? "float" : "half");
+  if (finest === "float" && full && gl.getExtension("EXT_float_blend")) return "float";
+  return finest !== "bytes" && half ? "half" : "bytes";
+}
+
+/** Return whether the CPU does a GPU's work. Then a blend into half floats takes twice as long as one into floats. */
+function isSoftware(gl: WebGL2RenderingContext): boolean {
+  const info = gl.getExtension("WEBGL_debug_renderer_info");
+  return /swiftshader|llvmpipe|basic render/i.test(gl.getParameter(info ? info.UNMASKED_RENDERER_WEBGL : gl.RENDERER));
 }
 
 /** Return the corners of many quads, and the buffer of their indices: vertex 4 q + c is corner c of quad q. */

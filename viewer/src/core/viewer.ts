@@ -390,7 +390,7 @@ export class Viewer extends EventTarget {
   #fitted(header: Header): Header {
     const { gaussians, terms } = header, { width, height } = this.lens;
     this.#share = terms / (gaussians || 1);
-    const left = (this.#options.memory ?? memoryOfDevice()) - BESIDE - 8 * width * height;
+    const left = (this.#options.memory ?? memoryOfDevice()) - BESIDE - 16 * width * height;
     this.#room = ROW * Math.max(1, Math.floor(left / ROW / (bytesOfGaussian(header) + DRAWN + TERM * this.#share)));
     const most = Math.min(gaussians, this.#room);
     return { ...header, gaussians: most, terms: Math.ceil(most * this.#share) };
@@ -530,7 +530,7 @@ export class Viewer extends EventTarget {
 export function supportedPrecision(): Precision | null {
   const gl = document.createElement("canvas").getContext("webgl2");
   if (!gl) return null;
-  const precision = choosePrecision(gl, "half");
+  const precision = choosePrecision(gl);
   gl.getExtension("WEBGL_lose_context")?.loseContext();
   return precision;
 }

@@ -13,8 +13,8 @@ export interface Message {
 
 export const NO_WEBGL: Message = {
   title: "This browser cannot draw the scene",
-  text: "The viewer needs WebGL2, and this browser does not offer it. It may be switched off, or the " +
-    "graphics driver may be blocked. A current Firefox, Chrome, Edge or Safari has it.",
+  text: "The viewer needs WebGL2. It may be switched off, or the graphics driver blocked. " +
+    "Current browsers have it.",
 };
 
 export const NO_SCENE: Message = {
@@ -39,11 +39,11 @@ export function explainFailure(message: string, code?: number): Message {
   const known: Record<number, [string, string]> = {
     1: [
       "The server refused a message",
-      "Viewer and server do not understand each other. Load the page again; it may come from an older server.",
+      "Viewer and server do not understand each other. Load the page again.",
     ],
     2: [
       "Viewer and server differ in version",
-      "Load the page again without the cache, so that the viewer of this server is used.",
+      "Load the page again without the cache: it may come from an older server.",
     ],
     3: ["The server has ended the connection", "A limit of the server was exceeded."],
     5: ["The server is full", "All places are taken. Try again in a moment."],
