@@ -81,9 +81,12 @@ def blank_plots(monkeypatch: pytest.MonkeyPatch, blank: bytes) -> None:
 
 
 def pytest_xdist_auto_num_workers() -> int:
-    """As many workers as cores that this process may use, or as PYTEST_XDIST_AUTO_NUM_WORKERS says."""
+    """One worker more than cores that this process may use, or as many as PYTEST_XDIST_AUTO_NUM_WORKERS says.
+
+    While some wait for a browser, a server or a kernel that another compiles, the others work.
+    """
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return int(os.environ.get("PYTEST_XDIST_AUTO_NUM_WORKERS") or cores)
+    return int(os.environ.get("PYTEST_XDIST_AUTO_NUM_WORKERS") or cores + 1)
 
 
 @pytest.hookimpl(wrapper=True)
