@@ -37,6 +37,12 @@ settings.register_profile(
 settings.load_profile("gsvis")
 
 _DEFAULT_REALDATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+TESTS = Path(__file__).resolve().parent
+LONGEST = (
+    "viewer/test_page.py",
+    "cli/test_extras.py",
+)
+"""Files that take more than ten seconds of the processor, the longest first; `tools/suite_time.py` measures them."""
 
 
 @pytest.fixture(scope="session")
@@ -90,8 +96,9 @@ def pytest_xdist_auto_num_workers() -> int:
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_collection() -> Generator[None, object, object]:
+def pytest_collection(session: pytest.Session) -> Generator[None, object, object]:
     """Collect without looking for garbage, and set aside what stays: later looks would pass over it each time."""
+    _begin_elsewhere(session.config)
     gc.disable()
     try:
         return (yield)
@@ -102,6 +109,16 @@ def pytest_collection() -> Generator[None, object, object]:
         gc.set_threshold(10_000, 20, 20)  # looks took 3% of the time of the tests
 
 
+def _begin_elsewhere(config: pytest.Config) -> None:
+    """Let each worker begin to collect all tests at another file: in a fresh clone it finds the others compiled."""
+    worker, count = (os.environ.get(f"PYTEST_XDIST_WORKER{name}", "") for name in ("", "_COUNT"))
+    if worker and config.args == config.getini("testpaths"):
+        files = sorted(map(str, TESTS.rglob("test_*.py")))
+        first = int(worker.removeprefix("gw")) * len(files) // int(count)
+        config.args = files[first:] + files[:first]
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with the tests in a browser: they are the longest file, and a worker must not be left alone with them."""
-    items.sort(key=lambda item: item.path.parent.name != "viewer")
+    """Begin with the longest files: a worker must not be left alone with one at the end."""
+    places = {TESTS / name: place for place, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: (places.get(item.path, len(places)), item.path))
