@@ -14,6 +14,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from tests.bare_plots import PAGES, draw_bare_plots
+from tests.longest import LONGEST
 
 os.environ.setdefault("MPLBACKEND", "Agg")
 if "GSVIS_CACHE" not in os.environ:  # not the folder of whoever runs the tests
@@ -38,11 +39,6 @@ settings.load_profile("gsvis")
 
 _DEFAULT_REALDATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 TESTS = Path(__file__).resolve().parent
-LONGEST = (
-    "viewer/test_page.py",
-    "cli/test_extras.py",
-)
-"""Files that take more than ten seconds of the processor, the longest first; `tools/suite_time.py` measures them."""
 
 
 @pytest.fixture(scope="session")
