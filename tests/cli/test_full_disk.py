@@ -21,6 +21,7 @@ from gsvis.package import in_package_order, write_package
 from gsvis.scene.levels import Levels
 from gsvis.scene.procedural import two_rooms
 from tests.export.viewers import viewer_of
+from tests.few_views import take_few_views
 from tests.package.worlds import colors_of
 from tests.simulate.streets import walk
 from tests.train.photo_files import cloud, write_photos
@@ -84,9 +85,9 @@ def _small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _few_voxels() -> Iterator[None]:
-    """Look at the grids of so small a scene coarsely."""
-    with pytest.MonkeyPatch.context() as patch:
+def _few_voxels_and_views() -> Iterator[None]:
+    """Look at the grids of so small a scene coarsely, and at its package once."""
+    with pytest.MonkeyPatch.context() as patch, take_few_views():
         patch.setattr("gsvis.edit.shape._VOXELS", 1 << 17)
         yield
 
