@@ -59,7 +59,7 @@ def main() -> None:
     from gsvis.cli import main as run
     from tests.bare_plots import draw_bare_plots
     from tests.few_views import take_few_views
-    from tests.known_spaces import remember_spaces
+    from tests.known_spaces import coarse_spaces, remember_spaces
 
     found = []
     if has("matplotlib"):
@@ -67,7 +67,7 @@ def main() -> None:
 
         theme._DPI = 40
     plots = draw_bare_plots() if has("matplotlib") else nullcontext()
-    with remember_spaces(Path(folder) if folder else None), take_few_views(), plots:
+    with remember_spaces(Path(folder) if folder else None), coarse_spaces(), take_few_views(), plots:
         for words in json.load(sys.stdin):
             out, err = StringIO(), StringIO()
             with redirect_stdout(out), redirect_stderr(err):

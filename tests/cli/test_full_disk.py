@@ -22,6 +22,7 @@ from gsvis.scene.levels import Levels
 from gsvis.scene.procedural import two_rooms
 from tests.export.viewers import viewer_of
 from tests.few_views import take_few_views
+from tests.known_spaces import coarse_spaces
 from tests.package.worlds import colors_of
 from tests.simulate.streets import walk
 from tests.train.photo_files import cloud, write_photos
@@ -87,7 +88,7 @@ def _small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture(scope="module", autouse=True)
 def _few_voxels_and_views() -> Iterator[None]:
     """Look at the grids of so small a scene coarsely, and at its package once."""
-    with pytest.MonkeyPatch.context() as patch, take_few_views():
+    with pytest.MonkeyPatch.context() as patch, take_few_views(), coarse_spaces():
         patch.setattr("gsvis.edit.shape._VOXELS", 1 << 17)
         yield
 

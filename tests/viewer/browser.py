@@ -15,7 +15,12 @@ from typing import Any
 import pytest
 
 ROOT = Path(__file__).parents[2]
-FLAGS = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
+FLAGS = (
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--ignore-gpu-blocklist",
+    "--disable-gpu-rasterization",
+)
 MEASURED = ("--enable-blink-features=ForceEagerMeasureMemory",)  # for `measureUserAgentSpecificMemory` without a wait
 
 
