@@ -18,8 +18,9 @@ INPUTS ?= 100000
 SEED ?= 1
 BIN := .venv/bin
 export PYTHON
-# As many workers as cores that this process may use; nproc knows, and without it pytest-xdist counts them all.
-export PYTEST_XDIST_AUTO_NUM_WORKERS ?= $(shell nproc 2>/dev/null)
+# One worker more than cores that this process may use: while some wait for a browser, a server or a kernel, others work.
+CORES := $(shell nproc 2>/dev/null)
+export PYTEST_XDIST_AUTO_NUM_WORKERS ?= $(if $(CORES),$(shell expr $(CORES) + 1))
 # Threads that wait for a kernel sleep: spinning beside other work costs an example ten times its processor time.
 export OMP_WAIT_POLICY ?= passive
 # Tests start hundreds of Python processes: without bytecode each would compile the package anew.

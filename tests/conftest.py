@@ -14,6 +14,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from tests.bare_plots import PAGES, draw_bare_plots
+from tests.longest import LONGEST
 
 os.environ.setdefault("MPLBACKEND", "Agg")
 if "GSVIS_CACHE" not in os.environ:  # not the folder of whoever runs the tests
@@ -37,6 +38,7 @@ settings.register_profile(
 settings.load_profile("gsvis")
 
 _DEFAULT_REALDATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+TESTS = Path(__file__).resolve().parent
 
 
 @pytest.fixture(scope="session")
@@ -81,14 +83,18 @@ def blank_plots(monkeypatch: pytest.MonkeyPatch, blank: bytes) -> None:
 
 
 def pytest_xdist_auto_num_workers() -> int:
-    """As many workers as cores that this process may use, or as PYTEST_XDIST_AUTO_NUM_WORKERS says."""
+    """One worker more than cores that this process may use, or as many as PYTEST_XDIST_AUTO_NUM_WORKERS says.
+
+    While some wait for a browser, a server or a kernel that another compiles, the others work.
+    """
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return int(os.environ.get("PYTEST_XDIST_AUTO_NUM_WORKERS") or cores)
+    return int(os.environ.get("PYTEST_XDIST_AUTO_NUM_WORKERS") or cores + 1)
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_collection() -> Generator[None, object, object]:
+def pytest_collection(session: pytest.Session) -> Generator[None, object, object]:
     """Collect without looking for garbage, and set aside what stays: later looks would pass over it each time."""
+    _begin_elsewhere(session.config)
     gc.disable()
     try:
         return (yield)
@@ -99,6 +105,16 @@ def pytest_collection() -> Generator[None, object, object]:
         gc.set_threshold(10_000, 20, 20)  # looks took 3% of the time of the tests
 
 
+def _begin_elsewhere(config: pytest.Config) -> None:
+    """Let each worker begin to collect all tests at another file: in a fresh clone it finds the others compiled."""
+    worker, count = (os.environ.get(f"PYTEST_XDIST_WORKER{name}", "") for name in ("", "_COUNT"))
+    if worker and config.args == config.getini("testpaths"):
+        files = sorted(map(str, TESTS.rglob("test_*.py")))
+        first = int(worker.removeprefix("gw")) * len(files) // int(count)
+        config.args = files[first:] + files[:first]
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with the tests in a browser: they are the longest file, and a worker must not be left alone with them."""
-    items.sort(key=lambda item: item.path.parent.name != "viewer")
+    """Begin with the longest files: a worker must not be left alone with one at the end."""
+    places = {TESTS / name: place for place, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: (places.get(item.path, len(places)), item.path))

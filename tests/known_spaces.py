@@ -18,7 +18,7 @@ import pytest
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 
-__all__ = ["remember_spaces"]
+__all__ = ["coarse_spaces", "remember_spaces"]
 
 _MOST = 64
 _from_scene = NavigableSpace.from_scene
@@ -37,6 +37,19 @@ def remember_spaces(folder: Path | None = None) -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(NavigableSpace, "from_scene", staticmethod(remember))
+        yield
+
+
+@contextmanager
+def coarse_spaces(most: int = 64) -> Iterator[None]:
+    """Let `NavigableSpace.from_scene` take at most so many voxels along a side: rays and walls then cost a tenth."""
+    from_scene = NavigableSpace.from_scene
+
+    def coarser(g: Gaussians, **options: Any) -> NavigableSpace:
+        return from_scene(g, **{**options, "resolution": min(options.get("resolution", most), most)})
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(NavigableSpace, "from_scene", staticmethod(coarser))
         yield
 
 

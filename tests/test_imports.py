@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -39,6 +40,8 @@ ROOMS = (
 NOT_NAMES = ("util", "helper", "manager", "common", "misc")
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
+Statement = ast.Import | ast.ImportFrom
+
 
 def name_of(path: Path) -> str:
     parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
@@ -51,13 +54,21 @@ def room_of(module: str) -> str | None:
     return parts[1] if len(parts) > 1 else None
 
 
+@cache
+def statements(path: Path) -> tuple[tuple[Statement, ...], tuple[Statement, ...]]:
+    """Import statements of a module: all, and those at its top."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    every, top = (tuple(node for node in nodes if isinstance(node, Statement)) for nodes in (ast.walk(tree), tree.body))
+    return every, top
+
+
 def imported(path: Path) -> Iterator[str]:
     """Full names of all that a module imports from gsvis, at its top, in functions and under conditions."""
     package = name_of(path).split(".") if path.stem == "__init__" else name_of(path).split(".")[:-1]
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in statements(path)[0]:
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names if alias.name.split(".")[0] == "gsvis")
-        elif isinstance(node, ast.ImportFrom):
+        else:
             base = package[: len(package) - node.level + 1] if node.level else []
             source = ".".join([*base, *(node.module or "").split(".")]).rstrip(".")
             if source == "gsvis":  # `from gsvis import io` names rooms
@@ -81,10 +92,10 @@ def test_a_module_imports_only_from_rooms_above_it(path: Path) -> None:
 def named(path: Path) -> Iterator[str]:
     """Full names of all that a module imports from gsvis, with the names taken from modules."""
     package = name_of(path).split(".") if path.stem == "__init__" else name_of(path).split(".")[:-1]
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in statements(path)[0]:
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
+        else:
             base = package[: len(package) - node.level + 1] if node.level else []
             source = ".".join([*base, *(node.module or "").split(".")]).rstrip(".")
             yield from (f"{source}.{alias.name}" for alias in node.names)
@@ -137,7 +148,7 @@ def test_no_modules_import_each_other_in_a_circle() -> None:
     every = {name_of(path) for path in MODULES}
     for path in MODULES:
         found: set[str] = set()
-        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        for node in statements(path)[1]:
             names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
             if isinstance(node, ast.ImportFrom) and node.module:
                 full = ((f"{node.module}.{a.name}", node.module) for a in node.names)

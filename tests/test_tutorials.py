@@ -6,7 +6,6 @@ import json
 import re
 import shlex
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ import pytest
 
 from gsvis.cli import main, parse
 from gsvis.scene.procedural import BUILTIN_SCENES, two_rooms
+from tests.few_views import take_few_views
 from tests.known_spaces import remember_spaces
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -59,24 +59,16 @@ def quicker(words: list[str]) -> list[str]:
 
 
 @pytest.fixture(autouse=True)
-def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, blank_plots: None) -> None:
+def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, blank_plots: None) -> Iterator[None]:
     """A small scene under the name that the pages use, no kernels in advance, few views, coarse grids, blank plots."""
-    from gsvis.prepare import PrepareConfig
-
     made = two_rooms(1000, sh_degree=1)
     monkeypatch.setitem(BUILTIN_SCENES, "two_rooms", lambda: made)
     for name in ("warm_sets", "warm_levels", "warm_colors"):
         monkeypatch.setattr(f"gsvis.cli.prepare.{name}", lambda config, status: None, raising=False)
-    few = replace(PrepareConfig().cost_views, count=1, width=24, height=20)
-    before = PrepareConfig.__init__
-
-    def smaller(self: PrepareConfig, *words: Any, **named: Any) -> None:
-        before(self, *words, **{"cost_views": few, "fidelity_views": few, "level_held_out": 1, **named})
-        object.__setattr__(self, "colors", replace(self.colors, views=few))
-
-    monkeypatch.setattr(PrepareConfig, "__init__", smaller)
     monkeypatch.setattr("gsvis.edit.shape._VOXELS", 1 << 18)
     monkeypatch.chdir(tmp_path)
+    with take_few_views():
+        yield
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -33,7 +33,11 @@ from _harness import write_result  # noqa: E402
 
 MODULES = {
     "gsvis/color/srbf.py": ("tests/color/test_evaluate.py", "tests/color/test_to_sh.py", "tests/color/test_fit.py"),
-    "gsvis/color/reference.py": ("tests/color/test_evaluate.py", "tests/color/test_omp.py"),
+    "gsvis/color/reference.py": (
+        "tests/color/test_evaluate.py",
+        "tests/color/test_omp.py",
+        "tests/color/test_fit.py",
+    ),
     "gsvis/color/spaces.py": ("tests/color/test_spaces.py", "tests/color/test_evaluate.py"),
     "gsvis/color/activation.py": ("tests/color/test_activation.py",),
     "gsvis/color/epsilon.py": ("tests/color/test_epsilon.py",),
@@ -108,7 +112,7 @@ def apply_mutation(source: str, operator: str, occurrence: int) -> str | None:
 
 
 def meaning(source: str) -> str:
-    """Return a dump of the source without annotations and docstrings: what a run can notice."""
+    """Return a dump of the source without annotations, docstrings and overloads: what a run can notice."""
     tree = ast.parse(source)
     for node in ast.walk(tree):
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
@@ -120,9 +124,16 @@ def meaning(source: str) -> str:
         body = getattr(node, "body", None)
         if isinstance(body, list):
             node.body = [  # type: ignore[attr-defined]
-                one for one in body if not (isinstance(one, ast.Expr) and isinstance(one.value, ast.Constant))
+                one for one in body if not says_nothing(one)
             ] or [ast.Pass()]
     return ast.dump(tree)
+
+
+def says_nothing(node: ast.stmt) -> bool:
+    """Return whether a statement is a constant or a function of constants: docstrings and overloads are."""
+    if isinstance(node, ast.FunctionDef):
+        return all(says_nothing(one) for one in node.body)
+    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
 
 
 class Runner:

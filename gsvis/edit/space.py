@@ -17,11 +17,12 @@ from gsvis import _check
 from gsvis._extras import require
 from gsvis.io.voxels import Voxels
 from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.similarity import upright_matrix
 
 if TYPE_CHECKING:
     import trimesh
 
-__all__ = ["Frame", "SpaceMeshes", "mesh_space", "solid_voxels", "upright_matrix"]
+__all__ = ["Frame", "SpaceMeshes", "mesh_space", "solid_voxels"]
 
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -91,19 +92,6 @@ def mesh_space(space: NavigableSpace, *, frame: Frame = "upright", meters_per_un
     for mesh in (navigable, surface):
         mesh.apply_transform(matrix)
     return SpaceMeshes(navigable, surface, matrix)
-
-
-def upright_matrix(up: F64, meters_per_unit: float = 1.0) -> F64:
-    """Return the (4, 4) matrix that turns an up axis (3,) to +y by the shortest way and scales."""
-    a, b = np.asarray(up, np.float64) / np.linalg.norm(up), np.array([0.0, 1.0, 0.0])
-    turn = np.diag([1.0, -1.0, -1.0])  # half a turn about x, if the axis is -y
-    if a @ b > -1.0 + 1e-12:
-        v = np.cross(a, b)
-        cross = np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
-        turn = np.eye(3) + cross + cross @ cross / (1.0 + a @ b)
-    matrix = np.eye(4)
-    matrix[:3, :3] = meters_per_unit * turn
-    return matrix
 
 
 def _boundary(inside: Mask, space: NavigableSpace) -> trimesh.Trimesh:

@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis import _check
-from gsvis.edit.space import upright_matrix
 from gsvis.errors import SceneError
 from gsvis.export.leaves import LEAF, Leaves, cut_leaves
 from gsvis.export.levels import Known, ever_seen, open_levels
@@ -32,6 +31,7 @@ from gsvis.progress import Progress, silent
 from gsvis.pvs.store import VisibilityStore
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
+from gsvis.scene.similarity import upright_matrix
 
 __all__ = ["GlbReport", "TilesOptions", "TilesReport", "check_tiles_target", "write_glb", "write_tiles"]
 

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from gsvis import _check
 from gsvis.scene.gaussians import quats_from_rotations, rotations_from_quats
 
-__all__ = ["Similarity"]
+__all__ = ["Similarity", "upright_matrix"]
 
 F64 = NDArray[np.float64]
 
@@ -99,3 +99,16 @@ class Similarity:
     def as_dict(self) -> dict[str, Any]:
         """Return plain numbers and lists, ready for JSON."""
         return {"scale": self.scale, "quat": self.quat.tolist(), "translation": self.translation.tolist()}
+
+
+def upright_matrix(up: F64, meters_per_unit: float = 1.0) -> F64:
+    """Return the (4, 4) matrix that turns an up axis (3,) to +y by the shortest way and scales."""
+    a, b = np.asarray(up, np.float64) / np.linalg.norm(up), np.array([0.0, 1.0, 0.0])
+    turn = np.diag([1.0, -1.0, -1.0])  # half a turn about x, if the axis is -y
+    if a @ b > -1.0 + 1e-12:
+        v = np.cross(a, b)
+        cross = np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+        turn = np.eye(3) + cross + cross @ cross / (1.0 + a @ b)
+    matrix = np.eye(4)
+    matrix[:3, :3] = meters_per_unit * turn
+    return matrix

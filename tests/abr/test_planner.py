@@ -287,6 +287,7 @@ def test_in_view_or_not_follows_from_the_corners_of_the_image(seed) -> None:
     eye, quat = rng.normal(0, 3, 3), rng.normal(size=4)
     fov = FieldOfView(*rng.uniform(0.2, 2.0, 4), near=0.1)
     planes = fov.planes(eye, quat).astype(np.float64)
+    np.testing.assert_allclose(np.linalg.norm(planes[:, :3], axis=1), 1.0, rtol=1e-6)
     turn = rotations_from_quats(quat[None] / np.linalg.norm(quat))[0]
     local = rng.normal(0, 2, (200, 3))
     x, y, z = local.T
@@ -295,6 +296,12 @@ def test_in_view_or_not_follows_from_the_corners_of_the_image(seed) -> None:
     far = points @ planes[:, :3].T + planes[:, 3]
     sure = np.abs(far).min(axis=1) > 1e-4
     assert np.array_equal((far > 0).all(axis=1)[sure], expected[sure])
+
+
+def test_a_margin_moves_each_border_by_its_angle() -> None:
+    tangents, margin, pose = np.array([0.3, 0.9, 0.6, 1.4]), 0.2, ([1.0, -2.0, 0.5], [0.9, 0.1, -0.3, 0.2])
+    wider = FieldOfView(*np.tan(np.arctan(tangents) + margin)).planes(*pose)
+    np.testing.assert_allclose(FieldOfView(*tangents, margin=margin).planes(*pose), wider, atol=1e-6)
 
 
 def test_a_wider_margin_only_adds() -> None:

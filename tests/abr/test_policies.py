@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gsvis.abr._kernels import units as kernels
+from gsvis.abr._kernels.plan import NEVER
 from gsvis.abr.candidates import RINGS
 from gsvis.abr.index import nearest_replacements
 from gsvis.abr.policies import POLICIES, REGIMES, UtilityConfig, lowest_last, offsets, pairs, regime_of, table
@@ -49,10 +50,47 @@ def test_tables_of_the_policies() -> None:
     assert (low[1:] >= high[1:]).all()
 
 
-def test_finer_levels_in_view_wait_by_their_factor() -> None:
-    plain, later = (offsets("utility", "high", 4, UtilityConfig(finer=factor), picture=0) for factor in (1.0, 0.5))
-    assert (later - plain)[0].tolist() == [[0, 0], [0, 0], [32, 32], [32, 32]]
+@pytest.mark.parametrize("picture", [-1, 0])
+def test_finer_levels_in_view_wait_by_their_factor(picture: int) -> None:
+    plain, later = (offsets("utility", "high", 4, UtilityConfig(finer=factor), picture) for factor in (1.0, 0.5))
+    assert (later - plain)[0].tolist() == [[0, 0]] * (picture + 2) + [[32, 32]] * (2 - picture)
     assert np.array_equal(later[1:], plain[1:])
+
+
+@pytest.mark.parametrize("policy", POLICIES[:2])
+def test_each_place_of_the_two_orders_has_its_own_keys(policy: str) -> None:
+    found = offsets(policy, "medium", 3)
+    assert sorted(found.ravel() // kernels.BUCKETS) == list(range(found.size))
+    assert not (found % kernels.BUCKETS).any()
+
+
+def test_utility_adds_the_logarithms_of_its_factors() -> None:
+    """In view, out of view, ahead, and neighbors by face, edge and corner: each ring loses adjacent / peripheral."""
+    config = UtilityConfig(peripheral=2**-3, ahead=2**-4, adjacent=2**-5, terms=0.5, finer=1.0, beyond=2**-6)
+    for regime, power in (("high", 1.0), ("medium", 1.5), ("low", 2.0)):
+        found = offsets("utility", regime, 1, config)[:, 0, kernels.GEOMETRY]
+        assert found.tolist() == [32 * power * halvings for halvings in (0, 3, 4, 5, 7, 9)]
+    terms = offsets("utility", "high", 3, config)
+    assert (terms[..., kernels.TERMS] - terms[..., kernels.GEOMETRY] == 32).all()
+    for adjacent in (2**-3, 2**-2):  # a neighbor is worth what is ahead at most, and no more than what is out of view
+        near = offsets("utility", "high", 1, UtilityConfig(peripheral=2**-3, ahead=2**-4, adjacent=adjacent))
+        assert near[:, 0, kernels.GEOMETRY].tolist() == [0, 96, 128, 128, 128, 128]
+    beyond = offsets("utility", "low", 3, config) - offsets(
+        "utility", "low", 3, UtilityConfig(**{**vars(config), "beyond": 1.0})
+    )
+    assert beyond[..., kernels.GEOMETRY].tolist() == [[0, 0, 192]] + [[0, 192, 192]] * 5
+
+
+@pytest.mark.parametrize("regime", REGIMES)
+def test_of_what_ends_early_only_a_first_picture_in_view_is_sent(regime: str) -> None:
+    found = table("fov-first", regime, 3, picture=0, terms_around=True)[0].reshape(RINGS, 3, 3, 2, 2)
+    sent = found != NEVER
+    least = 2 if regime == "high" else 1
+    assert sent[0, :, least:].all()
+    assert sent[1:, :, least:, kernels.GEOMETRY].all()
+    early = sent[:, :, :least]
+    assert early[0, 0, :, kernels.GEOMETRY, kernels.INSIDE].all()
+    assert early.sum() == least
 
 
 @pytest.mark.parametrize("policy", POLICIES)

@@ -15,7 +15,6 @@ from importlib.machinery import ModuleSpec
 from io import StringIO
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 
 class Blocked:
@@ -32,13 +31,10 @@ class Blocked:
 
 def make_quick() -> None:
     """Compile nothing ahead, draw few pixels, count few voxels, and let a server end as soon as it runs."""
-    from dataclasses import replace
-
     import gsvis.cli.analyze as analyze
     import gsvis.cli.kernels as kernels
     import gsvis.cli.terminal as terminal
     import gsvis.edit.shape as shape
-    from gsvis.prepare import PrepareConfig
     from gsvis.serve import Server
 
     for name in ("warm_sets", "warm_levels", "warm_colors"):
@@ -46,19 +42,12 @@ def make_quick() -> None:
     terminal._QUIET = float("inf")
     analyze.PICTURE = 24
     shape._VOXELS = 1 << 16
-    before = PrepareConfig.__init__
     serve = Server.run
-    few = replace(PrepareConfig().cost_views, count=1, width=24, height=20)
-
-    def initialize(self: PrepareConfig, *words: Any, **named: Any) -> None:
-        before(self, *words, **{"cost_views": few, "fidelity_views": few, "level_held_out": 1, **named})
-        object.__setattr__(self, "colors", replace(self.colors, views=few))
 
     def run(self: Server) -> None:
         self.stop()  # ends as soon as it accepts
         serve(self)
 
-    PrepareConfig.__init__ = initialize  # type: ignore[method-assign]
     Server.run = run  # type: ignore[method-assign]
 
 
@@ -69,14 +58,16 @@ def main() -> None:
     from gsvis._extras import has
     from gsvis.cli import main as run
     from tests.bare_plots import draw_bare_plots
-    from tests.known_spaces import remember_spaces
+    from tests.few_views import take_few_views
+    from tests.known_spaces import coarse_spaces, remember_spaces
 
     found = []
     if has("matplotlib"):
         from gsvis.report import theme
 
         theme._DPI = 40
-    with remember_spaces(Path(folder) if folder else None), draw_bare_plots() if has("matplotlib") else nullcontext():
+    plots = draw_bare_plots() if has("matplotlib") else nullcontext()
+    with remember_spaces(Path(folder) if folder else None), coarse_spaces(), take_few_views(), plots:
         for words in json.load(sys.stdin):
             out, err = StringIO(), StringIO()
             with redirect_stdout(out), redirect_stderr(err):

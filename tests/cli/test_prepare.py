@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,7 @@ from gsvis.package import Package
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.procedural import BUILTIN_SCENES, two_rooms
+from tests.few_views import take_few_views
 from tests.scene.places import box
 
 Capture = pytest.CaptureFixture[str]
@@ -28,24 +31,14 @@ FLAT = ["--levels", "none", "--max-terms", "0"]
 
 
 @pytest.fixture(autouse=True)
-def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+def quick(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Nothing to compile, and views that do not matter."""
-    from dataclasses import replace
-
-    from gsvis.prepare import PrepareConfig
-
     made = replace(two_rooms(1000, sh_degree=1), navigable=NavigableSpace.from_box((1, 1, 1), (7, 3, 2), 12))
     monkeypatch.setitem(BUILTIN_SCENES, "wall_with_hole", lambda: made)
     for name in ("warm_sets", "warm_levels", "warm_colors"):
         monkeypatch.setattr(f"gsvis.cli.prepare.{name}", lambda config, status: None)
-    few = replace(PrepareConfig().cost_views, count=1, width=24, height=20)
-    before = PrepareConfig.__init__
-
-    def smaller(self: PrepareConfig, *words: Any, **named: Any) -> None:
-        before(self, *words, **{"cost_views": few, "fidelity_views": few, "level_held_out": 1, **named})
-        object.__setattr__(self, "colors", replace(self.colors, views=few))
-
-    monkeypatch.setattr(PrepareConfig, "__init__", smaller)
+    with take_few_views():
+        yield
 
 
 def run(capsys: Capture, *words: Any, code: int = 0) -> tuple[str, str]:

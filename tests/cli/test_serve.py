@@ -97,22 +97,21 @@ def test_a_log_of_objects(package: Path) -> None:
     assert closed["sent_bytes"] > 10_000
 
 
-REFUSED = {
-    "a control character": b"X-A: a\x01b\r\n",
-    "a long header": b"X-A: " + b"a" * 20_000 + b"\r\n",
-    "many headers": b"X-A: a\r\n" * 130,
-}
+REFUSED = (
+    b"X-A: a\x01b\r\n",  # a control character
+    b"X-A: " + b"a" * 20_000 + b"\r\n",
+    b"X-A: a\r\n" * 130,
+)
 
 
-@pytest.mark.parametrize("name", REFUSED)
-def test_refused_upgrades_do_not_spoil_its_end(package: Path, name: str) -> None:
+def test_refused_upgrades_do_not_spoil_its_end(package: Path) -> None:
     upgrade = b"Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
-    asked = b"GET /stream HTTP/1.1\r\nHost: localhost\r\n" + upgrade + REFUSED[name] + b"\r\n"
     with process(package, "--port", 0) as (running, url), ExitStack() as stack:
         port = int(url.rpartition(":")[2].partition("/")[0])
-        standing = stack.enter_context(socket.create_connection(("127.0.0.1", port), PATIENCE))
-        standing.sendall(asked)
-        answer = standing.recv(12)
+        for headers in REFUSED:
+            standing = stack.enter_context(socket.create_connection(("127.0.0.1", port), PATIENCE))
+            standing.sendall(b"GET /stream HTTP/1.1\r\nHost: localhost\r\n" + upgrade + headers + b"\r\n")
+            assert standing.recv(12).startswith(b"HTTP/1.1 4"), headers[:20]
         viewers = [stack.enter_context(connect(url, proxy=None, open_timeout=PATIENCE)) for _ in range(5)]
         for ws in viewers:
             ws.send(Hello(VIEW).to_bytes())
@@ -124,7 +123,6 @@ def test_refused_upgrades_do_not_spoil_its_end(package: Path, name: str) -> None
                     ws.recv(timeout=PATIENCE)
             assert ws.close_code == 1012
         _, said = running.communicate(timeout=PATIENCE)
-    assert answer.startswith(b"HTTP/1.1 4")
     assert running.returncode == 0
     assert "Error" not in said
 

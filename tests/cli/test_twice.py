@@ -7,7 +7,6 @@ import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -16,10 +15,11 @@ from gsvis.export.page import write_site
 from gsvis.files.resume import unseal
 from gsvis.io import save_scene
 from gsvis.io.poses import write_poses
-from gsvis.prepare import PrepareConfig
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.procedural import BUILTIN_SCENES, two_rooms
 from tests.export.viewers import viewer_of
+from tests.few_views import take_few_views
+from tests.known_spaces import coarse_spaces
 from tests.simulate.streets import walk
 from tests.train.photo_files import write_transforms
 
@@ -70,19 +70,11 @@ def known_spaces() -> None:
 
 @pytest.fixture(scope="module", autouse=True)
 def quick(tmp_path_factory: pytest.TempPathFactory) -> object:
-    """A package of few views, small pictures, a stand-in for the built viewer."""
+    """Packages of few views, small pictures, few voxels, a stand-in for the built viewer."""
     viewer = viewer_of(tmp_path_factory.mktemp("viewer") / "built")
-    few = replace(PrepareConfig().cost_views, count=1, width=24, height=20)
-    before = PrepareConfig.__init__
-
-    def smaller(self: PrepareConfig, *words: Any, **named: Any) -> None:
-        before(self, *words, **{"cost_views": few, "fidelity_views": few, "level_held_out": 1, **named})
-        object.__setattr__(self, "colors", replace(self.colors, views=few))
-
     made = replace(two_rooms(1000, sh_degree=1), navigable=NavigableSpace.from_box((1, 1, 1), (7, 3, 2), 12))
-    with pytest.MonkeyPatch.context() as patch:
+    with pytest.MonkeyPatch.context() as patch, take_few_views(), coarse_spaces():
         patch.setitem(BUILTIN_SCENES, "wall_with_hole", lambda: made)
-        patch.setattr(PrepareConfig, "__init__", smaller)
         patch.setattr("gsvis.cli.analyze.PICTURE", 24)
         patch.setattr("gsvis.edit.shape._VOXELS", 1 << 17)
         patch.setitem(write_site.__kwdefaults__, "viewer", viewer)

@@ -235,19 +235,34 @@ def test_a_contribution_is_what_evaluation_loses_without_the_term(name: str) -> 
             np.testing.assert_allclose(changed, found[left_out], atol=2e-6)
 
 
+@pytest.mark.parametrize("scale", [2.5, 1e-3])
 @pytest.mark.parametrize(
-    ("variant", "intensity", "change"),
+    ("variant", "change"),
     [
-        ("yuv", (0.1,), 2.5 * 0.03),  # luma moves all channels alike, scaled
-        ("hsl-l", (0.1,), 2.5 * 0.03 * 1.5),  # the largest channel is L + S min(L, 1 - L): slope 1 + S
-        ("hsv", (0.1,), 2.5 * 0.03),  # the largest channel is V
+        ("yuv", 0.03),  # luma moves all channels alike, scaled
+        ("hsl-l", 0.03 * 1.5),  # the largest channel is L + S min(L, 1 - L): slope 1 + S
+        ("hsv", 0.03),  # the largest channel is V
     ],
 )
-def test_a_term_in_a_box_is_bounded_by_what_its_space_lets_it_change(
-    variant: str, intensity: tuple[float, ...], change: float
-) -> None:
+def test_a_term_in_a_box_is_bounded_by_what_its_space_lets_it_change(variant: str, change: float, scale: float) -> None:
     base = [0.3, 0.5, 0.3]  # a term multiplies its component: 0.1 of 0.3
-    lobe = SrbfColors(variant, [base], [2.5], np.zeros((1, 0, 3)), [0, 1], [0], [[0, 0]], [1e3], [intensity])
+    lobe = SrbfColors(variant, [base], [scale], np.zeros((1, 0, 3)), [0, 1], [0], [[0, 0]], [1e3], [[0.1]])
     box = [0.0, 0.0, -1.0], [0.0, 0.0, -1.0]  # the eye stands where the lobe is largest
-    assert active_in_box(lobe, [[0, 0, 0]], *box, 0.99 * change).tolist() == [True]
-    assert active_in_box(lobe, [[0, 0, 0]], *box, 1.01 * change).tolist() == [False]
+    assert active_in_box(lobe, [[0, 0, 0]], *box, 0.99 * scale * change).tolist() == [True]
+    assert active_in_box(lobe, [[0, 0, 0]], *box, 1.01 * scale * change).tolist() == [False]
+
+
+@pytest.mark.parametrize("name", ["yuv", "hsl-l", "hsv"])
+def test_a_box_misses_no_term_of_a_color_whose_steps_are_larger_than_the_threshold(name: str) -> None:
+    """A step of float32 at a scale of 1000 is about 3e-5: what evaluation finds is a multiple of it."""
+    rng, count, scale, epsilon = np.random.default_rng(19), 300, 1000.0, 2e-5
+    base, (component,) = rng.uniform(0.2, 0.8, (count, 3)), VARIANTS[name].components
+    changes = rng.uniform(0.2, 0.9, count) * epsilon / scale  # below the threshold, before they are rounded
+    colors = SrbfColors(
+        name, base, np.full(count, scale), np.zeros((count, 0, 3)), np.arange(count + 1), np.zeros(count, int),
+        np.zeros((count, 2)), np.full(count, 5.0), (changes / base[:, component])[:, None],
+    )  # fmt: skip
+    activation, eye = Activation(colors, np.zeros((count, 3)), epsilon), [0.0, 0.0, -1.0]
+    exact = activation.active(eye)
+    assert exact.any()
+    assert not (exact & ~activation.active_in_box(eye, eye)).any()

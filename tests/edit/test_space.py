@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from gsvis.edit.space import mesh_space, solid_voxels, upright_matrix
+from gsvis.edit.space import mesh_space, solid_voxels
 from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.similarity import upright_matrix
 
 pytest.importorskip("skimage", reason="needs scikit-image")
 

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numba import get_num_threads
+from numpy.typing import NDArray
 
 from gsvis.hpr import hidden_point_removal, operator
 from gsvis.hpr.reference import hidden_point_removal_reference
 from gsvis.io import load_scene
+from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 
 KINDS = ("ball", "box", "shell", "shell from outside", "plane", "room", "float32", "line of balls", "far outlier")
@@ -85,11 +89,17 @@ def test_lattices_with_many_coincident_points_agree_by_position(seed: int, step:
     assert np.array_equal(ours, theirs)
 
 
+@pytest.fixture(scope="module")
+def showroom(realdata: Path) -> tuple[Gaussians, NDArray[np.float64]]:
+    """A real scene and an eye in it."""
+    g = load_scene(realdata / "scenes/showroom/lod-meta.json", lod=3)
+    return g, NavigableSpace.from_scene(g).sample_viewpoints(1, np.random.default_rng(5))[0]
+
+
 @pytest.mark.realdata
 @pytest.mark.parametrize("times", [1.0, 30.0, 1000.0])
-def test_the_set_of_a_real_scene_is_open3ds(realdata, times: float) -> None:
-    g = load_scene(realdata / "scenes/showroom/lod-meta.json", lod=3)
-    eye = NavigableSpace.from_scene(g).sample_viewpoints(1, np.random.default_rng(5))[0]
+def test_the_set_of_a_real_scene_is_open3ds(showroom: tuple[Gaussians, NDArray[np.float64]], times: float) -> None:
+    g, eye = showroom
     points = g.means[:: int(np.sqrt(times))].astype(np.float64)
     radius = times * farthest(points, eye)
     ours, theirs = hidden_point_removal(points, eye, radius), by_open3d(points, eye, radius)

@@ -348,11 +348,14 @@ def test_a_store_knows_its_scene(tmp_path: Path) -> None:
     path = tmp_path / "x.pvs"
     scene = random_scene(np.random.default_rng(0), 90, 1)
     truth_of(90, 4, 0.3, seed=2).write(path, scene_hash(scene)).close()
-    VisibilityStore.open(path, scene=scene).close()
     turned = scene[::-1]
-    for other, message in ((turned, "a store of scene"), (scene[:50], "a store of 50 Gaussians, got one of 90")):
-        with pytest.raises(FormatError, match=message):
-            VisibilityStore.open(path, scene=other)
+    with VisibilityStore.open(path, scene=scene) as store:  # it knows this scene, and refuses others still
+        for other, message in ((turned, "a store of scene"), (scene[:50], "a store of 50 Gaussians, got one of 90")):
+            with pytest.raises(FormatError, match=message):
+                VisibilityStore.open(path, scene=other)
+            with pytest.raises(FormatError, match=message):
+                store.check_scene(other)
+        store.check_scene(scene)
 
 
 def test_the_hash_is_of_the_content_alone() -> None:

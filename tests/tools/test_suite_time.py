@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.longest import LONGEST
+
 TOOL = Path(__file__).parents[2] / "tools" / "suite_time.py"
 TESTS = """
 import subprocess, sys, time
@@ -41,3 +43,9 @@ def test_files_and_their_children_are_counted(tmp_path: Path, wrong: int) -> Non
     assert children >= 0.3
     assert every >= children + 0.3 - 0.1  # rounded to tenths
     assert re.search(r"^\d+ s of the processor, \d+ s passed$", done.stdout, flags=re.MULTILINE)
+
+
+def test_the_longest_files_are_files_of_tests() -> None:
+    assert len(set(LONGEST)) == len(LONGEST)
+    for name in LONGEST:
+        assert (Path(__file__).parents[1] / name).is_file(), name

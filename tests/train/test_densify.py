@@ -97,6 +97,7 @@ def test_gradients_are_in_half_image_sizes() -> None:
 def test_faint_and_after_a_reset_huge_ones_go() -> None:
     densifier, p = make([0.05, 20.0, 0.05], [0.001, 0.5, 0.5])
     assert refine(densifier) == (0, 1)
+    assert refine(make([0.05, 20.0, 0.05], reset_every=20)[0]) == (0, 0)  # no reset yet
     densifier, p = make([0.05, 20.0, 0.05], [0.5, 0.5, 0.5], reset_every=9)
     assert refine(densifier) == (0, 1)
     assert torch.equal(p.values["means"][:, 0].detach(), torch.tensor([0.0, 6.0]))
@@ -119,6 +120,7 @@ def test_frozen_ones_are_cloned_but_never_split_pruned_or_reset() -> None:
     assert added == 2
     for name, value in p.values.items():
         assert torch.equal(value[:2], before[name])
+    assert p.gaussians().opacities[-1] == pytest.approx(0.05)  # the clone of one that cannot make room
 
 
 @pytest.mark.parametrize("step", [0, 5, 11, 110])

@@ -185,8 +185,9 @@ def test_pruning_refuses() -> None:
             prune(g, cameras, counts)
     with pytest.raises(ValueError, match=r"^counts: expected an integer of at least 1"):
         prune(g, cameras, (0,))
-    with pytest.raises(ValueError, match=r"^share: expected a value in \(0, 1\), got 1.0"):
-        prune(g, cameras, (5,), share=1.0)
+    for share in (1.0, 0.0, -0.5, np.nan):
+        with pytest.raises(ValueError, match=rf"^share: expected a value in \(0, 1\), got {share}"):
+            prune(g, cameras, (5,), share=share)
     with pytest.raises(ValueError, match=r"^looks: expected an integer of at least 1"):
         prune(g, cameras, (5,), looks=0)
 
@@ -232,6 +233,8 @@ def test_rounds_that_were_finished_are_not_looked_at_again(looks: int | None, tm
     [
         {"rounds": np.array([9])},
         {"rounds": np.array([0])},
+        {"rounds": np.array([2, 2])},
+        {"rounds": np.array([2.0])},
         {"left": np.zeros(3, np.int64)},
         {"left": np.full(150, 7)},
         {"values": np.zeros(3)},

@@ -15,7 +15,12 @@ from typing import Any
 import pytest
 
 ROOT = Path(__file__).parents[2]
-FLAGS = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
+FLAGS = (
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--ignore-gpu-blocklist",
+    "--disable-gpu-rasterization",
+)
 MEASURED = ("--enable-blink-features=ForceEagerMeasureMemory",)  # for `measureUserAgentSpecificMemory` without a wait
 
 
@@ -63,21 +68,36 @@ def served(folder: Path) -> Iterator[str]:
 
 
 @contextmanager
-def browser_page(
-    address: str, *, flags: tuple[str, ...] = (*FLAGS, *MEASURED), **context: Any
-) -> Iterator[tuple[Any, list[str]]]:
-    """Open an address; gives the page and what it says on its console, errors included."""
+def running(flags: tuple[str, ...] = FLAGS) -> Iterator[Any]:
+    """Start Chromium; gives the browser."""
     path = chromium()
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=path, args=list(flags))
         try:
-            page = browser.new_context(**context).new_page()
-            said: list[str] = []
-            page.on("console", lambda message: said.append(f"{message.type}: {message.text}"))
-            page.on("pageerror", lambda error: said.append(f"error: {error}"))
-            page.goto(address)
-            yield page, said
+            yield browser
         finally:
             browser.close()
+
+
+@contextmanager
+def page_in(browser: Any, address: str, **context: Any) -> Iterator[tuple[Any, list[str]]]:
+    """Open an address in a context of its own; gives the page and what it says on its console, errors included."""
+    opened = browser.new_context(**context)
+    try:
+        page = opened.new_page()
+        said: list[str] = []
+        page.on("console", lambda message: said.append(f"{message.type}: {message.text}"))
+        page.on("pageerror", lambda error: said.append(f"error: {error}"))
+        page.goto(address)
+        yield page, said
+    finally:
+        opened.close()
+
+
+@contextmanager
+def browser_page(address: str, **context: Any) -> Iterator[tuple[Any, list[str]]]:
+    """Open an address in a browser of its own, which can measure its memory; gives what `page_in` does."""
+    with running((*FLAGS, *MEASURED)) as browser, page_in(browser, address, **context) as found:
+        yield found

@@ -8,7 +8,7 @@ from __future__ import annotations
 import struct
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from gsvis.scene.procedural import two_rooms
 from gsvis.stream.wire import ServerFault
 from tests.serve.servers import PATIENCE, serving
 from tests.stream.worlds import package_of
-from tests.viewer.browser import browser_page, chromium, served, viewer_files
+from tests.viewer.browser import chromium, page_in, served, viewer_files
 
 pytestmark = pytest.mark.slow
 SMALL: dict[str, Any] = {"viewport": {"width": 240, "height": 160}}
@@ -68,11 +68,11 @@ def talker(answer: Callable[[ServerConnection], None]) -> Iterator[str]:
         server.shutdown()
 
 
-def test_a_server_that_comes_back_after_minutes_goes_on(package: Path) -> None:
+def test_a_server_that_comes_back_after_minutes_goes_on(browser: Any, package: Path) -> None:
     with serving(package) as server:
         address = page_of(server.url)
         port = int(server.url.split(":")[2].split("/")[0])
-        with browser_page(address, **SMALL) as (page, _):
+        with page_in(browser, address, **SMALL) as (page, _):
             wait(page, DRAWN)
             page.clock.install()
             server.stop()
@@ -85,7 +85,7 @@ def test_a_server_that_comes_back_after_minutes_goes_on(package: Path) -> None:
                 say(page, "Connected again.")
 
 
-def test_another_version_of_the_wire_is_said_and_a_later_try_can_help(package: Path) -> None:
+def test_another_version_of_the_wire_is_said_and_a_later_try_can_help(browser: Any, package: Path) -> None:
     def old(client: ServerConnection) -> None:
         client.recv(timeout=PATIENCE)
         client.send(ServerFault(2, "this server speaks version 9").to_bytes())
@@ -93,30 +93,30 @@ def test_another_version_of_the_wire_is_said_and_a_later_try_can_help(package: P
 
     with serving(package) as server, talker(old) as stream:
         address = f"{page_of(server.url)}?content={stream}"
-        with browser_page(address, **SMALL, bypass_csp=True) as (page, _):
+        with page_in(browser, address, **SMALL, bypass_csp=True) as (page, _):
             say(page, "Viewer and server differ in version")
             assert "version 9" in page.locator(".card code").text_content()
             assert page.get_by_role("button", name="Try again").is_visible()
 
 
-def test_noise_instead_of_a_stream_is_given_up_in_words(package: Path) -> None:
+def test_noise_instead_of_a_stream_is_given_up_in_words(browser: Any, package: Path) -> None:
     def noisy(client: ServerConnection) -> None:
         client.recv(timeout=PATIENCE)
         client.send(struct.pack("<BI", 77, 5))
 
     with serving(package) as server, talker(noisy) as stream:
         address = f"{page_of(server.url)}?content={stream}"
-        with browser_page(address, **SMALL, bypass_csp=True) as (page, _):
+        with page_in(browser, address, **SMALL, bypass_csp=True) as (page, _):
             say(page, "Viewer and server do not understand each other.")
             assert "does not understand" in page.locator(".card code").text_content()
             assert page.inner_text(".toast") == ""  # nothing is connected again
 
 
-def test_a_token_that_no_longer_counts_can_be_entered_anew(package: Path) -> None:
+def test_a_token_that_no_longer_counts_can_be_entered_anew(browser: Any, package: Path) -> None:
     with serving(package, token="earlier") as server:
         address = page_of(server.url)
         port = int(server.url.split(":")[2].split("/")[0])
-        with browser_page(f"{address}?token=earlier", **SMALL) as (page, _):
+        with page_in(browser, f"{address}?token=earlier", **SMALL) as (page, _):
             wait(page, DRAWN)
             assert "token" not in page.url
             server.stop()
@@ -130,15 +130,15 @@ def test_a_token_that_no_longer_counts_can_be_entered_anew(package: Path) -> Non
                 assert "later" not in page.url
 
 
-def test_without_webgl2_the_page_says_what_is_needed(package: Path) -> None:
-    blind = ("--disable-gpu", "--disable-3d-apis")
-    with serving(package) as server, browser_page(page_of(server.url), flags=blind, **SMALL) as (page, _):
+def test_without_webgl2_the_page_says_what_is_needed(browser: Any, package: Path) -> None:
+    blind = browser.browser_type.launch(executable_path=chromium(), args=["--disable-gpu", "--disable-3d-apis"])
+    with closing(blind), serving(package) as server, page_in(blind, page_of(server.url), **SMALL) as (page, _):
         say(page, "This browser cannot draw the scene")
         assert page.inner_text(".state") == "Stopped"
 
 
-def test_a_lost_picture_is_drawn_again(package: Path) -> None:
-    with serving(package) as server, browser_page(page_of(server.url), **SMALL) as (page, said):
+def test_a_lost_picture_is_drawn_again(browser: Any, package: Path) -> None:
+    with serving(package) as server, page_in(browser, page_of(server.url), **SMALL) as (page, said):
         wait(page, DRAWN)
         page.evaluate("""() => {
             const gl = document.querySelector('canvas').getContext('webgl2');
@@ -154,7 +154,7 @@ def test_a_lost_picture_is_drawn_again(package: Path) -> None:
 
 
 @pytest.mark.parametrize("harm", ["missing", "cut"])
-def test_a_part_that_is_gone_or_cut_is_named_and_the_rest_is_drawn(harm: str, tmp_path: Path) -> None:
+def test_a_part_that_is_gone_or_cut_is_named_and_the_rest_is_drawn(browser: Any, harm: str, tmp_path: Path) -> None:
     viewer, _ = viewer_files(), chromium()
     with package_of(tmp_path / "s.gsvis", 800) as package:
         made = write_site(tmp_path / "site", package, viewer=viewer)
@@ -163,24 +163,24 @@ def test_a_part_that_is_gone_or_cut_is_named_and_the_rest_is_drawn(harm: str, tm
         part.unlink()
     else:
         part.write_bytes(part.read_bytes()[:-9])
-    with ranges(tmp_path / "site") as address, browser_page(f"{address}/index.html", **SMALL) as (page, _):
+    with ranges(tmp_path / "site") as address, page_in(browser, f"{address}/index.html", **SMALL) as (page, _):
         say(page, part.name)
         wait(page, DRAWN)
         assert page.locator(".card").is_hidden()
 
 
-def test_a_view_out_of_sight_says_so_and_leads_back(site: Path) -> None:
+def test_a_view_out_of_sight_says_so_and_leads_back(browser: Any, site: Path) -> None:
     with served(site) as address:
         away = f"{address}/index.html#eye=9000,9000,9000&to=9999,9999,9999&fov=20"
-        with browser_page(away, **SMALL) as (page, _):
+        with page_in(browser, away, **SMALL) as (page, _):
             say(page, "Nothing of the scene can be seen from here.")
             page.keyboard.press("r")
             page.keyboard.press("t")
             wait(page, "() => /[1-9]/.test(document.querySelector('[data-figure=drawn]').textContent)")
 
 
-def test_a_name_with_markup_is_text_everywhere(site: Path) -> None:
-    with served(site) as address, browser_page(f"{address}/index.html", **SMALL) as (page, said):
+def test_a_name_with_markup_is_text_everywhere(browser: Any, site: Path) -> None:
+    with served(site) as address, page_in(browser, f"{address}/index.html", **SMALL) as (page, said):
         wait(page, DRAWN)
         assert page.inner_text("h1") == HOSTILE
         assert page.title() == f"{HOSTILE} · gsvis"

@@ -12,7 +12,7 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.procedural import two_rooms
 from tests.serve.servers import PATIENCE
 from tests.stream.worlds import package_of
-from tests.viewer.browser import browser_page, chromium, served, viewer_files
+from tests.viewer.browser import page_in, served, viewer_files
 
 ARRIVED = "All that can be seen from here has arrived."
 
@@ -26,30 +26,30 @@ def wait_for(page: Any, text: str) -> None:
     page.wait_for_function("text => document.body.textContent.includes(text)", arg=text, timeout=1000 * PATIENCE)
 
 
-def test_a_site_shows_its_scene_from_a_server_without_ranges(scene: Gaussians, tmp_path: Path) -> None:
-    viewer, _ = viewer_files(), chromium()
+def test_a_site_shows_its_scene_from_a_server_without_ranges(browser: Any, scene: Gaussians, tmp_path: Path) -> None:
+    viewer = viewer_files()
     write_site(tmp_path, scene, StaticOptions(name="Two <b>rooms</b>"), viewer=viewer)
-    with served(tmp_path) as address, browser_page(address + "/index.html") as (page, said):
+    with served(tmp_path) as address, page_in(browser, address + "/index.html") as (page, said):
         wait_for(page, ARRIVED)
         assert page.title() == "Two <b>rooms</b> · gsvis"
         assert said == []
 
 
-def test_a_package_as_a_site_names_what_is_missing_and_shows_the_rest(tmp_path: Path) -> None:
-    viewer, _ = viewer_files(), chromium()
+def test_a_package_as_a_site_names_what_is_missing_and_shows_the_rest(browser: Any, tmp_path: Path) -> None:
+    viewer = viewer_files()
     with package_of(tmp_path / "s.gsvis", 400) as package:
         made = write_site(tmp_path / "site", package, viewer=viewer)
     (made.scene.path / made.scene.files["terms"].name).unlink()
-    with served(tmp_path / "site") as address, browser_page(address + "/index.html") as (page, said):
+    with served(tmp_path / "site") as address, page_in(browser, address + "/index.html") as (page, said):
         wait_for(page, ARRIVED)
         assert all("404" in each for each in said)  # what the browser itself says of a missing file
 
 
-def test_one_file_opens_from_disk(scene: Gaussians, tmp_path: Path) -> None:
-    viewer, _ = viewer_files(), chromium()
+def test_one_file_opens_from_disk(browser: Any, scene: Gaussians, tmp_path: Path) -> None:
+    viewer = viewer_files()
     write_html(tmp_path / "rooms.html", scene, viewer=viewer)
     asked: list[str] = []
-    with browser_page((tmp_path / "rooms.html").as_uri()) as (page, said):
+    with page_in(browser, (tmp_path / "rooms.html").as_uri()) as (page, said):
         page.on("request", lambda request: asked.append(request.url))
         wait_for(page, ARRIVED)
         assert said == []

@@ -5,8 +5,6 @@ Needs Chromium, playwright, node and the packages of viewer/; skips with a reaso
 
 from __future__ import annotations
 
-import os
-import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -14,6 +12,7 @@ from typing import Any
 import pytest
 
 from tests.serve.servers import PATIENCE
+from tests.viewer.browser import running
 from tests.viewer.gestures import drag, eye, hold, mode, motion, motion_of_tour, rest
 from tests.viewer.page_server import AXE, HOSTILE, OUTSIDE, VIEWER, build_page, serve_page
 
@@ -29,14 +28,8 @@ READY = """() => document.documentElement.dataset.state === 'streaming' && locat
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     """Chromium without a GPU: nothing here draws with WebGL, and software in its place costs most of a test."""
-    api = pytest.importorskip("playwright.sync_api", reason="no playwright: pip install playwright")
-    path = os.environ.get("GSVIS_CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
-    if not path:
-        pytest.skip("no Chromium: install it, or set GSVIS_CHROMIUM to its path")
-    with api.sync_playwright() as playwright:
-        started = playwright.chromium.launch(executable_path=path, args=["--disable-gpu"])
+    with running(("--disable-gpu",)) as started:
         yield started
-        started.close()
 
 
 @pytest.fixture(scope="module")

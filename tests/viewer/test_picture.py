@@ -24,7 +24,7 @@ from gsvis.scene.sh import SH_C0
 from tests.color.samples import random_colors
 from tests.package.worlds import on_lattice
 from tests.viewer.batches import Batches, camera_dicts
-from tests.viewer.browser import browser_page, served, viewer_files
+from tests.viewer.browser import page_in, served, viewer_files
 
 F32 = NDArray[np.float32]
 COUNT, WIDTH, HEIGHT = 12_000, 240, 160
@@ -83,8 +83,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def opened(folder: Path) -> Iterator[Any]:
-    with served(folder) as address, browser_page(f"{address}/picture.html") as (page, said):
+def opened(browser: Any, folder: Path) -> Iterator[Any]:
+    with served(folder) as address, page_in(browser, f"{address}/picture.html") as (page, said):
         page.wait_for_function("window.ready")
         yield page
         assert said == []

@@ -19,7 +19,7 @@ from gsvis.export import write_site
 from tests.serve.nginx import NGINX, free_port, nginx
 from tests.serve.servers import PATIENCE, serving, until
 from tests.stream.worlds import package_of
-from tests.viewer.browser import FLAGS, chromium, served, viewer_files
+from tests.viewer.browser import served, viewer_files
 
 pytestmark = pytest.mark.slow
 WAIT = 1000 * PATIENCE
@@ -61,17 +61,6 @@ Object.defineProperty(navigator, "xr", { value: {
     isSessionSupported: async (mode) => mode === "immersive-vr", requestSession: async () => new Session(),
 } });
 """
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    path = chromium()
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as playwright:
-        started = playwright.chromium.launch(executable_path=path, args=list(FLAGS))
-        yield started
-        started.close()
 
 
 @pytest.fixture

@@ -16,11 +16,20 @@ import type { Batch, Header } from "../src/core/types.ts";
 
 const say = (event: Record<string, unknown>) => process.stdout.write(`${JSON.stringify(event)}\n`);
 
+let last: WebSocket | null = null;
+
 /** A WebSocket that closes when it could not connect, as in a browser: node 20 only tells of the error. */
 function connect(url: string): Socket {
-  const socket = new WebSocket(url) as unknown as Socket & EventTarget;
+  const socket = last = new WebSocket(url);
   socket.addEventListener("error", () => socket.onclose?.({ code: 1006, reason: "" } as CloseEvent));
-  return socket;
+  return socket as unknown as Socket;
+}
+
+/** End once the server has heard that the client leaves. */
+function leave(): void {
+  const end = () => process.exit(0);
+  if (last === null || last.readyState === WebSocket.CLOSED) end();
+  else for (const event of ["close", "error"]) last.addEventListener(event, end);
 }
 
 /** A Worker of this thread: what passes is copied or moved as between threads. */
@@ -94,7 +103,7 @@ function stream(url: string, out: string, token: string | undefined, memory: num
     if (order !== "end") return;
     writeFileSync(out, JSON.stringify(kept.drawn([0.25, -1.5, 0.5])));
     source.close();
-    setTimeout(() => process.exit(0), 300);
+    leave();
   });
 }
 
