@@ -32,4 +32,4 @@ def items_of(contents: Contents, blocks: Blocks) -> NDArray[np.int64]:
     owners = np.repeat(blocks.of_ids, contents.term_counts).astype(np.int64)
     places = np.arange(len(owners)) - np.repeat(contents.term_offsets[:-1], contents.term_counts)
     facing = np.argmax(unit_vectors(contents.colors().dequantize().centers) @ _CORNERS.T, axis=1)
-    return owners + len(blocks) * np.where(places < _FIRST, 0, 1 + facing)
+    return np.asarray(owners + len(blocks) * np.where(places < _FIRST, 0, 1 + facing), np.int64)
