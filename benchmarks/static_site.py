@@ -3,15 +3,16 @@
 Both send to an eye that stands still in a cell, over a link of 10 Mbit/s with a round trip of 40 ms. The server is a
 `Session` whose messages are acknowledged when they have arrived. The static side is the page's own reader (TypeScript,
 run by node) with files behind a simulated link: scene.json, tables and rows of cells count as well as records. Bytes
-are those of messages and of the bodies of answers; headers of HTTP are not counted, but requests are. Centers of cells
-from which the cell's own set does not draw the scene at 40 dB (they may lie in furniture) are left out.
+are those of messages and of the bodies of answers; headers of HTTP are not counted, but requests are. A Gaussian has
+the color of those of its terms that have come. Centers of cells from which the cell's own set does not draw the scene
+at 40 dB (they may lie in furniture) are left out.
 
 Given: a package with visible sets (--package), --eyes centers of cells and directions drawn by --seed.
 Measured: bytes until the image of what has come reaches 35 dB (25 and 30 too) against that of all that the package
     holds in its highest level with all terms, 320 x 224, 90 degrees wide; their ratio; requests. Bytes until the first
     block has come, what is on its way beside it among them.
-Defaults chosen on: eyes of seed 3 of nika and showroom: how long what is out of view waits. The other factors are the
-    server's.
+Defaults chosen on: eyes of seed 3 of nika and showroom: how long what is out of view waits, how far spheres reach,
+    layers of terms and what they are worth. The other factors are the server's.
 """
 
 from __future__ import annotations
@@ -47,24 +48,18 @@ VIEWER = Path(__file__).resolve().parents[1] / "viewer"
 class Eye:
     """A view of a package, and how well a part of it draws it."""
 
-    def __init__(self, contents: Contents, camera: Cameras) -> None:
-        self.contents, self.camera = contents, camera
-        self.g = contents.gaussians()
-        colors = contents.colors().dequantize()
-        eye = camera.viewpoints[0]
-        self.full = Evaluator(colors).colors(self.g.means, eye)
-        plain = contents.gaussians().sh0[:, 0].astype(np.float64) * 0.28209479177387814 + 0.5
-        self.plain = plain.astype(np.float32)
+    def __init__(self, contents: Contents, evaluator: Evaluator, camera: Cameras) -> None:
+        self.evaluator, self.camera, self.g = evaluator, camera, contents.gaussians()
         top = contents.last == len(contents.names) - 1
-        self.reference = self.draw(top, top)
+        self.reference = self.draw(top, np.ones(len(contents.term_records), bool))
 
-    def draw(self, held: np.ndarray, colored: np.ndarray) -> np.ndarray:
-        rgb = np.where(colored[:, None], self.full, self.plain)[held]
+    def draw(self, held: np.ndarray, terms: np.ndarray) -> np.ndarray:
+        rgb = self.evaluator.colors(self.g.means, self.camera.viewpoints[0], active=terms)[held]
         image = rasterize(self.g[held], self.camera, colors=np.ascontiguousarray(rgb)).images[0]
         return np.clip(image, 0.0, 1.0)
 
-    def quality(self, held: np.ndarray, colored: np.ndarray) -> float:
-        return float(psnr(self.draw(held, colored), self.reference))
+    def quality(self, held: np.ndarray, terms: np.ndarray) -> float:
+        return float(psnr(self.draw(held, terms), self.reference))
 
 
 def first_bytes(eye: Eye, steps: list[dict[str, Any]]) -> dict[float, tuple[int, int]]:
@@ -92,14 +87,28 @@ def first_bytes(eye: Eye, steps: list[dict[str, Any]]) -> dict[float, tuple[int,
 
 
 def state_after(eye: Eye, steps: list[dict[str, Any]], last: int) -> tuple[np.ndarray, np.ndarray]:
-    n = len(eye.g)
-    held, colored, slots = np.zeros(n, bool), np.zeros(n, bool), []
+    held, terms, slots = np.zeros(len(eye.g), bool), np.zeros(eye.evaluator.source.num_terms, bool), []
     for step in steps[: last + 1]:
         slots += step["ids"]
         held[step["ids"]] = True
-        colored[[slots[s] for s in step["owners"]]] = True
+        terms[step["terms"]] = True
         held[[slots[s] for s in step["gone"]]] = False
-    return held, colored
+    return held, terms
+
+
+def name_arrivals(steps: list[dict[str, Any]], ids: np.ndarray, contents: Contents) -> None:
+    """Replace ids of the static form, and slots and records of terms, by ids of the package."""
+    padded = np.zeros((len(contents.term_records), 8), np.uint8)
+    padded[:, : contents.term_records.shape[1]] = contents.term_records
+    records, offsets, slots = padded.view("<u8")[:, 0], contents.term_offsets, []
+    for step in steps:
+        step["ids"] = ids[step["ids"]].tolist()
+        slots += step["ids"]
+        found = []
+        for slot, low, high in np.array(step["terms"], np.uint64).reshape(-1, 3).tolist():
+            first, last = offsets[slots[slot]], offsets[slots[slot] + 1]
+            found += (first + np.flatnonzero(records[first:last] == low + (high << 32))).tolist()
+        step["terms"] = found
 
 
 def stream(scene: StreamedScene, camera: Cameras, pose: dict[str, Any]) -> list[dict[str, Any]]:
@@ -124,10 +133,9 @@ def stream(scene: StreamedScene, camera: Cameras, pose: dict[str, Any]) -> list[
             continue
         fresh = batch.gaussians.tolist()
         slots.update({g: len(slots) + k for k, g in enumerate(fresh)})
-        owners = np.unique(scene.owners[batch.terms]).tolist()
         gone = [slots[g] for g in batch.dropped.tolist() if g in slots]
         row = {"bytes": int(arrived), "requests": 1, "seconds": now, "ids": fresh, "gone": gone}
-        steps.append({**row, "owners": [slots[g] for g in owners]})
+        steps.append({**row, "terms": batch.terms.tolist()})
     return steps
 
 
@@ -156,16 +164,14 @@ def main() -> None:
         contents = package.contents
         gains = gains_of_package(package, contents.gaussians())
         ids = Blocks.from_chunks(contents.table, contents.chunk_levels, gains).ids
-        for step in (step for steps in traces for step in steps):
-            step["ids"] = ids[step["ids"]].tolist()
-        scene = StreamedScene.open(package)
-        rows = []
+        scene, evaluator = StreamedScene.open(package), Evaluator(contents.colors().dequantize())
+        every, rows = np.ones(len(contents.term_records), bool), []
         for view, camera, static_steps in zip(views, cameras, traces, strict=True):
-            eye = Eye(package.contents, camera)
+            name_arrivals(static_steps, ids, contents)
+            eye = Eye(contents, evaluator, camera)
             seen = np.zeros(len(eye.g), bool)
             seen[package.visibility.visible_ids(package.visibility.cell_at(view["pose"]["position"]))] = True
-            top = package.contents.last == len(package.contents.names) - 1
-            if eye.quality(seen & top, seen & top) < 40.0:
+            if eye.quality(seen & (contents.last == len(contents.names) - 1), every) < 40.0:
                 continue
             ours = first_bytes(eye, static_steps)
             theirs = first_bytes(eye, stream(scene, camera, view["pose"]))

@@ -25,19 +25,19 @@ const shaders = {
 
 // Names of properties in the own classes of a script alone: no browser, JSON, other script or program sees them.
 const OWN = {
-  page: "answered antialiased appendMilliseconds busy calm canStandAt cellsKnown choose chosen climb corners degrees " +
-    "detailed doubleClick drag dropped east enterXr fast firstImageSeconds flyTo flying focused fovY " +
+  page: "actions answered antialiased appendMilliseconds available busy calm canStandAt cellsKnown changed choose chosen climb " +
+    "corners degrees detailed dispose doubleClick drag dropped east element enterXr fast firstImageSeconds flyTo flying focused fovY " +
     "frameMilliseconds goHome goTo gpuBytes harmonicBytes inspecting isBusy known layout levelsShown listen " +
     "makeSource makeViewer maxPixelRatio meter mostIntensity mostScale moved navigator nearest nextMode " +
     "nextPaint north offered onComplete onContent onFailure onOrder onRenumbered optionsShown " +
     "pickCenter pixelRatio placeOf problem program recycle redraw refocus reframe refresh reserve rested " +
-    "savePicture screenshot setFov setMode setOrder settled shown shows sortMilliseconds sortWorker sorting " +
+    "savePicture screenshot served setFov setMode setOrder settled shown shows sortMilliseconds sortWorker sorting " +
     "spent stale standOn statisticsShown stepView surroundings tableTexture targets termCount termsShown texels " +
     "toggleBare toggleCells toggleFull toggleInspecting toggleOptions toggleStatistics toggleTheme toggleVr " +
     "viewDependent viewer vrOffered vrOn",
-  static: "addRecords addReplaced addTerms arrivals beside chunk firstId firstSlot gainTop gains harmonicBytes isAtEnd " +
-    "isPastEnd meanRadius ranges recordStart regime resumed roundTrip setTerms shares sleep spheres sums sweep symbol " +
-    "termStart throughput",
+  static: "addRecords addTerms arrivals beside blocks chunk events firstId firstSlot gainTop gains harmonicBytes isAtEnd " +
+    "isPastEnd items layers lowest meanRadius needs ranges recordStart regime resumed roundTrip setTerms sleep spheres sums " +
+    "sweep symbol termStart throughput",
   sort: "batches harmonicBytes idAt rowCount slotAt splat widest",
 };
 const mangleOf = (path) => {

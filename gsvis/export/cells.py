@@ -1,26 +1,28 @@
 """Rows of the cells of a static scene: for each cell the blocks that it sees, and how much each counts there.
 
 A row is a bitmap of blocks, lowest bit first; a byte for the gain of each block in it; and, where the scene has active
-terms, a byte for the share of the block's terms that are active in the cell; each row is compressed by itself. A scene
-without visible sets has one cell that sees everything.
+terms, for each layer a byte for what the block's terms there are worth in the cell; each row is compressed by itself. A
+scene without visible sets has one cell that sees everything.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.abr import AbrConfig
-from gsvis.abr.index import extents
-from gsvis.export.blocks import GAIN_STEPS, Blocks, quantize_gains
+from gsvis.abr.index import extents, nearest_replacements
+from gsvis.color.activation import Activation
+from gsvis.export.blocks import BLOCK, GAIN_STEPS, Blocks, quantize_gains
 from gsvis.export.columns import column, compress, differences
+from gsvis.export.layers import LAYERS
 from gsvis.package.package import Package
 from gsvis.progress import Progress
 from gsvis.pvs.cells import CellGrid
 from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.levels import Levels
 from gsvis.stream.scene import class_weights
 
 __all__ = ["CellRows", "rows_of_package", "rows_of_scene"]
@@ -31,6 +33,8 @@ U8 = NDArray[np.uint8]
 REPLACED = AbrConfig().replaced
 """Share of the area of its replacements after which a Gaussian is no longer drawn, as on a server."""
 
+_SPHERE = 4.0 * np.pi  # largest solid angle
+
 
 @dataclass(frozen=True, eq=False)
 class CellRows:
@@ -39,7 +43,7 @@ class CellRows:
     Attributes:
         grid: The cells; None for one cell that sees everything.
         top: Quarters of an octave of the gain that byte 255 stands for.
-        active: Whether rows have shares of active terms.
+        active: Whether rows say what terms are worth.
         rows: The row of each cell.
     """
 
@@ -76,43 +80,56 @@ def gains_of_package(package: Package, g: Gaussians) -> F64 | None:
     return found * _areas(g)
 
 
-def rows_of_package(package: Package, g: Gaussians, blocks: Blocks, progress: Progress) -> CellRows:
-    """Return a row for each cell; a Gaussian counts by its weight in the cell times its mean cross-section.
+def rows_of_package(
+    package: Package, g: Gaussians, blocks: Blocks, items: NDArray[np.int64], progress: Progress
+) -> CellRows:
+    """Return a row for each cell; a Gaussian counts by its weight times its solid angle from the middle of the cell.
 
     Args:
-        package: A package.
+        package: A package of T terms.
         g: Its decoded Gaussians.
-        blocks: Its blocks.
+        blocks: Its B blocks.
+        items: (T,) item of each term, from `items_of`.
         progress: Called with stage "sets", in cells.
     """
     if package.manifest.visibility is None:
         return rows_of_scene(g, blocks)
     sets, areas, weights = package.visibility, _areas(g), class_weights(package.visibility)
-    top = _top(blocks.sums(np.arange(len(g)), areas))
-    shares = None if package.epsilon is None else _shares(package, blocks)
+    grid, near = sets.grid, sets.grid.cell_size / 2.0
+    worth = None if package.epsilon is None else _TermWorth(package, g, items, len(blocks))
+    top = _top(np.array([BLOCK * _SPHERE]))
     rows = []
     progress("sets", 0, len(sets))
     for cell in range(len(sets)):
         ids, classes = sets.classes(cell)
-        gains = blocks.sums(ids, areas[ids] * weights[classes])
+        squared = np.square(g.means[ids] - grid.centers[cell]).sum(axis=1)
+        lights = np.zeros(len(g))
+        lights[ids] = weights[classes] * np.minimum(areas[ids] / np.maximum(squared, near * near), _SPHERE)
+        gains = blocks.sums(ids, lights[ids])
         seen = np.bincount(blocks.of_ids[ids], minlength=len(blocks)) > 0
-        of_terms = b"" if shares is None else shares(cell)[seen].tobytes()
+        of_terms = b"" if worth is None else worth.of_cell(cell, grid.centers[cell], lights)[:, seen].tobytes()
         rows.append(compress(_row(gains, top, seen), of_terms))
         progress("sets", cell + 1, len(sets))
-    return CellRows(sets.grid, top, shares is not None, tuple(rows))
+    return CellRows(grid, top, worth is not None, tuple(rows))
 
 
-def _shares(package: Package, blocks: Blocks) -> Callable[[int], U8]:
-    """Return a function of a cell: (B,) share of the terms of each block that are active there, in 255ths."""
-    contents, active = package.contents, package.active_terms
-    owners = np.repeat(blocks.of_ids, contents.term_counts)
-    totals = np.maximum(np.bincount(owners, minlength=len(blocks)), 1)
+class _TermWorth:
+    """What the items of a package are worth in its cells."""
 
-    def shares(cell: int) -> U8:
-        found = np.bincount(owners[active.active_ids(cell)], minlength=len(blocks))
-        return np.ceil(found * 255 / totals).astype(np.uint8)
+    def __init__(self, package: Package, g: Gaussians, items: NDArray[np.int64], count: int) -> None:
+        contents, self._active = package.contents, package.active_terms
+        self._changes = Activation(contents.colors().dequantize(), g.means, self._active.epsilon)
+        self._owners = np.repeat(np.arange(len(g)), contents.term_counts)
+        self._items, self._count = items, count
 
-    return shares
+    def of_cell(self, cell: int, middle: F64, lights: F64) -> U8:
+        """Return (LAYERS, B) octaves above 2^-128 of the sums over active terms of squared change times light (N,)."""
+        active = self._active.active_ids(cell)
+        changes = np.maximum(self._changes.contributions(middle)[active], self._active.epsilon).astype(np.float64)
+        values = np.square(changes) * lights[self._owners[active]]
+        found = np.bincount(self._items[active], values, minlength=LAYERS * self._count)
+        octaves = np.rint(np.log2(np.maximum(found, np.finfo(np.float64).tiny))) + 128
+        return np.where(found > 0, np.clip(octaves, 1, 255), 0).astype(np.uint8).reshape(LAYERS, self._count)
 
 
 def _row(gains: F64, top: int, seen: NDArray[np.bool_]) -> bytes:
@@ -128,33 +145,37 @@ def _top(gains: F64) -> int:
     return int(np.ceil(GAIN_STEPS * np.log2(max(gains.max(initial=0.0), 1e-300))))
 
 
-def replaced_rows(
-    offsets: NDArray[np.int64], ids: NDArray[np.int32], blocks: Blocks, ending: NDArray[np.int64], g: Gaussians
-) -> bytes:
-    """Return the content of `replaced`: what replaces each Gaussian that ends below the highest level, block by block.
+def replaced_rows(levels: Levels, blocks: Blocks) -> list[bytes]:
+    """Return for each of B blocks what replaces its Gaussians; nothing for those of the highest level.
 
-    Named are the fewest blocks that hold `REPLACED` of the area of its replacements: a page reads this beside the
-    records, and all blocks would take more bytes than the records themselves.
+    Named are the fewest blocks that hold `REPLACED` of the area of the replacements of a Gaussian: all blocks would
+    take more bytes than the records themselves.
 
     Args:
-        offsets: (N + 1,) of `gsvis.abr.index.nearest_replacements`.
-        ids: Their replacements.
+        levels: The N Gaussians and their levels.
         blocks: The blocks.
-        ending: (E,) blocks whose Gaussians end below the highest level, ascending.
-        g: The N Gaussians.
     """
-    rows = list(_replaced(offsets, ids, blocks, ending, _areas(g)))
-    ends = 4 * (len(rows) + 1) + np.concatenate([[0], np.cumsum([len(row) for row in rows])])
-    return ends.astype("<u4").tobytes() + b"".join(rows)
-
-
-def _replaced(
-    offsets: NDArray[np.int64], ids: NDArray[np.int32], blocks: Blocks, ending: NDArray[np.int64], areas: F64
-) -> Iterator[bytes]:
-    for block in ending.tolist():
+    offsets, ids = nearest_replacements(levels)
+    areas, ends, rows = _areas(levels.union), levels.last < len(levels) - 1, [b""] * len(blocks)
+    for block in np.flatnonzero(ends[blocks.order[blocks.starts[:-1]]]).tolist():
         members = blocks.order[blocks.starts[block] : blocks.starts[block + 1]].tolist()
-        lists = [_main_blocks(ids[offsets[g] : offsets[g + 1]], blocks, areas) for g in members]
-        yield bytes(len(each) for each in lists) + np.concatenate(lists).astype("<u4").tobytes()
+        rows[block] = _spell([_main_blocks(ids[offsets[i] : offsets[i + 1]], blocks, areas) for i in members])
+    return rows
+
+
+def _spell(lists: list[NDArray[np.int32]]) -> bytes:
+    """Return the length of each list, and its numbers as differences from the one before, 7 bits a byte."""
+    out, last = bytearray(), 0
+    for found in lists:
+        out.append(len(found))
+        for block in found.tolist():
+            folded = 2 * (block - last) if block >= last else 2 * (last - block) - 1
+            last = block
+            while folded > 127:
+                out.append(folded & 127 | 128)
+                folded >>= 7
+            out.append(folded)
+    return bytes(out)
 
 
 def _main_blocks(ids: NDArray[np.int32], blocks: Blocks, areas: F64) -> NDArray[np.int32]:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.export.blocks import Blocks
+from gsvis.export.layers import LAYERS
 from gsvis.package.codec import ChunkTable, packed_bits
 from gsvis.package.contents import Contents
 from gsvis.stream.coding import Coding, chunks_of
@@ -62,30 +63,31 @@ def in_order(contents: Contents, ids: I64) -> Contents:
     )  # fmt: skip
 
 
-def code_records(contents: Contents, blocks: Blocks, coding: Coding) -> Coded:
+def code_records(contents: Contents, blocks: Blocks, coding: Coding, replaced: list[bytes]) -> Coded:
     """Return the records of all blocks, coded.
 
     Args:
         contents: The package, with the ids of the static form.
-        blocks: Its blocks.
+        blocks: Its B blocks.
         coding: The code of its records.
+        replaced: (B,) what stands behind the records of each block, from `replaced_rows`.
     """
     parts, chunks = coding.split_records(contents), chunks_of(contents.table)
     bodies = []
     for chunk, first, count in zip(blocks.chunks.tolist(), blocks.firsts.tolist(), blocks.counts.tolist(), strict=True):
         ids = np.arange(first, first + count, dtype=np.int32)
         bodies.append(coding.encode_some(parts, ids, np.full(count, chunk, np.int32), chunks).tobytes())
-    return _join(contents.table, blocks, bodies)
+    return _join(contents.table, blocks, bodies, replaced)
 
 
-def pack_records(table: ChunkTable, blocks: Blocks, records: U8) -> Coded:
-    """Return the records (N, 16), by place, of all blocks, as they are."""
+def pack_records(table: ChunkTable, blocks: Blocks, records: U8, replaced: list[bytes]) -> Coded:
+    """Return the records (N, 16), by place, of all blocks, as they are; `replaced` is as in `code_records`."""
     starts = blocks.starts.tolist()
     bodies = [records[low:high].tobytes() for low, high in pairwise(starts)]
-    return _join(table, blocks, bodies)
+    return _join(table, blocks, bodies, replaced)
 
 
-def _join(table: ChunkTable, blocks: Blocks, bodies: list[bytes]) -> Coded:
+def _join(table: ChunkTable, blocks: Blocks, bodies: list[bytes], replaced: list[bytes]) -> Coded:
     heads = np.zeros(len(blocks), HEAD)
     for name, values in (
         ("origin", table.origins), ("step", table.steps), ("low", table.lows), ("stride", table.strides),
@@ -96,27 +98,38 @@ def _join(table: ChunkTable, blocks: Blocks, bodies: list[bytes]) -> Coded:
     rows = heads.tobytes()
     pieces: list[bytes] = []
     units: list[int] = []
-    for k, body in enumerate(bodies):
-        whole = HEAD.itemsize + len(body)
-        pieces += (rows[k * HEAD.itemsize : (k + 1) * HEAD.itemsize], body, bytes(-whole % UNIT))
+    for k, (body, behind) in enumerate(zip(bodies, replaced, strict=True)):
+        whole = HEAD.itemsize + len(body) + len(behind)
+        pieces += (rows[k * HEAD.itemsize : (k + 1) * HEAD.itemsize], body, behind, bytes(-whole % UNIT))
         units.append(-(-whole // UNIT))
     return Coded(b"".join(pieces), np.array(units, np.int64))
 
 
-def code_terms(contents: Contents, blocks: Blocks, coding: Coding) -> Coded:
-    """Return the terms of all blocks: a byte for each Gaussian, the number of its terms, and their records, coded.
+def code_terms(contents: Contents, blocks: Blocks, coding: Coding, items: I64) -> Coded:
+    """Return the terms of all items, coded; sizes are in words of u16.
+
+    An item is a layer of the terms of a block. It begins with a bit 1 for each of its terms and a bit 0 behind those of
+    each Gaussian; one without terms has no bytes.
 
     Args:
-        contents: The package, with the ids of the static form.
+        contents: A package of T terms.
         blocks: Its blocks.
         coding: The code of its records.
+        items: (T,) item of each term, from `items_of`.
     """
-    offsets, words = contents.term_offsets, list[int]()
+    places = np.empty(len(contents), np.int64)
+    places[blocks.order] = np.arange(len(contents)) - np.repeat(blocks.starts[:-1], blocks.counts)
+    owners = np.repeat(places, contents.term_counts)
+    order = np.lexsort((owners, items))
+    counts = np.bincount(items, minlength=LAYERS * len(blocks))
+    ends, words = np.cumsum(counts), np.zeros(len(counts), np.int64)
     pieces: list[bytes] = []
-    for first, count in zip(blocks.firsts.tolist(), blocks.counts.tolist(), strict=True):
-        counts = contents.term_counts[first : first + count]
-        rows = contents.term_records[offsets[first] : offsets[first + count]]
-        coded = coding.encode_terms(rows.copy(), np.repeat(np.arange(count, dtype=np.int32), counts)).tobytes()
-        pieces += (counts.tobytes(), coded)
-        words.append(len(coded) // 2)
-    return Coded(b"".join(pieces), np.array(words, np.int64))
+    for item in np.flatnonzero(counts).tolist():
+        some = order[ends[item] - counts[item] : ends[item]]
+        of = owners[some]
+        bits = np.zeros(-(-(len(some) + int(blocks.counts[item % len(blocks)])) // 16) * 16, np.uint8)
+        bits[np.arange(len(some)) + of] = 1
+        coded = coding.encode_terms(contents.term_records[some], of.astype(np.int32)).tobytes()
+        pieces += (np.packbits(bits, bitorder="little").tobytes(), coded)
+        words[item] = (len(bits) // 8 + len(coded)) // 2
+    return Coded(b"".join(pieces), words)

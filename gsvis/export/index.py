@@ -28,6 +28,9 @@ STEPS = 64
 OCTAVE = 4
 """Steps of a radius for each doubling."""
 
+REACH = 3.0
+"""Standard deviations to which a Gaussian reaches, as on a server: wide ones are in view when their centers are not."""
+
 _MOST = (1 << 15) - 1
 
 
@@ -49,7 +52,7 @@ class Spheres:
 
     @classmethod
     def from_chunks(cls, table: ChunkTable, g: Gaussians) -> Spheres:
-        """Return spheres that hold the centers of all Gaussians of a chunk and half its largest standard deviation."""
+        """Return spheres that hold the centers of all Gaussians of a chunk and three times the largest deviation."""
         starts = table.starts[:-1]
         means = g.means.astype(np.float64)
         lows, highs = np.minimum.reduceat(means, starts), np.maximum.reduceat(means, starts)
@@ -60,7 +63,7 @@ class Spheres:
         places = np.clip(np.rint(STEPS * np.arcsinh((centers - middle) / scale)), -_MOST, _MOST).astype(np.int64)
         decoded = middle + scale * np.sinh(places / STEPS)
         away = np.linalg.norm(means - np.repeat(decoded, table.counts, axis=0), axis=1)
-        reach = np.maximum.reduceat(away, starts) + 0.5 * np.maximum.reduceat(g.scales.max(axis=1), starts)
+        reach = np.maximum.reduceat(away, starts) + REACH * np.maximum.reduceat(g.scales.max(axis=1), starts)
         radii = np.ceil(OCTAVE * np.log2(np.maximum(reach, 1e-300) / scale) + 1e-6) + 128
         return cls(middle, scale, places, np.clip(radii, 0, 255).astype(np.int64))
 

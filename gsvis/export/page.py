@@ -1,7 +1,7 @@
 """Write the page of the viewer with a static scene: as a site for any file server, or as one file that opens from disk.
 
 Both hold the built files of the viewer (`gsvis/viewer`). The one file has everything inside: the scene and the Workers
-as base64, and a policy that runs only its own two scripts. Names of scenes are escaped; nothing in a scene can run.
+as base64, and a policy that runs only its own three scripts. Names of scenes are escaped; nothing in a scene can run.
 """
 
 from __future__ import annotations
@@ -169,9 +169,9 @@ def write_html(
         with output_errors(made_in, remedy=TEMPORARY):
             found = write_static(Path(made_in) / FOLDER, scene, options, progress=progress)
         document = json.loads(read_whole(found.path / SCENE))
-        style, script = files["page.css"].decode(), _inline(files["page.js"].decode())
+        style, tour, script = (_inline(files[name].decode()) for name in ("page.css", "tour.js", "page.js"))
         policy = (
-            f"default-src 'none'; script-src {_hash(_START)} {_hash(script)}; style-src {_hash(style)};"
+            f"default-src 'none'; script-src {_hash(_START)} {_hash(tour)} {_hash(script)}; style-src {_hash(style)};"
             " img-src data: blob:; connect-src data:; worker-src blob:; base-uri 'none'; form-action 'none'"
         )
         settings = "data:application/json;base64," + b64encode(_settings(document)).decode()
@@ -188,7 +188,8 @@ def write_html(
                     while piece := file.read(_PIECE):
                         out.write(b64encode(piece))
                 out.write(b"</script>\n")
-            out.write(f'<script>{_START}</script>\n<script type="module">{script}</script>\n'.encode())
+            modules = "".join(f'<script type="module">{text}</script>\n' for text in (tour, script))
+            out.write(f"<script>{_START}</script>\n{modules}".encode())
             out.write(tail.encode())
         return SiteReport(target, found, target.stat().st_size)
 

@@ -21,7 +21,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis import _check
-from gsvis.abr.index import nearest_replacements
 from gsvis.color.records import Grids
 from gsvis.errors import FormatError
 from gsvis.export.bare import BareScene, encode_scene
@@ -30,6 +29,7 @@ from gsvis.export.cells import CellRows, gains_of_package, replaced_rows, rows_o
 from gsvis.export.coded import code_records, code_terms, in_order, pack_records
 from gsvis.export.columns import column, compress
 from gsvis.export.index import Spheres, index_of
+from gsvis.export.layers import LAYERS, items_of
 from gsvis.export.start import Start, start_poses
 from gsvis.files.atomic import atomic_path, remove_all_partials
 from gsvis.files.fields import parse_json
@@ -37,6 +37,8 @@ from gsvis.files.limits import digest_of, read_whole
 from gsvis.package.layout import RECORD_BYTES, TermLayout
 from gsvis.package.package import Package
 from gsvis.progress import Progress, silent
+from gsvis.pvs.cells import CellGrid
+from gsvis.pvs.floor import floor_of_cells
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from gsvis.stream.coding import Coding
@@ -45,12 +47,12 @@ __all__ = ["FORMAT", "SCENE", "VERSION", "StaticFile", "StaticOptions", "StaticS
 
 U8 = NDArray[np.uint8]
 
-FORMAT, VERSION = "gsvis-static", 2
+FORMAT, VERSION = "gsvis-static", 3
 SCENE = "scene.json"
-KINDS = ("index", "grid", "cells", "records", "blocks", "terms", "replaced", "harmonics")
+KINDS = ("index", "grid", "cells", "records", "blocks", "terms", "harmonics", "facts")
 """Files of a scene besides `scene.json`, in the order in which a page needs them."""
 
-_OURS = re.compile(rf"(?:{'|'.join(KINDS)})-[0-9a-f]{{16}}\.bin")
+_OURS = re.compile(rf"(?:{'|'.join(KINDS)}|replaced)-[0-9a-f]{{16}}\.bin")  # version 2 had a file more
 _MOST_JSON = 16 << 20
 
 
@@ -145,7 +147,7 @@ def write_static(
     """
     target, said = _check.path("folder", folder), options or StaticOptions()
     check_target(target)
-    parts = _package_parts(scene, progress) if isinstance(scene, Package) else _bare_parts(scene, progress)
+    parts = _package_parts(scene, said, progress) if isinstance(scene, Package) else _bare_parts(scene, progress)
     if parts.blocks.starts[-1] == 0:
         raise ValueError("scene: expected at least one Gaussian, got none; name another scene")
     target.mkdir(parents=True, exist_ok=True)
@@ -208,14 +210,16 @@ class _Parts:
     poses: tuple[Start, ...] = ()
 
 
-def _package_parts(package: Package, progress: Progress) -> _Parts:
+def _package_parts(package: Package, options: StaticOptions, progress: Progress) -> _Parts:
     contents, manifest = package.contents, package.manifest
     table, g = contents.table, contents.gaussians()
     blocks = Blocks.from_chunks(table, contents.chunk_levels, gains_of_package(package, g))
-    cells = rows_of_package(package, g, blocks, progress)
+    items = items_of(contents, blocks)
+    cells = rows_of_package(package, g, blocks, items, progress)
     placed, spheres = in_order(contents, blocks.ids), Spheres.from_chunks(table, g)
     coding = Coding.from_contents(placed)
-    records = code_records(placed, blocks, coding)
+    replaced = replaced_rows(Levels(g, contents.first, contents.last, contents.names), blocks)
+    records = code_records(placed, blocks, coding, replaced)
     data: dict[str, Any] = {
         "index": index_of(spheres, table, contents.chunk_levels, records.sizes),
         "grid": cells.index(),
@@ -223,19 +227,25 @@ def _package_parts(package: Package, progress: Progress) -> _Parts:
         "records": records.data,
     }
     if manifest.terms:
-        terms = code_terms(placed, blocks, coding)
-        counts = np.add.reduceat(contents.term_counts[blocks.order], blocks.starts[:-1], dtype=np.int64)
-        data["blocks"] = compress(column(counts, 2), column(terms.sizes, 2))
+        terms = code_terms(contents, blocks, coding, items)
+        data["blocks"] = compress(column(terms.sizes, 2))
         data["terms"] = terms.data
-    ending = np.flatnonzero(contents.chunk_levels[blocks.chunks, 1] < len(manifest.names) - 1)
-    if len(ending):
-        replacements = nearest_replacements(Levels(g, contents.first, contents.last, contents.names))
-        data["replaced"] = replaced_rows(*replacements, blocks, ending, g)
+    if manifest.visibility is not None:
+        meters = options.meters_per_unit
+        meters = manifest.info.meters_per_unit if meters is None else meters
+        data["facts"] = _facts(package.visibility.grid, meters)
     levels = tuple(zip(manifest.names, manifest.counts, strict=True))
     return _Parts(
         blocks, cells, data, manifest.grids, levels, len(table), manifest.terms, None, spheres, coding, g.bounds(0.9),
         manifest.info.up, manifest.info.meters_per_unit, tuple(Start.from_dict(view) for view in manifest.views),
     )  # fmt: skip
+
+
+def _facts(grid: CellGrid, meters_per_unit: float) -> bytes:
+    """Return the content of `facts`: what a server says of cells and floor."""
+    cells = {"origin": grid.origin.tolist(), "size": grid.cell_size, "boxes": grid.coords.tolist()}
+    said = {"cells": cells, "floor": floor_of_cells(grid, meters_per_unit)}
+    return compress(json.dumps(said, separators=(",", ":"), allow_nan=False).encode())
 
 
 def _bare_parts(scene: Levels | Gaussians, progress: Progress) -> _Parts:
@@ -248,17 +258,15 @@ def _bare_parts(scene: Levels | Gaussians, progress: Progress) -> _Parts:
     blocks = Blocks.from_chunks(found.table, found.chunk_levels)
     ids, g = found.ids[blocks.order], found.gaussians
     cells, spheres = rows_of_scene(g, blocks), Spheres.from_chunks(found.table, g)
-    records = pack_records(found.table, blocks, found.records[blocks.order])
+    placed = Levels(g, levels.first[found.ids], levels.last[found.ids], levels.names)
+    replaced = replaced_rows(placed, blocks)
+    records = pack_records(found.table, blocks, found.records[blocks.order], replaced)
     data: dict[str, Any] = {
         "index": index_of(spheres, found.table, found.chunk_levels, records.sizes),
         "grid": cells.index(),
         "cells": b"".join(cells.rows),
         "records": records.data,
     }
-    ending = np.flatnonzero(found.chunk_levels[blocks.chunks, 1] < len(levels) - 1)
-    if len(ending):
-        placed = Levels(g, levels.first[found.ids], levels.last[found.ids], levels.names)
-        data["replaced"] = replaced_rows(*nearest_replacements(placed), blocks, ending, g)
     harmonics = found.harmonics
     if harmonics is not None:
         data["harmonics"] = harmonics.encode(levels.union.shN, ids)
@@ -308,6 +316,7 @@ def _document(parts: _Parts, files: dict[str, StaticFile], options: StaticOption
         "steps": None,
         "blocks": len(parts.blocks),
         "block_gaussians": BLOCK,
+        "term_layers": LAYERS,
         "levels": [{"name": name, "count": int(count)} for name, count in parts.levels],
         "record_bytes": RECORD_BYTES,
         "term_bits": int(layout.widths.sum()),

@@ -123,24 +123,55 @@ class Reader:
             out[first : first + count] = found
         return out
 
-    def terms(self) -> list[bytes]:
-        """Records of terms by id."""
-        out: list[bytes] = [b""] * self.scene["gaussians"]
-        at, columns = 0, Columns(self.data["blocks"], len(self.blocks))
-        for (_, first, count), terms, words in zip(self.blocks, columns.next(2), columns.next(2), strict=True):
-            counts, at = self.data["terms"][at : at + count], at + count
-            assert sum(counts) == terms
-            body, at = self.data["terms"][at : at + 2 * words], at + 2 * words
+    def replaced(self, block: int) -> list[list[int]]:
+        """The blocks that replace each Gaussian of a block that ends below the highest level."""
+        head, last, out = self.heads[block], 0, list[list[int]]()
+        at, end = self.record_starts[block] + HEAD.itemsize + 2 * int(head["words"]), self.record_starts[block + 1]
+        row = iter(self.data["records"][at:end])
+        for _ in range(self.blocks[block][2]):
+            out.append([])
+            for _ in range(next(row)):
+                digits = [next(row)]
+                while digits[-1] > 127:
+                    digits.append(next(row))
+                folded = sum((digit & 127) << 7 * k for k, digit in enumerate(digits))
+                last += -(folded + 1) // 2 if folded % 2 else folded // 2
+                out[-1].append(last)
+        rest = bytes(row)
+        assert len(rest) < 16
+        assert not any(rest)
+        return out
+
+    def layers(self) -> list[list[list[bytes]]]:
+        """Records of terms of each layer, by id."""
+        count, layers = len(self.blocks), self.scene["term_layers"]
+        columns, at = Columns(self.data["blocks"], count * layers), 0
+        out: list[list[list[bytes]]] = [[[] for _ in range(self.scene["gaussians"])] for _ in range(layers)]
+        for item, words in enumerate(columns.next(2)):
+            _, first, members = self.blocks[item % count]
+            data, at = self.data["terms"][at : at + 2 * words], at + 2 * int(words)
+            if not words:
+                continue
+            bits = np.unpackbits(np.frombuffer(data, np.uint8), bitorder="little")
+            whole = int(np.searchsorted(np.cumsum(1 - bits), members)) + 1  # up to the zero of the last Gaussian
+            owners = np.cumsum(1 - bits[:whole])[bits[:whole] == 1]  # Gaussians that have ended before
+            head = -(-whole // 16) * 16
+            assert not bits[whole:head].any()
             assert self.coding is not None
-            found = self.coding.decode_terms(np.frombuffer(body, np.uint8), np.repeat(np.arange(count), list(counts)))
+            found = self.coding.decode_terms(np.frombuffer(data, np.uint8)[head // 8 :], owners)
             assert found is not None
-            for k, rows in enumerate(np.split(found, np.cumsum(list(counts))[:-1])):
-                out[first + k] = rows.tobytes()
+            for owner, row in zip(owners.tolist(), found, strict=True):
+                out[item // count][first + owner].append(row.tobytes())
         assert at == len(self.data["terms"])
         return out
 
+    def terms(self) -> list[list[bytes]]:
+        """Records of terms by id, sorted."""
+        layers = self.layers() if "terms" in self.data else []
+        return [sorted(record for layer in layers for record in layer[k]) for k in range(self.scene["gaussians"])]
+
     def cells(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray | None]]:
-        """Visible blocks, gains and shares of active terms of each cell."""
+        """Visible blocks and gains of each cell, and by layer what terms are worth."""
         columns = Columns(self.data["grid"], self.scene["cells"]["count"])
         self.boxes = np.stack([columns.sums(4) for _ in range(3)], axis=1)
         out, at, bits = [], 0, -(-len(self.blocks) // 8)
@@ -148,10 +179,13 @@ class Reader:
             data, at = zlib.decompress(self.data["cells"][at : at + size]), at + int(size)
             seen = np.flatnonzero(np.unpackbits(np.frombuffer(data[:bits], np.uint8), bitorder="little"))
             gains = 2.0 ** ((np.frombuffer(data[bits : bits + len(seen)], np.uint8) - 255.0 + self.top) / 4)
-            rest = data[bits + len(seen) :]
-            shares = np.frombuffer(rest, np.uint8) / 255 if self.scene["cells"]["active"] else None
-            assert len(rest) == (0 if shares is None else len(seen))
-            out.append((seen, gains, shares))
+            rest, worth = data[bits + len(seen) :], None
+            if self.scene["cells"]["active"]:
+                octaves = np.frombuffer(rest, np.uint8).reshape(self.scene["term_layers"], len(seen))
+                worth = np.where(octaves > 0, 2.0 ** (octaves - 128.0), 0.0)
+            else:
+                assert rest == b""
+            out.append((seen, gains, worth))
         assert at == len(self.data["cells"])
         return out
 
@@ -195,7 +229,7 @@ def test_a_package_reads_back_record_by_record(package: Package, tmp_path: Path)
     assert np.array_equal(read.records(), contents.records[ids])
     offsets, terms = contents.term_offsets, read.terms()
     for k, i in enumerate(ids):
-        assert terms[k] == contents.term_records[offsets[i] : offsets[i + 1]].tobytes()
+        assert terms[k] == sorted(row.tobytes() for row in contents.term_records[offsets[i] : offsets[i + 1]])
     assert np.array_equal(read.levels, contents.chunk_levels)
     assert (read.scene["name"], read.scene["up"]) == ("two rooms", [0, -1, 0])
     assert made.nbytes == sum(len(data) for data in read.data.values())
@@ -207,37 +241,48 @@ def test_no_gaussian_of_a_chunk_reaches_further_than_it_says(package: Package, t
     read, g, table = Reader(tmp_path / "out"), package.contents.gaussians(), package.contents.table
     chunks, starts = package.contents.chunks, table.starts[:-1]
     away = np.linalg.norm(g.means - read.centers[chunks], axis=1)
-    reach = np.maximum.reduceat(away, starts) + 0.5 * np.maximum.reduceat(g.scales.max(axis=1), starts)
+    reach = np.maximum.reduceat(away, starts) + 3.0 * np.maximum.reduceat(g.scales.max(axis=1), starts)
     assert (reach <= read.radii * (1 + 1e-9)).all()
     assert (read.radii <= reach * 2 ** (1.01 / 4)).all()
 
 
-def test_a_cell_lists_the_blocks_that_it_sees_and_what_they_weigh(package: Package, tmp_path: Path) -> None:
+def test_a_cell_lists_the_blocks_that_it_sees_and_what_they_and_their_terms_are_worth(
+    package: Package, tmp_path: Path
+) -> None:
     from gsvis.abr.index import extents
+    from gsvis.color.activation import contributions
     from gsvis.stream.scene import class_weights
 
     write_static(tmp_path / "out", package)
-    read, areas = Reader(tmp_path / "out"), extents(package.contents.gaussians())[1]
-    sets, active = package.visibility, package.active_terms
-    owners = np.repeat(np.arange(700), package.contents.term_counts)
-    cells, of = read.cells(), ids_in_package(package)
+    read, g = Reader(tmp_path / "out"), package.contents.gaussians()
+    areas, means = extents(g)[1].astype(float), g.means.astype(float)
+    sets, contents, active = package.visibility, package.contents, package.active_terms
+    owners, records = np.repeat(np.arange(700), contents.term_counts), contents.term_records
+    cells, of, layers = read.cells(), ids_in_package(package), read.layers()
     assert len(cells) == len(sets)
-    for cell, (seen, gains, shares) in enumerate(cells):
+    for cell, (seen, gains, worth) in enumerate(cells):
         ids, classes = sets.classes(cell)
-        weight = dict(zip(ids.tolist(), (class_weights(sets)[classes] * areas[ids]).tolist(), strict=True))
-        active_owners = owners[active.active_ids(cell)]
+        middle, side = sets.grid.centers[cell], sets.grid.cell_size
+        away = np.maximum(((means - middle) ** 2).sum(axis=1), (side / 2) ** 2)
+        light = np.zeros(700)
+        light[ids] = class_weights(sets)[classes] * np.minimum(areas / away, 4 * np.pi)[ids]
+        changes = contributions(contents.colors().dequantize(), g.means, middle)
+        values: dict[tuple[int, bytes], float] = {}  # terms that are active here
+        for t in active.active_ids(cell).tolist():
+            values[int(owners[t]), records[t].tobytes()] = max(changes[t], active.epsilon) ** 2 * light[owners[t]]
         wanted = []
         for block, (_, first, count) in enumerate(read.blocks):
-            block_ids = of[first : first + count]
-            members = [weight[k] for k in block_ids.tolist() if k in weight]
-            if members:
+            members = of[first : first + count]
+            if np.isin(members, ids).any():
                 wanted.append(block)
                 place = len(wanted) - 1
-                assert np.isclose(np.log2(gains[place]), np.log2(sum(members)), atol=0.13)
-                total = max(1, int(package.contents.term_counts[block_ids].sum()))
-                found = int(np.isin(active_owners, block_ids).sum())
-                assert shares is not None
-                assert found / total <= shares[place] + 1e-9 < found / total + 1 / 255 + 1e-9
+                assert np.isclose(np.log2(gains[place]), np.log2(light[members].sum()), atol=0.13)
+                assert worth is not None
+                for layer, found in zip(layers, worth[:, place], strict=True):
+                    has = [(int(of[k]), record) for k in range(first, first + count) for record in layer[k]]
+                    total = sum(values.get(each, 0.0) for each in has)
+                    assert (found == 0.0) == (total == 0.0)
+                    assert total == 0.0 or abs(np.log2(found / total)) < 0.51
         assert wanted == seen.tolist()
 
 
@@ -252,27 +297,38 @@ def test_what_ends_below_the_highest_level_names_the_fewest_blocks_that_replace_
     offsets, ids = nearest_replacements(Levels(contents.gaussians(), contents.first, contents.last, contents.names))
     block_of, of = np.empty(700, int), ids_in_package(package)
     block_of[of[read.ids]] = np.repeat(np.arange(len(read.blocks)), np.diff(read.starts))
-    data = read.data["replaced"]
-    ending = [b for b, (chunk, _, _) in enumerate(read.blocks) if read.levels[chunk, 1] < 2]
-    ends = np.frombuffer(data, "<u4", len(ending) + 1)
-    assert ends[-1] == len(data)
-    for k, block in enumerate(ending):
-        _, first, count = read.blocks[block]
-        at = int(ends[k])
-        lengths, at = data[at : at + count], at + count
-        for j, length in enumerate(lengths):
-            found = np.frombuffer(data, "<u4", length, at)
-            at += 4 * length
+    for block, (chunk, first, _) in enumerate(read.blocks):
+        if read.levels[chunk, 1] == 2:
+            continue
+        for j, found in enumerate(read.replaced(block)):
             one = of[first + j]
             replacing = ids[offsets[one] : offsets[one + 1]]
             held = {b: areas[replacing[block_of[replacing] == b]].sum() for b in set(block_of[replacing].tolist())}
-            named = sorted((held[b] for b in found.tolist()), reverse=True)
-            assert found.tolist() == sorted(set(found.tolist()) & set(held))
+            named = sorted((held[b] for b in found), reverse=True)
+            assert found == sorted(set(found) & set(held))
             assert named == sorted(held.values(), reverse=True)[: len(named)]
             share = 0.4 * sum(held.values())
             assert sum(named[:-1]) < share * (1 + 1e-6)
             assert sum(named) >= share * (1 - 1e-6)
-        assert at == ends[k + 1]
+
+
+def test_layers_hold_the_first_terms_and_the_others_by_the_nearest_of_four_directions(
+    package: Package, tmp_path: Path
+) -> None:
+    from gsvis.color.srbf import unit_vectors
+
+    write_static(tmp_path / "out", package)
+    read, contents, of = Reader(tmp_path / "out"), package.contents, ids_in_package(package)
+    centers, offsets = unit_vectors(contents.colors().dequantize().centers), contents.term_offsets
+    corners = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
+    layers = read.layers()
+    assert len(layers) == 5
+    for k, g in enumerate(of.tolist()):
+        wanted: list[list[bytes]] = [[] for _ in layers]
+        for place, t in enumerate(range(offsets[g], offsets[g + 1])):
+            facing = int(np.argmax(corners @ centers[t]))
+            wanted[0 if place < 2 else 1 + facing].append(contents.term_records[t].tobytes())
+        assert [layer[k] for layer in layers] == wanted
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
@@ -330,7 +386,12 @@ def test_levels_without_a_package_keep_their_levels(tmp_path: Path) -> None:
     assert [(each["name"], each["count"]) for each in read.scene["levels"]] == list(
         zip(levels.names, levels.counts, strict=True)
     )
-    assert "replaced" in read.data
+    ending = [b for b, (chunk, _, _) in enumerate(read.blocks) if read.levels[chunk, 1] < len(levels) - 1]
+    assert ending
+    for block in ending:
+        for found in read.replaced(block):
+            assert found
+            assert all(read.levels[read.blocks[b][0], 0] > read.levels[read.blocks[block][0], 1] for b in found)
 
 
 def test_the_same_scene_gives_the_same_files_and_a_new_one_replaces_the_old(tmp_path: Path) -> None:

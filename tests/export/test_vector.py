@@ -46,7 +46,7 @@ def spelled(folder: Path, package: Package | None) -> dict[str, Any]:
         ],
     }
     if package is not None:
-        said["terms"] = [terms.hex() for terms in read.terms()]
+        said["terms"] = [[term.hex() for term in terms] for terms in read.terms()]
         said["centers"] = package.visibility.grid.centers.round(6).tolist()
         said["last"] = package.contents.last[ids_in_package(package)].tolist()
     else:
@@ -61,7 +61,7 @@ def spelled(folder: Path, package: Package | None) -> dict[str, Any]:
 def content(file: tuple[str, str]) -> tuple[str, bytes]:
     """Kind and content of a file, unpacked: other builds of zlib pack the same content to other bytes."""
     kind, data = file[0].split("-")[0], base64.b64decode(file[1])
-    if kind in ("index", "grid", "blocks"):
+    if kind in ("index", "grid", "blocks", "facts"):
         return kind, zlib.decompress(data)
     return (kind, b"") if kind in ("cells", "scene.json") else (kind, data)
 

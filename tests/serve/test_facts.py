@@ -11,8 +11,9 @@ import pytest
 
 from gsvis.package import Package
 from gsvis.pvs.cells import CellGrid
+from gsvis.pvs.floor import _eye_heights, _level_axes
 from gsvis.raycast.directions import face_of
-from gsvis.serve.facts import _eye_heights, _level_axes, describe_floor
+from gsvis.serve.facts import describe_floor
 from gsvis.stream import StreamedScene
 from tests.serve.servers import ask, serving
 

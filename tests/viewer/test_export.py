@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
+from base64 import b64encode
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import pytest
 
@@ -43,6 +46,47 @@ def test_a_package_as_a_site_names_what_is_missing_and_shows_the_rest(browser: A
     with served(tmp_path / "site") as address, page_in(browser, address + "/index.html") as (page, said):
         wait_for(page, ARRIVED)
         assert all("404" in each for each in said)  # what the browser itself says of a missing file
+
+
+TOUR = {
+    "version": 2, "frame": "scene", "cameras": [{"initial": {"position": [1, 1, 1], "target": [2, 1, 1]}}],
+    "animTracks": [{
+        "name": "way", "duration": 60, "frameRate": 1, "loopMode": "none", "interpolation": "spline",
+        "keyframes": {"times": [0, 60], "values": {"position": [1, 1, 1, 3, 1, 1], "target": [9, 1, 1, 9, 1, 1]}},
+    }],
+}  # fmt: skip
+
+
+def test_one_file_plays_an_animation(browser: Any, scene: Gaussians, tmp_path: Path) -> None:
+    viewer = viewer_files()
+    write_html(tmp_path / "rooms.html", scene, viewer=viewer)
+    settings = "data:application/json;base64," + b64encode(json.dumps(TOUR).encode()).decode()
+    address = f"{(tmp_path / 'rooms.html').as_uri()}?settings={quote(settings, safe='')}"
+    with page_in(browser, address) as (page, said):
+        wait_for(page, ARRIVED)
+        before = page.evaluate("location.hash")
+        page.keyboard.press("k")
+        page.wait_for_timeout(1000)
+        page.keyboard.press("k")
+        page.wait_for_function("before => location.hash !== before", arg=before, timeout=1000 * PATIENCE)
+        assert said == []
+
+
+def test_a_site_of_a_package_knows_its_cells_and_floor_without_a_server(browser: Any, tmp_path: Path) -> None:
+    viewer = viewer_files()
+    with package_of(tmp_path / "s.gsvis", 400) as package:
+        write_site(tmp_path / "site", package, viewer=viewer)
+        write_html(tmp_path / "scene.html", package, viewer=viewer)
+    with served(tmp_path / "site") as address:
+        for where in (address + "/index.html", (tmp_path / "scene.html").as_uri()):
+            with page_in(browser, where) as (page, said):
+                wait_for(page, ARRIVED)
+                page.keyboard.press("b")
+                page.wait_for_selector("canvas.overlay:not([hidden])", state="attached")
+                page.keyboard.press("o")
+                wait_for(page, "Only a server knows")
+                assert "Visibility" not in page.inner_text(".panel")
+                assert said == []
 
 
 def test_one_file_opens_from_disk(browser: Any, scene: Gaussians, tmp_path: Path) -> None:

@@ -26,7 +26,7 @@ interface Recorded {
   means: number[][];
   blocks: [number, number, number][];
   cells: { blocks: number[]; gains: number[] }[];
-  terms?: string[];
+  terms?: string[][]; // sorted
   centers?: number[][];
   last?: number[];
   harmonics?: string[];
@@ -128,7 +128,7 @@ class Client {
  * Check that what came is what the scene holds, and that slots, rows and terms are numbered in the order of arrival.
  */
 function check(scene: Recorded, batches: Batch[]): void {
-  const owned = new Map<number, string>(), ids: number[] = [];
+  const owned = new Map<number, string[]>(), ids: number[] = [];
   let rows = 0, terms = 0;
   const width = scene.terms === undefined ? 0 : 5;
   for (const batch of batches) {
@@ -155,13 +155,19 @@ function check(scene: Recorded, batches: Batch[]): void {
       bits.writeUInt32LE(batch.terms[2 * t], 0);
       bits.writeUInt32LE(batch.terms[2 * t + 1], 4);
       const id = ids[batch.owners[t]];
-      owned.set(id, (owned.get(id) ?? "") + bits.subarray(0, width).toString("hex"));
+      owned.set(id, [...owned.get(id) ?? [], bits.subarray(0, width).toString("hex")]);
     }
     rows += batch.chunks.length / 8;
     terms += batch.owners.length;
   }
   assert.equal(new Set(ids).size, ids.length);
-  for (const [id, found] of owned) assert.equal(found, scene.terms![id]);
+  for (const [id, found] of owned) {
+    const left = [...scene.terms![id]]; // those of layers that no eye in the cell sees do not come
+    for (const record of found) {
+      assert.ok(left.includes(record));
+      left.splice(left.indexOf(record), 1);
+    }
+  }
 }
 
 test("all that a cell needs arrives, in the order of arrival, and what its neighbors see after it", async (t) => {
@@ -268,14 +274,14 @@ test("a cut file gives what is there of it", async (t) => {
 });
 
 test("a block whose terms or replacements make no sense costs only itself", async (t) => {
-  for (const kind of ["terms", "replaced"]) {
+  for (const kind of ["terms", "records"]) {
     const files = filesOf(VECTOR.package), { blocks } = await open(VECTOR.package),
       name = [...files.keys()].find((each) => each.startsWith(kind))!;
     const data = Buffer.from(files.get(name)!);
-    if (kind === "terms") data[0] += 1;
-    else data.fill(
-      255, 4 * (blocks.count + 1 - [...Array(blocks.count).keys()].filter((b) => blocks.last(b) === blocks.top).length),
-    );
+    const ending = [...Array(blocks.count).keys()].filter((b) => blocks.last(b) < blocks.top);
+    const [lost] = ending, start = blocks.recordStart[lost], behind = start + 32 + 2 * data.readUInt16LE(start + 28);
+    if (kind === "terms") data[0] ^= 1;
+    else data.fill(255, behind, blocks.recordStart[lost + 1]);
     files.set(name, data);
     const { url } = await serve(t, files);
     const client = new Client(t, url), scene = VECTOR.package;
@@ -350,7 +356,8 @@ test("what is no scene, or of a newer version, is said in one line", async (t) =
   const scene = JSON.parse(filesOf(VECTOR.bare).get("scene.json")!.toString()) as Record<string, unknown>;
   const wrong: [string, RegExp][] = [
     ["<html>", /expected JSON/], ["{}", /expected a static scene/],
-    [JSON.stringify({ ...scene, version: 3 }), /version 2, got 3; update/],
+    [JSON.stringify({ ...scene, version: 4 }), /version 3, got 4; export/],
+    [JSON.stringify({ ...scene, version: 2 }), /version 3, got 2; export/],
     [JSON.stringify({ ...scene, files: { records: { name: "../secret.bin", bytes: 1 } } }), /name without a path/],
     [JSON.stringify({ ...scene, gaussians: 151 }), /expected 3624 bytes/],
     [JSON.stringify({ ...scene, gaussians: -1 }), /scene.json, gaussians: expected a number from 0 to/],
@@ -381,7 +388,7 @@ test("blocks, cells and gains are those of the writer", async () => {
     const { blocks, file, cells } = await open(scene);
     assert.deepEqual(scene.blocks, scene.blocks.map((_, b) => [blocks.chunk[b], blocks.firstId[b], blocks.size(b)]));
     for (const [cell, said] of scene.cells.entries()) {
-      const row = await readRow(blocks.scene, file("cells").subarray(...cells.range(cell)));
+      const row = await readRow(blocks.scene, file("cells").subarray(...cells.range(cell)), cells.middle(cell));
       assert.deepEqual([...row.blocks], said.blocks);
       row.gains.forEach((gain: number, k: number) => assert.ok(Math.abs(gain - said.gains[k]) < 1e-5));
     }
@@ -391,53 +398,69 @@ test("blocks, cells and gains are those of the writer", async () => {
 
 test("a Gaussian that ends below the highest level goes when what replaces it is held, and not before", async () => {
   const { blocks, file } = await open(VECTOR.package);
-  const held = { records: new Uint8Array(blocks.count), terms: new Uint8Array(blocks.count) };
+  const held = { records: new Uint8Array(blocks.count), terms: new Uint8Array(0) };
   const arrivals = new Arrivals(blocks, held), records = file("records"), seen = new Uint8Array(blocks.count).fill(1);
-  const replaced = file("replaced"), ends = new DataView(replaced.buffer, replaced.byteOffset);
-  const take = (b: number): void => {
-    arrivals.addRecords(
-      { terms: false, first: b, end: b + 1, place: 0 },
-      records.subarray(blocks.recordStart[b], blocks.recordStart[b + 1]), null, (error) => assert.fail(String(error)),
-    );
-  };
-  let ending = 0, waiting = 0;
+  let waiting = 0;
   for (let b = 0; b < blocks.count; b++) {
     if (blocks.last(b) === blocks.top) continue;
-    take(b);
-    arrivals.addReplaced(b, replaced.subarray(ends.getUint32(4 * ending, true), ends.getUint32(4 * ending + 4, true)));
-    ending++;
+    take(arrivals, blocks, records, b);
     waiting += blocks.size(b);
   }
   const early = arrivals.sweep(seen)?.gone.length ?? 0; // replaced by others that end too
-  for (let b = 0; b < blocks.count; b++) if (held.records[b] !== HELD) take(b);
+  for (let b = 0; b < blocks.count; b++) if (held.records[b] !== HELD) take(arrivals, blocks, records, b);
   const late = arrivals.sweep(seen)?.gone.length ?? 0;
   assert.ok(late > 0);
   assert.equal(early + late, waiting);
   assert.equal(arrivals.sweep(seen), null);
 });
 
-test("a cell that has all of its highest level waits neither for lower levels nor for what is out of sight", async () => {
-  const { blocks, file } = await open(VECTOR.package), records = file("records"), replaced = file("replaced");
-  const held = { records: new Uint8Array(blocks.count), terms: new Uint8Array(blocks.count) };
-  const arrivals = new Arrivals(blocks, held), seen = new Uint8Array(blocks.count);
-  const ends = new DataView(replaced.buffer, replaced.byteOffset);
-  const ending = Array.from({ length: blocks.count }, (_, b) => b).filter((b) => blocks.last(b) < blocks.top);
-  const [b] = ending;
+function take(arrivals: Arrivals, blocks: Blocks, records: Uint8Array, b: number): void {
   arrivals.addRecords(
     { terms: false, first: b, end: b + 1, place: 0 },
     records.subarray(blocks.recordStart[b], blocks.recordStart[b + 1]), null, (error) => assert.fail(String(error)),
   );
-  arrivals.addReplaced(b, replaced.subarray(ends.getUint32(0, true), ends.getUint32(4, true)));
+}
+
+test("a cell that has all of its highest level waits neither for lower levels nor for what is out of sight", async () => {
+  const { blocks, file } = await open(VECTOR.package);
+  const held = { records: new Uint8Array(blocks.count), terms: new Uint8Array(0) };
+  const arrivals = new Arrivals(blocks, held), seen = new Uint8Array(blocks.count);
+  const ending = Array.from({ length: blocks.count }, (_, b) => b).filter((b) => blocks.last(b) < blocks.top);
+  const [b] = ending;
+  take(arrivals, blocks, file("records"), b);
   assert.equal(arrivals.sweep(seen, true), null); // of another cell: it stays
   for (const other of ending) seen[other] = 1;
   assert.equal(arrivals.sweep(seen), null);
   assert.equal(arrivals.sweep(seen, true)?.gone.length, blocks.size(b));
 });
 
+test("layers of terms are asked for where their terms count in the cell, neighbors in the file together", async () => {
+  const { blocks, file, cells } = await open(VECTOR.package), { layers } = blocks.scene;
+  await blocks.setTerms(file("blocks"));
+  const held = { records: new Uint8Array(blocks.count).fill(HELD), terms: new Uint8Array(layers * blocks.count) };
+  const position = VECTOR.package.centers![0] as [number, number, number];
+  const row = await readRow(blocks.scene, file("cells").subarray(...cells.range(0)), cells.middle(0));
+  const wanted = new Set<number>();
+  row.blocks.forEach((b, k) => {
+    for (let layer = 0; layer < layers; layer++) {
+      const item = layer * blocks.count + b;
+      if (row.items![layer * row.blocks.length + k] > -Infinity && blocks.bytes(item, item + 1, true) > 0) wanted.add(item);
+    }
+  });
+  const order = rank(blocks, row, held, { position, rotation: [1, 0, 0, 0] }, VIEW, "low");
+  assert.ok(order.terms.every((kind) => kind === 1));
+  assert.deepEqual(new Set(order.blocks), wanted);
+  assert.ok(wanted.size < row.blocks.length * layers);
+  for (const run of slice(blocks, order, 0, held, Infinity, 0).runs) {
+    for (let item = run.first; item < run.end; item++) assert.ok(wanted.has(item));
+    assert.equal(blocks.bytes(run.first, run.end, true), blocks.termStart![run.end] - blocks.termStart![run.first]);
+  }
+});
+
 test("the plan begins with what weighs most in view for its bytes, and joins neighbors", async () => {
   const { blocks, file, cells } = await open(VECTOR.package);
-  const row = await readRow(blocks.scene, file("cells").subarray(...cells.range(0)));
-  const held = { records: new Uint8Array(blocks.count), terms: new Uint8Array(blocks.count) };
+  const row = await readRow(blocks.scene, file("cells").subarray(...cells.range(0)), cells.middle(0));
+  const held = { records: new Uint8Array(blocks.count), terms: new Uint8Array(0) };
   const position = VECTOR.package.centers![0] as [number, number, number];
   const order = rank(blocks, row, held, { position, rotation: [1, 0, 0, 0] }, VIEW, "high");
   assert.equal(new Set(order.blocks).size, order.blocks.length);
@@ -453,7 +476,7 @@ test("the plan begins with what weighs most in view for its bytes, and joins nei
 
 test("a first picture is not asked for, and the level above it counts as the lowest", async () => {
   const { blocks, file, cells } = await open(VECTOR.package), { header } = blocks.scene;
-  const row = await readRow(blocks.scene, file("cells").subarray(...cells.range(0)));
+  const row = await readRow(blocks.scene, file("cells").subarray(...cells.range(0)), cells.middle(0));
   const held = { records: new Uint8Array(blocks.count), terms: new Uint8Array(blocks.count) };
   const pose: Pose = { position: VECTOR.package.centers![0] as [number, number, number], rotation: [1, 0, 0, 0] };
   const lasts = (of: Blocks): Set<number> =>

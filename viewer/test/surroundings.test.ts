@@ -2,6 +2,7 @@
 
 import assert from "node:assert/strict";
 import { test, type TestContext } from "node:test";
+import { deflateSync } from "node:zlib";
 import type { Header, Source, SourceEvents } from "../src/core/types.ts";
 import { readAddress, type SceneAddress } from "../src/page/address.ts";
 import { begin, guessMeter } from "../src/page/begin.ts";
@@ -13,7 +14,7 @@ import { readScenes } from "../src/page/list.ts";
 import { describeState, explainFailure } from "../src/page/messages.ts";
 import { edgesOf } from "../src/page/overlay.ts";
 import { pivot } from "../src/page/rig.ts";
-import { awaitStream, holdPoses } from "../src/page/scene.ts";
+import { awaitStream, factsOf, holdPoses } from "../src/page/scene.ts";
 import { startInCells, startOnFloor, surroundedBy } from "../src/page/start.ts";
 import * as v from "../src/page/vector.ts";
 import type { Vec3 } from "../src/page/vector.ts";
@@ -154,6 +155,35 @@ test("an answer is kept, and so is that there is none; a question without an ans
   assert.equal(asked.length, 3);
   for (let k = 0; k < 2; k++) assert.equal(await facts.why(7), null);
   assert.equal(asked.length, 4);
+});
+
+test("a static scene has cells, floor and views in its files, and answers no other question", async (t) => {
+  const held = deflateSync(JSON.stringify({ cells: row(), floor: { ...FLOOR, heights: [1.6, null] } }));
+  const poses = [{ position: [1, 2, 3], rotation: [1, 0, 0, 0] }], name = "facts-0.bin", asked: string[] = [];
+  let answers: Record<string, unknown> = {};
+  t.mock.method(globalThis, "fetch", (url: string) => {
+    asked.push(url);
+    const found = answers[url.slice("http://a.example/s/".length)];
+    return Promise.resolve(found instanceof Uint8Array
+      ? new Response(new Uint8Array(found)) : found ? Response.json(found) : new Response("", { status: 404 }));
+  });
+  const open = (url: string): Facts => factsOf({ kind: "static", name: "s", url, root: null });
+  answers = { "scene.json": { poses, files: { facts: { name } } }, [name]: held };
+  for (const url of ["http://a.example/s", "http://a.example/s/", "http://a.example/s/scene.json"]) {
+    const facts = open(url);
+    assert.deepEqual([(await facts.cells())?.boxes.length, (await facts.views()).length], [row().boxes.length, 1]);
+    assert.deepEqual([...(await facts.floor())!.heights], [Math.fround(1.6), NaN]);
+    assert.deepEqual([facts.known, await facts.marks(), await facts.why(3)], [false, null, null]);
+  }
+  assert.deepEqual(new Set(asked), new Set(["http://a.example/s/scene.json", `http://a.example/s/${name}`]));
+  answers = { "scene.json": { poses } }; // a bare scene
+  assert.deepEqual([await open("http://a.example/s").cells(), (await open("http://a.example/s").views()).length], [null, 1]);
+  const cut = { "scene.json": { poses, files: { facts: { name } } }, [name]: held.subarray(0, 20) };
+  for (const [damaged, views] of [[{}, 0], [cut, 1]] as const) {
+    answers = damaged;
+    const facts = open("http://a.example/s");
+    assert.deepEqual([await facts.floor(), await facts.cells(), (await facts.views()).length], [null, null, views]);
+  }
 });
 
 test("facts of a Gaussian are read, rows of directions nested or not", () => {

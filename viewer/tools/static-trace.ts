@@ -1,6 +1,7 @@
 // Which Gaussians and terms the page's reader of static scenes has after how many bytes, on a link of a given rate and
 // round trip.
-// node static-trace.mjs FOLDER RATE ROUND_TRIP BYTES < poses.json: for each pose and view one JSON line of arrivals.
+// node static-trace.mjs FOLDER RATE ROUND_TRIP BYTES < poses.json: for each pose and view one JSON line of arrivals; of
+// terms the slot of their owner, and the lower and the upper word of their record, behind each other.
 import { readFileSync } from "node:fs";
 import { join } from "node:path";
 import { StaticHost } from "../src/core/static-host.ts";
@@ -74,18 +75,19 @@ const [folder, rate, trip, most] = [
 ];
 for (const { pose, view } of JSON.parse(readFileSync(0, "utf8")) as { pose: Pose; view: View }[]) {
   const steps: {
-    bytes: number; requests: number; seconds: number; kinds: Record<string, number>; ids: number[]; owners: number[];
+    bytes: number; requests: number; seconds: number; kinds: Record<string, number>; ids: number[]; terms: number[];
     gone: number[];
   }[] = [];
   let parts: LinkedParts | null = null, isComplete = false;
   const post = (report: Report): void => {
     if (report.kind === "state") isComplete = report.state.kind === "complete";
     if (report.kind !== "batch") return;
-    const { ids, owners, gone } = report.batch;
+    const { ids, owners, terms, gone } = report.batch;
     steps.push(
       {
         bytes: parts!.bytes, requests: parts!.requests, seconds: parts!.now,
-        kinds: { ...parts!.kinds }, ids: [...ids], owners: [...new Set(owners)], gone: [...gone],
+        kinds: { ...parts!.kinds }, ids: [...ids], gone: [...gone],
+        terms: [...owners].flatMap((slot, k) => [slot, terms[2 * k], terms[2 * k + 1]]),
       }
     );
   };

@@ -36,7 +36,7 @@ export class Arrivals {
    */
   addRecords(run: Run, data: Uint8Array, harmonics: Uint8Array | null, lose: (error: unknown) => void): Batch {
     const { blocks } = this, layout = this.#layout, each = blocks.harmonicBytes, start = blocks.recordStart;
-    const good: number[] = [], parts: Uint32Array[] = [];
+    const good: number[] = [], parts: { records: Uint32Array; needs: Uint32Array[] }[] = [];
     for (let b = run.first; b < run.end; b++) {
       this.held.records[b] = LOST;
       try {
@@ -59,7 +59,10 @@ export class Arrivals {
         fresh.push(chunk);
       }
       this.firstSlot[b] = this.gaussians + at;
-      records.set(parts[i], 4 * at);
+      records.set(parts[i].records, 4 * at);
+      parts[i].needs.forEach((needs, k) => {
+        if (needs.length > 0) this.#waiting.push({ slot: this.firstSlot[b] + k, block: b, needs });
+      });
       if (harmonics !== null) own?.set(harmonics.subarray(from, from + each * blocks.size(b)), each * at);
       for (let k = 0; k < blocks.size(b); k++, at++) {
         ids[at] = blocks.firstId[b] + k;
@@ -79,27 +82,26 @@ export class Arrivals {
     return { ...this.#empty(), first, ids, records, rows, means, firstRow, chunks, boxes, chunkLevels, harmonics: own };
   }
 
-  /** Return the batch of the terms of a block whose records are held. */
-  addTerms(block: number, data: Uint8Array): Batch {
-    const { owners, terms } = this.blocks.terms(block, data), first = this.firstSlot[block], firstTerm = this.terms;
-    this.held.terms[block] = HELD;
+  /** Return the batch of a run of items. One that makes no sense is lost, and `lose` is called. */
+  addTerms(run: Run, data: Uint8Array, lose: (error: unknown) => void): Batch {
+    const { blocks, held } = this, start = blocks.termStart!, firstTerm = this.terms;
+    const owners: number[] = [], terms: number[] = [];
+    for (let item = run.first; item < run.end; item++) {
+      const block = item % blocks.count;
+      if (held.records[block] !== HELD) continue;
+      held.terms[item] = LOST;
+      try {
+        const bytes = data.subarray(start[item] - start[run.first], start[item + 1] - start[run.first]);
+        const own = blocks.terms(item, bytes);
+        for (const k of own.owners) owners.push(this.firstSlot[block] + k);
+        for (const bits of own.terms) terms.push(bits);
+        held.terms[item] = HELD;
+      } catch (error) {
+        lose(error);
+      }
+    }
     this.terms += owners.length;
-    return { ...this.#empty(), firstTerm, terms, owners: owners.map((k) => first + k) };
-  }
-
-  /** Take what replaces the Gaussians of a held block: its row in `replaced`. */
-  addReplaced(block: number, row: Uint8Array): void {
-    const size = this.blocks.size(block), view = new DataView(row.buffer, row.byteOffset, row.byteLength);
-    const bytes = row.subarray(0, size).reduce((sum, count) => sum + 4 * count, size);
-    if (bytes !== row.length) {
-      throw new Error(`replaced: block ${block}: expected ${bytes} bytes, got ${row.length}; export the scene again`);
-    }
-    let at = size;
-    for (let k = 0; k < size; k++) {
-      const needs = new Uint32Array(row[k]);
-      for (let j = 0; j < needs.length; j++, at += 4) needs[j] = view.getUint32(at, true);
-      if (needs.length > 0) this.#waiting.push({ slot: this.firstSlot[block] + k, block, needs });
-    }
+    return { ...this.#empty(), firstTerm, terms: Uint32Array.from(terms), owners: Uint32Array.from(owners) };
   }
 
   /**

@@ -26,8 +26,8 @@ export class Blocks {
   readonly lowest: number; // the lowest level that is no first picture; those are for servers
   readonly meanRadius: number; // of the spheres of chunks
   readonly harmonicBytes: number; // of a Gaussian
-  termStart: Float64Array | null = null; // (B + 1) byte in `terms`; null until `setTerms`
-  termCount: Uint32Array | null = null;
+  // Of items, layers of the terms of blocks: item i belongs to block i % B.
+  termStart: Float64Array | null = null; // (L B + 1) byte in `terms`; null until `setTerms`
 
   /** Read the content of `index`. */
   static async open(scene: StaticScene, data: Uint8Array): Promise<Blocks> {
@@ -117,8 +117,11 @@ export class Blocks {
     }
   }
 
-  /** Return the records of a block, and take the row of its chunk; `data` is what `records` has of it. */
-  records(block: number, data: Uint8Array): Uint32Array {
+  /**
+   * Return the records of a block and the blocks that replace each Gaussian, and take the row of its chunk; `data` is
+   * what `records` has of it.
+   */
+  records(block: number, data: Uint8Array): { records: Uint32Array; needs: Uint32Array[] } {
     const c = this.chunk[block], size = this.size(block), { header } = this.scene, row = new Float32Array(8);
     const view = new DataView(data.buffer, data.byteOffset, data.byteLength);
     for (let axis = 0; axis < 3; axis++) {
@@ -127,41 +130,42 @@ export class Blocks {
     }
     row[3] = view.getInt16(24, true);
     row[7] = data[30];
-    const bits = view.getUint16(26, true), words = view.getUint16(28, true);
-    const body = data.slice(HEAD, HEAD + 2 * words), ids = new Uint32Array(size).map((_, k) => k);
-    const found = !hasBox(row, 0, bits, recordLayout(header.colors.variant).position) || row[7] < 1
+    const bits = view.getUint16(26, true), end = HEAD + 2 * view.getUint16(28, true);
+    const body = data.slice(HEAD, end), ids = new Uint32Array(size).map((_, k) => k);
+    const records = !hasBox(row, 0, bits, recordLayout(header.colors.variant).position) || row[7] < 1
       ? null
       : header.code
       ? readRecords(body, ids, new Uint32Array(size), { table: row, bits: Uint16Array.of(bits) }, header.code)
       : body.length === 16 * size ? new Uint32Array(body.buffer) : null;
-    if (found === null) throw new Error(`records: block ${block}: damaged; export the scene again`);
+    const needs = this.last(block) < this.top ? readNeeds(data.subarray(end), size) : [];
+    if (!records || !needs) throw new Error(`records: block ${block}: damaged; export the scene again`);
     this.rows.set(row, 8 * c);
     writeBox(row, 0, bits, this.boxes.subarray(6 * c), 0);
-    return found;
+    return { records, needs };
   }
 
-  /** Return the terms of a block and the Gaussian in the block of each; `data` is what `terms` has of it. */
-  terms(block: number, data: Uint8Array): { owners: Uint32Array; terms: Uint32Array } {
-    const size = this.size(block), owners = new Uint32Array(this.termCount![block]);
-    let count = 0;
-    for (let k = 0; k < size; k++) {
-      owners.fill(k, count, count + data[k]);
-      count += data[k];
+  /** Return the terms of an item and the Gaussian in the block of each; `data` is what `terms` has of it. */
+  terms(item: number, data: Uint8Array): { owners: Uint32Array; terms: Uint32Array } {
+    const size = this.size(item % this.count), of: number[] = [], { code } = this.scene.header;
+    let bit = 0;
+    for (; data.length > 0 && bit - of.length < size; bit++) {
+      if ((data[bit >> 3] >> (bit & 7)) & 1) of.push(bit - of.length);
     }
-    const { code } = this.scene.header, terms = code && readTerms(data.slice(size), owners, code);
-    if (count !== owners.length || !terms) throw new Error(`terms: block ${block}: damaged; export the scene again`);
+    const owners = Uint32Array.from(of), terms = code && readTerms(data.slice(2 * ((bit + 15) >> 4)), owners, code);
+    if (!terms) throw new Error(`terms: block ${item % this.count}: damaged; export the scene again`);
     return { owners, terms };
   }
 
-  /** Take the numbers of terms of blocks, and where they lie: the content of `blocks`. */
+  /** Take where items lie: the content of `blocks`. */
   async setTerms(data: Uint8Array): Promise<void> {
-    const columns = new Columns(await inflate(data, 4 * this.count, "blocks"), this.count);
-    const counts = columns.next(2), words = columns.next(2), starts = new Float64Array(this.count + 1);
-    for (let b = 0; b < this.count; b++) starts[b + 1] = starts[b] + this.size(b) + 2 * words[b];
-    if (starts[this.count] !== this.scene.files.get("terms")?.bytes) {
-      throw new Error("blocks: expected as many terms as the scene has, got another number");
+    const items = this.scene.layers * this.count, starts = new Float64Array(items + 1);
+    new Columns(await inflate(data, 2 * items, "blocks"), items).next(2).forEach((words, i) => {
+      starts[i + 1] = starts[i] + 2 * words;
+    });
+    if (starts[items] !== this.scene.files.get("terms")?.bytes) {
+      throw new Error("blocks: expected all of the file of terms; export the scene again");
     }
-    [this.termStart, this.termCount] = [starts, counts];
+    this.termStart = starts;
   }
 
   /** Return the number of Gaussians of a block. */
@@ -169,7 +173,7 @@ export class Blocks {
     return this.start[block + 1] - this.start[block];
   }
 
-  /** Return the bytes of records and harmonics of blocks, or of their terms, from one to another. */
+  /** Return the bytes of records and harmonics of blocks, or of items, from one to another. */
   bytes(first: number, end: number, terms = false): number {
     return terms
       ? this.termStart![end] - this.termStart![first]
@@ -180,4 +184,18 @@ export class Blocks {
   last(block: number): number {
     return this.levels[2 * this.chunk[block] + 1];
   }
+}
+
+/** Return the blocks that replace each of `size` Gaussians; null for bytes that are no such lists. */
+function readNeeds(data: Uint8Array, size: number): Uint32Array[] | null {
+  const found: Uint32Array[] = [];
+  let at = 0, last = 0;
+  while (found.length < size) {
+    found.push(Uint32Array.from({ length: data[at++] ?? 0 }, () => {
+      let folded = 0, shift = 0;
+      do folded |= (data[at] & 127) << shift; while (shift += 7, data[at++] > 127);
+      return last += (folded >>> 1) ^ -(folded & 1);
+    }));
+  }
+  return at > data.length ? null : found;
 }

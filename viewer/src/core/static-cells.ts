@@ -3,13 +3,14 @@ import type { StaticScene } from "./static-scene.ts";
 import { Columns, inflate } from "./static-tables.ts";
 
 /**
- * What a cell sees: blocks, the logarithm (base 2) of the gain of each, and the share of its terms that are active
- * here.
+ * What a cell sees: blocks, the logarithm (base 2) of the gain of each, and layer by layer that of its items, -Infinity
+ * for those of no use here.
  */
 export interface CellRow {
   blocks: Uint32Array;
   gains: Float32Array;
-  shares: Uint8Array | null;
+  items: Float32Array | null;
+  middle: readonly number[] | null; // where gains were taken; null if they know no distance
 }
 
 export class Cells {
@@ -48,13 +49,8 @@ export class Cells {
     if (found !== undefined) return found;
     let best = 0, least = Infinity;
     for (let k = 0; k < count; k++) {
-      let square = 0;
-      for (let axis = 0; axis < 3; axis++) {
-        square += (
-          origin[axis] + size * (this.#boxes[3 * k + axis] + 0.5) - position[axis]
-        ) ** 2;
-      }
-      if (square < least) [best, least] = [k, square];
+      const away = Math.hypot(...this.middle(k)!.map((v, axis) => v - position[axis]));
+      if (away < least) [best, least] = [k, away];
     }
     return best;
   }
@@ -69,6 +65,12 @@ export class Cells {
     return found;
   }
 
+  /** Return the middle of a cell; null if there is one cell alone. */
+  middle(cell: number): number[] | null {
+    const { origin, size } = this.scene.cells;
+    return size > 0 ? origin.map((v, axis) => v + size * (this.#boxes[3 * cell + axis] + 0.5)) : null;
+  }
+
   /** Return where the row of a cell lies. */
   range(cell: number): [number, number] {
     return [this.#starts[cell], this.#starts[cell + 1]];
@@ -79,9 +81,11 @@ export class Cells {
   }
 }
 
-/** Return the content of a row. */
-export async function readRow(scene: StaticScene, coded: Uint8Array): Promise<CellRow> {
-  const bits = Math.ceil(scene.blocks / 8), each = scene.cells.active ? 2 : 1, seen: number[] = [];
+/** Return the content of the row of a cell with this middle. */
+export async function readRow(
+  scene: StaticScene, coded: Uint8Array, middle: readonly number[] | null,
+): Promise<CellRow> {
+  const bits = Math.ceil(scene.blocks / 8), each = scene.cells.active ? 1 + scene.layers : 1, seen: number[] = [];
   const data = await inflate(coded, bits + each * scene.blocks, "cells");
   for (let b = 0; b < scene.blocks && b >> 3 < data.length; b++) if ((data[b >> 3] >> (b & 7)) & 1) seen.push(b);
   if (data.length !== bits + each * seen.length) {
@@ -89,13 +93,15 @@ export async function readRow(scene: StaticScene, coded: Uint8Array): Promise<Ce
   }
   const gains = new Float32Array(seen.length);
   for (let k = 0; k < seen.length; k++) gains[k] = (data[bits + k] - 255 + scene.cells.gainTop) / 4;
-  return { blocks: Uint32Array.from(seen), gains, shares: scene.cells.active ? data.slice(bits + seen.length) : null };
+  const items = scene.cells.active
+    ? Float32Array.from(data.subarray(bits + seen.length), (octave) => octave > 0 ? octave - 128 : -Infinity) : null;
+  return { blocks: Uint32Array.from(seen), gains, items, middle };
 }
 
 /** Return a row with all blocks alike: what a cell is taken to see whose own row is lost. */
 export function everything(scene: StaticScene): CellRow {
   return {
     blocks: Uint32Array.from({ length: scene.blocks }, (_, b) => b), gains: new Float32Array(scene.blocks),
-    shares: null,
+    items: null, middle: null,
   };
 }

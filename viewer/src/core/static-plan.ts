@@ -8,33 +8,34 @@ import type { CellRow } from "./static-cells.ts";
 import type { Pose, View } from "./types.ts";
 
 export const MARGIN = 0.14; // radians by which the borders of the view move outwards
-const PERIPHERAL = Math.log2(0.003), ADJACENT = Math.log2(0.02), TERMS = Math.log2(0.03), FINER = Math.log2(0.1),
+const PERIPHERAL = Math.log2(0.003), ADJACENT = Math.log2(0.02), TERMS = Math.log2(0.003), FINER = Math.log2(0.1),
   BEYOND = Math.log2(0.05);
+const RECORD = 13; // bytes of a Gaussian
 const POWERS = { high: 1, medium: 1.5, low: 2 };
 const HORIZON = 3, STICKY = 1.2; // seconds; change of the rate that changes the regime
 
 export type Regime = "high" | "medium" | "low";
 
-/** States of a block's records, and of its terms. */
+/** States of the records of blocks, and of items. */
 export const NONE = 0, ASKED = 1, HELD = 2, LOST = 3;
 
-/** A block to fetch: its records, or its terms. */
+/** What to fetch: records of blocks, and items, which are layers of the terms of blocks (see `Blocks.termStart`). */
 export interface Order {
-  blocks: Uint32Array;
-  terms: Uint8Array; // 1 for terms
+  blocks: Uint32Array; // or items
+  terms: Uint8Array; // 1 for items
 }
 
-/** A run of neighbouring blocks that one request fetches. */
+/** A run of neighbouring blocks or items that one request fetches. */
 export interface Run {
   terms: boolean;
   first: number;
-  end: number; // behind the last block
-  place: number; // of its best block in the order
+  end: number; // behind the last one
+  place: number; // of its best one in the order
 }
 
 export interface Holdings {
   records: Uint8Array; // (B) states
-  terms: Uint8Array; // (B) states
+  terms: Uint8Array; // (L B) states of items
 }
 
 /** Return the regime of a rate in bytes a second, given the bytes of each level of a cell; see `regime_of`. */
@@ -95,46 +96,50 @@ export function rank(
   const caps = { high: [top, top], medium: [middle, middle], low: [middle, lowest] }[regime];
   const least = regime === "high" ? top : lowest;
   const far = new Float32Array(chunks).fill(NaN), inside = new Float32Array(chunks);
-  const keys = new Float32Array(2 * row.blocks.length), found: number[] = [];
-  for (let k = 0; k < row.blocks.length; k++) {
+  const seen = row.blocks.length, wide = 1 + blocks.scene.layers; // keys of a block: of its records, of its layers
+  const keys = new Float32Array(wide * seen), found: number[] = [];
+  for (let k = 0; k < seen; k++) {
     const b = row.blocks[k], c = blocks.chunk[b];
     if (blocks.levels[2 * c + 1] < least) continue;
     if (Number.isNaN(far[c])) {
       const x = blocks.spheres[4 * c], y = blocks.spheres[4 * c + 1], z = blocks.spheres[4 * c + 2],
         radius = blocks.spheres[4 * c + 3];
-      const [ex, ey, ez] = pose.position;
-      far[c] = Math.log2((x - ex) ** 2 + (y - ey) ** 2 + (z - ez) ** 2 + radius ** 2 / 4 + 1e-12);
+      const away = ([px, py, pz]: readonly number[]): number =>
+        Math.log2((x - px) ** 2 + (y - py) ** 2 + (z - pz) ** 2 + radius ** 2 / 4 + 1e-12);
+      far[c] = away(pose.position) - (row.middle ? away(row.middle) : 0);
       let depth = 0; // how far the center is inside of all borders, at most 0
       for (let p = 0; p < 20; p += 4) {
         depth = Math.min(depth, planes[p] * x + planes[p + 1] * y + planes[p + 2] * z + planes[p + 3]);
       }
-      inside[c] = Math.max(0, 1 + depth / (radius || 1e-12)); // 1 if the center is in view, 0 if nothing is
+      inside[c] = Math.max(0, 1 + depth / (radius || 1)); // 1 if the center is in view, 0 if nothing is
     }
-    let key = row.gains[k] - far[c] - Math.log2(blocks.size(b));
-    if (adjacent) key += power * ADJACENT;
-    else key += power * PERIPHERAL * (1 - inside[c]) + (blocks.levels[2 * c] > 0 ? FINER : 0);
-    if (blocks.levels[2 * c] > caps[inside[c] && !adjacent ? 0 : 1]) key += BEYOND;
+    let factor = -far[c];
+    if (adjacent) factor += power * ADJACENT;
+    else factor += power * PERIPHERAL * (1 - inside[c]) + (blocks.levels[2 * c] > 0 ? FINER : 0);
+    if (blocks.levels[2 * c] > caps[inside[c] && !adjacent ? 0 : 1]) factor += BEYOND;
     if (held.records[b] === NONE) {
-      keys[2 * k] = key;
-      found.push(2 * k);
+      keys[wide * k] = row.gains[k] + factor - Math.log2(blocks.size(b));
+      found.push(wide * k);
     }
-    const share = row.shares === null ? 255 : row.shares[k];
-    if (
-      !adjacent && blocks.termCount !== null && blocks.termCount[b] > 0 && share > 0 && held.terms[b] === NONE &&
-      held.records[b] !== LOST
-    ) {
-      keys[2 * k + 1] = key + TERMS + Math.log2(share / 255);
-      found.push(2 * k + 1);
+    if (adjacent || blocks.termStart === null || held.records[b] === LOST) continue;
+    for (let layer = 0; layer < wide - 1; layer++) {
+      const item = layer * blocks.count + b, bytes = blocks.bytes(item, item + 1, true);
+      const gain = row.items?.[layer * seen + k] ?? row.gains[k] + TERMS;
+      if (bytes === 0 || gain === -Infinity || held.terms[item] !== NONE) continue;
+      keys[wide * k + layer + 1] = gain + factor - Math.log2(bytes / RECORD);
+      found.push(wide * k + layer + 1);
     }
   }
   const order = Uint32Array.from(found).sort((a, b) => keys[b] - keys[a] || a - b);
-  return { blocks: order.map((entry) => row.blocks[entry >> 1]), terms: Uint8Array.from(order, (entry) => entry & 1) };
+  return {
+    blocks: order.map((entry) => row.blocks[Math.floor(entry / wide)] + Math.max(entry % wide - 1, 0) * blocks.count),
+    terms: Uint8Array.from(order, (entry) => (entry % wide ? 1 : 0)),
+  };
 }
 
 /**
  * Return the next runs of an order, of about `budget` bytes, and the entry behind them. Blocks between two runs join
- * them
- * where they take at most `gap` bytes and are not held: that is cheaper than another request.
+ * them where they take at most `gap` bytes and are not held: that is cheaper than another request.
  */
 export function slice(
   blocks: Blocks, order: Order, from: number, held: Holdings, budget: number, gap: number,
@@ -173,7 +178,7 @@ function joins(blocks: Blocks, run: Run, block: number, held: Holdings, gap: num
   for (let k = run.end; k < block; k++) {
     if (
       run.terms ? held.terms[k] !== NONE ||
-      (held.records[k] !== HELD && held.records[k] !== ASKED) : held.records[k] !== NONE
+      (held.records[k % blocks.count] !== HELD && held.records[k % blocks.count] !== ASKED) : held.records[k] !== NONE
     ) {
       return false;
     }

@@ -4,6 +4,7 @@ import { type Fields, integer, list, number, object, refuse, triple } from "./js
 import type { HarmonicTables, Header, Pose } from "./types.ts";
 
 export const BLOCK = 64;
+const VERSION = 3;
 const MOST = 1 << 28;
 const FARTHEST = 1e30;
 const WHERE = "scene.json";
@@ -25,6 +26,7 @@ interface CellInfo {
 export interface StaticScene {
   header: Header;
   blocks: number;
+  layers: number; // of the terms of a block
   middle: [number, number, number]; // where centers of chunks are finest
   scale: number;
   cells: CellInfo;
@@ -42,13 +44,16 @@ export function parseScene(text: string): StaticScene {
   }
   const top = object(said, WHERE);
   if (top.format !== "gsvis-static") refuse(WHERE, "a static scene of gsvis", top.format);
-  if (top.version !== 2) throw new Error(`${WHERE}: expected version 2, got ${String(top.version)}; update the page`);
+  if (top.version !== VERSION) {
+    throw new Error(`${WHERE}: expected version ${VERSION}, got ${String(top.version)}; export the scene again`);
+  }
   if (top.block_gaussians !== BLOCK) refuse(`${WHERE}, block_gaussians`, String(BLOCK), top.block_gaussians);
   const places = object(top.places, `${WHERE}, places`), plain = headerOf(top, WHERE);
   const scene: StaticScene = {
     header: { ...(top.code === null ? plain : withCode(plain, top, WHERE)), harmonics: top.harmonics === null ? null : parseHarmonics(top.harmonics) },
     files: parseFiles(object(top.files, `${WHERE}, files`)),
     blocks: integer(top, "blocks", 0, MOST, WHERE),
+    layers: integer(top, "term_layers", 1, 16, WHERE),
     middle: triple(places.middle, `${WHERE}, places, middle`),
     scale: number(places.scale, 0, FARTHEST, `${WHERE}, places, scale`),
     cells: parseCells(object(top.cells, `${WHERE}, cells`), `${WHERE}, cells`),

@@ -31,8 +31,6 @@ export class StaticSession {
   readonly arrivals: Arrivals;
   readonly #held: Holdings;
   readonly #rows = new Map<number, CellRow | Promise<CellRow>>();
-  readonly #endingBefore: Uint32Array; // (B + 1) blocks before each that end below the highest level
-  #replacedEnds: Promise<Uint8Array> | null = null;
   #pose: Pose | null = null;
   #view: View | null = null;
   #planned: { cell: number; pose: Pose; view: View; regime: Regime; terms: boolean } | null = null;
@@ -54,14 +52,8 @@ export class StaticSession {
     private readonly cells: Cells | null,
     private readonly link: Link, private readonly events: SessionEvents,
   ) {
-    this.#held = { records: new Uint8Array(blocks.count), terms: new Uint8Array(blocks.count) };
+    this.#held = { records: new Uint8Array(blocks.count), terms: new Uint8Array(scene.layers * blocks.count) };
     this.arrivals = new Arrivals(blocks, this.#held);
-    this.#endingBefore = new Uint32Array(blocks.count + 1);
-    for (let b = 0; b < blocks.count; b++) {
-      this.#endingBefore[b + 1] = this.#endingBefore[b] + (
-        blocks.last(b) < blocks.top ? 1 : 0
-      );
-    }
   }
 
   /** Read the tables of a scene. Without chunks nothing can be drawn; without a grid there is one cell. */
@@ -124,13 +116,8 @@ export class StaticSession {
 
   #isStale(cell: number): boolean {
     const was = this.#planned, pose = this.#pose!, view = this.#view!;
-    if (was === null || was.cell !== cell || was.terms !== (this.blocks.termCount !== null)) return true;
-    if (
-      was.view.left !== view.left || was.view.right !== view.right || was.view.up !== view.up ||
-      was.view.down !== view.down
-    ) {
-      return true;
-    }
+    if (was === null || was.cell !== cell || was.terms !== (this.blocks.termStart !== null)) return true;
+    if ((["left", "right", "up", "down"] as const).some((side) => was.view[side] !== view[side])) return true;
     const moved = Math.hypot(...pose.position.map((v, k) => v - was.pose.position[k]));
     const size = this.scene.cells.size > 0 ? this.scene.cells.size : 4 * this.blocks.meanRadius;
     const cosine = Math.abs(pose.rotation.reduce((sum, v, k) => sum + v * was.pose.rotation[k], 0));
@@ -142,8 +129,7 @@ export class StaticSession {
   #currentRegime(cell: number): Regime {
     const row = this.#rows.get(cell);
     if (this.blocks.top === 0 || row === undefined || row instanceof Promise) return "high";
-    this.#levelSizes ??= { cell, sizes: levelBytes(this.blocks, row) };
-    if (this.#levelSizes.cell !== cell) this.#levelSizes = { cell, sizes: levelBytes(this.blocks, row) };
+    if (this.#levelSizes?.cell !== cell) this.#levelSizes = { cell, sizes: levelBytes(this.blocks, row) };
     return (this.#regime = regimeOf(this.link.throughput, this.#levelSizes.sizes, this.#regime));
   }
 
@@ -155,7 +141,7 @@ export class StaticSession {
     const regime = this.#currentRegime(cell);
     this.#order = rank(this.blocks, row, this.#held, pose, view, regime);
     this.#place = 0;
-    this.#planned = { cell, pose, view, regime, terms: this.blocks.termCount !== null };
+    this.#planned = { cell, pose, view, regime, terms: this.blocks.termStart !== null };
     if (this.#seen?.cell !== cell) {
       const flags = new Uint8Array(this.blocks.count);
       for (const b of row.blocks) flags[b] = 1;
@@ -189,9 +175,9 @@ export class StaticSession {
       void this.#loadTerms();
       return;
     }
-    if (this.#termsAsked && this.blocks.termCount === null && !this.#termsLost) return;
+    if (this.#termsAsked && this.blocks.termStart === null && !this.#termsLost) return;
     if (!this.#isComplete) {
-      if (this.#planned!.regime === "high") this.#sweep(true);
+      this.#sweep(true);
       this.#isComplete = true;
       this.report();
     }
@@ -226,19 +212,13 @@ export class StaticSession {
     const file = this.scene.files.get("cells")!, [start, end] = this.cells?.range(cell) ?? [0, 0];
     const asked = this.cells === null
       ? Promise.resolve(everything(this.scene))
-      : this.parts.read(file, start, end).then((data) => readRow(this.scene, data));
+      : this.parts.read(file, start, end).then((data) => readRow(this.scene, data, this.cells!.middle(cell)));
     const made = asked.catch((error: unknown) => {
       this.#lose(error);
       return everything(this.scene);
     }).then((row) => {
-      if (this.#rows.size >= KEPT_ROWS) {
-        for (const key of this.#rows.keys()) {
-          if (
-            this.#rows.size >= KEPT_ROWS && key !== this.#planned?.cell
-          ) {
-            this.#rows.delete(key);
-          }
-        }
+      for (const key of this.#rows.keys()) {
+        if (this.#rows.size >= KEPT_ROWS && key !== this.#planned?.cell) this.#rows.delete(key);
       }
       this.#rows.set(cell, row);
       this.#pump();
@@ -272,15 +252,11 @@ export class StaticSession {
       if (!this.#isClosed) this.#lose(error);
       return null;
     });
-    const replaced = this.#fetchReplaced(run);
     const data = await this.#read("records", recordStart[run.first], recordStart[run.end]), more = await harmonics;
     if (this.#isClosed) return;
     this.events.batch(this.arrivals.addRecords(run, data, more, (error) => this.#lose(error)));
     if (!this.#termsAsked && this.scene.header.terms > 0) void this.#loadTerms();
     this.#deferred = this.#deferred.filter((each) => !this.#takeTerms(each.run, each.data));
-    for (const [block, row] of await replaced) {
-      if (this.#held.records[block] === HELD) this.#takeBlock(() => this.arrivals.addReplaced(block, row));
-    }
     this.#sweep();
   }
 
@@ -296,53 +272,12 @@ export class StaticSession {
 
   /** Return whether these terms are settled: given on, or of no use because their records are lost. */
   #takeTerms(run: Run, data: Uint8Array): boolean {
-    let at = 0;
-    for (let b = run.first; b < run.end; b++) {
-      if (this.#held.records[b] !== HELD && this.#held.records[b] !== LOST) return false;
+    const { records } = this.#held, { count } = this.blocks;
+    for (let item = run.first; item < run.end; item++) {
+      if (records[item % count] !== HELD && records[item % count] !== LOST) return false;
     }
-    for (let b = run.first; b < run.end; b++) {
-      const size = this.blocks.termStart![b + 1] - this.blocks.termStart![b], own = data.subarray(at, at + size);
-      at += size;
-      if (this.#held.records[b] !== HELD) continue;
-      const isRead = this.#takeBlock(
-        () => this.events.batch(this.arrivals.addTerms(b, own)),
-      );
-      if (!isRead) this.#held.terms[b] = LOST;
-    }
+    this.events.batch(this.arrivals.addTerms(run, data, (error) => this.#lose(error)));
     return true;
-  }
-
-  /** Read what belongs to one block. Bytes that make no sense cost this block, not the others of its run. */
-  #takeBlock(read: () => void): boolean {
-    try {
-      read();
-      return true;
-    } catch (error) {
-      this.#lose(error);
-      return false;
-    }
-  }
-
-  /** Return the rows of `replaced` of those blocks of a run that end below the highest level. */
-  async #fetchReplaced(run: Run): Promise<[number, Uint8Array][]> {
-    const low = this.#endingBefore[run.first], high = this.#endingBefore[run.end];
-    if (low === high) return [];
-    try {
-      this.#replacedEnds ??= this.#read("replaced", 0, 4 * (this.#endingBefore[this.blocks.count] + 1));
-      const head = await this.#replacedEnds, ends = new DataView(head.buffer, head.byteOffset, head.byteLength);
-      const from = ends.getUint32(4 * low, true),
-        data = await this.#read("replaced", from, ends.getUint32(4 * high, true));
-      const found: [number, Uint8Array][] = [];
-      for (let b = run.first, k = low; b < run.end; b++) {
-        if (this.blocks.last(b) === this.blocks.top) continue;
-        found.push([b, data.subarray(ends.getUint32(4 * k, true) - from, ends.getUint32(4 * k + 4, true) - from)]);
-        k++;
-      }
-      return found;
-    } catch (error) {
-      if (!this.#isClosed) this.#lose(error);
-      return [];
-    }
   }
 
   async #read(kind: string, start: number, end: number): Promise<Uint8Array> {

@@ -42,13 +42,13 @@ export function viewsFromPoses(poses: readonly StartPose[]): View[] {
   });
 }
 
-/** Ask for floor and cells; what does not come in time counts as unknown. */
-export async function survey(facts: Facts, proposed: Promise<readonly StartPose[]>): Promise<Surroundings> {
+/** Ask for floor, cells and views; what does not come in time counts as unknown. */
+export async function survey(facts: Facts): Promise<Surroundings> {
   const late = new Promise<null>((done) => setTimeout(done, PATIENCE, null));
-  const [floor, cells, known, poses] = await Promise.all([
-    Promise.race([facts.floor(), late]), Promise.race([facts.cells(), late]), Promise.race([facts.views(), late]), proposed,
+  const [floor, cells, poses] = await Promise.all([
+    Promise.race([facts.floor(), late]), Promise.race([facts.cells(), late]), Promise.race([facts.views(), late]),
   ]);
-  return { floor, cells, poses: poses.length ? poses : (known ?? []) };
+  return { floor, cells, poses: poses ?? [] };
 }
 
 export function begin(hash: string, views: readonly View[], frame: Frame, around: Surroundings): Beginning {

@@ -1,4 +1,5 @@
-// What a server knows of a scene beside its Gaussians: cells, the floor, and why a Gaussian is there.
+// What a server knows of a scene beside its Gaussians: cells, the floor, and why a Gaussian is there. Static scenes have
+// cells, floor and views in files.
 // Everything is checked here: a server of another version costs a panel, never the picture.
 
 import type { Marks, Pose } from "../core/types.ts";
@@ -38,8 +39,8 @@ const MOST_KEPT = 200; // answers
 export class Facts {
   readonly #kept = new Map<string, Promise<unknown>>();
 
-  /** `base` is an address that ends with a slash, null where there is no server to ask. */
-  constructor(private readonly base: string | null) {}
+  /** `base` is an address that ends with a slash, null where no server can be asked; `held` are answers from files. */
+  constructor(private readonly base: string | null, private readonly held: Promise<unknown> = Promise.resolve(null)) {}
 
   get known(): boolean {
     return this.base !== null;
@@ -53,7 +54,7 @@ export class Facts {
     return readCells(await this.#ask("cells"));
   }
 
-  /** Views that the package proposes, the best first. */
+  /** Views that the scene proposes, the best first. */
   async views(): Promise<StartPose[]> {
     return readPoses(fields(await this.#ask("cells"))?.views);
   }
@@ -73,7 +74,7 @@ export class Facts {
   }
 
   #ask(path: string): Promise<unknown> {
-    if (!this.base) return Promise.resolve(null);
+    if (!this.base) return this.held.then((held) => fields(held)?.[path]);
     const known = this.#kept.get(path);
     if (known) return known;
     const answer = fetch(this.base + path, { headers: { accept: "application/json" } })

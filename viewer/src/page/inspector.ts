@@ -3,6 +3,7 @@
 import type { Header } from "../core/types.ts";
 import { make } from "./dom.ts";
 import type { Facts } from "./facts.ts";
+import { NOT_SERVED } from "./messages.ts";
 import type { Side } from "./side.ts";
 import type { ViewerLike } from "./viewer-like.ts";
 import { describePick, describeWhy } from "./why-card.ts";
@@ -42,7 +43,7 @@ export class Inspector {
     this.mark.hidden = false;
     speak(`Gaussian ${pick.id}`);
     const summary = describePick(pick, this.targets.header());
-    if (!facts.known) return side.open("why", TITLE, summary);
+    if (!facts.known) return side.open("why", TITLE, summary, note(NOT_SERVED));
     const pending = note("Asking the server …");
     side.open("why", TITLE, summary, pending);
     const [why, cells] = await Promise.all([facts.why(pick.id), facts.cells()]);

@@ -7,6 +7,7 @@ import { actionButton, choices, slider, toggle } from "./controls.ts";
 import { make } from "./dom.ts";
 import { formatCount } from "./format.ts";
 import { LEGENDS, levelColor, PAINTS } from "./paints.ts";
+import { NOT_SERVED } from "./messages.ts";
 import type { Theme } from "./theme.ts";
 import type { ViewerLike } from "./viewer-like.ts";
 
@@ -15,6 +16,7 @@ interface PanelTargets {
   actions: Actions;
   theme: { chosen: Theme; choose(theme: Theme): void };
   fov: { degrees(): number; choose(degrees: number): void };
+  served(): boolean; // there is a server to ask for marks
   marks(): Promise<Marks | null>;
   cells: { known(): boolean; shown(): boolean; show(shown: boolean): void };
   pace: { factor(): number; choose(factor: number): void };
@@ -57,6 +59,7 @@ export class Panel {
         targets.cells.known()
           ? add(toggle("Cells", "The boxes that visible sets are made for", targets.cells.shown, targets.cells.show))
           : null,
+        targets.served() ? null : make("p", { class: "legend" }, NOT_SERVED),
       ));
     }
     const { fov, pace, theme } = targets;
@@ -88,7 +91,7 @@ export class Panel {
   }
 
   #paints(header: Header): typeof PAINTS {
-    const celled = this.targets.cells.known();
+    const celled = this.targets.cells.known() && this.targets.served();
     return PAINTS.filter(({ marked, fits }) => (marked ? celled : !fits || fits(header)));
   }
 

@@ -1,9 +1,8 @@
-// Asks the server what a scene is, and static scenes for the views that they propose.
+// Asks the server what a scene is, and reads what static scenes say beside their Gaussians.
 
 import type { Header, Pose, Source, SourceEvents } from "../core/types.ts";
 import type { SceneAddress } from "./address.ts";
-import { readPoses } from "./facts.ts";
-import type { StartPose } from "./facts.ts";
+import { Facts } from "./facts.ts";
 import { fields, list } from "./json.ts";
 
 /**
@@ -54,14 +53,22 @@ function streamUrl(path: string, root: string): string {
   return url.href;
 }
 
-/** Return the views that a static scene proposes; none for a stream. */
-export async function proposedPoses(scene: SceneAddress): Promise<StartPose[]> {
-  if (scene.kind !== "static") return [];
-  const address = /\.json$/.test(new URL(scene.url).pathname)
-    ? scene.url
-    : `${scene.url.replace(/\/?$/, "/")}scene.json`;
-  const content = scene.url === "inline:" ? readInline() : await ask(address);
-  return readPoses(fields(content)?.poses);
+/** Return what is known of a scene: a server is asked, a static scene has views, and where it has cells those, in files. */
+export function factsOf(scene: SceneAddress): Facts {
+  if (scene.kind === "static") return new Facts(null, readFiles(scene.url));
+  return new Facts(scene.root && new URL(`scenes/${encodeURIComponent(scene.name)}/`, scene.root).href);
+}
+
+/** Return what a server would answer, of a static scene: `cells`, with its views, and `floor`. */
+async function readFiles(url: string): Promise<unknown> {
+  const at = (name: string): string => url === "inline:"
+    ? `data:;base64,${document.querySelector(`script[data-name="${name}"]`)?.textContent}`
+    : new URL(name, url.replace(/(\/[^/]*\.json)?\/?$/, "/")).href;
+  const said = fields(await ask(at("scene.json"))), file = fields(fields(said?.files)?.facts);
+  const facts = file && fields(await fetch(at(String(file.name))).then(
+    ({ body }) => new Response(body!.pipeThrough(new DecompressionStream("deflate"))).json(),
+  ).catch(() => null));
+  return { ...facts, cells: { ...fields(facts?.cells), views: said?.poses } };
 }
 
 /**
@@ -106,14 +113,6 @@ export function holdPoses(source: Source): { source: Source; header: Promise<Hea
       open = true;
     },
   };
-}
-
-function readInline(): unknown {
-  try {
-    return JSON.parse(atob(document.querySelector('script[data-name="scene.json"]')?.textContent?.trim() ?? ""));
-  } catch {
-    return null;
-  }
 }
 
 async function ask(address: string): Promise<unknown> {

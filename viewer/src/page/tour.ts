@@ -53,6 +53,9 @@ export function readTour(settings: unknown): Tour {
   };
 }
 
+// Not as an export alone: a page in one file holds this script beside its own, and cannot import it.
+(globalThis as { gsvisTour?: typeof readTour }).gsvisTour = readTour;
+
 /**
  * Return the values at a time: on cubic curves whose slope at a key is `smoothness` times that between its neighbors;
  * null for those of the last key. Before the first key and behind the last one they rest.

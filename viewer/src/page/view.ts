@@ -24,7 +24,7 @@ import { Overlay } from "./overlay.ts";
 import { Panel } from "./panel.ts";
 import { DEGREES, rotation } from "./rig.ts";
 import type { Rig } from "./rig.ts";
-import { holdPoses, proposedPoses, rest } from "./scene.ts";
+import { factsOf, holdPoses, rest } from "./scene.ts";
 import { readSettings } from "./settings.ts";
 import type { Settings } from "./settings.ts";
 import { Side } from "./side.ts";
@@ -117,7 +117,7 @@ export class ViewPage {
         degrees: () => this.#navigator.shown.fovY / DEGREES,
         choose: (degrees) => (this.#navigator.setFov(degrees * DEGREES), this.#drive.wake()),
       },
-      marks: () => this.#facts.marks(),
+      served: () => this.#facts.known, marks: () => this.#facts.marks(),
       cells: {
         known: () => this.#overlay.known, shown: () => !this.#overlay.element.hidden,
         show: (shown) => this.#showCells(shown),
@@ -161,14 +161,15 @@ export class ViewPage {
         const said: unknown = await response.json();
         this.#settings = readSettings(said);
         if (this.#settings.animated) {
-          const { readTour } = await import(new URL("tour.js", import.meta.url).href) as typeof import("./tour.ts");
-          this.#tour = readTour(said);
+          const own = globalThis as { gsvisTour?: typeof import("./tour.ts").readTour };
+          if (!own.gsvisTour) await import(new URL("tour.js", import.meta.url).href);
+          this.#tour = own.gsvisTour!(said);
         }
       } catch (error) {
         this.#notices.say(`The settings could not be used. ${error instanceof Error ? error.message : ""}`.trim());
       }
     };
-    const known = survey(this.#facts, proposedPoses(this.scene));
+    const known = survey(this.#facts);
     [this.#surroundings] = await Promise.all([known, settings()]);
     this.#overlay.set(this.#surroundings.cells);
   }
@@ -538,11 +539,6 @@ export class ViewPage {
     setTimeout(() => URL.revokeObjectURL(url), 10_000);
     this.#notices.say("The picture is saved.");
   }
-}
-
-function factsOf(scene: SceneAddress): Facts {
-  const asks = scene.root !== null && scene.kind === "stream";
-  return new Facts(asks ? new URL(`scenes/${encodeURIComponent(scene.name)}/`, scene.root ?? undefined).href : null);
 }
 
 function offersWebGL(): boolean {
