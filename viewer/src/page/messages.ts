@@ -13,13 +13,12 @@ export interface Message {
 
 export const NO_WEBGL: Message = {
   title: "This browser cannot draw the scene",
-  text: "The viewer needs WebGL2. It may be switched off, or the graphics driver blocked. " +
-    "Current browsers have it.",
+  text: "The viewer needs WebGL2. It may be switched off, or the graphics driver blocked.",
 };
 
 export const NO_SCENE: Message = {
   title: "No scene is named",
-  text: "The address of this page names no scene. Open one from the list of scenes.",
+  text: "Open one from the list of scenes.",
 };
 
 export const LOST_CONTEXT = "The graphics card has taken the picture back. It is drawn again as soon as it returns.";
