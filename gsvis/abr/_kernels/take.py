@@ -7,7 +7,7 @@ from numba import njit
 
 from gsvis._kernels.bits import has, lowest
 from gsvis._kernels.compiled import inner, kernel
-from gsvis.abr._kernels.plan import DONE, SEVERAL, UNITS, UNKNOWN
+from gsvis.abr._kernels.plan import DONE, KIND_BITS, SEVERAL, UNITS, UNKNOWN
 
 
 @njit(inline="always")
@@ -111,15 +111,16 @@ def take(plan, place, cell, held, view, records, links, budget, out):
     gaussians, held_terms, gone = held
     sizes, term_offsets, term_sizes, centers, centers_of, cosines, widths, areas = records
     eyes, bodies, toward = view.eyes, view.bodies, np.empty((len(view.eyes), 4), np.float32)
-    only, only_units, waits = links.only, links.only_units, cell.waits
+    only, only_units, waits, gains = links.only, links.only_units, cell.waits, view.gains
     out_gaussians, out_terms = out.gaussians, out.terms
     size, varied = np.float64(sizes[0]) if len(sizes) else 0.0, len(sizes) > 1
     found, found_terms, dropped, total = 0, 0, np.int64(0), 0.0  # a literal would compile `_drop_replaced` twice
     one, ones = np.uint64(1), ~np.uint64(0)
     while place < len(entries):
-        s, terms = np.int64(entries[place] >> 1), entries[place] & 1 != 0
-        w, gain = np.int64(words[s]), view.gain + logs[place]
-        rest = sets[place] & ~gone[w] & (gaussians[w] & owed[s] & ~checked[s] if terms else ~gaussians[w])
+        s, kind = np.int64(entries[place] >> KIND_BITS), np.int64(entries[place] & ((1 << KIND_BITS) - 1)) - 1
+        w, terms = np.int64(words[s]), kind >= 0
+        gain = gains[kind] + logs[place] if terms else 0.0
+        rest = sets[place] & ~gone[w] & (gaussians[w] & owed[s] & ~checked[kind, s] if terms else ~gaussians[w])
         while rest:
             low = lowest(rest)
             rest &= rest - one
@@ -161,7 +162,7 @@ def take(plan, place, cell, held, view, records, links, budget, out):
                     held_terms[k] |= left & (~left + one)
                     left &= left - one
             if kept_back:
-                checked[s] |= one << low
+                checked[kind, s] |= one << low
             else:
                 owed[s] &= ~(one << low)
         place += 1
