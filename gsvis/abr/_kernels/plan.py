@@ -284,23 +284,25 @@ def _choose(units, runs, ahead, table, limit, work):
     """
     masks, codes, buckets, chosen = units.masks, units.codes, work.buckets, work.chosen
     starts, run_slots = runs
-    free, due, sides, own = work.free, work.due[0], work.sides, len(table) // 4
+    free, due, every, sides, own = work.free, work.due[0], work.due, work.sides, len(table) // 4
     middle_sides, parts = work.middle_sides, table.shape[2]
     kinds, keys, filled, skipped = table.shape[1], table.reshape(-1), 0, False
-    strongest = min(kinds - 1, STRONG)  # of what is left of terms, the first to be sent
+    strongest = min(kinds - 1, STRONG)  # of terms that change the image much, the first to be sent
     for r in range(len(run_slots)):
         s = run_slots[r]
         rest, fresh = free[s] | due[s], free[s]
         if not rest:
             continue
-        before, in_view, others = filled, sides[s] != 0, ahead[s]
+        before, in_view, others, strong = filled, sides[s] != 0, ahead[s], np.uint64(0)
+        for k in range(1, len(every)):
+            strong |= every[k, s]
         for u in range(starts[r], starts[r + 1]):  # without branches: half of the units are chosen
             code, mask = codes[u], masks[u]
             near = in_view if code < own else (mask & others) != 0
             kind, side = GEOMETRY if mask & fresh else TERMS, INSIDE if near else OUTSIDE
             place, left = parts * kinds * np.int64(code) + side, (mask & rest) != 0
             key, early = keys[place + parts * kind] + buckets[u], keys[place] + buckets[u]
-            bound = keys[place + parts * strongest] if kind == TERMS and strongest == STRONG else NEVER
+            bound = keys[place + parts * strongest] if kind == TERMS and mask & strong else NEVER
             early = bound if bound > early else early
             key = early if early < key else key
             chosen[filled] = u
@@ -368,6 +370,8 @@ def rank(units, runs, cell, held, view, table, limits, work):
         core = seen & middle[s] if code < own and len(view.middle) > 0 else seen
         for kind in range(1 + len(due)):
             left = masks[u] & (free[s] if kind == GEOMETRY else due[kind - 1, s])
+            if not left:
+                continue
             share = np.float64(word_bytes[s]) if kind == GEOMETRY else term_bytes if kind == TERMS else 0.0
             for part in range(3):
                 bits = left & (core if part == INSIDE else ~seen if part == OUTSIDE else seen & ~core)
