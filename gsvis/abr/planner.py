@@ -18,6 +18,7 @@ from gsvis import _check
 from gsvis.abr._kernels import plan as kernels
 from gsvis.abr._kernels.evict import owe_again
 from gsvis.abr._kernels.take import forget_paid, is_left, take
+from gsvis.abr._kernels.units import EDGE, INSIDE, OUTSIDE
 from gsvis.abr.candidates import CandidateIndex, Candidates
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.config import AbrConfig
@@ -317,10 +318,10 @@ class Planner:
             return False
         if self._next_stage <= _AROUND:
             self._stage = self._next_stage
-            around = self._stage == _AROUND
+            parts = (INSIDE, OUTSIDE, EDGE) if self._stage == _AROUND else (INSIDE,)
             self._table, self._keys = table(
-                config.policy, self._aimed, levels, config.utility, terms_around=around, terms_at_edge=around,
-                picture=self._picture, kinds=self._kinds,
+                config.policy, self._aimed, levels, config.utility, terms_in=parts, picture=self._picture,
+                kinds=self._kinds,
             )  # fmt: skip
             self._cell = self._without_evicted(self._near[3])
             self._view = self._view._replace(gains=_gains(config.epsilon, *self._strong))

@@ -191,8 +191,7 @@ def table(
     levels: int,
     config: UtilityConfig | None = None,
     *,
-    terms_around: bool = False,
-    terms_at_edge: bool = True,
+    terms_in: tuple[int, ...] = (kernels.INSIDE, kernels.EDGE),
     picture: int = -1,
     strong: tuple[float, ...] = (),
     kinds: int = 1,
@@ -202,9 +201,9 @@ def table(
     The offsets are by code of a unit, geometry or kind of terms, and for ring 0 in the middle of the view, out of view
     or at its edge, for other rings in the cell ahead or not. Terms have K kinds: all, and those that change the image
     by at least one of `strong`, with `bounds` in place of offsets. Offsets are `NEVER` for records that are not sent:
-    terms of Gaussians out of view, unless `terms_around`, or at its edge, unless `terms_at_edge`, or that only
-    neighbors see which are not ahead, and Gaussians that end below `lowest_last` or at level `picture` or below. Of
-    these, those in view that enter at level `picture` or below are sent without terms: the first picture.
+    terms of Gaussians in parts of ring 0 that are not in `terms_in`, or that only neighbors see which are not ahead,
+    and Gaussians that end below `lowest_last` or at level `picture` or below. Of these, those in view that enter at
+    level `picture` or below are sent without terms: the first picture.
     """
     found, least = offsets(policy, regime, levels, config, picture), lowest_last(regime, levels)
     least, later, edge = max(least, picture + 1), first_offset(policy, config), edge_offset(policy, config)
@@ -212,7 +211,6 @@ def table(
     both = slice(0, kernels.STRONG)
     for last in range(least, levels):
         out[0, :, last, both, : kernels.EDGE] = found[:AHEAD].transpose(1, 2, 0)
-        out[0, :, last, kernels.TERMS, kernels.OUTSIDE] = found[1, :, kernels.TERMS] if terms_around else NEVER
         out[1:, :, last, both, kernels.INSIDE] = found[AHEAD]
         out[1:, :, last, kernels.GEOMETRY, kernels.OUTSIDE] = found[AHEAD + 1 :, :, kernels.GEOMETRY]
         for kind, bound in enumerate(bounds(strong, config), kernels.STRONG):
@@ -223,8 +221,8 @@ def table(
         out[0, first, last, kernels.GEOMETRY, kernels.INSIDE] = found[0, first, kernels.GEOMETRY] + later
     inside = out[0, ..., kernels.INSIDE]
     out[0, ..., kernels.EDGE] = np.where(inside < NEVER, inside + edge, NEVER)
-    if not terms_at_edge:
-        out[0, ..., kernels.TERMS :, kernels.EDGE] = NEVER
+    for part in {kernels.OUTSIDE, kernels.EDGE}.difference(terms_in):
+        out[0, ..., kernels.TERMS :, part] = NEVER
     out = out.reshape(-1, 1 + kinds, 3)
     out.flags.writeable = False
     return out, int(max(found.max() + later + edge, out[out < NEVER].max(initial=0))) + kernels.BUCKETS

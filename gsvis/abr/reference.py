@@ -85,9 +85,7 @@ def order_records(
         ahead = set(index.sets.classes(view.cell_ahead)[0].tolist())
         active |= _active(index, [view.cell_ahead])
     strong = config.strong if index.cones is not None and policy == "utility" else ()
-    entries: list[Entry] = []
-    details: list[Entry] = []
-    around: list[Entry] = []
+    entries: list[list[Entry]] = [[], [], []]  # of the first pass, of the second, of what is around
     for number, ((ring, word, kind, enters, ends), members) in enumerate(units):
         is_picture = ring == 0 and ends < top and enters <= picture
         if ends < top and not is_picture:
@@ -98,38 +96,60 @@ def order_records(
         bucket, log = int(kernels.bucket_of(gain)), float(np.log(weight))
         near = [g for g in members if (classes[g] == FOV if ring == 0 else g in ahead)]
         core = [g for g in near if ring or middle[g] == FOV]
-        for part, inside in enumerate(
-            (core, [g for g in members if g not in near], [g for g in near if g not in core])
-        ):
-            if part == (kernels.EDGE if ring else kernels.OUTSIDE if is_picture else -1):
-                continue
-            in_view = part != kernels.OUTSIDE
-            group = (0 if in_view else 1) if ring == 0 else AHEAD + part * ring
-            later = first_offset(policy, utility) if is_picture else 0
-            later += edge_offset(policy, utility) if part == kernels.EDGE else 0
-            geometry, place = int(table[group, enters, 0]) + later + bucket, 3 * (2 + len(strong)) * number + part
-            entries.append((geometry, place, 0, inside, log))
-            if (ring == 0 or in_view) and not is_picture:
-                entry = int(table[group, enters, 1]) + later + bucket, place + 3, 1, inside, log
-                for some in ([entries, details], [around], [entries, around])[part]:
-                    some.append(entry)
-                for k, bound in enumerate(bounds(strong, utility) if in_view else [], 2):
-                    least = bound + later + (int(table[AHEAD, 0, 0]) if ring else 0)
-                    entries.append((max(geometry, least), place + 3 * k, k, inside, log))
+        parts = core, [g for g in members if g not in near], [g for g in near if g not in core]
+        first, edge = first_offset(policy, utility) if is_picture else 0, edge_offset(policy, utility)
+        keys = _Keys(table, bounds(strong, utility), first, edge, is_picture)
+        place = 3 * (2 + len(strong)) * number
+        for passes, entry in _entries_of(keys, place, ring, enters, bucket, log, parts):
+            for k in passes:
+                entries[k].append(entry)
     candidates = {g for _, members in units for g in members}
     shares = np.full(index.num_levels, config.replaced)
     shares[: picture + 1] = config.covered
     walk = _Walk(shared, holdings, view, shares)
-    walk.send(entries, active, candidates, (config.first_epsilon, *strong))
-    walk.send(details, active, candidates, (config.epsilon,))
+    walk.send(entries[0], active, candidates, (config.first_epsilon, *strong))
+    walk.send(entries[1], active, candidates, (config.epsilon,))
     if fill:
-        walk.send(around, active, candidates, (config.epsilon,))
+        walk.send(entries[2], active, candidates, (config.epsilon,))
         last = offsets(policy, "high", index.num_levels, utility)
         for some, every_term, visible in _shells(shared, view, strength, last):
             if walk.is_left(some, every_term):
                 candidates = candidates | visible
                 walk.send(some, every_term, candidates)
     return walk.out
+
+
+@dataclass(frozen=True, eq=False)
+class _Keys:
+    """What keys are made of: offsets, bounds, what is added for a first picture and at the edge; if it is a picture."""
+
+    table: NDArray[np.int64]
+    bounds: list[int]
+    first: int
+    edge: int
+    is_picture: bool
+
+
+def _entries_of(
+    keys: _Keys, place: int, ring: int, enters: int, bucket: int, log: float, parts: tuple[list[int], ...]
+) -> Iterator[tuple[tuple[int, ...], Entry]]:
+    """Yield the entries of a unit, each with the passes that it belongs to."""
+    table, kinds = keys.table, 2 + len(keys.bounds)
+    for part, members in enumerate(parts):
+        if part == (kernels.EDGE if ring else kernels.OUTSIDE if keys.is_picture else -1):
+            continue
+        in_view = part != kernels.OUTSIDE
+        group = (0 if in_view else 1) if ring == 0 else AHEAD + part * ring
+        later = keys.first + (keys.edge if part == kernels.EDGE else 0) + bucket
+        geometry = int(table[group, enters, 0]) + later
+        yield (0,), (geometry, place + part, 0, members, log)
+        if keys.is_picture or (ring and not in_view):
+            continue
+        yield ((0, 1), (2,), (0, 2))[part], (int(table[group, enters, 1]) + later, place + 3 + part, 1, members, log)
+        ahead = int(table[AHEAD, 0, 0]) if ring else 0
+        for kind in range(2, kinds if in_view else 2):
+            least = keys.bounds[kind - 2] + later - bucket + ahead
+            yield (0,), (max(geometry, least), place + 3 * kind + part, kind, members, log)
 
 
 def _shells(

@@ -76,7 +76,7 @@ def test_what_is_at_the_edge_of_the_view_waits_by_its_factor(regime: str) -> Non
     assert (edge[own] - inside[own] == 32)[sent[own]].all()
     assert (edge[own][~sent[own]] == NEVER).all()
     assert (edge[~own] == NEVER).all()
-    bare = table("utility", regime, 3, UtilityConfig(edge=0.5), terms_at_edge=False)[0]
+    bare = table("utility", regime, 3, UtilityConfig(edge=0.5), terms_in=(kernels.INSIDE,))[0]
     assert (bare[:, kernels.TERMS, kernels.EDGE] == NEVER).all()
     assert np.array_equal(bare[:, kernels.GEOMETRY], made[:, kernels.GEOMETRY])
 
