@@ -368,7 +368,8 @@ class CandidateIndex:
                 setattr(local, name, tuple(np.empty(size, kind) for kind in kinds))
             sizes.append([array[:size] for array in getattr(local, name)])
         (inside, middle, free, *sides, squares), (due,), of_units, listed, sums = sizes
-        return plan.Work(inside, middle, free, due.reshape(terms, slots), *sides, squares, *of_units, *listed, *sums)
+        of_words = [inside, middle, free, due.reshape(terms, slots), *sides, squares]
+        return plan.Work(*of_words, *of_units, *listed, *sums)
 
     def _add_cells(self, cells: list[int], seen: Words) -> Words:
         """Return what cells see that is not in `seen`, and add it."""

@@ -462,4 +462,4 @@ class Planner:
 
 def _gains(*epsilons: float) -> NDArray[np.float64]:
     """Return the logarithms of what a change is multiplied by, so that the term is sent where the result is above 1."""
-    return -np.log(np.array(epsilons)) - 0.5 * np.log(_FOOTPRINT)
+    return np.asarray(-np.log(epsilons) - 0.5 * np.log(_FOOTPRINT))
