@@ -63,7 +63,8 @@ class UtilityConfig:
             that they replace are there already, so they gain less than their weight.
         first: Factor in (0, 1] for Gaussians of a first picture alone, which are soon replaced.
         beyond: Factor in (0, 1] for levels above the highest level of the regime.
-        edge: Factor in (0, 1] for Gaussians that are in view only by the margin of the view.
+        edge: Factor in (0, 1] for Gaussians that are in view only by the margin of the view, but not for those of a
+            first picture alone.
         change: Gain, as weighted steradians a byte, of terms that change the image by the package's epsilon. Those that
             change it by a multiple gain the square of it: see `AbrConfig.strong`.
         medium: Exponent on `peripheral` and `adjacent` at medium bandwidth.
@@ -216,11 +217,12 @@ def table(
         for kind, bound in enumerate(bounds(strong, config), kernels.STRONG):
             out[0, :, last, kind, kernels.INSIDE] = bound
             out[1:, :, last, kind, kernels.INSIDE] = bound + found[AHEAD, 0, kernels.GEOMETRY]
-    for last in range(least):
-        first = slice(0, min(picture, last) + 1)
-        out[0, first, last, kernels.GEOMETRY, kernels.INSIDE] = found[0, first, kernels.GEOMETRY] + later
     inside = out[0, ..., kernels.INSIDE]
     out[0, ..., kernels.EDGE] = np.where(inside < NEVER, inside + edge, NEVER)
+    for last in range(least):
+        first = slice(0, min(picture, last) + 1)
+        for part in (kernels.INSIDE, kernels.EDGE):
+            out[0, first, last, kernels.GEOMETRY, part] = found[0, first, kernels.GEOMETRY] + later
     for part in {kernels.OUTSIDE, kernels.EDGE}.difference(terms_in):
         out[0, ..., kernels.TERMS :, part] = NEVER
     out = out.reshape(-1, 1 + kinds, 3)

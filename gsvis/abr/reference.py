@@ -97,7 +97,7 @@ def order_records(
         near = [g for g in members if (classes[g] == FOV if ring == 0 else g in ahead)]
         core = [g for g in near if ring or middle[g] == FOV]
         parts = core, [g for g in members if g not in near], [g for g in near if g not in core]
-        first, edge = first_offset(policy, utility) if is_picture else 0, edge_offset(policy, utility)
+        first, edge = (first_offset(policy, utility), 0) if is_picture else (0, edge_offset(policy, utility))
         keys = _Keys(table, bounds(strong, utility), first, edge, is_picture)
         place = 3 * (2 + len(strong)) * number
         for passes, entry in _entries_of(keys, place, ring, enters, bucket, log, parts):
