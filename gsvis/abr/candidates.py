@@ -349,18 +349,27 @@ class CandidateIndex:
             level_bytes=(np.zeros(levels) if sums is None else _level_bytes(sums, levels)) + owned,
         )
 
-    def work(self, slots: int, units: int, keys: int) -> plan.Work:
-        """Return scratch memory of the calling thread; the next call overwrites it."""
-        local = self._scratch
+    def work(self, slots: int, units: int, keys: int, terms: int = 1) -> plan.Work:
+        """Return scratch memory of the calling thread; the next call overwrites it.
+
+        Args:
+            slots: S, number of words.
+            units: U, number of units.
+            keys: M, number of keys.
+            terms: K, number of kinds of terms.
+        """
+        local, entries, sizes = self._scratch, 3 * (1 + terms) * units, []
         for name, size, kinds in (
-            ("slots", slots, (*3 * (np.uint64,), np.uint8, np.float32)),
+            ("slots", slots, (*3 * (np.uint64,), *2 * (np.uint8,), np.float32)), ("due", terms * slots, (np.uint64,)),
             ("units", units, (np.float32, np.int32, np.int32)),
-            ("entries", 4 * units, (np.int32, np.int32, np.uint64, np.int32)), ("keys", keys, (np.int64, np.float64)),
+            ("entries", entries, (np.int32, np.int32, np.uint64, np.int32)), ("keys", keys, (np.int64, np.float64)),
         ):  # fmt: skip
             if not hasattr(local, name) or len(getattr(local, name)[0]) < size:
                 setattr(local, name, tuple(np.empty(size, kind) for kind in kinds))
-        parts = (local.slots, slots), (local.units, units), (local.entries, 4 * units), (local.keys, keys)
-        return plan.Work(*(array[:size] for arrays, size in parts for array in arrays))
+            sizes.append([array[:size] for array in getattr(local, name)])
+        (inside, middle, free, *sides, squares), (due,), of_units, listed, sums = sizes
+        of_words = [inside, middle, free, due.reshape(terms, slots), *sides, squares]
+        return plan.Work(*of_words, *of_units, *listed, *sums)
 
     def _add_cells(self, cells: list[int], seen: Words) -> Words:
         """Return what cells see that is not in `seen`, and add it."""

@@ -30,7 +30,10 @@ class AbrConfig:
         epsilon: How much a term must change the image to be sent for a pose, as a multiple of the package's epsilon. It
             is the change of the color (equation 7) times the blending weight of the Gaussian, times the root of its
             solid angle over that of a square of 6 mrad. Their squares add up to the squared error of the image.
-        first_epsilon: The same for a first pass over the view, so that details of colors do not hold up geometry.
+        first_epsilon: The same for a first pass over the view, so that details of colors do not hold up geometry. What
+            is in view only by its margin gets no more than that.
+        strong: Falling multiples of the package's epsilon. In the first pass of the policy "utility", terms that change
+            the image by as much go among the geometry that gains as much: see `UtilityConfig.change`. At most six.
         parallax: Radians by which the direction to a Gaussian changes before its terms are checked again.
         picture: A view begins with the levels of at most this share of the Gaussians, also where the highest level
             arrives soon. What belongs to them alone is sent in view only. 0 means that there is no such level.
@@ -54,8 +57,9 @@ class AbrConfig:
     predictor: str = "kalman"
     lead: float = 0.25
     ahead: float = 1.0
-    epsilon: float = 0.2
+    epsilon: float = 0.15
     first_epsilon: float = 0.3
+    strong: tuple[float, ...] = (6.0, 2.0, 0.7)
     parallax: float = 0.03
     picture: float = PREVIEW
     replaced: float = 0.4
@@ -77,6 +81,9 @@ class AbrConfig:
         for name in ("lead", "ahead", "parallax", "turn", "move"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
                 raise ValueError(f"{name}: expected a finite number >= 0, got {getattr(self, name)!r}")
+        falls = list(self.strong) == sorted(set(self.strong), reverse=True)
+        if not (falls and len(self.strong) <= 6 and all(0 < change < np.inf for change in self.strong)):
+            raise ValueError(f"strong: expected at most six falling numbers > 0, got {self.strong!r}")
         if not self.begin >= 0:
             raise ValueError(f"begin: expected bytes >= 0, got {self.begin!r}")
         if not 0 <= self.picture <= 1:

@@ -9,7 +9,7 @@ and no message: time and rate are arguments.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,12 +18,13 @@ from gsvis import _check
 from gsvis.abr._kernels import plan as kernels
 from gsvis.abr._kernels.evict import owe_again
 from gsvis.abr._kernels.take import forget_paid, is_left, take
+from gsvis.abr._kernels.units import EDGE, INSIDE, OUTSIDE
 from gsvis.abr.candidates import CandidateIndex, Candidates
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.config import AbrConfig
 from gsvis.abr.holdings import Holdings
 from gsvis.abr.memory import ClientMemory
-from gsvis.abr.policies import filling_table, regime_of, table
+from gsvis.abr.policies import edge_offset, filling_table, regime_of, table
 from gsvis.abr.predict import Pose, PosePredictor, predictor
 from gsvis.pvs.codec import pack
 
@@ -37,6 +38,7 @@ _REACH = 0.4  # seconds of data to rank at a time: most views last no longer
 _FOOTPRINT = 3.6e-5  # steradians, of a square of 6 mrad
 # Stages: what the view needs, smaller changes by terms, terms of what is out of view, the first shell.
 _NEEDS, _DETAILS, _AROUND, _SHELLS = range(4)
+_NO_PLANES = np.zeros((0, 5, 4), np.float32)
 _NOTHING = kernels.Plan(np.zeros(0, np.int32), np.zeros(0, np.uint64), np.zeros(0, np.float32))
 
 
@@ -115,6 +117,10 @@ class Planner:
             raise ValueError(f"holdings: expected those of {index!r}, got {self.holdings!r}")
         self.memory = None if memory is None else ClientMemory(candidates, self.holdings, memory)
         self._picture = index.highest_within(self.config.picture)
+        by_change = index.cones is not None and index.num_terms > 0 and self.config.policy == "utility"
+        self._strong = tuple(self.config.strong) if by_change else ()
+        self._kinds = 1 + len(self._strong)
+        self._middle = replace(view, margin=0.0) if edge_offset(self.config.policy, self.config.utility) else None
         self._shares = np.full(index.num_levels, self.config.replaced)
         self._shares[: self._picture + 1] = self.config.covered
         self._is_full = False  # nothing fits that is worth more than what the client holds
@@ -130,7 +136,7 @@ class Planner:
         self._cell = kernels.Cell(*(np.zeros(0, np.int32),) * 13)
         self._rest: kernels.Cell | None = None  # the whole scene, to fill an idle link
         self._shells: list[list[int]] = []
-        self._view = kernels.View(*(np.zeros(0, np.float32),) * 8)
+        self._view = kernels.View(*(np.zeros(0, np.float32),) * 9)
         self._travelled, self._aimed, self._fresh = 0.0, "high", False
         self._stage, self._stages, self._filled, self._complete = _NEEDS, _AROUND, _SHELLS, False
         self._table, self._keys = table(self.config.policy, "high", index.num_levels, self.config.utility)
@@ -205,6 +211,7 @@ class Planner:
         *,
         eyes: ArrayLike | None = None,
         cell_ahead: int | None = None,
+        middle: ArrayLike | None = None,
     ) -> None:
         """Rank the next records for a view.
 
@@ -215,11 +222,14 @@ class Planner:
             regime: One of `REGIMES`.
             eyes: (P, 3) predicted positions; terms are sent that are active for one of them or for the eye.
             cell_ahead: The cell that the viewer is about to enter; None means the same cell.
+            middle: (G, 5, 4) frusta inside of the others: what is in view but in none of them is at the edge of the
+                view, see `UtilityConfig.edge`. None means that nothing is.
         """
         view = _check.floats("eye", eye, (3,)), _check.floats("planes", planes, ("F", 5, 4))
         others = np.zeros((0, 3)) if eyes is None else _check.floats("eyes", eyes, ("P", 3))
         every = np.concatenate([view[0][None], others]).astype(np.float32)
-        self._aim(self._find(cell), *view, regime, every, cell if cell_ahead is None else cell_ahead)
+        inner = _NO_PLANES if middle is None else _check.floats("middle", middle, ("G", 5, 4))
+        self._aim(self._find(cell), *view, inner, regime, every, cell if cell_ahead is None else cell_ahead)
 
     def take(self, budget: float, *, spare: float | None = None) -> Batch:
         """Return the next records of the view, of at most `budget` bytes. They count as held from now on.
@@ -279,7 +289,7 @@ class Planner:
         assert self.memory is not None
         assert self._near is not None
         shared, near = self.candidates, self._near
-        word = shared.spheres[near[0].words[self._plan.entries[self._place] >> 1]]
+        word = shared.spheres[near[0].words[self._plan.entries[self._place] >> kernels.KIND_BITS]]
         sides = np.zeros(1, np.uint8)
         for frustum in self._view.planes:
             kernels.test_words(*word[:, None], frustum, sides)
@@ -308,14 +318,15 @@ class Planner:
             return False
         if self._next_stage <= _AROUND:
             self._stage = self._next_stage
-            around = self._stage == _AROUND
+            parts = (INSIDE, OUTSIDE, EDGE) if self._stage == _AROUND else (INSIDE,)
             self._table, self._keys = table(
-                config.policy, self._aimed, levels, config.utility, terms_around=around, picture=self._picture
-            )
+                config.policy, self._aimed, levels, config.utility, terms_in=parts, picture=self._picture,
+                kinds=self._kinds,
+            )  # fmt: skip
             self._cell = self._without_evicted(self._near[3])
-            self._view = self._view._replace(gain=_gain(config.epsilon))
+            self._view = self._view._replace(gains=_gains(config.epsilon, *self._strong))
         elif self._enter_shell(self._near[0]):
-            self._table, self._keys = filling_table(config.policy, levels, config.utility)
+            self._table, self._keys = filling_table(config.policy, levels, config.utility, kinds=self._kinds)
         else:
             self._complete = self._given_up is None  # all that any cell sees is held
             return False
@@ -346,8 +357,7 @@ class Planner:
         np.bitwise_or(rest.candidates, allowed, out=rest.candidates)
         self._waits[:] = kernels.UNKNOWN
         self._here, self._cell = every, self._without_evicted(rest._replace(allowed=(allowed & shared.highest)[:s]))
-        nothing = np.zeros((0, 5, 4), np.float32)
-        self._view = self._view._replace(planes=nothing, eyes=np.zeros((0, 3), np.float32))
+        self._view = self._view._replace(planes=_NO_PLANES, middle=_NO_PLANES, eyes=np.zeros((0, 3), np.float32))
         return True
 
     def _follow(self, now: Pose, t: float, rate: float) -> None:
@@ -365,12 +375,15 @@ class Planner:
                 return
         poses = (now,) if config.lead <= 0 else (now, then)
         planes = np.empty((len(poses), 5, 4), np.float32)
+        middle = _NO_PLANES if self._middle is None else np.empty_like(planes)
         for k, pose in enumerate(poses):
             planes[k] = self.view.planes(pose.position, pose.quat)
+            if self._middle is not None:
+                middle[k] = self._middle.planes(pose.position, pose.quat)
         eyes = [pose.position for pose in poses] + ([] if self.cell_ahead == self.cell else [later])
         self.reach = _REACH * rate
         every = np.array(eyes, np.float32)
-        self._aim(here, every[0], planes, self.regime, every, self.cell_ahead)
+        self._aim(here, every[0], planes, middle, self.regime, every, self.cell_ahead)
         self._planned = self.cell, self.cell_ahead, now, then, self.regime
         self.plans += 1
 
@@ -379,17 +392,22 @@ class Planner:
         near = self._near
         return near[0] if near is not None and near[0].cell == cell else self.candidates.in_cell(cell)
 
-    def _aim(self, here: Candidates, eye: F32, planes: F32, regime: str, eyes: F32, cell_ahead: int) -> None:
+    def _aim(
+        self, here: Candidates, eye: F32, planes: F32, middle: F32, regime: str, eyes: F32, cell_ahead: int
+    ) -> None:
         config, index = self.config, self.candidates.index
-        self._table, self._keys = table(config.policy, regime, index.num_levels, config.utility, picture=self._picture)
+        self._table, self._keys = table(
+            config.policy, regime, index.num_levels, config.utility, picture=self._picture, strong=self._strong,
+            kinds=self._kinds,
+        )  # fmt: skip
         self._enter(here, cell_ahead)
         self._aimed, self._is_full, self._given_up = regime, False, None
         if len(self._view.eye):
             self._travelled += float(np.linalg.norm(eye - self._view.eye))
         eyes = eyes if index.cones is not None else eyes[:0]
-        shared, gain = self.candidates, _gain(config.first_epsilon)
+        shared, gains = self.candidates, _gains(config.first_epsilon, *self._strong)
         self._view = kernels.View(
-            eye, eyes, self._travelled, gain, shared.pixel_area, config.parallax, planes, shared.bodies
+            eye, eyes, self._travelled, gains, shared.pixel_area, config.parallax, planes, middle, shared.bodies
         )  # fmt: skip
         self._plan, self._place, self._least, self._whole, self._wanted = _NOTHING, 0, 0, False, 0.0
 
@@ -427,13 +445,14 @@ class Planner:
         none = np.zeros(len(here.words), np.uint64)
         return kernels.Cell(
             words=here.words, places=here.places, term_bytes=here.term_bytes, owed=owed, active=active,
-            candidates=here.union, allowed=self.candidates.all_bits[: len(none)], ahead=none, checked=none.copy(),
-            checked_at=np.zeros(len(none), np.float32), waits=self._waits, last=self.candidates.index.last,
-            shares=self._shares,
+            candidates=here.union, allowed=self.candidates.all_bits[: len(none)], ahead=none,
+            checked=np.zeros((self._kinds, len(none)), np.uint64),
+            checked_at=np.zeros((self._kinds, len(none)), np.float32), waits=self._waits,
+            last=self.candidates.index.last, shares=self._shares,
         )  # fmt: skip
 
     def _rank(self, here: Candidates, enough: float) -> None:
-        work = self.candidates.work(len(here.words), len(here), self._keys)
+        work = self.candidates.work(len(here.words), len(here), self._keys, self._kinds)
         limits = kernels.Limits(float(enough), self._least)
         self._plan, self._least, self._whole = kernels.rank(
             here.units, here.runs, self._cell, self.holdings.words, self._view, self._table, limits, work
@@ -441,6 +460,6 @@ class Planner:
         self._place = 0
 
 
-def _gain(epsilon: float) -> float:
-    """Return the logarithm of what a change is multiplied by, so that the term is sent where the result is above 1."""
-    return float(-np.log(epsilon) - 0.5 * np.log(_FOOTPRINT))
+def _gains(*epsilons: float) -> NDArray[np.float64]:
+    """Return the logarithms of what a change is multiplied by, so that the term is sent where the result is above 1."""
+    return np.asarray(-np.log(epsilons) - 0.5 * np.log(_FOOTPRINT))

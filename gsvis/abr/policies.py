@@ -63,24 +63,32 @@ class UtilityConfig:
             that they replace are there already, so they gain less than their weight.
         first: Factor in (0, 1] for Gaussians of a first picture alone, which are soon replaced.
         beyond: Factor in (0, 1] for levels above the highest level of the regime.
+        edge: Factor in (0, 1] for Gaussians that are in view only by the margin of the view, but not for those of a
+            first picture alone.
+        change: Gain, as weighted steradians a byte, of terms that change the image by the package's epsilon. Those that
+            change it by a multiple gain the square of it: see `AbrConfig.strong`.
         medium: Exponent on `peripheral` and `adjacent` at medium bandwidth.
         low: Exponent on `peripheral` and `adjacent` at low bandwidth, which then favors what is in view.
     """
 
-    peripheral: float = 0.03
-    ahead: float = 0.02
-    adjacent: float = 0.01
+    peripheral: float = 0.01
+    ahead: float = 0.01
+    adjacent: float = 0.003
     terms: float = 0.03
     finer: float = 0.1
     first: float = 0.3
     beyond: float = 0.05
+    edge: float = 0.1
+    change: float = 4e-8
     medium: float = 1.5
     low: float = 2.0
 
     def __post_init__(self) -> None:
-        for name in ("peripheral", "ahead", "adjacent", "terms", "finer", "first", "beyond"):
+        for name in ("peripheral", "ahead", "adjacent", "terms", "finer", "first", "beyond", "edge"):
             if not 1e-6 <= getattr(self, name) <= 1.0:
                 raise ValueError(f"{name}: expected a factor in [1e-6, 1], got {getattr(self, name)!r}")
+        if not 0.0 < self.change <= 1.0:
+            raise ValueError(f"change: expected a gain in (0, 1], got {self.change!r}")
         for name in ("medium", "low"):
             if not 1.0 <= getattr(self, name) <= 4.0:
                 raise ValueError(f"{name}: expected a power in [1, 4], got {getattr(self, name)!r}")
@@ -184,31 +192,54 @@ def table(
     levels: int,
     config: UtilityConfig | None = None,
     *,
-    terms_around: bool = False,
+    terms_in: tuple[int, ...] = (kernels.INSIDE, kernels.EDGE),
     picture: int = -1,
+    strong: tuple[float, ...] = (),
+    kinds: int = 1,
 ) -> tuple[NDArray[np.int32], int]:
-    """Return (4 L L, 2, 2) `offsets` for the kernels, and the number of keys.
+    """Return (4 L L, 1 + K, 3) `offsets` for the kernels, and the number of keys.
 
-    The offsets are by code of a unit, geometry or terms, and for ring 0 in view or out of view, for other rings in the
-    cell ahead or not. They are `NEVER` for records that are not sent: terms of Gaussians out of view, unless
-    `terms_around`, or that only neighbors see which are not ahead, and Gaussians that end below `lowest_last` or at
-    level `picture` or below. Of these, those in view that enter at level `picture` or below are sent without terms: the
-    first picture.
+    The offsets are by code of a unit, geometry or kind of terms, and for ring 0 in the middle of the view, out of view
+    or at its edge, for other rings in the cell ahead or not. Terms have K kinds: all, and those that change the image
+    by at least one of `strong`, with `bounds` in place of offsets. Offsets are `NEVER` for records that are not sent:
+    terms of Gaussians in parts of ring 0 that are not in `terms_in`, or that only neighbors see which are not ahead,
+    and Gaussians that end below `lowest_last` or at level `picture` or below. Of these, those in view that enter at
+    level `picture` or below are sent without terms: the first picture.
     """
     found, least = offsets(policy, regime, levels, config, picture), lowest_last(regime, levels)
-    least, later = max(least, picture + 1), first_offset(policy, config)
-    out = np.full((RINGS, levels, levels, 2, 2), NEVER, np.int32)
+    least, later, edge = max(least, picture + 1), first_offset(policy, config), edge_offset(policy, config)
+    out = np.full((RINGS, levels, levels, 1 + kinds, 3), NEVER, np.int32)
+    both = slice(0, kernels.STRONG)
     for last in range(least, levels):
-        out[0, :, last] = found[:AHEAD].transpose(1, 2, 0)
-        out[0, :, last, kernels.TERMS, kernels.OUTSIDE] = found[1, :, kernels.TERMS] if terms_around else NEVER
-        out[1:, :, last, :, kernels.INSIDE] = found[AHEAD]
+        out[0, :, last, both, : kernels.EDGE] = found[:AHEAD].transpose(1, 2, 0)
+        out[1:, :, last, both, kernels.INSIDE] = found[AHEAD]
         out[1:, :, last, kernels.GEOMETRY, kernels.OUTSIDE] = found[AHEAD + 1 :, :, kernels.GEOMETRY]
+        for kind, bound in enumerate(bounds(strong, config), kernels.STRONG):
+            out[0, :, last, kind, kernels.INSIDE] = bound
+            out[1:, :, last, kind, kernels.INSIDE] = bound + found[AHEAD, 0, kernels.GEOMETRY]
+    inside = out[0, ..., kernels.INSIDE]
+    out[0, ..., kernels.EDGE] = np.where(inside < NEVER, inside + edge, NEVER)
     for last in range(least):
         first = slice(0, min(picture, last) + 1)
-        out[0, first, last, kernels.GEOMETRY, kernels.INSIDE] = found[0, first, kernels.GEOMETRY] + later
-    out = out.reshape(-1, 2, 2)
+        for part in (kernels.INSIDE, kernels.EDGE):
+            out[0, first, last, kernels.GEOMETRY, part] = found[0, first, kernels.GEOMETRY] + later
+    for part in {kernels.OUTSIDE, kernels.EDGE}.difference(terms_in):
+        out[0, ..., kernels.TERMS :, part] = NEVER
+    out = out.reshape(-1, 1 + kinds, 3)
     out.flags.writeable = False
-    return out, int(found.max()) + later + kernels.BUCKETS
+    return out, int(max(found.max() + later + edge, out[out < NEVER].max(initial=0))) + kernels.BUCKETS
+
+
+def bounds(strong: tuple[float, ...], config: UtilityConfig | None = None) -> list[int]:
+    """Return the least keys of terms in view that change the image by multiples of the package's epsilon."""
+    gains = np.array([(config or UtilityConfig()).change * change * change for change in strong], np.float32)
+    places = (gains.view(np.int32) >> 18) - kernels.LEAST  # as `bucket_of` in the kernels
+    return [kernels.BUCKETS - 1 - min(max(int(place), 0), kernels.BUCKETS - 1) for place in places]
+
+
+def edge_offset(policy: str, config: UtilityConfig | None = None) -> int:
+    """Return what is added to the offset of Gaussians at the edge of the view."""
+    return round(-_STEPS * np.log2((config or UtilityConfig()).edge)) if policy == "utility" else 0
 
 
 def first_offset(policy: str, config: UtilityConfig | None = None) -> int:
@@ -217,15 +248,17 @@ def first_offset(policy: str, config: UtilityConfig | None = None) -> int:
 
 
 @lru_cache(maxsize=256)
-def filling_table(policy: str, levels: int, config: UtilityConfig | None = None) -> tuple[NDArray[np.int32], int]:
+def filling_table(
+    policy: str, levels: int, config: UtilityConfig | None = None, *, kinds: int = 1
+) -> tuple[NDArray[np.int32], int]:
     """Return the table of `table` for what fills an idle link: all of a shell alike, terms included.
 
     A shell has one ring. Only Gaussians of the highest level are sent: at the end a client shows nothing else.
     """
     found = offsets(policy, "high", levels, config)[-1]
     found = found - found.min()
-    out = np.full((RINGS, levels, levels, 2, 2), NEVER, np.int32)
-    out[1:, :, levels - 1] = found[:, :, None]
-    out = out.reshape(-1, 2, 2)
+    out = np.full((RINGS, levels, levels, 1 + kinds, 3), NEVER, np.int32)
+    out[1:, :, levels - 1, : kernels.STRONG] = found[:, :, None]
+    out = out.reshape(-1, 1 + kinds, 3)
     out.flags.writeable = False
     return out, int(found.max()) + kernels.BUCKETS

@@ -17,7 +17,7 @@ from gsvis.abr.classes import FOV, classify
 from gsvis.abr.config import AbrConfig
 from gsvis.abr.holdings import Holdings
 from gsvis.abr.index import SceneIndex
-from gsvis.abr.policies import AHEAD, UtilityConfig, first_offset, lowest_last, offsets
+from gsvis.abr.policies import AHEAD, UtilityConfig, bounds, edge_offset, first_offset, lowest_last, offsets
 from gsvis.pvs.codec import ids_of
 
 __all__ = ["View", "order_records"]
@@ -30,12 +30,12 @@ Unit = tuple[tuple[int, int, int, int, int], list[int]]
 
 
 Entry = tuple[int, int, int, list[int], float]
-"""Key, place among equal keys, whether terms, the Gaussians, and the logarithm of their weight."""
+"""Key, place among equal keys, kind of records, the Gaussians, and the logarithm of their weight."""
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Arguments of `Planner.aim`: the cell, the eye (3,), frusta (F, 5, 4), the regime, predicted eyes, cell ahead."""
+    """Arguments of `Planner.aim`: cell, eye (3,), frusta (F, 5, 4), regime, predicted eyes, cell ahead, middle."""
 
     cell: int
     eye: F32
@@ -43,6 +43,7 @@ class View:
     regime: str = "high"
     eyes: F32 | None = None
     cell_ahead: int | None = None
+    middle: F32 | None = None
 
 
 def order_records(
@@ -72,6 +73,7 @@ def order_records(
     index = shared.index
     units, strength = _units(index, view.cell), strengths(index, shared.pixel_area)
     classes = classify(index, view.cell, view.planes).classes
+    middle = classify(index, view.cell, view.planes if view.middle is None else view.middle).classes
     config = config or AbrConfig()
     picture = index.highest_within(config.picture)
     table = offsets(policy, view.regime, index.num_levels, utility, picture)
@@ -82,8 +84,8 @@ def order_records(
     if view.cell_ahead is not None and view.cell_ahead != view.cell:
         ahead = set(index.sets.classes(view.cell_ahead)[0].tolist())
         active |= _active(index, [view.cell_ahead])
-    entries: list[Entry] = []
-    around: list[Entry] = []
+    strong = config.strong if index.cones is not None and policy == "utility" else ()
+    entries: list[list[Entry]] = [[], [], []]  # of the first pass, of the second, of what is around
     for number, ((ring, word, kind, enters, ends), members) in enumerate(units):
         is_picture = ring == 0 and ends < top and enters <= picture
         if ends < top and not is_picture:
@@ -93,27 +95,61 @@ def order_records(
         gain = _gain(shared, word, [strength[g] for g in alike], view.eye, weight)
         bucket, log = int(kernels.bucket_of(gain)), float(np.log(weight))
         near = [g for g in members if (classes[g] == FOV if ring == 0 else g in ahead)]
-        for part, inside in enumerate((near, [] if is_picture else [g for g in members if g not in near])):
-            group = part if ring == 0 else AHEAD + part * ring
-            for terms in (0, 1) if (ring == 0 or part == 0) and not is_picture else (0,):
-                later = first_offset(policy, utility) if is_picture else 0
-                key = int(table[group, enters, terms]) + later + bucket
-                entry = key, 4 * number + 2 * terms + part, terms, inside, log
-                (around if ring == 0 and terms and part else entries).append(entry)
+        core = [g for g in near if ring or middle[g] == FOV]
+        parts = core, [g for g in members if g not in near], [g for g in near if g not in core]
+        first, edge = (first_offset(policy, utility), 0) if is_picture else (0, edge_offset(policy, utility))
+        keys = _Keys(table, bounds(strong, utility), first, edge, is_picture)
+        place = 3 * (2 + len(strong)) * number
+        for passes, entry in _entries_of(keys, place, ring, enters, bucket, log, parts):
+            for k in passes:
+                entries[k].append(entry)
     candidates = {g for _, members in units for g in members}
     shares = np.full(index.num_levels, config.replaced)
     shares[: picture + 1] = config.covered
     walk = _Walk(shared, holdings, view, shares)
-    walk.send(entries, active, candidates, config.first_epsilon)
-    walk.send(entries, active, candidates, config.epsilon)
+    walk.send(entries[0], active, candidates, (config.first_epsilon, *strong))
+    walk.send(entries[1], active, candidates, (config.epsilon,))
     if fill:
-        walk.send(around, active, candidates, config.epsilon)
+        walk.send(entries[2], active, candidates, (config.epsilon,))
         last = offsets(policy, "high", index.num_levels, utility)
         for some, every_term, visible in _shells(shared, view, strength, last):
             if walk.is_left(some, every_term):
                 candidates = candidates | visible
                 walk.send(some, every_term, candidates)
     return walk.out
+
+
+@dataclass(frozen=True, eq=False)
+class _Keys:
+    """What keys are made of: offsets, bounds, what is added for a first picture and at the edge; if it is a picture."""
+
+    table: NDArray[np.int64]
+    bounds: list[int]
+    first: int
+    edge: int
+    is_picture: bool
+
+
+def _entries_of(
+    keys: _Keys, place: int, ring: int, enters: int, bucket: int, log: float, parts: tuple[list[int], ...]
+) -> Iterator[tuple[tuple[int, ...], Entry]]:
+    """Yield the entries of a unit, each with the passes that it belongs to."""
+    table, kinds = keys.table, 2 + len(keys.bounds)
+    for part, members in enumerate(parts):
+        if part == (kernels.EDGE if ring else kernels.OUTSIDE if keys.is_picture else -1):
+            continue
+        in_view = part != kernels.OUTSIDE
+        group = (0 if in_view else 1) if ring == 0 else AHEAD + part * ring
+        later = keys.first + (keys.edge if part == kernels.EDGE else 0) + bucket
+        geometry = int(table[group, enters, 0]) + later
+        yield (0,), (geometry, place + part, 0, members, log)
+        if keys.is_picture or (ring and not in_view):
+            continue
+        yield ((0, 1), (2,), (0, 2))[part], (int(table[group, enters, 1]) + later, place + 3 + part, 1, members, log)
+        ahead = int(table[AHEAD, 0, 0]) if ring else 0
+        for kind in range(2, kinds if in_view else 2):
+            least = keys.bounds[kind - 2] + later - bucket + ahead
+            yield (0,), (max(geometry, least), place + 3 * kind + part, kind, members, log)
 
 
 def _shells(
@@ -204,18 +240,17 @@ class _Walk:
         entries: list[Entry],
         active: set[int],
         candidates: set[int],
-        epsilon: float | None = None,
+        epsilons: tuple[float, ...] = (),
     ) -> None:
         """Send entries by their keys, and terms that change the image enough for one of the eyes, or every term."""
-        for _, _, terms, members, log in sorted(entries, key=lambda entry: entry[:2]):
+        for _, _, kind, members, log in sorted(entries, key=lambda entry: entry[:2]):
+            gain = log - np.log(epsilons[kind - 1]) - 0.5 * np.log(3.6e-5) if kind and epsilons else None
             for g in members:
                 if g in self._gone:
                     continue
-                if terms and g in self._held:
-                    self._send_terms(
-                        g, active, None if epsilon is None else log - np.log(epsilon) - 0.5 * np.log(3.6e-5)
-                    )
-                elif not terms and g not in self._held:
+                if kind and g in self._held:
+                    self._send_terms(g, active, gain)
+                elif not kind and g not in self._held:
                     self._held.add(g)
                     self.out.append(("gaussian", g))
                     self._drop_replaced(g, candidates)

@@ -22,7 +22,8 @@ from gsvis.pvs.codec import ids_of
 from gsvis.scene.gaussians import rotations_from_quats
 from tests.abr import abr_scenes as scenes
 
-VIEW = FieldOfView.from_degrees(80, 60, margin=5)
+VIEW = FieldOfView.from_degrees(80, 60, margin=15)
+MIDDLE = FieldOfView.from_degrees(80, 60)
 FEW = settings(max_examples=15)
 
 
@@ -30,10 +31,12 @@ def some_view(index, seed: int, regime: str = "high") -> View:
     rng = np.random.default_rng(seed)
     eye = rng.uniform(-3, 3, 3).astype(np.float32)
     cell = int(rng.integers(len(index.grid)))
-    planes = np.stack([VIEW.planes(eye, rng.normal(size=4)) for _ in range(int(rng.integers(1, 3)))])
+    quats = rng.normal(size=(int(rng.integers(1, 3)), 4))
+    planes = np.stack([VIEW.planes(eye, quat) for quat in quats])
+    middle = np.stack([MIDDLE.planes(eye, quat) for quat in quats]) if rng.random() < 0.7 else None
     eyes = (eye + rng.normal(0, 0.5, (int(rng.integers(0, 3)), 3))).astype(np.float32)
     near = [cell, *index.grid.neighbors(cell).tolist()]
-    return View(cell, eye, planes, regime, eyes, int(rng.choice(near)))
+    return View(cell, eye, planes, regime, eyes, int(rng.choice(near)), middle)
 
 
 def aimed(
@@ -48,7 +51,9 @@ def aimed(
 ) -> Planner:
     planner = Planner(store, VIEW, config or AbrConfig(policy=policy, fill=fill), holdings=holdings)
     planner.reach = reach
-    planner.aim(view.cell, view.eye, view.planes, view.regime, eyes=view.eyes, cell_ahead=view.cell_ahead)
+    planner.aim(
+        view.cell, view.eye, view.planes, view.regime, eyes=view.eyes, cell_ahead=view.cell_ahead, middle=view.middle
+    )
     return planner
 
 
@@ -82,8 +87,14 @@ def test_fast_and_slow_give_the_same_records_in_the_same_order(seed, policy, reg
     held = Holdings(len(index), index.num_terms)
     held.add(np.flatnonzero(rng.random(len(index)) < 0.2), np.zeros(0, np.int64), np.zeros(0, np.int64))
     picture, (replaced, covered) = float(rng.choice([0.0, 0.5, 1.0])), rng.choice([0.3, 0.6, 1.0], 2).tolist()
-    utility = UtilityConfig(finer=float(rng.choice([0.01, 0.3, 1.0])), first=float(rng.choice([0.02, 1.0])))
-    config = AbrConfig(policy=policy, fill=fill, picture=picture, replaced=replaced, covered=covered, utility=utility)
+    utility = UtilityConfig(
+        finer=float(rng.choice([0.01, 0.3, 1.0])), first=float(rng.choice([0.02, 1.0])),
+        edge=float(rng.choice([0.1, 1.0])), change=float(rng.choice([4e-8, 1e-5, 1e-2])),
+    )  # fmt: skip
+    strong = [(), (1.0,), (30.0, 2.0, 0.5)][int(rng.integers(3))]
+    config = AbrConfig(
+        policy=policy, fill=fill, picture=picture, replaced=replaced, covered=covered, utility=utility, strong=strong
+    )
     slow = order_records(store, view, policy, held, utility=utility, fill=fill, config=config)
     reach = float(rng.choice([1.0, 500.0, 1e9]))
     batches = taken(aimed(store, view, policy, held.copy(), reach, config=config), [1e9])
@@ -327,6 +338,33 @@ def test_utility_prefers_what_is_near_large_and_in_view() -> None:
     assert inside[:tenth].mean() > inside[-tenth:].mean()
 
 
+@FEW
+@given(st.integers(0, 10_000), st.sampled_from(REGIMES))
+def test_terms_that_change_the_image_more_go_first(seed, regime) -> None:
+    index = scenes.random_index(seed, count=300, levels=1, cones=True)
+    store, view = CandidateIndex(index), some_view(index, seed, regime)
+    strong, everything = (50.0, 5.0), (1e9,)
+    orders = {}
+    for steps in ((), strong):
+        config = AbrConfig(fill=False, strong=steps, utility=UtilityConfig(change=1.0))
+        orders[steps] = joined(taken(aimed(store, view, "utility", config=config), list(everything)), "terms")
+    assert sorted(orders[()]) == sorted(orders[strong])  # another order of the same terms
+    owners = np.searchsorted(index.term_offsets, orders[strong], side="right") - 1
+    planner = aimed(store, view, "utility", config=AbrConfig(fill=False, first_epsilon=50.0, epsilon=50.0, strong=()))
+    most = set(joined(taken(planner, list(everything)), "terms"))
+    held = set()
+    for t, g in zip(orders[strong], owners.tolist(), strict=True):  # those of a Gaussian: the strongest before others
+        rest = set(range(*index.term_offsets[g : g + 2].tolist())) & (most - held)
+        assert t in most or not rest
+        held.add(t)
+
+
+@pytest.mark.parametrize("strong", [(1.0, 4.0), (2.0, 2.0), (0.0,), (float("inf"),), tuple(range(9, 1, -1))])
+def test_multiples_of_epsilon_fall(strong) -> None:
+    with pytest.raises(ValueError, match="falling"):
+        AbrConfig(strong=strong)
+
+
 def test_budgets_that_fit_nothing_give_nothing() -> None:
     index = scenes.random_index(1)
     planner = Planner(CandidateIndex(index), VIEW)
@@ -378,6 +416,9 @@ def test_a_planner_keeps_the_candidates_of_its_cell_when_no_cache_has_room() -> 
         (lambda i: UtilityConfig(medium=4.01), "medium"),
         (lambda i: UtilityConfig(low=0.99), "low"),
         (lambda i: UtilityConfig(low=4.01), "low"),
+        (lambda i: UtilityConfig(edge=0.0), "edge"),
+        (lambda i: UtilityConfig(change=0.0), "change"),
+        (lambda i: UtilityConfig(change=np.nan), "change"),
         (lambda i: FieldOfView.from_degrees(190, 20), "horizontal"),
         (lambda i: FieldOfView(1, 1, 1, 1, margin=np.nan), "margin"),
     ],

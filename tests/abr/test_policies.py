@@ -96,11 +96,31 @@ def test_of_what_ends_early_only_a_first_picture_in_view_is_sent(regime: str) ->
 @pytest.mark.parametrize("policy", POLICIES)
 def test_only_what_belongs_to_a_first_picture_alone_waits_by_its_factor(policy: str) -> None:
     tables = [table(policy, "low", 4, UtilityConfig(first=factor), picture=0) for factor in (1.0, 0.5)]
-    added = (tables[1][0] - tables[0][0]).reshape(RINGS, 4, 4, 2, 2)
+    added = (tables[1][0] - tables[0][0]).reshape(RINGS, 4, 4, 2, 3)
     alone = added[0, 0, 0, kernels.GEOMETRY, kernels.INSIDE]
     assert alone == (32 if policy == "utility" else 0)
-    assert np.count_nonzero(added) == (alone > 0)
+    assert added[0, 0, 0, kernels.GEOMETRY, kernels.EDGE] == alone
+    assert np.count_nonzero(added) == 2 * (alone > 0)
     assert tables[1][1] - tables[0][1] == alone
+
+
+@pytest.mark.parametrize("regime", REGIMES)
+def test_what_is_at_the_edge_of_the_view_waits_by_its_factor(regime: str) -> None:
+    made = table("utility", regime, 3, UtilityConfig(edge=0.5), strong=(2.0, 1.0), kinds=3)[0]
+    inside, edge = made[..., kernels.INSIDE], made[..., kernels.EDGE]
+    sent = inside < NEVER
+    own = np.arange(len(made)) < 9
+    assert (edge[own] - inside[own] == 32)[sent[own]].all()
+    assert (edge[own][~sent[own]] == NEVER).all()
+    assert (edge[~own] == NEVER).all()
+    bare = table("utility", regime, 3, UtilityConfig(edge=0.5), terms_in=(kernels.INSIDE,))[0]
+    assert (bare[:, kernels.TERMS, kernels.EDGE] == NEVER).all()
+    assert np.array_equal(bare[:, kernels.GEOMETRY], made[:, kernels.GEOMETRY])
+
+
+def test_terms_that_change_the_image_twice_as_much_are_worth_four_times_as_much() -> None:
+    made = table("utility", "high", 3, strong=(4.0, 2.0, 1.0), kinds=4)[0][8, :, kernels.INSIDE]
+    assert np.diff(made[kernels.STRONG :]).tolist() == [64, 64]
 
 
 @FEW

@@ -80,8 +80,9 @@ def evict(order, masks, needed, sizes, held, term_offsets, links, out):
 
 @kernel(error_model="numpy")
 def owe_again(words, evicted, owed, checked):
-    """Add evicted Gaussians, a packed set (W,), to what is `owed` (S,), and remove them from `checked` (S,)."""
+    """Add evicted Gaussians, a packed set (W,), to what is `owed` (S,), and remove them from `checked` (K, S)."""
     for s in range(len(words)):
         bits = evicted[words[s]]
         owed[s] |= bits
-        checked[s] &= ~bits
+        for k in range(len(checked)):
+            checked[k, s] &= ~bits

@@ -10,13 +10,15 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba import njit
 
 from gsvis._kernels.bits import ones
 from gsvis._kernels.compiled import inner, kernel
-from gsvis.abr._kernels.units import BUCKETS, GEOMETRY, INSIDE, LEAST, OUTSIDE, TERMS
+from gsvis.abr._kernels.units import BUCKETS, GEOMETRY, INSIDE, LEAST, OUTSIDE, STRONG, TERMS
 
 _SAMPLE, _SPARE = 16, 1.5
 NEVER = 1 << 30  # the key of what is never sent
+KIND_BITS = 3  # of an entry: which kind of records
 UNKNOWN, DONE = -1, -2  # in `Cell.waits`: to be checked; replaced
 UNITS = 1 << 24  # of area, of all replacements of a Gaussian
 SEVERAL = -2  # in `Links.only`
@@ -33,8 +35,8 @@ class Cell(NamedTuple):
     candidates: Any  # (W,) uint64, all candidates
     allowed: Any  # (S,) uint64, what may be sent now: all, or while filling what the shell sees
     ahead: Any  # (S,) uint64, what the cell sees that the viewer is about to enter
-    checked: Any  # (S,) uint64, Gaussians that owe only terms which are not active for the eye
-    checked_at: Any  # (S,) float32, `View.travelled` when the first of them were checked
+    checked: Any  # (K, S) uint64 for each kind of terms, Gaussians that owe none of it for the eye
+    checked_at: Any  # (K, S) float32, `View.travelled` when the first of them were checked
     waits: Any  # (E,) int32, units of area that have to arrive before each is checked again
     last: Any  # (N,) uint8, level at which each Gaussian ends
     shares: Any  # (L,) by that level: of the area of its replacements that must be held before it is dropped
@@ -54,10 +56,12 @@ class View(NamedTuple):
     eye: Any  # (3,) float32
     eyes: Any  # (P, 3) float32, terms that are active for none of them are kept back; all are sent where P = 0
     travelled: Any  # distance that the eye has moved so far
-    gain: Any  # logarithm of what the change by a term is multiplied by, beside weight and root of the solid angle
+    gains: Any  # (K,) float64 for each kind of terms, logarithm of what a change is multiplied by, beside weight and
+    # root of the solid angle; the term is sent where the result is above 1
     pixel: Any  # steradians that a pixel adds to the solid angle
     parallax: Any  # radians by which a direction changes before terms are checked again
     planes: Any  # (F, 5, 4) float32 frusta
+    middle: Any  # (G, 5, 4) float32 frusta inside of them: the rest of the view is its edge; none where G = 0
     bodies: Any  # (4, 64 W) float32, see `CandidateIndex.bodies`
 
 
@@ -71,7 +75,7 @@ class Limits(NamedTuple):
 class Plan(NamedTuple):
     """P entries in the order in which they are sent."""
 
-    entries: Any  # (P,) int32, number of a word times 2, plus 1 for terms
+    entries: Any  # (P,) int32, number of a word, and in the last bits which kind of records
     sets: Any  # (P,) uint64, which of its Gaussians
     logs: Any  # (P,) float32, logarithm of their blending weight, that of their class
 
@@ -114,22 +118,24 @@ class Taken(NamedTuple):
 
 
 class Work(NamedTuple):
-    """Scratch of `rank` for S words, U units and K keys."""
+    """Scratch of `rank` for S words, U units, M keys and K kinds of terms."""
 
     inside: Any  # (S,) uint64
+    middle: Any  # (S,) uint64
     free: Any  # (S,) uint64
-    due: Any  # (S,) uint64
+    due: Any  # (K, S) uint64
     sides: Any  # (S,) uint8
+    middle_sides: Any  # (S,) uint8
     squares: Any  # (S,) float32
     gains: Any  # (U,) float32
     buckets: Any  # (U,) int32
     chosen: Any  # (U,) int32
-    keys: Any  # (4 U,) int32
-    entries: Any  # (4 U,) int32
-    sets: Any  # (4 U,) uint64
-    owners: Any  # (4 U,) int32
-    counts: Any  # (K,) int64
-    sizes: Any  # (K,) float64
+    keys: Any  # (3 (1 + K) U,) int32
+    entries: Any  # (3 (1 + K) U,) int32
+    sets: Any  # (3 (1 + K) U,) uint64
+    owners: Any  # (3 (1 + K) U,) int32
+    counts: Any  # (M,) int64
+    sizes: Any  # (M,) float64
 
 
 @kernel(error_model="numpy")
@@ -197,13 +203,13 @@ def _gather(words, allowed, owed, gaussians, gone, free, due):
 
 
 @inner(error_model="numpy")
-def _skip_checked(squares, travelled, parallax, checked, checked_at, due):
-    """Remove from `due` (S,) what is checked; forget checks of words whose direction has changed by the parallax."""
+def _skip_checked(squares, travelled, parallax, before, checked, checked_at, due):
+    """Set what of `before` (S,) is not checked; forget checks of words whose direction has changed by the parallax."""
     for s in range(len(due)):
         apart = np.float32(travelled) - checked_at[s]
         if checked[s] == 0 or apart * apart > parallax * parallax * squares[s]:
             checked[s], checked_at[s] = 0, travelled
-        due[s] &= ~checked[s]
+        due[s] = before[s] & ~checked[s]
 
 
 @inner(error_model="numpy")
@@ -231,6 +237,16 @@ def _buckets(bits, out):
         out[u] = BUCKETS - 1 - (place if place < BUCKETS - 1 else BUCKETS - 1)
 
 
+@njit(inline="always")
+def _key(table, code, kind, part, bucket):
+    """Return the key of records; what changes the image much has a bound in place of an offset."""
+    offset = table[code, kind, part]
+    if kind < STRONG:
+        return offset + bucket
+    geometry = table[code, GEOMETRY, part] + bucket
+    return offset if offset > geometry else geometry
+
+
 @inner(error_model="numpy")
 def _estimate_limit(units, runs, cell, table, limits, work):
     """Return a key below which about enough bytes lie, estimated from a sample of the words; at most all keys."""
@@ -244,8 +260,8 @@ def _estimate_limit(units, runs, cell, table, limits, work):
         s = run_slots[r]
         for u in range(starts[r], starts[r + 1]):
             near = ahead[s] if codes[u] >= own else ~np.uint64(0) if sides[s] else np.uint64(0)
-            for kind in range(2):
-                left = masks[u] & (free[s] if kind == GEOMETRY else due[s])
+            for kind in range(STRONG):
+                left = masks[u] & (free[s] if kind == GEOMETRY else due[0, s])
                 share = np.float64(word_bytes[s]) if kind == GEOMETRY else term_bytes
                 for part in range(2):
                     key, bits = table[codes[u], kind, part] + buckets[u], left & (near if part == INSIDE else ~near)
@@ -268,24 +284,34 @@ def _choose(units, runs, ahead, table, limit, work):
     """
     masks, codes, buckets, chosen = units.masks, units.codes, work.buckets, work.chosen
     starts, run_slots = runs
-    free, due, sides, own = work.free, work.due, work.sides, len(table) // 4
-    keys, filled, skipped = table.reshape(-1), 0, False
+    free, due, every, sides, own = work.free, work.due[0], work.due, work.sides, len(table) // 4
+    middle_sides, parts = work.middle_sides, table.shape[2]
+    kinds, keys, filled, skipped = table.shape[1], table.reshape(-1), 0, False
+    strongest = min(kinds - 1, STRONG)  # of terms that change the image much, the first to be sent
     for r in range(len(run_slots)):
         s = run_slots[r]
         rest, fresh = free[s] | due[s], free[s]
         if not rest:
             continue
-        before, in_view, others = filled, sides[s] != 0, ahead[s]
+        before, in_view, others, strong = filled, sides[s] != 0, ahead[s], np.uint64(0)
+        for k in range(1, len(every)):
+            strong |= every[k, s]
         for u in range(starts[r], starts[r + 1]):  # without branches: half of the units are chosen
             code, mask = codes[u], masks[u]
             near = in_view if code < own else (mask & others) != 0
             kind, side = GEOMETRY if mask & fresh else TERMS, INSIDE if near else OUTSIDE
-            key, left = keys[4 * np.int64(code) + 2 * kind + side] + buckets[u], (mask & rest) != 0
+            place, left = parts * kinds * np.int64(code) + side, (mask & rest) != 0
+            key, early = keys[place + parts * kind] + buckets[u], keys[place] + buckets[u]
+            bound = keys[place + parts * strongest] if kind == TERMS and mask & strong else NEVER
+            early = bound if bound > early else early
+            key = early if early < key else key
             chosen[filled] = u
             filled += left & (key < limit)
             skipped |= left & (key >= limit) & (key < NEVER)
         if sides[s] == 1 and filled > before:
             sides[s] = 3
+        if middle_sides[s] == 1 and filled > before:
+            middle_sides[s] = 3
     return filled, not skipped
 
 
@@ -299,30 +325,41 @@ def rank(units, runs, cell, held, view, table, limits, work):
         cell: `Cell`; changes what is checked.
         held: `Held`.
         view: `View`.
-        table: (4 L L, 2, 2) int32, the offset of a bucket: by code, geometry or terms, in view or out of view (ring 0),
-            in the cell ahead or not (other rings).
+        table: (4 L L, 1 + K, 3) int32, the offset of a bucket: by code, geometry or kind of terms, in the middle of the
+            view, out of view or at its edge (ring 0), in the cell ahead or not (other rings). From kind `STRONG` on,
+            it is the least key.
         limits: `Limits`.
-        work: `Work` with S words, U units and K keys; see `CandidateIndex.work`.
+        work: `Work`; see `CandidateIndex.work`.
 
     Returns:
         `Plan`, the key at which it ends, and whether it holds all that is left.
     """
     slots, masks, areas, pixels, codes, logs = units
     words, places, term_bytes = cell.words, cell.places, cell.term_bytes
-    inside, free, due, sides, squares, gains, buckets, chosen, keys, entries, sets, owners, counts, sizes = work
+    inside, middle, free, due, sides, middle_sides = (
+        work.inside, work.middle, work.free, work.due, work.sides, work.middle_sides,
+    )  # fmt: skip
+    squares, gains, buckets, chosen = work.squares, work.gains, work.buckets, work.chosen
+    keys, entries, sets, owners, counts, sizes = (
+        work.keys, work.entries, work.sets, work.owners, work.counts, work.sizes,
+    )  # fmt: skip
     least = limits.least
     x, y, z, word_bytes = places[0], places[1], places[2], places[5]
-    sides[:] = 0
+    sides[:], middle_sides[:] = 0, 0
     for f in range(len(view.planes)):
         test_words(x, y, z, places[3], view.planes[f], sides)
+    for f in range(len(view.middle)):
+        test_words(x, y, z, places[3], view.middle[f], middle_sides)
     _squares(x, y, z, places[4], view.eye, squares)
-    _gather(words, cell.allowed, cell.owed, held.gaussians, held.gone, free, due)
-    _skip_checked(squares, view.travelled, view.parallax, cell.checked, cell.checked_at, due)
+    _gather(words, cell.allowed, cell.owed, held.gaussians, held.gone, free, due[0])
+    for k in range(len(due)):
+        _skip_checked(squares, view.travelled, view.parallax, due[0], cell.checked[k], cell.checked_at[k], due[k])
     _gains(slots, areas, pixels, squares, gains)
     _buckets(gains.view(np.int32), buckets)
     limit = _estimate_limit(units, runs, cell, table, limits, work)
     count, whole = _choose(units, runs, cell.ahead, table, limit, work)
     _test_gaussians(words, places, view.bodies, view.planes, sides, inside)
+    _test_gaussians(words, places, view.bodies, view.middle, middle_sides, middle)
     own = len(table) // 4  # codes of ring 0
     counts[:limit], sizes[:limit] = 0, 0.0
     filled = 0
@@ -330,17 +367,24 @@ def rank(units, runs, cell, held, view, table, limits, work):
         u = chosen[j]
         s, code = slots[u], codes[u]
         seen = inside[s] if code < own else cell.ahead[s]
-        for kind in range(2):
-            left = masks[u] & (free[s] if kind == GEOMETRY else due[s])
-            share = np.float64(word_bytes[s]) if kind == GEOMETRY else term_bytes
-            for part in range(2):
-                bits, key = left & (seen if part == INSIDE else ~seen), table[code, kind, part] + buckets[u]
-                if not bits or key < least or key >= NEVER:
+        core = seen & middle[s] if code < own and len(view.middle) > 0 else seen
+        for kind in range(1 + len(due)):
+            left = masks[u] & (free[s] if kind == GEOMETRY else due[kind - 1, s])
+            if not left:
+                continue
+            share = np.float64(word_bytes[s]) if kind == GEOMETRY else term_bytes if kind == TERMS else 0.0
+            for part in range(3):
+                bits = left & (core if part == INSIDE else ~seen if part == OUTSIDE else seen & ~core)
+                if not bits:
+                    continue
+                key = _key(table, code, kind, part, buckets[u])
+                if key < least or key >= NEVER:
                     continue
                 if key >= limit:
                     whole = False
                     continue
-                keys[filled], entries[filled], sets[filled], owners[filled] = key, 2 * s + kind, bits, u
+                entries[filled] = s << KIND_BITS | kind
+                keys[filled], sets[filled], owners[filled] = key, bits, u
                 filled += 1
                 counts[key] += 1
                 sizes[key] += np.float64(ones(bits)) * share

@@ -7,7 +7,7 @@ from numba import njit
 
 from gsvis._kernels.bits import has, lowest
 from gsvis._kernels.compiled import inner, kernel
-from gsvis.abr._kernels.plan import DONE, SEVERAL, UNITS, UNKNOWN
+from gsvis.abr._kernels.plan import DONE, KIND_BITS, SEVERAL, UNITS, UNKNOWN
 
 
 @njit(inline="always")
@@ -72,14 +72,14 @@ def _look(bodies, g, area, pixel, eyes, out):
 
 
 @njit(inline="always")
-def _is_active(centers, place, cosine, width, gain, looks):
-    """Return whether a term changes the image enough for one of the eyes, looks (P, 4) being those of `_look`."""
+def _change(centers, place, cosine, width, looks):
+    """Return the logarithm of the largest change by a term for the eyes of looks (P, 4), without weight and gain."""
     x, y, z = centers[place, 0], centers[place, 1], centers[place, 2]
-    found = False
+    most = np.float32(-np.inf)
     for p in range(len(looks)):
-        least = cosine - (gain + looks[p, 3]) * width
-        found |= x * looks[p, 0] + y * looks[p, 1] + z * looks[p, 2] >= least
-    return found
+        change = x * looks[p, 0] + y * looks[p, 1] + z * looks[p, 2] + looks[p, 3] * width
+        most = change if change > most else most
+    return (most - cosine) / width
 
 
 @njit(inline="always")
@@ -111,15 +111,16 @@ def take(plan, place, cell, held, view, records, links, budget, out):
     gaussians, held_terms, gone = held
     sizes, term_offsets, term_sizes, centers, centers_of, cosines, widths, areas = records
     eyes, bodies, toward = view.eyes, view.bodies, np.empty((len(view.eyes), 4), np.float32)
-    only, only_units, waits = links.only, links.only_units, cell.waits
+    only, only_units, waits, gains = links.only, links.only_units, cell.waits, view.gains
     out_gaussians, out_terms = out.gaussians, out.terms
     size, varied = np.float64(sizes[0]) if len(sizes) else 0.0, len(sizes) > 1
     found, found_terms, dropped, total = 0, 0, np.int64(0), 0.0  # a literal would compile `_drop_replaced` twice
     one, ones = np.uint64(1), ~np.uint64(0)
     while place < len(entries):
-        s, terms = np.int64(entries[place] >> 1), entries[place] & 1 != 0
-        w, gain = np.int64(words[s]), view.gain + logs[place]
-        rest = sets[place] & ~gone[w] & (gaussians[w] & owed[s] & ~checked[s] if terms else ~gaussians[w])
+        s, kind = np.int64(entries[place] >> KIND_BITS), np.int64(entries[place] & ((1 << KIND_BITS) - 1)) - 1
+        w, terms = np.int64(words[s]), kind >= 0
+        gain = gains[kind] + logs[place] if terms else 0.0
+        rest = sets[place] & ~gone[w] & (gaussians[w] & owed[s] & ~checked[kind, s] if terms else ~gaussians[w])
         while rest:
             low = lowest(rest)
             rest &= rest - one
@@ -139,7 +140,7 @@ def take(plan, place, cell, held, view, records, links, budget, out):
                     dropped = _drop_replaced(g, held, cell, links, out, dropped)
                     rest &= ~gone[w]
                 continue
-            start, stop, kept_back = term_offsets[g], term_offsets[g + 1], False
+            start, stop, kept_back, most = term_offsets[g], term_offsets[g + 1], False, np.float32(-np.inf)
             _look(bodies, g, areas[g], view.pixel, eyes, toward)
             for k in range(start >> 6, (stop + 63) >> 6):
                 left = active[k] & ~held_terms[k]
@@ -149,10 +150,12 @@ def take(plan, place, cell, held, view, records, links, budget, out):
                     left &= ones >> np.uint64(64 * k + 64 - stop)
                 while left:
                     t = 64 * k + np.int64(lowest(left))
-                    if len(eyes) > 0 and not _is_active(centers, centers_of[t], cosines[t], widths[t], gain, toward):
-                        left &= left - one
-                        kept_back = True
-                        continue
+                    if len(eyes) > 0:
+                        change = _change(centers, centers_of[t], cosines[t], widths[t], toward)
+                        if gain + change < 0.0:
+                            left &= left - one
+                            kept_back, most = True, change if change > most else most
+                            continue
                     if total + term_sizes[t] > budget:
                         return place, found, found_terms, dropped, total
                     total += term_sizes[t]
@@ -161,7 +164,9 @@ def take(plan, place, cell, held, view, records, links, budget, out):
                     held_terms[k] |= left & (~left + one)
                     left &= left - one
             if kept_back:
-                checked[s] |= one << low
+                for k in range(len(gains)):  # no other kind has to look again for what changes less
+                    if gains[k] + logs[place] + most < 0.0:
+                        checked[k, s] |= one << low
             else:
                 owed[s] &= ~(one << low)
         place += 1

@@ -17,8 +17,8 @@ from gsvis._kernels.compiled import kernel
 
 BUCKETS = 1024
 LEAST = 129 * 32 - (BUCKETS - 1)  # a gain of 4, the largest there is: its float32 without the last 18 bits
-GEOMETRY, TERMS = 0, 1
-INSIDE, OUTSIDE = 0, 1
+GEOMETRY, TERMS, STRONG = 0, 1, 2  # kinds of records; further ones are terms that change the image less
+INSIDE, OUTSIDE, EDGE = 0, 1, 2  # parts of what is left: in the middle of the view, out of it, at its edge
 
 
 class Units(NamedTuple):
