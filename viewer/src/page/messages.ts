@@ -46,9 +46,9 @@ export function explainFailure(message: string, code?: number): Message {
       "Load the page again without the cache: it may come from an older server.",
     ],
     3: ["The server has ended the connection", "A limit of the server was exceeded."],
-    5: ["The server is full", "All places are taken. Try again in a moment."],
+    5: ["The server is full", "All places are taken. Try again soon."],
     6: ["The server has ended the connection", "A limit of the server was exceeded."],
-    7: ["The connection was too slow", "The server waited too long for an answer and let go."],
+    7: ["The connection was too slow", "The server waited too long for an answer."],
     8: ["The server has a problem", "It reported an internal error."],
     9: ["The server has shut down", "Try again when it is back."],
   };
