@@ -185,8 +185,9 @@ def notes() -> list[Case]:
         (folder / "rows.npz").write_bytes(b"rows of a tile")
         found = Result({"rows": store.put(folder / "rows.npz")}, {"spacings": [0.5], "sampled": True}, 1.0, 2.0, 3)
         made = []
-        for files in (found.files, {"rows": ["x", 14]}, {"rows": ["0" * 64, -1]}, {"rows": ["0" * 64, 14]}):
-            store.keep_note(f"{KEY}.json", json.dumps({**json.loads(found.to_json()), "files": files}).encode())
+        odd = ({"files": {"rows": row}} for row in (["x", 14], ["0" * 64, -1], ["0" * 64, 14]))
+        for changes in ({}, *odd, {"seconds": -1.0}, {"peak": -1}, {"facts": {"a": np.nan}}):
+            store.keep_note(f"{KEY}.json", json.dumps({**json.loads(found.to_json()), **changes}).encode())
             made.append(files_in(folder))
         return made
 
