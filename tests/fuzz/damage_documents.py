@@ -196,7 +196,7 @@ def selections() -> Damaged:
     for what, numbers in (
         ("one more", np.zeros(13, np.uint8)),
         ("numbers above 255", np.full(12, 256)),
-        ("far too many", np.zeros(4000, np.uint8)),
+        ("far too many", np.zeros(70_000, np.uint8)),
         ("fractions", np.zeros(12)),
     ):
         found[what] = {"a.npy": edits.saved(numbers)}

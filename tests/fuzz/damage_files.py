@@ -141,6 +141,7 @@ def text_models() -> Damaged:
         "an image of no camera": {"images.txt": swapped(images, b" 1 im0.jpg", b" 9 im0.jpg")},
         "a turn that is no number": {"images.txt": re.sub(rb"(?m)^1 \S+", b"1 nan", images)},
         "a turn that is a word": {"images.txt": re.sub(rb"(?m)^1 \S+", b"1 left", images)},
+        "a middle that is no number": {"cameras.txt": swapped(lenses, b"32.0", b"nan", 1)},
         "a lens of no length": {"cameras.txt": swapped(lenses, b"50.0", b"0.0", 1)},
     }
     return {what: {**case, **files} for what, files in changed.items()}

@@ -334,6 +334,7 @@ def whole_packages() -> Damaged:
     )
     return found | {
         "other bytes under the name of a part": {**case, part: case[part][:-1] + bytes([case[part][-1] ^ 1])},
+        "a part shorter than its head": with_part(case, part, case[part][:10]),
         "chunks of another kind": arrow(case, table, kept, "gaussians"),
         "chunks of fewer rows": arrow(case, table, shorter),
         "chunks of two kinds of steps": arrow(case, table, two_kinds),

@@ -77,6 +77,7 @@ def batches() -> Damaged:
     orders = _IDS.pack(*_IDS.unpack_from(rows[0])[:4], 255, 0, 0, 0, 0, 0)
     wide = parsed[0].rows.copy()
     wide["count"] = 200
+    again_first = replace(parsed[0], sequence=2).to_message(about)
     many = _IDS.pack(0, 0, about.gaussians + 1, 0, 0, 0, 0, 0, 0, 0) + bytes(about.gaussians)
     return {
         "levels out of order": case(first, *before, replace(s, rows=crossed).to_message(about)),
@@ -91,6 +92,8 @@ def batches() -> Damaged:
         "an order that is none": case(first, wire.framed(rest[0], [orders + rows[0][_IDS.size :], *rows[1:]])),
         "evicted and not held": case(first, replace(nothing, sequence=1, evicted=ids).to_message(about)),
         "a Gaussian twice": case(first, rest[0], replace(parsed[0], sequence=2).to_message(about)),
+        "more chunks than there are": case(welcome(lambda header: header.update(chunks=1)), *rest),
+        "a Gaussian that was replaced": case(first, replace(nothing, gone=ids).to_message(about), again_first),
         "chunks that overlap": case(first, replace(parsed[0], rows=wide).to_message(about)),
         "half a row of chunks": case(first, wire.framed(rest[0], [rows[0], rows[1] + b"\0", *rows[2:]])),
         "ids that end too soon": case(first, wire.framed(rest[0], [rows[0][:-3], *rows[1:]])),

@@ -40,7 +40,7 @@ def packages() -> list[Case]:
         for name, stores in (("rgb", True), ("hsl", False)):
             package_of(Path(folder) / name, N, name, stores=stores).close()
             found.append(files_in(Path(folder) / name))
-        package_of(Path(folder) / "lattice", N, "rgb", stores=False, lattice=True).close()  # logarithmic chunks
+        package_of(Path(folder) / "lattice", 400, "rgb", stores=False, lattice=True).close()  # logarithmic chunks
         found.append(files_in(Path(folder) / "lattice"))
         with zipfile.ZipFile(OLD) as archive:  # a package of version 2, with lists of active terms
             found.append({name: archive.read(name) for name in archive.namelist()})

@@ -158,10 +158,10 @@ def change_tables(rng: Random, case: Case, target: Target) -> Case:
 def in_kept_tables(folder: Path, case: Case) -> None:
     ((named, data),) = case.items()
     files, whole, header, records = streamed("hsl" if named.startswith("hsl") else "rgb")
-    for name, data in files.items():
+    for name, content in files.items():
         path = folder / "p" / name
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(data)
+        path.write_bytes(content)
     with Package.open(folder / "p") as package:
         place = folder / "t" / (tables._key(package, 2e-3, None) + ".tables")
         place.parent.mkdir()

@@ -70,12 +70,12 @@ def eyes() -> list[tuple[float, float, float]]:
     return [(float(x), float(y), float(z)) for x, y, z in scenes()["rgb"].index.grid.centers[:6]]
 
 
-def talk(session: Session, receiver: Receiver, batches: int, room: float = 1500.0) -> list[bytes]:
+def talk(session: Session, receiver: Receiver, batches: int) -> list[bytes]:
     """The batches that a session has for a viewer that walks."""
     found, places = [], eyes()
     for k in range(4 * batches):
         session.on_pose(0.1 * k, places[k % len(places)], (1.0, 0.1 * k, 0.0, 0.0))
-        message = session.next_message(0.1 * k + 0.02, room)
+        message = session.next_message(0.1 * k + 0.02, 1500.0)
         if message is not None and len(found) < batches:
             receiver.receive(message.data)
             found.append(message.data)
@@ -159,7 +159,7 @@ def sessions() -> list[Case]:
         [new, acks[0], moves[0], acks[1], moves[1], moves[2], acks[2], moves[3], Bye().to_bytes()],
         [back, acks[0], moves[4], moves[5], acks[1], moves[0]],
         [new, late, acks[0], moves[0], acks[1]],  # milliseconds start again after 2^32
-        [Hello(VIEW, memory=MEMORY).to_bytes(), *(m for k in range(6) for m in (Ack(k).to_bytes(), moves[k]))],
+        [Hello(VIEW, memory=MEMORY).to_bytes(), acks[0], moves[0], acks[1], *moves[1:], Bye().to_bytes()],
     ]
     return [{f"{k:02d}.hello": message for k, message in enumerate(script)} for script in scripts]
 
@@ -195,8 +195,8 @@ WIDE = Limits(batch_bytes=1500, messages_per_s=1e6, burst_s=1.0, poses_per_s=1e6
 SLOW = 200
 """Messages from which on a client's socket takes nothing until it has said all."""
 
-BRIEF = AbrConfig(begin=3000.0)
-"""A session whose messages are small for a short while only."""
+BRIEF = AbrConfig(begin=9000.0)
+"""A session whose messages are small for a short while only: WELCOME has 6 kB."""
 
 SILENCE = b"silence"
 """In place of a message: the client says nothing for longer than the limit."""
@@ -284,7 +284,7 @@ def batches(variant: str) -> list[bytes]:
     return [welcome, *talk(session, Receiver(welcome), 4)]
 
 
-MEMORY = 3000
+MEMORY = 1500
 """Bytes of records that a small client holds: less than the first scene has, so that it forgets some."""
 
 
@@ -293,7 +293,7 @@ def small_batches() -> list[bytes]:
     """What a client of little memory gets while it walks: some of it is forgotten again."""
     session = Session.from_hello(scenes()["rgb"], Hello(VIEW, memory=MEMORY))
     welcome = session.welcome(0.0).data
-    return [welcome, *talk(session, Receiver(welcome, memory=MEMORY), 10, 900.0)]
+    return [welcome, *talk(session, Receiver(welcome, memory=MEMORY), 8)]
 
 
 def downstream() -> list[Case]:
