@@ -9,6 +9,7 @@ import struct
 import zlib
 from collections.abc import Callable
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from random import Random
 from tempfile import TemporaryDirectory
@@ -259,6 +260,7 @@ def in_beyond(folder: Path, case: Case) -> None:
         said = json.loads(case["table.json"])
         runs = tuple((int(first), int(count)) for first, count in said["runs"])
         good = all(0 <= first < 1000 and 0 < count < 1000 for first, count in runs)
+        good = good and all(first + count <= after for (first, count), (after, _) in pairwise(runs))
         digest = said["digest"] if isinstance(said["digest"], str) else None
     except (KeyError, ValueError, TypeError, OverflowError, RecursionError):
         good = False
