@@ -13,6 +13,9 @@ from typing import Any
 
 APART = {
     "a writer": [
+        "gsvis.io.spz:_fraction_bits",
+        "gsvis.stream.kept:_make",
+        "gsvis.stream.wire:Token.to_bytes",
         "gsvis.files.mapped:ArrayFiles",
         "gsvis.files.mapped:write_arrays",
         "gsvis.files.objects:FolderStore.sweep",
@@ -101,6 +104,7 @@ APART = {
     ],
     "asked by callers, not by files": [
         "gsvis.files.objects:_checked",
+        "gsvis.train.levels:_subsets.choose",
         "gsvis.train.importance:_gradients",
         "gsvis.train.importance:_schedule",
         "gsvis.train.importance:_turns",
@@ -123,10 +127,10 @@ APART = {
     "behind fsspec, in tests of its own": [
         "gsvis.files.objects:RemoteStore",
     ],
+    "locks against other processes, in tests of their own": [
+        "gsvis.files.resume:KeptWork._lock",
+    ],
     "no reader": [
-        "gsvis.serve.sites:Site._answer",
-        "gsvis.serve.sites:Site.respond",
-        "gsvis.serve.sites:_pieces",
         "gsvis.world.graph:_Crew",
         "gsvis.world.graph:_Run",
         "gsvis.world.graph:_check_worker",
@@ -142,7 +146,6 @@ APART = {
         "gsvis.report.staircase:_encode",
         "gsvis.report.staircase:_page",
         "gsvis.report.staircase:_webp",
-        "gsvis.serve.parts:respond",
         "gsvis.stream.receiver:Receiver.__repr__",
         "gsvis.train.levels:train_levels",
         "gsvis.train.photos:Photos.__repr__",

@@ -18,14 +18,14 @@ SECTIONS = (
         "trust",
         (
             Row(
-                "Of 100,001 damaged inputs, how many crash, hang or exceed memory?",
+                "Of 100,006 damaged inputs, how many crash, hang or exceed memory?",
                 ("fuzz: fuzzing: faults",),
             ),
             Row(
                 "How many branches of the readers does the fuzzer reach?",
                 (
                     "fuzz_coverage: fuzzing: branch coverage of the readers",
-                    "fuzz_coverage: fuzzing: branch coverage of the worst reader, gsvis.stream.meter",
+                    "fuzz_coverage: fuzzing: branch coverage of the worst reader, gsvis.files.mapped",
                 ),
                 ours="{0:.0f}%; {1:.0f}% of the worst reader",
                 peer="Atheris, Hypothesis: 72 to 76% of three readers (ours 81 to 93%)",

@@ -11,6 +11,7 @@ import json
 import math
 import mmap
 import os
+import re
 import shutil
 import struct
 from collections.abc import Collection, Mapping, Sequence
@@ -31,6 +32,7 @@ __all__ = ["ArrayFiles", "MappedArrays", "resident_bytes", "write_arrays"]
 
 _MAGIC = b"\x93gsvisM\n"
 _HEAD = struct.Struct("<8sQ")  # magic, bytes of the sealed JSON after it
+_TYPE = re.compile(r"[<>|][biuf]\d{1,2}")
 _PAGE = 1 << 12
 _MOST_HEAD, _MOST_BYTES = 64 << 20, 1 << 50
 
@@ -184,8 +186,10 @@ class MappedArrays:
         """Return the name of an array and its view; raise unless the file holds such an array."""
         try:
             name, kind, shape, place, writable = row
-            dtype = np.dtype(kind if isinstance(kind, str) else "O")
-            good = isinstance(name, str) and type(writable) is bool and dtype.kind in "biuf"
+            if not isinstance(kind, str) or not _TYPE.fullmatch(kind):  # NumPy parses other text as Python
+                raise ValueError("another type")
+            dtype = np.dtype(kind)
+            good = isinstance(name, str) and type(writable) is bool
             good = good and type(place) is int and place >= 0 and place % _PAGE == 0
             good = good and all(type(length) is int and length >= 0 for length in shape)
             if not good or place + dtype.itemsize * math.prod(shape) > self.nbytes:

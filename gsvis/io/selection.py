@@ -29,6 +29,8 @@ __all__ = ["load_selection", "note_of", "save_selection"]
 _FORMAT = "gsvis-selection"
 _NOTE_BYTES = 1 << 20
 _HEADER_BYTES = 1 << 16
+# The header of an `.npy` file is Python: NumPy parses it, and lets through most of what that raises.
+_FAULTS = (ValueError, TypeError, LookupError, ArithmeticError, EOFError, SyntaxError, RecursionError, MemoryError)
 
 
 def note_of(path: str | os.PathLike[str]) -> Path:
@@ -99,7 +101,7 @@ def _read_npy(path: Path, most: int) -> NDArray[Any]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # a header that Python 2 wrote
             return np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
-    except (ValueError, TypeError, EOFError, SyntaxError, tokenize.TokenError, OverflowError, MemoryError):
+    except (*_FAULTS, tokenize.TokenError):
         raise FormatError(path, "", "an .npy file of numbers", "a damaged one, or one of objects") from None
 
 

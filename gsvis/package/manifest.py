@@ -320,7 +320,7 @@ def _digest(value: dict[str, Any]) -> str:
 
 
 def _is_vector(value: Any, count: int) -> bool:
-    """Return whether a JSON value is a list of `count` numbers."""
+    """Return whether a JSON value is a list of `count` numbers below 1e300, which a float holds."""
     if not isinstance(value, list) or len(value) != count:
         return False
-    return all(isinstance(each, (int, float)) and not isinstance(each, bool) for each in value)
+    return all(isinstance(each, (int, float)) and not isinstance(each, bool) and abs(each) < 1e300 for each in value)

@@ -75,11 +75,11 @@ class Site:
             private: Whether shared caches must not store the answer.
 
         Raises:
-            FormatError: If the file is a link, or not a file.
+            FormatError: If the file is a link, a pipe or a device.
             OSError: If the file cannot be read.
         """
         path = self.folder / name
-        if name not in self.names or not path.exists():
+        if name not in self.names or not path.exists() or path.is_dir():
             return PlainTextResponse("no such file\n", 404)
         if path.is_symlink():
             raise FormatError(path, "", "a file of the scene", "a link", "links are not followed")

@@ -6,6 +6,7 @@ images, with pixel centers at +0.5. Poses, and the points beside them, stay in t
 
 from __future__ import annotations
 
+import io
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -18,7 +19,7 @@ from PIL import Image
 
 from gsvis import _check
 from gsvis.errors import FormatError, SceneError
-from gsvis.files.limits import open_regular
+from gsvis.files.limits import read_whole
 from gsvis.io.points import find_points, load_points
 from gsvis.io.views import Views
 from gsvis.progress import Progress, silent
@@ -235,7 +236,8 @@ def _shrunk(path: Path, size: Size) -> tuple[NDArray[np.uint8], bool]:
     """Return one image (H, W, 3) at a size, and whether it had any transparency."""
     transparent = False
     try:
-        with open_regular(path) as file, Image.open(file) as image:
+        # From memory: of a file Python reserves what a chunk claims, of bytes what is there.
+        with io.BytesIO(read_whole(path)) as file, Image.open(file) as image:
             if image.mode in ("LA", "PA", "RGBA") or "transparency" in image.info:
                 with_alpha = image.convert("RGBA")
                 alpha = with_alpha.getchannel("A")

@@ -102,9 +102,10 @@ class Result:
         said = parse_object("a note", data)
         files, facts = said.child("files"), said.child("facts")
         stored = {name: _stored(files, name) for name in files.value}
-        found = cls(
-            stored, facts.value, said.number("seconds"), said.number("cpu"), said.integer("peak", 0, _MOST_BYTES)
-        )
+        seconds, cpu = said.number("seconds"), said.number("cpu")
+        if min(seconds, cpu) < 0.0:
+            raise FormatError("a note", "seconds", "seconds >= 0", f"{seconds:g}, {cpu:g}", DAMAGED)
+        found = cls(stored, facts.value, seconds, cpu, said.integer("peak", 0, _MOST_BYTES))
         try:
             _ = found.digest
         except ValueError as error:

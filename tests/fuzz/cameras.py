@@ -50,7 +50,8 @@ def models(text: bool) -> list[Case]:
             name: data.replace(b"PINHOLE 64 48 50.0 50.0", b"SIMPLE_PINHOLE 64 48 50.0")
             for name, data in found[0].items()
         }
-        found.append(simple)
+        shared = {**found[0], "images.txt": found[0]["images.txt"].replace(b" 2 im1.jpg", b" 1 im1.jpg")}
+        found += [simple, shared]
     return found
 
 
@@ -62,6 +63,8 @@ def in_model(folder: Path, case: Case) -> None:
         refused = error
     with pytest.raises(FileNotFoundError):
         load_points(folder / "none")
+    with suppress(FormatError, FileNotFoundError):
+        load_points(folder / min(case))
     cloud = load_points(folder)
     assert np.isfinite(cloud.means).all()
     if refused is not None:
@@ -144,16 +147,24 @@ def recordings() -> list[Case]:
     text = (header + rows).encode()
     paused = text.replace(b",140\n", b",90140\n").replace(b",144\n", b",90144\n")
     assert paused != text
+    late = header + "".join(  # one frame of twelve repeats the time of the one before it
+        f"{eye},0.9,{0.1 * k:.3f},1.6,0,0,0.0,0,1.0,{20 * (4 if k == 5 else k) + 4 * eye}\n"
+        for k in range(12)
+        for eye in (0, 1)
+    )
     alone = (header + "".join(rows.splitlines(keepends=True)[:-1])).encode()
     return [
         {"user1_room.csv": text, "scene_setting.csv": settings},
         {"user1_room.csv": paused, "scene_setting.csv": settings},
+        {"user1_room.csv": late.encode(), "scene_setting.csv": settings},
         {"truck/user1_truck.csv.gz": gzip.compress(alone, mtime=0), "scene_setting.csv": settings},
     ]
 
 
 def in_path(folder: Path, case: Case) -> None:
     name = next((name for name in sorted(case) if "user" in name or name.startswith("a.")), "a.csv")
+    with pytest.raises(FormatError, match="folder"):
+        load_path(folder)
     found = load_path(folder / name)
     assert np.isfinite(found.positions).all()
     assert (np.diff(found.times) > 0).all()

@@ -7,6 +7,7 @@ import io
 import json
 import struct
 import zlib
+from collections.abc import Callable
 from random import Random
 from typing import Any
 
@@ -281,25 +282,39 @@ def _change_cell(rng: Random, sections: dict[str, bytes]) -> None:
     ).copy()
     if not len(rows):
         return
-    at = rng.randrange(len(rows))
-    kind, section = rng.choice((("set", "sets"), ("class", "classes")))
-    pieces = []
-    for row in rows:
-        start, size = int(row[f"{kind}_offset"]), int(row[f"{kind}_length"])
-        pieces.append(sections[section][start : start + size] if start + size < 1 << 40 else b"")
+    at, kind = rng.randrange(len(rows)), rng.choice(("set", "class"))
     if rng.random() < 0.4:
         field = rng.choice(("visible", "parent", "viewpoints", "unused", f"{kind}_length", f"{kind}_offset"))
         rows[field][at] = rng.choice((0, 1, 2, int(max(rows["visible"][at], 0)) + 1, (1 << 31) - 1))
-    else:
+        sections["cells"] = rows.tobytes()
+        return
+
+    def change(pieces: list[bytes]) -> None:
         piece = pieces[at]
         pieces[at] = change_zstd(rng, piece) if kind == "set" else piece[:4] + change_zstd(rng, piece[4:])
         if kind == "class" and len(pieces[at]) >= 4 and rng.random() < 0.9 and rows["parent"][at] < 0:
             pieces[at] = struct.pack("<I", len(pieces[at]) - 4) + pieces[at][4:]
-        sections[section] = b"".join(pieces)
-        sizes = np.array([len(piece) for piece in pieces])
-        rows[f"{kind}_length"], rows[f"{kind}_offset"] = sizes, np.cumsum(sizes) - sizes
-        if rng.random() < 0.9:
-            rows[f"{kind}_crc"] = [zlib.crc32(piece) for piece in pieces]
+
+    change_cells(sections, kind, change, sealed=rng.random() < 0.9)
+
+
+def change_cells(
+    sections: dict[str, bytes], kind: str, change: Callable[[list[bytes]], None], *, sealed: bool = True
+) -> None:
+    """Change the pieces of all cells, their "set" or their "class", and the rows that follow from them."""
+    rows = np.frombuffer(
+        sections["cells"][: len(sections["cells"]) // CELL_ROW.itemsize * CELL_ROW.itemsize], CELL_ROW
+    ).copy()
+    section, pieces = {"set": "sets", "class": "classes"}[kind], list[bytes]()
+    for row in rows:
+        start, size = int(row[f"{kind}_offset"]), int(row[f"{kind}_length"])
+        pieces.append(sections[section][start : start + size] if start + size < 1 << 40 else b"")
+    change(pieces)
+    sections[section] = b"".join(pieces)
+    sizes = np.array([len(piece) for piece in pieces])
+    rows[f"{kind}_length"], rows[f"{kind}_offset"] = sizes, np.cumsum(sizes) - sizes
+    if sealed:
+        rows[f"{kind}_crc"] = [zlib.crc32(piece) for piece in pieces]
     sections["cells"] = rows.tobytes()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 from collections.abc import Callable
 from dataclasses import replace
@@ -49,7 +50,11 @@ def welcomes() -> Damaged:
         "tables that are cut": welcome(lambda header: header.update(code=header["code"][:-8])),
         "steps beyond all": welcome(lambda header: header.update(steps={"place": 1 << 20, "turn": 0})),
         "a scene of billions": welcome(lambda header: header.update(gaussians=1 << 28)),
+        "a scene for more memory than there is": welcome(lambda header: header.update(gaussians=(1 << 31) - 1)),
     }
+    for bits in (0, 1, 7, 0x49, 0x92, 0xAA, 0xFF):  # each table begins with an order, its first symbol, its length
+        text = base64.b64encode(bytes([bits]) * 300).decode()
+        found[f"tables of bytes {bits:#x}"] = welcome(lambda header, text=text: header.update(code=text))
     return {name: case(data) for name, data in found.items()}
 
 
@@ -70,6 +75,9 @@ def batches() -> Damaged:
     once, again = replace(nothing, sequence=2, gone=ids), replace(gone, gone=ids)
     rows = wire.rows_of(rest[0])
     orders = _IDS.pack(*_IDS.unpack_from(rows[0])[:4], 255, 0, 0, 0, 0, 0)
+    wide = parsed[0].rows.copy()
+    wide["count"] = 200
+    again_first = replace(parsed[0], sequence=2).to_message(about)
     many = _IDS.pack(0, 0, about.gaussians + 1, 0, 0, 0, 0, 0, 0, 0) + bytes(about.gaussians)
     return {
         "levels out of order": case(first, *before, replace(s, rows=crossed).to_message(about)),
@@ -83,6 +91,13 @@ def batches() -> Damaged:
         "terms with more behind": case(first, wire.framed(rest[0], [*rows[:3], rows[3] + b"\0\0"])),
         "an order that is none": case(first, wire.framed(rest[0], [orders + rows[0][_IDS.size :], *rows[1:]])),
         "evicted and not held": case(first, replace(nothing, sequence=1, evicted=ids).to_message(about)),
+        "a Gaussian twice": case(first, rest[0], replace(parsed[0], sequence=2).to_message(about)),
+        "more chunks than there are": case(welcome(lambda header: header.update(chunks=1)), *rest),
+        "a Gaussian that was replaced": case(first, replace(nothing, gone=ids).to_message(about), again_first),
+        "chunks that overlap": case(first, replace(parsed[0], rows=wide).to_message(about)),
+        "half a row of chunks": case(first, wire.framed(rest[0], [rows[0], rows[1] + b"\0", *rows[2:]])),
+        "ids that end too soon": case(first, wire.framed(rest[0], [rows[0][:-3], *rows[1:]])),
+        "ids with more behind": case(first, wire.framed(rest[0], [rows[0] + b"\0", *rows[1:]])),
         "more gone than there are": case(first, wire.framed(rest[0], [many, b"", b"", b""])),
     }
 

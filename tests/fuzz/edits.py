@@ -22,7 +22,7 @@ SCENE = random_scene(12, 0, 1)
 
 
 def selections() -> list[Case]:
-    """Selections with a note and without, of all kinds of numbers, and one in Fortran's order."""
+    """Selections with a note and without, beside files that are no notes, and of all kinds of numbers."""
     classes = (np.arange(12) % 6).astype(np.uint8)
     with TemporaryDirectory() as folder:
         save_selection(Path(folder) / "a.npy", classes, SCENE, CLASSES)
@@ -31,7 +31,8 @@ def selections() -> list[Case]:
         file = io.BytesIO()
         np.save(file, classes.astype(dtype))
         made.append({"a.npy": file.getvalue()})
-    return made
+    others = (b"[]", b'{"format": "another"}', b"no JSON")  # other files of that name
+    return [*made, *({"a.npy": saved(classes), "a.json": other} for other in others)]
 
 
 def in_selection(folder: Path, _: Case) -> None:
@@ -68,7 +69,7 @@ def damaged_selections() -> dict[str, Case]:
     archive = io.BytesIO()
     np.savez(archive, a=np.zeros(12, np.uint8))
     found["an archive"] = {"a.npy": archive.getvalue()}
-    found["objects"] = {"a.npy": _saved(np.array([{}] * 12, object))}
+    found["objects"] = {"a.npy": saved(np.array([{}] * 12, object))}
     return found
 
 
@@ -89,7 +90,8 @@ def damaged_voxels() -> dict[str, Case]:
     return found | {"a root of itself": first | {"a.voxel.bin": bytes(binary)}}
 
 
-def _saved(array: np.ndarray) -> bytes:
+def saved(array: np.ndarray) -> bytes:
+    """The bytes of an `.npy` file."""
     file = io.BytesIO()
     np.save(file, array, allow_pickle=True)
     return file.getvalue()
@@ -99,7 +101,6 @@ IO = "gsvis.io."
 
 TARGETS = [
     Target("selection", selections, in_selection, (FormatError, FileNotFoundError), modules=(IO + "selection",),
-           damage=damaged_selections, weight=0.5),
-    Target("voxels", voxel_files, in_voxels, (FormatError, FileNotFoundError), modules=(IO + "voxels",),
-           damage=damaged_voxels, weight=0.5),
+           weight=0.5),
+    Target("voxels", voxel_files, in_voxels, (FormatError, FileNotFoundError), modules=(IO + "voxels",), weight=0.5),
 ]  # fmt: skip

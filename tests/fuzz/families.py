@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 from tests.fuzz import (
+    asked,
     cameras,
     damage,
+    damage_documents,
+    damage_files,
+    damage_sealed,
     damage_stores,
     damage_wire,
     edits,
@@ -17,14 +22,21 @@ from tests.fuzz import (
     unfinished,
     wire,
 )
-from tests.fuzz.targets import Target
+from tests.fuzz.targets import Case, Target
 
 __all__ = ["TARGETS"]
 
-_DAMAGE = damage.DAMAGE | damage_stores.DAMAGE | damage_wire.DAMAGE
+_DAMAGE = (damage, damage_documents, damage_files, damage_stores, damage_sealed, damage_wire)
+
+
+def _damage_of(name: str) -> dict[str, Case]:
+    """The cases with one deliberate fault each, of all modules that make some for a target."""
+    makers = [module.DAMAGE[name] for module in _DAMAGE if name in module.DAMAGE]
+    return {what: case for make in makers for what, case in make().items()}
+
 
 TARGETS: dict[str, Target] = {
-    target.name: replace(target, damage=_DAMAGE.get(target.name, target.damage))
-    for family in (scenes, cameras, edits, stores, training, unfinished, wire, packages)
+    target.name: replace(target, damage=partial(_damage_of, target.name))
+    for family in (scenes, cameras, edits, stores, training, unfinished, asked, wire, packages)
     for target in family.TARGETS
 }

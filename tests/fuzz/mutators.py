@@ -16,11 +16,12 @@ import zipfile
 import zlib
 from collections.abc import Callable
 from random import Random
-from typing import Any
 
 import numpy as np
 import zstandard
 from PIL import Image
+
+from tests.fuzz.places import change_json
 
 __all__ = ["KINDS", "Mutator", "change_json", "mutate"]
 
@@ -35,12 +36,6 @@ TOKENS = ("0", "-1", "1", "nan", "inf", "-inf", "1e400", "1e-400", "0x10", "1_00
           "2147483648", "4294967296", "18446744073709551616", "1e10", "3.5", "abc", "\0", '"', "'", ",", ";", "#", "..",
           "\r", "\ufeff", "element vertex 5", "PINHOLE", "OPENCV", "NaN", "true", "1e300", "-1e300",
           "1" * 400)  # fmt: skip
-JSON_VALUES: tuple[Any, ...] = (
-    None, True, False, 0, 1, -1, 2, 3, 4, 255, 256, 1 << 31, 1 << 32, 1 << 63, 1 << 64, 10**30, 10**400, 0.5, 1e300,
-    -1e300, 1e308, math.nan, math.inf, -math.inf, "", "x", "..", "/", "../x", ".", "\\", "\0", "meta.json",
-    "a" * 5000, "\ud800", "é", [], {}, [[]], [{}], [1], [0, 0], [1, 2, 3], [0.0, 0.0, 0.0], [None], ["a"], [1e300] * 3,
-    [1, 2, 3, 4], {"a": 1}, [[1, 2], [3]], 3.0, 2.5, "rgb", "hsl", "0" * 64, "f" * 64,
-)  # fmt: skip
 
 
 def change_bytes(rng: Random, data: bytes) -> bytes:
@@ -135,60 +130,6 @@ def _change_line(rng: Random, line: bytes, other: bytes) -> bytes:
     else:
         words[at] = rng.choice(TOKENS).encode("utf-8", "surrogatepass")
     return separator.join(words)
-
-
-def change_json(rng: Random, value: Any) -> Any:
-    """A copy of a JSON value with one place changed: another value, one from elsewhere, or none."""
-    value = json.loads(json.dumps(value))
-    trails = _trails(value)
-    if not trails:
-        return rng.choice(JSON_VALUES)
-    trail = rng.choice(trails)
-    if rng.random() < 0.3:  # the outer keys are few, and lists are long
-        trail = trail[: rng.randint(1, len(trail))]
-    holder = value
-    for key in trail[:-1]:
-        holder = holder[key]
-    key, old = trail[-1], holder[trail[-1]]
-    way = rng.randrange(9)
-    if way == 0:
-        del holder[key]
-    elif way == 1 and isinstance(holder, list):
-        holder.insert(key, old)
-    elif way == 1 and isinstance(holder, dict):
-        holder[rng.choice((key + "x", "", "version", "count"))] = old
-    elif way in (2, 3) and isinstance(old, int | float) and not isinstance(old, bool):
-        holder[key] = rng.choice((old + 1, old - 1, -old, old * 2, old * 1.5, old * 1e6, str(old), float(old), [old]))
-    elif way == 4:
-        holder[key] = _at(value, rng.choice(trails))
-    elif way == 5 and isinstance(old, str):
-        holder[key] = rng.choice((old + "x", old[:-1], old.upper(), old * 3, old[::-1], "../" + old))
-    elif way == 5 and isinstance(old, list) and old:
-        holder[key] = rng.choice((old[:-1], old + old, old[::-1], [*old, None], [old]))
-    else:
-        holder[key] = rng.choice(JSON_VALUES)
-    return value
-
-
-def _trails(value: Any, trail: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-    """Keys that lead to the values of a document; of long lists only the first and last entries."""
-    found = [trail] if trail else []
-    pairs: list[tuple[Any, Any]] = []
-    if isinstance(value, dict):
-        pairs = list(value.items())
-    elif isinstance(value, list):
-        pairs = [
-            (k, value[k]) for k in sorted({*range(min(3, len(value))), *range(max(0, len(value) - 1), len(value))})
-        ]
-    for key, inner in pairs:
-        found += _trails(inner, (*trail, key))
-    return found
-
-
-def _at(value: Any, trail: tuple[Any, ...]) -> Any:
-    for key in trail:
-        value = value[key]
-    return json.loads(json.dumps(value))
 
 
 def change_json_file(rng: Random, data: bytes) -> bytes:
@@ -333,6 +274,12 @@ def change_npy(rng: Random, data: bytes) -> bytes:
             b"'<M8[s]'",
             b"'|S0'",
             b"'|b1'",
+            b"()",
+            b"('|u1',)",
+            b"('|u1', (2, 2))",
+            b"[('a',)]",
+            b"'f8,('",
+            b"-" * 3000 + b"1",
         )
         head = (
             b"{'descr': "
@@ -353,6 +300,9 @@ def change_npy(rng: Random, data: bytes) -> bytes:
             "(2147483648, 2147483648)",
             "5",
             "(1.5,)",
+            "(True,)",
+            "('a',)",
+            "(" + "1, " * 70 + ")",
         )
         before, _, _ = head.partition(b"'shape': ")
         head = before + b"'shape': " + rng.choice(sizes).encode() + b", }\n"

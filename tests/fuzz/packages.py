@@ -19,7 +19,7 @@ from gsvis.package.fidelity import Fidelity
 from gsvis.package.manifest import MANIFEST, Manifest
 from gsvis.package.unpack import unpack_levels
 from gsvis.scene.cameras import Cameras
-from gsvis.stream import StreamedScene
+from gsvis.stream import Quality, StreamedScene
 from gsvis.world.manifest import WORLD, WorldManifest
 from tests.fuzz.cameras import files_in
 from tests.fuzz.containers import rows_of, sealed_manifest
@@ -37,9 +37,11 @@ OLD = Path(__file__).parents[1] / "package" / "data" / "version2.zip"
 def packages() -> list[Case]:
     found = []
     with TemporaryDirectory() as folder:
-        for variant, stores in (("rgb", True), ("hsl", False)):
-            package_of(Path(folder) / variant, N, variant, stores=stores).close()
-            found.append(files_in(Path(folder) / variant))
+        for name, stores in (("rgb", True), ("hsl", False)):
+            package_of(Path(folder) / name, N, name, stores=stores).close()
+            found.append(files_in(Path(folder) / name))
+        package_of(Path(folder) / "lattice", 400, "rgb", stores=False, lattice=True).close()  # logarithmic chunks
+        found.append(files_in(Path(folder) / "lattice"))
         with zipfile.ZipFile(OLD) as archive:  # a package of version 2, with lists of active terms
             found.append({name: archive.read(name) for name in archive.namelist()})
     return found
@@ -48,6 +50,11 @@ def packages() -> list[Case]:
 def manifests() -> list[Case]:
     """Manifests of all packages, and one that says how near what a client gets comes to the scene."""
     found = [{MANIFEST: case[MANIFEST]} for case in packages()]
+    view = {"position": [0, 0, 1.5], "rotation": [1, 0, 0, 0]}
+    odd = [7, {}, {**view, "position": [0, 0]}, {**view, "position": "up"}, {**view, "rotation": [True, 0, 0, 0]}]
+    odd.append({**view, "position": [10**400, 0, 0]})
+    seen = {**json.loads(found[0][MANIFEST]), "provenance": {"views": [view, *odd, view]}}
+    found.append({MANIFEST: sealed_manifest(seen)})
     values = {"records": [30.0, 31.0], "cell": [29.0, 30.5], "levels": [40.0, 41.0], "rounding": [60.0, 61.0]}
     near = Fidelity.from_values(values, Cameras.orbit((0, 0, 0), 4.0, 2, width=24, height=20))
     said = {**json.loads(found[0][MANIFEST]), "fidelity": near.as_dict()}
@@ -59,6 +66,9 @@ def in_manifest(folder: Path, case: Case) -> None:
     found = Manifest.read(folder / name)
     assert found.gaussians == sum(block.count for block in found.blocks)
     found.sizes()
+    for view in found.views:
+        assert [len(numbers) for numbers in view.values()] == [3, 4]
+        assert np.isfinite([*view["position"], *view["rotation"]]).all()
     near = found.info.fidelity
     if near is not None:
         assert len(near.cameras) == near.summary()["views"]
@@ -72,6 +82,8 @@ def worlds() -> list[Case]:
 def in_world(folder: Path, case: Case) -> None:
     (name,) = case
     found = WorldManifest.read(folder / name)
+    with pytest.raises(ValueError, match="node"):
+        found.node(len(found))
     tiles = found.tiles_at([[0.5, 0.5, 0.5], [-1e9, 0.0, 1e9]])
     assert len(tiles) == 2
     assert tiles.max() < len(found.tiles)
@@ -97,13 +109,21 @@ def in_package(folder: Path, case: Case) -> None:
             decode_records(contents.records[:-1], contents.table, contents.layout)
         some = np.arange(0, len(package), 7)
         assert len(contents.gaussians(some)) == len(some)
+        part, first = package.part_of(len(package) - 1)
+        assert np.array_equal(part.records, contents.records[first : first + len(part.records)])
+        with pytest.raises(ValueError, match="gaussian"):
+            package.part_of(len(package))
+        if package.epsilon is None:
+            with pytest.raises(SceneError, match="epsilon"):
+                _ = package.active_terms
         if package.manifest.visibility is None:
             with pytest.raises(SceneError, match="prepare it with visibility"):
                 _ = package.visibility
         levels = unpack_levels(package, sh_degree=0)
         assert np.isfinite(levels.union.means).all()
-        scene = StreamedScene.open(package)
-        assert len(scene) == len(levels.union)
+        for quality in (None, Quality()):
+            scene = StreamedScene.open(package, quality=quality)
+            assert len(scene) == len(levels.union)
 
 
 def change_package(rng: Random, case: Case, target: Target) -> Case:

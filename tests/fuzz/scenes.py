@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gzip
+import json
 import math
 import struct
 from contextlib import suppress
@@ -15,12 +17,15 @@ import pytest
 import torch
 
 from gsvis.errors import FormatError
-from gsvis.io import load_scene
+from gsvis.io import load_scene, streamed_sog
 from gsvis.io.checkpoint import load_checkpoint
 from gsvis.io.gltf_splats_writer import encode_glb
+from gsvis.io.ply import load_ply, ply_rows
 from gsvis.io.points import load_points
+from gsvis.io.scenes import is_gltf
 from gsvis.scene.gaussians import Gaussians
 from tests.fuzz.mutators import KINDS, change_bytes, mutate
+from tests.fuzz.places import DROP, edited
 from tests.fuzz.targets import Case, Target
 from tests.io.scene_files import (
     compressed_ply_bytes,
@@ -57,9 +62,25 @@ def in_one_file(folder: Path, case: Case) -> None:
     read_scene(folder / name)
 
 
+def in_ply(folder: Path, case: Case) -> None:
+    """Read a PLY, and where its rows can be counted one row of it; a row that is not there is refused."""
+    (name,) = case
+    path = folder / name
+    with suppress(FormatError), open(path, "rb") as stream:
+        counted = ply_rows(path, stream)
+        if counted is not None:
+            with suppress(FormatError):
+                assert len(load_ply(path, rows=(0, 1))) == 1
+            with pytest.raises(FormatError):
+                load_ply(path, rows=(0, counted[0] + 1))
+    read_scene(path)
+
+
 def by_other_names(folder: Path, case: Case) -> None:
     """Read a file whose name says what it is, one whose name does not, and a level of a file that has none."""
     (name,) = case
+    assert not is_gltf(folder)
+    assert is_gltf(folder / name) == case[name].startswith(b"glTF")
     (folder / name).rename(folder / "a.dat")
     with suppress(FormatError):
         read_scene(folder / "a.dat")
@@ -140,7 +161,9 @@ KINDS["ksplat"] = change_ksplat
 def old_spz() -> list[Case]:
     extra = FRAME
     made = [spz_bytes(scene, version) for version in (1, 2, 3) for scene in (SMALL, DEEP, FLAT)]
-    return [{"a.spz": data} for data in [*made, spz_bytes(SMALL, 3, extensions=extra)]]
+    head = gzip.decompress(spz_bytes(DEEP, 3))  # degree 4 has 24 coefficients; they are the end of the file
+    fourth = gzip.compress(head[:12] + b"\4" + head[13:] + bytes(27 * len(DEEP)), mtime=0)
+    return [{"a.spz": data} for data in [*made, spz_bytes(SMALL, 3, extensions=extra), fourth]]
 
 
 def new_spz() -> list[Case]:
@@ -149,17 +172,39 @@ def new_spz() -> list[Case]:
 
 
 def gltfs() -> list[Case]:
-    """Plain and compressed, turned or not, and one with two nodes and a scene."""
+    """Plain and compressed, turned or not, with two nodes and a scene, and with what may be left out or is integers."""
     turn = np.eye(4)[[0, 2, 1, 3]] * np.array([1.0, 1.0, -1.0, 1.0])
     made = [encode_glb(SMALL), encode_glb(DEEP, upright=turn), encode_glb(FLAT, compression="spz")]
     document, binary = glb_parts(encode_glb(FLAT, upright=turn))
     document["nodes"].append({"children": [0], "rotation": [0, 0, 1, 0], "translation": [1, 2, 3], "scale": [2, 2, 2]})
     document["scenes"] = [{"nodes": [1]}]
-    return [{"a.glb": data} for data in [*made, glb_bytes(document, binary)]]
+    made.append(glb_bytes(document, binary))
+    document, binary = glb_parts(encode_glb(FLAT))
+    here = "meshes.0.primitives.0.extensions.KHR_gaussian_splatting"
+    least = {f"{here}.kernel": DROP, f"{here}.colorSpace": "lin_rec709_display", "scenes": DROP, "scene": DROP,
+             "nodes": [{"children": [1]}, {"mesh": 0}], "meshes.1": {"primitives": [{"attributes": {}}]},
+             "nodes.2": {"mesh": 1}}  # fmt: skip
+    made.append(glb_bytes(edited(document, least), binary))
+    for normalized, values in ((True, bytes(range(100, 100 + len(FLAT)))), (False, bytes([0, 1] * 9)[: len(FLAT)])):
+        number = document["meshes"][0]["primitives"][0]["attributes"]["KHR_gaussian_splatting:OPACITY"]
+        view, accessor = len(document["bufferViews"]), f"accessors.{number}"
+        places = {f"bufferViews.{view}": {"buffer": 0, "byteOffset": len(binary), "byteLength": len(values)},
+                  f"{accessor}.bufferView": view, f"{accessor}.componentType": 5121,
+                  f"{accessor}.normalized": normalized}  # fmt: skip
+        made.append(glb_bytes(edited(document, places), binary + values + bytes(-len(values) % 4)))
+    return [{"a.glb": data} for data in made]
+
+
+def with_meta(files: Case, places: dict[str, Any]) -> Case:
+    """A SOG with other values in its meta.json."""
+    return {**files, "meta.json": json.dumps(edited(json.loads(files["meta.json"]), places)).encode()}
 
 
 def zipped_sogs() -> list[Case]:
-    return [{"a.sog": zip_bytes(sog_files(scene, version))} for version in (1, 2) for scene in (SMALL, DEEP, FLAT)]
+    """Of both versions; and as early writers left them, or with bands that are none."""
+    made = [sog_files(scene, version) for version in (1, 2) for scene in (SMALL, DEEP, FLAT)]
+    made += [with_meta(made[3], places) for places in ({"scales.codebook.0": None}, {"shN.bands": 0})]
+    return [{"a.sog": zip_bytes(files)} for files in made]
 
 
 def sog_folders() -> list[Case]:
@@ -173,7 +218,11 @@ def streams() -> list[Case]:
     around = streamed_files({0: SMALL})
     around |= {f"env/{name}": data for name, data in sog_files(FLAT[:3]).items()}
     around["lod-meta.json"] = around["lod-meta.json"].replace(b"null", b'"env/meta.json"')
-    return [streamed_files({0: SMALL, 1: SMALL[:5]}), zipped, around]
+    whole = streamed_files({0: SMALL, 1: SMALL[:5]})
+    some = {"tree": {"children": [{"lods": {"0": {"file": 0, "offset": 2, "count": 5}}}]}}
+    part = {**whole, "lod-meta.json": json.dumps({**json.loads(whole["lod-meta.json"]), **some}).encode()}
+    alone = {name: data for name, data in whole.items() if not name.startswith("1_")}
+    return [whole, zipped, around, part, alone]
 
 
 def in_streams(folder: Path, case: Case) -> None:
@@ -185,6 +234,12 @@ def in_streams(folder: Path, case: Case) -> None:
     for lod in (0, 1):
         with suppress(FormatError):
             read_scene(folder, lod)
+        with suppress(FormatError):
+            for file, count, _ in streamed_sog.streamed_files(folder, lod)[1]:
+                scene = streamed_sog.load_streamed_file(folder, lod, file)
+                assert len(scene) == count or count < 0
+        with pytest.raises(FormatError):
+            streamed_sog.load_streamed_file(folder, lod, 1 << 20)
 
 
 def trained() -> list[Case]:
@@ -260,8 +315,8 @@ _PLY = (IO + "ply", IO + "_ply_header", IO + "_ply_rows", IO + "_build", FILES +
 _SOG = (IO + "sog", IO + "_sog_files", IO + "_webp", FILES + "fields", FILES + "limits")
 
 TARGETS = [
-    Target("ply", plain_plys, in_one_file, modules=_PLY),
-    Target("compressed-ply", packed_plys, in_one_file, modules=(IO + "compressed_ply", *_PLY)),
+    Target("ply", plain_plys, in_ply, modules=_PLY),
+    Target("compressed-ply", packed_plys, in_ply, modules=(IO + "compressed_ply", *_PLY)),
     Target("splat", splats, by_other_names, modules=(IO + "splat",), weight=0.5),
     Target("ksplat", ksplats, in_one_file, modules=(IO + "ksplat",)),
     Target("spz-gzip", old_spz, in_one_file, kinds={"a.spz": "gzip-spz"}, modules=(IO + "spz",)),

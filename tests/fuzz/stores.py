@@ -25,8 +25,9 @@ from gsvis.pvs._journal import (
     read_view,
 )
 from gsvis.pvs.cell_view import CellView, Figures, Sighting
-from gsvis.pvs.store import VisibilityStore
+from gsvis.pvs.store import CellSet, VisibilityStore, write_store
 from gsvis.report import load_staircase_result
+from gsvis.scene.levels import Levels
 from gsvis.scene.procedural import random_scene
 from gsvis.train.checkpoint import load_checkpoint, save_checkpoint
 from gsvis.train.densify import DensifyConfig
@@ -46,9 +47,14 @@ SEEN = 40
 
 
 def level_folders() -> list[Case]:
-    with TemporaryDirectory() as folder:
-        save_levels(levels_of(20), folder, {"up": [0, 0, 1]})
-        return [files_in(Path(folder))]
+    """Levels, and some of which one has no Gaussians of its own."""
+    levels, made = levels_of(20), []
+    first = np.where(levels.first == 1, 0, levels.first).astype(np.uint8)
+    for each in (levels, Levels(levels.union, first, levels.last, levels.names)):
+        with TemporaryDirectory() as folder:
+            save_levels(each, folder, {"up": [0, 0, 1]})
+            made.append(files_in(Path(folder)))
+    return made
 
 
 def in_levels(folder: Path, case: Case) -> None:
@@ -92,6 +98,19 @@ def both_stores() -> tuple[bytes, bytes]:
     with TemporaryDirectory() as folder:
         lists = lists_of(Path(folder), levels, exact, CELLS)
         return lists.with_name("w.pvs").read_bytes(), lists.read_bytes()
+
+
+@cache
+def sparse_store() -> bytes:
+    """Visible sets of the same scene in which some cells see nothing, or Gaussians of the first half alone."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "a.pvs"
+        path.write_bytes(both_stores()[0])
+        with VisibilityStore.open(path) as store:
+            grid, info = store.grid, store.info
+        sets = [CellSet(ids := np.arange(N // 2 * (k % 3 > 0)), (ids % 2).astype(np.uint8), 4) for k in range(CELLS)]
+        write_store(path, grid, info, sets, np.zeros((N, 10), np.uint8))
+        return path.read_bytes()
 
 
 def in_visibility(folder: Path, case: Case) -> None:
@@ -146,7 +165,10 @@ LIKE = {"sets": ((12, 10), np.uint8), "weights": ((5,), np.float64), "done": (()
 
 
 def in_kept(folder: Path, case: Case) -> None:
-    found = KeptWork(folder, {"a": 1}).read_arrays("kept.npz", LIKE)
+    work = KeptWork(folder, {"a": 1})
+    assert work.names() == set(case)
+    assert KeptWork(folder / "none", {"a": 1}).names() == set()
+    found = work.read_arrays("kept.npz", LIKE)
     for name, array in found.items():
         assert (array.shape, array.dtype.type) == LIKE[name]
 
@@ -248,7 +270,7 @@ TARGETS = [
     ),
     Target(
         "visibility",
-        lambda: [{"a.pvs": both_stores()[0]}],
+        lambda: [{"a.pvs": data} for data in (both_stores()[0], sparse_store())],
         in_visibility,
         kinds={"a.pvs": "pvs"},
         modules=(PVS + "store", PVS + "stored_certificates", FILES + "sections", PVS + "codec"),

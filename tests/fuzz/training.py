@@ -131,6 +131,10 @@ def in_photos(folder: Path, case: Case) -> None:
     with pytest.raises(FileNotFoundError):
         load_photos(folder, images="none")
     found = load_photos(folder)
+    with pytest.raises(ValueError, match="downscale: expected images"):
+        load_photos(folder, downscale=1e9)
+    with pytest.raises(ValueError, match="size: expected at most"):
+        load_photos(folder, size=(1 << 20, 1 << 20))
     try:
         small = load_photos(folder, size=(24, 16))
         assert small.views.images.shape == (len(found.views.cameras), 16, 24, 3)
@@ -156,7 +160,7 @@ def run(seed: int) -> tuple[Gaussians, PosedImages]:
     return scene, render_views(scene, Cameras.orbit((0, 0, 0), 4.0, 4, width=24, height=20))
 
 
-def chosen_in(folder: Path, seed: int = 0) -> dict[int, Any]:
+def chosen_in(folder: Path | None, seed: int = 0) -> dict[int, Any]:
     scene, views = run(seed)
     return _subsets(scene, views, None, None, LEVELS.sizes(COUNT), LEVELS, folder, silent)
 
@@ -185,6 +189,8 @@ def other_subsets() -> Case:
 
 def in_subsets(folder: Path, case: Case) -> None:
     masks = chosen_in(folder)
+    if case == subsets()[0]:
+        assert all(np.array_equal(mask, masks[count]) for count, mask in chosen_in(None).items())
     assert sorted(masks) == sorted({0, *(frozen for _, frozen, _ in LEVELS.sizes(COUNT))})
     for count, mask in masks.items():
         assert mask.shape == (COUNT,)

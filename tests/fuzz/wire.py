@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import atexit
-import hashlib
 import json
 import struct
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import fields, replace
 from functools import cache
@@ -15,6 +15,7 @@ from pathlib import Path
 from random import Random
 from tempfile import TemporaryDirectory
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import pyarrow as pa
@@ -23,14 +24,13 @@ from pyroaring import BitMap
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.config import AbrConfig
 from gsvis.abr.holdings import Holdings
-from gsvis.errors import FormatError, ProtocolError
+from gsvis.errors import ProtocolError
 from gsvis.serve import Limits, Metrics
 from gsvis.serve._log import EventLog
 from gsvis.serve.clock import ManualClock
 from gsvis.serve.connection import Connection, GoneError, Setting
-from gsvis.serve.parts import byte_range, read_part
 from gsvis.serve.scenes import ServedScene
-from gsvis.stream import Ack, Bye, Hello, PoseAt, Receiver, Session, StreamedScene, Token, parse_client
+from gsvis.stream import Ack, Bye, Hello, PoseAt, Receiver, Session, StreamedScene, Token, drawn, parse_client
 from gsvis.stream.batch import _ARROW, _BODY_AT, _DATA_AT, _ENDS, _IDS, Sections
 from gsvis.stream.header import HEAD, SCHEMA, SceneHeader
 from gsvis.stream.wire import ServerFault
@@ -159,6 +159,7 @@ def sessions() -> list[Case]:
         [new, acks[0], moves[0], acks[1], moves[1], moves[2], acks[2], moves[3], Bye().to_bytes()],
         [back, acks[0], moves[4], moves[5], acks[1], moves[0]],
         [new, late, acks[0], moves[0], acks[1]],  # milliseconds start again after 2^32
+        [Hello(VIEW, memory=MEMORY).to_bytes(), acks[0], moves[0], acks[1], *moves[1:], Bye().to_bytes()],
     ]
     return [{f"{k:02d}.hello": message for k, message in enumerate(script)} for script in scripts]
 
@@ -194,6 +195,9 @@ WIDE = Limits(batch_bytes=1500, messages_per_s=1e6, burst_s=1.0, poses_per_s=1e6
 SLOW = 200
 """Messages from which on a client's socket takes nothing until it has said all."""
 
+BRIEF = AbrConfig(begin=9000.0)
+"""A session whose messages are small for a short while only: WELCOME has 6 kB."""
+
 SILENCE = b"silence"
 """In place of a message: the client says nothing for longer than the limit."""
 
@@ -203,7 +207,7 @@ class Script:
 
     def __init__(self, messages: list[bytes], clock: ManualClock) -> None:
         self.messages, self.clock, self.sent = list(messages), clock, 0
-        self.slow = len(messages) >= SLOW
+        self.slow, self.deaf = len(messages) >= SLOW, len(messages) % 2 == 1  # who is deaf is gone before the farewell
 
     async def receive(self) -> bytes:
         self.clock.advance(0.02)
@@ -229,7 +233,8 @@ class Script:
         self.sent += 1
 
     async def close(self, reason: str, code: int) -> None:
-        pass
+        if self.deaf:
+            raise GoneError("lost")
 
     def abort(self) -> None:
         pass
@@ -251,7 +256,10 @@ def in_connection(folder: Path, case: Case) -> None:
     clock = ManualClock()
     log, served = Heard(), ServedScene("rgb", folder, scenes()["rgb"])
     peer = Script([case[name] for name in sorted(case)], clock)
-    setting = Setting(WIDE if peer.slow else LIMITS, Metrics(), log, AbrConfig(), clock)
+    planners = ThreadPoolExecutor(1) if len(case) % 5 == 0 else None
+    setting = Setting(WIDE if peer.slow else LIMITS, Metrics(), log, BRIEF, clock, planners=planners)
+    if peer.deaf:  # and finds the scene closed
+        served.opened, served.reopen = None, lambda: (scenes()["rgb"], None)
     full = "all are taken" if len(case) == 1 else ""  # who says one thing alone finds no seat
 
     async def run() -> str:
@@ -260,6 +268,8 @@ def in_connection(folder: Path, case: Case) -> None:
         return connection.reason
 
     reason = asyncio.run(run())
+    if planners is not None:
+        planners.shutdown()
     if log.faults or reason in ("", "internal", "damaged"):
         raise AssertionError(f"{reason}: {log.faults[:1]}")
     assert served.fault == ""
@@ -274,10 +284,23 @@ def batches(variant: str) -> list[bytes]:
     return [welcome, *talk(session, Receiver(welcome), 4)]
 
 
+MEMORY = 1500
+"""Bytes of records that a small client holds: less than the first scene has, so that it forgets some."""
+
+
+@cache
+def small_batches() -> list[bytes]:
+    """What a client of little memory gets while it walks: some of it is forgotten again."""
+    session = Session.from_hello(scenes()["rgb"], Hello(VIEW, memory=MEMORY))
+    welcome = session.welcome(0.0).data
+    return [welcome, *talk(session, Receiver(welcome, memory=MEMORY), 8)]
+
+
 def downstream() -> list[Case]:
     fault = ServerFault(3, "too large").to_bytes()
     made = [{f"{k:02d}.down": data for k, data in enumerate([*batches(variant)])} for variant in ("rgb", "hsl")]
-    return [*made, {"00.down": batches("rgb")[0], "01.down": fault}]
+    small = {f"{k:02d}.small": data for k, data in enumerate(small_batches())}
+    return [*made, {"00.down": batches("rgb")[0], "01.down": fault}, small]
 
 
 def change_down(rng: Random, data: bytes) -> bytes:
@@ -391,13 +414,15 @@ def _fits(data: bytes, scene: StreamedScene) -> bool:
     return True
 
 
-KINDS.update({"down": change_down, "name": KINDS["text"]})
+KINDS.update({"down": change_down, "small": change_down, "name": KINDS["text"]})
 
 
 def in_receiver(folder: Path, case: Case) -> None:
-    """Receive all; what is no batch is tried as one, too."""
+    """Receive all, as a client with a limit of memory or without; what is no batch is tried as one, too."""
     first, *rest = (case[name] for name in sorted(case))
-    receiver = Receiver(first)
+    small = min(case).endswith(".small")
+    with patch.object(drawn, "_ROOM", 8 if small else drawn._ROOM):  # rows that have to grow
+        receiver = Receiver(first, memory=MEMORY if small else 0)
     refused = None
     for data in rest:
         if data[:1] == b"\x83":
@@ -418,24 +443,6 @@ def in_receiver(folder: Path, case: Case) -> None:
     receiver.hello(VIEW)
     if refused is not None:
         raise refused
-
-
-def requests() -> list[Case]:
-    part = b"the bytes of a part"
-    name = hashlib.sha256(part).hexdigest() + ".bin"
-    ranges = ("bytes=0-5", "bytes=-3", "bytes=4-", "bytes=90-", "bytes=5-2")
-    return [{"request.name": f"{text}\n{name}".encode(), f"parts/{name}": part} for text in ranges]
-
-
-def in_files(folder: Path, case: Case) -> None:
-    header, _, name = case.get("request.name", b"").decode("latin-1").partition("\n")
-    for size in (0, 1, 50):
-        found = byte_range(header, size)
-        assert found is None or 0 <= found[0] <= found[1] <= size
-    try:
-        assert hashlib.sha256(read_part(folder, name)).hexdigest() == name[:64]
-    except FileNotFoundError:
-        return
 
 
 S = "gsvis.stream."
@@ -473,14 +480,5 @@ TARGETS = [
         change=change_order,
         modules=tuple(S + name for name in ("header", "batch", "coding", "tables", "receiver", "drawn")),
         weight=1.5,
-    ),
-    Target(
-        "requests",
-        requests,
-        in_files,
-        (FormatError,),
-        {"request.name": "text"},
-        modules=("gsvis.serve.parts",),
-        weight=0.3,
     ),
 ]

@@ -104,3 +104,11 @@ def test_tables_shorter_than_the_records_that_point_into_them_are_no_crash(made:
                 package.verify()
     finally:
         path.write_bytes(whole)
+
+
+def test_views_that_are_no_poses_are_left_out(made: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
+    view = {"position": [0, 1, 2.5], "rotation": [1, 0, 0, 0]}
+    odd = [{**view, "position": other} for other in ([0, 0], "up", [10**400, 0, 0], [True, 0, 0], [1e300, 0, 0], None)]
+    for listed, kept in (([view, *odd, 7, {}, view], 2), (odd, 0), ({"a": view}, 0), (7, 0)):
+        (tmp_path / "m.json").write_bytes(signed({**made[1], "provenance": {"views": listed}}))
+        assert Manifest.read(tmp_path / "m.json").views == [view] * kept

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import struct
+import tracemalloc
 import warnings
 import zlib
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -301,3 +303,19 @@ def test_photographs_that_are_too_small_are_at_fault_themselves(tmp_path: Path) 
         Image.new("RGB", (12, 8)).save(path)
     with pytest.raises(FormatError, match="expected images of at least 16 pixels a side, got 12 x 8"):
         load_photos(tmp_path)
+
+
+def test_a_chunk_that_claims_gigabytes_reserves_no_more_than_the_file_has(tmp_path: Path) -> None:
+    write_photos(tmp_path, FEWEST_VIEWS)
+    path = next(tmp_path.rglob("*.png"))
+    data = path.read_bytes()
+    at = data.index(b"IDAT") - 4
+    path.write_bytes(data[:at] + struct.pack(">I", 1 << 31) + data[at + 4 :])
+    tracemalloc.start()
+    try:
+        with suppress(FormatError):  # Pillow reads it, or says that it is cut
+            load_photos(tmp_path)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < 64 << 20
