@@ -83,14 +83,16 @@ def test_utility_adds_the_logarithms_of_its_factors() -> None:
 
 @pytest.mark.parametrize("regime", REGIMES)
 def test_of_what_ends_early_only_a_first_picture_in_view_is_sent(regime: str) -> None:
-    found = table("fov-first", regime, 3, picture=0, terms_around=True)[0].reshape(RINGS, 3, 3, 2, 2)
+    everywhere = (kernels.INSIDE, kernels.OUTSIDE, kernels.EDGE)
+    found = table("fov-first", regime, 3, picture=0, terms_in=everywhere)[0].reshape(RINGS, 3, 3, 2, 3)
     sent = found != NEVER
     least = 2 if regime == "high" else 1
     assert sent[0, :, least:].all()
-    assert sent[1:, :, least:, kernels.GEOMETRY].all()
+    assert sent[1:, :, least:, kernels.GEOMETRY, : kernels.EDGE].all()
     early = sent[:, :, :least]
     assert early[0, 0, :, kernels.GEOMETRY, kernels.INSIDE].all()
-    assert early.sum() == least
+    assert early[0, 0, :, kernels.GEOMETRY, kernels.EDGE].all()
+    assert early.sum() == 2 * least
 
 
 @pytest.mark.parametrize("policy", POLICIES)
