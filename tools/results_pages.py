@@ -157,6 +157,7 @@ PAGES = {
             "viewer_bytes",
             "viewer_draw",
             "static_site",
+            "static_site_nika",
             "streamed_sog",
             "streamed_sog_nika",
             "tiles",
