@@ -7,13 +7,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
+from unittest.mock import patch
 
 __all__ = ["take_few_views"]
 
 
 @contextmanager
 def take_few_views() -> Iterator[None]:
-    """Let `PrepareConfig` take one view where it takes many, unless it is told which."""
+    """Give `PrepareConfig` one view by default, where it has many; what a caller passes counts."""
     from gsvis.prepare import PrepareConfig
 
     few = replace(PrepareConfig().cost_views, count=1, width=24, height=20)
@@ -23,11 +24,8 @@ def take_few_views() -> Iterator[None]:
         before(self, *words, **{"cost_views": few, "fidelity_views": few, "level_held_out": 1, **named})
         object.__setattr__(self, "colors", replace(self.colors, views=few))
 
-    PrepareConfig.__init__ = initialize  # type: ignore[method-assign]
-    try:
+    with patch.object(PrepareConfig, "__init__", initialize):
         yield
-    finally:
-        PrepareConfig.__init__ = before  # type: ignore[method-assign]
 
 
 if __name__ == "__main__":

@@ -44,7 +44,8 @@ def answer(text: bytes, respond: Respond) -> tuple[int, dict[str, str], bytes]:
     async def run() -> tuple[int, dict[str, str], bytes]:
         found = await respond(Request(scope), name)
         if isinstance(found, StreamingResponse):
-            body = b"".join([bytes(piece) async for piece in found.body_iterator])  # type: ignore[arg-type]
+            pieces = [piece async for piece in found.body_iterator]
+            body = b"".join(piece.encode() if isinstance(piece, str) else piece for piece in pieces)
         else:
             body = bytes(found.body)
         return found.status_code, dict(found.headers), body

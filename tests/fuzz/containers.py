@@ -243,18 +243,10 @@ def change_container(rng: Random, data: bytes) -> bytes:
         _change_cell(rng, sections)
     if way < 3 and rng.random() < 0.4 and isinstance(header, dict) and "sections" in header:
         return _with_header(data, header)
-    out = io.BytesIO()
-    writer = SectionWriter(out, FILE_KIND)
-    for key, content in sections.items():
-        writer.append(content)
-        writer.close_section(key)
     try:
-        writer.finish(
-            {key: value for key, value in header.items() if key != "sections"} if isinstance(header, dict) else {}
-        )
+        return sealed_sections(header if isinstance(header, dict) else {}, sections)
     except ValueError:  # NaN has no place there
         return change_bytes(rng, data)
-    return out.getvalue()
 
 
 def _sections(data: bytes) -> tuple[Any, dict[str, bytes]]:
@@ -265,6 +257,17 @@ def _sections(data: bytes) -> tuple[Any, dict[str, bytes]]:
         found[name] = data[at : at + size]
         at += size
     return header, found
+
+
+def sealed_sections(header: dict[str, Any], sections: dict[str, bytes]) -> bytes:
+    """A store of visible sets with these sections, under right checksums."""
+    out = io.BytesIO()
+    writer = SectionWriter(out, FILE_KIND)
+    for name, content in sections.items():
+        writer.append(content)
+        writer.close_section(name)
+    writer.finish({key: value for key, value in header.items() if key != "sections"})
+    return out.getvalue()
 
 
 def _with_header(data: bytes, header: dict[str, Any]) -> bytes:

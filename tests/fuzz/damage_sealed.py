@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 import struct
 from collections.abc import Callable
@@ -18,14 +17,21 @@ import pyarrow as pa
 from gsvis.export.static import FORMAT
 from gsvis.files import arrow as _arrow
 from gsvis.files.archive import load_arrays, save_arrays
-from gsvis.files.sections import SectionWriter
 from gsvis.io.levels import MAP
 from gsvis.package.manifest import MANIFEST
-from gsvis.pvs._writer import CELL_ROW, FILE_KIND
+from gsvis.pvs._writer import CELL_ROW
 from gsvis.serve.sites import SCENE
 from gsvis.train.importance import ROUNDS
 from tests.fuzz import packages, stores, training, unfinished, wire
-from tests.fuzz.containers import _opened, _sections, _with_checksum, _written, change_cells, sealed_manifest
+from tests.fuzz.containers import (
+    _opened,
+    _sections,
+    _with_checksum,
+    _written,
+    change_cells,
+    sealed_manifest,
+    sealed_sections,
+)
 from tests.fuzz.damage import LINK, Damaged
 from tests.fuzz.damage_stores import Columns, rewritten, with_part
 from tests.fuzz.places import DROP, cases_of, edited
@@ -141,26 +147,16 @@ def term_stores() -> Damaged:
 def set_stores() -> Damaged:
     data = stores.both_stores()[0]
 
-    def written(sections: dict[str, bytes]) -> Case:
-        header, _ = _sections(data)
-        out = io.BytesIO()
-        writer = SectionWriter(out, FILE_KIND)
-        for name, content in sections.items():
-            writer.append(content)
-            writer.close_section(name)
-        writer.finish({key: value for key, value in header.items() if key != "sections"})
-        return {"a.pvs": out.getvalue()}
-
     def with_piece(kind: str, change: Callable[[bytes], bytes]) -> Case:
-        _, sections = _sections(data)
+        header, sections = _sections(data)
         change_cells(sections, kind, lambda pieces: pieces.__setitem__(0, change(pieces[0])))
-        return written(sections)
+        return {"a.pvs": sealed_sections(header, sections)}
 
     def with_rows(change: Callable[[Any], None]) -> Case:
-        _, sections = _sections(data)
+        header, sections = _sections(data)
         rows = np.frombuffer(sections["cells"], CELL_ROW).copy()
         change(rows)
-        return written({**sections, "cells": rows.tobytes()})
+        return {"a.pvs": sealed_sections(header, {**sections, "cells": rows.tobytes()})}
 
     def parent(value: int) -> Case:
         return with_rows(lambda rows: rows["parent"].__setitem__(0, value))
@@ -300,8 +296,8 @@ def whole_packages() -> Damaged:
 
     def arrow(of: Case, row: Any, change: Callable[[Columns], None], kind: str | None = None) -> Case:
         name = f"parts/{row['sha256']}.arrow"
-        said: Callable[[Any], None] = lambda header: header.update(kind=kind or header["kind"])  # noqa: E731
-        return with_part(of, name, rewritten(of[name], change, said))
+        other = {} if kind is None else {"kind": kind}
+        return with_part(of, name, rewritten(of[name], change, lambda header: header.update(other)))
 
     def shorter(columns: Columns) -> None:
         for name, column in columns.items():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 import os
 import struct
@@ -20,10 +19,9 @@ import pyarrow as pa
 import zstandard
 
 from gsvis.files.archive import load_arrays, save_arrays
-from gsvis.files.sections import SectionWriter
 from gsvis.io.levels import MAP
 from gsvis.package.manifest import MANIFEST
-from gsvis.pvs._writer import CELL_ROW, FILE_KIND
+from gsvis.pvs._writer import CELL_ROW
 from gsvis.pvs.stored_certificates import CERTIFIED_ROW
 from tests.fuzz import packages, stores
 from tests.fuzz.cameras import files_in
@@ -38,6 +36,7 @@ from tests.fuzz.containers import (
     reheaded,
     sealed_journal,
     sealed_manifest,
+    sealed_sections,
 )
 from tests.fuzz.damage import LINK, PIPE, Damaged
 from tests.fuzz.targets import Case
@@ -94,13 +93,7 @@ def set_stores() -> Damaged:
     def changed(change: Callable[[Any, dict[str, bytes]], None]) -> Case:
         header, sections = _sections(data)
         change(header, sections)
-        out = io.BytesIO()
-        writer = SectionWriter(out, FILE_KIND)
-        for name, content in sections.items():
-            writer.append(content)
-            writer.close_section(name)
-        writer.finish({key: value for key, value in header.items() if key != "sections"})
-        return {"a.pvs": out.getvalue()}
+        return {"a.pvs": sealed_sections(header, sections)}
 
     def case(**changes: Any) -> Case:
         return changed(lambda header, _: header.update(changes))

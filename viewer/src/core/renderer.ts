@@ -284,10 +284,10 @@ export function choosePrecision(gl: WebGL2RenderingContext, wanted?: Precision):
   return finest !== "bytes" && half ? "half" : "bytes";
 }
 
-/** Return whether the CPU does a GPU's work. Then a blend into half floats takes twice as long as one into floats. */
+/** Return whether Chromium draws on the CPU: there a blend into half floats takes twice as long as one into floats. */
 function isSoftware(gl: WebGL2RenderingContext): boolean {
-  const info = gl.getExtension("WEBGL_debug_renderer_info");
-  return /swiftshader|llvmpipe|basic render/i.test(gl.getParameter(info ? info.UNMASKED_RENDERER_WEBGL : gl.RENDERER));
+  const info = gl.getParameter(gl.RENDERER) === "WebKit WebGL" && gl.getExtension("WEBGL_debug_renderer_info");
+  return !!info && /SwiftShader/.test(gl.getParameter(info.UNMASKED_RENDERER_WEBGL));
 }
 
 /** Return the corners of many quads, and the buffer of their indices: vertex 4 q + c is corner c of quad q. */

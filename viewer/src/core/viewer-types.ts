@@ -14,7 +14,7 @@ export interface ViewerOptions {
   camera?: Eye; // where the eye is at first
   background?: [number, number, number];
   antialiased?: boolean;
-  precision?: Precision; // of the picture that is blended, or the finest there is; half by default, float without a GPU
+  precision?: Precision; // of the blended picture, or the finest there is; half by default, float with SwiftShader
   maxPixelRatio?: number;
   memory?: number; // bytes on the GPU
   sortWorker?: WorkerStart;

@@ -13,7 +13,7 @@ export interface Message {
 
 export const NO_WEBGL: Message = {
   title: "This browser cannot draw the scene",
-  text: "The viewer needs WebGL2. It may be switched off, or the graphics driver blocked.",
+  text: "It does not offer WebGL2. Switch that on, or use another browser.",
 };
 
 export const NO_SCENE: Message = {
