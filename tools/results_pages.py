@@ -154,6 +154,7 @@ PAGES = {
         "The viewer",
         (
             "viewer_load",
+            "viewer_load_nika",
             "viewer_bytes",
             "viewer_draw",
             "static_site",
