@@ -1,11 +1,12 @@
 """What does a whole world cost, and does a dry run tell it: processor time, memory, disk?
 
-A scene, or copies of it, is prepared as a world with one worker, after a dry run with the same options. A run that was
-stopped goes on; its peak of memory stays in a file beside the work.
+A scene, or copies of it, is prepared as a world, after a dry run with the same options. A run that was stopped goes on;
+its peak of memory stays in a file beside the work. With the result of a smaller world, the exponents of time against
+Gaussians are told as well.
 
 Given: a scene and options on the command line.
 Measured: seconds of processor of all tasks, peak of proportional memory (PSS) of all processes, bytes of the world and
-    of the kept work, each over what the dry run says.
+    of the kept work, each over what the dry run says, and exponents of the stages.
 Defaults chosen on: no scene.
 """
 
@@ -17,6 +18,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from _harness import add_arguments, need, realdata, write_result
 from _memory import watch_memory
 from _worlds import write_copies
@@ -44,20 +46,33 @@ def main() -> None:
     parser.add_argument("--most", type=int, default=250_000)
     parser.add_argument("--cells", type=int, default=2, help="cells of a tile")
     parser.add_argument("--steps", type=int, default=60, help="steps of training of each lower level; 0 for no levels")
+    parser.add_argument("--workers", type=int, default=1, help="processes")
+    parser.add_argument("--smaller", type=Path, help="result of this benchmark on fewer copies, with the same options")
     parser.add_argument("--work", type=Path, help="folder for the world, some gigabytes")
     given = add_arguments(parser).parse_args()
     need(given.work, "a folder for the world with --work")
     given.work.mkdir(parents=True, exist_ok=True)
     scenes, config = scenes_of(given), config_of(given)
-    estimate = estimate_world(scenes, config, workers=1)
+    estimate = estimate_world(scenes, config, workers=given.workers)
     peak_file = given.work / "peak.json"
-    with watch_memory(0.2) as peak:
+    with watch_memory(0.2 * given.workers) as peak:
         try:
-            made = prepare_world(scenes, given.work / "city.gsworld", config, workers=Workers(1))
+            made = prepare_world(scenes, given.work / "city.gsworld", config, workers=Workers(given.workers))
         finally:
             before = json.loads(peak_file.read_text()) if peak_file.is_file() else 0
             peak_file.write_text(json.dumps(max(before, peak.bytes)))
     write(given, estimate, made, json.loads(peak_file.read_text()))
+
+
+def exponents(smaller: dict[str, Any], gaussians: int, cpu: dict[str, float]) -> list[dict[str, Any]]:
+    """Exponent of processor time against Gaussians, of each stage and of all, from two worlds."""
+    before, ratio = smaller["cpu_s"], np.log(gaussians / smaller["gaussians"])
+    pairs = {name: (before[name], cpu[name]) for name in cpu} | {"all": (sum(before.values()), sum(cpu.values()))}
+    return [
+        {"name": f"exponent of {name}", "target": 1.05, "reached": float(np.log(now / then) / ratio), "unit": "",
+         "better": "lower"}
+        for name, (then, now) in pairs.items()
+    ]  # fmt: skip
 
 
 def scenes_of(given: argparse.Namespace) -> list[tuple[str, int | None]]:
@@ -99,10 +114,12 @@ def write(given: argparse.Namespace, estimate: WorldEstimate, made: PreparedWorl
         {"name": "peak PSS", "target": 6.0, "reached": peak / 1e9, "unit": "GB", "better": "lower"},
     ]
     m = made.manifest
+    if given.smaller is not None:
+        figures += exponents(json.loads(given.smaller.read_text())["details"], m.gaussians, cpu)
     details = {
         "gaussians": m.gaussians, "tiles": len(m.tiles), "districts": len(m.districts), "cpu_s": cpu,
         "cells": sum(tile.cells for tile in m.tiles), "estimate": asdict(estimate), "measured": pairs,
-        "largest_worker_rss": max(result.peak for result in made.results.values()),
+        "workers": given.workers, "largest_worker_rss": max(result.peak for result in made.results.values()),
     }  # fmt: skip
     write_result(given.out, "What does a whole world cost, and does a dry run tell it?", figures, details)
 
