@@ -57,7 +57,7 @@ def rasterize_cuda(
     device = tensors.means.device
 
     def there(array: NDArray[Any]) -> Tensor:
-        return torch.as_tensor(array, dtype=torch.float32, device=device)
+        return torch.tensor(array, dtype=torch.float32, device=device)  # a copy: arrays of cameras are read-only
 
     coefficients = torch.cat([tensors.sh0, tensors.shN], dim=1)[:, : (sh_degree + 1) ** 2]
     images, alphas, info = gsplat.rasterization(

@@ -15,6 +15,7 @@ from functools import cached_property
 
 import numpy as np
 import torch
+from numba import get_num_threads
 
 from gsvis import _check
 from gsvis.progress import Progress, silent
@@ -194,7 +195,9 @@ class Trainer:
         """Take all remaining steps, with measurements and checkpoints on the way; see `train`.
 
         `progress` runs between two steps and may read the trainer: its loss, its history, its number of Gaussians.
+        torch takes no more threads than the kernels may (`numba.set_num_threads`), also afterwards.
         """
+        torch.set_num_threads(min(torch.get_num_threads(), get_num_threads()))  # numba's OpenMP raises torch's number
         last = self.config.iterations
         checkpoint = None if checkpoint is None else _check.path("checkpoint", checkpoint)
         if checkpoint is not None and checkpoint.exists():

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from numba import get_num_threads, set_num_threads
 
 from gsvis.errors import FormatError
 from gsvis.render.rasterizer import rasterize
@@ -75,6 +76,18 @@ def test_it_comes_closer_also_where_it_did_not_look(views: PosedImages, start: G
     assert result.history[-1].psnr == pytest.approx(mean_psnr(result.gaussians, held_out), abs=1e-6)
     assert result.gaussians.sh_degree == 1
     assert result.history[-1].count == len(result.gaussians) != COUNT
+
+
+def test_torch_takes_no_more_threads_than_the_kernels(views: PosedImages, start: Gaussians) -> None:
+    before = get_num_threads(), torch.get_num_threads()
+    try:
+        torch.set_num_threads(3)
+        set_num_threads(1)
+        train(views, start, replace(CONFIG, iterations=1))
+        assert torch.get_num_threads() == 1
+    finally:
+        set_num_threads(before[0])
+        torch.set_num_threads(before[1])
 
 
 def test_every_view_is_drawn_once_a_round(views: PosedImages, start: Gaussians) -> None:
