@@ -1,4 +1,7 @@
-"""A real browser for tests of the viewer: Chromium without a GPU, and a file server for one page."""
+"""A real browser for tests of the viewer: Chromium, without a GPU by default, and a file server for one page.
+
+`GSVIS_CHROMIUM` names another Chromium, `GSVIS_CHROMIUM_FLAGS` other flags, such as those of a machine with a GPU.
+"""
 
 from __future__ import annotations
 
@@ -15,12 +18,8 @@ from typing import Any
 import pytest
 
 ROOT = Path(__file__).parents[2]
-FLAGS = (
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--ignore-gpu-blocklist",
-    "--disable-gpu-rasterization",
-)
+_SOFTWARE = "--use-angle=swiftshader --enable-unsafe-swiftshader --ignore-gpu-blocklist --disable-gpu-rasterization"
+FLAGS = tuple(os.environ.get("GSVIS_CHROMIUM_FLAGS", _SOFTWARE).split())
 MEASURED = ("--enable-blink-features=ForceEagerMeasureMemory",)  # for `measureUserAgentSpecificMemory` without a wait
 
 
