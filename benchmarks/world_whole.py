@@ -101,7 +101,7 @@ def write(given: argparse.Namespace, estimate: WorldEstimate, made: PreparedWorl
     disk = sum(path.stat().st_size for path in made.work.rglob("*") if path.is_file())
     pairs = {
         "processor time": (sum(estimate.core_seconds.values()), sum(cpu.values())),
-        "peak PSS": (estimate.memory, peak), "bytes of the world": (estimate.nbytes, made.nbytes),
+        "peak PSS": (given.workers * estimate.memory, peak), "bytes of the world": (estimate.nbytes, made.nbytes),
         "bytes of the kept work": (estimate.work_bytes, disk),
     }  # fmt: skip
     figures: list[dict[str, Any]] = [
@@ -111,7 +111,13 @@ def write(given: argparse.Namespace, estimate: WorldEstimate, made: PreparedWorl
     ]  # fmt: skip
     figures += [
         {"name": "processor time", "target": None, "reached": sum(cpu.values()) / 60, "unit": "min", "better": "lower"},
-        {"name": "peak PSS", "target": 6.0, "reached": peak / 1e9, "unit": "GB", "better": "lower"},
+        {
+            "name": "peak PSS",
+            "target": 6.0 if given.workers <= 2 else None,
+            "reached": peak / 1e9,
+            "unit": "GB",
+            "better": "lower",
+        },
     ]
     m = made.manifest
     if given.smaller is not None:
