@@ -16,8 +16,8 @@ USE = (
             Row(
                 "Nika and showroom at 10 Mbit/s: when is an image of 20 and of 35 dB there?",
                 (
-                    "streaming_rivals_eight_walks: 20 dB after, median, 10 Mbit/s, nika",
-                    "streaming_rivals_eight_walks: 35 dB after, median, 10 Mbit/s, nika",
+                    "streaming_rivals: 20 dB after, median, 10 Mbit/s, nika",
+                    "streaming_rivals: 35 dB after, median, 10 Mbit/s, nika",
                     "streaming_rivals_showroom: 20 dB after, median, 10 Mbit/s, showroom",
                     "streaming_rivals_showroom: 35 dB after, median, 10 Mbit/s, showroom",
                 ),
@@ -28,10 +28,10 @@ USE = (
             Row(
                 "QoE of a step less the best rival's, nika at 1, 3, 10, 30 Mbit/s, lower end of 95%?",
                 (
-                    "streaming_rivals_eight_walks: the same, lower end of its interval, 1 Mbit/s, nika",
-                    "streaming_rivals_eight_walks: the same, lower end of its interval, 3 Mbit/s, nika",
-                    "streaming_rivals_eight_walks: the same, lower end of its interval, 10 Mbit/s, nika",
-                    "streaming_rivals_eight_walks: the same, lower end of its interval, 30 Mbit/s, nika",
+                    "streaming_rivals: the same, lower end of its interval, 1 Mbit/s, nika",
+                    "streaming_rivals: the same, lower end of its interval, 3 Mbit/s, nika",
+                    "streaming_rivals: the same, lower end of its interval, 10 Mbit/s, nika",
+                    "streaming_rivals: the same, lower end of its interval, 30 Mbit/s, nika",
                 ),
                 ours="{0:.2f}, {1:.2f}, {2:.3f}, {3:.2f}",
                 peer="LapisGS-like layers",
