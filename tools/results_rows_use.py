@@ -22,7 +22,7 @@ USE = (
                     "streaming_rivals_showroom: 35 dB after, median, 10 Mbit/s, showroom",
                 ),
                 ours="{0:.2g}, {1:.2g} s; {2:.2g}, {3:.2g} s",
-                peer="layers: 0.2, 1.8 s; leaves of SOG: 0.6 s, chunks: 1.7 s",
+                peer="layers: 0.2, 1.8 s; layers: 0.6 s, chunks: 1.9 s",
                 target="≤ 0.1, 0.5 s",
             ),
             Row(
