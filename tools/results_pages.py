@@ -123,7 +123,6 @@ PAGES = {
         (
             "streaming",
             "streaming_rivals",
-            "streaming_rivals_eight_walks",
             "streaming_rivals_recorded",
             "streaming_rivals_showroom",
             "abr_planning",

@@ -25,8 +25,8 @@ class AbrConfig:
         predictor: One of `PREDICTORS`.
         lead: Seconds ahead to predict the pose for. A Gaussian in view now or then counts as in view; 0 means now only.
         turn: Radians by which the head must turn before records are ranked again; at most the margin of the view.
-        ahead: Seconds ahead to predict the cell for: what it sees, and its terms for the eye there, go before what only
-            other neighbors see. 0 means no cell ahead.
+        ahead: Seconds ahead to predict the cell for: what it sees goes before what only other neighbors see. Terms are
+            sent for the eyes now and in `lead` seconds alone. 0 means no cell ahead.
         epsilon: How much a term must change the image to be sent for a pose, as a multiple of the package's epsilon. It
             is the change of the color (equation 7) times the blending weight of the Gaussian, times the root of its
             solid angle over that of a square of 6 mrad. Their squares add up to the squared error of the image.
@@ -57,7 +57,7 @@ class AbrConfig:
     predictor: str = "kalman"
     lead: float = 0.25
     ahead: float = 1.0
-    epsilon: float = 0.15
+    epsilon: float = 0.17
     first_epsilon: float = 0.3
     strong: tuple[float, ...] = (6.0, 2.0, 0.7)
     parallax: float = 0.03

@@ -380,10 +380,9 @@ class Planner:
             planes[k] = self.view.planes(pose.position, pose.quat)
             if self._middle is not None:
                 middle[k] = self._middle.planes(pose.position, pose.quat)
-        eyes = [pose.position for pose in poses] + ([] if self.cell_ahead == self.cell else [later])
         self.reach = _REACH * rate
-        every = np.array(eyes, np.float32)
-        self._aim(here, every[0], planes, middle, self.regime, every, self.cell_ahead)
+        eyes = np.array([pose.position for pose in poses], np.float32)
+        self._aim(here, eyes[0], planes, middle, self.regime, eyes, self.cell_ahead)
         self._planned = self.cell, self.cell_ahead, now, then, self.regime
         self.plans += 1
 

@@ -114,6 +114,25 @@ def test_a_predicted_eye_brings_the_terms_that_it_will_need() -> None:
     assert sum(len(batch.terms) for batch in drained(planner)) == 1
 
 
+def test_the_cell_ahead_brings_no_terms_for_the_eye_there() -> None:
+    index = scenes.random_index(14, count=300, levels=1, cones=True)
+    config = AbrConfig(fill=False, lead=0.0, ahead=1.0, epsilon=0.1, strong=())
+    planner = Planner(CandidateIndex(index), VIEW, config)
+    widest = float(np.float32(-np.log(config.epsilon) - 0.5 * np.log(3.6e-5)) + 0.5 * np.log(4 * np.pi))
+    enters, count = False, 0
+    for t in np.arange(0.0, 2.0, 0.1).tolist():
+        eye = np.array([2.0 * t - 3.0, -2.0, -2.0], np.float32)
+        planner.on_pose(t, eye, [1.0, 0.0, 0.0, 0.0])
+        while len(batch := planner.next_batch(t, 1e6, 1e5)):
+            for term in batch.terms.tolist():
+                owner = np.searchsorted(index.term_offsets, term, side="right") - 1
+                assert index.cones.active([term], index.means[owner], [eye], widest)[0]
+                count += 1
+        enters |= planner.cell_ahead != planner.cell
+    assert enters
+    assert count
+
+
 def test_a_link_with_nothing_to_spare_is_not_filled() -> None:
     index = scenes.random_index(11, shape=(6, 3, 2), share=0.1)
     planner = Planner(CandidateIndex(index), VIEW)
