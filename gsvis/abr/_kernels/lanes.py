@@ -15,7 +15,7 @@ _LANES = 64
 
 @intrinsic
 def not_behind(typing_context: Any, x: Any, y: Any, z: Any, radii: Any, low: Any, plane: Any) -> Any:
-    """Return as bits which of the spheres `low` to `low + 63` reach the front of a plane, as a x + b y + c z + d + r >= 0.
+    """Return as bits which of 64 spheres from `low` on reach the front of a plane, as a x + b y + c z + d + r >= 0.
 
     Args:
         typing_context: Given by numba.
@@ -23,7 +23,7 @@ def not_behind(typing_context: Any, x: Any, y: Any, z: Any, radii: Any, low: Any
         y: (N,).
         z: (N,).
         radii: (N,).
-        low: First of the spheres; 64 there are.
+        low: First of the spheres.
         plane: (a, b, c, d) float32.
     """
 

@@ -277,7 +277,7 @@ def _choose(units, ahead, table, limit, work, count):
         Number of chosen units, and whether no other unit is left to send.
     """
     slots, masks, codes, areas, pixels = units.slots, units.masks, units.codes, units.areas, units.pixels
-    free, due, every, squares, own = work.free, work.due[0], work.due, work.squares, np.uint64(len(table) // 4)
+    free, every, squares, own = work.free, work.due, work.squares, np.uint64(len(table) // 4)
     chosen, buckets, sides, middle_sides = work.chosen, work.buckets, work.sides, work.middle_sides
     parts, kinds, keys = np.uint64(table.shape[2]), np.uint64(table.shape[1]), table.reshape(-1)
     strong, filled, skipped = work.inside, 0, False

@@ -10,7 +10,6 @@ from gsvis._kernels.compiled import inner, kernel
 from gsvis._kernels.prefetch import prefetch
 from gsvis.abr._kernels.plan import ANY, DONE, KIND_BITS, SEVERAL, UNITS
 
-
 _NONE = -1  # in `Links.only`
 _AHEAD = 8  # entries of a plan that are read ahead
 
