@@ -360,7 +360,7 @@ class Planner:
         else:
             self._filled = self._stages
             return False
-        widen(rest.candidates, allowed, held, shared.links, self._looks_far)
+        widen(rest.candidates, allowed, held, shared.links, self._looks, self._looks_far)
         self._here, self._cell = every, self._without_evicted(rest._replace(allowed=(allowed & shared.highest)[:s]))
         self._view = self._view._replace(planes=_NO_PLANES, middle=_NO_PLANES, eyes=np.zeros((0, 3), np.float32))
         return True

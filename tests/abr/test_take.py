@@ -10,7 +10,7 @@ from numba import njit
 
 from gsvis.abr import reference
 from gsvis.abr._kernels.lanes import not_behind
-from gsvis.abr._kernels.plan import UNITS
+from gsvis.abr._kernels.plan import DONE, UNITS
 from gsvis.abr._kernels.take import bound, see, widen
 from gsvis.abr.candidates import CandidateIndex
 from gsvis.abr.classes import FieldOfView
@@ -54,13 +54,15 @@ def test_others_that_have_arrived_before_make_what_they_replace_due(seed: int) -
     some, others, held, gone = (rng.permutation(n)[: int(rng.integers(n))] for _ in range(4))
     holdings, candidates = Holdings(n, index.num_terms), pack(np.sort(some), n)
     holdings.sent[:], holdings.gone[:] = pack(np.sort(held), n), pack(np.sort(gone), n)
-    looks = np.full(len(links.ending), 7, np.int32)
-    widen(candidates, pack(np.sort(others), n), holdings.words, links, looks)
+    looks, near = np.full((2, len(links.ending)), 7, np.int32)
+    near[::3] = DONE
+    widen(candidates, pack(np.sort(others), n), holdings.words, links, near, looks)
     assert ids_of(candidates).tolist() == np.union1d(some, others).tolist()
     fresh = np.intersect1d(np.setdiff1d(others, some), np.union1d(held, gone))
-    for x, look in zip(links.ending.tolist(), looks.tolist(), strict=True):
+    assert (looks[::3] == DONE).all()
+    for x, look, is_done in zip(links.ending.tolist(), looks.tolist(), (near == DONE).tolist(), strict=True):
         low, high = index.replacement_offsets[x : x + 2]
-        assert look == (0 if np.isin(index.replacement_ids[low:high], fresh).any() else 7)
+        assert is_done or look == (0 if np.isin(index.replacement_ids[low:high], fresh).any() else 7)
 
 
 @FEW

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 
 from gsvis._kernels.bits import has, lowest
-from gsvis._kernels.compiled import inner, kernel
+from gsvis._kernels.compiled import kernel
 from gsvis._kernels.prefetch import prefetch
 from gsvis.abr._kernels.plan import ANY, DONE, KIND_BITS, SEVERAL, UNITS
 
@@ -94,10 +94,11 @@ def _change(centers, place, cosine, width, looks):
 
 
 @kernel(error_model="numpy")
-def widen(candidates, others, held, links, looks):
+def widen(candidates, others, held, links, near, looks):
     """Add others (W,) to the candidates (W,); check again whose replacements among them have arrived already.
 
-    A candidate that has not arrived only makes the area larger that has to arrive.
+    A candidate that has not arrived only makes the area larger that has to arrive. What `near` (E,), the `looks` of a
+    cell, knows as replaced is so for these candidates, too.
     """
     gaussians, _, gone = held
     only, offsets, ranks, one = links.only, links.offsets, links.ranks, np.uint64(1)
@@ -114,6 +115,8 @@ def widen(candidates, others, held, links, looks):
             elif e == SEVERAL:
                 for k in range(offsets[g], offsets[g + 1]):
                     looks[ranks[k]] = 0
+    for e in range(len(looks)):
+        looks[e] = DONE if near[e] == DONE else looks[e]
 
 
 @kernel(error_model="numpy")
@@ -171,10 +174,61 @@ def take(plan, place, cell, held, view, records, links, budget, out):
     sizes, term_offsets, term_sizes, centers, centers_of, cosines, widths, areas = records
     eyes, bodies, toward = view.eyes, view.bodies, np.empty((len(view.eyes), 4), np.float32)
     only, only_units, arrived, looks, gains = links.only, links.only_units, cell.arrived, cell.looks, view.gains
-    out_gaussians, out_terms = out.gaussians, out.terms
+    candidates, sure, last, shares = cell.candidates, cell.sure, cell.last, cell.shares
+    offsets, ranks, ending, starts, ids = links.offsets, links.ranks, links.ending, links.starts, links.ids
+    units, weights, every = links.units, links.areas, links.every
+    out_gaussians, out_terms, out_dropped, queue = out.gaussians, out.terms, out.dropped, out.queue
     size, varied = np.float64(sizes[0]) if len(sizes) else 0.0, len(sizes) > 1
-    found, found_terms, dropped, total = 0, 0, np.int64(0), 0.0  # a literal would compile `_drop_replaced` twice
+    found, found_terms, dropped, total = 0, 0, np.int64(0), 0.0
     one, ones = np.uint64(1), ~np.uint64(0)
+
+    def drop_replaced(g, dropped):  # as a function of its own it would count references of thirty arrays each time
+        """Mark as gone what g replaces, where enough of the other replacements is held or cannot be seen from the cell.
+
+        Enough is a share of their area, `Cell.shares`. A Gaussian that is gone counts as held, so what it was to
+        replace is checked too. For what still waits, `looks` remembers how much area has to have arrived at least, in
+        units that are rounded down, and it is not checked again before. With the area of `sure` nothing needs to be
+        checked.
+        """
+        waiting, done, y = 0, 0, g
+        while True:
+            is_new, one_only = y == g or not has(gaussians, y), np.int64(only[y])
+            first, end = np.int64(0), np.int64(one_only >= 0)
+            if one_only == SEVERAL:
+                first, end = offsets[y], offsets[y + 1]
+            for k in range(first, end):
+                e = one_only if one_only >= 0 else np.int64(ranks[k])
+                if is_new:
+                    arrived[e] += only_units[y] if one_only >= 0 else units[k]
+                if arrived[e] < looks[e]:
+                    continue
+                x = np.int64(ending[e])
+                if has(gone, x):
+                    looks[e] = DONE
+                    continue
+                if not sure[e] <= arrived[e] < ANY:
+                    total, missing = 0.0, 0.0
+                    for m in range(starts[e], starts[e + 1]):
+                        w, bit = ids[m] >> 6, np.uint64(ids[m] & 63)
+                        counts, lacks = candidates[w], candidates[w] & ~(gaussians[w] | gone[w])
+                        total += np.float64((counts >> bit) & one) * weights[m]
+                        missing += np.float64((lacks >> bit) & one) * weights[m]
+                    spare = 1.0 - shares[last[x]]
+                    if missing > spare * total:
+                        looks[e] = arrived[e] + max(np.int64((missing - spare * total) / every[e] * UNITS) - 1, 1)
+                        continue
+                looks[e] = DONE
+                _put(gone, x)
+                queue[waiting] = x
+                waiting += 1
+                if has(gaussians, x):
+                    out_dropped[dropped] = x
+                    dropped += 1
+            if done == waiting:
+                return dropped
+            y = np.int64(queue[done])
+            done += 1
+
     while place < len(entries):
         s, kind = np.int64(entries[place] >> KIND_BITS), np.int64(entries[place] & ((1 << KIND_BITS) - 1)) - 1
         w, terms, ahead = np.int64(words[s]), kind >= 0, min(place + _AHEAD, len(entries) - 1)
@@ -205,7 +259,7 @@ def take(plan, place, cell, held, view, records, links, budget, out):
                         arrived[e] = so_far
                         continue
                 if e != _NONE:
-                    dropped = _drop_replaced(g, held, cell, links, out, dropped)
+                    dropped = drop_replaced(g, dropped)
                     rest &= ~gone[w]
                 continue
             start, stop, kept_back, most = term_offsets[g], term_offsets[g + 1], False, np.float32(-np.inf)
@@ -239,56 +293,3 @@ def take(plan, place, cell, held, view, records, links, budget, out):
                 owed[s] &= ~(one << low)
         place += 1
     return place, found, found_terms, dropped, total
-
-
-@inner(error_model="numpy", forceinline=True)
-def _drop_replaced(g, held, cell, links, out, dropped):
-    """Mark as gone what g replaces, where enough of the other replacements is held or cannot be seen from the cell.
-
-    Enough is a share of their area, `Cell.shares`. A Gaussian that is gone counts as held, so what it was to replace is
-    checked too. For what still waits, `looks` remembers how much area has to have arrived at least, in units that are
-    rounded down, and it is not checked again before. With the area of `sure` nothing needs to be checked.
-    """
-    gaussians, gone, candidates, arrived, looks = held.gaussians, held.gone, cell.candidates, cell.arrived, cell.looks
-    sure = cell.sure
-    offsets, ranks, ending, starts, ids = links.offsets, links.ranks, links.ending, links.starts, links.ids
-    queue, out_dropped, last, shares, one = out.queue, out.dropped, cell.last, cell.shares, np.uint64(1)
-    units, sizes, every, only, only_units = links.units, links.areas, links.every, links.only, links.only_units
-    waiting, done, y = 0, 0, g
-    while True:
-        is_new, one_only = y == g or not has(gaussians, y), np.int64(only[y])
-        first, end = np.int64(0), np.int64(one_only >= 0)
-        if one_only == SEVERAL:
-            first, end = offsets[y], offsets[y + 1]
-        for k in range(first, end):
-            e = one_only if one_only >= 0 else np.int64(ranks[k])
-            if is_new:
-                arrived[e] += only_units[y] if one_only >= 0 else units[k]
-            if arrived[e] < looks[e]:
-                continue
-            x = np.int64(ending[e])
-            if has(gone, x):
-                looks[e] = DONE
-                continue
-            if not sure[e] <= arrived[e] < ANY:
-                total, missing = 0.0, 0.0
-                for m in range(starts[e], starts[e + 1]):
-                    w, bit = ids[m] >> 6, np.uint64(ids[m] & 63)
-                    counts, lacks = candidates[w], candidates[w] & ~(gaussians[w] | gone[w])
-                    total += np.float64((counts >> bit) & one) * sizes[m]
-                    missing += np.float64((lacks >> bit) & one) * sizes[m]
-                spare = 1.0 - shares[last[x]]
-                if missing > spare * total:
-                    looks[e] = arrived[e] + max(np.int64((missing - spare * total) / every[e] * UNITS) - 1, 1)
-                    continue
-            looks[e] = DONE
-            _put(gone, x)
-            queue[waiting] = x
-            waiting += 1
-            if has(gaussians, x):
-                out_dropped[dropped] = x
-                dropped += 1
-        if done == waiting:
-            return dropped
-        y = np.int64(queue[done])
-        done += 1
