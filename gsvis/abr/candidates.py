@@ -282,21 +282,17 @@ class CandidateIndex:
         return words
 
     def bounds_of(self, here: Candidates, shares: F64, *, make: bool) -> tuple[I32, I32] | None:
-        """Return bounds on the area that has to arrive before a Gaussian of `links.ending` is dropped, in units.
+        """Return (E,) areas without which each of `links.ending` is not dropped, and (E,) which suffice, in units.
 
         Args:
             here: Candidates of a cell.
             shares: (L,) of the area of its replacements, by the level at which a Gaussian ends.
             make: Whether to compute them if they are not in the cache; None is returned otherwise.
-
-        Returns:
-            (E,) the area without which it is not dropped, and (E,) the area that suffices.
         """
         key = "bounds", here.cell, shares.tobytes()
         found: tuple[I32, I32] | None = self.cache.find(key)
         if found is None and make:
-            count = len(self.links.ending)
-            found = np.zeros(count, np.int32), np.empty(count, np.int32)
+            found = np.zeros(len(self.links.ending), np.int32), np.empty(len(self.links.ending), np.int32)
             bound(here.union, self.links, self.index.last, shares, *found)
             self.cache.keep(key, found, sum(bounds.nbytes for bounds in found))
         return found
@@ -370,8 +366,8 @@ class CandidateIndex:
             keys: M, number of keys.
             terms: K, number of kinds of terms.
         """
-        local, key = self._scratch, (slots, units, keys, terms)
-        made: dict[tuple[int, ...], plan.Work] = local.__dict__.setdefault("made", {})
+        key = slots, units, keys, terms
+        made: dict[tuple[int, ...], plan.Work] = self._scratch.__dict__.setdefault("made", {})
         if key not in made:
             if len(made) >= _WORKS:
                 made.clear()

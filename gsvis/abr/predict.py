@@ -269,7 +269,7 @@ def _unit(w: float, x: float, y: float, z: float) -> Quat:
 
 def finite_vector(name: str, value: ArrayLike, length: int) -> F64:
     """Return a checked float64 vector; skip `_check.floats` if the value already fits."""
-    if type(value) is tuple and len(value) == length and all(type(one) is float for one in value):
+    if isinstance(value, tuple) and len(value) == length and all(type(one) is float for one in value):
         value = np.array(value)
     if isinstance(value, np.ndarray) and value.dtype == np.float64 and value.shape == (length,):
         given: F64 = value
