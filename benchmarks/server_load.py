@@ -1,6 +1,7 @@
 """How many viewers does one server core sustain at 10 Mbit/s each, and what breaks when there are more?
 
-A server process pinned to one core; viewers in another process, each behind a link of its own that carries 10 Mbit/s:
+A server process pinned to one core. Viewers in another process, on other cores where there are more than two, and not
+on one that shares a core's hardware with the server. Each is behind a link of its own that carries 10 Mbit/s:
 they do not decode, they acknowledge a batch when such a link would have brought it, and say ten times a second where
 they are on a walk through the cells. One that has been sent everything for its view comes back with nothing. Reported
 for each number of viewers: the rate that reached them, how late the server looks after them, its seconds of CPU for a
@@ -173,6 +174,19 @@ def memory_of(pid: int) -> float:
     return int(Path(f"/proc/{pid}/statm").read_text(encoding="utf-8").split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
+def other_cores(core: int) -> set[int]:
+    """The cores for the viewers: those that share nothing with the server's, where this machine has more than two."""
+    mine = os.sched_getaffinity(0)
+    if core not in mine:
+        raise SystemExit(f"--core: expected one of {sorted(mine)}, got {core}")
+    topology = Path(f"/sys/devices/system/cpu/cpu{core}/topology/thread_siblings_list")
+    shared = topology.read_text(encoding="utf-8") if topology.exists() else ""
+    spans = [span.split("-") for span in shared.strip().split(",") if span]
+    siblings = {number for span in spans for number in range(int(span[0]), int(span[-1]) + 1)} | {core}
+    apart = mine - siblings
+    return mine if len(mine) <= 2 else apart or mine - {core}
+
+
 def measured(package: Path, count: int, core: int, seconds: float, warm: float, idle_s: float) -> dict[str, Any]:
     """One number of viewers against a fresh server."""
     command = [sys.executable, "-m", "gsvis", "serve", str(package), "--port", "0", "--json"]
@@ -230,10 +244,13 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=10.0)
     parser.add_argument("--warm", type=float, default=10.0, help="seconds before anything counts")
     parser.add_argument("--stay", action="store_true", help="viewers that have everything do not begin again")
-    parser.add_argument("--core", type=int, default=0)
+    parser.add_argument("--core", type=int, default=0, help="the core of the server")
     args = parser.parse_args()
     need(args.package, "what `gsvis prepare` made")
+    viewers_on = other_cores(args.core)
+    os.sched_setaffinity(0, viewers_on)
     figures, details = [], {"package": args.package.name, "mbit_per_s": MBIT, "load_before": os.getloadavg()[0]}
+    details |= {"core_of_server": args.core, "cores_of_viewers": sorted(viewers_on)}
     for count in args.viewers:
         found = measured(args.package, count, args.core, args.seconds, args.warm, np.inf if args.stay else IDLE_S)
         details[str(count)] = found

@@ -21,6 +21,7 @@ from gsvis import _check
 from gsvis._kernels.bits import count as ones
 from gsvis.abr._kernels import plan
 from gsvis.abr._kernels import units as kernels
+from gsvis.abr._kernels.take import bound
 from gsvis.abr._kernels.units import Runs, Units
 from gsvis.abr.cones import TermCones
 from gsvis.abr.index import SceneIndex
@@ -32,6 +33,7 @@ __all__ = ["RINGS", "CandidateIndex", "Candidates", "ring_cells"]
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
+I32 = NDArray[np.int32]
 Words = NDArray[np.uint64]
 
 RINGS = 4
@@ -39,6 +41,7 @@ RINGS = 4
 _WHOLE = ("words", "places", "owing", "union", "active", "level_bytes")  # arrays of `CandidateIndex.everything`
 _Tuple = TypeVar("_Tuple")
 
+_WORKS = 64  # ways to divide scratch memory that a thread remembers
 _SHELL = 8  # cells of a shell: its sets may all have to be read while a viewer waits
 
 
@@ -278,15 +281,20 @@ class CandidateIndex:
             self.cache.keep(("words", cell), words)
         return words
 
-    def seen_from(self, cells: list[int]) -> Words:
-        """Return the (W,) Gaussians that at least one of the cells sees.
+    def bounds_of(self, here: Candidates, shares: F64, *, make: bool) -> tuple[I32, I32] | None:
+        """Return (E,) areas without which each of `links.ending` is not dropped, and (E,) which suffice, in units.
 
-        Raises:
-            ValueError: If a cell names Gaussians that the scene does not have.
+        Args:
+            here: Candidates of a cell.
+            shares: (L,) of the area of its replacements, by the level at which a Gaussian ends.
+            make: Whether to compute them if they are not in the cache; None is returned otherwise.
         """
-        found = np.zeros(len(self.spheres), np.uint64)
-        for cell in cells:
-            found |= self.words_of(cell)
+        key = "bounds", here.cell, shares.tobytes()
+        found: tuple[I32, I32] | None = self.cache.find(key)
+        if found is None and make:
+            found = np.zeros(len(self.links.ending), np.int32), np.empty(len(self.links.ending), np.int32)
+            bound(here.union, self.links, self.index.last, shares, *found)
+            self.cache.keep(key, found, sum(bounds.nbytes for bounds in found))
         return found
 
     def ahead_of(self, here: Candidates, cell: int) -> tuple[Words, Words, Words]:
@@ -358,13 +366,23 @@ class CandidateIndex:
             keys: M, number of keys.
             terms: K, number of kinds of terms.
         """
+        key = slots, units, keys, terms
+        made: dict[tuple[int, ...], plan.Work] = self._scratch.__dict__.setdefault("made", {})
+        if key not in made:
+            if len(made) >= _WORKS:
+                made.clear()
+            made[key] = self._work(slots, units, keys, terms)
+        return made[key]
+
+    def _work(self, slots: int, units: int, keys: int, terms: int) -> plan.Work:
         local, entries, sizes = self._scratch, 3 * (1 + terms) * units, []
         for name, size, kinds in (
             ("slots", slots, (*3 * (np.uint64,), *2 * (np.uint8,), np.float32)), ("due", terms * slots, (np.uint64,)),
-            ("units", units, (np.float32, np.int32, np.int32)),
+            ("units", units, (np.int32, np.int32)),
             ("entries", entries, (np.int32, np.int32, np.uint64, np.int32)), ("keys", keys, (np.int64, np.float64)),
         ):  # fmt: skip
             if not hasattr(local, name) or len(getattr(local, name)[0]) < size:
+                local.made.clear()  # they have the memory before
                 setattr(local, name, tuple(np.empty(size, kind) for kind in kinds))
             sizes.append([array[:size] for array in getattr(local, name)])
         (inside, middle, free, *sides, squares), (due,), of_units, listed, sums = sizes

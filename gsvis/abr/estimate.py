@@ -76,17 +76,16 @@ class HarmonicMean:
 
     def __init__(self, last: int = 5, start: float = DEFAULT_START) -> None:
         self._rates: deque[float] = deque(maxlen=_check.positive_int("last", last))
-        self._start = _positive("start", start)
+        self._mean = _positive("start", start)
 
     def observe(self, sent: float, seconds: float) -> None:
         """Take in a transfer; see `ThroughputEstimator`."""
         self._rates.append(max(_rate(sent, seconds), 1.0))
+        self._mean = len(self._rates) / sum(1.0 / rate for rate in self._rates)
 
     def estimate(self) -> float:
         """Return the estimated rate in bytes per second."""
-        if not self._rates:
-            return self._start
-        return len(self._rates) / sum(1.0 / rate for rate in self._rates)
+        return self._mean
 
 
 class RobustMpc:

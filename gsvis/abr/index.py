@@ -253,9 +253,8 @@ class SceneIndex:
     def cell_of(self, position: NDArray[np.float64]) -> int:
         """Return the cell that contains a position (3,); if none does, the cell with the nearest center."""
         grid = self.grid
-        with np.errstate(over="ignore"):
-            boxes = np.floor((position - grid.origin) / grid.cell_size).tolist()
-        found = self._boxes.get(tuple(boxes))
+        (x, y, z), (a, b, c), side = position.tolist(), grid.origin.tolist(), float(grid.cell_size)
+        found = self._boxes.get(((x - a) / side // 1.0, (y - b) / side // 1.0, (z - c) / side // 1.0))
         if found is not None:
             return found
         apart = np.clip(grid.centers - position, -1e100, 1e100)  # squares that do not overflow

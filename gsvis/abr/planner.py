@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from gsvis import _check
 from gsvis.abr._kernels import plan as kernels
 from gsvis.abr._kernels.evict import owe_again
-from gsvis.abr._kernels.take import forget_paid, is_left, take
+from gsvis.abr._kernels.take import forget_paid, see, take, widen
 from gsvis.abr._kernels.units import EDGE, INSIDE, OUTSIDE
 from gsvis.abr.candidates import CandidateIndex, Candidates
 from gsvis.abr.classes import FieldOfView
@@ -133,14 +133,16 @@ class Planner:
         self._planned: tuple[int, int, Pose, Pose, str] | None = None
         self._here: Candidates | None = None
         self._near: tuple[Candidates, int, kernels.Cell, kernels.Cell] | None = None  # to return to after filling
-        self._cell = kernels.Cell(*(np.zeros(0, np.int32),) * 13)
+        self._cell = kernels.Cell(*(np.zeros(0, np.int32),) * 15)
         self._rest: kernels.Cell | None = None  # the whole scene, to fill an idle link
         self._shells: list[list[int]] = []
         self._view = kernels.View(*(np.zeros(0, np.float32),) * 9)
         self._travelled, self._aimed, self._fresh = 0.0, "high", False
         self._stage, self._stages, self._filled, self._complete = _NEEDS, _AROUND, _SHELLS, False
         self._table, self._keys = table(self.config.policy, "high", index.num_levels, self.config.utility)
-        self._waits = np.empty(len(candidates.links.ending), np.int32)
+        counts: NDArray[np.int32] = np.zeros((4, len(candidates.links.ending)), np.int32)
+        self._arrived, self._looks, self._looks_far, self._sure = counts
+        self._arrived[:], self._is_bounded = (kernels.ANY if self.holdings.sent.any() else 0), False
         self._plan, self._place = _NOTHING, 0
         self._least, self._whole, self._wanted = 0, True, 0.0
 
@@ -246,13 +248,13 @@ class Planner:
         shared, held = self.candidates, self.holdings.words
         counts, sizes = (self.holdings.gaussians, self.holdings.terms), shared.least_sizes
         most = [min(n, int(min(budget, 1e12) / size) + 1) for n, size in zip(counts, sizes, strict=True)]
-        out = np.empty(most[0], np.int32), np.empty(most[1], np.uint32), np.empty(len(self._waits), np.int32)
+        out = np.empty(most[0], np.int32), np.empty(most[1], np.uint32), np.empty(len(self._arrived), np.int32)
         queue = np.empty_like(out[2])
         taken, total, evicted = [0, 0, 0], 0.0, None
         while True:
             limit = self._limit(budget if self._stage <= _DETAILS else spare)
             if self._is_used_up:
-                if (sum(taken[:2]) and self._next_stage > _DETAILS) or not self._go_on():
+                if (sum(taken[:2]) and self._stage <= _DETAILS < self._next_stage) or not self._go_on():
                     break  # what fills the link has batches of its own
                 continue
             if self._place == len(self._plan.entries):
@@ -297,7 +299,7 @@ class Planner:
         words = pack(found, len(shared.index))
         for cell in (near[2], near[3], *([] if self._rest is None else [self._rest])):
             owe_again(cell.words, words, cell.owed, cell.checked)
-        self._waits[:] = kernels.UNKNOWN
+        self._arrived[:], self._looks[:], self._looks_far[:] = kernels.ANY, 0, 0
         self._filled, self._complete = _SHELLS, False
         self._given_up = words if self._given_up is None else self._given_up | words
         self._cell = self._without_evicted(self._cell)
@@ -338,24 +340,27 @@ class Planner:
         shared, held, every = self.candidates, self.holdings.words, self.candidates.everything
         if self._rest is None:
             union = np.empty_like(every.union)
-            self._rest = self._cell_for(every, every.owing, every.active)._replace(candidates=union)
+            self._rest = self._cell_for(every, every.owing, every.active)
+            self._rest = self._rest._replace(candidates=union, looks=self._looks_far)
         rest = self._rest
         if not self._shells:
             self._shells = shared.shells(near.cell)
             forget_paid(rest.words, rest.active, held.terms, shared.index.term_offsets, rest.owed)
-            rest.candidates[:] = near.union
+            rest.candidates[:], self._looks_far[:] = near.union, self._looks
         s = len(rest.owed)  # all words that have Gaussians; packed sets are longer
         while self._next_stage < self._stages:
             self._stage = self._filled = self._next_stage
-            cells = self._shells[self._stage - _SHELLS]
-            if any(is_left(shared.words_of(cell), shared.highest, held, rest.owed) for cell in cells):
+            sets = [shared.words_of(cell) for cell in self._shells[self._stage - _SHELLS]]
+            allowed, is_left = np.zeros_like(rest.candidates), False
+            for k in range(0, len(sets), 8):
+                some = tuple(sets[min(j, len(sets) - 1)] for j in range(k, k + 8))
+                is_left |= see(some, shared.highest, held, rest.owed, allowed)
+            if is_left:
                 break
         else:
             self._filled = self._stages
             return False
-        allowed = shared.seen_from(cells)
-        np.bitwise_or(rest.candidates, allowed, out=rest.candidates)
-        self._waits[:] = kernels.UNKNOWN
+        widen(rest.candidates, allowed, held, shared.links, self._looks, self._looks_far)
         self._here, self._cell = every, self._without_evicted(rest._replace(allowed=(allowed & shared.highest)[:s]))
         self._view = self._view._replace(planes=_NO_PLANES, middle=_NO_PLANES, eyes=np.zeros((0, 3), np.float32))
         return True
@@ -420,8 +425,9 @@ class Planner:
         is_new = before is None or before[0] is not here
         if is_new:
             self._filled, self._shells = _SHELLS, []
-        if is_new or self._stage >= _SHELLS:
-            self._waits[:] = kernels.UNKNOWN  # other candidates
+            np.copyto(self._looks, 0, where=self._looks < kernels.DONE)  # other candidates
+            self._sure[:], self._is_bounded = kernels.DONE, False
+        self._bound(here, make=not is_new)
         shells = 0 if self._complete else self.candidates.num_shells(here.cell)
         self._stages = _SHELLS + shells if self.config.fill else _AROUND
         if before is not None and before[0] is here and before[1] == cell_ahead:
@@ -436,6 +442,12 @@ class Planner:
         self._near = here, cell_ahead, self._cell, self._cell._replace(checked=checked, checked_at=at)
         self._stage = _NEEDS
 
+    def _bound(self, here: Candidates, *, make: bool) -> None:
+        """Skip the checks of what cannot be replaced yet, and of what is replaced whatever has arrived."""
+        if not self._is_bounded and (found := self.candidates.bounds_of(here, self._shares, make=make)) is not None:
+            np.maximum(self._looks, found[0], out=self._looks)
+            self._sure[:], self._is_bounded = found[1], True
+
     def _cell_for(self, here: Candidates, owing: Words, active: Words) -> kernels.Cell:
         """Return candidates as this client sees them."""
         owed, held = owing.copy(), self.holdings.words.terms
@@ -446,8 +458,8 @@ class Planner:
             words=here.words, places=here.places, term_bytes=here.term_bytes, owed=owed, active=active,
             candidates=here.union, allowed=self.candidates.all_bits[: len(none)], ahead=none,
             checked=np.zeros((self._kinds, len(none)), np.uint64),
-            checked_at=np.zeros((self._kinds, len(none)), np.float32), waits=self._waits,
-            last=self.candidates.index.last, shares=self._shares,
+            checked_at=np.zeros((self._kinds, len(none)), np.float32), arrived=self._arrived,
+            looks=self._looks, sure=self._sure, last=self.candidates.index.last, shares=self._shares,
         )  # fmt: skip
 
     def _rank(self, here: Candidates, enough: float) -> None:

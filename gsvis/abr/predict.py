@@ -7,6 +7,7 @@ Positions in any frame and unit, quaternions wxyz, world from camera; seconds. A
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -18,6 +19,8 @@ from gsvis import _check
 __all__ = ["PREDICTORS", "KalmanPose", "LastPose", "LinearPose", "Pose", "PosePredictor", "predictor"]
 
 F64 = NDArray[np.float64]
+Vector = tuple[float, float, float]
+Quat = tuple[float, float, float, float]
 
 _CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
 
@@ -36,12 +39,8 @@ class Pose:
         Raises:
             ValueError: If a shape is wrong, a value is not finite, or the quaternion is 0.
         """
-        place, turn = finite_vector("position", position, 3), finite_vector("quat", quat, 4).tolist()
-        most = max(abs(value) for value in turn)
-        if not most > 0:
-            raise ValueError("quat: expected a rotation, got a zero quaternion")
-        w, x, y, z = (value / most for value in turn)
-        return cls(place, np.array(_unit(w, x, y, z)))
+        place, turn = finite_vector("position", position, 3), finite_vector("quat", quat, 4)
+        return cls(place, np.array(_normalized(turn.tolist())))
 
     def distance_to(self, other: Pose) -> float:
         """Return the distance between the positions."""
@@ -150,32 +149,36 @@ class KalmanPose:
                 raise ValueError(f"{name}: expected a finite number > 0, got {value!r}")
         self._place, self._turn = _Filter(acceleration**2, noise**2), _Filter(turning**2, turn_noise**2)
         self._longest = longest
-        self._time, self._pose = -np.inf, LastPose().predict(0.0)
+        self._time, self._at, self._quat = -math.inf, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
 
     def observe(self, t: float, position: ArrayLike, quat: ArrayLike) -> None:
         """Take in a pose; see `PosePredictor`."""
-        pose = Pose.from_arrays(position, quat)
+        x, y, z = finite_vector("position", position, 3).tolist()
+        turned = _normalized(finite_vector("quat", quat, 4).tolist())
         if _time(t) <= self._time:
             return
-        if self._time == -np.inf:
-            self._time, self._pose = t, pose
+        if self._time == -math.inf:
+            self._time, self._at, self._quat = t, (x, y, z), turned
             return
         step = t - self._time
-        there = self._ahead(step)
-        gain = self._place.update(step, pose.position - there.position)
-        turned = self._turn.update(step, rotation_vector(product(conjugate(there.quat), pose.quat)))
-        self._pose = Pose(there.position + gain, product(there.quat, exponential(turned)))
+        (a, b, c), (p, q, r, s) = self._ahead(step)
+        da, db, dc = self._place.update(step, (x - a, y - b, z - c))
+        turn = self._turn.update(step, _rotation_vector(*_product((p, -q, -r, -s), turned)))
+        self._at, self._quat = (a + da, b + db, c + dc), _product((p, q, r, s), _exponential(*turn))
         self._time = t
 
     def predict(self, t: float) -> Pose:
         """Return the pose at time t."""
-        if self._time == -np.inf:
-            return self._pose
-        return self._ahead(min(max(t - self._time, 0.0), self._longest))
+        place, quat = self._at, self._quat
+        if self._time > -math.inf:
+            place, quat = self._ahead(min(max(t - self._time, 0.0), self._longest))
+        return Pose(np.array(place), np.array(quat))
 
-    def _ahead(self, step: float) -> Pose:
-        turn = exponential(step * self._turn.velocity)
-        return Pose(self._pose.position + step * self._place.velocity, product(self._pose.quat, turn))
+    def _ahead(self, step: float) -> tuple[Vector, Quat]:
+        (x, y, z), (u, v, w), (p, q, r) = self._at, self._place.velocity, self._turn.velocity
+        return (x + step * u, y + step * v, z + step * w), _product(
+            self._quat, _exponential(step * p, step * q, step * r)
+        )
 
 
 class _Filter:
@@ -183,19 +186,20 @@ class _Filter:
 
     def __init__(self, density: float, noise: float) -> None:
         self.density, self.noise = density, noise
-        self.velocity = np.zeros(3)
+        self.velocity: Vector = (0.0, 0.0, 0.0)
         self.covariance = noise, 0.0, 1e3  # of value, of both, of velocity, which is unknown at first
 
-    def update(self, step: float, innovation: F64) -> F64:
+    def update(self, step: float, innovation: Vector) -> Vector:
         """Return what to add to the predicted values; update the velocity."""
         value, both, speed = self.covariance
         value += step * (2.0 * both + step * speed) + self.density * step**3 / 3.0
         both += step * speed + self.density * step**2 / 2.0
         speed += self.density * step
         gain, push = value / (value + self.noise), both / (value + self.noise)
-        self.velocity = self.velocity + push * innovation
+        (u, v, w), (x, y, z) = self.velocity, innovation
+        self.velocity = u + push * x, v + push * y, w + push * z
         self.covariance = value - gain * value, both - gain * both, speed - push * both
-        return np.asarray(gain * innovation)
+        return gain * x, gain * y, gain * z
 
 
 PREDICTORS = ("last", "linear", "kalman")
@@ -209,14 +213,7 @@ def predictor(name: str) -> PosePredictor:
 
 def product(a: F64, b: F64) -> F64:
     """Return the product of two unit quaternions wxyz, normalized."""
-    (p, q, r, s), (w, x, y, z) = a.tolist(), b.tolist()
-    out = _unit(
-        p * w - q * x - r * y - s * z,
-        p * x + q * w + r * z - s * y,
-        p * y - q * z + r * w + s * x,
-        p * z + q * y - r * x + s * w,
-    )
-    return np.array(out)
+    return np.array(_product(a.tolist(), b.tolist()))
 
 
 def conjugate(quat: F64) -> F64:
@@ -226,28 +223,54 @@ def conjugate(quat: F64) -> F64:
 
 def exponential(vector: F64) -> F64:
     """Return the unit quaternion of a rotation vector (3,), radians."""
-    x, y, z = vector.tolist()
-    angle = math.hypot(x, y, z)
-    scale = math.sin(0.5 * angle) / angle if angle > 1e-12 else 0.5
-    return np.array([math.cos(0.5 * angle), scale * x, scale * y, scale * z])
+    return np.array(_exponential(*vector.tolist()))
 
 
 def rotation_vector(quat: F64) -> F64:
     """Return the rotation vector (3,) of a unit quaternion, of at most pi radians."""
-    w, x, y, z = quat.tolist()
+    return np.array(_rotation_vector(*quat.tolist()))
+
+
+def _product(a: Sequence[float], b: Sequence[float]) -> Quat:
+    (p, q, r, s), (w, x, y, z) = a, b
+    return _unit(
+        p * w - q * x - r * y - s * z,
+        p * x + q * w + r * z - s * y,
+        p * y - q * z + r * w + s * x,
+        p * z + q * y - r * x + s * w,
+    )
+
+
+def _exponential(x: float, y: float, z: float) -> Quat:
+    angle = math.hypot(x, y, z)
+    scale = math.sin(0.5 * angle) / angle if angle > 1e-12 else 0.5
+    return math.cos(0.5 * angle), scale * x, scale * y, scale * z
+
+
+def _rotation_vector(w: float, x: float, y: float, z: float) -> Vector:
     sine = math.hypot(x, y, z)
     scale = 2.0 if sine < 1e-12 else 2.0 * math.atan2(sine, abs(w)) / sine
     scale = scale if w >= 0 else -scale
-    return np.array([scale * x, scale * y, scale * z])
+    return scale * x, scale * y, scale * z
 
 
-def _unit(w: float, x: float, y: float, z: float) -> tuple[float, float, float, float]:
+def _normalized(quat: Sequence[float]) -> Quat:
+    most = max(map(abs, quat))
+    if not most > 0:
+        raise ValueError("quat: expected a rotation, got a zero quaternion")
+    w, x, y, z = quat
+    return _unit(w / most, x / most, y / most, z / most)
+
+
+def _unit(w: float, x: float, y: float, z: float) -> Quat:
     length = math.sqrt(w * w + x * x + y * y + z * z)
     return w / length, x / length, y / length, z / length
 
 
 def finite_vector(name: str, value: ArrayLike, length: int) -> F64:
     """Return a checked float64 vector; skip `_check.floats` if the value already fits."""
+    if isinstance(value, tuple) and len(value) == length and all(type(one) is float for one in value):
+        value = np.array(value)
     if isinstance(value, np.ndarray) and value.dtype == np.float64 and value.shape == (length,):
         given: F64 = value
         if all(map(math.isfinite, given.tolist())):

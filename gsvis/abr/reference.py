@@ -20,7 +20,7 @@ from gsvis.abr.index import SceneIndex
 from gsvis.abr.policies import AHEAD, UtilityConfig, bounds, edge_offset, first_offset, lowest_last, offsets
 from gsvis.pvs.codec import ids_of
 
-__all__ = ["View", "order_records"]
+__all__ = ["View", "is_dropped", "is_left", "order_records"]
 
 F32 = NDArray[np.float32]
 
@@ -117,6 +117,27 @@ def order_records(
                 candidates = candidates | visible
                 walk.send(some, every_term, candidates)
     return walk.out
+
+
+def is_left(visible: set[int], wanted: set[int], held: set[int], gone: set[int], owed: set[int]) -> bool:
+    """Return whether cells that see some Gaussians have anything left: one of those, or terms that one owes."""
+    return any(g not in held or g in owed for g in (visible & wanted) - gone)
+
+
+def is_dropped(x: int, index: SceneIndex, candidates: set[int], arrived: set[int], share: float) -> bool:
+    """Return whether enough of what replaces a Gaussian has arrived: a share of the area of the candidates.
+
+    Args:
+        x: The Gaussian.
+        index: The scene.
+        candidates: What can be seen.
+        arrived: What is held, or replaced itself.
+        share: In (0, 1].
+    """
+    low, high = index.replacement_offsets[x : x + 2]
+    wanted = [h for h in index.replacement_ids[low:high].tolist() if h in candidates]
+    areas = {h: max(float(index.areas[h]), 1e-30) for h in wanted}
+    return sum(areas[h] for h in wanted if h not in arrived) <= (1.0 - share) * sum(areas.values())
 
 
 @dataclass(frozen=True, eq=False)
@@ -285,11 +306,8 @@ class _Walk:
         while queue:
             y = queue.pop(0)
             for x in ids[starts[y] : starts[y + 1]].tolist():
-                low, high = index.replacement_offsets[x : x + 2]
-                wanted = [h for h in index.replacement_ids[low:high].tolist() if h in candidates]
-                areas = [max(float(index.areas[h]), 1e-30) for h in wanted]
-                left = sum(a for h, a in zip(wanted, areas, strict=True) if h not in self._held | self._gone)
-                if x not in self._gone and left <= self._spares[index.last[x]] * sum(areas):
+                share = 1.0 - self._spares[index.last[x]]
+                if x not in self._gone and is_dropped(x, index, candidates, self._held | self._gone, share):
                     self._gone.add(x)
                     queue.append(x)
                     self.out += [("drop", x)] if x in self._held else []

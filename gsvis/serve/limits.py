@@ -58,7 +58,7 @@ class Limits:
     idle_s: float = 60.0
     stall_s: float = 30.0
     tick_s: float = 0.1
-    batch_bytes: int = 256 * 1024
+    batch_bytes: int = 512 * 1024
     close_s: float = 600.0
     tables_bytes: int = 1 << 30
 
@@ -206,10 +206,14 @@ class Pace:
         ...     pace.observe(0.03)
         >>> round(pace.stretched(0.05), 3)
         0.17
+        >>> for _ in range(50):
+        ...     pace.observe(0.3)
+        >>> round(pace.stretched(0.05), 3)
+        0.35
     """
 
     _WEIGHT = 0.2  # weight of the last observation
-    _MOST = 4.0  # largest factor
+    _MOST = 4.0  # largest factor, unless a client waits longer for its turn
 
     def __init__(self) -> None:
         self._late, self.turns = 0.0, Turns()
@@ -219,5 +223,8 @@ class Pace:
         self._late += self._WEIGHT * (late - self._late)
 
     def stretched(self, piece: float) -> float:
-        """Return the seconds of its link that a client's next batch should take, where `piece` is the target."""
-        return min(piece + 4.0 * self._late, self._MOST * piece)
+        """Return the seconds of its link that a client's next batch should take, where `piece` is the target.
+
+        A client whose turn comes seldom gets what its link carries until the next one.
+        """
+        return min(piece + 4.0 * self._late, max(self._MOST * piece, piece + self._late))

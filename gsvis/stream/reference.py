@@ -1,13 +1,29 @@
-"""The codes of the wire, written simply, as strings of 0 and 1 and one symbol at a time: slow twins of the kernels."""
+"""The codes of the wire, written simply, as strings of 0 and 1 and one symbol at a time: slow twins of the kernels.
+
+So is the order in which a batch has its ids.
+"""
 
 from __future__ import annotations
 
 import math
 from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from gsvis.package.codec import ChunkTable
 
-__all__ = ["PlainReader", "decode_values", "encode_values", "longest_step", "read_record", "read_term", "table_slots"]
+__all__ = [
+    "PlainReader",
+    "decode_values",
+    "encode_values",
+    "lay_out",
+    "longest_step",
+    "read_record",
+    "read_term",
+    "table_slots",
+]
 
 
 def encode_values(values: list[int], order: int) -> str:
@@ -34,6 +50,21 @@ def decode_values(bits: str, order: int, count: int) -> list[int]:
         at += order + zeros
         values.append(int("1" + lower, 2) - (1 << order))
     return values
+
+
+def lay_out(
+    ids: NDArray[Any], of: NDArray[Any], known: NDArray[np.bool_]
+) -> tuple[NDArray[Any], NDArray[Any], NDArray[np.bool_]]:
+    """Return ids in ascending order, the chunks that they need first, ascending, and all that are known then.
+
+    Args:
+        ids: (G,) ids of Gaussians, all different.
+        of: (N,) the chunk of each Gaussian.
+        known: (C,) whether each chunk is known before.
+    """
+    ordered, after = np.sort(ids), known.copy()
+    after[of[ordered]] = True
+    return ordered, np.flatnonzero(after & ~known), after
 
 
 class PlainReader:

@@ -163,8 +163,9 @@ class Session:
         """Return the bytes to send now: enough to keep the link busy for the window and a round trip.
 
         What only fills the link has the window of two messages, so that it does not delay what the next view needs.
+        Where messages are larger than `AbrConfig.piece` wants, other windows have room for two of them, too.
         """
-        return self._free(self._filling_window if self.filling else self.config.window)
+        return self._free(self._filling_window if self.filling else self._window)
 
     def room(self) -> float:
         """Return the bytes that the next message should have.
@@ -208,8 +209,13 @@ class Session:
         return Message(self._sequence, data, batch)
 
     @property
+    def _window(self) -> float:
+        wide = self.piece > self.config.piece
+        return max(self.config.window, 2.0 * self.piece) if wide else self.config.window
+
+    @property
     def _filling_window(self) -> float:
-        return min(self.config.window, 2.0 * self.piece)
+        return min(self._window, 2.0 * self.piece)
 
     def _free(self, window: float) -> float:
         """Return the bytes by which more may be in flight, for seconds of the link beside a round trip."""
@@ -226,13 +232,16 @@ class Session:
 
     def _encode(self, batch: Batch) -> bytes:
         scene = self.scene
-        gaussians, terms = _ascending(batch.gaussians), _ascending(batch.terms)
         if len(batch.evicted):
             self._gone &= ~pack(batch.evicted, len(scene))
-        fresh = np.empty(min(len(gaussians), len(scene.chunk_rows)), np.int32)
-        chunks = fresh[: kernels.first_times(gaussians, scene.chunks, self._has_row, fresh)]
-        owners, coding = scene.owners[terms], self.scene.coding
-        of = scene.chunks[gaussians]
+        count, coding = len(batch.gaussians), scene.coding
+        gaussians, of = np.empty(count, np.int32), np.empty(count, np.int32)
+        fresh = np.empty(min(count, len(scene.chunk_rows)), np.int32)
+        new = kernels.lay_out(
+            batch.gaussians, np.zeros_like(self._gone), scene.chunks, scene.starts, self._has_row, gaussians, of, fresh
+        )
+        chunks, terms = fresh[:new], _ascending(batch.terms, self.holdings.sent_terms)
+        owners = scene.owners[terms]
         sections = Sections(
             sequence=self._sequence,
             chunks=scene.starts[chunks],
@@ -248,9 +257,10 @@ class Session:
         return sections.to_message(scene.about)
 
 
-def _ascending(ids: NDArray[Any]) -> NDArray[Any]:
+def _ascending(ids: NDArray[Any], like: NDArray[np.uint64]) -> NDArray[Any]:
     out = np.empty_like(ids)
-    kernels.sort_ids(ids, np.empty_like(ids), out)
+    if len(ids):
+        kernels.ascend(ids, np.zeros_like(like), out)
     return out
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gsvis.abr.classes import FieldOfView
-from gsvis.stream import Session, StreamedScene
+from gsvis.stream import Session, StreamedScene, reference
 from gsvis.stream._kernels import ids as kernels
 from gsvis.stream.batch import CHUNK_ROW, FIXED_BYTES, Sections
 from gsvis.stream.header import HEAD, SCHEMA, SceneHeader
@@ -95,12 +96,27 @@ def test_owners_go_on_with_their_terms(counts: list[int], data: st.DataObject) -
         assert not kernels.owners_from(values, chosen, share, int(back[-1]), back)
 
 
-@given(st.lists(st.integers(0, 2**31 - 1), max_size=80), st.sampled_from([np.int32, np.uint32]))
-def test_ids_are_sorted(some: list[int], kind: type[np.int32] | type[np.uint32]) -> None:
-    ids = np.array(some, kind) if kind is np.int32 else 2 * np.array(some, kind) + kind(1)
+@given(st.sets(st.integers(0, 4095)), st.sampled_from([np.int32, np.uint32]), st.randoms())
+def test_ids_are_sorted(some: set[int], kind: type[np.int32] | type[np.uint32], chance: random.Random) -> None:
+    ids = np.array(chance.sample(sorted(some), len(some)), kind)
     out = np.empty_like(ids)
-    kernels.sort_ids(ids, np.empty_like(ids), out)
+    kernels.ascend(ids, np.zeros(64, np.uint64), out)
     assert np.array_equal(out, np.sort(ids))
+
+
+@given(st.sets(st.integers(0, 4095)), st.sets(st.integers(1, 4095), max_size=20), st.data())
+def test_ids_are_laid_out_with_their_chunks(some: set[int], borders: set[int], data: st.DataObject) -> None:
+    starts = np.array([0, *sorted(borders), 4096], np.int64)
+    of = np.repeat(np.arange(len(starts) - 1, dtype=np.int32), np.diff(starts))
+    known = np.array(data.draw(st.lists(st.booleans(), min_size=len(starts) - 1, max_size=len(starts) - 1)))
+    ids = np.array(data.draw(st.permutations(sorted(some))), np.int32)
+    before, out, rows, fresh = known.copy(), np.empty_like(ids), np.empty_like(ids), np.empty(len(known), np.int32)
+    count = kernels.lay_out(ids, np.zeros(64, np.uint64), of, starts, known, out, rows, fresh)
+    expected, chunks, now = reference.lay_out(ids, of, before)
+    np.testing.assert_array_equal(out, expected)
+    np.testing.assert_array_equal(rows, of[expected])
+    np.testing.assert_array_equal(fresh[:count], chunks)
+    np.testing.assert_array_equal(known, now)
 
 
 def test_what_is_read_is_what_was_written() -> None:

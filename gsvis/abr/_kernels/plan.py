@@ -14,13 +14,15 @@ from numba import njit
 
 from gsvis._kernels.bits import ones
 from gsvis._kernels.compiled import inner, kernel
-from gsvis.abr._kernels.units import BUCKETS, GEOMETRY, INSIDE, LEAST, OUTSIDE, STRONG, TERMS
+from gsvis.abr._kernels.lanes import not_behind
+from gsvis.abr._kernels.units import GEOMETRY, INSIDE, OUTSIDE, STRONG, TERMS, bucket_of
 
 _SAMPLE, _SPARE = 16, 1.5
 NEVER = 1 << 30  # the key of what is never sent
 KIND_BITS = 3  # of an entry: which kind of records
-UNKNOWN, DONE = -1, -2  # in `Cell.waits`: to be checked; replaced
+DONE = np.int32(2**31 - 1)  # in `Cell.looks`: replaced
 UNITS = 1 << 24  # of area, of all replacements of a Gaussian
+ANY = np.int32(1 << 26)  # units that have arrived where it is not known what has
 SEVERAL = -2  # in `Links.only`
 
 
@@ -37,7 +39,9 @@ class Cell(NamedTuple):
     ahead: Any  # (S,) uint64, what the cell sees that the viewer is about to enter
     checked: Any  # (K, S) uint64 for each kind of terms, Gaussians that owe none of it for the eye
     checked_at: Any  # (K, S) float32, `View.travelled` when the first of them were checked
-    waits: Any  # (E,) int32, units of area that have to arrive before each is checked again
+    arrived: Any  # (E,) int32, units of area of the replacements of each that have arrived, rounded up; or `ANY` more
+    looks: Any  # (E,) int32, how many have to have arrived before each is checked again among these candidates
+    sure: Any  # (E,) int32, how many suffice without a check
     last: Any  # (N,) uint8, level at which each Gaussian ends
     shares: Any  # (L,) by that level: of the area of its replacements that must be held before it is dropped
 
@@ -127,8 +131,7 @@ class Work(NamedTuple):
     sides: Any  # (S,) uint8
     middle_sides: Any  # (S,) uint8
     squares: Any  # (S,) float32
-    gains: Any  # (U,) float32
-    buckets: Any  # (U,) int32
+    buckets: Any  # (U,) int32, of `chosen`
     chosen: Any  # (U,) int32
     keys: Any  # (3 (1 + K) U,) int32
     entries: Any  # (3 (1 + K) U,) int32
@@ -165,32 +168,24 @@ def test_words(x, y, z, radii, p, sides):
 def _test_gaussians(words, places, bodies, planes, sides, inside):
     """Set which Gaussians of words (S,) are in a frustum (F, 5, 4); test them one by one where the side is 3."""
     xs, ys, zs, sizes = bodies[0], bodies[1], bodies[2], bodies[3]
-    near, depth = np.empty(64, np.float32), np.empty(64, np.float32)
+    x, y, z, radii = places[0], places[1], places[2], places[3]
     for s in range(len(words)):
         inside[s] = ~np.uint64(0) if sides[s] == 2 else np.uint64(0)
         if sides[s] != 3:
             continue
-        low = 64 * np.int64(words[s])
-        x, y, z, radii = xs[low : low + 64], ys[low : low + 64], zs[low : low + 64], sizes[low : low + 64]
-        near[:] = -1.0
+        low, bits = 64 * np.int64(words[s]), np.uint64(0)
         for f in range(len(planes)):
-            depth[:] = 0.0
+            mine = ~np.uint64(0)
             for k in range(5):
                 a, b, c, d = planes[f, k, 0], planes[f, k, 1], planes[f, k, 2], planes[f, k, 3]
-                far = a * places[0, s] + b * places[1, s] + c * places[2, s] + d
-                if far >= places[3, s]:
+                far = a * x[s] + b * y[s] + c * z[s] + d
+                if far >= radii[s]:
                     continue  # the whole word is inside this plane
-                if far + places[3, s] < np.float32(0.0):
-                    depth[:] = -1.0
+                if far + radii[s] < np.float32(0.0):
+                    mine = np.uint64(0)
                     break
-                for i in range(64):
-                    there = a * x[i] + b * y[i] + c * z[i] + d + radii[i]
-                    depth[i] = there if there < depth[i] else depth[i]
-            for i in range(64):
-                near[i] = depth[i] if depth[i] > near[i] else near[i]
-        bits = np.uint64(0)
-        for i in range(64):
-            bits |= np.uint64(near[i] >= np.float32(0.0)) << np.uint64(i)
+                mine &= not_behind(xs, ys, zs, sizes, low, (a, b, c, d))
+            bits |= mine
         inside[s] = bits
 
 
@@ -222,19 +217,13 @@ def _squares(x, y, z, spreads, eye, out):
 
 
 @inner(error_model="numpy")
-def _gains(slots, areas, pixels, squares, out):
-    """Set the gain of each unit."""
+def _list(slots, masks, rest, out):
+    """List the units of which something of the rest of their word (S,) is left; return their number."""
+    count = 0
     for u in range(len(slots)):
-        out[u] = areas[u] / squares[slots[u]] + pixels[u]
-
-
-@inner(error_model="numpy")
-def _buckets(bits, out):
-    """Set the bucket of each gain, given by its bits; see `bucket_of`."""
-    for u in range(len(bits)):
-        place = (bits[u] >> 18) - LEAST
-        place = 0 if place < 0 else place
-        out[u] = BUCKETS - 1 - (place if place < BUCKETS - 1 else BUCKETS - 1)
+        out[count] = u
+        count += (masks[u] & rest[slots[u]]) != 0
+    return count
 
 
 @njit(inline="always")
@@ -250,7 +239,7 @@ def _key(table, code, kind, part, bucket):
 @inner(error_model="numpy")
 def _estimate_limit(units, runs, cell, table, limits, work):
     """Return a key below which about enough bytes lie, estimated from a sample of the words; at most all keys."""
-    masks, codes, buckets = units.masks, units.codes, work.buckets
+    masks, codes, areas, pixels, squares = units.masks, units.codes, units.areas, units.pixels, work.squares
     starts, run_slots = runs
     free, due, sides, sizes, ahead = work.free, work.due, work.sides, work.sizes, cell.ahead
     word_bytes, term_bytes, own = cell.places[5], cell.term_bytes, len(table) // 4
@@ -259,12 +248,15 @@ def _estimate_limit(units, runs, cell, table, limits, work):
     for r in range(0, len(run_slots), _SAMPLE):
         s = run_slots[r]
         for u in range(starts[r], starts[r + 1]):
+            if not masks[u] & (free[s] | due[0, s]):
+                continue
             near = ahead[s] if codes[u] >= own else ~np.uint64(0) if sides[s] else np.uint64(0)
+            bucket = bucket_of(areas[u] / squares[s] + pixels[u])
             for kind in range(STRONG):
                 left = masks[u] & (free[s] if kind == GEOMETRY else due[0, s])
                 share = np.float64(word_bytes[s]) if kind == GEOMETRY else term_bytes
                 for part in range(2):
-                    key, bits = table[codes[u], kind, part] + buckets[u], left & (near if part == INSIDE else ~near)
+                    key, bits = table[codes[u], kind, part] + bucket, left & (near if part == INSIDE else ~near)
                     if key < NEVER and bits:
                         sizes[key] += np.float64(ones(bits)) * share
     total = 0.0
@@ -276,42 +268,43 @@ def _estimate_limit(units, runs, cell, table, limits, work):
 
 
 @inner(error_model="numpy")
-def _choose(units, runs, ahead, table, limit, work):
-    """Choose the units that may have a key below a limit; mark their words on a border with 3, for a closer test.
+def _choose(units, ahead, table, limit, work, count):
+    """Choose of the listed units those that may have a key below a limit; find their buckets.
+
+    Words of theirs on a border are marked with 3, for a closer test.
 
     Returns:
         Number of chosen units, and whether no other unit is left to send.
     """
-    masks, codes, buckets, chosen = units.masks, units.codes, work.buckets, work.chosen
-    starts, run_slots = runs
-    free, due, every, sides, own = work.free, work.due[0], work.due, work.sides, len(table) // 4
-    middle_sides, parts = work.middle_sides, table.shape[2]
-    kinds, keys, filled, skipped = table.shape[1], table.reshape(-1), 0, False
-    strongest = min(kinds - 1, STRONG)  # of terms that change the image much, the first to be sent
-    for r in range(len(run_slots)):
-        s = run_slots[r]
-        rest, fresh = free[s] | due[s], free[s]
-        if not rest:
-            continue
-        before, in_view, others, strong = filled, sides[s] != 0, ahead[s], np.uint64(0)
-        for k in range(1, len(every)):
-            strong |= every[k, s]
-        for u in range(starts[r], starts[r + 1]):  # without branches: half of the units are chosen
-            code, mask = codes[u], masks[u]
-            near = in_view if code < own else (mask & others) != 0
-            kind, side = GEOMETRY if mask & fresh else TERMS, INSIDE if near else OUTSIDE
-            place, left = parts * kinds * np.int64(code) + side, (mask & rest) != 0
-            key, early = keys[place + parts * kind] + buckets[u], keys[place] + buckets[u]
-            bound = keys[place + parts * strongest] if kind == TERMS and mask & strong else NEVER
-            early = bound if bound > early else early
-            key = early if early < key else key
-            chosen[filled] = u
-            filled += left & (key < limit)
-            skipped |= left & (key >= limit) & (key < NEVER)
-        if sides[s] == 1 and filled > before:
-            sides[s] = 3
-        if middle_sides[s] == 1 and filled > before:
-            middle_sides[s] = 3
+    slots, masks, codes, areas, pixels = units.slots, units.masks, units.codes, units.areas, units.pixels
+    free, every, squares, own = work.free, work.due, work.squares, np.uint64(len(table) // 4)
+    chosen, buckets, sides, middle_sides = work.chosen, work.buckets, work.sides, work.middle_sides
+    parts, kinds, keys = np.uint64(table.shape[2]), np.uint64(table.shape[1]), table.reshape(-1)
+    strong, filled, skipped = work.inside, 0, False
+    strongest = parts * np.uint64(min(table.shape[1] - 1, STRONG))  # of terms that change the image much, the first
+    strong[:] = 0
+    for k in range(1, len(every)):
+        for s in range(len(strong)):
+            strong[s] |= every[k, s]
+    for j in range(count):  # without branches
+        u = chosen[j]
+        s, code, mask = np.uint64(np.uint32(slots[u])), np.uint64(codes[u]), masks[u]
+        fresh, in_view, is_near = mask & free[s], sides[s] != 0, (mask & ahead[s]) != 0
+        near = in_view if code < own else is_near
+        place = parts * kinds * code + np.uint64(INSIDE if near else OUTSIDE)
+        bucket = bucket_of(areas[u] / squares[s] + pixels[u])
+        geometry, terms = keys[place] + bucket, keys[place + parts] + bucket
+        bound = keys[place + strongest] if mask & strong[s] else NEVER
+        early = bound if bound > geometry else geometry
+        key = geometry if fresh else early if early < terms else terms
+        chosen[filled], buckets[filled] = u, bucket
+        filled += key < limit
+        skipped |= (key >= limit) & (key < NEVER)
+    for j in range(filled):
+        s = slots[chosen[j]]
+        if codes[chosen[j]] < own:
+            sides[s] = 3 if sides[s] == 1 else sides[s]
+            middle_sides[s] = 3 if middle_sides[s] == 1 else middle_sides[s]
     return filled, not skipped
 
 
@@ -334,12 +327,12 @@ def rank(units, runs, cell, held, view, table, limits, work):
     Returns:
         `Plan`, the key at which it ends, and whether it holds all that is left.
     """
-    slots, masks, areas, pixels, codes, logs = units
+    slots, masks, codes, logs = units.slots, units.masks, units.codes, units.logs
     words, places, term_bytes = cell.words, cell.places, cell.term_bytes
     inside, middle, free, due, sides, middle_sides = (
         work.inside, work.middle, work.free, work.due, work.sides, work.middle_sides,
     )  # fmt: skip
-    squares, gains, buckets, chosen = work.squares, work.gains, work.buckets, work.chosen
+    squares, buckets, chosen = work.squares, work.buckets, work.chosen
     keys, entries, sets, owners, counts, sizes = (
         work.keys, work.entries, work.sets, work.owners, work.counts, work.sizes,
     )  # fmt: skip
@@ -354,10 +347,11 @@ def rank(units, runs, cell, held, view, table, limits, work):
     _gather(words, cell.allowed, cell.owed, held.gaussians, held.gone, free, due[0])
     for k in range(len(due)):
         _skip_checked(squares, view.travelled, view.parallax, due[0], cell.checked[k], cell.checked_at[k], due[k])
-    _gains(slots, areas, pixels, squares, gains)
-    _buckets(gains.view(np.int32), buckets)
+    for s in range(len(words)):
+        middle[s] = free[s] | due[0, s]
+    count = _list(slots, masks, middle, chosen)
     limit = _estimate_limit(units, runs, cell, table, limits, work)
-    count, whole = _choose(units, runs, cell.ahead, table, limit, work)
+    count, whole = _choose(units, cell.ahead, table, limit, work, count)
     _test_gaussians(words, places, view.bodies, view.planes, sides, inside)
     _test_gaussians(words, places, view.bodies, view.middle, middle_sides, middle)
     own = len(table) // 4  # codes of ring 0
@@ -377,7 +371,7 @@ def rank(units, runs, cell, held, view, table, limits, work):
                 bits = left & (core if part == INSIDE else ~seen if part == OUTSIDE else seen & ~core)
                 if not bits:
                     continue
-                key = _key(table, code, kind, part, buckets[u])
+                key = _key(table, code, kind, part, buckets[j])
                 if key < least or key >= NEVER:
                     continue
                 if key >= limit:

@@ -6,8 +6,12 @@ import numpy as np
 from numba import njit
 
 from gsvis._kernels.bits import has, lowest
-from gsvis._kernels.compiled import inner, kernel
-from gsvis.abr._kernels.plan import DONE, KIND_BITS, SEVERAL, UNITS, UNKNOWN
+from gsvis._kernels.compiled import kernel
+from gsvis._kernels.prefetch import prefetch
+from gsvis.abr._kernels.plan import ANY, DONE, KIND_BITS, SEVERAL, UNITS
+
+_NONE = -1  # in `Links.only`
+_AHEAD = 8  # entries of a plan that are read ahead
 
 
 @njit(inline="always")
@@ -27,13 +31,20 @@ def forget_paid(words, active, held, term_offsets, owed):
 
 
 @kernel(error_model="numpy")
-def is_left(seen, wanted, held, owed):
-    """Return whether one of the Gaussians in `seen` and `wanted` (W,), not gone, is not held or owes terms (S,)."""
+def see(seen, wanted, held, owed, allowed):
+    """Add what eight cells see, packed sets (W,), to what is allowed (W,).
+
+    Returns:
+        Whether a Gaussian in one of them and in `wanted` (W,), not gone, is not held or owes terms (S,).
+    """
+    a, b, c, d, e, f, g, h = seen
     gaussians, _, gone = held
-    w = 0
-    while w < len(owed) and not seen[w] & wanted[w] & ~gone[w] & (~gaussians[w] | owed[w]):
-        w += 1
-    return w < len(owed)
+    left = np.uint64(0)
+    for w in range(len(owed)):
+        every = a[w] | b[w] | c[w] | d[w] | e[w] | f[w] | g[w] | h[w]
+        allowed[w] |= every
+        left |= every & wanted[w] & ~gone[w] & (~gaussians[w] | owed[w])
+    return left != 0
 
 
 @njit(inline="always")
@@ -82,10 +93,61 @@ def _change(centers, place, cosine, width, looks):
     return (most - cosine) / width
 
 
-@njit(inline="always")
-def _less(wait, units):
-    """Return what a Gaussian waits for after some units of area have arrived."""
-    return wait - units if wait > units else UNKNOWN
+@kernel(error_model="numpy")
+def widen(candidates, others, held, links, near, looks):
+    """Add others (W,) to the candidates (W,); check again whose replacements among them have arrived already.
+
+    A candidate that has not arrived only makes the area larger that has to arrive. What `near` (E,), the `looks` of a
+    cell, knows as replaced is so for these candidates, too.
+    """
+    gaussians, _, gone = held
+    only, offsets, ranks, one = links.only, links.offsets, links.ranks, np.uint64(1)
+    for w in range(len(candidates)):
+        fresh = others[w] & ~candidates[w]
+        candidates[w] |= fresh
+        fresh &= gaussians[w] | gone[w]
+        while fresh:
+            g = 64 * w + np.int64(lowest(fresh))
+            fresh &= fresh - one
+            e = only[g]
+            if e >= 0:
+                looks[e] = 0
+            elif e == SEVERAL:
+                for k in range(offsets[g], offsets[g + 1]):
+                    looks[ranks[k]] = 0
+    for e in range(len(looks)):
+        looks[e] = DONE if near[e] == DONE else looks[e]
+
+
+@kernel(error_model="numpy")
+def bound(candidates, links, last, shares, least, sure):
+    """Find bounds on the area of replacements that has to have arrived, in units, for what the candidates (W,) replace.
+
+    Args:
+        candidates: (W,) uint64.
+        links: `Links`.
+        last: (N,) level at which each Gaussian ends.
+        shares: `Cell.shares`.
+        least: (E,) int32 zeros, receives the area without which a Gaussian is not dropped.
+        sure: (E,) int32, receives the area with which it is dropped, whatever it consists of.
+    """
+    only, only_units, offsets, ranks, units = links.only, links.only_units, links.offsets, links.ranks, links.units
+    starts, ending, one = links.starts, links.ending, np.uint64(1)
+    for w in range((len(only) + 63) >> 6):
+        rest = candidates[w]
+        while rest:
+            g = 64 * w + np.int64(lowest(rest))
+            rest &= rest - one
+            e = only[g]
+            if e >= 0:
+                least[e] += only_units[g] - 1
+            elif e == SEVERAL:
+                for k in range(offsets[g], offsets[g + 1]):
+                    least[ranks[k]] += units[k] - 1
+    for e in range(len(ending)):
+        share, area = shares[last[ending[e]]], least[e]
+        sure[e] = UNITS + np.int64(starts[e + 1] - starts[e]) + 1 - np.int64((1.0 - share) * area)
+        least[e] = np.int64(share * area) - 1
 
 
 @kernel(error_model="numpy")
@@ -95,7 +157,7 @@ def take(plan, place, cell, held, view, records, links, budget, out):
     Args:
         plan: `Plan`.
         place: Entry to continue at.
-        cell: `Cell`; clears what is paid in `owed`, adds to what is checked, and changes `waits`.
+        cell: `Cell`; clears what is paid in `owed`, adds to what is checked, and changes `arrived` and `looks`.
         held: `Held`; changed.
         view: `View`.
         records: `Records`.
@@ -111,14 +173,71 @@ def take(plan, place, cell, held, view, records, links, budget, out):
     gaussians, held_terms, gone = held
     sizes, term_offsets, term_sizes, centers, centers_of, cosines, widths, areas = records
     eyes, bodies, toward = view.eyes, view.bodies, np.empty((len(view.eyes), 4), np.float32)
-    only, only_units, waits, gains = links.only, links.only_units, cell.waits, view.gains
-    out_gaussians, out_terms = out.gaussians, out.terms
+    only, only_units, arrived, looks, gains = links.only, links.only_units, cell.arrived, cell.looks, view.gains
+    candidates, sure, last, shares = cell.candidates, cell.sure, cell.last, cell.shares
+    offsets, ranks, ending, starts, ids = links.offsets, links.ranks, links.ending, links.starts, links.ids
+    units, weights, every = links.units, links.areas, links.every
+    out_gaussians, out_terms, out_dropped, queue = out.gaussians, out.terms, out.dropped, out.queue
     size, varied = np.float64(sizes[0]) if len(sizes) else 0.0, len(sizes) > 1
-    found, found_terms, dropped, total = 0, 0, np.int64(0), 0.0  # a literal would compile `_drop_replaced` twice
+    found, found_terms, dropped, total = 0, 0, np.int64(0), 0.0
     one, ones = np.uint64(1), ~np.uint64(0)
+
+    def drop_replaced(g, dropped):  # as a function of its own it would count references of thirty arrays each time
+        """Mark as gone what g replaces, where enough of the other replacements is held or cannot be seen from the cell.
+
+        Enough is a share of their area, `Cell.shares`. A Gaussian that is gone counts as held, so what it was to
+        replace is checked too. For what still waits, `looks` remembers how much area has to have arrived at least, in
+        units that are rounded down, and it is not checked again before. With the area of `sure` nothing needs to be
+        checked.
+        """
+        waiting, done, y = 0, 0, g
+        while True:
+            is_new, one_only = y == g or not has(gaussians, y), np.int64(only[y])
+            first, end = np.int64(0), np.int64(one_only >= 0)
+            if one_only == SEVERAL:
+                first, end = offsets[y], offsets[y + 1]
+            for k in range(first, end):
+                e = one_only if one_only >= 0 else np.int64(ranks[k])
+                if is_new:
+                    arrived[e] += only_units[y] if one_only >= 0 else units[k]
+                if arrived[e] < looks[e]:
+                    continue
+                x = np.int64(ending[e])
+                if has(gone, x):
+                    looks[e] = DONE
+                    continue
+                if not sure[e] <= arrived[e] < ANY:
+                    total, missing = 0.0, 0.0
+                    for m in range(starts[e], starts[e + 1]):
+                        w, bit = ids[m] >> 6, np.uint64(ids[m] & 63)
+                        counts, lacks = candidates[w], candidates[w] & ~(gaussians[w] | gone[w])
+                        total += np.float64((counts >> bit) & one) * weights[m]
+                        missing += np.float64((lacks >> bit) & one) * weights[m]
+                    spare = 1.0 - shares[last[x]]
+                    if missing > spare * total:
+                        looks[e] = arrived[e] + max(np.int64((missing - spare * total) / every[e] * UNITS) - 1, 1)
+                        continue
+                looks[e] = DONE
+                _put(gone, x)
+                queue[waiting] = x
+                waiting += 1
+                if has(gaussians, x):
+                    out_dropped[dropped] = x
+                    dropped += 1
+            if done == waiting:
+                return dropped
+            y = np.int64(queue[done])
+            done += 1
+
     while place < len(entries):
         s, kind = np.int64(entries[place] >> KIND_BITS), np.int64(entries[place] & ((1 << KIND_BITS) - 1)) - 1
-        w, terms = np.int64(words[s]), kind >= 0
+        w, terms, ahead = np.int64(words[s]), kind >= 0, min(place + _AHEAD, len(entries) - 1)
+        soon = np.int64(words[entries[ahead] >> KIND_BITS])
+        prefetch(gaussians, soon)
+        prefetch(gone, soon)
+        soon = 64 * soon + np.int64(lowest(sets[ahead]))
+        prefetch(only, soon)
+        prefetch(only_units, soon)
         gain = gains[kind] + logs[place] if terms else 0.0
         rest = sets[place] & ~gone[w] & (gaussians[w] & owed[s] & ~checked[kind, s] if terms else ~gaussians[w])
         while rest:
@@ -134,10 +253,13 @@ def take(plan, place, cell, held, view, records, links, budget, out):
                 found += 1
                 gaussians[w] |= one << low
                 e = np.int64(only[g])
-                if e >= 0 and waits[e] > 0:
-                    waits[e] = _less(waits[e], only_units[g])
-                if e == SEVERAL or (e >= 0 and waits[e] == UNKNOWN):
-                    dropped = _drop_replaced(g, held, cell, links, out, dropped)
+                if e >= 0:
+                    so_far = arrived[e] + only_units[g]
+                    if so_far < looks[e]:
+                        arrived[e] = so_far
+                        continue
+                if e != _NONE:
+                    dropped = drop_replaced(g, dropped)
                     rest &= ~gone[w]
                 continue
             start, stop, kept_back, most = term_offsets[g], term_offsets[g + 1], False, np.float32(-np.inf)
@@ -171,50 +293,3 @@ def take(plan, place, cell, held, view, records, links, budget, out):
                 owed[s] &= ~(one << low)
         place += 1
     return place, found, found_terms, dropped, total
-
-
-@inner(error_model="numpy")
-def _drop_replaced(g, held, cell, links, out, dropped):
-    """Mark as gone what g replaces, where enough of the other replacements is held or cannot be seen from the cell.
-
-    Enough is a share of their area, `Cell.shares`. A Gaussian that is gone counts as held, so what it was to replace is
-    checked too. What still waits remembers in `waits` how much area has to arrive at least, in units that are rounded
-    down, and is not checked again before.
-    """
-    gaussians, gone, candidates, waits = held.gaussians, held.gone, cell.candidates, cell.waits
-    offsets, ranks, ending, starts, ids = links.offsets, links.ranks, links.ending, links.starts, links.ids
-    queue, out_dropped, last, shares, one = out.queue, out.dropped, cell.last, cell.shares, np.uint64(1)
-    units, sizes, every = links.units, links.areas, links.every
-    waiting, done, y = 0, 0, g
-    while True:
-        for k in range(offsets[y], offsets[y + 1]):
-            e = ranks[k]
-            if waits[e] > 0:
-                waits[e] = _less(waits[e], units[k])
-            if waits[e] != UNKNOWN:
-                continue
-            x = np.int64(ending[e])
-            if has(gone, x):
-                waits[e] = DONE
-                continue
-            total, missing = 0.0, 0.0
-            for m in range(starts[e], starts[e + 1]):
-                w, bit = ids[m] >> 6, np.uint64(ids[m] & 63)
-                counts, lacks = candidates[w], candidates[w] & ~(gaussians[w] | gone[w])
-                total += np.float64((counts >> bit) & one) * sizes[m]
-                missing += np.float64((lacks >> bit) & one) * sizes[m]
-            spare = 1.0 - shares[last[x]]
-            if missing > spare * total:
-                waits[e] = max(np.int64((missing - spare * total) / every[e] * UNITS) - 1, 1)
-                continue
-            waits[e] = DONE
-            _put(gone, x)
-            queue[waiting] = x
-            waiting += 1
-            if has(gaussians, x):
-                out_dropped[dropped] = x
-                dropped += 1
-        if done == waiting:
-            return dropped
-        y = np.int64(queue[done])
-        done += 1

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from gsvis._kernels.bits import lowest
 from gsvis._kernels.compiled import inner, kernel
 
 MOST_ORDER = 24
@@ -202,41 +203,66 @@ def owners_from(values, terms, share, gaussians, out):
 
 
 @kernel
-def sort_ids(ids, spare, out):
-    """Write ids (M,), of 32 bits and not negative, to `out` in ascending order; `spare` has the same room."""
-    counts = np.zeros((3, 2048), np.int64)
-    for i in range(len(ids)):
-        for k in range(3):
-            counts[k, np.int64(ids[i]) >> 11 * k & 2047] += 1
-    for k in range(3):
-        begin = 0
-        for digit in range(2048):
-            counts[k, digit], begin = begin, begin + counts[k, digit]
-    _by_digit(ids, np.int64(0), counts, out)
-    _by_digit(out, np.int64(1), counts, spare)
-    _by_digit(spare, np.int64(2), counts, out)
+def ascend(ids, blank, out):
+    """Write ids (M,), all different, to `out` in ascending order; `blank` is an empty packed set for all there are."""
+    _mark(ids, blank)
+    count, one = 0, np.uint64(1)
+    for w in range(len(blank)):
+        rest = blank[w]
+        while rest:
+            out[count] = 64 * w + np.int64(lowest(rest))
+            rest &= rest - one
+            count += 1
 
 
 @inner
-def _by_digit(ids, k, places, out):
-    """Write ids (M,) to `out` in the order of a digit of 11 bits; `places` (3, 2048) says where each digit begins."""
+def _mark(ids, marks):
+    """Add ids to a packed set; ids of a word mostly follow each other."""
+    before, some = np.int64(0), np.uint64(0)
     for i in range(len(ids)):
-        digit = np.int64(ids[i]) >> 11 * k & 2047
-        out[places[k, digit]] = ids[i]
-        places[k, digit] += 1
+        w = np.int64(ids[i]) >> 6
+        if w != before:
+            marks[before] |= some
+            before, some = w, np.uint64(0)
+        some |= np.uint64(1) << np.uint64(ids[i] & 63)
+    if len(ids):
+        marks[before] |= some
 
 
 @kernel
-def first_times(places, of, known, out):
-    """Write those of `of[places]` that are not known yet, and mark them as known; return their number."""
-    count = 0
-    for i in range(len(places)):
-        found = of[places[i]]
-        if not known[found]:
-            known[found] = True
-            out[count] = found
+def lay_out(ids, blank, of, starts, known, out, rows, fresh):
+    """Write ids as `ascend` does, and the chunk of each; mark the chunks as known.
+
+    Args:
+        ids: (G,) int32 ids of Gaussians, all different.
+        blank: (W,) uint64 zeros.
+        of: (N,) int32, the chunk of each Gaussian.
+        starts: (C + 1,) first id of each chunk, and N.
+        known: (C,) bool.
+        out: (G,) int32 receives the ids.
+        rows: (G,) int32 receives their chunks.
+        fresh: (C,) or more, receives the chunks that were not known yet, ascending.
+
+    Returns:
+        Number of those.
+    """
+    _mark(ids, blank)
+    count, found, end, row, one = 0, 0, np.int64(0), np.int32(0), np.uint64(1)
+    for w in range(len(blank)):
+        rest = blank[w]
+        while rest:
+            g = 64 * w + np.int64(lowest(rest))
+            rest &= rest - one
+            if g >= end:
+                row = of[g]
+                end = np.int64(starts[row + 1])
+                if not known[row]:
+                    known[row] = True
+                    fresh[found] = row
+                    found += 1
+            out[count], rows[count] = g, row
             count += 1
-    return count
+    return found
 
 
 @kernel

@@ -104,10 +104,8 @@ def _turn(size, middle, stride, layout):
 @inner(forceinline=True)
 def _gap(distance):
     """Return which table codes the largest scale: 0 for neighbors, 5 for 32 ids away or more."""
-    k = 0
-    while k < 5 and distance >> (k + 1):
-        k += 1
-    return k
+    octave = (np.float64(distance).view(np.int64) >> 52) - 1023  # a loop would be mispredicted
+    return max(min(octave, 5), 0)
 
 
 @inner(forceinline=True)

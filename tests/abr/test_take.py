@@ -1,0 +1,123 @@
+"""Kernels that take records, each against its plain twin, and bounds that only save work."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numba import njit
+
+from gsvis.abr import reference
+from gsvis.abr._kernels.lanes import not_behind
+from gsvis.abr._kernels.plan import DONE, UNITS
+from gsvis.abr._kernels.take import bound, see, widen
+from gsvis.abr.candidates import CandidateIndex
+from gsvis.abr.classes import FieldOfView
+from gsvis.abr.config import AbrConfig
+from gsvis.abr.holdings import Holdings
+from gsvis.abr.planner import Batch, Planner
+from gsvis.pvs.codec import ids_of, pack
+from tests.abr import abr_scenes as scenes
+
+FEW = settings(max_examples=12)
+N = 200
+SETS = st.sets(st.integers(0, N - 1))
+
+
+def held_of(gaussians: set[int], gone: set[int]) -> Holdings:
+    holdings = Holdings(N)
+    holdings.sent[:], holdings.gone[:] = pack(np.array(sorted(gaussians), np.int64), N), words(gone)
+    return holdings
+
+
+def words(ids: set[int]) -> np.ndarray:
+    return pack(np.array(sorted(ids), np.int64), N)
+
+
+@given(st.lists(SETS, min_size=8, max_size=8), SETS, SETS, SETS, SETS)
+def test_what_is_left_of_cells_is_what_the_plain_twin_says(
+    seen: list[set[int]], wanted: set[int], held: set[int], gone: set[int], owed: set[int]
+) -> None:
+    allowed = np.zeros_like(words(set()))
+    found = see(tuple(map(words, seen)), words(wanted), held_of(held, gone).words, words(owed), allowed)
+    visible = set().union(*seen)
+    assert found == reference.is_left(visible, wanted, held, gone, owed)
+    assert ids_of(allowed).tolist() == sorted(visible)
+
+
+@FEW
+@given(st.integers(0, 10_000))
+def test_others_that_have_arrived_before_make_what_they_replace_due(seed: int) -> None:
+    index, rng = scenes.random_index(seed), np.random.default_rng(seed)
+    links, n = CandidateIndex(index).links, len(index)
+    some, others, held, gone = (rng.permutation(n)[: int(rng.integers(n))] for _ in range(4))
+    holdings, candidates = Holdings(n, index.num_terms), pack(np.sort(some), n)
+    holdings.sent[:], holdings.gone[:] = pack(np.sort(held), n), pack(np.sort(gone), n)
+    looks, near = np.full((2, len(links.ending)), 7, np.int32)
+    near[::3] = DONE
+    widen(candidates, pack(np.sort(others), n), holdings.words, links, near, looks)
+    assert ids_of(candidates).tolist() == np.union1d(some, others).tolist()
+    fresh = np.intersect1d(np.setdiff1d(others, some), np.union1d(held, gone))
+    assert (looks[::3] == DONE).all()
+    for x, look, is_done in zip(links.ending.tolist(), looks.tolist(), (near == DONE).tolist(), strict=True):
+        low, high = index.replacement_offsets[x : x + 2]
+        assert is_done or look == (0 if np.isin(index.replacement_ids[low:high], fresh).any() else 7)
+
+
+@FEW
+@given(st.integers(0, 10_000), st.sampled_from([0.3, 0.6, 1.0]))
+def test_bounds_hold_whatever_has_arrived(seed: int, share: float) -> None:
+    index, rng = scenes.random_index(seed), np.random.default_rng(seed)
+    links, n = CandidateIndex(index).links, len(index)
+    candidates = rng.permutation(n)[: int(rng.integers(n))]
+    least, sure = np.zeros(len(links.ending), np.int32), np.empty(len(links.ending), np.int32)
+    bound(pack(np.sort(candidates), n), links, index.last, np.full(index.num_levels, share), least, sure)
+    for _ in range(5):
+        arrived = set(rng.permutation(n)[: int(rng.integers(n))].tolist())
+        for e, x in enumerate(links.ending.tolist()):
+            ids = links.ids[links.starts[e] : links.starts[e + 1]]
+            areas = links.areas[links.starts[e] : links.starts[e + 1]].astype(np.float64)
+            units = int(np.ceil(UNITS * areas / links.every[e])[np.isin(ids, list(arrived))].sum())
+            is_dropped = reference.is_dropped(x, index, set(candidates.tolist()), arrived, share)
+            assert is_dropped or units < sure[e]
+            assert not is_dropped or units >= least[e]
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("replaced", [0.3, 0.6, 1.0])
+def test_bounds_change_no_batch(seed: int, replaced: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    index = scenes.random_index(seed, count=400)
+
+    def batches() -> list[Batch]:
+        rng, found = np.random.default_rng(seed), []
+        planner = Planner(CandidateIndex(index), FieldOfView.from_degrees(80, 60), AbrConfig(replaced=replaced))
+        for k in range(40):
+            turn = rng.normal(size=4)
+            planner.on_pose(0.1 * k, index.grid.centers[k // 10 % len(index.grid)], turn)
+            found.append(planner.next_batch(0.1 * k, 500.0, 5000.0))
+        return found
+
+    ours = batches()
+    monkeypatch.setattr(CandidateIndex, "bounds_of", lambda *args, **options: None)
+    plain = batches()
+    for name in ("gaussians", "terms", "dropped"):
+        for mine, theirs in zip(ours, plain, strict=True):
+            np.testing.assert_array_equal(getattr(mine, name), getattr(theirs, name))
+
+
+@given(st.integers(0, 10_000), st.integers(0, 3))
+def test_a_plane_has_the_spheres_behind_it_that_numpy_finds(seed: int, word: int) -> None:
+    rng = np.random.default_rng(seed)
+    x, y, z, radii = rng.normal(size=(4, 256)).astype(np.float32)
+    a, b, c, d = rng.normal(size=4).astype(np.float32)
+    radii[::7] = -(a * x + b * y + c * z + d)[::7]  # touching
+    x[::31] = np.nan
+    found = int(bits_in_front(x, y, z, radii, 64 * word, a, b, c, d))
+    far = (a * x + b * y + c * z + d + radii)[64 * word : 64 * word + 64]
+    assert [bool(found >> k & 1) for k in range(64)] == (~(far < 0)).tolist()
+
+
+@njit
+def bits_in_front(x, y, z, radii, low, a, b, c, d):
+    return not_behind(x, y, z, radii, low, (a, b, c, d))
