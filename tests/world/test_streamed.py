@@ -116,7 +116,7 @@ def test_districts_that_no_cell_sees_have_no_ids(far: Path) -> None:
 
 
 def test_a_district_is_replaced_by_all_of_its_tiles(far: Path) -> None:
-    """What replaces it, and what replaces that, ends at the lowest levels of the tiles, whichever districts lack ids."""
+    """What replaces it, and what replaces that, ends at the lowest levels of its tiles, whichever nodes lack ids."""
     world, scene = World.open(far), open_world(far)[0]
     bases, index = scene.package.bases, scene.index  # type: ignore[attr-defined]
     for node in sorted(seen_districts(world)):
