@@ -60,7 +60,7 @@ CASES = (
     *(Case("convert", "nika", 0, out) for out in (".sog", ".spz")),
     Case("convert", "flowers", 1, ".spz"),
     Case("convert", "showroom", 3, ".spz"),
-    *(Case("convert", "biker", None, out) for out in (".sog", ".spz", ".glb")),
+    *(Case("convert", "biker", None, out) for out in (".sog", ".spz", ".html")),
     Case("clean", "flowers", 2, ".ply"),
     Case("clean", "biker", None, ".ply"),
     Case("levels", "nika", 2, "", _LEVELS),

@@ -38,7 +38,7 @@ STAGES = {
 def main() -> None:
     """Estimate and prepare a world, and compare."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--scene", default="showroom", help="a scene of the real data")
+    parser.add_argument("--scene", default="showroom", help="a scene of the real data, or a file in formats/")
     parser.add_argument("--lod", type=int, default=2)
     parser.add_argument("--copies", type=int, default=0, help="turned, mirrored and jittered copies; 0 for the scene")
     parser.add_argument("--most", type=int, default=250_000)
@@ -63,6 +63,8 @@ def main() -> None:
 def scenes_of(given: argparse.Namespace) -> list[tuple[str, int | None]]:
     """The scene, or its copies as PLY files."""
     scene = realdata() / "scenes" / given.scene / "lod-meta.json"
+    if not scene.is_file():
+        return [(str(realdata() / "scenes/formats" / given.scene), None)]
     if not given.copies:
         return [(str(scene), given.lod)]
     folder = given.work / "copies"

@@ -9,14 +9,13 @@ from pathlib import Path
 from gsvis.errors import ArgumentError, SceneError
 from gsvis.files.limits import read_whole
 from gsvis.package import Package
-from gsvis.prepare.memory import kept_memory
 from gsvis.prepare.prepare import finish_package, stages_of
 from gsvis.progress import silent
-from gsvis.pvs.workers import expected_memory
 from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.world.bare import PACKAGE, facts_of_package, reach_of, write_bare_package
 from gsvis.world.graph import TOO_LARGE, Facts, Given
+from gsvis.world.memory import tile_memory
 from gsvis.world.pieces import Part, free_box, join_parts, part_of_district, parts_of_tile
 from gsvis.world.rows import load_gaussians, load_tile_levels
 from gsvis.world.tiles import config_of, load_space
@@ -24,8 +23,6 @@ from gsvis.world.tiles import config_of, load_space
 __all__ = ["VERSIONS", "prepare_tile"]
 
 VERSIONS = {"prepare_tile": 2}
-
-_HELD = 60 << 20  # bytes that earlier tasks leave in a worker
 
 
 def prepare_tile(params: Facts, given: Given, out: Path, work: Path) -> Facts:
@@ -83,7 +80,7 @@ def _check_memory(name: str, joint: Levels, params: Facts, given: Given) -> None
     if given.max_memory is None:
         return
     g = joint.union
-    needed = _HELD + kept_memory(len(g), g.sh_degree) + expected_memory(joint, config_of(params["config"]).sets, 1)
+    needed = tile_memory(joint.counts, len(g), g.sh_degree, config_of(params["config"]).sets)
     if needed > given.max_memory:
         got = f"the {len(g):,} Gaussians in and around tile {name}, got {given.max_memory / 1e9:.3g} GB"
         raise ArgumentError("max_memory", f"expected at least {needed / 1e9:.3g} GB for a worker with {got}", TOO_LARGE)
