@@ -6,7 +6,7 @@ stopped goes on; its peak of memory stays in a file beside the work.
 Given: a scene and options on the command line.
 Measured: seconds of processor of all tasks, peak of proportional memory (PSS) of all processes, bytes of the world and
     of the kept work, each over what the dry run says.
-Defaults chosen on: no scene.
+Defaults chosen on: constants of the dry run on showroom LOD 2, nika LOD 2 and flowers LOD 2.
 """
 
 from __future__ import annotations

@@ -147,7 +147,17 @@ PAGES = {
     ),
     "world": Page(
         "Worlds",
-        ("world_borders", "world_borders_far", "world", "world_opening", "world_kills", "out_of_core", "world_cluster"),
+        (
+            "world_borders",
+            "world_borders_far",
+            "world",
+            "world_whole",
+            "world_opening",
+            "world_kills",
+            "max_memory",
+            "out_of_core",
+            "world_cluster",
+        ),
     ),
     "edit": Page("Editing scenes", ("cut", "cut_unseen", "clean")),
     "viewer": Page(

@@ -40,6 +40,7 @@ _EFFICIENCY = 0.9  # of workers beside each other
 
 _PEAK = 0.85  # of what `--max-memory` has to allow
 _RECORD, _TERM, _SETS = 13.6, 6.0, 0.3  # bytes for each Gaussian, each term, and each cell and Gaussian in and around
+_DISTRICTS, _SPACE = 1.33, 2_500_000  # districts for each tile; bytes of where eyes may be in one
 _ROWS = 3  # how often a Gaussian is kept with all its values
 _SAMPLED = 1 << 19
 
@@ -125,6 +126,7 @@ def estimate_world(
     }
     row = 4 * (14 + (3 * (degree + 1) ** 2 - 3))
     per = _RECORD * own + _TERM * _terms_of(config, degree) + _SETS * cells * around
+    districts = int(_RECORD * _DISTRICTS * tiles * min(config.far, rows / tiles))
     joint = min(largest * around, count)
     counts = (*(int(share * joint) for share in shares), int(joint))
     return WorldEstimate(
@@ -136,8 +138,8 @@ def estimate_world(
         seconds=sum(seconds.values()) / max(1.0, _EFFICIENCY * min(workers, tiles)),
         workers=workers,
         memory=int(_PEAK * tile_memory(counts, int(own * joint), degree, config.package.sets)),
-        nbytes=int(per * count),
-        work_bytes=int((_ROWS * row + per) * count + row * min(count, _SAMPLED)),
+        nbytes=districts + int(per * count),
+        work_bytes=districts + _SPACE * tiles + int((_ROWS * row + per) * count + row * min(count, _SAMPLED)),
         load=load,
     )
 
