@@ -58,25 +58,19 @@ _STEPS = ("--steps", "12")
 
 CASES = (
     *(Case("convert", "nika", 0, out) for out in (".sog", ".spz")),
-    Case("convert", "flowers", 1, ".spz"),
     Case("convert", "showroom", 3, ".spz"),
     *(Case("convert", "biker", None, out) for out in (".sog", ".spz", ".html")),
     Case("clean", "flowers", 2, ".ply"),
     Case("clean", "biker", None, ".ply"),
-    Case("levels", "nika", 2, "", _LEVELS),
     Case("levels", "flowers", 2, "", _LEVELS),
     Case("levels", "biker", None, "", _LEVELS),
     Case("levels", "flowers", 3, "", (*_LEVELS, "--shares", "0.5", "0.9")),
     Case("color", "nika", 2, ".arrow", _COLOR),
-    Case("color", "flowers", 2, ".arrow", _COLOR),
     Case("color", "biker", None, ".arrow", _COLOR),
-    Case("pvs", "nika", 1, ".pvs", _SETS),
     Case("pvs", "biker", None, ".pvs", _SETS),
-    Case("prepare", "flowers", 2, ".gsvis", (*_SETS, *_STEPS, *_TRAIN)),
     Case("prepare", "nika", 2, ".gsvis", (*_SETS, *_STEPS, *_TRAIN)),
     Case("prepare", "biker", None, ".gsvis", (*_SETS, *_STEPS, *_TRAIN)),
     Case("world", "nika", 2, ".gsworld", (*_SETS, *_STEPS, "--tile", "20000")),
-    Case("world", "flowers", 2, ".gsworld", (*_SETS, *_STEPS, "--tile", "40000")),
 )
 
 
