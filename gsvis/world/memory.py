@@ -24,7 +24,7 @@ IDLE = 280 << 20
 _MB = 1 << 20
 _GUESSED = 1 << 18  # Gaussians of a batch that only reading counts
 _HELD = 60 * _MB  # bytes that earlier tasks leave in a worker
-_TRAINING = 160 * _MB  # images and gradients of a view
+_TRAINING, _IMAGE = 160 * _MB, 7  # gradients of a view; bytes for each pixel of all views, of which most are smaller
 
 
 def needed_memory(run: str, params: Facts, inputs: Sequence[Facts]) -> int:
@@ -67,7 +67,9 @@ def _space(params: Facts, inputs: Sequence[Facts]) -> int:
 
 def _levels(params: Facts, inputs: Sequence[Facts]) -> int:
     count, trained = inputs[0]["gaussians"], params["config"]["levels"] is not None
-    return int(40 * _MB + (_TRAINING + 1400 * count if trained else 750 * count))
+    views = params["config"]["level_views"]
+    images = _IMAGE * views["count"] * views["width"] * views["height"]
+    return int(40 * _MB + (_TRAINING + images + 1400 * count if trained else 750 * count))
 
 
 def _district(params: Facts, inputs: Sequence[Facts]) -> int:
