@@ -147,13 +147,15 @@ PAGES = {
     "world": Page(
         "Worlds",
         (
-            "world_whole",
-            "world_whole_small",
+            "world_large",
+            "world_large_one_copy",
             "world_borders",
             "world_borders_far",
             "world",
+            "world_whole",
             "world_opening",
             "world_kills",
+            "max_memory",
             "out_of_core",
             "world_cluster",
         ),

@@ -49,9 +49,10 @@ def in_tiles(command: Clean) -> bool:
     if _most(command.max_memory) < _LEAST:
         from gsvis.edit.large import JOINT
 
-        least = expected_memory("clean", int(_LEAST * JOINT) + 1, 0)
+        least = min(need, expected_memory("clean", int(_LEAST * JOINT) + 1, 0))
         raise ValueError(
-            f"--max-memory: expected at least {size_of(least)}, got {size_of(command.max_memory)}; a tile does not fit"
+            f"--max-memory: expected at least {size_of(least)} for a tile of {count:,} Gaussians, got"
+            f" {size_of(command.max_memory)}; raise it, or take a coarser --lod"
         )
     return True
 

@@ -102,7 +102,8 @@ def _batches(command: Convert, scenes: tuple[str, ...], lods: list[int | None], 
         check_memory("convert", [(batch.path, batch.lod) for batch in whole], command.max_memory, together=False)
         return found
     remedy = "a .ply is written batch by batch from a PLY or a streamed SOG, whatever its size"
-    check_memory("convert", list(zip(scenes, lods, strict=True)), command.max_memory, remedy)
+    kind = "page" if target.suffix.lower() == _PAGE else "convert"
+    check_memory(kind, list(zip(scenes, lods, strict=True)), command.max_memory, remedy)
     return []
 
 

@@ -13,7 +13,7 @@ from gsvis._extras import require
 from gsvis.cli.arguments import Levels
 from gsvis.cli.kernels import warm_levels
 from gsvis.cli.levels_result import print_result, record_of
-from gsvis.cli.memory import check_memory
+from gsvis.cli.memory import check_memory, training_grows
 from gsvis.cli.source import Source, check_folder, check_source, load_source, parse_up
 from gsvis.cli.stopping import between_steps
 from gsvis.cli.terminal import Status
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from gsvis.train.level_views import LevelViews
     from gsvis.train.levels import LevelsConfig, TrainedLevels
 
-__all__ = ["check_views", "levels_config", "run_levels", "view_sampling"]
+__all__ = ["check_views", "image_bytes", "levels_config", "run_levels", "view_sampling"]
 
 _VIEWS, _HELD_OUT, _WIDTH, _HEIGHT, _FOV = 400, 12, 480, 360, 2.0 * math.degrees(math.atan(240.0 / 300.0))
 _NAMES = {1: ("low", "high"), 2: ("low", "medium", "high")}
@@ -122,8 +122,11 @@ def _check_arguments(command: Levels) -> LevelsConfig:
         held_out = _HELD_OUT if command.held_out is None else command.held_out
         check_views(sampling, held_out)
         images = image_bytes(sampling, held_out)
-    remedy = "raise it, or make the levels of tiles with gsvis world --until levels"
-    check_memory("levels", [(command.scene, command.lod)], command.max_memory, remedy, more=images)
+    remedy = "raise it, take fewer --views or a smaller --size, or make levels of tiles with gsvis world --until levels"
+    check_memory(
+        "levels", [(command.scene, command.lod)], command.max_memory, remedy, more=images,
+        grows=training_grows(command.shares),
+    )  # fmt: skip
     return config
 
 

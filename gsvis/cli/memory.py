@@ -5,13 +5,30 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from gsvis.cli.source import is_builtin, is_levels
 from gsvis.cli.terminal import size_of
 from gsvis.io.batches import list_batches, read_batch
 
-__all__ = ["NEEDS", "Need", "check_memory", "count_gaussians", "expected_memory"]
+if TYPE_CHECKING:
+    from gsvis.prepare import PrepareConfig
+    from gsvis.pvs.config import PvsConfig
+
+__all__ = [
+    "IN_TILES",
+    "NEEDS",
+    "Need",
+    "check_memory",
+    "check_preparation",
+    "check_sets",
+    "count_gaussians",
+    "expected_memory",
+    "training_grows",
+]
+
+IN_TILES = "raise it, take a coarser --lod, or use gsvis world, which works in tiles"
+"""What to do about a scene that does not fit."""
 
 _PACKED = 16  # bytes of a Gaussian in a file that only reading counts: few formats have less
 
@@ -31,21 +48,30 @@ class Need(NamedTuple):
 
 
 NEEDS = {
-    "convert": Need(150 << 20, 200, 12),
-    "levels": Need(480 << 20, 1400, 48),
-    "color": Need(500 << 20, 1000, 48),
+    "convert": Need(160 << 20, 320, 24),
+    "page": Need(160 << 20, 900, 12),  # convert to .html
+    "levels": Need(440 << 20, 700, 30),
+    "color": Need(300 << 20, 600, 32),
 }
 """The need of each command, measured and rounded up (docs/results/world.md)."""
 
 
-def expected_memory(command: str, gaussians: int, sh_degree: int) -> int:
-    """Return the bytes that a command needs at its peak."""
+def expected_memory(command: str, gaussians: int, sh_degree: int, grows: float = 1.0) -> int:
+    """Return the bytes that a command needs at its peak.
+
+    Args:
+        command: Its name.
+        gaussians: Gaussians of the scene.
+        sh_degree: Of the scene.
+        grows: Times as many bytes for each Gaussian as with default options.
+    """
     if command == "clean":
         from gsvis.edit.memory import cleaning_memory
 
         return cleaning_memory(gaussians, sh_degree)
     need = NEEDS[command]
-    return need.base + gaussians * (need.gaussian + need.harmonic * 3 * ((sh_degree + 1) ** 2 - 1))
+    each = need.gaussian + need.harmonic * 3 * ((sh_degree + 1) ** 2 - 1)
+    return need.base + int(grows * gaussians * each)
 
 
 def check_memory(
@@ -56,6 +82,7 @@ def check_memory(
     *,
     together: bool = True,
     more: int = 0,
+    grows: float = 1.0,
 ) -> None:
     """Raise unless a command fits the memory, before it reads a scene.
 
@@ -66,6 +93,7 @@ def check_memory(
         remedy: What else to do.
         together: Whether all scenes are in memory at once.
         more: Bytes beside the scenes, such as images.
+        grows: Times as many bytes for each Gaussian as with default options.
 
     Raises:
         ValueError: If it does not fit.
@@ -76,12 +104,68 @@ def check_memory(
     if together and sizes:
         sizes = [(sum(count for count, _ in sizes), max(degree for _, degree in sizes))]
     for count, degree in sizes:
-        need = expected_memory(command, count, degree) + more
-        if need > max_memory:
-            raise ValueError(
-                f"--max-memory: expected at least {size_of(need)} for {count:,} Gaussians of SH degree {degree}, got"
-                f" {size_of(max_memory)}; {remedy}"
-            )
+        _check_fits(expected_memory(command, count, degree, grows) + more, max_memory, (count, degree), remedy)
+
+
+def check_sets(scene: str, lod: int | None, config: PvsConfig, max_memory: int | None) -> None:
+    """Raise unless visible sets of a scene can be found in the memory, before it is read.
+
+    A folder of levels is not checked: its levels are known when it was read.
+
+    Raises:
+        ValueError: If it does not fit.
+    """
+    from gsvis.pvs.workers import sets_memory
+
+    if max_memory is not None and not is_levels(scene):
+        count, degree = count_gaussians(scene, lod)
+        if count:
+            _check_fits(sets_memory((count,), count, degree, config), max_memory, (count, degree), IN_TILES)
+
+
+def check_preparation(
+    scene: str, lod: int | None, config: PrepareConfig, max_memory: int | None, images: int = 0
+) -> None:
+    """Raise unless every stage of a preparation fits the memory, before a scene is read; a folder is not checked.
+
+    Args:
+        scene: Path of the scene.
+        lod: Its level of detail.
+        config: The settings.
+        max_memory: Bytes; None sets no limit.
+        images: Bytes of all images to train on.
+
+    Raises:
+        ValueError: If a stage does not fit.
+    """
+    from gsvis.prepare.memory import kept_memory
+    from gsvis.pvs.workers import sets_memory
+
+    if max_memory is None or is_levels(scene):
+        return
+    count, degree = count_gaussians(scene, lod)
+    if not count:
+        return
+    lower = [] if config.levels is None else config.levels.sizes(count)
+    counts, union = (*(total for total, *_ in lower), count), count + sum(total - own for total, own, _ in lower)
+    need = sets_memory(counts, union, degree, config.sets) + kept_memory(union, degree)
+    if config.levels is not None:
+        training = expected_memory("levels", count, degree, training_grows(config.levels.shares)) + images
+        need = max(need, training)
+    _check_fits(max(need, expected_memory("color", union, degree)), max_memory, (count, degree), IN_TILES)
+
+
+def training_grows(shares: Sequence[float]) -> float:
+    """Return how much more memory training needs than with the default shares, of which the largest is a half."""
+    return max(1.0, 0.5 + max(shares))
+
+
+def _check_fits(need: int, max_memory: int, scene: tuple[int, int], remedy: str) -> None:
+    if need > max_memory:
+        raise ValueError(
+            f"--max-memory: expected at least {size_of(need)} for {scene[0]:,} Gaussians of SH degree {scene[1]}, got"
+            f" {size_of(max_memory)}; {remedy}"
+        )
 
 
 def count_gaussians(scene: str, lod: int | None) -> tuple[int, int]:

@@ -13,9 +13,10 @@ from gsvis.cli import version
 from gsvis.cli.arguments import Prepare
 from gsvis.cli.color import fit_config
 from gsvis.cli.kernels import warm_colors, warm_levels, warm_sets
-from gsvis.cli.levels import check_views, levels_config, view_sampling
+from gsvis.cli.levels import check_views, image_bytes, levels_config, view_sampling
+from gsvis.cli.memory import check_preparation
 from gsvis.cli.prepare_result import print_estimate, print_result
-from gsvis.cli.pvs import local_workers, sets_config
+from gsvis.cli.pvs import local_workers, named_memory, sets_config
 from gsvis.cli.source import check_folder, check_source, is_levels, load_source, parse_up
 from gsvis.cli.stopping import between_steps
 from gsvis.cli.terminal import Status
@@ -46,7 +47,7 @@ def run_prepare(command: Prepare) -> None:
     config = _check_arguments(command)
     walk = check_where(command)
     workers = local_workers(command.workers, command.max_memory)
-    with Status() as status:
+    with Status() as status, named_memory():
         status("reading", 0, 1)
         source = load_source(command.scene, command.lod)
         if len(source.gaussians) == 0:
@@ -122,7 +123,7 @@ def _check_arguments(command: Prepare) -> PrepareConfig:
             raise ValueError(f"--{error}") from None
         if command.photos is None:
             check_views(sampling, PrepareConfig.level_held_out)
-    return PrepareConfig(
+    config = PrepareConfig(
         levels=levels,
         level_views=sampling,
         level_size=command.size,
@@ -134,6 +135,9 @@ def _check_arguments(command: Prepare) -> PrepareConfig:
         epsilon_from="given" if command.epsilon else PrepareConfig.epsilon_from,
         meters_per_unit=command.meters_per_unit or 0.0,
     )
+    images = 0 if command.photos is not None else image_bytes(sampling, PrepareConfig.level_held_out)
+    check_preparation(command.scene, command.lod, config, command.max_memory, images)
+    return config
 
 
 def _check_training(command: Prepare) -> None:

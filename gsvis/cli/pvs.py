@@ -14,6 +14,7 @@ import numpy as np
 
 from gsvis.cli.arguments import Pvs
 from gsvis.cli.kernels import warm_sets
+from gsvis.cli.memory import IN_TILES, check_sets
 from gsvis.cli.source import (
     Source,
     check_file,
@@ -25,7 +26,7 @@ from gsvis.cli.source import (
 )
 from gsvis.cli.terminal import Status, busy_note, clock, facts, print_json, show, size_of
 from gsvis.cli.where import check_where, find_place, kind_row, space_document, suspect_views
-from gsvis.errors import FormatError, SceneError
+from gsvis.errors import ArgumentError, FormatError, SceneError
 from gsvis.files.limits import open_regular
 from gsvis.pvs.build import build_pvs, journal_of
 from gsvis.pvs.cell_count import fitting_cells
@@ -40,7 +41,7 @@ from gsvis.scene.content import scene_hash
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
 
-__all__ = ["local_workers", "run_pvs", "sets_config", "spell_certificates"]
+__all__ = ["local_workers", "named_memory", "run_pvs", "sets_config", "spell_certificates"]
 
 _CELLS = 512
 
@@ -68,7 +69,7 @@ def run_pvs(command: Pvs) -> None:
     """
     config = _check_arguments(command)
     walk = check_where(command)
-    with Status() as status, _workers(command) as workers:
+    with Status() as status, _workers(command) as workers, named_memory():
         plan = _plan(command, config, walk, status)
         if command.dry_run:
             estimate = estimate_pvs(
@@ -103,7 +104,9 @@ def _check_arguments(command: Pvs) -> PvsConfig:
 
         check_address(command.scheduler)
     names = ("method", "tau", "size", "limit", "rays", "max_inner")
-    return sets_config(**{name: getattr(command, name) for name in names})
+    config = sets_config(**{name: getattr(command, name) for name in names})
+    check_sets(command.scene, command.lod, config, command.max_memory)
+    return config
 
 
 def sets_config(**given: Any) -> PvsConfig:
@@ -152,6 +155,15 @@ def _workers(command: Pvs) -> Iterator[Workers]:
             yield workers
         return
     yield local_workers(command.workers, command.max_memory)
+
+
+@contextmanager
+def named_memory(remedy: str = IN_TILES) -> Iterator[None]:
+    """Name `--max-memory` in an error of a scene that does not fit."""
+    try:
+        yield
+    except ArgumentError as error:
+        raise (error.renamed("--max-memory", remedy) if error.name == "max_memory" else error) from None
 
 
 def local_workers(count: int | None, max_memory: int | None) -> Workers:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from gsvis._extras import require
 from gsvis.cli import version
 from gsvis.cli.arguments import World
-from gsvis.cli.pvs import local_workers, sets_config
+from gsvis.cli.pvs import local_workers, named_memory, sets_config
 from gsvis.cli.source import check_folder, is_builtin, is_levels, parse_up, title_of
 from gsvis.cli.terminal import Status, busy_note, clock, facts, print_json, show, size_of
 from gsvis.errors import ArgumentError
@@ -42,6 +42,7 @@ def run_world(command: World) -> None:
         KeyboardInterrupt: If the user presses Ctrl-C; the message says what is kept.
     """
     from gsvis.world.estimate import estimate_world
+    from gsvis.world.graph import TOO_LARGE
     from gsvis.world.prepare import prepare_world
     from gsvis.world.stages import write_tiles
 
@@ -54,7 +55,7 @@ def run_world(command: World) -> None:
             about = {"made_by": f"gsvis {version()}", "scenes": [title_of(path) for path, _ in scenes]}
             work = Path(f"{os.path.abspath(command.out)}.work")
             try:
-                with _workers(command) as workers:
+                with _workers(command) as workers, named_memory(TOO_LARGE):
                     common: dict[str, Any] = {"store": command.store, "workers": workers, "progress": status}
                     if command.until == "world":
                         made = prepare_world(scenes, command.out, config, about=about, **common)

@@ -18,6 +18,7 @@ from gsvis.color.srbf import SrbfColors
 from gsvis.color.storage import load_srbf
 from gsvis.package import RECORD_BYTES
 from gsvis.prepare.config import PrepareConfig
+from gsvis.prepare.memory import kept_memory, left_for_sets
 from gsvis.prepare.prepare import stages_of
 from gsvis.prepare.stages import Stages
 from gsvis.progress import Progress, silent
@@ -87,8 +88,8 @@ class PreparationEstimate:
         levels: Names and sizes of levels, lowest first.
         cells: Cells of the visible sets.
         nbytes: Bytes of the package.
-        memory: Peak bytes of memory of all processes while visible sets are built; if they exist, those of one process
-            that would build them, which bounds what the other stages need.
+        memory: Peak bytes of memory of all processes while visible sets are built; if they exist, with one process that
+            would build them. Training large levels may need more.
         seconds: Time left.
         load: Processes that used or waited for a core when the estimate began; None if unknown.
     """
@@ -206,7 +207,7 @@ class _Estimator:
 
     def _sets(self) -> tuple[VisibilityStore | None, int, int]:
         """Return the store if it exists, bytes on disk, and memory."""
-        stages, grid = self.stages, self.stages.grid()
+        stages, grid, held = self.stages, self.stages.grid(), (self.union, self.levels.union.sh_degree)
         name = stages.sets_name(self.levels, grid) if self.known is not None else "none"
         what = f"{len(grid):,} cells of side {grid.cell_size:.3g}"
         if stages.work.whole(name):
@@ -214,17 +215,17 @@ class _Estimator:
             store = VisibilityStore.open(path)
             size = path.stat().st_size
             self.found.append(StageEstimate("sets", "done", what, 0.0, size))
-            return store, size, expected_memory(self.levels, self.config.sets, 1)
+            return store, size, kept_memory(*held) + expected_memory(self.levels, self.config.sets, 1)
         cost = estimate_pvs(
             self.levels, grid, stages.space, stages.work.at(name), self.config.sets,
-            workers=self.workers, progress=stages.progress,
+            workers=left_for_sets(self.workers, *held), progress=stages.progress,
         )  # fmt: skip
         disk = int(cost.disk * self.union / len(self.levels.union))
         state = "begun" if cost.finished or cost.looked else "to do"
         if cost.finished:
             what += f", {cost.finished:,} of them found"
         self.found.append(StageEstimate("sets", state, what, cost.seconds, disk))
-        return None, disk, cost.memory
+        return None, disk, kept_memory(*held) + cost.memory
 
     def _colors(self, store: VisibilityStore | None) -> SrbfColors | None:
         """Return the colors if they exist."""

@@ -34,6 +34,7 @@ from gsvis.package.cell_terms import CellTerms
 from gsvis.prepare.colors import find_kept, prepare_colors
 from gsvis.prepare.config import PrepareConfig
 from gsvis.prepare.levels import make_levels
+from gsvis.prepare.memory import left_for_sets
 from gsvis.prepare.surroundings import Surroundings
 from gsvis.prepare.work_folder import WorkFolder, digest_of_folder
 from gsvis.progress import Progress
@@ -166,7 +167,8 @@ class Stages:
         with self._stage("sets") as done:
             if not self.work.whole(name) or not (self.around is None or self.work.whole(around_of(name))):
                 done.append(True)
-                self._find_sets(levels, grid, name, workers)
+                held = len(levels.union), levels.union.sh_degree
+                self._find_sets(levels, grid, name, left_for_sets(workers, *held))
         return self.work.at(name)
 
     def _find_sets(self, levels: Levels, grid: CellGrid, name: str, workers: Workers | None) -> None:

@@ -8,8 +8,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from concurrent.futures import Future
+from concurrent.futures import TimeoutError as FutureTimeoutError
 from contextlib import contextmanager, suppress
 from importlib.metadata import version
+from threading import Thread
 from typing import Any
 
 from gsvis._extras import require
@@ -21,6 +24,7 @@ __all__ = ["check_address", "connect"]
 
 _RETRIES = 2  # of a task that raises an error; the death of a worker does not count
 _PLUGIN = "gsvis-threads"
+_SLACK = 5.0  # seconds, beside the time that Dask has for a scheduler, until it counts as silent
 
 
 def check_address(address: str) -> str:
@@ -53,7 +57,6 @@ def connect(address: str, *, timeout: float = 10.0) -> Iterator[Workers]:
     check_address(address)
     require("a Dask cluster", "dask", "distributed")
     from dask import config
-    from distributed import Client
     from distributed.diagnostics.plugin import WorkerPlugin
 
     class Threads(WorkerPlugin):  # type: ignore[misc]
@@ -75,8 +78,8 @@ def connect(address: str, *, timeout: float = 10.0) -> Iterator[Workers]:
 
     with config.set({"distributed.comm.timeouts.connect": f"{timeout} s"}):
         try:
-            client = Client(address, timeout=timeout, set_as_default=False, name="gsvis")
-        except OSError as error:
+            client = _ask(address, timeout)
+        except (OSError, TimeoutError, FutureTimeoutError) as error:
             raise BackendError(
                 f"no Dask scheduler answers at {address} within {timeout:g} s: is it running (`dask scheduler`) and"
                 " reachable from here?"
@@ -102,6 +105,22 @@ def connect(address: str, *, timeout: float = 10.0) -> Iterator[Workers]:
     finally:
         with suppress(Exception):
             client.close()
+
+
+def _ask(address: str, timeout: float) -> Any:
+    """Return a client of a scheduler. Dask waits for ever for one that accepts a connection and says nothing."""
+    from distributed import Client
+
+    answer = Future[Any]()
+
+    def ask() -> None:
+        try:
+            answer.set_result(Client(address, timeout=timeout, set_as_default=False, name="gsvis"))
+        except Exception as error:
+            answer.set_exception(error)
+
+    Thread(target=ask, daemon=True).start()
+    return answer.result(timeout + _SLACK)
 
 
 def _check_versions(client: Any) -> None:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from gsvis import _check
+from gsvis.errors import ArgumentError
 from gsvis.pvs.config import PvsConfig
 from gsvis.scene.levels import Levels
 
-__all__ = ["SCENE_BYTES", "Workers", "expected_memory", "fitting_workers", "machine_load", "speed_up"]
+__all__ = ["SCENE_BYTES", "Workers", "expected_memory", "fitting_workers", "machine_load", "sets_memory", "speed_up"]
 
 # Measured peaks with a margin (docs/design/007): bytes of a process with its libraries, and for each Gaussian: of its
 # looks, and of the tracer that certifies.
@@ -54,36 +56,71 @@ class Workers:
             _check.positive_int("max_memory", self.max_memory)
 
 
-def _parent(levels: Levels) -> int:
+class _Sizes(NamedTuple):
+    """What the memory of a build depends on.
+
+    Attributes:
+        union: Gaussians of all levels together.
+        counts: Gaussians of each level, lowest first.
+        nbytes: Bytes of the Gaussians in memory.
+    """
+
+    union: int
+    counts: Sequence[int]
+    nbytes: int
+
+    @property
+    def drawn(self) -> int:
+        """Gaussians that are looked at, each as often as it stands in a level."""
+        return sum(self.counts)
+
+
+def _sizes_of(levels: Levels) -> _Sizes:
+    return _Sizes(len(levels.union), levels.counts, levels.union.nbytes)
+
+
+def _parent(sizes: _Sizes) -> int:
     """Return the bytes of memory of the process that submits the tasks and writes the store."""
-    n, held = len(levels.union), levels.union.nbytes
-    copies = held * levels.counts[-1] // n if len(levels) > 1 else 0  # the highest level
-    return _PARENT_BASE + _PARENT_PER_GAUSSIAN * n + held + copies
+    copies = sizes.nbytes * sizes.counts[-1] // sizes.union if len(sizes.counts) > 1 else 0  # the highest level
+    return _PARENT_BASE + _PARENT_PER_GAUSSIAN * sizes.union + sizes.nbytes + copies
 
 
-def _check_twice(levels: Levels) -> int:
+def _check_twice(sizes: _Sizes) -> int:
     """Return the bytes that the second tracer needs when all cells are found."""
-    return _CHECK_BASE + _CHECK_PER_GAUSSIAN * levels.counts[-1]
+    return _CHECK_BASE + _CHECK_PER_GAUSSIAN * sizes.counts[-1]
 
 
-def _worker(levels: Levels, config: PvsConfig) -> int:
+def _worker(sizes: _Sizes, config: PvsConfig) -> int:
     """Return the bytes of memory of a worker process."""
-    pixels, drawn = _PER_PIXEL[config.method] * config.size**2, sum(levels.counts)
-    copies = SCENE_BYTES * drawn if len(levels) > 1 else 0  # a single level is the mapped arrays themselves
-    return _BASE[config.method] + _PER_GAUSSIAN[config.method] * drawn + copies + pixels
+    pixels = _PER_PIXEL[config.method] * config.size**2
+    copies = SCENE_BYTES * sizes.drawn if len(sizes.counts) > 1 else 0  # a single level is the mapped arrays themselves
+    return _BASE[config.method] + _PER_GAUSSIAN[config.method] * sizes.drawn + copies + pixels
 
 
-def _alone(levels: Levels, config: PvsConfig) -> int:
+def _alone(sizes: _Sizes, config: PvsConfig) -> int:
     """Return the bytes of memory of one process that does all the work."""
-    held = levels.union.nbytes + _PARENT_PER_GAUSSIAN // 4 * len(levels.union)
-    return max(_parent(levels) + _check_twice(levels), _worker(levels, config) + held)
+    held = sizes.nbytes + _PARENT_PER_GAUSSIAN // 4 * sizes.union
+    return max(_parent(sizes) + _check_twice(sizes), _worker(sizes, config) + held)
+
+
+def sets_memory(counts: Sequence[int], gaussians: int, sh_degree: int, config: PvsConfig) -> int:
+    """Return the bytes that one process needs at its peak to find visible sets, before a scene is read.
+
+    Args:
+        counts: Gaussians of each level, lowest first.
+        gaussians: Gaussians of all levels together.
+        sh_degree: Of the scene.
+        config: How sets are found.
+    """
+    return _alone(_Sizes(gaussians, counts, 4 * (11 + 3 * (sh_degree + 1) ** 2) * gaussians), config)
 
 
 def expected_memory(levels: Levels, config: PvsConfig, count: int) -> int:
     """Return the peak bytes of memory of all processes, with `count` workers on this machine; 1 is this process."""
+    sizes = _sizes_of(levels)
     if count == 1:
-        return _alone(levels, config)
-    return _parent(levels) + max(_check_twice(levels), count * _worker(levels, config))
+        return _alone(sizes, config)
+    return _parent(sizes) + max(_check_twice(sizes), count * _worker(sizes, config))
 
 
 def speed_up(count: int, workers: Workers, threads: float = 1.0) -> float:
@@ -111,11 +148,14 @@ def fitting_workers(levels: Levels, config: PvsConfig, workers: Workers) -> int:
     """Return how many processes fit the memory; 1 means that this process does the work."""
     if workers.max_memory is None or workers.executor is not None:
         return workers.count
-    alone = _alone(levels, config)
+    sizes = _sizes_of(levels)
+    alone = _alone(sizes, config)
     if workers.max_memory < alone:
-        raise ValueError(
-            f"max_memory: expected at least {alone / 1e9:.2g} GB for {len(levels.union):,} Gaussians,"
-            f" got {workers.max_memory / 1e9:.2g} GB; raise it, or take a coarser level of the scene"
+        raise ArgumentError(
+            "max_memory",
+            f"expected at least {alone / 1e9:.3g} GB for {len(levels.union):,} Gaussians,"
+            f" got {workers.max_memory / 1e9:.2g} GB",
+            "raise it, or take a coarser level of the scene",
         )
-    room = (workers.max_memory - _parent(levels)) // _worker(levels, config)
+    room = (workers.max_memory - _parent(sizes)) // _worker(sizes, config)
     return int(min(workers.count, room)) if room >= 2 else 1

@@ -26,7 +26,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from gsvis.errors import BackendError, FormatError, GsvisError, OutputError
+from gsvis.errors import ArgumentError, BackendError, FormatError, GsvisError, OutputError
 from gsvis.files.fields import Fields, parse_object
 from gsvis.files.limits import DAMAGED
 from gsvis.files.locks import try_lock
@@ -37,7 +37,10 @@ from gsvis.pvs.processes import Processes, limit_threads, one_at_a_time
 from gsvis.pvs.workers import Workers
 from gsvis.world.memory import IDLE, needed_memory
 
-__all__ = ["Given", "Job", "Result", "Task", "machine_kind", "perform", "run_graph"]
+__all__ = ["TOO_LARGE", "Given", "Job", "Result", "Task", "machine_kind", "perform", "run_graph"]
+
+TOO_LARGE = "raise it, or use fewer workers or smaller tiles"
+"""What to do about a task that does not fit the memory."""
 
 Facts = dict[str, Any]
 
@@ -349,7 +352,7 @@ class _Run:
                     heapq.heappush(self.ready, number)  # until a task beside it has finished
                     return
                 if need > left:
-                    self.failed[number] = _too_large(task.name, need, left)
+                    self.failed[number] = _too_large(task.name, need - left + self.crew.limit, self.crew.limit)
                     continue
             self.needs[number] = need
             limit = None if left is None else left + IDLE
@@ -376,11 +379,9 @@ class _Run:
         return losses + 1
 
 
-def _too_large(name: str, need: int, left: int) -> ValueError:
-    return ValueError(
-        f"{name}: expected at most {max(left, 0) / 1e9:.2g} GB beside idle workers, got a task that needs"
-        f" {need / 1e9:.2g} GB; raise --max-memory, or use fewer --workers or smaller tiles"
-    )
+def _too_large(name: str, need: int, limit: int) -> ArgumentError:
+    got = f"expected at least {need / 1e9:.3g} GB for all workers, one of them with {name}, got {limit / 1e9:.3g} GB"
+    return ArgumentError("max_memory", got, TOO_LARGE)
 
 
 _LOST = (
@@ -397,6 +398,7 @@ class _Crew:
         self._processes = Processes(count) if workers.executor is None and count > 1 else None
         self.in_flight = 2 * count if workers.executor is not None else count
         idle = IDLE * (count + 1 if self._processes is not None else 1)
+        self.limit = workers.max_memory or 0
         self.room = None if workers.max_memory is None else workers.max_memory - idle  # for all running tasks
 
     def __enter__(self) -> _Crew:

@@ -10,7 +10,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-__all__ = ["IDLE", "needed_memory"]
+from gsvis.prepare.memory import kept_memory
+from gsvis.pvs.config import PvsConfig
+from gsvis.pvs.workers import sets_memory
+
+__all__ = ["IDLE", "needed_memory", "tile_memory"]
 
 Facts = dict[str, Any]
 
@@ -19,7 +23,8 @@ IDLE = 280 << 20
 
 _MB = 1 << 20
 _GUESSED = 1 << 18  # Gaussians of a batch that only reading counts
-_TRAINING = 160 * _MB  # images and gradients of a view
+_HELD = 60 * _MB  # bytes that earlier tasks leave in a worker
+_TRAINING, _IMAGE = 160 * _MB, 7  # gradients of a view; bytes for each pixel of all views, of which most are smaller
 
 
 def needed_memory(run: str, params: Facts, inputs: Sequence[Facts]) -> int:
@@ -32,6 +37,18 @@ def needed_memory(run: str, params: Facts, inputs: Sequence[Facts]) -> int:
     """
     known = _NEEDS.get(run)
     return 0 if known is None else known(params, inputs)
+
+
+def tile_memory(counts: Sequence[int], gaussians: int, sh_degree: int, sets: PvsConfig) -> int:
+    """Return the bytes of a worker while it makes the package of a tile.
+
+    Args:
+        counts: Gaussians in and around it, in each level, lowest first.
+        gaussians: Gaussians of all levels together.
+        sh_degree: Of the scene.
+        sets: How visible sets are found.
+    """
+    return _HELD + kept_memory(gaussians, sh_degree) + sets_memory(counts, gaussians, sh_degree, sets)
 
 
 def _batch(params: Facts, inputs: Sequence[Facts]) -> int:
@@ -50,7 +67,9 @@ def _space(params: Facts, inputs: Sequence[Facts]) -> int:
 
 def _levels(params: Facts, inputs: Sequence[Facts]) -> int:
     count, trained = inputs[0]["gaussians"], params["config"]["levels"] is not None
-    return int(40 * _MB + (_TRAINING + 1400 * count if trained else 750 * count))
+    views = params["config"]["level_views"]
+    images = _IMAGE * views["count"] * views["width"] * views["height"]
+    return int(40 * _MB + (_TRAINING + images + 1400 * count if trained else 750 * count))
 
 
 def _district(params: Facts, inputs: Sequence[Facts]) -> int:

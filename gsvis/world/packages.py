@@ -6,16 +6,16 @@ import json
 import shutil
 from pathlib import Path
 
-from gsvis.errors import SceneError
+from gsvis.errors import ArgumentError, SceneError
 from gsvis.files.limits import read_whole
 from gsvis.package import Package
 from gsvis.prepare.prepare import finish_package, stages_of
 from gsvis.progress import silent
-from gsvis.pvs.workers import expected_memory
 from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.world.bare import PACKAGE, facts_of_package, reach_of, write_bare_package
-from gsvis.world.graph import Facts, Given
+from gsvis.world.graph import TOO_LARGE, Facts, Given
+from gsvis.world.memory import tile_memory
 from gsvis.world.pieces import Part, free_box, join_parts, part_of_district, parts_of_tile
 from gsvis.world.rows import load_gaussians, load_tile_levels
 from gsvis.world.tiles import config_of, load_space
@@ -79,13 +79,11 @@ def _check_memory(name: str, joint: Levels, params: Facts, given: Given) -> None
     """Raise unless a tile and what stands around it fit the memory of a worker."""
     if given.max_memory is None:
         return
-    needed = expected_memory(joint, config_of(params["config"]).sets, 1)
+    g = joint.union
+    needed = tile_memory(joint.counts, len(g), g.sh_degree, config_of(params["config"]).sets)
     if needed > given.max_memory:
-        raise ValueError(
-            f"tile {name}: expected at most {given.max_memory / 1e9:.2g} GB for a worker, got {needed / 1e9:.2g} GB for"
-            f" the tile and the {len(joint.union):,} Gaussians in and around it; raise --max-memory, or use fewer"
-            " --workers or smaller tiles"
-        )
+        got = f"the {len(g):,} Gaussians in and around tile {name}, got {given.max_memory / 1e9:.3g} GB"
+        raise ArgumentError("max_memory", f"expected at least {needed / 1e9:.3g} GB for a worker with {got}", TOO_LARGE)
 
 
 def _bare(params: Facts, levels: Levels, out: Path) -> Facts:

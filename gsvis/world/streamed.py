@@ -3,7 +3,8 @@
 On the wire an id is the first id of its node plus its place in the package of the node, so nothing of the protocol and
 of clients changes. A district is replaced, Gaussian by Gaussian, by the districts that it was made of, and those by the
 lowest levels of their tiles, as a level is by the next. Visible sets are read tile by tile when a viewer comes near.
-A node that is missing or damaged is left out, with one line in the log. Scene frame and units.
+A district that no cell sees has no ids; a node that is missing or damaged has none either, with one line in the log.
+Scene frame and units.
 """
 
 from __future__ import annotations
@@ -103,14 +104,14 @@ class WorldPackage(Package):
 
     Attributes:
         world: The world.
-        nodes: Numbers of the nodes that can be read, ascending.
-        bases: First id of each node of the world, and the number of all; nodes that are left out have no ids.
+        nodes: Numbers of the nodes that can be read and are needed, ascending.
+        bases: First id of each node of the world, and the number of all; all other nodes have no ids.
     """
 
     def __init__(self, world: World, without: set[int], tables: str | PathLike[str] | None = None) -> None:
         self.path, self.world, self._tables = world.path, world, None if tables is None else Path(tables)
         found: dict[int, Manifest] = {}
-        for node in range(len(world)):
+        for node in _needed(world):
             if node in without:
                 continue
             try:
@@ -179,24 +180,22 @@ class WorldPackage(Package):
             means: Returns the centers of earlier ids, from one to before another.
         """
         node = self.nodes[piece]
-        low, entry = int(self.bases[node]), self.world.manifest.node(node)
-        if not isinstance(entry, District):
+        low = int(self.bases[node])
+        if self._is_tile(node):
             offsets, ids = nearest_replacements(contents.levels())
             owners = np.repeat(np.arange(len(contents)), np.diff(offsets))
             return low + np.stack([owners, ids.astype(np.int64)], axis=1)
         pairs, own = [np.zeros((0, 2), np.int64)], contents.gaussians().means
-        for child in entry.children:
+        for child in self._children[node]:
             first, end = self.bases[child : child + 2].tolist()
-            if end > first:
-                theirs = first + self._lowest(child, end - first)
-                pairs.append(_nearest(own, means(first, end)[theirs - first], low, theirs))
+            theirs = first + self._lowest(child, end - first)
+            pairs.append(_nearest(own, means(first, end)[theirs - first], low, theirs))
         return np.unique(np.concatenate(pairs), axis=0)
 
     def piece_sources(self, piece: int) -> Sequence[int]:
         """Return the nodes whose Gaussians those of a node may replace: itself, and its district."""
         node, numbers = self.nodes[piece], {node: k for k, node in enumerate(self.nodes)}
-        above = [numbers[k] for k, district in self._districts() if node in district.children]
-        return [piece, *above]
+        return [piece, *(numbers[k] for k, children in self._children.items() if node in children)]
 
     def cell_arrays(self) -> tuple[dict[str, NDArray[Any]], list[Any], NDArray[np.float32]]:
         """Return the arrays of all cells, their box, and the weight of each class."""
@@ -302,9 +301,24 @@ class WorldPackage(Package):
             first = package.contents.first
         return np.flatnonzero(first == first.min())
 
-    def _districts(self) -> list[tuple[int, District]]:
-        nodes = ((node, self.world.manifest.node(node)) for node in self.nodes)
-        return [(node, found) for node, found in nodes if isinstance(found, District)]
+    @cached_property
+    def _children(self) -> dict[int, list[int]]:
+        """For each district with ids, the nodes with ids that replace it: its children, or what those were made of."""
+        has_ids = set(self.nodes)
+
+        def below(node: int) -> Iterator[int]:
+            entry = self.world.manifest.node(node)
+            for child in entry.children if isinstance(entry, District) else ():
+                yield from (child,) if child in has_ids else below(child)
+
+        return {node: list(below(node)) for node in self.nodes if not self._is_tile(node)}
+
+
+def _needed(world: World) -> list[int]:
+    """Return the tiles and the districts that stand around one of them: no cell sees the others."""
+    tables = [tile.beyond for tile in world.manifest.tiles if tile.beyond is not None]
+    seen = {piece.node for table in tables for piece in table.pieces}
+    return [node for node in range(len(world)) if node < len(world.manifest.tiles) or node in seen]
 
 
 def _nearest(mine: NDArray[np.float32], theirs: NDArray[np.float32], low: int, ids: I64) -> I64:

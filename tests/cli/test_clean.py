@@ -162,7 +162,7 @@ def test_a_scene_that_does_not_fit_is_cleaned_in_tiles(
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--max-memory", "100MB"], "a tile does not fit"),
+        (["--max-memory", "100MB"], "raise it, or take a coarser --lod"),
         (["--max-memory", "100MB", "--select", "s.npy"], "--select needs all of them: leave it out"),
         (["--max-memory", "100MB", "-o", "clean.spz"], "tiles are written to a .ply"),
     ],

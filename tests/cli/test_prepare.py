@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +19,7 @@ from gsvis.io.levels import load_levels
 from gsvis.package import Package
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
-from gsvis.scene.procedural import BUILTIN_SCENES, two_rooms
+from gsvis.scene.procedural import BUILTIN_SCENES, random_scene, two_rooms
 from tests.few_views import take_few_views
 from tests.scene.places import box
 
@@ -142,6 +143,24 @@ def test_cameras_of_photographs_say_where_eyes_are(tmp_path: Path, capsys: Captu
     assert "holding seeds" not in alone["rule"]
     assert among["kind"]["eyes"] == "in the parts that hold the cameras"
     assert among["volume"] < 8.0 < alone["volume"]
+
+
+def test_a_scene_that_does_not_fit_the_memory_is_refused_before_it_is_read(
+    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene, target = tmp_path / "s.ply", tmp_path / "s.gsvis"
+    save_scene(random_scene(np.random.default_rng(0), 3000), scene)
+    monkeypatch.setattr("gsvis.cli.prepare.load_source", lambda *given: pytest.fail("the scene was read"))
+
+    def least(*words: str) -> float:
+        said = refused(capsys, scene, "-o", target, "--max-memory", "300MB", *words)
+        assert "gsvis world" in said
+        found = re.search(r"--max-memory: expected at least ([0-9.]+) ([GM])B", said)
+        assert found is not None, said
+        return float(found[1]) * (1000.0 if found[2] == "G" else 1.0)
+
+    assert least("--levels", "none", *TINY) <= least(*TINY, "--views", "9") < least(*TINY, "--views", "400")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["s.ply"]
 
 
 def test_wrong_arguments_are_refused_at_once(tmp_path: Path, capsys: Capture) -> None:

@@ -168,7 +168,7 @@ def test_contradictions_and_impossible_wishes_are_refused_before_the_work(
     cluster = ["--scheduler", "tcp://127.0.0.1:1"]
     assert "--workers: expected none with --scheduler" in refused(capsys, *base, *cluster, "--workers", "2")
     assert "--max-memory: expected none" in refused(capsys, *base, *cluster, "--max-memory", "2GB")
-    assert "expected at least" in refused(capsys, *base, *QUICK, *BOX, "--max-memory", "20MB")
+    assert "--max-memory: expected at least" in refused(capsys, *base, *QUICK, *BOX, "--max-memory", "20MB")
     assert "make them larger" in refused(capsys, *base, *QUICK, "--cell-size", "0.2", *BOX)
     assert not (tmp_path / "a.pvs").exists()
 

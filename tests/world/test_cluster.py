@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import socket
 import subprocess
 import threading
 import time
@@ -51,6 +52,14 @@ def test_a_cluster_gives_the_same_world(scheduler: str, two_workers: Processes, 
     with connect(scheduler) as workers:
         prepare_world(scenes, tmp_path / "there.gsworld", config, store=str(tmp_path / "shared"), workers=workers)
     assert cities.content(tmp_path / "there.gsworld") == cities.content(tmp_path / "here.gsworld")
+
+
+def test_a_scheduler_that_says_nothing_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gsvis.pvs.cluster._SLACK", 0.5)
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
+        with pytest.raises(BackendError, match="no Dask scheduler answers"), connect(address, timeout=0.5):
+            pass
 
 
 def test_a_scheduler_that_cannot_be_reached_is_one_line() -> None:

@@ -238,5 +238,5 @@ def test_tasks_that_do_not_fit_together_run_one_after_the_other(
         assert found[TOTAL].facts == {"value": 28}
         assert len(beside) == 15
         assert max(beside) <= most
-    with pytest.raises(ValueError, match=r"leaf 0: expected at most .* got a task that needs .*; raise --max-memory"):
+    with pytest.raises(ValueError, match=r"max_memory: expected at least .* one of them with leaf 0, got .*; raise it"):
         run_graph(tree(8), open_store(tmp_path / "small"), Workers(1, max_memory=IDLE + 50))

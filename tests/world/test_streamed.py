@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks._worlds import small_street
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.config import AbrConfig
 from gsvis.color.fit import FitConfig
@@ -39,6 +40,15 @@ def city(tmp_path_factory: pytest.TempPathFactory) -> Path:
     scene = write(street(), folder / "street.ply")
     prepare_world([scene], folder / "a.gsworld", config())
     return folder / "a.gsworld"
+
+
+@pytest.fixture(scope="module")
+def far(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A world so long that some districts are seen, and some are not, children of those that are seen among them."""
+    folder, options = tmp_path_factory.mktemp("far"), replace(config(most=400), angle=0.3)
+    scene = write(small_street(houses=4, step=0.5, flyaways=12), folder / "street.ply")
+    prepare_world([scene], folder / "c.gsworld", options)
+    return folder / "c.gsworld"
 
 
 @pytest.fixture(scope="module")
@@ -90,6 +100,39 @@ def test_ids_are_those_of_nodes_behind_each_other(city: Path) -> None:
             assert np.abs(mine.sh0 - theirs.sh0).max() <= 1.01 * (high - low) / 255 / 0.28209 / 2 * 1.2
 
 
+def seen_districts(world: World) -> set[int]:
+    tables = [tile.beyond for tile in world.manifest.tiles if tile.beyond is not None]
+    return {piece.node for table in tables for piece in table.pieces} - set(range(len(world.manifest.tiles)))
+
+
+def test_districts_that_no_cell_sees_have_no_ids(far: Path) -> None:
+    world = World.open(far)
+    package, tiles, seen = WorldPackage(world, set()), len(world.manifest.tiles), seen_districts(world)
+    assert 0 < len(seen) < len(world.manifest.districts)
+    assert package.nodes == [*range(tiles), *sorted(seen)]
+    unseen = set(range(tiles, len(world))) - seen
+    assert any(unseen & set(world.manifest.districts[k - tiles].children) for k in seen)
+    assert all((package.bases[k + 1] > package.bases[k]) == (k < tiles or k in seen) for k in range(len(world)))
+
+
+def test_a_district_is_replaced_by_all_of_its_tiles(far: Path) -> None:
+    """What replaces it, and what replaces that, ends at the lowest levels of its tiles, whichever nodes lack ids."""
+    world, scene = World.open(far), open_world(far)[0]
+    bases, index = scene.package.bases, scene.index  # type: ignore[attr-defined]
+    for node in sorted(seen_districts(world)):
+        entry, reached = world.manifest.node(node), set(range(*bases[node : node + 2].tolist()))
+        waiting = list(reached)
+        while waiting:
+            some = slice(*index.replacement_offsets[waiting[-1] : waiting.pop() + 2].tolist())
+            fresh = set(index.replacement_ids[some].tolist()) - reached
+            reached |= fresh
+            waiting += fresh
+        for tile in entry.tiles:  # type: ignore[union-attr]
+            with world.package(tile) as own:
+                lowest = np.flatnonzero(own.contents.first == own.contents.first.min())
+            assert set((bases[tile] + lowest).tolist()) <= reached
+
+
 def test_a_viewer_crosses_borders_and_gets_nothing_twice(city: Path, tmp_path: Path) -> None:
     scene, _ = open_world(city)
     found, receiver, came = walk(scene)
@@ -107,9 +150,9 @@ def test_a_viewer_crosses_borders_and_gets_nothing_twice(city: Path, tmp_path: P
 @pytest.mark.parametrize("quality", [None, Quality()])
 @pytest.mark.parametrize("degree", [0, 1])
 def test_tables_made_node_by_node_are_those_of_the_whole(
-    city: Path, shiny: Path, tmp_path: Path, degree: int, quality: Quality | None, monkeypatch: pytest.MonkeyPatch
+    far: Path, shiny: Path, tmp_path: Path, degree: int, quality: Quality | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = shiny if degree else city
+    path = shiny if degree else far
     scene, kept = open_world(path, tables=tmp_path, quality=quality)
     assert kept is not None
     assert not [each for each in tmp_path.iterdir() if each.is_dir()]

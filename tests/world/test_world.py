@@ -220,14 +220,14 @@ def test_strays_are_counted_and_removed_by_the_next_run(scene: Scene, city: Path
 
 def test_surroundings_that_do_not_fit_the_memory_are_refused(scene: Scene, tmp_path: Path) -> None:
     with pytest.raises(
-        ValueError, match=r"tile \d+-\d+: expected at most 0.48 GB for a worker, got .* raise --max-memory"
+        ValueError, match=r"max_memory: expected at least .* GB for a worker .* tile \d+-\d+, got 0.48 GB; raise it"
     ):
         prepare_world([scene], tmp_path / "city.gsworld", cities.config(), workers=Workers(1, max_memory=480_000_000))
 
 
 def test_a_stage_that_does_not_fit_the_memory_is_refused_before_it_starts(scene: Scene, tmp_path: Path) -> None:
     with pytest.raises(
-        ValueError, match=r"space 0: expected at most 0.056 GB .* got a task that needs .* --max-memory"
+        ValueError, match=r"max_memory: expected at least 0.3\d\d GB .* one of them with space 0, got 0.35 GB; raise it"
     ):
         prepare_world([scene], tmp_path / "city.gsworld", cities.config(), workers=Workers(1, max_memory=350_000_000))
 

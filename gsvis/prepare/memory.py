@@ -1,0 +1,29 @@
+"""What a preparation holds in memory beside what finding visible sets needs: libraries, levels, colors."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from gsvis.pvs.workers import Workers
+
+__all__ = ["kept_memory", "left_for_sets"]
+
+# Measured on flowers LOD 2, nika LOD 1, showroom LOD 3 and biker and rounded up (docs/design/084).
+_BASE, _GAUSSIAN, _HARMONIC = 230 << 20, 200, 14
+
+
+def kept_memory(gaussians: int, sh_degree: int) -> int:
+    """Return the bytes of a process that prepares a package beside those that its visible sets need.
+
+    Args:
+        gaussians: Gaussians of all levels together.
+        sh_degree: Of the scene.
+    """
+    return _BASE + gaussians * (_GAUSSIAN + _HARMONIC * 3 * ((sh_degree + 1) ** 2 - 1))
+
+
+def left_for_sets(workers: Workers | None, gaussians: int, sh_degree: int) -> Workers | None:
+    """Return workers whose limit leaves room for what a preparation holds while they find visible sets."""
+    if workers is None or workers.max_memory is None:
+        return workers
+    return replace(workers, max_memory=max(1, workers.max_memory - kept_memory(gaussians, sh_degree)))
