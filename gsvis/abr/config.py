@@ -44,7 +44,7 @@ class AbrConfig:
         move: Share of the side of a cell by which the head must move before records are ranked again.
         horizon: Seconds within which the highest level of a cell should arrive for the bandwidth to count as high.
             Lower levels are left out then; a view begins sooner with them.
-        window: Seconds of data that may be in flight.
+        window: Seconds of data that may be in flight; if messages are longer than `piece`, at least two of them may.
         piece: Seconds that the link should take for one message. A client shows a message only when it is complete.
         begin: Bytes of a session until which messages are small: a quarter of what has been sent, or 4,096 bytes. So
             the first picture comes sooner on a slow link.

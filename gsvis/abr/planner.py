@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from gsvis import _check
 from gsvis.abr._kernels import plan as kernels
 from gsvis.abr._kernels.evict import owe_again
-from gsvis.abr._kernels.take import forget_paid, see, take, widen
+from gsvis.abr._kernels.take import AT_ONCE, forget_paid, see, take, widen
 from gsvis.abr._kernels.units import EDGE, INSIDE, OUTSIDE
 from gsvis.abr.candidates import CandidateIndex, Candidates
 from gsvis.abr.classes import FieldOfView
@@ -352,8 +352,8 @@ class Planner:
             self._stage = self._filled = self._next_stage
             sets = [shared.words_of(cell) for cell in self._shells[self._stage - _SHELLS]]
             allowed, is_left = np.zeros_like(rest.candidates), False
-            for k in range(0, len(sets), 8):
-                some = tuple(sets[min(j, len(sets) - 1)] for j in range(k, k + 8))
+            for k in range(0, len(sets), AT_ONCE):
+                some = tuple(sets[min(j, len(sets) - 1)] for j in range(k, k + AT_ONCE))
                 is_left |= see(some, shared.highest, held, rest.owed, allowed)
             if is_left:
                 break

@@ -249,7 +249,7 @@ class _Walk:
 
     def __init__(self, shared: CandidateIndex, holdings: Holdings, view: View, shares: NDArray[np.float64]) -> None:
         self.out: list[tuple[str, int]] = []
-        self._spares = 1.0 - shares
+        self._shares = shares
         self._index, self._pixel = shared.index, shared.pixel_area
         self._held, self._held_terms = set(holdings.received.tolist()), set(holdings.received_terms.tolist())
         self._gone = set(ids_of(holdings.gone).tolist())
@@ -306,7 +306,7 @@ class _Walk:
         while queue:
             y = queue.pop(0)
             for x in ids[starts[y] : starts[y + 1]].tolist():
-                share = 1.0 - self._spares[index.last[x]]
+                share = float(self._shares[index.last[x]])
                 if x not in self._gone and is_dropped(x, index, candidates, self._held | self._gone, share):
                     self._gone.add(x)
                     queue.append(x)

@@ -13,7 +13,7 @@ from gsvis.cli import version
 from gsvis.cli.arguments import Clean
 from gsvis.cli.memory import count_gaussians, expected_memory
 from gsvis.cli.source import is_builtin
-from gsvis.cli.terminal import Status, facts, print_json, show, size_of
+from gsvis.cli.terminal import Status, facts, least_size_of, print_json, show, size_of
 from gsvis.cli.where import WORDS
 from gsvis.errors import SceneError
 
@@ -39,7 +39,7 @@ def in_tiles(command: Clean) -> bool:
     need = expected_memory("clean", count, degree)
     if need <= command.max_memory:
         return False
-    words = f"--max-memory: expected at least {size_of(need)} for {count:,} Gaussians at once"
+    words = f"--max-memory: expected at least {least_size_of(need)} for {count:,} Gaussians at once"
     given = [name for name in _WHOLE if getattr(command, name) != getattr(Clean, name)]
     if given:
         option = "--" + given[0].replace("_", "-")
@@ -51,7 +51,7 @@ def in_tiles(command: Clean) -> bool:
 
         least = min(need, expected_memory("clean", int(_LEAST * JOINT) + 1, 0))
         raise ValueError(
-            f"--max-memory: expected at least {size_of(least)} for a tile of {count:,} Gaussians, got"
+            f"--max-memory: expected at least {least_size_of(least)} for a tile of {count:,} Gaussians, got"
             f" {size_of(command.max_memory)}; raise it, or take a coarser --lod"
         )
     return True

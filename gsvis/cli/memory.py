@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from gsvis.cli.source import is_builtin, is_levels
-from gsvis.cli.terminal import size_of
+from gsvis.cli.terminal import least_size_of, size_of
 from gsvis.io.batches import list_batches, read_batch
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ class Need(NamedTuple):
 
 
 NEEDS = {
-    "convert": Need(160 << 20, 320, 24),
+    "convert": Need(184 << 20, 320, 24),
     "page": Need(160 << 20, 900, 12),  # convert to .html
     "levels": Need(440 << 20, 700, 30),
     "color": Need(300 << 20, 600, 32),
@@ -163,8 +163,8 @@ def training_grows(shares: Sequence[float]) -> float:
 def _check_fits(need: int, max_memory: int, scene: tuple[int, int], remedy: str) -> None:
     if need > max_memory:
         raise ValueError(
-            f"--max-memory: expected at least {size_of(need)} for {scene[0]:,} Gaussians of SH degree {scene[1]}, got"
-            f" {size_of(max_memory)}; {remedy}"
+            f"--max-memory: expected at least {least_size_of(need)} for {scene[0]:,} Gaussians of SH degree {scene[1]},"
+            f" got {size_of(max_memory)}; {remedy}"
         )
 
 

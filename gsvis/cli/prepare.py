@@ -79,9 +79,7 @@ def run_prepare(command: Prepare) -> None:
                         photos=command.photos, about=about, workers=workers, progress=progress,
                     )  # fmt: skip
         except ArgumentError as error:
-            if error.name == "shares":
-                raise error.renamed("--levels", "larger shares, or a finer --lod") from None
-            raise
+            raise _named_levels(error) from None
         except KeyboardInterrupt:
             if command.dry_run:
                 raise
@@ -136,8 +134,16 @@ def _check_arguments(command: Prepare) -> PrepareConfig:
         meters_per_unit=command.meters_per_unit or 0.0,
     )
     images = 0 if command.photos is not None else image_bytes(sampling, PrepareConfig.level_held_out)
-    check_preparation(command.scene, command.lod, config, command.max_memory, images)
+    try:
+        check_preparation(command.scene, command.lod, config, command.max_memory, images)
+    except ArgumentError as error:
+        raise _named_levels(error) from None
     return config
+
+
+def _named_levels(error: ArgumentError) -> ArgumentError:
+    """Return an error that names `--levels` in place of the shares of levels."""
+    return error.renamed("--levels", "larger shares, or a finer --lod") if error.name == "shares" else error
 
 
 def _check_training(command: Prepare) -> None:

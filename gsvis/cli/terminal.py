@@ -19,7 +19,18 @@ if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
     from rich.table import Table
 
-__all__ = ["STDOUT", "Status", "busy_note", "check_stdout", "clock", "facts", "print_json", "show", "size_of"]
+__all__ = [
+    "STDOUT",
+    "Status",
+    "busy_note",
+    "check_stdout",
+    "clock",
+    "facts",
+    "least_size_of",
+    "print_json",
+    "show",
+    "size_of",
+]
 
 STDOUT = "standard output"
 """Path of standard output in an OutputError."""
@@ -67,6 +78,7 @@ _SAID = {
     "held_out": "drawing views before and after",
 }
 _clock = time.perf_counter  # tests replace it
+_SIZES = ("GB", 10**9), ("MB", 10**6), ("kB", 10**3)
 _EVERY = 10.0  # seconds between plain lines of one stage
 _QUIET = 2.0  # seconds before plain lines name stages, so that quick commands print none
 
@@ -183,10 +195,16 @@ def clock(seconds: float) -> str:
 
 def size_of(count: int) -> str:
     """Return bytes as text: 1500000 -> '1.5 MB'."""
-    for unit, size in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+    for unit, size in _SIZES:
         if count >= size:
             return f"{count / size:.1f} {unit}"
     return f"{count} bytes"
+
+
+def least_size_of(count: int) -> str:
+    """Return bytes as text, rounded up: a limit of that suffices. 1510000 -> '1.6 MB'."""
+    digit = next((size // 10 for _, size in _SIZES if count >= size), 1)
+    return size_of(-(-count // digit) * digit)
 
 
 @contextmanager

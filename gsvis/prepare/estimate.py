@@ -207,7 +207,8 @@ class _Estimator:
 
     def _sets(self) -> tuple[VisibilityStore | None, int, int]:
         """Return the store if it exists, bytes on disk, and memory."""
-        stages, grid, held = self.stages, self.stages.grid(), (self.union, self.levels.union.sh_degree)
+        stages, grid = self.stages, self.stages.grid()
+        kept = kept_memory(self.union, self.levels.union.sh_degree)
         name = stages.sets_name(self.levels, grid) if self.known is not None else "none"
         what = f"{len(grid):,} cells of side {grid.cell_size:.3g}"
         if stages.work.whole(name):
@@ -215,17 +216,17 @@ class _Estimator:
             store = VisibilityStore.open(path)
             size = path.stat().st_size
             self.found.append(StageEstimate("sets", "done", what, 0.0, size))
-            return store, size, kept_memory(*held) + expected_memory(self.levels, self.config.sets, 1)
+            return store, size, kept + expected_memory(self.levels, self.config.sets, 1)
         cost = estimate_pvs(
             self.levels, grid, stages.space, stages.work.at(name), self.config.sets,
-            workers=left_for_sets(self.workers, *held), progress=stages.progress,
+            workers=left_for_sets(self.workers, self.levels, self.union, self.config.sets), progress=stages.progress,
         )  # fmt: skip
         disk = int(cost.disk * self.union / len(self.levels.union))
         state = "begun" if cost.finished or cost.looked else "to do"
         if cost.finished:
             what += f", {cost.finished:,} of them found"
         self.found.append(StageEstimate("sets", state, what, cost.seconds, disk))
-        return None, disk, kept_memory(*held) + cost.memory
+        return None, disk, kept + cost.memory
 
     def _colors(self, store: VisibilityStore | None) -> SrbfColors | None:
         """Return the colors if they exist."""

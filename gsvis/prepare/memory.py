@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from gsvis.pvs.workers import Workers
+from gsvis.pvs.config import PvsConfig
+from gsvis.pvs.workers import COARSER, Workers, expected_memory, memory_error
+from gsvis.scene.levels import Levels
 
 __all__ = ["kept_memory", "left_for_sets"]
 
@@ -22,8 +24,22 @@ def kept_memory(gaussians: int, sh_degree: int) -> int:
     return _BASE + gaussians * (_GAUSSIAN + _HARMONIC * 3 * ((sh_degree + 1) ** 2 - 1))
 
 
-def left_for_sets(workers: Workers | None, gaussians: int, sh_degree: int) -> Workers | None:
-    """Return workers whose limit leaves room for what a preparation holds while they find visible sets."""
+def left_for_sets(workers: Workers | None, levels: Levels, gaussians: int, config: PvsConfig) -> Workers | None:
+    """Return workers whose limit leaves room for what a preparation holds while they find visible sets.
+
+    Args:
+        workers: The workers; None means this process.
+        levels: What they look at.
+        gaussians: Gaussians of all levels of the scene together.
+        config: How sets are found.
+
+    Raises:
+        ArgumentError: If one process does not fit the limit.
+    """
     if workers is None or workers.max_memory is None:
         return workers
-    return replace(workers, max_memory=max(1, workers.max_memory - kept_memory(gaussians, sh_degree)))
+    kept = kept_memory(gaussians, levels.union.sh_degree)
+    need = kept + (0 if workers.executor is not None else expected_memory(levels, config, 1))
+    if workers.max_memory < need:
+        raise memory_error(need, workers.max_memory, f"{gaussians:,} Gaussians", COARSER)
+    return replace(workers, max_memory=max(1, workers.max_memory - kept))

@@ -167,8 +167,8 @@ class Stages:
         with self._stage("sets") as done:
             if not self.work.whole(name) or not (self.around is None or self.work.whole(around_of(name))):
                 done.append(True)
-                held = len(levels.union), levels.union.sh_degree
-                self._find_sets(levels, grid, name, left_for_sets(workers, *held))
+                left = left_for_sets(workers, levels, len(levels.union), self.config.sets)
+                self._find_sets(levels, grid, name, left)
         return self.work.at(name)
 
     def _find_sets(self, levels: Levels, grid: CellGrid, name: str, workers: Workers | None) -> None:

@@ -120,7 +120,17 @@ def _ask(address: str, timeout: float) -> Any:
             answer.set_exception(error)
 
     Thread(target=ask, daemon=True).start()
-    return answer.result(timeout + _SLACK)
+    try:
+        return answer.result(timeout + _SLACK)
+    except FutureTimeoutError:
+        answer.add_done_callback(_close_late)
+        raise
+
+
+def _close_late(answer: Future[Any]) -> None:
+    """Close a client that nobody waits for any more."""
+    if answer.exception() is None:
+        answer.result().close()
 
 
 def _check_versions(client: Any) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from concurrent.futures import Executor
@@ -13,7 +14,17 @@ from gsvis.errors import ArgumentError
 from gsvis.pvs.config import PvsConfig
 from gsvis.scene.levels import Levels
 
-__all__ = ["SCENE_BYTES", "Workers", "expected_memory", "fitting_workers", "machine_load", "sets_memory", "speed_up"]
+__all__ = [
+    "COARSER",
+    "SCENE_BYTES",
+    "Workers",
+    "expected_memory",
+    "fitting_workers",
+    "machine_load",
+    "memory_error",
+    "sets_memory",
+    "speed_up",
+]
 
 # Measured peaks with a margin (docs/design/007): bytes of a process with its libraries, and for each Gaussian: of its
 # looks, and of the tracer that certifies.
@@ -29,6 +40,10 @@ SCENE_BYTES = 58
 """Bytes of each Gaussian in the file of the scene that workers map."""
 
 _EFFICIENCY = 0.9  # of processes with one thread each, which share the memory
+
+
+COARSER = "raise it, or take a coarser level of the scene"
+"""What to do about a scene that does not fit the memory."""
 
 
 @dataclass(frozen=True)
@@ -144,6 +159,19 @@ def machine_load() -> float | None:
         return None
 
 
+def memory_error(need: int, limit: int, what: str, remedy: str) -> ArgumentError:
+    """Return the error of work that does not fit the memory. The need is rounded up: a limit of that suffices.
+
+    Args:
+        need: Bytes.
+        limit: Bytes, `Workers.max_memory`.
+        what: What needs them.
+        remedy: What to do.
+    """
+    least, got = math.ceil(need / 1e6) / 1e3, limit / 1e9
+    return ArgumentError("max_memory", f"expected at least {least:.10g} GB for {what}, got {got:.3g} GB", remedy)
+
+
 def fitting_workers(levels: Levels, config: PvsConfig, workers: Workers) -> int:
     """Return how many processes fit the memory; 1 means that this process does the work."""
     if workers.max_memory is None or workers.executor is not None:
@@ -151,11 +179,6 @@ def fitting_workers(levels: Levels, config: PvsConfig, workers: Workers) -> int:
     sizes = _sizes_of(levels)
     alone = _alone(sizes, config)
     if workers.max_memory < alone:
-        raise ArgumentError(
-            "max_memory",
-            f"expected at least {alone / 1e9:.3g} GB for {len(levels.union):,} Gaussians,"
-            f" got {workers.max_memory / 1e9:.2g} GB",
-            "raise it, or take a coarser level of the scene",
-        )
+        raise memory_error(alone, workers.max_memory, f"{len(levels.union):,} Gaussians", COARSER)
     room = (workers.max_memory - _parent(sizes)) // _worker(sizes, config)
     return int(min(workers.count, room)) if room >= 2 else 1

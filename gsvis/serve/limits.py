@@ -193,7 +193,7 @@ class Pace:
     """Measure how late a server runs, and lengthen its batches if it does.
 
     A batch costs a server about the same for any number of records. A late server sends fewer and larger batches, so
-    that clients get the same bytes, a little less often.
+    that clients get the same bytes, less often.
 
     Attributes:
         turns: Turns of the clients that are planned for in the thread of the event loop.

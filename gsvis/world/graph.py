@@ -34,7 +34,7 @@ from gsvis.files.objects import FolderStore, ObjectStore, StoredObject, open_sto
 from gsvis.files.output import output_errors
 from gsvis.progress import Progress, silent
 from gsvis.pvs.processes import Processes, limit_threads, one_at_a_time
-from gsvis.pvs.workers import Workers
+from gsvis.pvs.workers import Workers, memory_error
 from gsvis.world.memory import IDLE, needed_memory
 
 __all__ = ["TOO_LARGE", "Given", "Job", "Result", "Task", "machine_kind", "perform", "run_graph"]
@@ -380,8 +380,7 @@ class _Run:
 
 
 def _too_large(name: str, need: int, limit: int) -> ArgumentError:
-    got = f"expected at least {need / 1e9:.3g} GB for all workers, one of them with {name}, got {limit / 1e9:.3g} GB"
-    return ArgumentError("max_memory", got, TOO_LARGE)
+    return memory_error(need, limit, f"all workers, one of them with {name}", TOO_LARGE)
 
 
 _LOST = (

@@ -6,11 +6,12 @@ import json
 import shutil
 from pathlib import Path
 
-from gsvis.errors import ArgumentError, SceneError
+from gsvis.errors import SceneError
 from gsvis.files.limits import read_whole
 from gsvis.package import Package
 from gsvis.prepare.prepare import finish_package, stages_of
 from gsvis.progress import silent
+from gsvis.pvs.workers import memory_error
 from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.world.bare import PACKAGE, facts_of_package, reach_of, write_bare_package
@@ -82,8 +83,8 @@ def _check_memory(name: str, joint: Levels, params: Facts, given: Given) -> None
     g = joint.union
     needed = tile_memory(joint.counts, len(g), g.sh_degree, config_of(params["config"]).sets)
     if needed > given.max_memory:
-        got = f"the {len(g):,} Gaussians in and around tile {name}, got {given.max_memory / 1e9:.3g} GB"
-        raise ArgumentError("max_memory", f"expected at least {needed / 1e9:.3g} GB for a worker with {got}", TOO_LARGE)
+        what = f"a worker with the {len(g):,} Gaussians in and around tile {name}"
+        raise memory_error(needed, given.max_memory, what, TOO_LARGE)
 
 
 def _bare(params: Facts, levels: Levels, out: Path) -> Facts:

@@ -106,6 +106,34 @@ def test_bounds_change_no_batch(seed: int, replaced: float, monkeypatch: pytest.
             np.testing.assert_array_equal(getattr(mine, name), getattr(theirs, name))
 
 
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("replaced", "memory"), [(0.3, None), (1.0, None), (0.3, 2500.0)])
+def test_counting_what_arrives_changes_no_batch(seed: int, replaced: float, memory: float | None) -> None:
+    """Batches of single records, with checks of every replacement; cells, filling and evictions on the way."""
+    index = scenes.random_index(seed, count=300)
+
+    def batches(*, checked: bool) -> list[Batch]:
+        rng, found = np.random.default_rng(seed), []
+        planner = Planner(
+            CandidateIndex(index), FieldOfView.from_degrees(80, 60), AbrConfig(replaced=replaced), memory=memory
+        )
+        cells = rng.integers(len(index.grid), size=8)
+        for k in range(240):
+            if k % 3 == 0:
+                planner.on_pose(0.1 * k, index.grid.centers[cells[k // 30]], rng.normal(size=4))
+            if checked:
+                planner._looks[:], planner._looks_far[:], planner._sure[:] = 0, 0, DONE
+            found.append(planner.next_batch(0.1 * k, 40.0, 5000.0))
+        return found
+
+    ours, plain = batches(checked=False), batches(checked=True)
+    assert sum(len(batch.dropped) for batch in ours)
+    assert memory is None or sum(len(batch.evicted) for batch in ours)
+    for name in ("gaussians", "terms", "dropped", "evicted"):
+        for mine, theirs in zip(ours, plain, strict=True):
+            np.testing.assert_array_equal(getattr(mine, name), getattr(theirs, name))
+
+
 @given(st.integers(0, 10_000), st.integers(0, 3))
 def test_a_plane_has_the_spheres_behind_it_that_numpy_finds(seed: int, word: int) -> None:
     rng = np.random.default_rng(seed)

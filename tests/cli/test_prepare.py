@@ -14,6 +14,7 @@ import pytest
 from PIL import Image
 
 from gsvis.cli import main
+from gsvis.cli.memory import check_memory
 from gsvis.io import save_scene
 from gsvis.io.levels import load_levels
 from gsvis.package import Package
@@ -161,6 +162,24 @@ def test_a_scene_that_does_not_fit_the_memory_is_refused_before_it_is_read(
 
     assert least("--levels", "none", *TINY) <= least(*TINY, "--views", "9") < least(*TINY, "--views", "400")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["s.ply"]
+
+
+def test_what_a_line_asks_for_suffices(tmp_path: Path) -> None:
+    scene = tmp_path / "s.ply"
+    save_scene(random_scene(np.random.default_rng(0), 3000), scene)
+    for kind in ("convert", "levels", "color"):
+        with pytest.raises(ValueError, match="--max-memory: expected at least") as refusal:
+            check_memory(kind, [(str(scene), None)], 1_000_000)
+        found = re.search(r"at least ([0-9.]+) MB", str(refusal.value))
+        assert found is not None
+        check_memory(kind, [(str(scene), None)], round(float(found[1]) * 1e6))
+
+
+def test_shares_that_are_too_small_are_named_under_a_limit_too(tmp_path: Path, capsys: Capture) -> None:
+    scene = tmp_path / "s.ply"
+    save_scene(random_scene(np.random.default_rng(0), 3), scene)
+    said = refused(capsys, scene, "-o", tmp_path / "s.gsvis", "--max-memory", "8GB")
+    assert "--levels: expected at least 2 Gaussians in each level" in said
 
 
 def test_wrong_arguments_are_refused_at_once(tmp_path: Path, capsys: Capture) -> None:

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from gsvis.abr.candidates import CandidateIndex
 from gsvis.errors import FormatError
 from gsvis.files import arrow as _arrow
 from gsvis.package import manifest as manifests
@@ -97,3 +98,16 @@ def test_a_reader_that_fails_in_a_way_of_its_own_does_not_either(
     assert "ZeroDivisionError" in caplog.text
     with pytest.raises(ZeroDivisionError):
         open_scenes([other])
+
+
+def test_a_warm_up_computes_what_the_second_plan_in_a_cell_needs(celled: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    found, bounds_of = list[bool](), CandidateIndex.bounds_of
+
+    def noted(self: CandidateIndex, *given: Any, make: bool) -> Any:
+        found.append(make)
+        return bounds_of(self, *given, make=make)
+
+    monkeypatch.setattr(CandidateIndex, "bounds_of", noted)
+    with open_scenes([celled]) as served:
+        served["celled"].warm_up()
+    assert True in found

@@ -24,6 +24,13 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> StreamedScene:
         yield StreamedScene.open(package)
 
 
+@pytest.mark.parametrize(("piece", "seconds"), [(0.01, 0.3), (0.05, 0.3), (0.1, 0.3), (0.2, 0.4), (0.5, 1.0)])
+def test_longer_messages_have_room_for_two(scene: StreamedScene, piece: float, seconds: float) -> None:
+    session = Session(scene, VIEW, AbrConfig(start_rate=1e6, window=0.3, piece=0.05))
+    session.piece = piece
+    assert session.allowance() == pytest.approx(1e6 * seconds)
+
+
 def test_what_is_in_flight_is_bounded_by_the_window(scene: StreamedScene) -> None:
     session = Session(scene, VIEW, AbrConfig(start_rate=1e4, window=0.9))
     session.on_pose(0.0, [0, 0, 0], [1, 0, 0, 0])

@@ -19,12 +19,15 @@ def not_behind(typing_context: Any, x: Any, y: Any, z: Any, radii: Any, low: Any
 
     Args:
         typing_context: Given by numba.
-        x: (N,) float32, contiguous, as are the others.
-        y: (N,).
-        z: (N,).
-        radii: (N,).
+        x: (N,) float32 centers, contiguous, N >= `low` + 64; scene units, as are the others.
+        y: (N,) float32.
+        z: (N,) float32.
+        radii: (N,) float32; -inf is behind every plane.
         low: First of the spheres.
-        plane: (a, b, c, d) float32.
+        plane: (a, b, c, d) float32, with (a, b, c) a unit vector.
+
+    Returns:
+        uint64, bit i for sphere `low` + i. A sphere that is not a number reaches the front.
     """
 
     def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:

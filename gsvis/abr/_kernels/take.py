@@ -10,6 +10,7 @@ from gsvis._kernels.compiled import kernel
 from gsvis._kernels.prefetch import prefetch
 from gsvis.abr._kernels.plan import ANY, DONE, KIND_BITS, SEVERAL, UNITS
 
+AT_ONCE = 8  # packed sets that `see` takes
 _NONE = -1  # in `Links.only`
 _AHEAD = 8  # entries of a plan that are read ahead
 
@@ -32,7 +33,7 @@ def forget_paid(words, active, held, term_offsets, owed):
 
 @kernel(error_model="numpy")
 def see(seen, wanted, held, owed, allowed):
-    """Add what eight cells see, packed sets (W,), to what is allowed (W,).
+    """Add what `AT_ONCE` cells see, packed sets (W,), to what is allowed (W,).
 
     Returns:
         Whether a Gaussian in one of them and in `wanted` (W,), not gone, is not held or owes terms (S,).
@@ -95,7 +96,7 @@ def _change(centers, place, cosine, width, looks):
 
 @kernel(error_model="numpy")
 def widen(candidates, others, held, links, near, looks):
-    """Add others (W,) to the candidates (W,); check again whose replacements among them have arrived already.
+    """Add others (W,) to the candidates (W,); set `looks` (E,) to 0 where replacements among them have arrived already.
 
     A candidate that has not arrived only makes the area larger that has to arrive. What `near` (E,), the `looks` of a
     cell, knows as replaced is so for these candidates, too.

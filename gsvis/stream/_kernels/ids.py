@@ -204,7 +204,7 @@ def owners_from(values, terms, share, gaussians, out):
 
 @kernel
 def ascend(ids, blank, out):
-    """Write ids (M,), all different, to `out` in ascending order; `blank` is an empty packed set for all there are."""
+    """Write ids (M,), all different, to `out` in ascending order; `blank`, zeros for all there are, is overwritten."""
     _mark(ids, blank)
     count, one = 0, np.uint64(1)
     for w in range(len(blank)):
@@ -235,13 +235,13 @@ def lay_out(ids, blank, of, starts, known, out, rows, fresh):
 
     Args:
         ids: (G,) int32 ids of Gaussians, all different.
-        blank: (W,) uint64 zeros.
+        blank: (W,) uint64 zeros, room for a packed set of all ids; overwritten.
         of: (N,) int32, the chunk of each Gaussian.
         starts: (C + 1,) first id of each chunk, and N.
         known: (C,) bool.
         out: (G,) int32 receives the ids.
         rows: (G,) int32 receives their chunks.
-        fresh: (C,) or more, receives the chunks that were not known yet, ascending.
+        fresh: (min(G, C),) or more, receives the chunks that were not known yet, ascending.
 
     Returns:
         Number of those.
