@@ -54,7 +54,7 @@ USE = (
                     "abr_planning: cells see 100%, fov-first: cold, median",
                     "abr_planning: showroom: 50 clients, a tick of one, mean",
                     "abr_planning: showroom, fov-first: cold, median",
-                    "server_load: 25 viewers: viewers by CPU",
+                    "server_load: 60 viewers: viewers by CPU",
                     "server_processes: viewers of two processes over those of one",
                 ),
                 ours="{3:.0f}, two {4:.1f} times; {0:.0f}, {2:.0f} ms; {1:.1f} ms",

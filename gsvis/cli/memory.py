@@ -49,7 +49,7 @@ class Need(NamedTuple):
 
 NEEDS = {
     "convert": Need(184 << 20, 320, 24),
-    "page": Need(160 << 20, 900, 12),  # convert to .html
+    "page": Need(256 << 20, 900, 12),  # convert to .html
     "levels": Need(440 << 20, 700, 30),
     "color": Need(300 << 20, 600, 32),
 }

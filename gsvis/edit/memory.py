@@ -4,7 +4,7 @@ from __future__ import annotations
 
 __all__ = ["BASE", "cleaning_memory", "most_gaussians"]
 
-BASE = 500 << 20
+BASE = 600 << 20
 """Bytes of a process that cleans, grids and libraries included, whatever the scene."""
 
 _GAUSSIAN, _HARMONIC = 500, 12  # bytes for each, and for each of its SH coefficients above degree 0, rounded up
