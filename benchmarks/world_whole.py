@@ -1,8 +1,8 @@
 """What does a whole world cost, and does a dry run tell it: processor time, memory, disk?
 
 A scene, or copies of it, is prepared as a world, after a dry run with the same options. A run that was stopped goes on;
-its peak of memory stays in a file beside the work. With the result of a smaller world, the exponents of time against
-Gaussians are told as well.
+its peak of memory stays in a file beside the work. With the result of a smaller world, it reports exponents of time
+against Gaussians as well.
 
 Given: a scene and options on the command line.
 Measured: seconds of processor of all tasks, peak of proportional memory (PSS) of all processes, bytes of the world and

@@ -173,9 +173,8 @@ class ServedScene:
         for _ in range(2):  # a new viewer, and one that reconnects
             session = Session.from_hello(scene, Hello(view, bytes.fromhex(scene.about.identity), holdings))
             session.welcome(0.0)
-            for k, center in enumerate(
-                [grid.centers[0], *grid.centers[:_WALK]]
-            ):  # the second plan in a cell is another
+            stops = [*grid.centers[:1], *grid.centers[:_WALK]]  # the first twice: a second plan needs other kernels
+            for k, center in enumerate(stops):
                 session.on_pose(0.1 * k, center, (1.0, 0.1 * k, 0.0, 0.0))
                 message = session.next_message(0.1 * k + 0.02, _PIECE)
                 session.on_ack(0.1 * k + 0.05, message.sequence if message is not None else 0)

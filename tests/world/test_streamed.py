@@ -117,17 +117,17 @@ def test_districts_that_no_cell_sees_have_no_ids(far: Path) -> None:
 
 def test_a_district_is_replaced_by_all_of_its_tiles(far: Path) -> None:
     """What replaces it, and what replaces that, ends at the lowest levels of its tiles, whichever nodes lack ids."""
-    world, scene = World.open(far), open_world(far)[0]
-    bases, index = scene.package.bases, scene.index  # type: ignore[attr-defined]
+    world, index = World.open(far), open_world(far)[0].index
+    bases, tiles = WorldPackage(world, set()).bases, len(world.manifest.tiles)
     for node in sorted(seen_districts(world)):
-        entry, reached = world.manifest.node(node), set(range(*bases[node : node + 2].tolist()))
+        reached = set(range(*bases[node : node + 2].tolist()))
         waiting = list(reached)
         while waiting:
             some = slice(*index.replacement_offsets[waiting[-1] : waiting.pop() + 2].tolist())
             fresh = set(index.replacement_ids[some].tolist()) - reached
             reached |= fresh
             waiting += fresh
-        for tile in entry.tiles:  # type: ignore[union-attr]
+        for tile in world.manifest.districts[node - tiles].tiles:
             with world.package(tile) as own:
                 lowest = np.flatnonzero(own.contents.first == own.contents.first.min())
             assert set((bases[tile] + lowest).tolist()) <= reached
