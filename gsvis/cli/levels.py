@@ -117,11 +117,15 @@ def _check_arguments(command: Levels) -> LevelsConfig:
     check_folder(_target(command.out).parent)  # unfinished work is kept there
     _check_target(command, config.level_names)
     images = 0
-    if command.photos is None:  # photographs check themselves
+    if command.photos is None:
         sampling = view_sampling(command.views, command.size, command.seed)
         held_out = _HELD_OUT if command.held_out is None else command.held_out
         check_views(sampling, held_out)
         images = image_bytes(sampling, held_out)
+    elif command.max_memory is not None:
+        from gsvis.train.photos import photo_bytes
+
+        images = photo_bytes(command.photos, command.size)
     remedy = "raise it, take fewer --views or a smaller --size, or make levels of tiles with gsvis world --until levels"
     check_memory(
         "levels", [(command.scene, command.lod)], command.max_memory, remedy, more=images,

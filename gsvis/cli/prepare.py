@@ -133,7 +133,11 @@ def _check_arguments(command: Prepare) -> PrepareConfig:
         epsilon_from="given" if command.epsilon else PrepareConfig.epsilon_from,
         meters_per_unit=command.meters_per_unit or 0.0,
     )
-    images = 0 if command.photos is not None else image_bytes(sampling, PrepareConfig.level_held_out)
+    images = image_bytes(sampling, PrepareConfig.level_held_out) if command.photos is None else 0
+    if command.photos is not None and command.max_memory is not None and levels is not None:
+        from gsvis.train.photos import photo_bytes
+
+        images = photo_bytes(command.photos, command.size)
     try:
         check_preparation(command.scene, command.lod, config, command.max_memory, images)
     except ArgumentError as error:

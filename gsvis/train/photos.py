@@ -27,7 +27,7 @@ from gsvis.scene.points import PointCloud
 from gsvis.train._photo_files import FAULTS, find_files, find_views, join_names, quiet_pillow, read_sizes, whole_factor
 from gsvis.train.images import PosedImages
 
-__all__ = ["FEWEST_VIEWS", "Photos", "load_photos", "load_viewpoints"]
+__all__ = ["FEWEST_VIEWS", "Photos", "load_photos", "load_viewpoints", "photo_bytes"]
 
 Size = tuple[int, int]
 
@@ -77,6 +77,20 @@ def load_viewpoints(folder: str | PathLike[str]) -> NDArray[np.float64]:
     return np.asarray(-np.einsum("nij,ni->nj", poses[:, :3, :3], poses[:, :3, 3]))
 
 
+def photo_bytes(folder: str | PathLike[str], size: Size | None = None) -> int:
+    """Return the bytes that the photos of a folder take in memory, by their headers; decodes none.
+
+    Args:
+        folder: As in `load_photos`.
+        size: (width, height) in pixels to shrink them to; None keeps their size.
+
+    Raises:
+        As `load_photos`, but for what only decoding finds.
+    """
+    _, files, _, (width, height) = _find(_check.path("folder", folder), None, None, size)
+    return 3 * len(files) * width * height
+
+
 def load_photos(
     folder: str | PathLike[str],
     *,
@@ -113,22 +127,8 @@ def load_photos(
         >>> load_photos("../shared/data/photos/bonsai", size=(400, 266))  # doctest: +SKIP
         Photos(PosedImages(292 of 400 x 266), 51,939 points)
     """
-    _check_target(downscale, size)
     path = _check.path("folder", folder)
-    views, folders = find_views(path, None if images is None else _check.path("images", images))
-    if len(views.names) < FEWEST_VIEWS:
-        raise SceneError(
-            f"{views.path}: expected at least {FEWEST_VIEWS} posed images, got {len(views.names)};"
-            " add photographs, or check why COLMAP dropped them"
-        )
-    files = find_files(views, folders)
-    sizes = read_sizes(files)
-    factor = whole_factor(views, sizes)
-    remarks = []
-    if factor > 1:
-        remarks.append(f"The images are 1/{factor} of the size in the model; its intrinsics were rescaled to them.")
-    views = _resize(views, sizes)
-    width, height = _target(views, downscale, size)
+    views, files, remarks, (width, height) = _find(path, images, downscale, size)
     _check_memory(len(files), width, height)
     cameras = views.cameras((width, height))
     found = find_points(path)
@@ -138,6 +138,27 @@ def load_photos(
     if transparent:
         remarks.append(f"Transparency was blended over black in {transparent:,} of {len(files):,} images.")
     return Photos(PosedImages(cameras, pixels), points if points is not None and len(points) else None, tuple(remarks))
+
+
+def _find(
+    path: Path, images: str | PathLike[str] | None, downscale: float | None, size: Size | None
+) -> tuple[Views, list[Path], list[str], Size]:
+    """Return the views, the file of each, remarks, and the size to shrink to; arguments are those of `load_photos`."""
+    _check_target(downscale, size)
+    views, folders = find_views(path, None if images is None else _check.path("images", images))
+    if len(views.names) < FEWEST_VIEWS:
+        raise SceneError(
+            f"{views.path}: expected at least {FEWEST_VIEWS} posed images, got {len(views.names)};"
+            " add photographs, or check why COLMAP dropped them"
+        )
+    files = find_files(views, folders)
+    sizes = read_sizes(files)
+    factor = whole_factor(views, sizes)
+    remarks: list[str] = []
+    if factor > 1:
+        remarks.append(f"The images are 1/{factor} of the size in the model; its intrinsics were rescaled to them.")
+    views = _resize(views, sizes)
+    return views, files, remarks, _target(views, downscale, size)
 
 
 def _check_target(downscale: float | None, size: Size | None) -> None:

@@ -245,6 +245,18 @@ def test_a_scene_that_does_not_fit_the_memory_is_refused_before_it_is_read(
     assert sizes[1] - sizes[0] == pytest.approx(12 * 400 * 480 * 360 / 1e9, abs=0.11)
 
 
+@pytest.mark.parametrize("command", ["levels", "prepare"])
+def test_photographs_count_before_the_scene_is_read(
+    command: str, ply: Path, photos: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(f"gsvis.cli.{command}.load_source", lambda *given: pytest.fail("the scene was read"))
+    monkeypatch.setattr("gsvis.train.photos.photo_bytes", lambda folder, size: 9_000_000_000)
+    words = [command, str(ply), "-o", str(tmp_path / "out.gsvis"), "--photos", str(photos), "--max-memory", "5GB"]
+    assert main(words) != 0
+    assert "--max-memory: expected at least 9." in capsys.readouterr().err
+    assert names(tmp_path) == []
+
+
 def test_wrong_files_and_folders_are_refused_at_once(ply: Path, tmp_path: Path, capsys: Capture) -> None:
     (tmp_path / "file").touch()
     (tmp_path / "empty").mkdir()

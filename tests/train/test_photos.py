@@ -16,7 +16,7 @@ from PIL import Image
 
 from gsvis.errors import FormatError, SceneError
 from gsvis.scene.cameras import Cameras
-from gsvis.train.photos import FEWEST_VIEWS, load_photos
+from gsvis.train.photos import FEWEST_VIEWS, load_photos, photo_bytes
 from tests.io.colmap_files import write_mixed
 from tests.train.photo_files import HEIGHT, WIDTH, cameras, cloud, pictures, write_photos, write_transforms
 
@@ -55,6 +55,15 @@ def test_views_are_sorted_by_name_with_their_images(tmp_path: Path) -> None:
     photos = load_photos(tmp_path)
     np.testing.assert_array_equal(photos.views.images, pictures())
     np.testing.assert_allclose(photos.views.cameras.viewmats, views.viewmats, atol=1e-12)
+
+
+@pytest.mark.parametrize("size", [None, (24, 16)])
+def test_bytes_are_those_of_the_images_and_no_pixel_is_read(tmp_path: Path, size: tuple[int, int] | None) -> None:
+    write_photos(tmp_path)
+    whole = load_photos(tmp_path, size=size).views.images.nbytes
+    for path in (tmp_path / "images").iterdir():
+        path.write_bytes(path.read_bytes()[:60])  # the header is whole
+    assert photo_bytes(tmp_path, size) == whole
 
 
 def test_shrinking_keeps_every_ray_and_the_light(tmp_path: Path) -> None:
