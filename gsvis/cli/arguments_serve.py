@@ -42,7 +42,7 @@ class Serve:
     no_fill: Flag = False
     """Send only what a view needs: an idle link does not bring the rest of the scene."""
     coarse: Flag = False
-    """Round records before they are sent: 10 to 11 bytes a Gaussian instead of 14, at about 45 dB."""
+    """Round records before they are sent: about 10 bytes a Gaussian instead of 14, at about 45 dB."""
     clients: Annotated[int, COUNTED] = 100
     """Most viewers at once."""
     per_address: Annotated[int | None, COUNTED, hint("half of --clients, at least 8")] = None

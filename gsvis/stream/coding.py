@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,13 +26,15 @@ from gsvis.stream.tables import Tables
 __all__ = [
     "MOST_STEP",
     "Coding",
+    "Limits",
     "Quality",
     "Steps",
     "chunks_of",
     "coarsen",
+    "limits_for",
+    "mean_light",
     "round_records",
     "sizes_of",
-    "steps_for",
     "table_sizes",
 ]
 
@@ -48,21 +51,23 @@ MOST_STEP = 1 << 15
 
 @dataclass(frozen=True)
 class Quality:
-    """How records are rounded before coding. Steps are coarser for transparent Gaussians than for opaque ones.
+    """How records are rounded before coding: coarser what adds less light to an image.
+
+    Light goes with the area of a Gaussian's outline times the square of its opacity.
 
     Attributes:
         place: log2 of the coarsest step of a coordinate, in mean scales, of an opaque Gaussian of middle size.
         turn: Bits of each component of the quaternion that a Gaussian of middle size loses.
-        opacity: Bits of the opacity that are rounded.
-        shape: Bits of the ratios of the scales that are rounded.
-        color: Bits of each byte of the base color that are rounded.
+        opacity: Bits of the opacity that are rounded, of a Gaussian of middle area.
+        shape: Bits of the ratios of the scales that are rounded, of a Gaussian of mean light.
+        color: Bits of each byte of the base color that are rounded, of a Gaussian of mean light.
     """
 
-    place: float = -2.25
-    turn: float = 4.25
-    opacity: int = 2
-    shape: int = 1
-    color: int = 2
+    place: float = -2.0
+    turn: float = 4.75
+    opacity: float = 2.75
+    shape: float = 3.0
+    color: float = 2.75
 
 
 @dataclass(frozen=True)
@@ -76,6 +81,18 @@ class Steps:
 
     place: int
     turn: int
+
+
+class Limits(NamedTuple):
+    """How all records of a scene are rounded.
+
+    Attributes:
+        steps: Which bits are left out.
+        rounding: Which others are rounded; no client needs to know it.
+    """
+
+    steps: Steps
+    rounding: records.Rounding
 
 
 def chunks_of(table: ChunkTable) -> records.Chunks:
@@ -246,33 +263,62 @@ def coarsen(contents: Contents, quality: Quality) -> tuple[Contents, Steps]:
         quality: How to round.
     """
     sizes = sizes_of(contents)
-    steps = steps_for(quality, float(np.median(sizes[0])), float(np.median(sizes[1])))
-    return round_records(contents, quality, steps), steps
+    mean, area = np.median(sizes[:2], axis=1).tolist()
+    limits = limits_for(quality, mean, area, mean_light(sizes[2]))
+    return round_records(contents, limits), limits.steps
 
 
 def sizes_of(contents: Contents) -> NDArray[np.float64]:
-    """Return (2, N) the mean of log2 of the scales, and the sum of the larger two; (2, 1) zeros if there are none."""
-    scales = np.log2(np.maximum(contents.gaussians().scales.astype(np.float64), 1e-30))
-    if not len(scales):
-        scales = np.zeros((1, 3))
-    return np.stack([scales.mean(axis=1), np.sort(scales, axis=1)[:, 1:].sum(axis=1)])
+    """Return (3, N), each in octaves; (3, 1) zeros if there are no Gaussians.
+
+    The mean of the scales, the area (product of the larger two), and that times the square of the opacity in 255ths.
+    """
+    g = contents.gaussians()
+    if not len(g):
+        return np.zeros((3, 1))
+    scales = np.log2(np.maximum(g.scales.astype(np.float64), 1e-30))
+    areas = np.sort(scales, axis=1)[:, 1:].sum(axis=1)
+    return np.stack([scales.mean(axis=1), areas, areas + 2.0 * np.log2(np.maximum(255.0 * g.opacities, 1.0))])
 
 
-def steps_for(quality: Quality, mean: float, largest: float) -> Steps:
-    """Return which bits are left out of a scene with these medians of `sizes_of`."""
-    limits = 64 * np.array([quality.place + mean + np.log2(255), quality.turn + largest / 4])
-    place, turn = np.clip(np.rint(limits), -MOST_STEP, MOST_STEP).astype(int).tolist()
-    return Steps(place, turn)
+def mean_light(lights: NDArray[np.float64], counts: I64 | None = None) -> float:
+    """Return the light, in octaves, whose root is the mean of the roots of some.
+
+    If the light that errors cost goes with the root of a Gaussian's light, as after rounding by `Quality`, the sum of
+    all errors is that of as many Gaussians of this light.
+
+    Args:
+        lights: (M,) the third row of `sizes_of`.
+        counts: (M,) how often each occurs; None means once.
+    """
+    most = float(lights.max())
+    return most + 2.0 * float(np.log2(np.average(np.exp2((lights - most) / 2.0), weights=counts)))
 
 
-def round_records(contents: Contents, quality: Quality, steps: Steps) -> Contents:
-    """Return a package with records in boxes, without the bits that are left out."""
+def limits_for(quality: Quality, mean: float, area: float, light: float) -> Limits:
+    """Return how a scene with these sizes is rounded.
+
+    Args:
+        quality: How to round.
+        mean: Median of the first row of `sizes_of`.
+        area: Median of the second row.
+        light: `mean_light` of the third row.
+    """
+    limits = np.array([
+        quality.place + mean + np.log2(255), quality.turn + area / 4,
+        quality.opacity + area / 4, quality.shape + light / 4, quality.color + light / 4,
+    ])  # fmt: skip
+    place, turn, *rounding = np.clip(np.rint(64 * limits), -MOST_STEP, MOST_STEP).astype(int).tolist()
+    return Limits(Steps(place, turn), records.Rounding(*rounding))
+
+
+def round_records(contents: Contents, limits: Limits) -> Contents:
+    """Return a package with records in boxes, rounded, without the bits that are left out."""
     laid, table = lay_linear(contents.records, contents.table, contents.layout)
     contents = replace(contents, records=laid, table=table)
-    rounding = records.Rounding(quality.opacity, quality.shape, quality.color)
     out = np.empty((len(contents), 2), np.uint64)
-    chunks = chunks_of(contents.table)
-    records.coarsen(_pairs(contents.records), contents.chunks, chunks, layout_of(contents.grids, steps), rounding, out)
+    layout, chunks = layout_of(contents.grids, limits.steps), chunks_of(contents.table)
+    records.coarsen(_pairs(contents.records), contents.chunks, chunks, layout, limits.rounding, out)
     return replace(contents, records=_bytes(out))
 
 

@@ -23,7 +23,7 @@ from gsvis.files.mapped import ArrayFiles
 from gsvis.package.contents import Contents
 from gsvis.package.layout import RECORD_BYTES
 from gsvis.package.manifest import Manifest
-from gsvis.stream.coding import Coding, Quality, Steps, chunks_of, round_records, sizes_of, steps_for
+from gsvis.stream.coding import Coding, Limits, Quality, chunks_of, limits_for, mean_light, round_records, sizes_of
 from gsvis.stream.header import SceneHeader
 from gsvis.stream.scene import chunk_rows_of
 
@@ -83,6 +83,7 @@ class _Survey:
     coding: Coding
     nbytes: tuple[float, float]
     centers: I64  # ascending places of the centers of terms
+    limits: Limits | None  # how records are rounded
 
 
 def write_tables(
@@ -109,7 +110,7 @@ def write_tables(
         area = 2.0 * np.pi * 0.3 * pixel**2
         weight = float(np.mean(weights))
         numbers = piecewise.PieceNumbers(ranges[-1][1], about.terms, len(m.names), *survey.nbytes, area, weight)
-        ends, terms = _write_pieces(out, package, survey, quality, numbers), about.terms
+        ends, terms = _write_pieces(out, package, survey, numbers), about.terms
         piecewise.write_reversed(out, ranges, ends, [package.piece_sources(k) for k in range(len(ranges))])
         found = piecewise.write_words(out, numbers)
         for name, array in {**cells, "class_weights": weights}.items():
@@ -129,12 +130,12 @@ def write_tables(
 
 def _survey(package: Pieces, quality: Quality | None) -> _Survey:
     """Read all pieces twice: their sizes and centers, then their symbols."""
-    steps, keys = None if quality is None else _steps(package, quality), np.zeros(0, np.int64)
+    limits, keys = None if quality is None else _limits(package, quality), np.zeros(0, np.int64)
     coding, counts, sums = None, np.zeros(0, np.int64), np.zeros(4)
     for k, contents in enumerate(package.pieces()):
-        rounded = contents if quality is None or steps is None else round_records(contents, quality, steps)
+        rounded = contents if limits is None else round_records(contents, limits)
         if coding is None:
-            coding = Coding.blank(contents.grids, steps)
+            coding = Coding.blank(contents.grids, None if limits is None else limits.steps)
             counts = np.zeros(len(coding.tables.levels), np.int64)
         counts += package.piece_weight(k) * coding.count(rounded)
         if package.epsilon is not None and len(contents.term_records):
@@ -142,31 +143,30 @@ def _survey(package: Pieces, quality: Quality | None) -> _Survey:
     assert coding is not None, "a scene has pieces"
     coding = coding.filled(counts)
     for contents in package.pieces():
-        rounded = contents if quality is None or steps is None else round_records(contents, quality, steps)
+        rounded = contents if limits is None else round_records(contents, limits)
         ids = np.arange(0, len(contents), 2)[:_SOME]
         owners = np.repeat(np.arange(len(contents), dtype=np.int32), contents.term_counts)[:_SOME]
         found = coding.encode_records(rounded.records[ids], ids, rounded.chunks[ids], chunks_of(rounded.table))
         of_terms = coding.encode_terms(rounded.term_records[: len(owners)].copy(), owners)
         shares = len(contents) / max(len(ids), 1), len(contents.term_records) / max(len(owners), 1)
         sums += (len(found) * shares[0], len(contents), len(of_terms) * shares[1], len(contents.term_records))
-    return _Survey(coding, (sums[0] / max(sums[1], 1), sums[2] / sums[3] if sums[3] else 4.0), keys)
+    return _Survey(coding, (sums[0] / max(sums[1], 1), sums[2] / sums[3] if sums[3] else 4.0), keys, limits)
 
 
-def _steps(package: Pieces, quality: Quality) -> Steps:
-    """Return the steps of rounding from medians that are right to 1/2048 octave."""
-    counts = np.zeros((2, 2 * _SPAN * _BINS), np.int64)
+def _limits(package: Pieces, quality: Quality) -> Limits:
+    """Return how records are rounded, from sizes that are right to 1/2048 octave."""
+    counts = np.zeros((3, 2 * _SPAN * _BINS), np.int64)
     for contents in package.pieces():
         for row, values in zip(counts, sizes_of(contents), strict=True):
             places = np.floor((np.clip(values, -_SPAN, _SPAN) + _SPAN) * _BINS).astype(np.int64)
             row += np.bincount(places.clip(0, len(row) - 1), minlength=len(row))
-    half = [int(np.searchsorted(np.cumsum(row), (row.sum() + 1) // 2)) for row in counts]
-    mean, largest = ((place + 0.5) / _BINS - _SPAN for place in half)
-    return steps_for(quality, mean, largest)
+    middles = (np.arange(counts.shape[1]) + 0.5) / _BINS - _SPAN
+    mean, area = (middles[np.searchsorted(np.cumsum(row), (row.sum() + 1) // 2)] for row in counts[:2])
+    found = counts[2] > 0
+    return limits_for(quality, mean, area, mean_light(middles[found], counts[2][found]))
 
 
-def _write_pieces(
-    out: ArrayFiles, package: Pieces, survey: _Survey, quality: Quality | None, numbers: piecewise.PieceNumbers
-) -> list[int]:
+def _write_pieces(out: ArrayFiles, package: Pieces, survey: _Survey, numbers: piecewise.PieceNumbers) -> list[int]:
     """Append the records of all pieces and what replaces them; return what `write_links` returns for each."""
     ends, coding = [], survey.coding
     chunks, terms = 0, 0
@@ -182,9 +182,7 @@ def _write_pieces(
         out.append("record_centers", np.zeros((0, 3), np.float32))
     out.append("record_term_offsets", np.zeros(1, np.int64))
     for piece, (low, contents) in enumerate(zip((low for low, _ in package.ranges()), package.pieces(), strict=True)):
-        rounded = (
-            contents if quality is None or coding.steps is None else round_records(contents, quality, coding.steps)
-        )
+        rounded = contents if survey.limits is None else round_records(contents, survey.limits)
         levels = contents.levels()
         radii, areas = extents(levels.union)
         piecewise.write_gaussians(out, levels.union.means, radii, areas, (levels.first, levels.last), numbers)

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 
 from gsvis.color.records import Grids
 from gsvis.errors import ProtocolError
-from gsvis.package import Contents
+from gsvis.package import Contents, base_rgb
 from gsvis.package.codec import ChunkTable
 from gsvis.package.layout import RecordLayout, TermLayout
 from gsvis.stream._kernels import coder, records, terms
-from gsvis.stream.coding import Coding, Quality, Steps, chunks_of, coarsen, table_sizes
+from gsvis.stream.coding import Coding, Quality, Steps, chunks_of, coarsen, sizes_of, table_sizes
 from gsvis.stream.reference import PlainReader, longest_step, read_record, read_term, table_slots
 from gsvis.stream.tables import MOST_LEVEL, Tables
 from tests.package.worlds import colors_of, levels_of, without_wide_places
@@ -210,12 +210,18 @@ def test_coarse_records_are_shorter_and_near(variant: str) -> None:
     sizes = [len(k.encode_records(c.records, ids, c.chunks, chunks)) for c, k in ((exact, code), (coarse, rough))]
     assert sizes[1] < 0.8 * sizes[0] < 0.8 * exact.records.nbytes
     again, steps = coarsen(coarse, Quality())
-    assert np.array_equal(again.records[:, 0], coarse.records[:, 0])
+    assert (again.records[:, 0] == coarse.records[:, 0]).mean() > 0.9  # what rounding goes by is rounded too
     assert rough.steps is not None
     assert abs(steps.turn - rough.steps.turn) <= 64
     a, b = exact.gaussians(), coarse.gaussians()
     assert np.abs(a.means - b.means).max() <= b.scales.max()
-    assert np.abs(np.log2(a.scales / b.scales)).max() < 0.2
+    octaves = np.abs(np.log2(a.scales / b.scales)).max(axis=1)
+    tints = np.abs(base_rgb(exact.records, exact.grids) - base_rgb(coarse.records, coarse.grids)).max(axis=1)
+    _, area, light = sizes_of(exact)
+    for errors, weight in ((octaves, light), (tints, light), (np.abs(a.opacities - b.opacities), area)):
+        strong, weak = weight >= np.quantile(weight, 0.75), weight <= np.quantile(weight, 0.25)
+        assert errors[strong].mean() < errors[weak].mean()
+    assert octaves.max() < 1.0
 
 
 def test_kernels_have_as_many_tables_as_there_are_sizes() -> None:

@@ -46,7 +46,7 @@ class Record(NamedTuple):
 
 RECORDS = (
     Record("vector.json", "hsl", True, None, 0, (1100.0, 1300.0, 4000.0)),
-    Record("vector_memory.json", "rgb", False, Quality(), 1400, (1200.0,) * 8),
+    Record("vector_memory.json", "rgb", False, Quality(), 1400, (1100.0,) * 8),
 )
 
 

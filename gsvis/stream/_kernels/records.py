@@ -62,8 +62,17 @@ class Layout(NamedTuple):
     before: NDArray[np.int32]
 
 
+MOST_ROUNDED = 5  # bits of the opacity, of a ratio of scales or of a byte of color
+
+
 class Rounding(NamedTuple):
-    """Bits of the opacity, of the ratios of the scales, and of each byte of the color that `coarsen` rounds."""
+    """How many bits `coarsen` rounds, 1/64 bits, where what they weigh is 1: a quarter less for each octave of it.
+
+    Attributes:
+        opacity: Of the opacity. It weighs as the area of the outline, scene units squared.
+        shape: Of the ratios of the scales. They weigh as that area times the square of the opacity, in 255ths.
+        color: Of each byte of the color, which weighs as the ratios do.
+    """
 
     opacity: int
     shape: int
@@ -404,23 +413,24 @@ def coarsen(words, rows, chunks, layout, rounding, out):
     half = (1 << (rotation - 1)) - 1
     for i in range(len(words)):
         low, high, row = words[i, 0], words[i, 1], rows[i]
-        stride = chunks.strides[row]
-        opacity = _round(np.int64(low & np.uint64(255)), rounding.opacity, _NONE, _BYTE)
+        stride, opacity = chunks.strides[row], np.int64(low & np.uint64(255))
         for k in range(3):
             s[k] = take(low, high, head + k * width + position + rotation, scale)
         top = max(s[0], s[1], s[2])
-        middle, smallest = top, np.int64(0)
-        for k in range(3):  # shapes relative to the largest, which stays
-            s[k] = top - _round(top - s[k], rounding.shape, _NONE, top)
-            smallest = max(smallest, top - s[k])
-        middle = 3 * top - s[0] - s[1] - s[2] - smallest
-        bits[0], bits[1] = np.uint64(opacity), np.uint64(0)
         size = chunks.lows[row] + top * stride
+        area = 2 * size - _middle(s, top) * stride
+        light = area + 2 * layout.logs[opacity]
+        opacity = _round(opacity, _rounded(rounding.opacity, area), _NONE, _BYTE)
+        shape, tint = _rounded(rounding.shape, light), _rounded(rounding.color, light)
+        for k in range(3):  # shapes relative to the largest, which stays
+            s[k] = top - _round(top - s[k], shape, _NONE, top)
+        middle = _middle(s, top)
+        bits[0], bits[1] = np.uint64(opacity), np.uint64(0)
         turn = _turn(size, middle, stride, layout)
         limit = _place_limit(size, middle, opacity, stride, layout)
         for k in range(layout.colors):
             color = np.int64((low >> np.uint64(8 * (1 + k))) & np.uint64(255))
-            put(bits, 8 * (1 + k), _round(color, rounding.color, _NONE, _BYTE))
+            put(bits, 8 * (1 + k), _round(color, tint, _NONE, _BYTE))
         for k in range(3):
             at = head + k * width
             wide = chunks.bits[row, k]
@@ -429,6 +439,18 @@ def coarsen(words, rows, chunks, layout, rounding, out):
             put(bits, at + position, _round(take(low, high, at + position, rotation), turn, half, 2 * half + 1))
             put(bits, at + position + rotation, s[k])
         out[i, 0], out[i, 1] = bits[0], bits[1]
+
+
+@inner(forceinline=True)
+def _middle(scales, top):
+    """Return how far the middle one of three scales is below the largest."""
+    return 2 * top - scales[0] - scales[1] - scales[2] + min(scales[0], scales[1], scales[2])
+
+
+@inner(forceinline=True)
+def _rounded(limit, weight):
+    """Return how many bits are rounded of what weighs this, 1/64 octaves."""
+    return min(max((limit - (weight >> 2)) >> 6, _NONE), np.int64(MOST_ROUNDED))
 
 
 @inner(forceinline=True)
