@@ -81,8 +81,9 @@ def _check_memory(around: Surroundings, levels: Levels, params: Facts, given: Gi
     """Raise unless a tile and what stands around it fit the memory of a worker."""
     if given.max_memory is None:
         return
-    count = len(levels.union) + len(around)
-    needed = tile_memory(around.joined_counts(levels), count, levels.union.sh_degree, config_of(params["config"]).sets)
+    own, count = len(levels.union), len(levels.union) + len(around)
+    sets, degree = config_of(params["config"]).sets, levels.union.sh_degree
+    needed = tile_memory(own, around.joined_counts(levels), count, degree, sets)
     if needed > given.max_memory:
         what = f"a worker with the {count:,} Gaussians in and around tile {params['name']}"
         raise memory_error(needed, given.max_memory, what, TOO_LARGE)
