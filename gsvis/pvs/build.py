@@ -183,9 +183,12 @@ def build_pvs(
             needed = {int(k) for task in cells for k in work.shared.of_cell(task.number)}
             looks = [work.viewpoint_task(k) for k in sorted(needed - set(seen))]
             total = len(work.shared)
-            with _begin_work(work, workers, count, max(len(looks), len(cells)), one_level) as run:
-                _perform(work, run(looks), name_viewpoint, ("viewpoints", total - len(looks), total), progress)
-                _perform(work, run(cells), name_cell, ("cells", len(found), len(grid)), progress)
+            with _scene_here(work, one_level) as here:
+                with _begin_work(work, here, workers, count, max(len(looks), len(cells))) as run:
+                    _perform(work, run(looks), name_viewpoint, ("viewpoints", total - len(looks), total), progress)
+                    _perform(work, run(cells), name_cell, ("cells", len(found), len(grid)), progress)
+                if not one_level:
+                    forget_scene()  # lower levels and the second tracer would be in memory together
                 twice = _check_twice(work, progress)
             _write(work, twice, progress)
             store = VisibilityStore.open(work.target)  # an unreadable store must lose no work
@@ -265,8 +268,19 @@ def _perform(
 
 
 @contextmanager
+def _scene_here(work: Work, one_level: bool) -> Iterator[SceneArrays]:
+    """Yield the scene for tasks that run in this process; what they made of it is forgotten at the end of the block."""
+    shelf = work.kept.folder / "levels"
+    try:
+        yield replace(work.scene, shelf=shelf) if one_level else work.scene
+    finally:
+        forget_scene()
+        shutil.rmtree(shelf, ignore_errors=True)
+
+
+@contextmanager
 def _begin_work(
-    work: Work, workers: Workers, count: int, most: int, one_level: bool
+    work: Work, here: SceneArrays, workers: Workers, count: int, most: int
 ) -> Iterator[Callable[[Sequence[Task]], Results]]:
     """Yield what runs tasks on the workers; the same processes run all stages, of at most `most` tasks."""
 
@@ -280,17 +294,11 @@ def _begin_work(
             yield from run_in_processes(stored, list(tasks), processes)
 
     stored, processes = None, Processes(min(count, most))
-    shelf = work.kept.folder / "levels"
-    here = replace(work.scene, shelf=shelf) if one_level else work.scene
-    try:
-        if workers.executor is not None or processes.count < 2:
+    if workers.executor is not None or processes.count < 2:
+        yield run
+    else:
+        with work.scene.stored(work.kept.folder / "scene") as stored, processes:
             yield run
-        else:
-            with work.scene.stored(work.kept.folder / "scene") as stored, processes:
-                yield run
-    finally:
-        forget_scene()
-        shutil.rmtree(shelf, ignore_errors=True)
 
 
 def _write(work: Work, twice: dict[str, Any] | None, progress: Progress) -> None:
