@@ -14,6 +14,7 @@ _MODULES = (
     "output",
     "resume",
     "sections",
+    "shelf",
 )
 
 

@@ -13,7 +13,7 @@ import shutil
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -84,6 +84,7 @@ class Stages:
         remarks: Sentences that the user should read.
         around: What stands around the scene and belongs to other packages; None if nothing does.
         reach: Least and largest value of each component of base colors of all these packages; None for this one's own.
+        one_level: Whether sets are found with one level in memory; see `build_pvs`.
     """
 
     scene: Gaussians | Levels
@@ -96,6 +97,7 @@ class Stages:
     remarks: list[str]
     around: Surroundings | None = None
     reach: tuple[tuple[float, float], ...] | None = None
+    one_level: bool = False
 
     @property
     def trains(self) -> bool:
@@ -173,13 +175,18 @@ class Stages:
 
     def _find_sets(self, levels: Levels, grid: CellGrid, name: str, workers: Workers | None) -> None:
         """Write the store of visible sets, and that of what is seen around the scene."""
-        path, config, around = self.work.at(name), self.config.sets, self.around
+        path, around = self.work.at(name), self.around
+
+        def build(seen: Levels, target: Path) -> VisibilityStore:
+            how = {"workers": workers, "one_level": self.one_level, "progress": self.progress}
+            return build_pvs(seen, grid, self.space, target, self.config.sets, **how)
+
         if around is None:
-            build_pvs(levels, grid, self.space, path, config, workers=workers, progress=self.progress).close()
+            build(levels, path).close()
         else:
-            both = self.work.at(f"joint-{name}")
-            joint = around.joined(levels)
-            with build_pvs(joint, grid, self.space, both, config, workers=workers, progress=self.progress) as store:
+            both, joint = self.work.at(f"joint-{name}"), around.joined(levels)
+            around = self.around = replace(around, gaussians=joint.union[len(levels.union) :])  # the same, once
+            with build(joint, both) as store:
                 around.split(store, levels, path, self.work.at(around_of(name)), progress=self.progress)
             self.work.seal_file(around_of(name))
             both.unlink(missing_ok=True)

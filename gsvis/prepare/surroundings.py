@@ -58,6 +58,11 @@ class Surroundings:
         first, last = (np.concatenate(each) for each in ((levels.first, self.first), (levels.last, self.last)))
         return Levels(union, first, last, levels.names)
 
+    def joined_counts(self, levels: Levels) -> list[int]:
+        """Return the number of Gaussians in each of the joined levels."""
+        stands = [int(np.count_nonzero((self.first <= k) & (k <= self.last))) for k in range(len(levels))]
+        return [own + more for own, more in zip(levels.counts, stands, strict=True)]
+
     def split(
         self, joint: VisibilityStore, levels: Levels, own: Path, around: Path, *, progress: Progress = silent
     ) -> None:

@@ -32,6 +32,7 @@ from gsvis.pvs.cell_view import Finder
 from gsvis.pvs.config import PvsConfig
 from gsvis.pvs.processes import Processes, limit_threads, one_at_a_time
 from gsvis.pvs.viewpoints import FreeVoxels
+from gsvis.raycast import Tracer
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 
@@ -42,6 +43,7 @@ __all__ = [
     "ViewpointTask",
     "forget_scene",
     "perform",
+    "ready_tracer",
     "run_here",
     "run_in_processes",
     "run_on",
@@ -66,11 +68,13 @@ class SceneArrays:
         key: Names the scene and the configuration.
         source: The arrays of the union and the levels of each Gaussian; or a folder with one file for each array.
         config: How visible sets are found.
+        shelf: Folder of this process for what a `Finder` makes of levels; None keeps that in memory.
     """
 
     key: str
     source: dict[str, Any] | Path
     config: PvsConfig
+    shelf: Path | None = None
 
     @classmethod
     def from_levels(cls, key: str, levels: Levels, config: PvsConfig) -> SceneArrays:
@@ -105,7 +109,7 @@ class SceneArrays:
             first, last = (source[name] for name in _MEMBERSHIP)
             union = Gaussians(**{name: source[name] for name in _SHAPES})
             levels = Levels(union, first, last, [str(k) for k in range(int(last.max()) + 1)])
-            finder = Finder(levels, self.config)
+            finder = Finder(levels, self.config, self.shelf)
             _ready.keep(self.key, finder)
         return finder
 
@@ -172,6 +176,12 @@ def perform(scene: SceneArrays, task: Task) -> bytes:
 def forget_scene() -> None:
     """Release the memory of the last scene."""
     _ready.clear()
+
+
+def ready_tracer(key: str) -> Tracer | None:
+    """Return the tracer of the highest level of the last scene, if that has this key; None if it has not."""
+    finder = _ready.find(key)
+    return None if finder is None else finder.tracer
 
 
 def run_here(scene: SceneArrays, tasks: Iterable[Task]) -> Iterator[Result]:

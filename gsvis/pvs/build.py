@@ -10,9 +10,10 @@ from __future__ import annotations
 import errno
 import hashlib
 import os
+import shutil
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,7 @@ from gsvis.pvs._workers import (
     Task,
     ViewpointTask,
     forget_scene,
+    ready_tracer,
     run_here,
     run_in_processes,
     run_on,
@@ -142,6 +144,7 @@ def build_pvs(
     config: PvsConfig | None = None,
     *,
     workers: Workers | None = None,
+    one_level: bool = False,
     progress: Progress = silent,
 ) -> VisibilityStore:
     """Find the visible set of each cell, certify it by rays, and write all sets as a store.
@@ -158,6 +161,8 @@ def build_pvs(
             same scene, grid, space and configuration resumes.
         config: Options; None means `PvsConfig()`.
         workers: The workers; None means this process.
+        one_level: Whether this process, if it does the work, keeps looks and tracers of one level in memory, and those
+            of the others in files beside the target. Changes no byte of the store.
         progress: Called with stages "viewpoints", "cells", "check" and "store".
 
     Returns:
@@ -178,11 +183,14 @@ def build_pvs(
             needed = {int(k) for task in cells for k in work.shared.of_cell(task.number)}
             looks = [work.viewpoint_task(k) for k in sorted(needed - set(seen))]
             total = len(work.shared)
-            with _begin_work(work, workers, count, max(len(looks), len(cells))) as run:
-                _perform(work, run(looks), name_viewpoint, ("viewpoints", total - len(looks), total), progress)
-                _perform(work, run(cells), name_cell, ("cells", len(found), len(grid)), progress)
-            forget_scene()
-            _write(work, progress)
+            with _scene_here(work, one_level) as here:
+                with _begin_work(work, here, workers, count, max(len(looks), len(cells))) as run:
+                    _perform(work, run(looks), name_viewpoint, ("viewpoints", total - len(looks), total), progress)
+                    _perform(work, run(cells), name_cell, ("cells", len(found), len(grid)), progress)
+                if not one_level:
+                    forget_scene()  # lower levels and the second tracer would be in memory together
+                twice = _check_twice(work, progress)
+            _write(work, twice, progress)
             store = VisibilityStore.open(work.target)  # an unreadable store must lose no work
             work.kept.remove()
     except SceneError:
@@ -260,7 +268,20 @@ def _perform(
 
 
 @contextmanager
-def _begin_work(work: Work, workers: Workers, count: int, most: int) -> Iterator[Callable[[Sequence[Task]], Results]]:
+def _scene_here(work: Work, one_level: bool) -> Iterator[SceneArrays]:
+    """Yield the scene for tasks that run in this process; what they made of it is forgotten at the end of the block."""
+    shelf = work.kept.folder / "levels"
+    try:
+        yield replace(work.scene, shelf=shelf) if one_level else work.scene
+    finally:
+        forget_scene()
+        shutil.rmtree(shelf, ignore_errors=True)
+
+
+@contextmanager
+def _begin_work(
+    work: Work, here: SceneArrays, workers: Workers, count: int, most: int
+) -> Iterator[Callable[[Sequence[Task]], Results]]:
     """Yield what runs tasks on the workers; the same processes run all stages, of at most `most` tasks."""
 
     def run(tasks: Sequence[Task]) -> Results:
@@ -268,7 +289,7 @@ def _begin_work(work: Work, workers: Workers, count: int, most: int) -> Iterator
             share = workers.scatter or (lambda given: given)
             yield from run_on(workers.executor, lambda: share(work.scene), list(tasks), 2 * workers.count)
         elif stored is None or len(tasks) < 2:
-            yield from run_here(work.scene, tasks)
+            yield from run_here(here, tasks)
         else:
             yield from run_in_processes(stored, list(tasks), processes)
 
@@ -280,14 +301,13 @@ def _begin_work(work: Work, workers: Workers, count: int, most: int) -> Iterator
             yield run
 
 
-def _write(work: Work, progress: Progress) -> None:
-    """Write the store from the kept views of all cells."""
+def _write(work: Work, twice: dict[str, Any] | None, progress: Progress) -> None:
+    """Write the store from the kept views of all cells; `twice` is what a second tracer found."""
     plan, grid, config = work.plan, work.grid, work.config
     count = plan["gaussians"]
     how = {**config.as_dict(), "space": plan["space"], **{name: plan[name] for name in ("levels",) if name in plan}}
     directions: NDArray[np.uint8] = np.zeros((count, NUM_FACES // 8), np.uint8)
-    rays = [_read(work, cell).checked for cell in range(len(grid))]
-    how["traced_twice"] = _check_twice(work, np.concatenate(rays), progress)
+    how["traced_twice"] = twice
     looked = 0
     with StoreWriter(work.target, grid, StoreInfo(count, plan["scene"], config.tau, config.class_edges, how)) as writer:
         for cell in range(len(grid)):
@@ -309,14 +329,17 @@ def _read(work: Work, cell: int) -> CellView:
     return view
 
 
-def _check_twice(work: Work, rays: NDArray[np.float64], progress: Progress) -> dict[str, Any] | None:
+def _check_twice(work: Work, progress: Progress) -> dict[str, Any] | None:
     """Trace the kept rays of all cells again, by another tracer; None if there are none, or no such tracer."""
     from gsvis.raycast import EllipsoidProxies, Tracer, cross_check
 
+    rays = np.concatenate([_read(work, cell).checked for cell in range(len(work.grid))])
     if not len(rays):
         return None
     progress("check", 0, 1)
-    tracer = Tracer(EllipsoidProxies.from_scene(work.levels.level(len(work.levels) - 1)))
+    tracer = ready_tracer(work.scene.key)
+    if tracer is None:
+        tracer = Tracer(EllipsoidProxies.from_scene(work.levels.level(len(work.levels) - 1)))
     found = cross_check(tracer, rays[:, :3], rays[:, 3:])
     progress("check", 1, 1)
     return None if found is None else asdict(found)

@@ -11,22 +11,22 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.pvs._kernels import cell as kernels
 from gsvis.pvs.aim import Aim
-from gsvis.pvs.certificate import Certificate, CertificateConfig, Certifier
+from gsvis.pvs.certificate import Certificate, CertificateConfig
 from gsvis.pvs.config import PvsConfig
-from gsvis.pvs.look import Look
+from gsvis.pvs.prepared import PreparedLevels
 from gsvis.pvs.probes import farthest_points
 from gsvis.pvs.tiles import probe_tiles
 from gsvis.pvs.viewpoints import FreeVoxels
+from gsvis.raycast import Tracer
 from gsvis.raycast.directions import NUM_FACES, face_planes
-from gsvis.scene.levels import Levels, level_scenes
-from gsvis.scene.solid import Solid
+from gsvis.scene.levels import Levels
 
 __all__ = ["CellView", "Figures", "Finder", "Sighting"]
 
@@ -119,42 +119,33 @@ class Finder:
     Args:
         levels: The levels, N Gaussians in all.
         config: How visible sets are found.
+        folder: Folder for looks and tracers, so that memory holds those of one level; None keeps all in memory.
     """
 
-    def __init__(self, levels: Levels, config: PvsConfig) -> None:
+    def __init__(self, levels: Levels, config: PvsConfig, folder: Path | None = None) -> None:
         self.levels, self.config = levels, config
-        self._scenes = list(level_scenes(levels))
+        self._prepared = PreparedLevels(levels, config, folder)
         self._edges = config.class_edges.astype(np.float32)
         self._planes = face_planes()
 
-    @cached_property
-    def _looks(self) -> list[Look]:
-        config = self.config
-        return [Look(g, config.method, config.size, config.tau) for g, _ in self._scenes]
-
-    @cached_property
-    def _solids(self) -> list[Solid]:
-        return [Solid.from_scene(g) for g, _ in self._scenes]
-
-    @cached_property
-    def _certifiers(self) -> list[Certifier]:
-        from gsvis.raycast import EllipsoidProxies, Tracer
-
-        return [Certifier(Tracer(EllipsoidProxies.from_scene(g))) for g, _ in self._scenes]
+    @property
+    def tracer(self) -> Tracer:
+        """The tracer of the highest level."""
+        return self._prepared[len(self.levels) - 1].certifier.tracer
 
     def warm(self) -> None:
         """Make looks and tracers, and load their kernels, so that the first task takes no longer than others."""
         eye = self.levels.union.means[0].astype(np.float64)
-        for level, certifier in enumerate(self._certifiers):
+        for level in range(len(self.levels)):
             self._see(level, eye)
-            certifier.tracer.contributions(eye[None], [[1.0, 0.0, 0.0]])
+            self._prepared[level].certifier.tracer.contributions(eye[None], [[1.0, 0.0, 0.0]])
 
     def look(self, viewpoint: F64, *, fine: bool = True) -> Sighting:
         """Return what a viewpoint (3,) sees in each level drawn alone; unless `fine`, coarsely in the highest alone."""
         best = np.full(len(self.levels.union), _UNSEEN, np.int8)
         looks, top = 0, len(self.levels) - 1
         for level in range(0 if fine else top, top + 1):
-            if not self._solids[level].buries(viewpoint[None])[0]:
+            if not self._prepared[level].certifier.solid.buries(viewpoint[None])[0]:
                 ids, classes = self._see(level, viewpoint, fine=fine)
                 best[ids] = np.maximum(best[ids], classes)
                 looks += 1
@@ -200,17 +191,15 @@ class Finder:
         elif not fine:
             size = max(4, round(_COARSE * size))
         faint = _FAINTEST * self.config.tau if floor is None else None
-        finer = self._finer(level, viewpoint)
-        ids, weights = self._looks[level](
-            viewpoint, size=round(finer * size), floor=floor, faint=faint, hull=finer == 1.0
-        )
-        return self._scenes[level][1][ids], self._classify(weights)
+        finer, prepared = self._finer(level, viewpoint), self._prepared[level]
+        ids, weights = prepared.look(viewpoint, size=round(finer * size), floor=floor, faint=faint, hull=finer == 1.0)
+        return prepared.ids[ids], self._classify(weights)
 
     def _finer(self, level: int, viewpoint: F64) -> float:
         """Return how many times finer the faces around a viewpoint are, because it sees the void in most directions."""
         if self.config.method != "hybrid":
             return 1.0  # there pixels of the void cost time
-        share = Aim.of_box(self._certifiers[level].tracer, viewpoint, viewpoint, _AIM_SIZE).share
+        share = Aim.of_box(self._prepared[level].certifier.tracer, viewpoint, viewpoint, _AIM_SIZE).share
         return 1.0 if share == 0.0 else float(np.clip(np.sqrt(_FILLED / share), 1.0, _FINEST))
 
     def _classify(self, weights: F32) -> NDArray[np.int8]:
@@ -224,7 +213,7 @@ class Finder:
         levels coarsely.
         """
         top, looks, clean = len(self.levels) - 1, 0, 0
-        certifier = self._certifiers[top]
+        certifier = self._prepared[top].certifier
         eyes = np.array([each.viewpoint for each in sightings if each.looks]).reshape(-1, 3)
         points = farthest_points(voxels, eyes, lambda some: certifier.buries(voxels, some))
         for eye in itertools.islice(points, self.config.probes):
@@ -235,22 +224,23 @@ class Finder:
                 continue
             looks, clean = looks + 1, 0
             view.add(*self._see(top, eye, floor=_FINE_FLOOR * self.config.tau), eye[None])
-            for level, solid in enumerate(self._solids[:top]):
-                if not solid.buries(eye[None])[0]:
+            for level in range(top):
+                if not self._prepared[level].certifier.solid.buries(eye[None])[0]:
                     self._glance(level, eye, view)
         return looks
 
     def _glance(self, level: int, eye: F64, view: _Growing) -> float:
         """Add what an eye sees coarsely in a level and the set lacks; return the sum of its weights."""
-        ids, weights = self._looks[level](eye, size=min(_PROBE_SIZE, self.config.size), floor=_PROBE_FLOOR)
-        places = self._scenes[level][1][ids]
+        prepared = self._prepared[level]
+        ids, weights = prepared.look(eye, size=min(_PROBE_SIZE, self.config.size), floor=_PROBE_FLOOR)
+        places = prepared.ids[ids]
         missing = view.best[places] < 0
         view.add(places[missing], self._classify(weights[missing]), eye[None])
         return float(weights[missing].sum())
 
     def _mend(self, level: int, voxels: FreeVoxels, sightings: Sequence[Sighting], view: _Growing) -> _Mended:
         """Certify a level of a cell and add what is missed, stage by stage."""
-        config, certifier, places = self.config, self._certifiers[level], self._scenes[level][1]
+        config, certifier, places = self.config, self._prepared[level].certifier, self._prepared[level].ids
         options = CertificateConfig(
             limit=config.limit, rays=config.rays, sparse=_SPARSE, checked=_CHECKED, worst=_TILES, tau=config.tau
         )
@@ -283,7 +273,7 @@ class Finder:
     def _add_faint(self, level: int, sightings: Sequence[Sighting], view: _Growing) -> None:
         """Add what shared viewpoints saw faintly, a level has and the set lacks."""
         wanted = np.zeros(len(view.best), bool)
-        wanted[self._scenes[level][1]] = True
+        wanted[self._prepared[level].ids] = True
         wanted &= view.best < 0
         for each in sightings:
             ids = each.faint[wanted[each.faint]]
@@ -294,7 +284,7 @@ class Finder:
 
         Rays find what is missing. If rays at other places of the tiles find more, the eye of the worst tile looks.
         """
-        config, tracer, places = self.config, self._certifiers[level].tracer, self._scenes[level][1]
+        config, tracer, places = self.config, self._prepared[level].certifier.tracer, self._prepared[level].ids
         looks = 0
         for turn in range(_TURNS):
             held = view.best[places] >= 0

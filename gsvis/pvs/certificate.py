@@ -160,18 +160,22 @@ class Certifier:
 
     Args:
         tracer: The scene, N Gaussians.
+
+    Attributes:
+        tracer: The scene.
+        solid: What can bury a point of it.
     """
 
     def __init__(self, tracer: Tracer) -> None:
         self.tracer = tracer
-        self._solid = Solid.from_scene(tracer.proxies.gaussians)
-        self._near: tuple[FreeVoxels | None, Solid] = None, self._solid  # the last cell, and what is solid near it
+        self.solid = Solid.from_scene(tracer.proxies.gaussians)
+        self._near: tuple[FreeVoxels | None, Solid] = None, self.solid  # the last cell, and what is solid near it
         self._aim: tuple[FreeVoxels | None, Aim | None] = None, None  # the last cell, and where it may see something
 
     def buries(self, voxels: FreeVoxels, points: F64) -> NDArray[np.bool_]:
         """Return which points (P, 3) of a cell lie inside something solid."""
         if self._near[0] is not voxels:
-            self._near = voxels, self._solid.near(*voxels.bounds())
+            self._near = voxels, self.solid.near(*voxels.bounds())
         return self._near[1].buries(points)
 
     def aim(self, voxels: FreeVoxels) -> Aim:

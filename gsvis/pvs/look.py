@@ -49,7 +49,8 @@ class Look:
         if not (g.opacities >= MIN_ALPHA).any():
             raise SceneError("the scene has no Gaussian with an opacity of at least 1/255: there is nothing to see")
         self.gaussians, self.size, self.floor = g, size, floor
-        self._see = {"hybrid": _hybrid, "raster": _raster, "raycast": _raycast}[method](g)
+        see: dict[str, Callable[[Gaussians], _See]] = {"hybrid": _Hybrid, "raster": _Raster, "raycast": _Raycast}
+        self._see = see[method](g)
 
     def __call__(
         self,
@@ -69,38 +70,41 @@ class Look:
         return self._see(viewpoint, size or self.size, floor, faint or floor, hull)
 
 
-def _hybrid(g: Gaussians) -> _See:
-    from gsvis.hpr import Splats, hybrid
+class _Hybrid:
+    def __init__(self, g: Gaussians) -> None:
+        from gsvis.hpr import Splats
 
-    splats = Splats.from_gaussians(g)
+        self.gaussians, self.splats = g, Splats.from_gaussians(g)
 
-    def see(viewpoint: F64, size: int, floor: float, faint: float, hull: bool) -> Sight:
-        seen = hybrid(g, splats, viewpoint, size=size, tau=floor, faint=faint, hull=hull)
+    def __call__(self, viewpoint: F64, size: int, floor: float, faint: float, hull: bool) -> Sight:
+        from gsvis.hpr import hybrid
+
+        seen = hybrid(self.gaussians, self.splats, viewpoint, size=size, tau=floor, faint=faint, hull=hull)
         return seen.ids, seen.weights
 
-    return see
 
+class _Raster:
+    def __init__(self, g: Gaussians) -> None:
+        self.gaussians = g
 
-def _raster(g: Gaussians) -> _See:
-    from gsvis.render import view_weights
-    from gsvis.scene.cameras import Cameras
+    def __call__(self, viewpoint: F64, size: int, floor: float, faint: float, hull: bool) -> Sight:
+        from gsvis.render import view_weights
+        from gsvis.scene.cameras import Cameras
 
-    def see(viewpoint: F64, size: int, floor: float, faint: float, hull: bool) -> Sight:
-        largest = view_weights(g, Cameras.cubemap(viewpoint[None], size)).largest.max(axis=0)
+        largest = view_weights(self.gaussians, Cameras.cubemap(viewpoint[None], size)).largest.max(axis=0)
         ids = np.flatnonzero(largest >= min(floor, faint))
         return ids, largest[ids]
 
-    return see
 
+class _Raycast:
+    def __init__(self, g: Gaussians) -> None:
+        from gsvis.raycast import EllipsoidProxies, Tracer
 
-def _raycast(g: Gaussians) -> _See:
-    from gsvis.raycast import EllipsoidProxies, Tracer, visible_from
+        self.tracer = Tracer(EllipsoidProxies.from_scene(g))
 
-    tracer = Tracer(EllipsoidProxies.from_scene(g))
+    def __call__(self, viewpoint: F64, size: int, floor: float, faint: float, hull: bool) -> Sight:
+        from gsvis.raycast import visible_from
 
-    def see(viewpoint: F64, size: int, floor: float, faint: float, hull: bool) -> Sight:
-        largest = visible_from(tracer, viewpoint[None], size=size)[0]
+        largest = visible_from(self.tracer, viewpoint[None], size=size)[0]
         ids = np.flatnonzero(largest >= min(floor, faint))
         return ids, largest[ids]
-
-    return see

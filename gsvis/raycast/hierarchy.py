@@ -54,20 +54,21 @@ class Hierarchy:
             high[part] = np.nextafter((means + half).astype(np.float32), np.float32(np.inf))
         order, boxes, children = _kernels_bvh.build(low, high)
         ids = proxies.ids[order]
-        table = np.zeros((m, 16), np.float64)
+        table, content = np.zeros((m, 16), np.float64), np.empty((m, 14 if g.sh_degree else 11), np.float32)
         for part in _parts(m):
             some = g[ids[part]]
             table[part, :3] = some.means
             whitening = np.swapaxes(some.rotations(), 1, 2) / some.scales.astype(np.float64)[:, :, None]
             table[part, 3:12] = whitening.reshape(-1, 9)
             table[part, 13] = some.opacities
+            higher = some.shN.reshape(len(some), -1)[:, :3]
+            values = some.scales, some.quats, some.opacities[:, None], some.sh0[:, 0], higher
+            content[part] = np.concatenate(values, axis=1)
         # Slightly more than the reach: the exact test is alpha >= min_alpha.
         table[:, 12] = 2.0 * np.log(np.maximum(table[:, 13] / proxies.min_alpha, 1.0)) + 1e-9
-        higher = g.shN[:, 0] if g.sh_degree else g.shN.reshape(len(g), 0)
-        content = np.concatenate([g.scales, g.quats, g.opacities[:, None], g.sh0[:, 0], higher], axis=1)[ids]
         positions = np.full(len(g), -1, np.int64)
         positions[ids] = np.arange(m)
-        return cls(ids, positions, table, np.ascontiguousarray(content), boxes, children)
+        return cls(ids, positions, table, content, boxes, children)
 
     @property
     def arrays(

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis import _check
+from gsvis.raycast._kernels.near import mark_near
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.icosphere import icosphere
 
@@ -27,6 +28,7 @@ MIN_ALPHA = 1.0 / 255.0
 
 _THINNEST = 1e-4  # least proxy half-width over its largest; thinner proxies collapse in the tracers' float32
 _CHUNK = 1 << 16
+_ROUNDING = 1e-6  # of float32, relative, with a margin
 
 
 def reaches(opacities: NDArray[np.float32], min_alpha: float = MIN_ALPHA) -> NDArray[np.float64]:
@@ -90,6 +92,30 @@ class EllipsoidProxies:
     def __repr__(self) -> str:
         return f"EllipsoidProxies({len(self):,} of {self.faces_per_proxy} faces, alpha {self.min_alpha:.5g})"
 
+    def __getitem__(self, chosen: NDArray[np.int64]) -> EllipsoidProxies:
+        """Return some proxies (K,) of the same scene, ascending."""
+        return EllipsoidProxies(
+            self.gaussians, self.ids[chosen], self.radii[chosen], self.faces_per_proxy, self.min_alpha
+        )
+
+    def near(self, rays_o: NDArray[np.float64], rays_d: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return which proxies (M,) any of some rays may meet: those whose ball comes near one.
+
+        Args:
+            rays_o: (R, 3) origins, world frame.
+            rays_d: (R, 3) unit directions.
+        """
+        found = np.empty(len(self), bool)
+        corner = float(np.linalg.norm(self.template[0], axis=1).max())
+        away = float(np.abs(rays_o).max(initial=0.0))
+        for start in range(0, len(self), _CHUNK):
+            part = slice(start, start + _CHUNK)
+            means = self.gaussians.means[self.ids[part]].astype(np.float64)
+            finest = _finest(means)
+            reaches = corner * np.maximum(self.radii[part].max(axis=1), finest) + finest + _ROUNDING * away
+            mark_near(means, reaches, rays_o, rays_d, _ROUNDING, found[part])
+        return found
+
     @cached_property
     def template(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Vertices (V, 3) and faces (F, 3) of the unit proxy, whose inscribed sphere has radius 1."""
@@ -119,8 +145,7 @@ class EllipsoidProxies:
             part = self.gaussians[self.ids[chosen.start + first : chosen.start + min(first + _CHUNK, m)]]
             radii = self.radii[chosen.start + first : chosen.start + first + len(part)]
             means = part.means.astype(np.float64)
-            finest = 4.0 * np.finfo(np.float32).eps * np.abs(means).max(axis=1)
-            radii = np.maximum(radii, np.maximum(_THINNEST * radii.max(axis=1), finest)[:, None])
+            radii = np.maximum(radii, np.maximum(_THINNEST * radii.max(axis=1), _finest(means))[:, None])
             axes = part.rotations() * radii[:, None, :]
             vertices[first : first + len(part)] = np.einsum("mij,vj->mvi", axes, unit) + means[:, None, :]
         faces = unit_faces[None].astype(np.uint32) + (v * np.arange(m, dtype=np.uint32))[:, None, None]
@@ -132,3 +157,8 @@ class EllipsoidProxies:
 
         vertices, faces = self.meshes()
         return trimesh.Trimesh(vertices, faces, process=False)
+
+
+def _finest(means: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the least half-width (M,) that float32 resolves around centers (M, 3)."""
+    return np.asarray(4.0 * np.finfo(np.float32).eps * np.abs(means).max(axis=1))

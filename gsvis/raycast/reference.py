@@ -6,13 +6,13 @@ Slow and short on purpose: float64 NumPy, one ray at a time, no hierarchy, no pr
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from gsvis.raycast.proxies import MIN_ALPHA
 from gsvis.raycast.tracer import MAX_ALPHA, MIN_TRANSMITTANCE, Contributions, _rays
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["brute_force_contributions"]
+__all__ = ["brute_force_contributions", "brute_force_near"]
 
 
 def brute_force_contributions(
@@ -51,3 +51,23 @@ def brute_force_contributions(
         fields = (hit[lit], alpha[lit].astype(np.float32), weight, np.maximum(depth[hit][lit], 0.0).astype(np.float32))
         parts.append(Contributions(np.array([0, lit.sum()]), *fields))
     return Contributions.concatenate(parts)
+
+
+def brute_force_near(
+    centers: NDArray[np.float64], reaches: NDArray[np.float64], rays_o: ArrayLike, rays_d: ArrayLike, rounding: float
+) -> NDArray[np.bool_]:
+    """Return what the kernel `mark_near` must mark: balls (N,) that some ray comes as near as their reach.
+
+    Args:
+        centers: (N, 3) centers, world frame.
+        reaches: (N,) radii.
+        rays_o: (R, 3) origins.
+        rays_d: (R, 3) directions, any non-zero length.
+        rounding: Added to the radii, times the distance from the origin.
+    """
+    found = np.zeros(len(centers), bool)
+    for o, d in zip(*_rays(rays_o, rays_d), strict=True):
+        away = np.linalg.norm(centers - o, axis=1)
+        nearest = o + np.maximum((centers - o) @ d, 0.0)[:, None] * d
+        found |= np.linalg.norm(centers - nearest, axis=1) <= reaches + rounding * away
+    return found

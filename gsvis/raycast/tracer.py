@@ -221,7 +221,8 @@ class Tracer:
     def contributions_by_parts(self, rays_o: ArrayLike, rays_d: ArrayLike, *, proxies: int = _PART) -> Contributions:
         """Return the same as `contributions(search="faces")`, for few rays, in little memory.
 
-        The engine holds the triangles of a part of the proxies at a time. They are built again at each call.
+        The engine holds the triangles of a part of the proxies at a time, of those that lie near a ray. They are built
+        again at each call.
 
         Args:
             rays_o: (R, 3) origins, world frame.
@@ -234,20 +235,21 @@ class Tracer:
         """
         _check.positive_int("proxies", proxies)
         rays_o, rays_d = _rays(rays_o, rays_d)
-        pairs = [np.zeros(0, np.int64)]
-        for start in range(0, len(self.proxies), proxies):
-            stop = min(start + proxies, len(self.proxies))
-            part = ENGINES[self.engine](*self.proxies.meshes(start, stop), bodies=stop - start)
-            pairs.append(self._pairs(*part.all_faces(rays_o, rays_d), start))
+        pairs, near = [np.zeros(0, np.int64)], np.flatnonzero(self.proxies.near(rays_o, rays_d))
+        for start in range(0, len(near), proxies):
+            some = near[start : start + proxies]
+            part = ENGINES[self.engine](*self.proxies[some].meshes(), bodies=len(some))
+            ray_ids, faces = part.all_faces(rays_o, rays_d)
+            pairs.append(self._pairs(ray_ids, some[faces // self.proxies.faces_per_proxy]))
         return self._weigh(np.unique(np.concatenate(pairs)), rays_o, rays_d)
 
     def _trace_faces(self, rays_o: F64, rays_d: F64) -> Contributions:
-        return self._weigh(self._pairs(*self.embree.all_faces(rays_o, rays_d), 0), rays_o, rays_d)
+        ray_ids, faces = self.embree.all_faces(rays_o, rays_d)
+        return self._weigh(self._pairs(ray_ids, faces // self.proxies.faces_per_proxy), rays_o, rays_d)
 
-    def _pairs(self, ray_ids: NDArray[np.int64], faces: NDArray[np.int64], start: int) -> NDArray[np.int64]:
-        """Return ray x M + proxy for each proxy that a ray meets, ascending; face 0 belongs to proxy `start`."""
-        m = max(1, len(self.proxies))  # a convex proxy is hit twice
-        return np.unique(ray_ids * m + start + faces // self.proxies.faces_per_proxy)
+    def _pairs(self, ray_ids: NDArray[np.int64], met: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return ray x M + proxy for each proxy that a ray meets, ascending; a convex proxy is met twice."""
+        return np.unique(ray_ids * max(1, len(self.proxies)) + met)
 
     def _weigh(self, pairs: NDArray[np.int64], rays_o: F64, rays_d: F64) -> Contributions:
         """Return the contributions among pairs of a ray and a proxy; see `_pairs`."""

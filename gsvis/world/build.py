@@ -302,5 +302,12 @@ class WorldBuild:
         }  # fmt: skip
 
     def _run(self, tasks: list[Task], stage: str) -> dict[str, Result]:
-        plain = [Task(t.name, t.run, json.loads(json.dumps(t.params)), t.needs) for t in tasks]
-        return run_graph(plain, self.store, self.workers, stage=stage, progress=self.progress)
+        made: dict[int, Any] = {}  # by identity: what tasks share, such as the list of districts, stays one object
+
+        def plain(value: Any) -> Any:
+            if id(value) not in made:
+                made[id(value)] = json.loads(json.dumps(value))
+            return made[id(value)]
+
+        each = [Task(t.name, t.run, {name: plain(value) for name, value in t.params.items()}, t.needs) for t in tasks]
+        return run_graph(each, self.store, self.workers, stage=stage, progress=self.progress)

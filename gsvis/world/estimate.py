@@ -36,6 +36,7 @@ _PACKAGE, _EYES = 6.0, 2.0  # for each tile, and for each of its cells
 _OWN, _JOINT, _CELL = 5.5e-5, 2.2e-5, 2e-5  # for each Gaussian of a tile, each in and around it, and in each cell
 _TERMS = 0.1  # times `_OWN` for each SH coefficient above degree 0
 _AROUND = 7.5  # most Gaussians in and around a tile, in those of the tile
+_MOST_AROUND, _ROOT_AROUND = 12.0, 1.5  # the same of the tile with most of them: at most, and times the root of tiles
 _EFFICIENCY = 0.9  # of workers beside each other
 
 _PEAK = 0.85  # of what `--max-memory` has to allow
@@ -127,8 +128,7 @@ def estimate_world(
     row = 4 * (14 + (3 * (degree + 1) ** 2 - 3))
     per = _RECORD * own + _TERM * _terms_of(config, degree) + _SETS * cells * around
     districts = int(_RECORD * _DISTRICTS * tiles * min(config.far, rows / tiles))
-    joint = min(largest * around, count)
-    counts = (*(int(share * joint) for share in shares), int(joint))
+    joint = int(min(largest * min(_MOST_AROUND, _ROOT_AROUND * tiles**0.5), count))
     return WorldEstimate(
         gaussians=count,
         tiles=tiles,
@@ -137,7 +137,7 @@ def estimate_world(
         core_seconds=seconds,
         seconds=sum(seconds.values()) / max(1.0, _EFFICIENCY * min(workers, tiles)),
         workers=workers,
-        memory=int(_PEAK * tile_memory(counts, int(own * joint), degree, config.package.sets)),
+        memory=int(_PEAK * tile_memory(int(own * largest), [joint], int(own * joint), degree, config.package.sets)),
         nbytes=districts + int(per * count),
         work_bytes=districts + _SPACE * tiles + int((_ROWS * row + per) * count + row * min(count, _SAMPLED)),
         load=load,

@@ -1,8 +1,8 @@
 """How much memory a task of a world needs, from names and sizes alone, before it runs.
 
-Measured as the growth of a fresh process on tiles of copies of showroom, and rounded up (docs/results/world.md). For
-the package of a tile it is a lower bound: which levels of other tiles stand around it is known when it runs, and it
-checks its own need then.
+Measured as the growth of a fresh process on tiles of copies of showroom, and rounded up (docs/results/world.md). Which
+levels of other tiles stand around a tile is known when its package is made. Until then more than ever stood there
+counts; the task checks its own need.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from typing import Any
 
 from gsvis.prepare.memory import kept_memory
 from gsvis.pvs.config import PvsConfig
-from gsvis.pvs.workers import sets_memory
 
 __all__ = ["IDLE", "needed_memory", "tile_memory"]
 
@@ -25,6 +24,11 @@ _MB = 1 << 20
 _GUESSED = 1 << 18  # Gaussians of a batch that only reading counts
 _HELD = 60 * _MB  # bytes that earlier tasks leave in a worker
 _TRAINING, _IMAGE = 160 * _MB, 7  # gradients of a view; bytes for each pixel of all views, of which most are smaller
+
+# Bytes of the package of a tile: for each Gaussian in and around it; for each of the largest level, of which looks and
+# tracer are in memory while it is looked at (docs/design/086); for each pixel of a look.
+_JOINT, _LEVEL, _PIXEL = 120, {"hybrid": 420, "raster": 650, "raycast": 910}, 6 * 64
+_STANDS = 0.75  # most of the highest levels of the tiles around one that stands there
 
 
 def needed_memory(run: str, params: Facts, inputs: Sequence[Facts]) -> int:
@@ -39,16 +43,18 @@ def needed_memory(run: str, params: Facts, inputs: Sequence[Facts]) -> int:
     return 0 if known is None else known(params, inputs)
 
 
-def tile_memory(counts: Sequence[int], gaussians: int, sh_degree: int, sets: PvsConfig) -> int:
+def tile_memory(own: int, counts: Sequence[int], joint: int, sh_degree: int, sets: PvsConfig) -> int:
     """Return the bytes of a worker while it makes the package of a tile.
 
     Args:
+        own: Gaussians of all levels of the tile together.
         counts: Gaussians in and around it, in each level, lowest first.
-        gaussians: Gaussians of all levels together.
+        joint: Gaussians in and around it, of all levels together.
         sh_degree: Of the scene.
         sets: How visible sets are found.
     """
-    return _HELD + kept_memory(gaussians, sh_degree) + sets_memory(counts, gaussians, sh_degree, sets)
+    looks = _LEVEL[sets.method] * max(counts) + _PIXEL * sets.size**2
+    return _HELD + kept_memory(own, sh_degree) + _JOINT * joint + looks
 
 
 def _batch(params: Facts, inputs: Sequence[Facts]) -> int:
@@ -81,7 +87,19 @@ def _around(params: Facts, inputs: Sequence[Facts]) -> int:
 
 
 def _tile(params: Facts, inputs: Sequence[Facts]) -> int:
-    return int(150 * _MB + 500 * (inputs[0]["gaussians"] + _lowest(inputs[2:])))
+    own = inputs[0]["gaussians"]
+    if params["outside"] or not inputs[1]["voxels"]:
+        return int(150 * _MB + 500 * own)
+    around = sum(_standing(each) for each in inputs[2:])
+    sets, joint = PvsConfig(**params["config"]["sets"]), own + around
+    return tile_memory(own, [joint], joint, 0, sets) - IDLE
+
+
+def _standing(node: Facts) -> int:
+    """Return how many Gaussians of a node may stand around a tile: all of a district, most of a tile."""
+    if "spacings" not in node:
+        return int(node["gaussians"])
+    return max(node["levels"][0][1], int(_STANDS * node["gaussians"]))
 
 
 def _lowest(nodes: Sequence[Facts]) -> int:

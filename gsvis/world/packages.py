@@ -10,6 +10,7 @@ from gsvis.errors import SceneError
 from gsvis.files.limits import read_whole
 from gsvis.package import Package
 from gsvis.prepare.prepare import finish_package, stages_of
+from gsvis.prepare.surroundings import Surroundings
 from gsvis.progress import silent
 from gsvis.pvs.workers import memory_error
 from gsvis.scene.levels import Levels
@@ -17,7 +18,7 @@ from gsvis.scene.navigable import NavigableSpace
 from gsvis.world.bare import PACKAGE, facts_of_package, reach_of, write_bare_package
 from gsvis.world.graph import TOO_LARGE, Facts, Given
 from gsvis.world.memory import tile_memory
-from gsvis.world.pieces import Part, free_box, join_parts, part_of_district, parts_of_tile
+from gsvis.world.pieces import free_box, join_surroundings, part_of_district, parts_of_tile
 from gsvis.world.rows import load_gaussians, load_tile_levels
 from gsvis.world.tiles import config_of, load_space
 
@@ -40,13 +41,12 @@ def prepare_tile(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     if params["outside"] or not given.inputs[1].facts["voxels"]:
         return _bare(params, levels, out)
     space = load_space(given.path(1, "space"))
-    parts, nodes = _parts(params, given, levels, space)
     target, about = work / f"{PACKAGE}.gsvis", json.loads(read_whole(given.path(0, "quality.json")))
     stages = stages_of(levels, target, space, config, photos=None, progress=silent)
-    stages.reach = reach_of(params)
-    if parts:
-        stages.around = join_parts(parts)
-        _check_memory(params["name"], stages.around.joined(levels), params, given)
+    stages.reach, stages.one_level = reach_of(params), True
+    stages.around, pieces = _surroundings(params, given, levels, space)
+    if stages.around is not None:
+        _check_memory(stages.around, levels, params, given)
     try:
         made = finish_package(stages, target, about={"tile": params["name"], "trained": about})
     except SceneError:  # no eye stands outside of everything solid
@@ -57,33 +57,35 @@ def prepare_tile(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     with Package.open(out / PACKAGE) as package:
         facts = facts_of_package(package, levels)
         cells = len(package.visibility)
-    pieces = [{"node": node, "level": part.level, "runs": part.runs} for node, part in zip(nodes, parts, strict=True)]
     return {**facts, "cells": cells, "pieces": pieces}
 
 
-def _parts(params: Facts, given: Given, levels: Levels, space: NavigableSpace) -> tuple[list[Part], list[str]]:
-    """Return the parts around a tile, and the node of each."""
+def _surroundings(
+    params: Facts, given: Given, levels: Levels, space: NavigableSpace
+) -> tuple[Surroundings | None, list[Facts]]:
+    """Return what stands around a tile, None if nothing does, and the pieces that it consists of."""
     box = free_box(space)
-    parts, nodes = list[Part](), list[str]()
+    around, pieces = list[Surroundings](), list[Facts]()
     for k, node in enumerate(params["around"], start=2):
         if "spacings" in given.inputs[k].facts:
             other, spacings = load_tile_levels(given.path(k, "levels")), given.inputs[k].facts["spacings"]
             found = list(parts_of_tile(other, spacings, len(levels), box, params["angle"]))
         else:
             found = [part_of_district(load_gaussians(given.path(k, "district")), len(levels))]
-        parts += found
-        nodes += [node] * len(found)
-    return parts, nodes
+        around += [part.around for part in found]
+        pieces += [{"node": node, "level": part.level, "runs": part.runs} for part in found]
+    return (join_surroundings(around) if around else None), pieces
 
 
-def _check_memory(name: str, joint: Levels, params: Facts, given: Given) -> None:
+def _check_memory(around: Surroundings, levels: Levels, params: Facts, given: Given) -> None:
     """Raise unless a tile and what stands around it fit the memory of a worker."""
     if given.max_memory is None:
         return
-    g = joint.union
-    needed = tile_memory(joint.counts, len(g), g.sh_degree, config_of(params["config"]).sets)
+    own, count = len(levels.union), len(levels.union) + len(around)
+    sets, degree = config_of(params["config"]).sets, levels.union.sh_degree
+    needed = tile_memory(own, around.joined_counts(levels), count, degree, sets)
     if needed > given.max_memory:
-        what = f"a worker with the {len(g):,} Gaussians in and around tile {name}"
+        what = f"a worker with the {count:,} Gaussians in and around tile {params['name']}"
         raise memory_error(needed, given.max_memory, what, TOO_LARGE)
 
 

@@ -34,7 +34,7 @@ __all__ = [
     "choose_nodes",
     "free_box",
     "gap",
-    "join_parts",
+    "join_surroundings",
     "part_of_district",
     "parts_of_tile",
     "runs_of",
@@ -137,9 +137,8 @@ def part_of_district(g: Gaussians, target: int) -> Part:
     return Part(0, [(0, len(g))], Surroundings(g, first, last))
 
 
-def join_parts(parts: Sequence[Part]) -> Surroundings:
-    """Return the surroundings of all parts, one after the other."""
-    around = [part.around for part in parts]
+def join_surroundings(around: Sequence[Surroundings]) -> Surroundings:
+    """Return several surroundings of one tile, one after the other."""
     return Surroundings(
         Gaussians.concatenate([flatten(each.gaussians) for each in around]),
         np.concatenate([each.first for each in around]),

@@ -150,6 +150,14 @@ def test_workers_and_stops_do_not_change_a_byte(tmp_path: Path, stage: str, afte
     assert (tmp_path / "here.pvs").read_bytes() == (tmp_path / "again.pvs").read_bytes()
 
 
+def test_one_level_in_memory_changes_no_byte_and_leaves_no_file(tmp_path: Path) -> None:
+    levels, space, grid = setting()
+    for name, one_level in (("all.pvs", False), ("one.pvs", True)):
+        build_pvs(levels, grid, space, tmp_path / name, CONFIG, one_level=one_level).close()
+    assert (tmp_path / "one.pvs").read_bytes() == (tmp_path / "all.pvs").read_bytes()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["all.pvs", "one.pvs"]
+
+
 def test_a_build_of_other_levels_is_another_build() -> None:
     levels, space, grid = setting()
     shorter = np.where(levels.first == 0, np.uint8(0), levels.last)

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from gsvis.raycast import EllipsoidProxies
+from gsvis.raycast._kernels.near import mark_near
 from gsvis.raycast.proxies import reaches
+from gsvis.raycast.reference import brute_force_contributions, brute_force_near
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.icosphere import icosphere
-from tests.raycast.scenes import scene
+from tests.raycast.scenes import rays, scene
 
 
 @pytest.mark.parametrize("subdivisions", [0, 1, 2, 3])
@@ -81,3 +83,21 @@ def test_refusals() -> None:
         EllipsoidProxies.from_scene(scene("one"), faces=21)
     with pytest.raises(ValueError, match=r"^min_alpha: expected a value in \(0, 1\)"):
         EllipsoidProxies.from_scene(scene("one"), min_alpha=0.0)
+
+
+@pytest.mark.parametrize("kind", ["blobs", "needles", "mixed", "far"])
+def test_what_lies_near_rays_is_what_brute_force_finds_and_holds_all_that_they_meet(kind: str) -> None:
+    g = scene(kind)
+    rays_o, rays_d = rays(kind)
+    rays_d = rays_d / np.linalg.norm(rays_d, axis=1, keepdims=True)
+    rng = np.random.default_rng(0)
+    centers, reaches_of = g.means.astype(np.float64), g.scales.max(axis=1) * rng.random(len(g))
+    marked = np.empty(len(g), bool)
+    mark_near(centers, reaches_of, rays_o, rays_d, 1e-6, marked)
+    assert 0 < marked.sum() < len(g)
+    np.testing.assert_array_equal(marked, brute_force_near(centers, reaches_of, rays_o, rays_d, 1e-6))
+    proxies = EllipsoidProxies.from_scene(g)
+    met = np.unique(brute_force_contributions(g, rays_o, rays_d).gaussian_ids)
+    near = proxies.near(rays_o, rays_d)
+    assert np.isin(met, proxies.ids[near]).all()
+    np.testing.assert_array_equal(proxies[np.flatnonzero(near)].ids, proxies.ids[near])

@@ -11,7 +11,7 @@ from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.procedural import random_scene
 from gsvis.world import pieces
-from gsvis.world.pieces import BLOCK, gap, join_parts, part_of_district, parts_of_tile, runs_of
+from gsvis.world.pieces import BLOCK, gap, join_surroundings, part_of_district, parts_of_tile, runs_of
 
 
 def test_a_far_tower_counts_and_the_room_behind_the_wall_does_not() -> None:
@@ -66,7 +66,7 @@ def test_surroundings_stand_in_the_levels_of_the_tile() -> None:
     one = list(parts_of_tile(found, (1e9, 1e9, 1e9), 1, box, 0.02))
     assert sum(len(each.around) for each in one) == found.counts[2]
     district = part_of_district(random_scene(np.random.default_rng(1), 30), 3)
-    joined = join_parts([part, district])
+    joined = join_surroundings([part.around, district.around])
     assert len(joined) == len(part.around) + 30
     own = levels(400)
     both = joined.joined(own)

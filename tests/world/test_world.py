@@ -13,7 +13,7 @@ from gsvis.errors import FormatError
 from gsvis.package import Package
 from gsvis.pvs.workers import Workers
 from gsvis.train.levels import LevelsConfig
-from gsvis.world import Tile, World, graph
+from gsvis.world import Tile, World, graph, packages
 from gsvis.world.prepare import check_world_target, prepare_world
 from tests.world import cities
 
@@ -218,7 +218,10 @@ def test_strays_are_counted_and_removed_by_the_next_run(scene: Scene, city: Path
     assert cities.content(copy) == cities.content(city)
 
 
-def test_surroundings_that_do_not_fit_the_memory_are_refused(scene: Scene, tmp_path: Path) -> None:
+def test_surroundings_that_do_not_fit_the_memory_are_refused(
+    scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(packages, "tile_memory", lambda own, counts, joint, *_: 10**9 if joint > own else 0)
     with pytest.raises(
         ValueError, match=r"max_memory: expected at least .* GB for a worker .* tile \d+-\d+, got 0.48 GB; raise it"
     ):

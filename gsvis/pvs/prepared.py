@@ -1,0 +1,80 @@
+"""Levels of a scene prepared to be looked at and certified, all in memory or one at a time. Scene frame and units."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.files.shelf import Shelf
+from gsvis.pvs.certificate import Certifier
+from gsvis.pvs.config import PvsConfig
+from gsvis.pvs.look import Look
+from gsvis.scene.levels import Levels
+
+__all__ = ["PreparedLevel", "PreparedLevels"]
+
+_Thing = TypeVar("_Thing")
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedLevel:
+    """A level of a scene.
+
+    Attributes:
+        ids: (n,) int64, its Gaussians in the union of levels, ascending.
+        look: What viewpoints see of it.
+        certifier: Its tracer, and what is solid.
+    """
+
+    ids: NDArray[np.int64]
+    look: Look
+    certifier: Certifier
+
+
+class PreparedLevels:
+    """The levels of a scene, each prepared when it is first asked for.
+
+    Args:
+        levels: The levels.
+        config: How visible sets are found.
+        folder: Folder for what is prepared, so that memory holds one level at a time; None keeps all in memory.
+    """
+
+    def __init__(self, levels: Levels, config: PvsConfig, folder: Path | None = None) -> None:
+        self._levels, self._config = levels, config
+        self._ready: dict[int, PreparedLevel] = {}
+        self._shelf = None if folder is None or len(levels) == 1 else Shelf(folder)
+        self._held: int | None = None  # the level asked for last
+
+    def __getitem__(self, level: int) -> PreparedLevel:
+        """Return a level; with a folder, the memory of the one asked for before is given back."""
+        if self._shelf is not None and self._held != level:
+            self._shelf.release()
+        self._held = level
+        if level not in self._ready:
+            self._ready[level] = self._prepare(level)
+        return self._ready[level]
+
+    def _prepare(self, level: int) -> PreparedLevel:
+        from gsvis.raycast import EllipsoidProxies, Tracer
+
+        ids, union = np.flatnonzero(self._levels.member(level)), self._levels.union
+        look = self._keep(
+            Look(
+                union if len(ids) == len(union) else union[ids],
+                self._config.method,
+                self._config.size,
+                self._config.tau,
+            )
+        )
+        tracer = Tracer(EllipsoidProxies.from_scene(look.gaussians))
+        if self._shelf is not None:
+            _ = tracer.hierarchy  # it is to lie on the shelf too
+        return PreparedLevel(ids, look, self._keep(Certifier(tracer)))
+
+    def _keep(self, thing: _Thing) -> _Thing:
+        return thing if self._shelf is None else self._shelf.put(thing)
