@@ -14,7 +14,7 @@ from gsvis.prepare.memory import kept_memory
 from gsvis.pvs.config import PvsConfig
 from gsvis.pvs.workers import sets_memory
 
-__all__ = ["IDLE", "needed_memory", "tile_memory"]
+__all__ = ["IDLE", "least_limit", "needed_memory", "tile_memory"]
 
 Facts = dict[str, Any]
 
@@ -49,6 +49,18 @@ def tile_memory(counts: Sequence[int], gaussians: int, sh_degree: int, sets: Pvs
         sets: How visible sets are found.
     """
     return _HELD + kept_memory(gaussians, sh_degree) + sets_memory(counts, gaussians, sh_degree, sets)
+
+
+def least_limit(task: int, tile: int, workers: int) -> int:
+    """Return the least limit of all processes under which each task fits, one at a time.
+
+    Args:
+        task: Most bytes that a task needs beyond an idle process.
+        tile: Bytes of a worker that makes a package, `tile_memory`.
+        workers: Processes; 1 works in the process that gives out tasks.
+    """
+    idle = IDLE * (workers + 1 if workers > 1 else 1)
+    return max(idle + task, idle - IDLE + tile)
 
 
 def _batch(params: Facts, inputs: Sequence[Facts]) -> int:
