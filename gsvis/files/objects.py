@@ -13,6 +13,7 @@ import shutil
 from collections.abc import Callable, Collection
 from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures import TimeoutError as Late
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -33,6 +34,8 @@ _Answer = TypeVar("_Answer")
 _OBJECTS, _NOTES = "objects", "notes"
 _NAME = re.compile(r"[0-9a-z][0-9a-z.-]{0,120}")
 _TRIES = 3
+_CHECKSUM = "FlexibleChecksumError"  # name of botocore's error of an answer that does not fit its checksum
+_AGAIN = f"{DAMAGED}: run the same again"
 
 
 def open_store(address: str | os.PathLike[str], *, patience: float = 120.0) -> ObjectStore:
@@ -187,6 +190,8 @@ class RemoteStore(ObjectStore):
                 raise FormatError(self.address, wanted[0][:12], "an object of the store", "no such object") from error
             except FormatError:  # a cut answer: ask again
                 if attempt == _TRIES - 1:
+                    with suppress(FileNotFoundError):  # so that the next run makes it again
+                        self._call("removing a damaged object", lambda: self._files.rm_file(self._at(wanted[0])))
                     raise
         return path
 
@@ -198,7 +203,7 @@ class RemoteStore(ObjectStore):
         at = f"{self._root}/{_NOTES}/{_checked(name)}"
         try:
             return unseal(self._call("reading a note", lambda: self._files.cat_file(at)))
-        except FileNotFoundError:
+        except (FileNotFoundError, FormatError):
             return None
 
     def _at(self, digest: str) -> str:
@@ -229,8 +234,12 @@ class RemoteStore(ObjectStore):
             except GsvisError:
                 raise
             except Exception as error:  # fsspec raises what its backends raise
-                if attempt == _TRIES - 1:
-                    raise BackendError(f"{self.address}: {what} failed {_TRIES} times: {_reason(error)}") from error
+                if attempt < _TRIES - 1:
+                    continue
+                if type(error).__name__ == _CHECKSUM:
+                    got = f"another, when {what}"
+                    raise FormatError(self.address, "", "content that fits its checksum", got, "run the same again") from error
+                raise BackendError(f"{self.address}: {what} failed {_TRIES} times: {_reason(error)}") from error
         raise AssertionError("unreachable")
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -247,7 +256,7 @@ def _compare(path: Path, wanted: StoredObject, name: str = "") -> None:
         raise FormatError(shown, "", "an object of the store", "no such file", "run the same again") from error
     if not good:
         path.unlink(missing_ok=True)  # so that the next run makes it again
-        raise FormatError(shown, "", "content that fits its name", "another content", f"{DAMAGED}: run the same again")
+        raise FormatError(shown, "", "content that fits its name", "another content", _AGAIN)
 
 
 def _checked(name: str) -> str:

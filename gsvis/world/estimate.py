@@ -56,6 +56,7 @@ _WEIGHED, _COST, _CLIENT = 0.78, 3.7, 3.5  # a view of the importance of colors,
 _AROUND = 7.5  # most Gaussians in and around a tile, in those of the tile
 _EFFICIENCY = 0.9  # of workers beside each other
 
+_UNSURE = 1.03  # times what a sample says of the fullest tile
 _PEAK = 0.85  # of what a limit of memory has to allow for a tile
 _RECORD, _TERM, _SETS = 13.6, 6.0, 0.3  # bytes for each Gaussian, each term, and each cell and Gaussian in and around
 _DISTRICTS, _SPACES = 1.33, 2_500_000  # districts for each tile; bytes of where eyes may be in one
@@ -140,7 +141,8 @@ def estimate_world(
         progress("trying", 1, 1)
     seconds = sizes.seconds(trial)
     largest = int(max(expected.max(), 1))
-    memory, limit = _memory(sizes, largest, workers)
+    most = max(_UNSURE * largest * count / max(expected.sum(), 1), count - float(expected.sum()))
+    memory, limit = _memory(sizes, largest, int(most), workers)
     row = 4 * (14 + (3 * (degree + 1) ** 2 - 3))
     per = _RECORD * sizes.own + _TERM * _terms_of(config, degree) + _SETS * sizes.cells * sizes.joint / sizes.each
     districts = int(_RECORD * _DISTRICTS * sizes.tiles * min(config.far, sizes.lowest / sizes.tiles))
@@ -227,14 +229,21 @@ class _Sizes:
         return _PACKAGE + _PACKAGE_ROW * union + sets + fit + views * trial.view
 
 
-def _memory(sizes: _Sizes, largest: int, workers: int) -> tuple[int, int]:
-    """Return the peak bytes of a worker, and the least limit of all processes."""
+def _memory(sizes: _Sizes, largest: int, most: int, workers: int) -> tuple[int, int]:
+    """Return the peak bytes of a worker, and the least limit of all processes.
+
+    Args:
+        sizes: The sizes of the world.
+        largest: Gaussians of the fullest tile, by the sample.
+        most: What it or the outside may have, what is too faint for the sample included.
+        workers: Workers of the run.
+    """
     package = sizes.config.package
     joint = min(largest * _AROUND, sizes.count)
     counts = (*(int(share * joint) for share in sizes.shares), int(joint))
     tile = tile_memory(counts, int(sizes.own * joint), sizes.degree, package.sets)
     params = {"config": package.as_dict()}
-    levels = needed_memory("gsvis.world.tiles:make_tile_levels", params, [{"gaussians": largest}])
+    levels = needed_memory("gsvis.world.tiles:make_tile_levels", params, [{"gaussians": most}])
     return int(_PEAK * tile), least_limit(levels, tile, workers)
 
 
