@@ -11,11 +11,12 @@ import os
 import re
 import shutil
 from collections.abc import Callable, Collection
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future
 from concurrent.futures import TimeoutError as Late
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
+from threading import Thread
 from typing import Any, TypeVar
 
 from gsvis._extras import require
@@ -162,7 +163,6 @@ class RemoteStore(ObjectStore):
         import fsspec
 
         self.address, self.patience = address.rstrip("/"), patience
-        self._calls = ThreadPoolExecutor(1, thread_name_prefix="gsvis-store")
         try:
             self._files, self._root = fsspec.core.url_to_fs(self.address)
         except Exception as error:  # fsspec raises what its backends raise
@@ -221,13 +221,11 @@ class RemoteStore(ObjectStore):
     def _call(self, what: str, ask: Callable[[], _Answer]) -> _Answer:
         """Return what the store answers; try again where it fails, and raise one clear line at the end."""
         for attempt in range(_TRIES):
-            waiting = self._calls.submit(ask)
             try:
-                return waiting.result(self.patience)
+                return _answer_of(ask).result(self.patience)
             except FileNotFoundError:
                 raise
             except Late as error:
-                self._calls = ThreadPoolExecutor(1, thread_name_prefix="gsvis-store")  # the old one is stuck
                 raise BackendError(
                     f"{self.address}: {what}: no answer within {self.patience:g} s; is the store up and reachable?"
                 ) from error
@@ -238,13 +236,29 @@ class RemoteStore(ObjectStore):
                     continue
                 if type(error).__name__ == _CHECKSUM:
                     got = f"another, when {what}"
-                    raise FormatError(self.address, "", "content that fits its checksum", got, "run the same again") from error
+                    raise FormatError(
+                        self.address, "", "content that fits its checksum", got, "run the same again"
+                    ) from error
                 raise BackendError(f"{self.address}: {what} failed {_TRIES} times: {_reason(error)}") from error
         raise AssertionError("unreachable")
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled by its address."""
         return RemoteStore, (self.address, self.patience)
+
+
+def _answer_of(ask: Callable[[], _Answer]) -> Future[_Answer]:
+    """Return the answer to come of a call, from a thread of its own that no exit of the program waits for."""
+    answer = Future[_Answer]()
+
+    def call() -> None:
+        try:
+            answer.set_result(ask())
+        except BaseException as error:
+            answer.set_exception(error)
+
+    Thread(target=call, name="gsvis-store", daemon=True).start()
+    return answer
 
 
 def _compare(path: Path, wanted: StoredObject, name: str = "") -> None:

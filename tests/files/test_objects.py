@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -110,6 +111,9 @@ def test_a_store_that_fails_gives_one_line(faulty: type[Faulty], tmp_path: Path,
     with pytest.raises((BackendError, FormatError), match=message):
         store.path_of(found, tmp_path / "cache")
     assert not list((tmp_path / "cache").iterdir())
+    stuck = [thread for thread in threading.enumerate() if thread.name.startswith("gsvis-store")]
+    assert stuck or fault != "slow"
+    assert all(thread.daemon for thread in stuck)  # else the program could not end
 
 
 @pytest.mark.parametrize("fault", ["down once", "cut once"])
