@@ -155,10 +155,11 @@ def _print_estimate(command: World, estimate: WorldEstimate) -> None:
         document = {"format": "gsvis-world-estimate", "version": 1, **asdict(estimate)}
         print_json({**document, "core_hours": estimate.core_hours})
         return
+    workers = "1 worker" if estimate.workers == 1 else f"{estimate.workers} workers"
     rows = [
         ("Gaussians", f"{estimate.gaussians:,}"),
         ("tiles", f"{estimate.tiles:,} of side {estimate.side:.3g}, the fullest {estimate.largest:,}"),
-        ("time", f"about {clock(estimate.seconds)} with {estimate.workers} workers{busy_note(estimate.load)}"),
+        ("time", f"about {clock(estimate.seconds)} with {workers}{busy_note(estimate.load)}"),
         ("core hours", f"about {estimate.core_hours:.2g}"),
         ("memory", f"about {size_of(estimate.memory)} a worker"),
         ("--max-memory", f"{least_size_of(estimate.max_memory)} or more"),

@@ -119,7 +119,7 @@ def estimate_world(
         scenes: As for `prepare_world`.
         config: Options; None means `WorldConfig()`.
         workers: Workers of the run; this estimate itself runs here.
-        progress: Called with stages "sampling" and "trying".
+        progress: Called with stages "sampling" and "trying tiles".
 
     Raises:
         SceneError: If the scenes have nothing to see.
@@ -136,9 +136,9 @@ def estimate_world(
         sizes = _Sizes(config, count, len(expected), degree)
         trial = sizes.untried()
         budget = min(max(_LEAST_BUDGET, _BUDGET_SHARE * sum(sizes.seconds(trial).values())), _MOST_BUDGET)
-        progress("trying", 0, 1)
+        progress("trying tiles", 0, 1)
         trial = try_tiles(build, trial, int(sizes.joint - sizes.each), budget)
-        progress("trying", 1, 1)
+        progress("trying tiles", 1, 1)
     seconds = sizes.seconds(trial)
     largest = int(max(expected.max(), 1))
     most = max(_UNSURE * largest * count / max(expected.sum(), 1), count - float(expected.sum()))
