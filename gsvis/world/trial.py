@@ -9,7 +9,7 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -113,16 +113,14 @@ def try_tiles(build: WorldBuild, expected: Trial, most: int, budget: float) -> T
             left = budget - (_clock() - began)
             if space is None or left < max(last, _TIMED * 3.0 * expected.view):
                 continue
-            start = _clock()
-            try:
-                views.append(_time_views(rows[number].own, space, config))
-            except SceneError:  # no eye stands outside of everything solid
-                continue
-            last = _clock() - start
-            if left - last > max(last_cell, expected.cell):
+            with suppress(SceneError):  # no eye stands outside of everything solid
                 start = _clock()
-                cells.append(_time_cell(rows[number], _others(build, number, most), space, config))
-                last_cell = _clock() - start
+                views.append(_time_views(rows[number].own, space, config))
+                last = _clock() - start
+                if left - last > max(last_cell, expected.cell):
+                    start = _clock()
+                    cells.append(_time_cell(rows[number], _others(build, number, most), space, config))
+                    last_cell = _clock() - start
     if views:
         view, choice = np.mean(views, axis=0).tolist()
         found = replace(found, view=view, choice=choice, tiles=len(views))
@@ -215,7 +213,8 @@ def _time_cell(tile: _Tile, others: Gaussians, space: NavigableSpace, config: Pr
         work = plan_work(joint, grid, space, Path(folder) / "sets.pvs", config.sets)
         finder, shared = work.scene.finder(), work.shared
     finder.warm()
-    cell, looks, seen = len(grid) // 2, ([], []), []
+    cell, seen = len(grid) // 2, []
+    looks: tuple[list[float], list[float]] = ([], [])  # coarse ones, fine ones
     for k in shared.of_cell(cell).tolist():
         began = _clock()
         seen.append(finder.look(shared.points[k], fine=bool(shared.fine[k])))
