@@ -7,7 +7,7 @@ against Gaussians as well.
 Given: a scene and options on the command line.
 Measured: seconds of processor of all tasks, peak of proportional memory (PSS) of all processes, bytes of the world and
     of the kept work, each over what the dry run says, and exponents of the stages.
-Defaults chosen on: constants of the dry run on showroom LOD 2, nika LOD 2 and flowers LOD 2.
+Defaults chosen on: constants of the dry run on flowers LOD 3, nika LOD 2, guitar and a part of showroom LOD 2.
 """
 
 from __future__ import annotations

@@ -153,6 +153,7 @@ PAGES = {
             "world_borders_far",
             "world",
             "world_whole",
+            "world_estimate",
             "world_opening",
             "world_kills",
             "max_memory",

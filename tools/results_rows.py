@@ -30,7 +30,12 @@ SECTIONS = (
                 ours="{0:.0f}%; {1:.0f}% of the worst reader",
                 peer="Atheris, Hypothesis: 72 to 76% of three readers (ours 81 to 93%)",
             ),
-            Row("Of 100 killed and resumed runs, how many end differently?", ("kill: results that differ",)),
+            Row(
+                "How many of 100 killed runs end differently, and how many files of a world that was killed 50 times?",
+                ("kill: results that differ", "world_kills: files that differ"),
+                ours="{0:.0f}, {1:.0f}",
+                target="0, 0",
+            ),
             Row(
                 "Under attack, how many bytes at honest viewers are wrong, and how much does the server's memory grow?",
                 (

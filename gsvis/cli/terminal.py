@@ -54,6 +54,7 @@ _SAID = {
     "check": "tracing some rays a second time",
     "store": "writing the store",
     "trying": "trying a few cells",
+    "trying tiles": "trying a few tiles",
     "quality": "measuring the sets",
     "importance": "weighing Gaussians in views",
     "price": "sharing out terms",

@@ -15,7 +15,7 @@ from gsvis.cli import version
 from gsvis.cli.arguments import World
 from gsvis.cli.pvs import local_workers, named_memory, sets_config
 from gsvis.cli.source import check_folder, is_builtin, is_levels, parse_up, title_of
-from gsvis.cli.terminal import Status, busy_note, clock, facts, print_json, show, size_of
+from gsvis.cli.terminal import Status, busy_note, clock, facts, least_size_of, print_json, show, size_of
 from gsvis.errors import ArgumentError
 from gsvis.io.scenes import check_scene
 from gsvis.pvs.workers import Workers
@@ -155,17 +155,29 @@ def _print_estimate(command: World, estimate: WorldEstimate) -> None:
         document = {"format": "gsvis-world-estimate", "version": 1, **asdict(estimate)}
         print_json({**document, "core_hours": estimate.core_hours})
         return
+    workers = "1 worker" if estimate.workers == 1 else f"{estimate.workers} workers"
     rows = [
         ("Gaussians", f"{estimate.gaussians:,}"),
         ("tiles", f"{estimate.tiles:,} of side {estimate.side:.3g}, the fullest {estimate.largest:,}"),
-        ("time", f"about {clock(estimate.seconds)} with {estimate.workers} workers{busy_note(estimate.load)}"),
+        ("time", f"about {clock(estimate.seconds)} with {workers}{busy_note(estimate.load)}"),
         ("core hours", f"about {estimate.core_hours:.2g}"),
         ("memory", f"about {size_of(estimate.memory)} a worker"),
+        ("--max-memory", f"{least_size_of(estimate.max_memory)} or more"),
         ("world", f"about {size_of(estimate.nbytes)}"),
         ("kept beside it", f"about {size_of(estimate.work_bytes)}"),
+        ("how found", _how_found(estimate)),
     ]
     stages = [(name, clock(seconds)) for name, seconds in estimate.core_seconds.items()]
     show(facts(f"{command.out}: what it would cost", rows), facts("on one core", stages), " Nothing was written.")
+
+
+def _how_found(estimate: WorldEstimate) -> str:
+    """Return what the times rest on, and what it took to find them."""
+    trial, spent = estimate.trial, clock(estimate.spent)
+    if not trial.tiles:
+        return f"times by constants, as trying would take a large part of the work; in {spent} of a core"
+    eyes = f"about {trial.eyes:.0%} of the tiles have room for eyes"
+    return f"times by trying {trial.tiles} of {estimate.tiles:,} tiles, in {spent} of a core; {eyes}"
 
 
 def _print_tiles(command: World, tiles: list[WrittenTile]) -> None:

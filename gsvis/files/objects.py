@@ -11,10 +11,12 @@ import os
 import re
 import shutil
 from collections.abc import Callable, Collection
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future
 from concurrent.futures import TimeoutError as Late
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
+from threading import Thread
 from typing import Any, TypeVar
 
 from gsvis._extras import require
@@ -33,6 +35,8 @@ _Answer = TypeVar("_Answer")
 _OBJECTS, _NOTES = "objects", "notes"
 _NAME = re.compile(r"[0-9a-z][0-9a-z.-]{0,120}")
 _TRIES = 3
+_CHECKSUM = "FlexibleChecksumError"  # name of botocore's error of an answer that does not fit its checksum
+_AGAIN = f"{DAMAGED}: run the same again"
 
 
 def open_store(address: str | os.PathLike[str], *, patience: float = 120.0) -> ObjectStore:
@@ -159,7 +163,6 @@ class RemoteStore(ObjectStore):
         import fsspec
 
         self.address, self.patience = address.rstrip("/"), patience
-        self._calls = ThreadPoolExecutor(1, thread_name_prefix="gsvis-store")
         try:
             self._files, self._root = fsspec.core.url_to_fs(self.address)
         except Exception as error:  # fsspec raises what its backends raise
@@ -187,6 +190,8 @@ class RemoteStore(ObjectStore):
                 raise FormatError(self.address, wanted[0][:12], "an object of the store", "no such object") from error
             except FormatError:  # a cut answer: ask again
                 if attempt == _TRIES - 1:
+                    with suppress(FileNotFoundError):  # so that the next run makes it again
+                        self._call("removing a damaged object", lambda: self._files.rm_file(self._at(wanted[0])))
                     raise
         return path
 
@@ -198,7 +203,7 @@ class RemoteStore(ObjectStore):
         at = f"{self._root}/{_NOTES}/{_checked(name)}"
         try:
             return unseal(self._call("reading a note", lambda: self._files.cat_file(at)))
-        except FileNotFoundError:
+        except (FileNotFoundError, FormatError):
             return None
 
     def _at(self, digest: str) -> str:
@@ -216,26 +221,44 @@ class RemoteStore(ObjectStore):
     def _call(self, what: str, ask: Callable[[], _Answer]) -> _Answer:
         """Return what the store answers; try again where it fails, and raise one clear line at the end."""
         for attempt in range(_TRIES):
-            waiting = self._calls.submit(ask)
             try:
-                return waiting.result(self.patience)
+                return _answer_of(ask).result(self.patience)
             except FileNotFoundError:
                 raise
             except Late as error:
-                self._calls = ThreadPoolExecutor(1, thread_name_prefix="gsvis-store")  # the old one is stuck
                 raise BackendError(
                     f"{self.address}: {what}: no answer within {self.patience:g} s; is the store up and reachable?"
                 ) from error
             except GsvisError:
                 raise
             except Exception as error:  # fsspec raises what its backends raise
-                if attempt == _TRIES - 1:
-                    raise BackendError(f"{self.address}: {what} failed {_TRIES} times: {_reason(error)}") from error
+                if attempt < _TRIES - 1:
+                    continue
+                if type(error).__name__ == _CHECKSUM:
+                    got = f"another, when {what}"
+                    raise FormatError(
+                        self.address, "", "content that fits its checksum", got, "run the same again"
+                    ) from error
+                raise BackendError(f"{self.address}: {what} failed {_TRIES} times: {_reason(error)}") from error
         raise AssertionError("unreachable")
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled by its address."""
         return RemoteStore, (self.address, self.patience)
+
+
+def _answer_of(ask: Callable[[], _Answer]) -> Future[_Answer]:
+    """Return the answer to come of a call, from a thread of its own that no exit of the program waits for."""
+    answer = Future[_Answer]()
+
+    def call() -> None:
+        try:
+            answer.set_result(ask())
+        except BaseException as error:
+            answer.set_exception(error)
+
+    Thread(target=call, name="gsvis-store", daemon=True).start()
+    return answer
 
 
 def _compare(path: Path, wanted: StoredObject, name: str = "") -> None:
@@ -247,7 +270,7 @@ def _compare(path: Path, wanted: StoredObject, name: str = "") -> None:
         raise FormatError(shown, "", "an object of the store", "no such file", "run the same again") from error
     if not good:
         path.unlink(missing_ok=True)  # so that the next run makes it again
-        raise FormatError(shown, "", "content that fits its name", "another content", f"{DAMAGED}: run the same again")
+        raise FormatError(shown, "", "content that fits its name", "another content", _AGAIN)
 
 
 def _checked(name: str) -> str:

@@ -81,8 +81,13 @@ def connect(address: str, *, timeout: float = 10.0) -> Iterator[Workers]:
             client = _ask(address, timeout)
         except (OSError, TimeoutError, FutureTimeoutError) as error:
             raise BackendError(
-                f"no Dask scheduler answers at {address} within {timeout:g} s: is it running (`dask scheduler`) and"
-                " reachable from here?"
+                f"no Dask scheduler answers at {address} within {timeout:g} s: is it running (`dask scheduler`),"
+                " reachable from here, and not at another port, as that of its dashboard?"
+            ) from error
+        except Exception as error:  # what a stranger says ends in any error, of memory too
+            raise BackendError(
+                f"what answers at {address} is not understood ({type(error).__name__}): is it a Dask scheduler, of the"
+                f" version here, {version('distributed')}?"
             ) from error
     try:
         try:
@@ -111,11 +116,21 @@ def _ask(address: str, timeout: float) -> Any:
     """Return a client of a scheduler. Dask waits for ever for one that accepts a connection and says nothing."""
     from distributed import Client
 
+    class Asked(Client):  # type: ignore[misc]
+        """A client that counts as closed if it never opened: Dask would wait for its end, and say so late."""
+
+        def __init__(self, *args: Any, **kwargs: Any) -> None:
+            try:
+                super().__init__(*args, **kwargs)
+            except Exception:
+                self.status = "closed"
+                raise
+
     answer = Future[Any]()
 
     def ask() -> None:
         try:
-            answer.set_result(Client(address, timeout=timeout, set_as_default=False, name="gsvis"))
+            answer.set_result(Asked(address, timeout=timeout, set_as_default=False, name="gsvis"))
         except Exception as error:
             answer.set_exception(error)
 

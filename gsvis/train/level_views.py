@@ -22,7 +22,15 @@ from gsvis.train.images import PosedImages, render_views
 from gsvis.train.likeness import mean_psnr
 from gsvis.train.photos import load_photos
 
-__all__ = ["CHOOSING", "WIDE", "LevelViews", "draw_views", "load_photograph_views"]
+__all__ = [
+    "CHOOSING",
+    "WIDE",
+    "LevelViews",
+    "draw_views",
+    "load_photograph_views",
+    "views_to_choose",
+    "views_to_train",
+]
 
 _EVERY = 8  # one in so many photos is held out
 CHOOSING = 4
@@ -84,9 +92,7 @@ def draw_views(
     Raises:
         SceneError: If no viewpoint is found, or the views are empty.
     """
-    wide = replace(sampling, fov=max(sampling.fov, WIDE), standing=STANDING)
-    small = {name: max(round(_SMALLER * getattr(sampling, name)), 1) for name in ("width", "height")}
-    asked = [replace(wide, **small)]
+    asked = [views_to_train(sampling)]
     if held_out:
         asked.append(replace(sampling, count=held_out, stream=sampling.stream + 1))
     total = sum(each.count for each in asked)
@@ -101,8 +107,20 @@ def draw_views(
     if float(found[0].images.max()) < _DARK:
         raise SceneError("views from inside the scene are empty; check the up axis")
     drawn = f"drawn at random where eyes may be ({space.rule})"
-    many = replace(wide, count=CHOOSING * sampling.count, stream=sampling.stream + 2)
-    return LevelViews(found[0], found[1] if held_out else None, drawn, False, many.cameras(g, space), space=space)
+    many = views_to_choose(sampling).cameras(g, space)
+    return LevelViews(found[0], found[1] if held_out else None, drawn, False, many, space=space)
+
+
+def views_to_train(sampling: ViewSampling) -> ViewSampling:
+    """Return the views to train on, from those to measure on: smaller and wider."""
+    small = {name: max(round(_SMALLER * getattr(sampling, name)), 1) for name in ("width", "height")}
+    return replace(sampling, fov=max(sampling.fov, WIDE), standing=STANDING, **small)
+
+
+def views_to_choose(sampling: ViewSampling) -> ViewSampling:
+    """Return the views to choose Gaussians by, from those to measure on: wide, and four times as many."""
+    count, stream = CHOOSING * sampling.count, sampling.stream + 2
+    return replace(sampling, count=count, stream=stream, fov=max(sampling.fov, WIDE), standing=STANDING)
 
 
 def load_photograph_views(

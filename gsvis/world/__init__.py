@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from gsvis.world.prepare import PreparedWorld, prepare_world
     from gsvis.world.stages import WrittenTile, write_tiles
     from gsvis.world.tiling import TilingConfig
+    from gsvis.world.trial import Trial
 
 __all__ = [
     "Beyond",
@@ -38,6 +39,7 @@ __all__ = [
     "Task",
     "Tile",
     "TilingConfig",
+    "Trial",
     "VerifiedWorld",
     "World",
     "WorldConfig",
@@ -58,6 +60,7 @@ _HOMES = {
     "prepare": ("PreparedWorld", "prepare_world"),
     "stages": ("WrittenTile", "write_tiles"),
     "tiling": ("TilingConfig",),
+    "trial": ("Trial",),
 }
 
 

@@ -1,12 +1,14 @@
 """Estimate the preparation of a world: tiles, time, memory, disk and core hours. Keeps nothing.
 
-A sample of the rows gives the tiles. The rest comes from constants: times are rough, they distinguish minutes from
-hours and days. The first run on a machine compiles kernels as well, which takes about a minute.
+A sample of the rows gives the tiles. A few of them are tried, so that times follow the scene and the machine; that is
+left out where it would cost more than a small part of the work, and the rest comes from constants. The first run on a
+machine compiles kernels as well, which takes about a minute.
 """
 
 from __future__ import annotations
 
 import tempfile
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -20,28 +22,45 @@ from gsvis.pvs.workers import Workers, machine_load
 from gsvis.train.levels import LevelsConfig
 from gsvis.world.build import WorldBuild
 from gsvis.world.config import WorldConfig
-from gsvis.world.memory import tile_memory
+from gsvis.world.memory import least_limit, needed_memory, tile_memory
+from gsvis.world.trial import Trial, try_tiles
 
 __all__ = ["WorldEstimate", "estimate_world"]
 
-# Seconds of processor with compiled kernels, from showroom LOD 2 (no levels, one cell), nika LOD 2 in 20,000s and
-# flowers LOD 2 in 40,000s (60 and 12 steps, two cells): benchmarks/world_whole.py, docs/design/084.
-_START, _TILING, _SPACE_TILE = 2.0, 1.7e-6, 0.9  # once, for each Gaussian, for each tile
-_LOOK, _LOOK_ROW = 0.015, 6.9e-7  # for each look for nodes of a tile, and for each Gaussian of its lowest level
+_clock = time.process_time  # tests set another
+
+# A dry run may take this much processor time beside reading, and this share of the work that constants expect.
+_LEAST_BUDGET, _BUDGET_SHARE, _MOST_BUDGET = 10.0, 0.04, 40.0
+
+# Where no tile is tried: seconds for each tile; for each and for each Gaussian in it, or in and around it.
+_SPACE = 0.9
+_VIEW, _VIEW_ROW = 0.003, 2e-7
+_CHOICE, _CHOICE_ROW = 3.0, 5e-4
+_CELL, _CELL_ROW = 0.5, 2e-5
+
+# Seconds of processor with compiled kernels, from flowers LOD 3 in 10,000s, nika LOD 2 in 20,000s, guitar in 40,000s
+# and a part of showroom LOD 2 in 80,000s, each with 30 steps (docs/design/089).
+_START, _TILING = 0.4, 2e-6  # once, for each Gaussian
+_LOOK, _LOOK_ROW = 0.016, 7e-7  # for each look for nodes of a tile, and for each Gaussian in it
 _DISTRICT, _DISTRICT_ROW = 0.3, 4e-6  # for the districts of a tile, and for each Gaussian of its lowest level
-_ROW_LEVELS = 2e-6  # for each Gaussian, without training
-_TRAINED, _STEP = 5.0, 0.33  # with training: for each tile, and for each step of each of its lower levels
-_STEP_ROW, _STEP_SH = 3.7e-6, 1.6  # for each Gaussian and step, with two lower levels; what 16 SH coefficients add
-_PACKAGE, _EYES = 6.0, 2.0  # for each tile, and for each of its cells
-_OWN, _JOINT, _CELL = 5.5e-5, 2.2e-5, 2e-5  # for each Gaussian of a tile, each in and around it, and in each cell
-_TERMS = 0.1  # times `_OWN` for each SH coefficient above degree 0
+_TORCH, _TRAINED, _TRAINED_ROW = 3.0, 1.2, 5e-6  # once; with training, for each tile and each Gaussian
+_STEP, _STEP_VIEWS = 0.017, 1.3  # for each step of a lower level, and in views of its tile
+_USUAL = 0.375  # size of a lower level as a share of a tile's, with which steps were measured
+_FILL, _FILL_ROW = 0.1, 1.3e-5  # for each lower level of a tile: first opacities of its merged Gaussians
+_LARGE = 2.0  # a view to measure on, in views to train on
+_PACKAGE, _PACKAGE_ROW = 0.4, 1.3e-5  # for each tile with room for eyes, and for each Gaussian
+_BARE, _BARE_ROW = 0.2, 3e-5  # the same for levels and package of one without
+_TRACERS, _TRACED, _TWICE = 0.1, 4e-6, 1.7e-5  # for each tile, each Gaussian of each level in and around it, and each
+_BASE_FIT, _TERMS_FIT, _PRICED = 1.3e-5, 3.3e-4, 6144  # for each Gaussian without SH, with SH; those that give a price
+_WEIGHED, _COST, _CLIENT = 0.78, 3.7, 3.5  # a view of the importance of colors, of the cost of rounding, of a client's
 _AROUND = 7.5  # most Gaussians in and around a tile, in those of the tile
 _MOST_AROUND, _ROOT_AROUND = 12.0, 1.5  # the same of the tile with most of them: at most, and times the root of tiles
 _EFFICIENCY = 0.9  # of workers beside each other
 
-_PEAK = 0.85  # of what `--max-memory` has to allow
+_UNSURE = 1.03  # times what a sample says of the fullest tile
+_PEAK = 0.85  # of what a limit of memory has to allow for a tile
 _RECORD, _TERM, _SETS = 13.6, 6.0, 0.3  # bytes for each Gaussian, each term, and each cell and Gaussian in and around
-_DISTRICTS, _SPACE = 1.33, 2_500_000  # districts for each tile; bytes of where eyes may be in one
+_DISTRICTS, _SPACES = 1.33, 2_500_000  # districts for each tile; bytes of where eyes may be in one
 _ROWS = 3  # how often a Gaussian is kept with all its values
 _SAMPLED = 1 << 19
 
@@ -59,9 +78,12 @@ class WorldEstimate:
         seconds: Time with the workers.
         workers: Number of workers.
         memory: Peak bytes of a worker.
+        max_memory: Least limit of the memory of all processes under which every task fits, one at a time.
         nbytes: Bytes of the world.
         work_bytes: Bytes of the kept work.
         load: Processes that used or waited for a core when the estimate began; None if unknown.
+        trial: What a tile takes, of which some were tried.
+        spent: Seconds of processor that this estimate took.
     """
 
     gaussians: int
@@ -72,9 +94,12 @@ class WorldEstimate:
     seconds: float
     workers: int
     memory: int
+    max_memory: int
     nbytes: int
     work_bytes: int
     load: float | None
+    trial: Trial
+    spent: float
 
     @property
     def core_hours(self) -> float:
@@ -89,70 +114,142 @@ def estimate_world(
     workers: int = 1,
     progress: Progress = silent,
 ) -> WorldEstimate:
-    """Estimate the cost of `prepare_world` with these arguments. Reads every scene once and writes a temporary sample.
+    """Estimate the cost of `prepare_world` with these arguments. Reads every scene once or twice, keeps nothing.
 
     Args:
         scenes: As for `prepare_world`.
         config: Options; None means `WorldConfig()`.
         workers: Workers of the run; this estimate itself runs here.
-        progress: Called with stage "sampling".
+        progress: Called with stages "sampling" and "trying tiles".
 
     Raises:
         SceneError: If the scenes have nothing to see.
         FormatError: If a scene is damaged.
     """
-    config, load = config or WorldConfig(), machine_load()
+    config, load, began = config or WorldConfig(), machine_load(), _clock()
     _check.positive_int("workers", workers)
     with tempfile.TemporaryDirectory(prefix="gsvis-") as folder:
         build = WorldBuild(list(scenes), config, open_store(folder), Workers(), progress)
         facts = [result.facts for name, result in build.survey.items() if name != "grid"]
         expected = np.array(build.grid["expected"])
         side = float(build.grid["grid"]["side"]) * float(np.median([max(rect[2:]) for rect in build.grid["tiles"]]))
-    count, degree = sum(each["gaussians"] for each in facts), max(each["sh_degree"] for each in facts)
-    tiles, cells = len(expected), config.package.cells or MOST_CELLS
+        count, degree = sum(each["gaussians"] for each in facts), max(each["sh_degree"] for each in facts)
+        sizes = _Sizes(config, count, len(expected), degree)
+        trial = sizes.untried()
+        budget = min(max(_LEAST_BUDGET, _BUDGET_SHARE * sum(sizes.seconds(trial).values())), _MOST_BUDGET)
+        progress("trying tiles", 0, 1)
+        trial = try_tiles(build, trial, int(sizes.joint - sizes.each), budget)
+        progress("trying tiles", 1, 1)
+    seconds = sizes.seconds(trial)
     largest = int(max(expected.max(), 1))
-    levels, coefficients = config.package.levels, 3 * ((degree + 1) ** 2 - 1)
-    shares = () if levels is None else levels.shares
-    drawn, own = 1.0 + sum(shares), 1.0 + (0.0 if levels is None else sum(a * (1.0 - b) for a, b in _lower(levels)))
-    around = min(_AROUND, float(tiles))
-    rows = count * (shares[0] if shares else 1.0)  # of the lowest levels
-    seconds = {
-        "tiling": _START + _TILING * count,
-        "spaces": _SPACE_TILE * tiles,
-        "levels": _ROW_LEVELS * count if levels is None else _training(levels, tiles, count, coefficients),
-        "districts": _DISTRICT * tiles + _DISTRICT_ROW * rows,
-        "nodes": config.looks * (_LOOK * tiles + _LOOK_ROW * rows),
-        "packages": (_PACKAGE + _EYES * cells) * tiles
-        + ((_JOINT + _CELL * cells) * around * drawn + _OWN * (1.0 + _TERMS * coefficients)) * count,
-    }
+    most = max(_UNSURE * largest * count / max(expected.sum(), 1), count - float(expected.sum()))
+    memory, limit = _memory(sizes, largest, int(most), workers)
     row = 4 * (14 + (3 * (degree + 1) ** 2 - 3))
-    per = _RECORD * own + _TERM * _terms_of(config, degree) + _SETS * cells * around
-    districts = int(_RECORD * _DISTRICTS * tiles * min(config.far, rows / tiles))
-    joint = int(min(largest * min(_MOST_AROUND, _ROOT_AROUND * tiles**0.5), count))
+    per = _RECORD * sizes.own + _TERM * _terms_of(config, degree) + _SETS * sizes.cells * sizes.joint / sizes.each
+    districts = int(_RECORD * _DISTRICTS * sizes.tiles * min(config.far, sizes.lowest / sizes.tiles))
     return WorldEstimate(
         gaussians=count,
-        tiles=tiles,
+        tiles=sizes.tiles,
         largest=largest,
         side=side,
         core_seconds=seconds,
-        seconds=sum(seconds.values()) / max(1.0, _EFFICIENCY * min(workers, tiles)),
+        seconds=sum(seconds.values()) / max(1.0, _EFFICIENCY * min(workers, sizes.tiles)),
         workers=workers,
-        memory=int(_PEAK * tile_memory(int(own * largest), [joint], int(own * joint), degree, config.package.sets)),
+        memory=memory,
+        max_memory=limit,
         nbytes=districts + int(per * count),
-        work_bytes=districts + _SPACE * tiles + int((_ROWS * row + per) * count + row * min(count, _SAMPLED)),
+        work_bytes=districts + _SPACES * sizes.tiles + int((_ROWS * row + per) * count + row * min(count, _SAMPLED)),
         load=load,
+        trial=trial,
+        spent=_clock() - began,
     )
+
+
+class _Sizes:
+    """The sizes of a world, and the time of its stages from what a tile takes.
+
+    Attributes:
+        each: Gaussians of a tile, mean.
+        joint: Gaussians in and around a tile.
+        own: Gaussians of all levels of a tile, in those of the tile.
+        drawn: The same, those in several levels as often.
+        lowest: Gaussians of all lowest levels.
+        cells: Most cells of a tile.
+    """
+
+    def __init__(self, config: WorldConfig, count: int, tiles: int, degree: int) -> None:
+        self.config, self.count, self.tiles, self.degree = config, count, tiles, degree
+        self.each = count / tiles
+        self.joint = min(_AROUND * self.each, float(count))
+        levels = config.package.levels
+        self.shares = () if levels is None else levels.shares
+        self.own = 1.0 + (0.0 if levels is None else sum(a * (1.0 - b) for a, b in _lower(levels)))
+        self.drawn = 1.0 + sum(self.shares)
+        self.lowest = count * (self.shares[0] if self.shares else 1.0)
+        self.cells = config.package.cells or MOST_CELLS
+
+    def untried(self) -> Trial:
+        """Return what a tile takes by constants."""
+        choice = _CHOICE + _CHOICE_ROW * self.each if self.shares else 0.0
+        cell = _CELL + _CELL_ROW * self.joint
+        return Trial(1.0, _SPACE, _VIEW + _VIEW_ROW * self.each, choice, float(self.cells), cell)
+
+    def seconds(self, trial: Trial) -> dict[str, float]:
+        """Return the seconds of processor of each stage."""
+        tiles, seen, lowest = self.tiles, trial.eyes * self.tiles, self.lowest / self.tiles
+        far = min(lowest, self.config.far) * (self.joint / self.each - 1.0)
+        bare = (tiles - seen) * (_BARE + _BARE_ROW * self.each)
+        return {
+            "tiling": _START + _TILING * self.count,
+            "spaces": trial.space * tiles,
+            "levels": seen * self._levels(trial) + (_TORCH if self.shares else 0.0),
+            "districts": _DISTRICT * tiles + _DISTRICT_ROW * self.lowest,
+            "nodes": seen * self.config.looks * (_LOOK + _LOOK_ROW * (lowest + far)),
+            "packages": seen * self._package(trial) + bare,
+        }
+
+    def _levels(self, trial: Trial) -> float:
+        """Return the seconds to make the levels of a tile with room for eyes."""
+        package = self.config.package
+        if package.levels is None:
+            return _TRAINED_ROW * self.each
+        views = package.level_views.count + package.level_held_out * (_LARGE + len(self.shares) + 1)
+        steps = package.levels.iterations * sum(_STEP + _STEP_VIEWS * trial.view * a / _USUAL for a in self.shares)
+        fill = len(self.shares) * (_FILL + _FILL_ROW * self.each)
+        return _TRAINED + _TRAINED_ROW * self.each + views * trial.view + trial.choice + steps + fill
+
+    def _package(self, trial: Trial) -> float:
+        """Return the seconds to make the package of a tile with room for eyes."""
+        package, union = self.config.package, self.own * self.each
+        sets = _TRACERS + (_TRACED * self.drawn + _TWICE) * self.joint + trial.cells * trial.cell
+        views = _COST * package.cost_views.count + _CLIENT * package.fidelity_views.count
+        fit = _BASE_FIT * union
+        if self.degree:
+            fit = _TERMS_FIT * (union + min(union, _PRICED))
+            views += _WEIGHED * package.colors.views.count * (1 + len(self.shares))
+        return _PACKAGE + _PACKAGE_ROW * union + sets + fit + views * trial.view
+
+
+def _memory(sizes: _Sizes, largest: int, most: int, workers: int) -> tuple[int, int]:
+    """Return the peak bytes of a worker, and the least limit of all processes.
+
+    Args:
+        sizes: The sizes of the world.
+        largest: Gaussians of the fullest tile, by the sample.
+        most: What it or the outside may have, what is too faint for the sample included.
+        workers: Workers of the run.
+    """
+    package = sizes.config.package
+    joint = int(min(largest * min(_MOST_AROUND, _ROOT_AROUND * sizes.tiles**0.5), sizes.count))
+    tile = tile_memory(int(sizes.own * largest), [joint], int(sizes.own * joint), sizes.degree, package.sets)
+    params = {"config": package.as_dict()}
+    levels = needed_memory("gsvis.world.tiles:make_tile_levels", params, [{"gaussians": most}])
+    return int(_PEAK * tile), least_limit(levels, tile, workers)
 
 
 def _lower(levels: LevelsConfig) -> list[tuple[float, float]]:
     """Return the size of each lower level as a share of the scene's, and how much of it stands in the next."""
     return list(zip(levels.shares, levels.reuse, strict=True))
-
-
-def _training(levels: LevelsConfig, tiles: int, count: int, coefficients: int) -> float:
-    """Return the seconds to train the levels of all tiles."""
-    each = _TRAINED + _STEP * levels.iterations * len(levels.shares)
-    return tiles * each + _STEP_ROW * (1.0 + _STEP_SH * coefficients / 45.0) * levels.iterations * count
 
 
 def _terms_of(config: WorldConfig, degree: int) -> float:

@@ -13,6 +13,7 @@ import heapq
 import json
 import logging
 import os
+import platform
 import re
 import shutil
 import tempfile
@@ -180,8 +181,6 @@ Run = Callable[[Facts, Given, Path, Path], Facts]
 @cache
 def machine_kind() -> str:
     """Return what the bytes of results depend on between processors: architecture, vector width, fused multiply-add."""
-    import platform
-
     from llvmlite.binding import get_host_cpu_features
 
     features = get_host_cpu_features()
@@ -454,11 +453,12 @@ def _work_folder(store: ObjectStore, key: str) -> Iterator[Path]:
 
 
 def _check_worker(job: Job) -> None:
+    where = f"a worker on {platform.node()}, process {os.getpid()}"
     if _version() != job.version:
-        raise BackendError(f"a worker: expected gsvis {job.version}, as here, got gsvis {_version()}; install it there")
+        raise BackendError(f"{where}: expected gsvis {job.version}, as here, got gsvis {_version()}; install it there")
     if machine_kind() != job.machine:
         raise BackendError(
-            f"a worker: expected a processor like the one here ({job.machine}), got {machine_kind()}; bytes would"
+            f"{where}: expected a processor like the one here ({job.machine}), got {machine_kind()}; bytes would"
             " depend on the worker, so use machines of one kind"
         )
 

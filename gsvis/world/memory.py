@@ -13,7 +13,7 @@ from typing import Any
 from gsvis.prepare.memory import kept_memory
 from gsvis.pvs.config import PvsConfig
 
-__all__ = ["IDLE", "needed_memory", "tile_memory"]
+__all__ = ["IDLE", "least_limit", "needed_memory", "tile_memory"]
 
 Facts = dict[str, Any]
 
@@ -55,6 +55,18 @@ def tile_memory(own: int, counts: Sequence[int], joint: int, sh_degree: int, set
     """
     looks = _LEVEL[sets.method] * max(counts) + _PIXEL * sets.size**2
     return _HELD + kept_memory(own, sh_degree) + _JOINT * joint + looks
+
+
+def least_limit(task: int, tile: int, workers: int) -> int:
+    """Return the least limit of all processes under which each task fits, one at a time.
+
+    Args:
+        task: Most bytes that a task needs beyond an idle process.
+        tile: Bytes of a worker that makes a package, `tile_memory`.
+        workers: Processes; 1 works in the process that gives out tasks.
+    """
+    idle = IDLE * (workers + 1 if workers > 1 else 1)
+    return max(idle + task, idle - IDLE + tile)
 
 
 def _batch(params: Facts, inputs: Sequence[Facts]) -> int:

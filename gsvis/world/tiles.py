@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gsvis.color.fit import FitConfig
 from gsvis.errors import ArgumentError, SceneError
@@ -27,7 +28,7 @@ from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.view_sampling import ViewSampling
 from gsvis.train.levels import LevelsConfig
 from gsvis.world.graph import Facts, Given
-from gsvis.world.rows import load_gaussians, load_rows, median_spacing, save_gaussians, save_tile_levels
+from gsvis.world.rows import flatten, load_gaussians, load_rows, median_spacing, save_gaussians, save_tile_levels
 
 __all__ = [
     "MARGIN",
@@ -36,7 +37,9 @@ __all__ = [
     "gather_rows",
     "load_space",
     "make_tile_levels",
+    "near_tile",
     "save_space",
+    "space_of_tile",
     "tile_space",
 ]
 
@@ -58,28 +61,38 @@ def tile_space(params: Facts, given: Given, out: Path, work: Path) -> Facts:
 
     Facts: the number of free voxels; 0 if nobody can be there.
     """
-    low, high, axes = (np.array(params[name]) for name in ("low", "high", "axes"))
-    margin = MARGIN * float((high - low).max())
     parts = []
     for k in range(len(given)):
         g = load_gaussians(given.path(k, "rows"))
-        across = g.means[:, axes]
-        parts.append(g if k == 0 else g[((across >= low - margin) & (across < high + margin)).all(axis=1)])
-    near = Gaussians.concatenate([Gaussians(g.means, g.quats, g.scales, g.opacities, g.sh0) for g in parts])
+        parts.append(flatten(g if k == 0 else g[near_tile(g.means, params)]))
+    space = space_of_tile(Gaussians.concatenate(parts), params)
+    if space is None:
+        return {"voxels": 0}
+    save_space(out / "space", space)
+    return {"voxels": int(np.count_nonzero(space.free))}
+
+
+def near_tile(means: NDArray[np.floating[Any]], params: Facts) -> NDArray[np.bool_]:
+    """Return which centers (N, 3) lie in a tile or in the margin around it; `params` as for `tile_space`."""
+    low, high, axes = (np.array(params[name]) for name in ("low", "high", "axes"))
+    margin, across = MARGIN * float((high - low).max()), means[:, axes]
+    return np.asarray(((across >= low - margin) & (across < high + margin)).all(axis=1))
+
+
+def space_of_tile(near: Gaussians, params: Facts) -> NavigableSpace | None:
+    """Return where eyes may be in the squares of a tile, from its rows and those around it; None if nowhere."""
+    low, high, axes = (np.array(params[name]) for name in ("low", "high", "axes"))
     try:
         found = NavigableSpace.from_scene(near, up=params["up"], resolution=params["resolution"])
     except SceneError:
-        return {"voxels": 0}
+        return None
     free = found.free.copy()
     for axis, first, last in zip(axes.tolist(), low.tolist(), high.tolist(), strict=True):
         middles = found.origin[axis] + found.voxel_size * (np.arange(free.shape[axis]) + 0.5)
         shape = [1, 1, 1]
         shape[axis] = -1
         free &= ((middles >= first) & (middles < last)).reshape(shape)
-    if not free.any():
-        return {"voxels": 0}
-    save_space(out / "space", replace(found, free=free))
-    return {"voxels": int(np.count_nonzero(free))}
+    return replace(found, free=free) if free.any() else None
 
 
 def save_space(path: Path, space: NavigableSpace) -> None:

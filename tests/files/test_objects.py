@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,10 @@ from fsspec.implementations.memory import MemoryFileSystem  # noqa: E402
 
 from gsvis.errors import BackendError, FormatError  # noqa: E402
 from gsvis.files.objects import open_store  # noqa: E402
+
+
+class FlexibleChecksumError(Exception):
+    """Named as that of botocore."""
 
 
 class Faulty(MemoryFileSystem):  # type: ignore[misc]
@@ -40,6 +45,8 @@ class Faulty(MemoryFileSystem):  # type: ignore[misc]
     def _fail(self) -> None:
         if self.fault == "slow":
             time.sleep(1.0)
+        if self.fault == "checksum":
+            raise FlexibleChecksumError("Expected checksum zDOvIQ== did not match")
         if self.fault == "down" or (self.fault == "down once" and self.calls == 1):
             raise ConnectionError("connection refused")
 
@@ -93,6 +100,7 @@ def test_a_sweep_keeps_what_is_named(tmp_path: Path) -> None:
         ("down", "reading an object failed 3 times: ConnectionError: connection refused"),
         ("slow", "reading an object: no answer within 0.2 s"),
         ("wrong", "content that fits its name"),
+        ("checksum", "content that fits its checksum, got another, when reading an object"),
     ],
 )
 def test_a_store_that_fails_gives_one_line(faulty: type[Faulty], tmp_path: Path, fault: str, message: str) -> None:
@@ -103,6 +111,9 @@ def test_a_store_that_fails_gives_one_line(faulty: type[Faulty], tmp_path: Path,
     with pytest.raises((BackendError, FormatError), match=message):
         store.path_of(found, tmp_path / "cache")
     assert not list((tmp_path / "cache").iterdir())
+    stuck = [thread for thread in threading.enumerate() if thread.name.startswith("gsvis-store")]
+    assert stuck or fault != "slow"
+    assert all(thread.daemon for thread in stuck)  # else the program could not end
 
 
 @pytest.mark.parametrize("fault", ["down once", "cut once"])
@@ -113,6 +124,29 @@ def test_a_store_that_fails_once_is_asked_again(faulty: type[Faulty], tmp_path: 
     faulty.fault = fault
     assert store.path_of(found, tmp_path / "cache").read_bytes() == b"some bytes"
     assert faulty.calls == 2
+
+
+@pytest.mark.parametrize("fault", ["wrong", "checksum"])
+def test_what_is_damaged_in_a_store_goes_so_that_the_next_run_makes_it_again(
+    faulty: type[Faulty], tmp_path: Path, fault: str
+) -> None:
+    store = open_store("faulty://city")
+    (tmp_path / "x").write_bytes(b"other bytes")
+    found = store.put(tmp_path / "x")
+    store.keep_note("key.json", b"facts")
+    faulty.fault = fault
+    with pytest.raises(FormatError, match="run the same again"):
+        store.path_of(found, tmp_path / "cache")
+    assert not store.has(found)
+    assert store.note("key.json") == (None if fault == "checksum" else b"facts")
+
+
+def test_a_note_that_is_cut_in_a_store_counts_as_missing(faulty: type[Faulty]) -> None:
+    store = open_store("faulty://city")
+    store.keep_note("key.json", b"facts")
+    for path in [path for path in faulty.store if path.endswith("key.json")]:
+        fsspec.filesystem("faulty").pipe_file(path, b"gvc")
+    assert store.note("key.json") is None
 
 
 def test_an_unknown_kind_of_store_is_refused() -> None:

@@ -62,6 +62,20 @@ def test_a_scheduler_that_says_nothing_is_one_line(monkeypatch: pytest.MonkeyPat
             pass
 
 
+def test_a_server_that_is_no_scheduler_is_one_line() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as strange:
+
+        def talk() -> None:
+            with strange.accept()[0] as found:
+                found.sendall(b"\xff" * 64)  # a message of 2^64 - 1 bytes
+                found.recv(1 << 16)
+
+        threading.Thread(target=talk, daemon=True).start()
+        address = f"tcp://127.0.0.1:{strange.getsockname()[1]}"
+        with pytest.raises(BackendError, match="answers at"), connect(address, timeout=2.0):
+            pass
+
+
 def test_a_scheduler_that_cannot_be_reached_is_one_line() -> None:
     with (
         pytest.raises(BackendError, match=r"no Dask scheduler answers at tcp://127.0.0.1:1 within"),

@@ -1,0 +1,83 @@
+"""Dry runs of worlds: tiles with room for eyes, times that follow a clock, a budget, and a limit that suffices."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from gsvis.errors import ArgumentError
+from gsvis.pvs.workers import Workers
+from gsvis.train.levels import LevelsConfig
+from gsvis.world import estimate as estimates
+from gsvis.world import trial as trials
+from gsvis.world.estimate import estimate_world
+from gsvis.world.prepare import prepare_world
+from tests.world import cities
+
+CONFIG = cities.config(most=1200)
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> tuple[str, None]:
+    return cities.write(cities.street(), tmp_path / "street.ply")
+
+
+def tick(monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
+    """Let each look at the clock of trials take some seconds."""
+    clock = itertools.count(0.0, seconds)
+    monkeypatch.setattr(trials, "_clock", lambda: next(clock))
+
+
+def test_the_share_of_tiles_with_room_for_eyes_and_the_limit_of_memory_are_those_of_the_run(
+    scene: tuple[str, None], tmp_path: Path
+) -> None:
+    found = estimate_world([scene], CONFIG)
+    assert found.trial.tiles >= 1
+    assert [path.name for path in tmp_path.iterdir()] == ["street.ply"]
+    with pytest.raises(ArgumentError, match="expected at least"):
+        prepare_world([scene], tmp_path / "a.gsworld", CONFIG, workers=Workers(max_memory=found.max_memory // 2))
+    made = prepare_world([scene], tmp_path / "b.gsworld", CONFIG, workers=Workers(max_memory=found.max_memory))
+    voxels = [result.facts["voxels"] for name, result in made.results.items() if name.startswith("space ")]
+    assert found.tiles == len(voxels) <= 8
+    assert found.trial.eyes == pytest.approx(sum(count > 0 for count in voxels) / len(voxels))
+    assert found.trial.cells <= CONFIG.package.cells
+
+
+def test_times_follow_the_clock(scene: tuple[str, None], monkeypatch: pytest.MonkeyPatch) -> None:
+    config = cities.config(LevelsConfig((0.25, 0.5), iterations=4), most=1200)
+    taken = []
+    for seconds in (1e-6, 2e-6):
+        tick(monkeypatch, seconds)
+        taken.append(estimate_world([scene], config))
+    slow, fast = taken[1].trial, taken[0].trial
+    for name in ("space", "view", "choice", "cell"):
+        assert getattr(slow, name) == pytest.approx(2.0 * getattr(fast, name))
+    assert (slow.eyes, slow.cells, slow.tiles) == (fast.eyes, fast.cells, fast.tiles)
+    assert taken[1].core_seconds["packages"] > taken[0].core_seconds["packages"]
+
+
+def test_what_exceeds_the_budget_is_left_to_constants(scene: tuple[str, None], monkeypatch: pytest.MonkeyPatch) -> None:
+    tick(monkeypatch, 100.0)
+    found = estimate_world([scene], CONFIG)
+    assert found.trial.tiles == 0
+    monkeypatch.setattr(estimates, "_LEAST_BUDGET", 0.0)
+    monkeypatch.setattr(estimates, "_BUDGET_SHARE", 0.0)
+    untried = estimate_world([scene], CONFIG).trial
+    assert replace(found.trial, eyes=untried.eyes, space=untried.space) == untried
+    assert untried.eyes == 1.0
+
+
+def test_more_steps_cells_and_workers_change_what_they_should(
+    scene: tuple[str, None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tick(monkeypatch, 1e-3)
+    few = estimate_world([scene], cities.config(LevelsConfig((0.25, 0.5), iterations=4), most=1200))
+    tick(monkeypatch, 1e-3)
+    many = estimate_world([scene], cities.config(LevelsConfig((0.25, 0.5), iterations=40), most=1200), workers=4)
+    assert many.core_seconds["levels"] > few.core_seconds["levels"]
+    assert many.core_seconds["packages"] == pytest.approx(few.core_seconds["packages"])
+    assert many.seconds < sum(many.core_seconds.values())
+    assert many.max_memory > few.max_memory
