@@ -188,7 +188,8 @@ class Coding:
             return np.zeros(0, np.uint8)
         out = np.empty(records.MOST_OPERATIONS * len(ids) + 4, np.uint16)
         code = self.tables
-        first = records.write(parts, ids, of, chunks, self.layout, code.offsets, code.symbols, out)
+        spans = code.decoder.spans
+        first = records.write(parts, ids, of, chunks, self.layout, code.offsets, code.inverses, spans, out)
         return out[first:].view(np.uint8)
 
     def decode_records(self, data: U8, ids: I64, of: NDArray[np.int32], chunks: records.Chunks) -> U8 | None:
@@ -203,6 +204,8 @@ class Coding:
 
     def encode_terms(self, rows: U8, owners: NDArray[np.int32]) -> U8:
         """Return the (M, B) uint8 records of terms, coded. Owners never decrease."""
+        if not len(rows):
+            return np.zeros(0, np.uint8)
         return self._write(self._of_terms(rows, owners))
 
     def decode_terms(self, data: U8, owners: I64) -> U8 | None:
@@ -235,7 +238,8 @@ class Coding:
         if not len(operations):
             return np.zeros(0, np.uint8)
         out = np.empty(len(operations) + 4, np.uint16)
-        return out[coder.write(operations, self.tables.symbols, out) :].view(np.uint8)
+        code = self.tables
+        return out[coder.write(operations, code.inverses, code.decoder.spans, out) :].view(np.uint8)
 
 
 def coarsen(contents: Contents, quality: Quality) -> tuple[Contents, Steps]:
