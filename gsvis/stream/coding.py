@@ -204,9 +204,22 @@ class Coding:
 
     def encode_terms(self, rows: U8, owners: NDArray[np.int32]) -> U8:
         """Return the (M, B) uint8 records of terms, coded. Owners never decrease."""
-        if not len(rows):
-            return np.zeros(0, np.uint8)
         return self._write(self._of_terms(rows, owners))
+
+    def encode_some_terms(self, rows: U8, ids: NDArray[np.uint32], owners: NDArray[np.int32]) -> U8:
+        """Return some records of terms, coded; the same bytes as from `encode_terms`.
+
+        Args:
+            rows: (T, B) uint8, all records of the package.
+            ids: (M,) ids, ascending.
+            owners: (M,) int32, the Gaussian of each, never decreasing.
+        """
+        if not len(ids):
+            return np.zeros(0, np.uint8)
+        out, code = np.empty(terms.MOST_OPERATIONS * len(ids) + 4, np.uint16), self.tables
+        offsets, spans = code.offsets[records.TABLES :], code.decoder.spans
+        first = terms.write(rows, ids, owners, self.fields, offsets, code.inverses, spans, out)
+        return out[first:].view(np.uint8)
 
     def decode_terms(self, data: U8, owners: I64) -> U8 | None:
         """Return the (M, B) uint8 records of terms that were coded; None if these are none."""

@@ -356,11 +356,6 @@ def rank(units, runs, cell, held, view, table, limits, work):
     )  # fmt: skip
     least = limits.least
     x, y, z, word_bytes = places[0], places[1], places[2], places[5]
-    sides[:], middle_sides[:] = 0, 0
-    for f in range(len(view.planes)):
-        test_words(x, y, z, places[3], view.planes[f], sides)
-    for f in range(len(view.middle)):
-        test_words(x, y, z, places[3], view.middle[f], middle_sides)
     _squares(x, y, z, places[4], view.eye, squares)
     _gather(words, cell.allowed, cell.owed, held.gaussians, held.gone, free, due[0])
     for k in range(len(due)):
@@ -368,6 +363,13 @@ def rank(units, runs, cell, held, view, table, limits, work):
     for s in range(len(words)):
         middle[s] = free[s] | due[0, s]
     count = _list(slots, masks, middle, chosen)
+    if count == 0:  # as with each change of the view while a link is filled
+        return Plan(np.empty(0, np.int32), np.empty(0, np.uint64), np.empty(0, np.float32)), least, True
+    sides[:], middle_sides[:] = 0, 0
+    for f in range(len(view.planes)):
+        test_words(x, y, z, places[3], view.planes[f], sides)
+    for f in range(len(view.middle)):
+        test_words(x, y, z, places[3], view.middle[f], middle_sides)
     limit = _estimate_limit(units, runs, cell, table, limits, work)
     count, listed, whole = _choose(units, cell.ahead, table, limit, work, count)
     border = work.border[:listed]
