@@ -377,16 +377,16 @@ class CandidateIndex:
     def _work(self, slots: int, units: int, keys: int, terms: int) -> plan.Work:
         local, entries, sizes = self._scratch, 3 * (1 + terms) * units, []
         for name, size, kinds in (
-            ("slots", slots, (*3 * (np.uint64,), *2 * (np.uint8,), np.float32)), ("due", terms * slots, (np.uint64,)),
-            ("units", units, (np.int32, np.int32)),
+            ("slots", slots, (*3 * (np.uint64,), *2 * (np.uint8,), np.float32, np.int32)),
+            ("due", terms * slots, (np.uint64,)), ("units", units, (np.int32, np.int32)),
             ("entries", entries, (np.int32, np.int32, np.uint64, np.int32)), ("keys", keys, (np.int64, np.float64)),
         ):  # fmt: skip
             if not hasattr(local, name) or len(getattr(local, name)[0]) < size:
                 local.made.clear()  # they have the memory before
                 setattr(local, name, tuple(np.empty(size, kind) for kind in kinds))
             sizes.append([array[:size] for array in getattr(local, name)])
-        (inside, middle, free, *sides, squares), (due,), of_units, listed, sums = sizes
-        of_words = [inside, middle, free, due.reshape(terms, slots), *sides, squares]
+        (inside, middle, free, *others), (due,), of_units, listed, sums = sizes
+        of_words = [inside, middle, free, due.reshape(terms, slots), *others]
         return plan.Work(*of_words, *of_units, *listed, *sums)
 
     def _add_cells(self, cells: list[int], seen: Words) -> Words:

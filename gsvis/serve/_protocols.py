@@ -20,6 +20,7 @@ __all__ = ["GUARD", "Plain", "Socket"]
 GUARD = "gsvis.guard"
 
 _MOST_PIECES = 1024  # most frames of one message
+_MOST_WAITING, _SMALL = 16, 256  # messages that may wait for the application while more are read, and their bytes
 _NEVER = 1e6  # seconds; the guard has its own deadline
 
 
@@ -72,6 +73,18 @@ class Socket(WebSocketsSansIOProtocol):
         if len(self.frames) > _MOST_PIECES:
             self.frames = []
             self._guard.cut("a message in too many pieces", logging.WARNING)
+
+    def send_receive_event_to_app(self) -> None:
+        """Hand a message to the application; read on while few small ones wait: a pause takes two system calls."""
+        is_small = sum(map(len, self.frames)) <= _SMALL and self.queue.qsize() < _MOST_WAITING
+        if self.read_paused or not is_small:
+            super().send_receive_event_to_app()
+            return
+        self.read_paused = True  # so that the protocol does not pause
+        try:
+            super().send_receive_event_to_app()
+        finally:
+            self.read_paused = False
 
     async def send(self, message: Any) -> None:
         await super().send(message)

@@ -72,6 +72,9 @@ class Precedence:
             ready: Events of all sockets.
             is_busy: Whether the loop has other work in this turn.
         """
+        if not self._calls and not any(event[0].fd in self._behind for event in ready):  # as in most turns
+            self._owed.clear()
+            return list(ready)
         behind = {event[0].fd: event for event in ready if event[0].fd in self._behind}
         chosen = [event for event in ready if event[0].fd not in behind]
         self._owed = dict.fromkeys([*(fd for fd in self._owed if fd in behind), *behind])

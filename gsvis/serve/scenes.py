@@ -151,7 +151,8 @@ class ServedScene:
     def within(self, position: ArrayLike) -> NDArray[np.float64]:
         """Return a position clamped to a hundred times the size of the scene, where arithmetic is still accurate."""
         assert self._facts is not None, "a viewer of a scene has opened it"
-        return np.clip(np.asarray(position, np.float64), *self._facts[2])
+        low, high = self._facts[2]  # `np.clip` takes five times as long
+        return np.asarray(np.minimum(np.maximum(position, low), high), np.float64)
 
     def _note(self, scene: StreamedScene) -> None:
         """Keep what is asked of the scene while it is closed."""

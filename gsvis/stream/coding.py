@@ -205,7 +205,8 @@ class Coding:
             return np.zeros(0, np.uint8)
         out = np.empty(records.MOST_OPERATIONS * len(ids) + 4, np.uint16)
         code = self.tables
-        first = records.write(parts, ids, of, chunks, self.layout, code.offsets, code.symbols, out)
+        spans = code.decoder.spans
+        first = records.write(parts, ids, of, chunks, self.layout, code.offsets, code.inverses, spans, out)
         return out[first:].view(np.uint8)
 
     def decode_records(self, data: U8, ids: I64, of: NDArray[np.int32], chunks: records.Chunks) -> U8 | None:
@@ -221,6 +222,21 @@ class Coding:
     def encode_terms(self, rows: U8, owners: NDArray[np.int32]) -> U8:
         """Return the (M, B) uint8 records of terms, coded. Owners never decrease."""
         return self._write(self._of_terms(rows, owners))
+
+    def encode_some_terms(self, rows: U8, ids: NDArray[np.uint32], owners: NDArray[np.int32]) -> U8:
+        """Return some records of terms, coded; the same bytes as from `encode_terms`.
+
+        Args:
+            rows: (T, B) uint8, all records of the package.
+            ids: (M,) ids, ascending.
+            owners: (M,) int32, the Gaussian of each, never decreasing.
+        """
+        if not len(ids):
+            return np.zeros(0, np.uint8)
+        out, code = np.empty(terms.MOST_OPERATIONS * len(ids) + 4, np.uint16), self.tables
+        offsets, spans = code.offsets[records.TABLES :], code.decoder.spans
+        first = terms.write(rows, ids, owners, self.fields, offsets, code.inverses, spans, out)
+        return out[first:].view(np.uint8)
 
     def decode_terms(self, data: U8, owners: I64) -> U8 | None:
         """Return the (M, B) uint8 records of terms that were coded; None if these are none."""
@@ -252,7 +268,8 @@ class Coding:
         if not len(operations):
             return np.zeros(0, np.uint8)
         out = np.empty(len(operations) + 4, np.uint16)
-        return out[coder.write(operations, self.tables.symbols, out) :].view(np.uint8)
+        code = self.tables
+        return out[coder.write(operations, code.inverses, code.decoder.spans, out) :].view(np.uint8)
 
 
 def coarsen(contents: Contents, quality: Quality) -> tuple[Contents, Steps]:

@@ -250,7 +250,7 @@ class Session:
             records=coding.encode_some(scene.parts, gaussians, of, scene.chunk_numbers),
             terms=terms,
             owners=owners,
-            term_records=coding.encode_terms(_gather(scene.term_records, terms), owners),
+            term_records=coding.encode_some_terms(scene.term_records, terms, owners),
             gone=self._room[: kernels.added(self.holdings.gone, self._gone, self._room)],
             evicted=np.sort(batch.evicted),
         )
@@ -261,10 +261,4 @@ def _ascending(ids: NDArray[Any], like: NDArray[np.uint64]) -> NDArray[Any]:
     out = np.empty_like(ids)
     if len(ids):
         kernels.ascend(ids, np.zeros_like(like), out)
-    return out
-
-
-def _gather(rows: NDArray[np.uint8], places: NDArray[np.integer[Any]]) -> NDArray[np.uint8]:
-    out = np.empty((len(places), rows.shape[1]), np.uint8)
-    kernels.gather(rows, places, out.reshape(-1))
     return out

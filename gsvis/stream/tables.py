@@ -36,13 +36,13 @@ class Tables:
     Attributes:
         offsets: (K + 1,) int64, first symbol of each table.
         levels: (S,) uint8, level of each symbol.
-        symbols: (S,) uint64, for encoding; see `coder.write`.
+        inverses: (S,) uint64, for encoding; see `coder.write`.
         decoder: For decoding.
     """
 
     offsets: I64
     levels: U8
-    symbols: NDArray[np.uint64]
+    inverses: NDArray[np.uint64]
     decoder: coder.Decoder
 
     @classmethod
@@ -55,14 +55,9 @@ class Tables:
         rows = np.where(used, np.cumsum(used) - 1, -1).astype(np.int32)
         slots = np.zeros((max(int(used.sum()), 1), coder.TOTAL), np.uint16)
         coder.fill_slots(offsets, spans, rows, slots)
-        size = (spans >> 16).astype(np.uint64)
-        bits = np.frexp(np.maximum(size.astype(np.float64) - 1, 0))[1].astype(np.uint64)
-        size = np.maximum(size, 1)
-        shifts = bits + np.uint64(32)
-        inverses = ((np.uint64(1) << shifts) - np.uint64(1)) // size + np.uint64(1)
-        symbols = (spans & 0xFFF).astype(np.uint64) | size << np.uint64(12) | shifts << np.uint64(25)
-        symbols |= inverses << np.uint64(31)
-        return cls(offsets, levels, symbols, coder.Decoder(slots, rows, offsets, spans))
+        sizes_of = np.maximum(spans >> 16, 1).astype(np.uint64)
+        inverses = ((np.uint64(1) << np.uint64(coder.INVERSE)) - np.uint64(1)) // sizes_of + np.uint64(1)
+        return cls(offsets, levels, inverses, coder.Decoder(slots, rows, offsets, spans))
 
     @classmethod
     def from_counts(cls, counts: I64, sizes: list[int]) -> Tables:

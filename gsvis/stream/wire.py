@@ -6,6 +6,7 @@ memory for it. Batches are in `batch.py`. docs/streaming.md describes the messag
 
 from __future__ import annotations
 
+import math
 import struct
 from dataclasses import dataclass, field
 
@@ -236,13 +237,13 @@ def parse_client(data: bytes, *, most_hello: int = MOST_HELLO) -> Hello | PoseAt
             if data[1:4] != b"\0\0\0":
                 raise ProtocolError(f"{name}: expected zeros in bytes 1 to 3, got others")
     if kind == POSE:
-        values = _POSE.unpack(data)[1:]
-        numbers = np.array(values[1:], np.float64)
-        if not np.isfinite(numbers).all():
+        _, time_ms, x, y, z, *quat = _POSE.unpack(data)
+        a, b, c, d = quat
+        if not all(map(math.isfinite, (x, y, z, *quat))):
             raise ProtocolError("POSE: expected finite numbers, got others")
-        if not 1e-12 < float(numbers[3:] @ numbers[3:]) < 1e12:
+        if not 1e-12 < a * a + b * b + c * c + d * d < 1e12:
             raise ProtocolError("POSE: expected a rotation, got a quaternion of no sensible length")
-        return PoseAt(values[0], (values[1], values[2], values[3]), (values[4], values[5], values[6], values[7]))
+        return PoseAt(time_ms, (x, y, z), (a, b, c, d))
     if kind == ACK:
         return Ack(_ACK.unpack(data)[1])
     if kind == BYE:

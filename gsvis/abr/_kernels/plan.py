@@ -14,10 +14,12 @@ from numba import njit
 
 from gsvis._kernels.bits import ones
 from gsvis._kernels.compiled import inner, kernel
+from gsvis._kernels.prefetch import prefetch
 from gsvis.abr._kernels.lanes import not_behind
 from gsvis.abr._kernels.units import GEOMETRY, INSIDE, OUTSIDE, STRONG, TERMS, bucket_of
 
 _SAMPLE, _SPARE = 16, 1.5
+_AHEAD, _LINE = 3, 16  # words whose spheres are read ahead, and numbers in a line of the cache
 NEVER = 1 << 30  # the key of what is never sent
 KIND_BITS = 3  # of an entry: which kind of records
 DONE = np.int32(2**31 - 1)  # in `Cell.looks`: replaced
@@ -131,6 +133,7 @@ class Work(NamedTuple):
     sides: Any  # (S,) uint8
     middle_sides: Any  # (S,) uint8
     squares: Any  # (S,) float32
+    border: Any  # (S,) int32
     buckets: Any  # (U,) int32, of `chosen`
     chosen: Any  # (U,) int32
     keys: Any  # (3 (1 + K) U,) int32
@@ -165,12 +168,23 @@ def test_words(x, y, z, radii, p, sides):
 
 
 @inner(error_model="numpy")
-def _test_gaussians(words, places, bodies, planes, sides, inside):
-    """Set which Gaussians of words (S,) are in a frustum (F, 5, 4); test them one by one where the side is 3."""
+def _test_gaussians(words, places, bodies, planes, sides, border, inside):
+    """Set which Gaussians of words (S,) are in a frustum (F, 5, 4); test them one by one where the side is 3.
+
+    `border` lists where the side may be 3. Spheres of the words after it are read ahead.
+    """
     xs, ys, zs, sizes = bodies[0], bodies[1], bodies[2], bodies[3]
     x, y, z, radii = places[0], places[1], places[2], places[3]
     for s in range(len(words)):
         inside[s] = ~np.uint64(0) if sides[s] == 2 else np.uint64(0)
+    for j in range(len(border)):
+        ahead = 64 * np.int64(words[border[min(j + _AHEAD, len(border) - 1)]])
+        for k in range(ahead, ahead + 64, _LINE):
+            prefetch(xs, k)
+            prefetch(ys, k)
+            prefetch(zs, k)
+            prefetch(sizes, k)
+        s = np.int64(border[j])
         if sides[s] != 3:
             continue
         low, bits = 64 * np.int64(words[s]), np.uint64(0)
@@ -271,10 +285,10 @@ def _estimate_limit(units, runs, cell, table, limits, work):
 def _choose(units, ahead, table, limit, work, count):
     """Choose of the listed units those that may have a key below a limit; find their buckets.
 
-    Words of theirs on a border are marked with 3, for a closer test.
+    Words of theirs on a border are marked with 3 and listed, for a closer test.
 
     Returns:
-        Number of chosen units, and whether no other unit is left to send.
+        Number of chosen units, number of listed words, and whether no other unit is left to send.
     """
     slots, masks, codes, areas, pixels = units.slots, units.masks, units.codes, units.areas, units.pixels
     free, every, squares, own = work.free, work.due, work.squares, np.uint64(len(table) // 4)
@@ -300,12 +314,16 @@ def _choose(units, ahead, table, limit, work, count):
         chosen[filled], buckets[filled] = u, bucket
         filled += key < limit
         skipped |= (key >= limit) & (key < NEVER)
+    border, listed = work.border, 0
     for j in range(filled):
         s = slots[chosen[j]]
         if codes[chosen[j]] < own:
+            is_near = (sides[s] == 1) | (middle_sides[s] == 1)
+            border[min(listed, len(border) - 1)] = s
+            listed += is_near
             sides[s] = 3 if sides[s] == 1 else sides[s]
             middle_sides[s] = 3 if middle_sides[s] == 1 else middle_sides[s]
-    return filled, not skipped
+    return filled, listed, not skipped
 
 
 @kernel(error_model="numpy")
@@ -338,11 +356,6 @@ def rank(units, runs, cell, held, view, table, limits, work):
     )  # fmt: skip
     least = limits.least
     x, y, z, word_bytes = places[0], places[1], places[2], places[5]
-    sides[:], middle_sides[:] = 0, 0
-    for f in range(len(view.planes)):
-        test_words(x, y, z, places[3], view.planes[f], sides)
-    for f in range(len(view.middle)):
-        test_words(x, y, z, places[3], view.middle[f], middle_sides)
     _squares(x, y, z, places[4], view.eye, squares)
     _gather(words, cell.allowed, cell.owed, held.gaussians, held.gone, free, due[0])
     for k in range(len(due)):
@@ -350,10 +363,18 @@ def rank(units, runs, cell, held, view, table, limits, work):
     for s in range(len(words)):
         middle[s] = free[s] | due[0, s]
     count = _list(slots, masks, middle, chosen)
+    if count == 0:  # as with each change of the view while a link is filled
+        return Plan(np.empty(0, np.int32), np.empty(0, np.uint64), np.empty(0, np.float32)), least, True
+    sides[:], middle_sides[:] = 0, 0
+    for f in range(len(view.planes)):
+        test_words(x, y, z, places[3], view.planes[f], sides)
+    for f in range(len(view.middle)):
+        test_words(x, y, z, places[3], view.middle[f], middle_sides)
     limit = _estimate_limit(units, runs, cell, table, limits, work)
-    count, whole = _choose(units, cell.ahead, table, limit, work, count)
-    _test_gaussians(words, places, view.bodies, view.planes, sides, inside)
-    _test_gaussians(words, places, view.bodies, view.middle, middle_sides, middle)
+    count, listed, whole = _choose(units, cell.ahead, table, limit, work, count)
+    border = work.border[:listed]
+    _test_gaussians(words, places, view.bodies, view.planes, sides, border, inside)
+    _test_gaussians(words, places, view.bodies, view.middle, middle_sides, border, middle)
     own = len(table) // 4  # codes of ring 0
     counts[:limit], sizes[:limit] = 0, 0.0
     filled = 0

@@ -21,6 +21,7 @@ BITS = 12
 TOTAL = 1 << BITS
 LEAST = 1 << 16  # the state is between this and 2^32
 RAW = 1 << 31  # marks an operation that writes raw bits
+INVERSE = 44  # bits of the inverse of a size, rounded up: exact for every state that is divided, and below 2^64
 
 
 class Decoder(NamedTuple):
@@ -80,23 +81,32 @@ def next_bits(words, state, other, at, count):
 
 
 @inner(forceinline=True)
-def push(operation, state, at, symbols, out):
-    """Write an operation before all others; return its state, and the place of the first word."""
+def push_symbol(symbol, state, at, inverses, spans, out):
+    """Write a symbol before all operations so far; return its state, and the place of the first word."""
+    span = np.uint64(spans[symbol])
+    size = span >> np.uint64(16)
     out[at - 1] = np.uint16(state & np.uint64(0xFFFF))
+    full = state >> np.uint64(32 - BITS) >= size
+    state = state >> np.uint64(16) if full else state
+    quotient = (state * inverses[symbol]) >> np.uint64(INVERSE)
+    return quotient * (np.uint64(TOTAL) - size) + (state + (span & np.uint64(0xFFFF))), at - full
+
+
+@inner(forceinline=True)
+def push_bits(value, count, state, at, out):
+    """Write 1 to 16 raw bits as `push_symbol` writes a symbol."""
+    bits = np.uint64(count)
+    out[at - 1] = np.uint16(state & np.uint64(0xFFFF))
+    full = (state >> (np.uint64(32) - bits)) != np.uint64(0)
+    state = state >> np.uint64(16) if full else state
+    return (state << bits) | np.uint64(value), at - full
+
+
+@inner(forceinline=True)
+def _push(operation, state, at, inverses, spans, out):
     if operation & np.uint32(RAW):
-        bits = np.uint64((operation >> np.uint32(16)) & np.uint32(31))
-        full = (state >> (np.uint64(32) - bits)) != np.uint64(0)
-        state = state >> np.uint64(16) if full else state
-        state = (state << bits) | np.uint64(operation & np.uint32(0xFFFF))
-    else:
-        symbol = symbols[operation]
-        size = (symbol >> np.uint64(12)) & np.uint64(0x1FFF)
-        full = state >= size << np.uint64(32 - BITS)
-        state = state >> np.uint64(16) if full else state
-        shift, start = (symbol >> np.uint64(25)) & np.uint64(63), symbol & np.uint64(0xFFF)
-        quotient = (state * (symbol >> np.uint64(31))) >> shift
-        state = quotient * (np.uint64(TOTAL) - size) + (state + start)
-    return state, at - full
+        return push_bits(operation & np.uint32(0xFFFF), (operation >> np.uint32(16)) & np.uint32(31), state, at, out)
+    return push_symbol(operation, state, at, inverses, spans, out)
 
 
 @inner(forceinline=True)
@@ -110,7 +120,7 @@ def put_states(first, second, at, out):
 
 
 @kernel
-def write(operations, symbols, out):
+def write(operations, inverses, spans, out):
     """Write operations as words of 16 bits, from the end of `out` on, the states of the decoder first.
 
     Operations use one state and the other in turn, so that a processor can work on two at once.
@@ -118,8 +128,8 @@ def write(operations, symbols, out):
     Args:
         operations: (M,) uint32: numbers of symbols, counted over all tables; or RAW, the number of raw bits from bit
             16 on, and the bits.
-        symbols: (S,) uint64: where each symbol begins in its table (12 bits); its size, not 0 for those that occur
-            (13); 32 and the number of bits of size - 1 (6); and 2^(that) / size, rounded up (33).
+        inverses: (S,) uint64, 2^INVERSE over the size of each symbol, rounded up.
+        spans: (S,) uint32, see `Decoder`; sizes are not 0 for symbols that occur.
         out: uint16, at least four more than operations.
 
     Returns:
@@ -128,10 +138,10 @@ def write(operations, symbols, out):
     first, second, at, i = np.uint64(LEAST), np.uint64(LEAST), len(out), len(operations)
     if i & 1:
         i -= 1
-        first, at = push(operations[i], first, at, symbols, out)
+        first, at = _push(operations[i], first, at, inverses, spans, out)
     while i > 0:
-        second, at = push(operations[i - 1], second, at, symbols, out)
-        first, at = push(operations[i - 2], first, at, symbols, out)
+        second, at = _push(operations[i - 1], second, at, inverses, spans, out)
+        first, at = _push(operations[i - 2], first, at, inverses, spans, out)
         i -= 2
     return put_states(first, second, at, out)
 

@@ -318,14 +318,3 @@ def group_terms(owners, slots, terms, offsets, out):
         offsets[k] = offsets[k - 1]
     offsets[0] = 0
     return total
-
-
-@kernel
-def gather(rows, places, out):
-    """Copy the rows (N, B) at some places (M,) one after the other to out (M B,)."""
-    width, at = rows.shape[1], 0
-    for i in range(len(places)):
-        place = places[i]
-        for k in range(width):
-            out[at + k] = rows[place, k]
-        at += width

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from gsvis._kernels.compiled import inner, kernel
 from gsvis._kernels.prefetch import prefetch
 from gsvis._kernels.records import put, take, weight
-from gsvis.stream._kernels.coder import LEAST, RAW, begin, next_bits, next_symbol, push, put_states
+from gsvis.stream._kernels.coder import LEAST, RAW, begin, next_bits, next_symbol, push_bits, push_symbol, put_states
 
 MOST_OPERATIONS = 17  # of a record
 ROW = 16  # parts of a record, see `split`
@@ -188,21 +188,29 @@ def _strength(low, high):
 
 
 @inner(forceinline=True)
-def _top(top, strength, before, low, stride, most):
+def _top(top, expected, most):
     """Return the symbol of the largest scale of a record in its table; `STEPS` - 1 if raw bits follow.
 
     Args:
         top: The largest scale.
-        strength: Strength of the record.
-        before: Strength of the record before it in its chunk.
-        low: Of the row of the chunk.
-        stride: Of the row of the chunk.
+        expected: What the strength of the record before it in its chunk predicts.
         most: Largest value of a scale.
     """
-    strong = strength - 2 * (low + top * stride)
-    expected = (((before - strong) >> 1) - low) // stride
     off = top - min(max(expected, 0), most) + BELOW
     return off if 0 <= off < STEPS - 1 else np.int64(STEPS - 1)
+
+
+@inner(forceinline=True)
+def _inverse(stride):
+    """Return 2^36 over a stride of 1 to 255, rounded up, for `_divide`."""
+    return ((np.uint64(1) << np.uint64(36)) - np.uint64(1)) // np.uint64(stride) + np.uint64(1)
+
+
+@inner(forceinline=True)
+def _divide(value, stride, inverse):
+    """Return floor(value / stride) without a division, for values of less than 2^18 strides."""
+    above = np.uint64(value + (stride << 18))
+    return np.int64((above * inverse) >> np.uint64(36)) - (1 << 18)
 
 
 @kernel
@@ -236,7 +244,8 @@ def operations(parts, ids, rows, chunks, layout, offsets, out):
             out[at] = offsets[FIRST] + top
         else:
             mine, other = _strength(parts[i, 14], parts[i, 15]), _strength(parts[before, 14], parts[before, 15])
-            symbol = _top(top, mine, other, low, stride, most)
+            strong = mine - 2 * (low + top * stride)
+            symbol = _top(top, (((other - strong) >> 1) - low) // stride, most)
             out[at] = offsets[LARGEST + _gap(ids[i] - ids[i - 1])] + symbol
             if symbol == STEPS - 1:
                 at += 1
@@ -259,8 +268,10 @@ def operations(parts, ids, rows, chunks, layout, offsets, out):
 
 
 @kernel
-def write(parts, ids, rows, chunks, layout, offsets, symbols, out):
+def write(parts, ids, rows, chunks, layout, offsets, inverses, spans, out):
     """Write records as `coder.write` writes their `operations`, in one pass from the last to the first.
+
+    Operations use two states in turn. Where one may be left out, the states are swapped after it.
 
     Args:
         parts: (N, ROW) uint16 of `split`, for all records of a scene.
@@ -269,51 +280,59 @@ def write(parts, ids, rows, chunks, layout, offsets, symbols, out):
         chunks: Rows of chunks.
         layout: Layout of the records.
         offsets: (TABLES + 1,) int64, first symbol of each table.
-        symbols: See `coder.write`.
+        inverses: See `coder.write`.
+        spans: See `coder.write`.
         out: uint16, at least four more than operations.
 
     Returns:
         The place of the first word.
     """
-    lows, strides, steps, flat = chunks.lows, chunks.strides, chunks.steps, parts.reshape(-1)
-    bits, most = chunks.bits, (1 << layout.scale) - 1
+    steps, flat, widths, most = chunks.steps, parts.reshape(-1), chunks.bits, (1 << layout.scale) - 1
     x, y, at = np.uint64(LEAST), np.uint64(LEAST), len(out)  # states of the next operation, and of the one after it
+    before, low, stride, inverse = np.int64(-1), np.int64(0), np.int64(1), np.uint64(0)
+    to_smallest, to_middle = np.uint64(offsets[SMALLEST]), np.uint64(offsets[MIDDLE])
+    to_order, to_opacity = np.uint64(offsets[ORDER]), np.uint64(offsets[OPACITY])
     for i in range(len(ids) - 1, -1, -1):
         prefetch(flat, ROW * np.int64(ids[max(i - 8, 0)]))
-        g, row = np.int64(ids[i]), rows[i]
-        low, stride, top, opacity = lows[row], strides[row], np.int64(parts[g, 3]), np.int64(parts[g, 0]) & 255
+        g, row = np.uint64(ids[i]), np.uint64(rows[i])  # unsigned, so that no index is checked for its sign
+        if rows[i] != before:
+            before, low, stride = np.int64(rows[i]), chunks.lows[row], chunks.strides[row]
+            inverse = _inverse(stride)
+        top, opacity = np.int64(parts[g, 3]), np.int64(parts[g, 0]) & 255
         limit = np.int64(0)
         if layout.coarse:
             limit = _place_limit(low + top * stride, np.int64(parts[g, 1]), opacity, stride, layout)
         for k in range(2, -1, -1):
-            left = bits[row, k]
-            if layout.coarse:
-                left -= min(max(limit - steps[row, k], 0), left)
-            if left:
-                value = np.int64(parts[g, 11 + k]) >> (bits[row, k] - left)
-                z, at = push(np.uint32(RAW | (left << 16) | value), x, at, symbols, out)
+            wide = widths[row, k]
+            cut = min(max(limit - steps[row, k], 0), wide) if layout.coarse else np.int64(0)
+            if wide > cut:
+                z, at = push_bits(np.int64(parts[g, 11 + k]) >> cut, wide - cut, x, at, out)
                 x, y = y, z
         if layout.colors == 4:
-            z, at = push(np.uint32(parts[g, 10]), x, at, symbols, out)
+            z, at = push_symbol(np.uint64(parts[g, 10]), x, at, inverses, spans, out)
             x, y = y, z
-        for k in range(9, 3, -1):
-            z, at = push(np.uint32(parts[g, k]), x, at, symbols, out)
-            x, y = y, z
+        x, at = push_symbol(np.uint64(parts[g, 9]), x, at, inverses, spans, out)
+        y, at = push_symbol(np.uint64(parts[g, 8]), y, at, inverses, spans, out)
+        x, at = push_symbol(np.uint64(parts[g, 7]), x, at, inverses, spans, out)
+        y, at = push_symbol(np.uint64(parts[g, 6]), y, at, inverses, spans, out)
+        x, at = push_symbol(np.uint64(parts[g, 5]), x, at, inverses, spans, out)
+        y, at = push_symbol(np.uint64(parts[g, 4]), y, at, inverses, spans, out)
         symbol = offsets[FIRST] + top
-        if i > 0 and row == rows[i - 1]:
-            f = np.int64(ids[i - 1])
+        if i > 0 and rows[i] == rows[i - 1]:
+            f = np.uint64(ids[i - 1])
             mine, other = _strength(parts[g, 14], parts[g, 15]), _strength(parts[f, 14], parts[f, 15])
-            symbol = _top(top, mine, other, low, stride, most)
+            strong = mine - 2 * (low + top * stride)
+            symbol = _top(top, _divide(((other - strong) >> 1) - low, stride, inverse), most)
             if symbol == STEPS - 1:
-                z, at = push(np.uint32(RAW | (layout.scale << 16) | top), x, at, symbols, out)
+                z, at = push_bits(top, layout.scale, x, at, out)
                 x, y = y, z
-            symbol += offsets[LARGEST + _gap(g - f)]
-        z, at = push(np.uint32(symbol), x, at, symbols, out)
-        x, at = push(np.uint32(offsets[SMALLEST] + parts[g, 2]), y, at, symbols, out)
-        y, at = push(np.uint32(offsets[MIDDLE] + parts[g, 1]), z, at, symbols, out)
-        z, at = push(np.uint32(offsets[ORDER] + (parts[g, 0] >> 8)), x, at, symbols, out)
-        x, at = push(np.uint32(offsets[OPACITY] + opacity), y, at, symbols, out)
-        x, y = z, x
+            symbol += offsets[LARGEST + _gap(ids[i] - ids[i - 1])]
+        x, at = push_symbol(np.uint64(symbol), x, at, inverses, spans, out)
+        y, at = push_symbol(to_smallest + np.uint64(parts[g, 2]), y, at, inverses, spans, out)
+        x, at = push_symbol(to_middle + np.uint64(parts[g, 1]), x, at, inverses, spans, out)
+        y, at = push_symbol(to_order + np.uint64(parts[g, 0] >> 8), y, at, inverses, spans, out)
+        x, at = push_symbol(to_opacity + np.uint64(opacity), x, at, inverses, spans, out)
+        x, y = y, x
     return put_states(y, x, at, out)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from gsvis._kernels.compiled import inner, kernel
 from gsvis._kernels.terms import near, upper_bits
-from gsvis.stream._kernels.coder import LEAST, RAW, begin, next_bits, next_symbol
+from gsvis.stream._kernels.coder import LEAST, RAW, begin, next_bits, next_symbol, push_bits, push_symbol, put_states
 
 MOST_OPERATIONS = 13  # of a term
 
@@ -75,6 +75,76 @@ def operations(records, owners, fields, offsets, out):
             at = _add(out, at, offsets[OTHER + (upper >> 2)], other, n, _SIX)
             at = _add(out, at, offsets[LAST + near(other, n)], (last - lead) & mask, n, _SIX)
     return at
+
+
+@inner(forceinline=True)
+def _push(symbol, value, bits, most, x, y, at, inverses, spans, out):
+    """Write a field as `_add` does, before all fields so far; return the states, and the place of the first word."""
+    rest = max(bits - most, 0)
+    if rest:
+        z, at = push_bits(value & ((1 << rest) - 1), rest, x, at, out)
+        x, y = y, z
+    z, at = push_symbol(np.uint64(symbol + (value >> rest)), x, at, inverses, spans, out)
+    return y, z, at
+
+
+@inner(forceinline=True)
+def _word(records, row):
+    """Return the record of a term as one number."""
+    word = np.uint64(0)
+    for k in range(records.shape[1]):
+        word |= np.uint64(records[row, k]) << np.uint64(8 * k)
+    return word
+
+
+@kernel
+def write(records, ids, owners, fields, offsets, inverses, spans, out):
+    """Write terms as `coder.write` writes their `operations`, in one pass from the last to the first.
+
+    Args:
+        records: (T, B) uint8, of all terms of a scene.
+        ids: (M,) uint32, ascending: the terms to write.
+        owners: (M,) int32, never decreasing.
+        fields: Bits of the fields.
+        offsets: (TABLES + 1,) int64, first symbol of each table.
+        inverses: See `coder.write`.
+        spans: See `coder.write`.
+        out: uint16, at least four more than operations.
+
+    Returns:
+        The place of the first word.
+    """
+    f, p, a, d, n = fields.function, fields.polar, fields.azimuth, fields.decay, fields.intensity
+    mask, places = (np.int64(1) << n) - 1, f + p + a + d
+    to_lead = np.uint64(places + n if fields.others else places)
+    x, y, at = np.uint64(LEAST), np.uint64(LEAST), len(out)  # states of the next operation, and of the one after it
+    word = _word(records, ids[len(ids) - 1])
+    for i in range(len(ids) - 1, -1, -1):
+        lead = np.int64(word >> to_lead) & mask
+        upper = upper_bits(lead, n, 6)
+        if fields.others:
+            first = np.int64(word >> np.uint64(places)) & mask
+            last = np.int64(word >> np.uint64(places + 2 * n)) & mask
+            other = (first - lead) & mask
+            symbol = offsets[LAST + near(other, n)]
+            x, y, at = _push(symbol, (last - lead) & mask, n, _SIX, x, y, at, inverses, spans, out)
+            x, y, at = _push(offsets[OTHER + (upper >> 2)], other, n, _SIX, x, y, at, inverses, spans, out)
+        polar = np.int64(word >> np.uint64(f)) & ((1 << p) - 1)
+        azimuth = np.int64(word >> np.uint64(f + p)) & ((1 << a) - 1)
+        decay = np.int64(word >> np.uint64(f + p + a)) & ((1 << d) - 1)
+        symbol = offsets[AZIMUTH + (upper_bits(polar, p, 6) >> 3)]
+        x, y, at = _push(symbol, azimuth, a, _SEVEN, x, y, at, inverses, spans, out)
+        x, y, at = _push(offsets[POLAR], polar, p, _SIX, x, y, at, inverses, spans, out)
+        x, y, at = _push(offsets[DECAY + (upper >> 3)], decay, d, _SIX, x, y, at, inverses, spans, out)
+        function, table = np.int64(word & np.uint64((1 << f) - 1)), LEAD
+        if i > 0:
+            word = _word(records, ids[i - 1])
+            if owners[i] == owners[i - 1]:
+                table = LEAD + 1 + (upper_bits(np.int64(word >> to_lead) & mask, n, 6) >> 3)
+        x, y, at = _push(offsets[table], lead, n, _SIX, x, y, at, inverses, spans, out)
+        if f:
+            x, y, at = _push(offsets[0], function, f, _SIX, x, y, at, inverses, spans, out)
+    return put_states(y, x, at, out)
 
 
 @inner(forceinline=True)
