@@ -14,6 +14,7 @@ from pyroaring import BitMap
 
 from gsvis import _check
 from gsvis._kernels.bits import count
+from gsvis._kernels.blank import blank
 from gsvis.abr._kernels.plan import Held
 from gsvis.pvs.codec import bitmap_of, ids_of, pack, word_count
 
@@ -46,9 +47,9 @@ class Holdings:
     def __init__(self, gaussians: int, terms: int = 0) -> None:
         self.gaussians = _check.positive_int("gaussians", gaussians, at_least=0)
         self.terms = _check.positive_int("terms", terms, at_least=0)
-        self.sent: Words = np.zeros(word_count(gaussians), np.uint64)
-        self.gone: Words = np.zeros_like(self.sent)
-        self.sent_terms: Words = np.zeros(word_count(terms), np.uint64)
+        self.sent: Words = blank(word_count(gaussians), np.uint64)  # tiles that no viewer comes near take no memory
+        self.gone: Words = blank(word_count(gaussians), np.uint64)
+        self.sent_terms: Words = blank(word_count(terms), np.uint64)
 
     def __repr__(self) -> str:
         held = (
@@ -64,12 +65,20 @@ class Holdings:
     @property
     def shown(self) -> I64:
         """Ascending ids of the Gaussians that the client shows: received and not replaced."""
-        return ids_of(self.sent & ~self.gone)
+        some = np.flatnonzero(self.sent)
+        return _ids_in(some, self.sent[some] & ~self.gone[some])
 
     @property
     def received(self) -> I64:
         """Ascending ids of all Gaussians received, replaced or not."""
-        return ids_of(self.sent)
+        some = np.flatnonzero(self.sent)
+        return _ids_in(some, self.sent[some])
+
+    @property
+    def replaced(self) -> I64:
+        """Ascending ids of all Gaussians replaced, received or not."""
+        some = np.flatnonzero(self.gone)
+        return _ids_in(some, self.gone[some])
 
     @property
     def received_terms(self) -> I64:
@@ -175,6 +184,12 @@ class Holdings:
             words[:] = _words_of(data[start : start + length], size)
             start += length
         return out
+
+
+def _ids_in(words: I64, masks: Words) -> I64:
+    """Return the ascending ids of some words (S,) of a set."""
+    found = ids_of(masks)
+    return 64 * words[found >> 6] + (found & 63)
 
 
 def _most_bitmap(size: int) -> int:

@@ -119,9 +119,9 @@ def order_records(
     return walk.out
 
 
-def is_left(visible: set[int], wanted: set[int], held: set[int], gone: set[int], owed: set[int]) -> bool:
-    """Return whether cells that see some Gaussians have anything left: one of those, or terms that one owes."""
-    return any(g not in held or g in owed for g in (visible & wanted) - gone)
+def is_left(wanted: set[int], held: set[int], gone: set[int], owed: set[int]) -> bool:
+    """Return whether anything of some Gaussians is left to send: one of those, or terms that one owes."""
+    return any(g not in held or g in owed for g in wanted - gone)
 
 
 def is_dropped(x: int, index: SceneIndex, candidates: set[int], arrived: set[int], share: float) -> bool:

@@ -21,7 +21,7 @@ from gsvis.abr.index import SceneIndex
 from gsvis.errors import GsvisError, SceneError
 from gsvis.files.cache import Cache
 from gsvis.pvs.cells import CellGrid
-from gsvis.pvs.codec import pack
+from gsvis.pvs.codec import pack, pack_some
 from gsvis.pvs.store import VisibilityStore
 from gsvis.world.beyond import Beyond
 from gsvis.world.world import World
@@ -200,6 +200,10 @@ class WorldSets:
     def visible_words(self, cell: int) -> NDArray[np.uint64]:
         """Return the visible set of a cell, packed."""
         return pack(self._seen(cell)[0], self._n)
+
+    def visible_masks(self, cell: int) -> tuple[NDArray[np.int32], NDArray[np.uint64]]:
+        """Return the words of the visible set of a cell that are not empty, ascending, and their masks."""
+        return pack_some(self._seen(cell)[0])
 
     def of_gaussian(self, gaussian: int) -> tuple[VisibilityStore, int, int] | None:
         """Return the store of the tile that holds a Gaussian, its id there, and the number of the tile's first cell.
