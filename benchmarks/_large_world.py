@@ -1,4 +1,4 @@
-"""A world of any size from a small one: its tiles, moved, side by side on a lattice, each a package of its own.
+"""A world of any size from one package: copies of it, moved, side by side on a lattice, each a tile of its own.
 
 The packages of moved tiles share the files of their records by hard links; their tables of chunks and their visible
 sets, which hold places, are files of their own. The tables of the first columns of the lattice are computed as a server
@@ -30,7 +30,7 @@ from gsvis.stream import Quality
 from gsvis.stream.header import SceneHeader, identity_of
 from gsvis.stream.kept import _key
 from gsvis.world import World
-from gsvis.world.manifest import Tile, WorldManifest
+from gsvis.world.manifest import Grid, WorldManifest
 from gsvis.world.streamed import WorldPackage, open_world
 from gsvis.world.world import tile_of_package
 
@@ -38,42 +38,32 @@ PIXEL = 2e-3
 _PAGE = 1 << 12
 
 
-def lattice(city: Path, to: Path, columns: int, rows: int) -> Path:
-    """Write a world of a small one's tiles, columns times rows of them, and what their cells see of their own copy."""
+def lattice(package: Path, to: Path, columns: int, rows: int) -> Path:
+    """Write a world of columns times rows copies of a package with cells; the cells of neighbors touch."""
     if (to / "world.json").is_file():
         return to
-    small = World.open(city)
-    m, (width, height) = small.manifest, small.manifest.grid.shape
-    step = m.grid.side * np.array([width + 1, height], np.float64)
     (to / "packages").mkdir(parents=True, exist_ok=True)
-    shutil.copytree(city / "beyond", to / "beyond", dirs_exist_ok=True)
-    made: list[tuple[Tile, int, int]] = []
+    with Package.open(package) as small:
+        grid, up = small.visibility.grid, small.manifest.info.up
+        meters, count = small.manifest.info.meters_per_unit, len(grid)
+    x, y = (k for k in range(3) if up[k] == 0.0)
+    width, height = int(grid.shape[x]), int(grid.shape[y])
+    side, tiles = float(grid.cell_size), []
     for copy in range(columns * rows):
-        place = np.array(divmod(copy, rows))
+        place = np.array(divmod(copy, rows)) * (width, height)
         by = np.zeros(3)
-        by[list(m.grid.axes)] = place * step
-        for k, tile in enumerate(m.tiles):
-            own = tile.coords or (width, 0)  # what lies outside has a column of its own, and stays where it is
-            coords = int(own[0] + place[0] * (width + 1)), int(own[1] + place[1] * height)
-            folder = moved(small.package_path(k), to / "packages", by if tile.coords else np.zeros(3), f"{copy}.{k}")
-            with Package.open(folder) as package:
-                found = tile_of_package(
-                    folder, package.manifest, coords=coords, shape=tile.shape if tile.coords else (1, 1),
-                    low=tuple(np.add(tile.low, by).tolist()), high=tuple(np.add(tile.high, by).tolist()),
-                    cells=tile.cells, beyond=tile.beyond,
-                )  # fmt: skip
-            made.append((found, copy, k))
-    made.sort(key=lambda each: each[0].coords)
-    number = {(copy, k): at for at, (_, copy, k) in enumerate(made)}
-    tiles = []
-    for tile, copy, _ in made:
-        beyond = tile.beyond
-        if beyond is not None:
-            pieces = tuple(replace(piece, node=number[copy, piece.node]) for piece in beyond.pieces)
-            beyond = replace(beyond, pieces=pieces)
-        tiles.append(replace(tile, beyond=beyond))
-    grid = replace(m.grid, shape=((width + 1) * columns, height * rows))
-    WorldManifest(m.up, m.meters_per_unit, grid, tuple(tiles), ()).write(to / "world.json")
+        by[[x, y]] = side * place
+        folder = moved(package, to / "packages", by, str(copy))
+        low = grid.origin + by
+        with Package.open(folder) as found:
+            tiles.append(
+                tile_of_package(
+                    folder, found.manifest, coords=tuple(place.tolist()), shape=(width, height), cells=count,
+                    low=tuple(low.tolist()), high=tuple((low + side * np.array(grid.shape)).tolist()),
+                )
+            )  # fmt: skip
+    squares = Grid(tuple(grid.origin.tolist()), side, (x, y), (width * columns, height * rows))
+    WorldManifest(up, meters, squares, tuple(tiles)).write(to / "world.json")
     return to
 
 

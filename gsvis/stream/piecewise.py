@@ -185,9 +185,8 @@ def _write_pieces(
         rounded = (
             contents if quality is None or coding.steps is None else round_records(contents, quality, coding.steps)
         )
-        levels = contents.levels()
-        radii, areas = extents(levels.union)
-        piecewise.write_gaussians(out, levels.union.means, radii, areas, (levels.first, levels.last), numbers)
+        g = contents.gaussians()
+        piecewise.write_gaussians(out, g.means, *extents(g), (contents.first, contents.last), numbers)
         counts = contents.term_counts
         out.append("importance", np.ones(len(contents), np.float32))
         out.append("parts", coding.split_records(rounded))
