@@ -1,12 +1,13 @@
 """How much memory does a server of 10^8 Gaussians take with 20 viewers, and when does each see its first image?
 
-A world of 130 copies of a package, moved side by side, each a tile of its own with the levels, cells and visible sets of
-the package. What a cell sees ends with its tile; neighbors of cells go across borders. Records of the copies share
+A world of 130 copies of a package, moved side by side, each a tile of its own with the levels, cells and visible sets
+of the package. What a cell sees ends with its tile; neighbors of cells go across borders. Records of the copies share
 their files by hard links. Tables of the tiles that viewers come near are computed as a server does; those of all other
-tiles are holes in the file of tables, which reads as zeros and takes no disk: no server may look there. Every viewer
-begins in another tile, stands still for three seconds and walks to the same place two tiles on. The same viewers visit
-the package alone, in a server of its own: first one at a time, then all 20 at once; package and world in turn. A viewer
-does not decode while it visits; afterwards all bytes are compared with the records of the package, and images are drawn.
+tiles are holes in the file of tables, which read as zeros and take no disk: a server that looks there fails. Every
+viewer begins in another tile, stands still for three seconds and walks to the same place one tile on, and further. The
+same viewers visit the package alone, in a server of its own: first one at a time, package and world in turn, then all
+20 at once. A viewer does not decode while it visits; afterwards all bytes are compared with the records of the package,
+and images are drawn.
 
 Given: showroom LOD 3 as a package of three levels with 255 cells, links of 10 Mbit/s, no round trip.
 Measured: PSS and RSS of the server, its open files, seconds from before the connection until what a link has brought

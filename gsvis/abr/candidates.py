@@ -44,6 +44,7 @@ _Tuple = TypeVar("_Tuple")
 
 _WORKS = 64  # ways to divide scratch memory that a thread remembers
 _PAGE_BITS = (PAGE // 8).bit_length() - 1  # of a number of words
+_SORTED = 512  # cells around a cell to sort at a time
 _SHELL = 8  # cells of a shell: its sets may all have to be read while a viewer waits
 
 
@@ -284,11 +285,30 @@ class CandidateIndex:
             self._shell_counts[cell] = 1 - (1 + len(grid.neighbors(cell)) - len(grid)) // _SHELL
         return self._shell_counts[cell]
 
-    def shell(self, cell: int, number: int, cells: list[int]) -> Shell:
+    def shell_cells(self, cell: int, number: int) -> list[int]:
+        """Return the cells of one of the `shells`; sort no more cells than it takes, and cache them."""
+        grid = self.index.grid
+        if number == 0:
+            return [other for ring in ring_cells(grid, cell) for other in ring]
+        enough = (number * _SHELL - 1) // _SORTED + 1
+        key = "order", cell, 1 << (enough - 1).bit_length()
+        far: NDArray[np.int64] | None = self.cache.find(key)
+        if far is None:
+            near, apart = self.shell_cells(cell, 0), np.linalg.norm(grid.centers - grid.centers[cell], axis=1)
+            apart[near] = np.inf
+            count = min(key[2] * _SORTED, len(apart) - len(near))
+            some = (
+                np.flatnonzero(apart <= np.partition(apart, count - 1)[count - 1]) if count else np.zeros(0, np.int64)
+            )
+            far = some[np.argsort(apart[some], kind="stable")][:count]
+            self.cache.keep(key, far, far.nbytes)
+        return far[(number - 1) * _SHELL : number * _SHELL].tolist()
+
+    def shell(self, cell: int, number: int) -> Shell:
         """Return what the cells of a shell around a cell see; cache it."""
         found: Shell | None = self.cache.find(("shell", cell, number))
         if found is None:
-            _, seen = self._join([[self.seen_by(other) for other in cells]])
+            _, seen = self._join([[self.seen_by(other) for other in self.shell_cells(cell, number)]])
             wanted = seen.masks & self.highest[seen.words]
             units, owing = self._units_of(1, Seen(seen.words, wanted)), self._every_term[1][seen.words]
             made = self._assemble(-1, [units], seen, self._every_term[0], owing, 0.0, has_union=False)

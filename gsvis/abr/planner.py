@@ -138,7 +138,7 @@ class Planner:
         self._near: tuple[Candidates, int, kernels.Cell, kernels.Cell] | None = None  # to return to after filling
         self._cell = kernels.Cell(*(np.zeros(0, np.int32),) * 15)
         self._seen: Words = np.zeros(0, np.uint64)  # candidates of the cell and of the shells so far
-        self._shells: list[list[int]] = []
+        self._is_wide = False  # whether `_seen` and `_looks_far` are those of this cell
         self._view = kernels.View(*(np.zeros(0, np.float32),) * 9)
         self._travelled, self._aimed, self._fresh = 0.0, "high", False
         self._stage, self._stages, self._filled, self._complete = _NEEDS, _AROUND, _SHELLS, False
@@ -351,15 +351,15 @@ class Planner:
     def _enter_shell(self, near: Candidates) -> bool:
         """Go on to the next shell around a cell of which something is left to send; return False if there is none."""
         shared, held = self.candidates, self.holdings.words
-        if not self._shells:
-            self._shells, self._looks_far = shared.shells(near.cell), self._counts()
+        if not self._is_wide:
+            self._is_wide, self._looks_far = True, self._counts()
             self._seen = blank(len(near.union), np.uint64)
             self._seen[near.words] = near.union[near.words]
             if self._bounds is not None:
                 self._looks_far[self._bounds.ends] = self._looks[self._bounds.ends]
         while self._next_stage < self._stages:
             self._stage = self._filled = self._next_stage
-            shell = shared.shell(near.cell, self._stage - _SHELLS, self._shells[self._stage - _SHELLS])
+            shell = shared.shell(near.cell, self._stage - _SHELLS)
             here = shell.candidates
             cell = self._cell_for(here, here.owing, here.active)
             if is_left(here.words, shell.wanted, held, cell.owed):
@@ -432,7 +432,7 @@ class Planner:
         before, self._here = self._near, here
         is_new = before is None or before[0] is not here
         if is_new:
-            self._filled, self._shells = _SHELLS, []
+            self._filled, self._is_wide = _SHELLS, False
             self._looks, self._sure, self._bounds = self._counts(), self._counts(), None  # other candidates
         self._bound(here, make=not is_new)
         shells = 0 if self._complete else self.candidates.num_shells(here.cell)

@@ -141,11 +141,50 @@ class WorldCells:
         """Return the numbers of the cells that touch a cell, ascending."""
         if not 0 <= cell < len(self):
             raise ValueError(f"cell: expected a number in [0, {len(self) - 1}], got {cell!r}")
-        same = self.tiles == self.tiles[cell]
-        apart = np.abs(self.centers - self.centers[cell]).max(axis=1) - (self.sizes + self.sizes[cell]) / 2
-        near = np.where(same, np.abs(self.boxes - self.boxes[cell]).max(axis=1) <= 1, apart <= _TOUCH * self.sizes)
-        near[cell] = False
-        return np.flatnonzero(near)
+        starts, low, high = self._spans
+        center, reach = self.centers[cell], (0.5 + _TOUCH) * (self.sizes[cell] + self.sizes[starts[:-1]])[:, None]
+        some = self._of_tiles(np.flatnonzero(((center >= low - reach) & (center <= high + reach)).all(axis=1)))
+        same, sizes = self.tiles[some] == self.tiles[cell], self.sizes[some]
+        apart = np.abs(self.centers[some] - center).max(axis=1) - (sizes + self.sizes[cell]) / 2
+        near = np.where(same, np.abs(self.boxes[some] - self.boxes[cell]).max(axis=1) <= 1, apart <= _TOUCH * sizes)
+        return some[near & (some != cell)]
+
+    def nearest(self, position: F64) -> int:
+        """Return the cell that contains a position (3,), of those the one with the nearest center; else the nearest."""
+        starts, low, high = self._spans
+        beyond = np.clip(np.maximum(low - position, position - high), 0.0, 1e100)  # squares that do not overflow
+        within = np.flatnonzero((beyond <= self.sizes[starts[:-1], None] / 2).all(axis=1))
+        found = self._nearest(position, self._of_tiles(within), inside=True)
+        if found is not None:
+            return found[1]
+        least = (beyond * beyond).sum(axis=1)
+        best = np.inf, -1
+        for tile in np.argsort(least, kind="stable"):
+            if least[tile] > best[0]:
+                break
+            best = min(best, self._nearest(position, self._of_tiles(np.array([tile]))) or best)
+        return best[1]
+
+    def _nearest(self, position: F64, some: I64, *, inside: bool = False) -> tuple[float, int] | None:
+        """Return the square of the distance of the nearest center of some cells, or of those around a position."""
+        apart = np.clip(self.centers[some] - position, -1e100, 1e100)
+        if inside:
+            kept = np.abs(apart).max(axis=1, initial=0.0) <= self.sizes[some] / 2
+            some, apart = some[kept], apart[kept]
+        squares = (apart * apart).sum(axis=1)
+        return (float(squares.min()), int(some[squares.argmin()])) if len(some) else None
+
+    @cached_property
+    def _spans(self) -> tuple[I64, F64, F64]:
+        """Where the cells of each tile begin, and their number; and the box around their centers."""
+        starts = np.flatnonzero(np.diff(self.tiles, prepend=-1))
+        low, high = np.minimum.reduceat(self.centers, starts), np.maximum.reduceat(self.centers, starts)
+        return np.append(starts, len(self)), low, high
+
+    def _of_tiles(self, numbers: I64) -> I64:
+        """Return the cells of some of the tiles that have cells, ascending."""
+        starts = self._spans[0]
+        return np.concatenate([np.zeros(0, np.int64), *(np.arange(starts[k], starts[k + 1]) for k in numbers)])
 
 
 class WorldIndex(SceneIndex):
@@ -154,10 +193,7 @@ class WorldIndex(SceneIndex):
     def cell_of(self, position: NDArray[np.float64]) -> int:
         """Return the cell that contains a position (3,), of those the one with the nearest center; else the nearest."""
         cells: Any = self.grid
-        apart = np.clip(cells.centers - position, -1e100, 1e100)
-        inside = np.abs(apart).max(axis=1) <= cells.sizes / 2
-        squares = (apart * apart).sum(axis=1)
-        return int(np.where(inside, squares, squares + 1e200).argmin() if inside.any() else squares.argmin())
+        return int(cells.nearest(position))
 
 
 class _Tile:

@@ -60,6 +60,7 @@ def test_what_fills_goes_by_the_distance_to_the_nearest_cell_that_sees_it(seed) 
     store = CandidateIndex(index)
     shells = store.shells(0)
     assert sorted(cell for shell in shells for cell in shell) == list(range(len(index.grid)))
+    assert [store.shell_cells(0, k) for k in range(len(shells))] == shells
     first = np.full(len(index), len(shells))
     for k in reversed(range(len(shells))):
         for cell in shells[k]:

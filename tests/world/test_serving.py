@@ -16,6 +16,7 @@ from gsvis.abr.planner import Planner
 from gsvis.files.cache import Cache
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.codec import pack_some
+from gsvis.world.cells import WorldCells
 
 VIEW = FieldOfView.from_degrees(80, 60, margin=5)
 TILE = 1 << 15  # Gaussians of a tile; three of four are of the highest level, the others are replaced by them
@@ -109,3 +110,27 @@ def test_blank_arrays_are_zeros_that_can_be_written() -> None:
         array[size // 2 :: 1 << 19] = 7
         assert array.sum() == 7 * len(array[size // 2 :: 1 << 19])
         assert used_bytes(array) <= 2 * PAGE
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_cells_are_found_and_touch_as_if_all_were_looked_at(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    counts, sizes = rng.integers(1, 20, 6), rng.choice([0.5, 1.0, 1.25], 6)
+    boxes = [np.unique(rng.integers(0, 4, (count, 3)), axis=0) for count in counts]
+    counts = np.array([len(each) for each in boxes])
+    corners = rng.integers(0, 5, (6, 3)) * 1.0
+    cells = WorldCells(
+        np.concatenate([c + s * (b + 0.5) for c, s, b in zip(corners, sizes, boxes, strict=True)]),
+        np.repeat(sizes, counts), np.repeat(np.arange(6) * 2, counts), np.concatenate([np.arange(n) for n in counts]),
+        np.concatenate(boxes).astype(np.int32), np.array([0.0, 0.0, 1.0]),
+    )  # fmt: skip
+    for position in [*rng.uniform(-3, 12, (60, 3)), *cells.centers[:5], np.full(3, 1e200), np.full(3, -40.0)]:
+        apart = np.clip(cells.centers - position, -1e100, 1e100)
+        squares = (apart * apart).sum(axis=1)
+        inside = np.abs(apart).max(axis=1) <= cells.sizes / 2
+        assert cells.nearest(position) == (np.where(inside, squares, np.inf) if inside.any() else squares).argmin()
+    for cell in range(len(cells)):
+        apart = np.abs(cells.centers - cells.centers[cell]).max(axis=1) - (cells.sizes + cells.sizes[cell]) / 2
+        steps = np.abs(cells.boxes - cells.boxes[cell]).max(axis=1)
+        near = np.where(cells.tiles == cells.tiles[cell], steps <= 1, apart <= 1e-3 * cells.sizes)
+        assert cells.neighbors(cell).tolist() == [k for k in np.flatnonzero(near) if k != cell]

@@ -25,6 +25,7 @@ from gsvis.scene.view_sampling import ViewSampling
 from gsvis.serve import Address, Server, StreamClient, open_scenes
 from gsvis.stream import Quality, Receiver, Session, StreamedScene
 from gsvis.stream.coding import Coding
+from gsvis.train.levels import LevelsConfig
 from gsvis.world import World
 from gsvis.world.prepare import prepare_world
 from gsvis.world.streamed import WorldPackage, open_world
@@ -175,6 +176,23 @@ def test_tables_made_node_by_node_are_those_of_the_whole(
     same = {"identity": mapped.facts["identity"], "numbers": mapped.facts["numbers"]}
     assert json.loads(json.dumps(facts)) | same == mapped.facts
     assert bool(len(arrays["owners"])) == bool(degree)
+
+
+def test_a_tile_may_have_fewer_levels_than_the_world(tmp_path: Path) -> None:
+    """As what lies outside mostly does."""
+    levels = LevelsConfig((0.3,), (0.9,), ("low", "high"), iterations=3, preview=0.1, preview_from=0)
+    path = tmp_path / "city.gsworld"
+    prepare_world([write(street(), tmp_path / "street.ply")], path, config(levels, most=4000))
+    world = World.open(path)
+    counts = [len(tile.levels) for tile in world.manifest.tiles]
+    assert min(counts) < max(counts) == 2
+    for tables in (None, tmp_path):
+        scene, _ = open_world(path, tables=tables, quality=Quality())
+        assert isinstance(scene.package, WorldPackage)
+        few = slice(*scene.package.bases[np.argmin(counts) :][:2])
+        assert (scene.index.first[few] == 1).all()
+        assert len(scene.candidates.links.ending)
+        assert len(walk(scene)[2])
 
 
 def test_all_that_a_cell_sees_arrives(city: Path) -> None:
