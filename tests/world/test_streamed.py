@@ -27,6 +27,7 @@ from gsvis.stream import Quality, Receiver, Session, StreamedScene
 from gsvis.stream.coding import Coding
 from gsvis.train.levels import LevelsConfig
 from gsvis.world import World
+from gsvis.world.cells import WorldSets
 from gsvis.world.prepare import prepare_world
 from gsvis.world.streamed import WorldPackage, open_world
 from tests.serve.servers import ask, until
@@ -211,6 +212,19 @@ def test_all_that_a_cell_sees_arrives(city: Path) -> None:
             beyond.close()
         assert set(scene.index.sets.classes(cell)[0].tolist()) == expected
         assert scene.index.cell_of(cells.centers[cell]) >= 0
+
+
+def test_what_is_decoded_of_all_tiles_is_in_one_cache(city: Path) -> None:
+    scene, _ = open_world(city)
+    for cell in range(len(scene.index.grid)):
+        scene.candidates.in_cell(cell)
+    sets, kinds = scene.index.sets, {key[0] for key in scene.candidates.cache._values}
+    assert isinstance(sets, WorldSets)
+    tiles = sets._tiles._values
+    assert {("tile", tile) for tile in tiles} <= kinds
+    stores = [store for tile, _ in tiles.values() for store in (tile.own, tile.beyond.store)]
+    assert all(store.cache.find(("set", 0)) is not None and not store.cache.nbytes for store in stores)
+    assert scene.candidates.cache.nbytes <= scene.candidates.cache.max_bytes
 
 
 def test_cells_touch_across_borders(city: Path) -> None:
