@@ -26,7 +26,6 @@ from gsvis.package.package import PARTS, columns_of
 from gsvis.package.parts import PartFolder
 from gsvis.pvs._writer import FILE_KIND
 from gsvis.pvs.codec import word_count
-from gsvis.stream import Quality
 from gsvis.stream.header import SceneHeader, identity_of
 from gsvis.stream.kept import _key
 from gsvis.world import World
@@ -111,14 +110,14 @@ def _move_store(store: Path, to: Path, by: np.ndarray) -> None:
 
 def write_tables(world: Path, part: Path, folder: Path) -> None:
     """Write the file of tables of a world whose first nodes are those of another one; the rest of it are holes."""
-    _, kept = open_world(part, tables=folder, quality=Quality())
+    _, kept = open_world(part, tables=folder, quality=None)
     assert kept is not None
     whole = WorldPackage(World.open(world), set(), folder)
-    path = folder / f"{_key(whole, PIXEL, Quality())}.tables"
+    path = folder / f"{_key(whole, PIXEL, None)}.tables"
     if path.is_file():
         return
     own = WorldPackage(World.open(part), set(), folder)
-    known = MappedArrays(folder / f"{_key(own, PIXEL, Quality())}.tables")
+    known = MappedArrays(folder / f"{_key(own, PIXEL, None)}.tables")
     about = SceneHeader.parse(base64.b64decode(known.facts["welcome"]))
     assert about.grids == whole.manifest.grids
     n, small = whole.manifest.gaussians, own.manifest.gaussians

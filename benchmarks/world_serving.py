@@ -38,7 +38,7 @@ from gsvis.package import Package
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import quats_from_rotations
 from gsvis.simulate.frames import Frame, Stage
-from gsvis.stream import PoseAt, Quality, StreamedScene
+from gsvis.stream import PoseAt, StreamedScene
 from gsvis.stream.batch import Sections
 from gsvis.stream.kept import open_kept
 from gsvis.world.streamed import open_world
@@ -207,8 +207,8 @@ def main() -> None:
     write_tables(whole, near, tables)
     os.sched_setaffinity(0, other_cores(args.core))
     views = Views.of(args.package, 5)
-    alone, _ = open_kept(Package.open(args.package), tables, quality=Quality())
-    world, _ = open_world(near, tables=tables, quality=Quality())
+    alone, _ = open_kept(Package.open(args.package), tables)
+    world, _ = open_world(near, tables=tables)
     size, step = len(alone), alone.index.grid.cell_size * np.array(alone.index.grid.shape) * (1.0, 0.0, 0.0)
     across = alone.index.grid.cell_size * np.array(alone.index.grid.shape) * (0.0, 1.0, 0.0)
 

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import logging
 import weakref
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,7 @@ _OPEN_TILES = 64  # tiles whose stores are open at once
 _TOUCH = 1e-3  # gap between two cells that touch, as a share of their size
 I64 = NDArray[np.int64]
 F64 = NDArray[np.float64]
+_Part = TypeVar("_Part")
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,11 +236,11 @@ class WorldSets:
 
     def visible_words(self, cell: int) -> NDArray[np.uint64]:
         """Return the visible set of a cell, packed."""
-        return pack(self._seen(cell)[0], self._n)
+        return pack(self._ids(cell), self._n)
 
     def visible_masks(self, cell: int) -> tuple[NDArray[np.int32], NDArray[np.uint64]]:
         """Return the words of the visible set of a cell that are not empty, ascending, and their masks."""
-        return pack_some(self._seen(cell)[0])
+        return pack_some(self._ids(cell))
 
     def of_gaussian(self, gaussian: int) -> tuple[VisibilityStore, int, int] | None:
         """Return the store of the tile that holds a Gaussian, its id there, and the number of the tile's first cell.
@@ -264,25 +265,51 @@ class WorldSets:
         return found
 
     def _read(self, cell: int) -> tuple[I64, NDArray[np.uint8]]:
-        """Read what a cell sees. What a damaged tile cannot tell is left out; its own Gaussians are all seen then."""
+        """Read what a cell sees."""
         tile, place = int(self._cells.tiles[cell]), int(self._cells.places[cell])
-        low, high = self._bases[tile : tile + 2].tolist()
-        parts = [(np.arange(low, high), np.zeros(high - low, np.uint8))]
+
+        def read(stores: _Tile) -> list[tuple[int, I64, NDArray[np.uint8]]]:
+            beyond = [] if stores.beyond is None else stores.beyond.of_cell(place)
+            beyond = [seen for seen in beyond if self._has_ids(seen.node)]
+            return [(tile, *stores.own.classes(place)), *((seen.node, seen.ids, seen.classes) for seen in beyond)]
+
+        found = self._unless_damaged(tile, read)
+        if found is None:
+            low, high = self._bases[tile : tile + 2].tolist()
+            return np.arange(low, high), np.zeros(high - low, np.uint8)
+        some = [(self._bases[node] + ids, classes) for node, ids, classes in sorted(found, key=_first)]
+        ids, classes = (np.concatenate([part[k] for part in some]) for k in (0, 1))
+        if _is_ascending(ids):
+            return ids, classes
+        order = np.argsort(ids, kind="stable")
+        return ids[order], classes[order]
+
+    def _ids(self, cell: int) -> I64:
+        """Return ascending ids of the Gaussians that a cell sees; faster than `classes`."""
+        tile, place = int(self._cells.tiles[cell]), int(self._cells.places[cell])
+
+        def read(stores: _Tile) -> list[tuple[int, I64]]:
+            beyond = [] if stores.beyond is None else stores.beyond.ids_of_cell(place)
+            return [(tile, stores.own.visible_ids(place)), *(seen for seen in beyond if self._has_ids(seen[0]))]
+
+        found = self._unless_damaged(tile, read)
+        if found is None:
+            return np.arange(*self._bases[tile : tile + 2].tolist())
+        every = np.concatenate([self._bases[node] + ids for node, ids in sorted(found, key=_first)])
+        return every if _is_ascending(every) else np.sort(every)
+
+    def _has_ids(self, node: int) -> bool:
+        return bool(self._bases[node + 1] > self._bases[node])
+
+    def _unless_damaged(self, tile: int, read: Callable[[_Tile], list[_Part]]) -> list[_Part] | None:
+        """Read from the stores of a tile; None if they are damaged: its own Gaussians are all seen then, no others."""
         try:
-            stores = self._tiles.find_or_make(tile, lambda: self._open(tile))
-            ids, classes = stores.own.classes(place)
-            parts = [(ids + low, classes)]
-            for seen in [] if stores.beyond is None else stores.beyond.of_cell(place):
-                base, end = self._bases[seen.node : seen.node + 2].tolist()
-                if end > base:
-                    parts.append((seen.ids + base, seen.classes))
+            return read(self._tiles.find_or_make(tile, lambda: self._open(tile)))
         except (GsvisError, OSError) as error:
             if tile not in self._said:
                 self._said.add(tile)
                 _LOG.error("%s: visible sets of tile %d are damaged: %s", self._world.path.name, tile, error)
-        ids = np.concatenate([part[0] for part in parts])
-        order = np.argsort(ids, kind="stable")
-        return ids[order], np.concatenate([part[1] for part in parts])[order]
+            return None
 
     def _open(self, tile: int) -> _Tile:
         package = self._world.package(tile)
@@ -294,6 +321,15 @@ class WorldSets:
             found.beyond.store.cache = self._cache.named(("beyond", tile))
         weakref.finalize(found, _close, package, found.beyond)
         return found
+
+
+def _first(part: tuple[Any, ...]) -> Any:
+    return part[0]
+
+
+def _is_ascending(ids: I64) -> bool:
+    """Return whether ids ascend, as they do unless several pieces of one node stand around a tile."""
+    return not bool((ids[1:] < ids[:-1]).any())
 
 
 def _close(package: Any, beyond: Beyond | None) -> None:
