@@ -154,6 +154,7 @@ PAGES = {
             "world",
             "world_whole",
             "world_opening",
+            "world_serving",
             "world_kills",
             "max_memory",
             "out_of_core",

@@ -16,7 +16,7 @@ from gsvis import _check
 from gsvis._kernels.bits import count
 from gsvis._kernels.blank import blank
 from gsvis.abr._kernels.plan import Held
-from gsvis.pvs.codec import bitmap_of, ids_of, pack, word_count
+from gsvis.pvs.codec import bitmap_of, ids_of, pack, pack_some, word_count
 
 __all__ = ["Holdings"]
 
@@ -89,7 +89,8 @@ class Holdings:
         """Return an independent copy."""
         other = Holdings(self.gaussians, self.terms)
         for mine, theirs in zip(self.words, other.words, strict=True):
-            theirs[:] = mine
+            some = np.flatnonzero(mine)
+            theirs[some] = mine[some]
         return other
 
     def add(self, gaussians: NDArray[Any], terms: NDArray[Any], dropped: NDArray[Any]) -> None:
@@ -110,10 +111,10 @@ class Holdings:
         ):
             values = _check.integers(name, ids, ("M",))
             _check.in_range(name, values, 0, size - 1)
-            fresh = pack(values, size)
-            if name != "dropped" and (count(fresh) != len(values) or np.any(fresh & words)):
+            some, fresh = pack_some(np.sort(values))
+            if name != "dropped" and (count(fresh) != len(values) or np.any(fresh & words[some])):
                 raise ValueError(f"{name}: expected each once, got one that is held already")
-            words |= fresh
+            words[some] |= fresh
 
     def evict(self, gaussians: NDArray[Any], terms: NDArray[Any]) -> None:
         """Forget Gaussians, and that they were replaced, and terms, on the client's side.
@@ -126,18 +127,18 @@ class Holdings:
             ValueError: If an id is out of range, or neither held nor replaced. Nothing changes then.
         """
         found = []
-        for name, ids, words, size in (
-            ("gaussians", gaussians, self.sent | self.gone, self.gaussians),
-            ("terms", terms, self.sent_terms, self.terms),
+        for name, ids, sets, size in (
+            ("gaussians", gaussians, (self.sent, self.gone), self.gaussians),
+            ("terms", terms, (self.sent_terms,), self.terms),
         ):
             values = _check.integers(name, ids, ("M",))
             _check.in_range(name, values, 0, size - 1)
-            found.append(pack(values, size))
-            if np.any(found[-1] & ~words):
+            some, masks = pack_some(np.sort(values))
+            if np.any(masks & ~np.bitwise_or.reduce([words[some] for words in sets])):
                 raise ValueError(f"{name}: expected such as are held, got others")
-        self.sent &= ~found[0]
-        self.gone &= ~found[0]
-        self.sent_terms &= ~found[1]
+            found += [(words, some, masks) for words in sets]
+        for words, some, masks in found:
+            words[some] &= ~masks
 
     def to_bytes(self) -> bytes:
         """Return a header (magic GVH1, N, T, the bytes of three bitmaps: little-endian uint32) and the bitmaps.
@@ -179,10 +180,11 @@ class Holdings:
             )
         if _HEAD.size + sum(lengths) != len(data):
             raise ValueError(f"data: expected {_HEAD.size + sum(lengths)} bytes, got {len(data)}")
-        start = _HEAD.size
-        for words, length, size in zip(out.words, lengths, (n, t, n), strict=True):
-            words[:] = _words_of(data[start : start + length], size)
+        start, found = _HEAD.size, []
+        for length, size in zip(lengths, (n, t, n), strict=True):
+            found.append(_words_of(data[start : start + length], size))
             start += length
+        out.sent, out.sent_terms, out.gone = found
         return out
 
 
