@@ -76,7 +76,10 @@ def moved(package: Path, packages: Path, by: np.ndarray, note: str) -> Path:
         tables, sets = m.tables, m.visibility
         kept = {part.name for block in m.blocks for part in (block.gaussians, *(part for part, _ in block.terms))}
         if by.any():
-            table = replace(contents.table, origins=(contents.table.origins + by).astype(np.float32))
+            plain = (contents.table.steps >= 0).all(axis=1)[
+                :, None
+            ]  # flyaways in logarithmic chunks stay where they are
+            table = replace(contents.table, origins=(contents.table.origins + by * plain).astype(np.float32))
             tables = ((parts.write_columns("chunks", columns_of(table, contents.chunk_levels)), len(table)),)
         else:
             kept |= {part.name for part, _ in m.tables}

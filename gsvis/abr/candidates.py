@@ -4,7 +4,7 @@ Candidates are computed once for a cell and shared by all clients in it. They do
 looks at. Rings are 0 for the cell itself and 1, 2, 3 for neighbors by face, edge and corner. A Gaussian is in the first
 ring that sees it, so the ring orders by distance to the nearest cell from which it is visible (section 6.3). Shells go
 on from there to the end of the scene, for links with nothing better to do: shell 0 is the cell and its neighbors, each
-further shell the next nearest cells. All shells share the units of the whole scene.
+further shell the next nearest cells.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import NDArray
 
 from gsvis import _check
 from gsvis._kernels.bits import count as ones
@@ -25,27 +25,24 @@ from gsvis.abr._kernels import units as kernels
 from gsvis.abr._kernels.take import bound
 from gsvis.abr._kernels.units import Runs, Seen, Units
 from gsvis.abr.cones import TermCones
-from gsvis.abr.index import SceneIndex, SparseSets
+from gsvis.abr.index import SceneIndex
+from gsvis.abr.rings import RINGS, Shells, ring_cells
+from gsvis.abr.seen import SeenSets
 from gsvis.files.cache import Cache
-from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.codec import pack, word_count
 
-__all__ = ["RINGS", "CandidateIndex", "Candidates", "ring_cells"]
+__all__ = ["CandidateIndex", "Candidates"]
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
 Words = NDArray[np.uint64]
 
-RINGS = 4
-
 _WHOLE = ("words", "places", "owing", "union", "active", "level_bytes")  # arrays of `CandidateIndex.everything`
 _Tuple = TypeVar("_Tuple")
 
 _WORKS = 64  # ways to divide scratch memory that a thread remembers
 _PAGE_BITS = (PAGE // 8).bit_length() - 1  # of a number of words
-_SORTED = 512  # cells around a cell to sort at a time
-_SHELL = 8  # cells of a shell: its sets may all have to be read while a viewer waits
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,6 +133,8 @@ class CandidateIndex:
         links: Which Gaussians replace which.
         everything: All Gaussians and all terms as candidates of no cell, in ring 1, to fill idle links.
         highest: (W,) uint64, the Gaussians of the highest level.
+        seen: What each cell sees.
+        shells: The cells around each cell.
     """
 
     def __init__(
@@ -173,7 +172,8 @@ class CandidateIndex:
         mixed[(np.flatnonzero(np.diff(pairs)) + 1) >> 6] = True
         self._traits = kernels.Traits(*_check.read_only(strengths(index, self.pixel_area), pairs, mixed))
         self._owners = np.repeat(np.arange(len(index), dtype=np.int32), np.diff(index.term_offsets))
-        self._scratch, self._shell_counts = threading.local(), dict[int, int]()
+        self._scratch = threading.local()
+        self.seen, self.shells = SeenSets(index, self.cache), Shells(index.grid, self.cache)
         all_words = np.arange(-(-len(index) // 64), dtype=np.int32)
         every = Seen(all_words, pack(np.arange(len(index)), len(index))[: len(all_words)])
         units = self._split(every, np.zeros(len(index), np.uint8), np.array([np.mean(index.class_weights)], np.float32))
@@ -227,7 +227,8 @@ class CandidateIndex:
         self._every_term = a["active"], a["owing"]
         self.records, self.links = _typed("record", plan.Records, a), _typed("link", plan.Links, a)
         self._every = _typed("every", Units, a)
-        self._scratch, self._shell_counts = threading.local(), dict[int, int]()
+        self._scratch = threading.local()
+        self.seen, self.shells = SeenSets(index, self.cache), Shells(index.grid, self.cache)
         whole = {name: a[f"all_{name}"] for name in _WHOLE}
         self.everything = Candidates(
             cell=-1, units=_typed("unit", Units, a), runs=_typed("run", Runs, a), term_bytes=numbers["term_bytes"],
@@ -255,7 +256,7 @@ class CandidateIndex:
         """
         index, levels = self.index, self.index.num_levels
         rings = ring_cells(index.grid, cell)
-        fresh, seen = self._join([[self.seen_by(each) for each in ring] for ring in rings])
+        fresh, seen = self.seen.join([[self.seen.of_cell(each) for each in ring] for ring in rings])
         parts = [self._split(fresh[0], index.sets.classes(cell)[1], index.class_weights)]
         sums = np.zeros(levels * levels)
         kernels.pair_bytes(parts[0].slots, parts[0].masks, parts[0].codes, self._word_bytes, sums)
@@ -270,71 +271,16 @@ class CandidateIndex:
             terms = float(own.sum())
         return self._assemble(cell, parts, seen, active, owing, terms, sums)
 
-    def shells(self, cell: int) -> list[list[int]]:
-        """Return the cells of each shell around a cell, nearest first; all cells of the scene are in one of them."""
-        grid = self.index.grid
-        near = [other for ring in ring_cells(grid, cell) for other in ring]
-        order = np.argsort(np.linalg.norm(grid.centers - grid.centers[cell], axis=1), kind="stable")
-        far = order[~np.isin(order, near)].tolist()
-        return [near, *(far[k : k + _SHELL] for k in range(0, len(far), _SHELL))]
-
-    def num_shells(self, cell: int) -> int:
-        """Return the number of shells around a cell."""
-        if cell not in self._shell_counts:
-            grid = self.index.grid
-            self._shell_counts[cell] = 1 - (1 + len(grid.neighbors(cell)) - len(grid)) // _SHELL
-        return self._shell_counts[cell]
-
-    def shell_cells(self, cell: int, number: int) -> list[int]:
-        """Return the cells of one of the `shells`; sort no more cells than it takes, and cache them."""
-        grid = self.index.grid
-        if number == 0:
-            return [other for ring in ring_cells(grid, cell) for other in ring]
-        enough = (number * _SHELL - 1) // _SORTED + 1
-        key = "order", cell, 1 << (enough - 1).bit_length()
-        far: NDArray[np.int64] | None = self.cache.find(key)
-        if far is None:
-            near, apart = self.shell_cells(cell, 0), np.linalg.norm(grid.centers - grid.centers[cell], axis=1)
-            apart[near] = np.inf
-            count = min(key[2] * _SORTED, len(apart) - len(near))
-            some = (
-                np.flatnonzero(apart <= np.partition(apart, count - 1)[count - 1]) if count else np.zeros(0, np.int64)
-            )
-            far = some[np.argsort(apart[some], kind="stable")][:count]
-            self.cache.keep(key, far, far.nbytes)
-        return far[(number - 1) * _SHELL : number * _SHELL].tolist()
-
     def shell(self, cell: int, number: int) -> Shell:
         """Return what the cells of a shell around a cell see; cache it."""
         found: Shell | None = self.cache.find(("shell", cell, number))
         if found is None:
-            _, seen = self._join([[self.seen_by(other) for other in self.shell_cells(cell, number)]])
+            _, seen = self.seen.join([[self.seen.of_cell(other) for other in self.shells.cells(cell, number)]])
             wanted = seen.masks & self.highest[seen.words]
             units, owing = self._units_of(1, Seen(seen.words, wanted)), self._every_term[1][seen.words]
             made = self._assemble(-1, [units], seen, self._every_term[0], owing, 0.0, has_union=False)
             found = Shell(seen, wanted, replace(made, term_bytes=self.everything.term_bytes))
             self.cache.keep(("shell", cell, number), found, made.nbytes + wanted.nbytes + seen.masks.nbytes)
-        return found
-
-    def seen_by(self, cell: int) -> Seen:
-        """Return the visible set of a cell; cache it, since cells share neighbors.
-
-        Raises:
-            ValueError: If it names Gaussians that the scene does not have.
-        """
-        found: Seen | None = self.cache.find(("words", cell))
-        if found is None:
-            sets, n = self.index.sets, len(self.index)
-            if isinstance(sets, SparseSets):
-                found, whole = Seen(*sets.visible_masks(cell)), True
-            else:
-                packed = sets.visible_words(cell)
-                words = np.flatnonzero(packed).astype(np.int32)
-                found, whole = Seen(words, packed[words]), len(packed) == word_count(n)
-            last = 64 * int(found.words[-1]) + int(found.masks[-1]).bit_length() if len(found.words) else 0
-            if not whole or last > n:
-                raise ValueError(f"words: expected a set of {n:,} Gaussians, got another")
-            self.cache.keep(("words", cell), found, sum(array.nbytes for array in found))
         return found
 
     def bounds_of(self, here: Candidates, shares: F64, *, make: bool) -> Bounds | None:
@@ -349,8 +295,10 @@ class CandidateIndex:
         found: Bounds | None = self.cache.find(key)
         if found is None and make:
             size = len(self.links.ending)
-            (room,), out = self._blank("ends", size, (np.int32,)), [np.empty(size, np.int32) for _ in range(3)]
-            count = bound(here.seen, self.links, self.index.last, shares, room, *out)
+            if not hasattr(self._scratch, "ends"):
+                self._scratch.ends = blank(size, np.int32)  # zeros again after each use
+            out = [np.empty(size, np.int32) for _ in range(3)]
+            count = bound(here.seen, self.links, self.index.last, shares, self._scratch.ends, *out)
             found = Bounds(*(array[:count].copy() for array in out))
             self.cache.keep(key, found, sum(array.nbytes for array in found))
         return found
@@ -368,7 +316,7 @@ class CandidateIndex:
             active: (X,) the terms that may be active in one of them.
         """
         seen, owing = np.zeros_like(here.owing), np.zeros_like(here.owing)
-        kernels.find_masks(here.words, self.seen_by(cell), seen)
+        kernels.find_masks(here.words, self.seen.of_cell(cell), seen)
         if self.index.cones is not None:
             return seen, here.owing, here.active
         there = self.in_cell(cell)
@@ -453,32 +401,6 @@ class CandidateIndex:
         of_words = [inside, middle, free, due.reshape(terms, slots), *sides, squares]
         return plan.Work(*of_words, *of_units, *listed, *sums)
 
-    def _join(self, rings: list[list[Seen]]) -> tuple[list[Seen], Seen]:
-        """Return what the sets of each ring have that those of earlier rings lack, and all together."""
-        before, fresh = self._blank("sets", len(self.spheres), (np.uint64, np.uint64))
-        sizes = [sum(len(seen.words) for seen in ring) for ring in rings]
-        union, known, found = np.empty(sum(sizes), np.int32), 0, []
-        for ring, size in zip(rings, sizes, strict=True):
-            listed, count = np.empty(size, np.int32), 0
-            for seen in ring:
-                count = kernels.add_fresh(seen, before, fresh, listed, count)
-            words = np.sort(listed[:count])
-            masks = np.empty(count, np.uint64)
-            known = kernels.settle(words, fresh, before, masks, union, known)
-            found.append(Seen(words, masks))
-        words = np.sort(union[:known])
-        masks = np.empty(known, np.uint64)
-        kernels.take_out(words, before, masks)
-        return found, Seen(words, masks)
-
-    def _blank(self, name: str, size: int, kinds: tuple[DTypeLike, ...]) -> list[NDArray[Any]]:
-        """Return arrays of zeros of the calling thread, which it leaves as zeros."""
-        local = self._scratch
-        if not hasattr(local, name):
-            setattr(local, name, [blank(size, kind) for kind in kinds])
-        found: list[NDArray[Any]] = getattr(local, name)
-        return found
-
     def _units_of(self, ring: int, members: Seen) -> Units:
         """Return the units of any Gaussians, in a ring, with words instead of slots."""
         starts, words = self.everything.runs.starts, members.words  # every word has one run
@@ -524,18 +446,6 @@ def strengths(index: SceneIndex, pixel_area: float) -> F32:
     value = (index.importance / index.gaussian_bytes).astype(np.float64)
     both = np.stack([value * index.areas, value * pixel_area], axis=1)
     return np.minimum(both, 1e30).astype(np.float32)
-
-
-def ring_cells(grid: Any, cell: int) -> list[list[int]]:
-    """Return four lists: the cell, and its neighbors by face, by edge and by corner."""
-    if not isinstance(grid, CellGrid):  # cells of several grids know their neighbors
-        return grid.rings(cell)  # type: ignore[no-any-return]
-    rings: list[list[int]] = [[grid.checked(cell)], [], [], []]
-    others = grid.neighbors(cell)
-    steps = np.abs(grid.coords[others] - grid.coords[cell]).sum(axis=1)
-    for other, ring in zip(others.tolist(), steps.tolist(), strict=True):
-        rings[ring].append(other)
-    return rings
 
 
 def _level_bytes(sums: F64, levels: int) -> F64:

@@ -190,8 +190,9 @@ class Holdings:
 
 def _ids_in(words: I64, masks: Words) -> I64:
     """Return the ascending ids of some words (S,) of a set."""
-    found = ids_of(masks)
-    return 64 * words[found >> 6] + (found & 63)
+    places = ids_of(masks)
+    ids: I64 = 64 * words[places >> 6] + (places & 63)
+    return ids
 
 
 def _most_bitmap(size: int) -> int:

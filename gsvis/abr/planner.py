@@ -435,7 +435,7 @@ class Planner:
             self._filled, self._is_wide = _SHELLS, False
             self._looks, self._sure, self._bounds = self._counts(), self._counts(), None  # other candidates
         self._bound(here, make=not is_new)
-        shells = 0 if self._complete else self.candidates.num_shells(here.cell)
+        shells = 0 if self._complete else self.candidates.shells.count(here.cell)
         self._stages = _SHELLS + shells if self.config.fill else _AROUND
         if before is not None and before[0] is here and before[1] == cell_ahead:
             self._cell, self._stage = before[2], _NEEDS

@@ -148,7 +148,8 @@ class WorldCells:
         same, sizes = self.tiles[some] == self.tiles[cell], self.sizes[some]
         apart = np.abs(self.centers[some] - center).max(axis=1) - (sizes + self.sizes[cell]) / 2
         near = np.where(same, np.abs(self.boxes[some] - self.boxes[cell]).max(axis=1) <= 1, apart <= _TOUCH * sizes)
-        return some[near & (some != cell)]
+        found: I64 = some[near & (some != cell)]
+        return found
 
     def nearest(self, position: F64) -> int:
         """Return the cell that contains a position (3,), of those the one with the nearest center; else the nearest."""
