@@ -113,12 +113,12 @@ def _move_store(store: Path, to: Path, by: np.ndarray) -> None:
 
 def write_tables(world: Path, part: Path, folder: Path) -> None:
     """Write the file of tables of a world whose first nodes are those of another one; the rest of it are holes."""
-    _, kept = open_world(part, tables=folder, quality=None)
-    assert kept is not None
     whole = WorldPackage(World.open(world), set(), folder)
     path = folder / f"{_key(whole, PIXEL, None)}.tables"
     if path.is_file():
         return
+    _, kept = open_world(part, tables=folder, quality=None)
+    assert kept is not None
     own = WorldPackage(World.open(part), set(), folder)
     known = MappedArrays(folder / f"{_key(own, PIXEL, None)}.tables")
     about = SceneHeader.parse(base64.b64decode(known.facts["welcome"]))
@@ -138,7 +138,7 @@ def write_tables(world: Path, part: Path, folder: Path) -> None:
         else:
             axis = 1 if name in ("bodies", "all_places") else 0
             count = array.shape[axis]
-            more = lengths.get(count, -(-count * n // small) + 1 if count > 64 else count)
+            more = lengths.get(count, -(-count * n // small) if count > 64 else count)
             shape = [*array.shape[:axis], more, *array.shape[axis + 1 :]]
         key = array.ctypes.data if array.size else id(array), array.dtype.str
         if key not in places:
@@ -163,3 +163,4 @@ def write_tables(world: Path, part: Path, folder: Path) -> None:
                 out.seek(start + place + k * size)
                 out.write(np.ascontiguousarray(line).reshape(-1).view(np.uint8).data)
     path.with_suffix(".partial").rename(path)
+    known.path.unlink()

@@ -211,7 +211,10 @@ def serving(package: Path, core: int, *options: str) -> Iterator[tuple[subproces
     try:
         text = ""
         while not text.endswith("}\n"):
-            text += server.stdout.readline()
+            line = server.stdout.readline()
+            if not line:
+                raise SystemExit(f"the server of {package.name} does not start; run: {' '.join(command)}")
+            text += line
         yield server, json.loads(text)["url"]
     finally:
         server.terminate()

@@ -167,7 +167,7 @@ def checked(visitors: Sequence[Visitor], scene: StreamedScene) -> dict[str, int]
             same = scene.coding.encode_some(scene.parts, ids, scene.chunks[ids], scene.chunk_numbers)
             records = np.frombuffer(bytes(s.records), np.uint8)
             wrong = len(records) if len(records) != len(same) else int((records != same).sum())
-            rows = scene.chunk_rows[np.searchsorted(scene.starts, s.chunks)]
+            rows = scene.chunk_rows[scene.chunks[s.chunks]]
             found["wrong"] += wrong + int((np.asarray(s.rows) != rows).sum())
     return found
 
@@ -208,7 +208,7 @@ def main() -> None:
     os.sched_setaffinity(0, other_cores(args.core))
     views = Views.of(args.package, 5)
     alone, _ = open_kept(Package.open(args.package), tables)
-    world, _ = open_world(near, tables=tables)
+    world, _ = open_world(whole, tables=tables)
     size, step = len(alone), alone.index.grid.cell_size * np.array(alone.index.grid.shape) * (1.0, 0.0, 0.0)
     across = alone.index.grid.cell_size * np.array(alone.index.grid.shape) * (0.0, 1.0, 0.0)
 
