@@ -27,7 +27,9 @@ import subprocess
 import sys
 import time
 import urllib.request
-from contextlib import suppress
+from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +59,9 @@ class Viewer:
         self._free, self._last = 0.0, 0.0
         self._saying: set[asyncio.Future[None]] = set()
 
+    def note(self, data: bytes, at: float) -> None:
+        """Take note of a message that the link has brought at a time of the monotonic clock."""
+
     def pose(self, t: float) -> bytes:
         """Half a cell a second from cell to cell, turning by 30 degrees a second."""
         along = min(0.5 * t, len(self._stops) - 1.001) if len(self._stops) > 1 else 0.0
@@ -81,7 +86,7 @@ class Viewer:
             await ws.send(Hello(VIEW).to_bytes())
             self.opened += 1
             self._last = time.monotonic()
-            sending = asyncio.create_task(self._send_poses(ws))
+            sending, later = asyncio.create_task(self._send_poses(ws)), deque[asyncio.TimerHandle]()
             try:
                 while (now := time.monotonic()) < until and now - self._last < self._idle_s:
                     try:
@@ -91,12 +96,16 @@ class Viewer:
                     self._last = now = time.monotonic()
                     self._free = max(self._free, now) + len(data) / (MBIT * 125_000)
                     self.bytes += len(data)
-                    sequence = int.from_bytes(data[4:8], "little")
-                    asyncio.get_running_loop().call_at(
-                        asyncio.get_running_loop().time() + self._free - now, self._acknowledge, ws, sequence
-                    )
-            finally:
+                    self.note(data, self._free)
+                    sequence, loop = int.from_bytes(data[4:8], "little"), asyncio.get_running_loop()
+                    while later and later[0].when() < loop.time():
+                        later.popleft()
+                    later.append(loop.call_at(loop.time() + self._free - now, self._acknowledge, ws, sequence))
+            finally:  # no task is left when the loop ends
+                for handle in later:
+                    handle.cancel()
                 sending.cancel()
+                await asyncio.gather(sending, *self._saying, return_exceptions=True)
 
     def _acknowledge(self, ws: Any, sequence: int) -> None:
         task = asyncio.ensure_future(self._send(ws, Ack(sequence).to_bytes()))
@@ -187,10 +196,11 @@ def other_cores(core: int) -> set[int]:
     return mine if len(mine) <= 2 else apart or mine - {core}
 
 
-def measured(package: Path, count: int, core: int, seconds: float, warm: float, idle_s: float) -> dict[str, Any]:
-    """One number of viewers against a fresh server."""
+@contextmanager
+def serving(package: Path, core: int, *options: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """A fresh server on one core, and its address; it ends with the block."""
     command = [sys.executable, "-m", "gsvis", "serve", str(package), "--port", "0", "--json"]
-    command += ["--clients", "400", "--per-address", "400"]  # all viewers are on this machine
+    command += ["--clients", "400", "--per-address", "400", *options]  # all viewers are on this machine
     server = subprocess.Popen(
         ["taskset", "-c", str(core), *command],
         stdout=subprocess.PIPE,
@@ -201,8 +211,19 @@ def measured(package: Path, count: int, core: int, seconds: float, warm: float, 
     try:
         text = ""
         while not text.endswith("}\n"):
-            text += server.stdout.readline()
-        url = json.loads(text)["url"]
+            line = server.stdout.readline()
+            if not line:
+                raise SystemExit(f"the server of {package.name} does not start; run: {' '.join(command)}")
+            text += line
+        yield server, json.loads(text)["url"]
+    finally:
+        server.terminate()
+        server.wait(30)
+
+
+def measured(package: Path, count: int, core: int, seconds: float, warm: float, idle_s: float) -> dict[str, Any]:
+    """One number of viewers against a fresh server."""
+    with serving(package, core) as (server, url):
         asyncio.run(crowd(url, 1, package, 3.0, 0.5))  # kernels and cells
         memory, marks = memory_of(server.pid), []
 
@@ -232,9 +253,6 @@ def measured(package: Path, count: int, core: int, seconds: float, warm: float, 
             "viewers_by_cpu": 1.0 / (cpu_per_mb * MBIT / 8.0),
             "memory_mb_per_viewer": (memory_of(server.pid) - memory) / count,
         }
-    finally:
-        server.terminate()
-        server.wait(30)
 
 
 def main() -> None:

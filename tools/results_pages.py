@@ -155,6 +155,7 @@ PAGES = {
             "world_whole",
             "world_estimate",
             "world_opening",
+            "world_serving",
             "world_kills",
             "max_memory",
             "out_of_core",

@@ -4,45 +4,45 @@ Candidates are computed once for a cell and shared by all clients in it. They do
 looks at. Rings are 0 for the cell itself and 1, 2, 3 for neighbors by face, edge and corner. A Gaussian is in the first
 ring that sees it, so the ring orders by distance to the nearest cell from which it is visible (section 6.3). Shells go
 on from there to the end of the scene, for links with nothing better to do: shell 0 is the cell and its neighbors, each
-further shell the next nearest cells. All shells share the units of the whole scene.
+further shell the next nearest cells.
 """
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Any, TypeVar
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gsvis import _check
 from gsvis._kernels.bits import count as ones
+from gsvis._kernels.blank import PAGE, blank
 from gsvis.abr._kernels import plan
 from gsvis.abr._kernels import units as kernels
 from gsvis.abr._kernels.take import bound
-from gsvis.abr._kernels.units import Runs, Units
+from gsvis.abr._kernels.units import Runs, Seen, Units
 from gsvis.abr.cones import TermCones
 from gsvis.abr.index import SceneIndex
+from gsvis.abr.rings import RINGS, Shells, ring_cells
+from gsvis.abr.seen import SeenSets
 from gsvis.files.cache import Cache
-from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.codec import pack, word_count
 
-__all__ = ["RINGS", "CandidateIndex", "Candidates", "ring_cells"]
+__all__ = ["CandidateIndex", "Candidates"]
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
 Words = NDArray[np.uint64]
 
-RINGS = 4
-
 _WHOLE = ("words", "places", "owing", "union", "active", "level_bytes")  # arrays of `CandidateIndex.everything`
 _Tuple = TypeVar("_Tuple")
 
 _WORKS = 64  # ways to divide scratch memory that a thread remembers
-_SHELL = 8  # cells of a shell: its sets may all have to be read while a viewer waits
+_PAGE_BITS = (PAGE // 8).bit_length() - 1  # of a number of words
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,8 +82,30 @@ class Candidates:
     @property
     def nbytes(self) -> int:
         """Bytes in memory."""
-        arrays = *self.units, *self.runs, self.words, self.places, self.owing, self.union, self.active
-        return sum(array.nbytes for array in arrays)
+        arrays = *self.units, *self.runs, self.words, self.places, self.owing, self.active
+        pages = np.count_nonzero(np.diff(self.words >> _PAGE_BITS, prepend=-1)) * PAGE  # the others hold nothing
+        return sum(array.nbytes for array in arrays) + min(int(pages), self.union.nbytes)
+
+    @property
+    def seen(self) -> Seen:
+        """All candidates."""
+        return Seen(self.words, self.union[self.words])
+
+
+class Bounds(NamedTuple):
+    """Bounds for B of the E Gaussians that others replace, of which a cell has candidates."""
+
+    ends: I32  # (B,) numbers in [0, E)
+    least: I32  # (B,) area of replacements, in units, without which each is not dropped
+    sure: I32  # (B,) area that suffices, whatever it consists of
+
+
+class Shell(NamedTuple):
+    """What some cells around a viewer's cell see."""
+
+    seen: Seen  # all of it
+    wanted: Words  # (S,) of it what is of the highest level
+    candidates: Candidates  # that, without a union
 
 
 class CandidateIndex:
@@ -111,7 +133,8 @@ class CandidateIndex:
         links: Which Gaussians replace which.
         everything: All Gaussians and all terms as candidates of no cell, in ring 1, to fill idle links.
         highest: (W,) uint64, the Gaussians of the highest level.
-        all_bits: (W,) uint64, every bit set.
+        seen: What each cell sees.
+        shells: The cells around each cell.
     """
 
     def __init__(
@@ -149,19 +172,19 @@ class CandidateIndex:
         mixed[(np.flatnonzero(np.diff(pairs)) + 1) >> 6] = True
         self._traits = kernels.Traits(*_check.read_only(strengths(index, self.pixel_area), pairs, mixed))
         self._owners = np.repeat(np.arange(len(index), dtype=np.int32), np.diff(index.term_offsets))
-        self._scratch, self._shell_counts = threading.local(), dict[int, int]()
-        all_of_them = pack(np.arange(len(index)), len(index))
-        units = self._split(
-            all_of_them, np.zeros(len(index), np.uint8), np.array([np.mean(index.class_weights)], np.float32)
-        )
+        self._scratch = threading.local()
+        self.seen, self.shells = SeenSets(index, self.cache), Shells(index.grid, self.cache)
+        all_words = np.arange(-(-len(index) // 64), dtype=np.int32)
+        every = Seen(all_words, pack(np.arange(len(index)), len(index))[: len(all_words)])
+        units = self._split(every, np.zeros(len(index), np.uint8), np.array([np.mean(index.class_weights)], np.float32))
         self._every = Units(*(array.copy() for array in units))
         sent = index.num_terms if index.cones is not None or index.active is not None else 0
         owners = np.flatnonzero(np.diff(index.term_offsets)) if sent else np.zeros(0, np.int64)
         self._every_term = pack(np.arange(sent), index.num_terms), pack(owners, len(index))
         self._word_terms = _word_means(np.diff(index.term_offsets), count)
-        owned = float(sent)
-        self.all_bits = np.full(count, ~np.uint64(0))
-        self.everything = self._assemble(-1, [self._units_of(1, all_of_them)], all_of_them, *self._every_term, owned)
+        owned, owing = float(sent), self._every_term[1][: len(all_words)]
+        units = self._every._replace(codes=self._every.codes + np.uint16(index.num_levels**2))
+        self.everything = self._assemble(-1, [units], every, self._every_term[0], owing, owned)
         self.highest = pack(np.flatnonzero(index.last == index.num_levels - 1), len(index))
 
     def to_arrays(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
@@ -204,8 +227,8 @@ class CandidateIndex:
         self._every_term = a["active"], a["owing"]
         self.records, self.links = _typed("record", plan.Records, a), _typed("link", plan.Links, a)
         self._every = _typed("every", Units, a)
-        self._scratch, self._shell_counts = threading.local(), dict[int, int]()
-        self.all_bits = np.full(len(self.spheres), ~np.uint64(0))
+        self._scratch = threading.local()
+        self.seen, self.shells = SeenSets(index, self.cache), Shells(index.grid, self.cache)
         whole = {name: a[f"all_{name}"] for name in _WHOLE}
         self.everything = Candidates(
             cell=-1, units=_typed("unit", Units, a), runs=_typed("run", Runs, a), term_bytes=numbers["term_bytes"],
@@ -233,56 +256,35 @@ class CandidateIndex:
         """
         index, levels = self.index, self.index.num_levels
         rings = ring_cells(index.grid, cell)
-        seen = self.words_of(cell).copy()
-        parts = [self._split(seen, index.sets.classes(cell)[1], index.class_weights)]
+        fresh, seen = self.seen.join([[self.seen.of_cell(each) for each in ring] for ring in rings])
+        parts = [self._split(fresh[0], index.sets.classes(cell)[1], index.class_weights)]
         sums = np.zeros(levels * levels)
         kernels.pair_bytes(parts[0].slots, parts[0].masks, parts[0].codes, self._word_bytes, sums)
-        for ring in range(1, RINGS):
-            parts.append(self._units_of(ring, self._add_cells(rings[ring], seen)))
+        parts += [self._units_of(ring, fresh[ring]) for ring in range(1, RINGS)]
         if index.cones is None:
-            active, owing = self._active_terms([cell])
-            terms = float(ones(active))
+            active, owners = self._active_terms([cell])
+            owing, terms = owners[seen.words], float(ones(active))
         else:  # which are active is tested for the eye
-            active, owing = self._every_term[0], self._every_term[1] & seen
+            active, owing = self._every_term[0], self._every_term[1][seen.words] & seen.masks
             own = np.zeros(levels * levels)
             kernels.pair_bytes(parts[0].slots, parts[0].masks, parts[0].codes, self._word_terms, own)
             terms = float(own.sum())
         return self._assemble(cell, parts, seen, active, owing, terms, sums)
 
-    def shells(self, cell: int) -> list[list[int]]:
-        """Return the cells of each shell around a cell, nearest first; all cells of the scene are in one of them."""
-        grid = self.index.grid
-        near = [other for ring in ring_cells(grid, cell) for other in ring]
-        order = np.argsort(np.linalg.norm(grid.centers - grid.centers[cell], axis=1), kind="stable")
-        far = order[~np.isin(order, near)].tolist()
-        return [near, *(far[k : k + _SHELL] for k in range(0, len(far), _SHELL))]
+    def shell(self, cell: int, number: int) -> Shell:
+        """Return what the cells of a shell around a cell see; cache it."""
+        found: Shell | None = self.cache.find(("shell", cell, number))
+        if found is None:
+            _, seen = self.seen.join([[self.seen.of_cell(other) for other in self.shells.cells(cell, number)]])
+            wanted = seen.masks & self.highest[seen.words]
+            units, owing = self._units_of(1, Seen(seen.words, wanted)), self._every_term[1][seen.words]
+            made = self._assemble(-1, [units], seen, self._every_term[0], owing, 0.0, has_union=False)
+            found = Shell(seen, wanted, replace(made, term_bytes=self.everything.term_bytes))
+            self.cache.keep(("shell", cell, number), found, made.nbytes + wanted.nbytes + seen.masks.nbytes)
+        return found
 
-    def num_shells(self, cell: int) -> int:
-        """Return the number of shells around a cell."""
-        if cell not in self._shell_counts:
-            grid = self.index.grid
-            self._shell_counts[cell] = 1 - (1 + len(grid.neighbors(cell)) - len(grid)) // _SHELL
-        return self._shell_counts[cell]
-
-    def words_of(self, cell: int) -> Words:
-        """Return the visible set (W,) of a cell, packed; cache it, since cells share neighbors.
-
-        Raises:
-            ValueError: If it names Gaussians that the scene does not have.
-        """
-        words: Words | None = self.cache.find(("words", cell))
-        if words is None:
-            words = self.index.sets.visible_words(cell)
-            n = len(self.index)
-            last, spare = n // 64, n % 64
-            whole = len(words) == word_count(n)
-            if not whole or (last < len(words) and (int(words[last]) >> spare or words[last + 1 :].any())):
-                raise ValueError(f"words: expected a set of {n:,} Gaussians, got another")
-            self.cache.keep(("words", cell), words)
-        return words
-
-    def bounds_of(self, here: Candidates, shares: F64, *, make: bool) -> tuple[I32, I32] | None:
-        """Return (E,) areas without which each of `links.ending` is not dropped, and (E,) which suffice, in units.
+    def bounds_of(self, here: Candidates, shares: F64, *, make: bool) -> Bounds | None:
+        """Return what has to arrive before Gaussians are dropped, for those that candidates replace.
 
         Args:
             here: Candidates of a cell.
@@ -290,11 +292,15 @@ class CandidateIndex:
             make: Whether to compute them if they are not in the cache; None is returned otherwise.
         """
         key = "bounds", here.cell, shares.tobytes()
-        found: tuple[I32, I32] | None = self.cache.find(key)
+        found: Bounds | None = self.cache.find(key)
         if found is None and make:
-            found = np.zeros(len(self.links.ending), np.int32), np.empty(len(self.links.ending), np.int32)
-            bound(here.union, self.links, self.index.last, shares, *found)
-            self.cache.keep(key, found, sum(bounds.nbytes for bounds in found))
+            size = len(self.links.ending)
+            if not hasattr(self._scratch, "ends"):
+                self._scratch.ends = blank(size, np.int32)  # zeros again after each use
+            out = [np.empty(size, np.int32) for _ in range(3)]
+            count = bound(here.seen, self.links, self.index.last, shares, self._scratch.ends, *out)
+            found = Bounds(*(array[:count].copy() for array in out))
+            self.cache.keep(key, found, sum(array.nbytes for array in found))
         return found
 
     def ahead_of(self, here: Candidates, cell: int) -> tuple[Words, Words, Words]:
@@ -309,21 +315,25 @@ class CandidateIndex:
             owing: (S,) those which own terms that may be active in one of the two cells.
             active: (X,) the terms that may be active in one of them.
         """
+        seen, owing = np.zeros_like(here.owing), np.zeros_like(here.owing)
+        kernels.find_masks(here.words, self.seen.of_cell(cell), seen)
         if self.index.cones is not None:
-            return self.words_of(cell)[here.words], here.owing, here.active
-        there, owing = self.in_cell(cell), np.zeros(len(self.spheres), np.uint64)
-        owing[there.words] = there.owing
-        return self.words_of(cell)[here.words], owing[here.words] | here.owing, here.active | there.active
+            return seen, here.owing, here.active
+        there = self.in_cell(cell)
+        kernels.find_masks(here.words, Seen(there.words, there.owing), owing)
+        return seen, owing | here.owing, here.active | there.active
 
     def _assemble(
         self,
         cell: int,
         parts: list[Units],
-        seen: Words,
+        seen: Seen,
         active: Words,
         owing: Words,
         terms: float,
         sums: F64 | None = None,
+        *,
+        has_union: bool = True,
     ) -> Candidates:
         """Return candidates.
 
@@ -332,26 +342,28 @@ class CandidateIndex:
             parts: Units of different rings, with words instead of slots.
             seen: All candidates.
             active: Active terms.
-            owing: Gaussians that own some of the active terms that these units are to send.
+            owing: (S,) Gaussians that own some of the active terms that these units are to send.
             terms: Number of those.
             sums: (L * L,) bytes of what the cell itself sees, by first and last level.
+            has_union: Whether to fill `Candidates.union`.
         """
-        held, *rest = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
-        words = np.flatnonzero(seen).astype(np.int32)
-        slot_of = np.empty(len(seen), np.int32)
-        slot_of[words] = np.arange(len(words), dtype=np.int32)
-        slots = slot_of[held]
+        of, *rest = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+        words, slots = seen.words, np.empty_like(of)
+        kernels.slots_in(words, of, slots)
         starts = np.append(np.flatnonzero(np.diff(slots, prepend=-1)), len(slots)).astype(np.int32)
         rows = self.spheres[words].T, self.spreads[words][None], self._word_bytes[words][None]
         levels, owned = self.index.num_levels, terms * self._term_size
+        union: Words = blank(len(self.spheres) if has_union else 0, np.uint64)
+        if has_union:
+            kernels.put_in(words, seen.masks, union)
         return Candidates(
             cell=cell,
             words=words,
             places=np.ascontiguousarray(np.concatenate(rows)),
-            owing=owing[words],
+            owing=owing,
             units=Units(slots, *rest),
             runs=Runs(starts, slots[starts[:-1]]),
-            union=seen,
+            union=union,
             active=active,
             term_bytes=owned / max(ones(owing), 1),
             level_bytes=(np.zeros(levels) if sums is None else _level_bytes(sums, levels)) + owned,
@@ -389,24 +401,17 @@ class CandidateIndex:
         of_words = [inside, middle, free, due.reshape(terms, slots), *others]
         return plan.Work(*of_words, *of_units, *listed, *sums)
 
-    def _add_cells(self, cells: list[int], seen: Words) -> Words:
-        """Return what cells see that is not in `seen`, and add it."""
-        fresh = np.zeros_like(seen)
-        for other in cells:
-            kernels.add_words(self.words_of(other), seen, fresh)
-        seen |= fresh
-        return fresh
-
-    def _units_of(self, ring: int, members: Words) -> Units:
+    def _units_of(self, ring: int, members: Seen) -> Units:
         """Return the units of any Gaussians, in a ring, with words instead of slots."""
-        found = _room(len(self._every.slots))
-        count = kernels.ring_units(members, self._every, found)
+        starts, words = self.everything.runs.starts, members.words  # every word has one run
+        found = _room(int((starts[words + 1] - starts[words]).sum()))
+        count = kernels.ring_units(members, starts, self._every, found)
         found.codes[:count] += np.uint16(ring * self.index.num_levels**2)
         return Units(*(array[:count] for array in found))
 
     def _active_terms(self, cells: list[int]) -> tuple[Words, Words]:
         """Return the active terms of cells, and the Gaussians that own them."""
-        index, owing = self.index, np.zeros(len(self.spheres), np.uint64)
+        index, owing = self.index, blank(len(self.spheres), np.uint64)
         if index.active is None or not index.num_terms:
             return np.zeros(0, np.uint64), owing
         active = np.zeros(word_count(index.num_terms), np.uint64)
@@ -416,13 +421,13 @@ class CandidateIndex:
             kernels.active_words(ids, self._owners, active, owing)
         return active, owing
 
-    def _split(self, words: Words, classes: NDArray[np.uint8], weights: F32) -> Units:
+    def _split(self, seen: Seen, classes: NDArray[np.uint8], weights: F32) -> Units:
         """Return the units of the visible set of one cell, in ring 0, with words instead of slots."""
-        if ones(words) != len(classes):
+        if ones(seen.masks) != len(classes):
             raise ValueError(f"classes: expected one for each member, got {len(classes)}")
         _check.in_range("classes", classes, 0, len(weights) - 1)
         found = _room(len(classes))
-        count = kernels.cell_units(words, classes, self._traits, *_check.read_only(weights), found)
+        count = kernels.cell_units(seen, classes, self._traits, *_check.read_only(weights), found)
         return Units(*(array[:count] for array in found))
 
 
@@ -441,18 +446,6 @@ def strengths(index: SceneIndex, pixel_area: float) -> F32:
     value = (index.importance / index.gaussian_bytes).astype(np.float64)
     both = np.stack([value * index.areas, value * pixel_area], axis=1)
     return np.minimum(both, 1e30).astype(np.float32)
-
-
-def ring_cells(grid: Any, cell: int) -> list[list[int]]:
-    """Return four lists: the cell, and its neighbors by face, by edge and by corner."""
-    if not isinstance(grid, CellGrid):  # cells of several grids know their neighbors
-        return grid.rings(cell)  # type: ignore[no-any-return]
-    rings: list[list[int]] = [[grid.checked(cell)], [], [], []]
-    others = grid.neighbors(cell)
-    steps = np.abs(grid.coords[others] - grid.coords[cell]).sum(axis=1)
-    for other, ring in zip(others.tolist(), steps.tolist(), strict=True):
-        rings[ring].append(other)
-    return rings
 
 
 def _level_bytes(sums: F64, levels: int) -> F64:

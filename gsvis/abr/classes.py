@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.abr._kernels import units as kernels
-from gsvis.abr.candidates import RINGS, ring_cells
 from gsvis.abr.index import SceneIndex
 from gsvis.abr.predict import finite_vector
+from gsvis.abr.rings import RINGS, ring_cells
 from gsvis.pvs.codec import ids_of
 
 __all__ = ["ADJACENT", "FOV", "NONE", "PERIPHERAL", "Classes", "FieldOfView", "classify"]

@@ -14,8 +14,9 @@ from pyroaring import BitMap
 
 from gsvis import _check
 from gsvis._kernels.bits import count
+from gsvis._kernels.blank import blank
 from gsvis.abr._kernels.plan import Held
-from gsvis.pvs.codec import bitmap_of, ids_of, pack, word_count
+from gsvis.pvs.codec import bitmap_of, ids_of, pack, pack_some, word_count
 
 __all__ = ["Holdings"]
 
@@ -46,9 +47,9 @@ class Holdings:
     def __init__(self, gaussians: int, terms: int = 0) -> None:
         self.gaussians = _check.positive_int("gaussians", gaussians, at_least=0)
         self.terms = _check.positive_int("terms", terms, at_least=0)
-        self.sent: Words = np.zeros(word_count(gaussians), np.uint64)
-        self.gone: Words = np.zeros_like(self.sent)
-        self.sent_terms: Words = np.zeros(word_count(terms), np.uint64)
+        self.sent: Words = blank(word_count(gaussians), np.uint64)  # tiles that no viewer comes near take no memory
+        self.gone: Words = blank(word_count(gaussians), np.uint64)
+        self.sent_terms: Words = blank(word_count(terms), np.uint64)
 
     def __repr__(self) -> str:
         held = (
@@ -64,12 +65,20 @@ class Holdings:
     @property
     def shown(self) -> I64:
         """Ascending ids of the Gaussians that the client shows: received and not replaced."""
-        return ids_of(self.sent & ~self.gone)
+        some = np.flatnonzero(self.sent)
+        return _ids_in(some, self.sent[some] & ~self.gone[some])
 
     @property
     def received(self) -> I64:
         """Ascending ids of all Gaussians received, replaced or not."""
-        return ids_of(self.sent)
+        some = np.flatnonzero(self.sent)
+        return _ids_in(some, self.sent[some])
+
+    @property
+    def replaced(self) -> I64:
+        """Ascending ids of all Gaussians replaced, received or not."""
+        some = np.flatnonzero(self.gone)
+        return _ids_in(some, self.gone[some])
 
     @property
     def received_terms(self) -> I64:
@@ -80,7 +89,8 @@ class Holdings:
         """Return an independent copy."""
         other = Holdings(self.gaussians, self.terms)
         for mine, theirs in zip(self.words, other.words, strict=True):
-            theirs[:] = mine
+            some = np.flatnonzero(mine)
+            theirs[some] = mine[some]
         return other
 
     def add(self, gaussians: NDArray[Any], terms: NDArray[Any], dropped: NDArray[Any]) -> None:
@@ -101,10 +111,10 @@ class Holdings:
         ):
             values = _check.integers(name, ids, ("M",))
             _check.in_range(name, values, 0, size - 1)
-            fresh = pack(values, size)
-            if name != "dropped" and (count(fresh) != len(values) or np.any(fresh & words)):
+            some, fresh = pack_some(np.sort(values))
+            if name != "dropped" and (count(fresh) != len(values) or np.any(fresh & words[some])):
                 raise ValueError(f"{name}: expected each once, got one that is held already")
-            words |= fresh
+            words[some] |= fresh
 
     def evict(self, gaussians: NDArray[Any], terms: NDArray[Any]) -> None:
         """Forget Gaussians, and that they were replaced, and terms, on the client's side.
@@ -117,18 +127,18 @@ class Holdings:
             ValueError: If an id is out of range, or neither held nor replaced. Nothing changes then.
         """
         found = []
-        for name, ids, words, size in (
-            ("gaussians", gaussians, self.sent | self.gone, self.gaussians),
-            ("terms", terms, self.sent_terms, self.terms),
+        for name, ids, sets, size in (
+            ("gaussians", gaussians, (self.sent, self.gone), self.gaussians),
+            ("terms", terms, (self.sent_terms,), self.terms),
         ):
             values = _check.integers(name, ids, ("M",))
             _check.in_range(name, values, 0, size - 1)
-            found.append(pack(values, size))
-            if np.any(found[-1] & ~words):
+            some, masks = pack_some(np.sort(values))
+            if np.any(masks & ~np.bitwise_or.reduce([words[some] for words in sets])):
                 raise ValueError(f"{name}: expected such as are held, got others")
-        self.sent &= ~found[0]
-        self.gone &= ~found[0]
-        self.sent_terms &= ~found[1]
+            found += [(words, some, masks) for words in sets]
+        for words, some, masks in found:
+            words[some] &= ~masks
 
     def to_bytes(self) -> bytes:
         """Return a header (magic GVH1, N, T, the bytes of three bitmaps: little-endian uint32) and the bitmaps.
@@ -170,11 +180,19 @@ class Holdings:
             )
         if _HEAD.size + sum(lengths) != len(data):
             raise ValueError(f"data: expected {_HEAD.size + sum(lengths)} bytes, got {len(data)}")
-        start = _HEAD.size
-        for words, length, size in zip(out.words, lengths, (n, t, n), strict=True):
-            words[:] = _words_of(data[start : start + length], size)
+        start, found = _HEAD.size, []
+        for length, size in zip(lengths, (n, t, n), strict=True):
+            found.append(_words_of(data[start : start + length], size))
             start += length
+        out.sent, out.sent_terms, out.gone = found
         return out
+
+
+def _ids_in(words: I64, masks: Words) -> I64:
+    """Return the ascending ids of some words (S,) of a set."""
+    places = ids_of(masks)
+    ids: I64 = 64 * words[places >> 6] + (places & 63)
+    return ids
 
 
 def _most_bitmap(size: int) -> int:

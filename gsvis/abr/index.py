@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,7 +21,7 @@ from gsvis.pvs.cells import CellGrid
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 
-__all__ = ["ActiveSets", "CellSets", "SceneIndex", "SceneTerms", "extents", "nearest_replacements"]
+__all__ = ["ActiveSets", "CellSets", "SceneIndex", "SceneTerms", "SparseSets", "extents", "nearest_replacements"]
 
 F32 = NDArray[np.float32]
 I32 = NDArray[np.int32]
@@ -42,6 +42,15 @@ class CellSets(Protocol):
 
     def visible_words(self, cell: int, /) -> Words:
         """Return the visible set of a cell, packed as by `gsvis.pvs.codec.pack`."""
+        ...
+
+
+@runtime_checkable
+class SparseSets(Protocol):
+    """Visible sets of cells that see little of a large scene, such as those of a world."""
+
+    def visible_masks(self, cell: int, /) -> tuple[I32, Words]:
+        """Return the words (S,) of the visible set of a cell that are not empty, ascending, and their masks (S,)."""
         ...
 
 

@@ -6,15 +6,15 @@ that are out of view. Nothing in view goes. Words of 64 Gaussians are judged tog
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
-from gsvis._kernels.bits import count as ones
 from gsvis.abr._kernels import evict as kernels
 from gsvis.abr._kernels.plan import test_words
 from gsvis.abr.candidates import CandidateIndex
 from gsvis.abr.holdings import Holdings
-from gsvis.pvs.codec import pack
 
 __all__ = ["ClientMemory"]
 
@@ -46,7 +46,7 @@ class ClientMemory:
         if not most_bytes > 0:
             raise ValueError(f"most_bytes: expected bytes > 0, got {most_bytes!r}")
         self._shared, self._holdings, self.most_bytes = candidates, holdings, float(most_bytes)
-        self.held_bytes = self._bytes_of(holdings.sent & ~holdings.gone)
+        self.held_bytes = self._bytes_of(holdings.shown)
 
     @property
     def free(self) -> float:
@@ -62,7 +62,7 @@ class ClientMemory:
         """Count a batch that was sent: numbers of records, and the (D,) ids of Gaussians that they replaced."""
         self.held_bytes += gaussians * self._shared.stored[0] + terms * self._shared.stored[1]
         if len(dropped):
-            self.held_bytes -= self._bytes_of(pack(dropped, self._holdings.gaussians) & self._holdings.sent)
+            self.held_bytes -= self._bytes_of(dropped)
 
     def make_room(self, needed: float, near: Words, eye: F32, planes: F32, *, for_view: bool) -> I32:
         """Evict Gaussians with their terms.
@@ -78,15 +78,16 @@ class ClientMemory:
             (E,) ids that the client forgets, among them Gaussians that evicted ones had replaced.
         """
         shared, held = self._shared, self._holdings.words
-        shown = held.gaussians & ~held.gone
-        apart = np.square(shared.spheres[:, :3] - eye).sum(axis=1)
+        some = np.flatnonzero(held.gaussians)
+        shown, spheres = held.gaussians[some] & ~held.gone[some], shared.spheres[some]
+        apart = np.square(spheres[:, :3] - eye).sum(axis=1)
         out, found = np.empty(self._holdings.gaussians, np.int32), [np.zeros(0, np.int32)]
         needed = max(needed, _AT_ONCE * self.most_bytes)
-        for masks in self._stages(shown, near, planes, for_view):
+        for masks in _stages(shown, near[some], spheres, planes, for_view=for_view):
             words = np.flatnonzero(masks)
             order = words[np.argsort(-apart[words], kind="stable")]
             count, freed = kernels.evict(
-                order, masks, needed, shared.stored, held, shared.index.term_offsets, shared.links, out
+                some[order], masks[order], needed, shared.stored, held, shared.index.term_offsets, shared.links, out
             )
             found.append(out[:count].copy())
             self.held_bytes -= freed
@@ -95,17 +96,19 @@ class ClientMemory:
                 break
         return np.concatenate(found)
 
-    def _stages(self, shown: Words, near: Words, planes: F32, for_view: bool) -> list[Words]:
-        """Return what may go first, and what may go then."""
-        if not for_view:
-            return [shown & ~near]
-        sides = np.zeros(len(shown), np.uint8)
-        x, y, z, radii = np.ascontiguousarray(self._shared.spheres.T)
-        for frustum in planes:
-            test_words(x, y, z, radii, frustum, sides)
-        return [shown & ~near, np.where(sides == 0, shown & near, np.uint64(0))]
-
-    def _bytes_of(self, words: Words) -> float:
+    def _bytes_of(self, ids: NDArray[Any]) -> float:
+        """Return the bytes of Gaussians (M,) with those of their terms that are held."""
         shared = self._shared
-        terms = kernels.held_terms_of(words, self._holdings.sent_terms, shared.index.term_offsets)
-        return float(ones(words) * shared.stored[0] + terms * shared.stored[1])
+        terms = kernels.held_terms_of(ids, self._holdings.sent_terms, shared.index.term_offsets)
+        return float(len(ids) * shared.stored[0] + terms * shared.stored[1])
+
+
+def _stages(shown: Words, near: Words, spheres: F32, planes: F32, *, for_view: bool) -> list[Words]:
+    """Return which Gaussians of some words (S,) may go first, and which may go then."""
+    if not for_view:
+        return [shown & ~near]
+    sides = np.zeros(len(shown), np.uint8)
+    x, y, z, radii = np.ascontiguousarray(spheres.T)
+    for frustum in planes:
+        test_words(x, y, z, radii, frustum, sides)
+    return [shown & ~near, np.where(sides == 0, shown & near, np.uint64(0))]

@@ -218,7 +218,7 @@ class _Block:
         out.append("all_words", np.arange(self.first, self.first + used, dtype=np.int32))
         out.append("all_owing", owing[:used])
         found, (weights,) = _room(n), _check.read_only(np.array([numbers.weight], np.float32))
-        members = pack(np.arange(n), _BLOCK)
+        members = kernels.Seen(np.arange(used, dtype=np.int32), pack(np.arange(n), _BLOCK)[:used])
         count = kernels.cell_units(members, np.zeros(n, np.uint8), self.traits, weights, found)
         slots = found.slots[:count] + np.int32(self.first)
         starts = np.flatnonzero(np.diff(slots, prepend=-1)).astype(np.int32)

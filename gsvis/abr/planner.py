@@ -15,11 +15,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
+from gsvis._kernels.blank import blank
 from gsvis.abr._kernels import plan as kernels
 from gsvis.abr._kernels.evict import owe_again
-from gsvis.abr._kernels.take import AT_ONCE, forget_paid, see, take, widen
+from gsvis.abr._kernels.take import adopt, doubt, forget_paid, is_left, take, widen
 from gsvis.abr._kernels.units import EDGE, INSIDE, OUTSIDE
-from gsvis.abr.candidates import CandidateIndex, Candidates
+from gsvis.abr.candidates import Bounds, CandidateIndex, Candidates
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.config import AbrConfig
 from gsvis.abr.holdings import Holdings
@@ -54,6 +55,7 @@ class Batch:
         filling: Whether the view needs none of it: it fills an idle link.
         evicted: (E,) int32 ids that the client forgets before it adds the others, so that its memory suffices: its
             Gaussians with their terms, and that others had been replaced by them.
+        gone: (R,) int32 ids of all Gaussians that are replaced from now on, held or not, `dropped` among them.
     """
 
     gaussians: I32
@@ -62,6 +64,7 @@ class Batch:
     bytes: float
     filling: bool = False
     evicted: I32 = field(default_factory=lambda: np.zeros(0, np.int32))
+    gone: I32 = field(default_factory=lambda: np.zeros(0, np.int32))
 
     def __len__(self) -> int:
         """Return the number of records."""
@@ -134,15 +137,17 @@ class Planner:
         self._here: Candidates | None = None
         self._near: tuple[Candidates, int, kernels.Cell, kernels.Cell] | None = None  # to return to after filling
         self._cell = kernels.Cell(*(np.zeros(0, np.int32),) * 15)
-        self._rest: kernels.Cell | None = None  # the whole scene, to fill an idle link
-        self._shells: list[list[int]] = []
+        self._seen: Words = np.zeros(0, np.uint64)  # candidates of the cell and of the shells so far
+        self._is_wide = False  # whether `_seen` and `_looks_far` are those of this cell
         self._view = kernels.View(*(np.zeros(0, np.float32),) * 9)
         self._travelled, self._aimed, self._fresh = 0.0, "high", False
         self._stage, self._stages, self._filled, self._complete = _NEEDS, _AROUND, _SHELLS, False
         self._table, self._keys = table(self.config.policy, "high", index.num_levels, self.config.utility)
-        counts: NDArray[np.int32] = np.zeros((4, len(candidates.links.ending)), np.int32)
-        self._arrived, self._looks, self._looks_far, self._sure = counts
-        self._arrived[:], self._is_bounded = (kernels.ANY if self.holdings.sent.any() else 0), False
+        self._arrived, self._looks, self._looks_far, self._sure = (self._counts() for _ in range(4))
+        self._bounds: Bounds | None = None
+        self._has_terms = holdings is not None  # or may have
+        for held in (self.holdings.received, self.holdings.replaced) if holdings is not None else ():
+            doubt(held, candidates.links, self._arrived, self._looks, self._looks_far)
         self._plan, self._place = _NOTHING, 0
         self._least, self._whole, self._wanted = 0, True, 0.0
 
@@ -160,6 +165,10 @@ class Planner:
         if self._here is None or self._fresh:
             return False
         return (self._stage > _DETAILS or (self._is_used_up and self._next_stage > _DETAILS)) and not self.done
+
+    def _counts(self) -> I32:
+        """Return a zero for each Gaussian that others replace; those of far tiles take no memory."""
+        return blank(len(self.candidates.links.ending), np.int32)
 
     @property
     def _is_used_up(self) -> bool:
@@ -249,8 +258,8 @@ class Planner:
         counts, sizes = (self.holdings.gaussians, self.holdings.terms), shared.least_sizes
         most = [min(n, int(min(budget, 1e12) / size) + 1) for n, size in zip(counts, sizes, strict=True)]
         out = np.empty(most[0], np.int32), np.empty(most[1], np.uint32), np.empty(len(self._arrived), np.int32)
-        queue = np.empty_like(out[2])
-        taken, total, evicted = [0, 0, 0], 0.0, None
+        gone = np.empty_like(out[2])
+        taken, total, evicted = [0, 0, 0, 0], 0.0, None
         while True:
             limit = self._limit(budget if self._stage <= _DETAILS else spare)
             if self._is_used_up:
@@ -260,7 +269,7 @@ class Planner:
             if self._place == len(self._plan.entries):
                 self._wanted = max(2.0 * self._wanted, self.reach, budget - total)  # rank more for a view that lasts
                 self._rank(self._here, self._wanted)
-            rest = kernels.Taken(out[0][taken[0] :], out[1][taken[1] :], out[2][taken[2] :], queue)
+            rest = kernels.Taken(out[0][taken[0] :], out[1][taken[1] :], out[2][taken[2] :], gone[taken[3] :])
             self._place, *found, size = take(
                 self._plan, self._place, self._cell, held, self._view, shared.records, shared.links, limit - total, rest
             )  # fmt: skip
@@ -272,11 +281,12 @@ class Planner:
                 self._is_full = blocked
                 break
             evicted = self._evict((budget - limit) / self.candidates.sent_per_stored)
-        gaussians, terms, dropped = (array[:count].copy() for array, count in zip(out, taken, strict=True))
+        gaussians, terms, dropped, gone = (a[:count].copy() for a, count in zip((*out, gone), taken, strict=True))
+        self._has_terms |= taken[1] > 0
         if self.memory is not None:
             self.memory.add(taken[0], taken[1], dropped)
         filling = self._stage > _DETAILS and sum(taken[:2]) > 0
-        return Batch(gaussians, terms, dropped, total, filling, dropped[:0] if evicted is None else evicted)
+        return Batch(gaussians, terms, dropped, total, filling, dropped[:0] if evicted is None else evicted, gone)
 
     def _limit(self, budget: float) -> float:
         """Return the bytes that fit into the memory of the client, at most a budget."""
@@ -297,11 +307,14 @@ class Planner:
             kernels.test_words(*word[:, None], frustum, sides)
         found = self.memory.make_room(needed, near[0].union, self._view.eye, self._view.planes, for_view=bool(sides[0]))
         words = pack(found, len(shared.index))
-        for cell in (near[2], near[3], *([] if self._rest is None else [self._rest])):
+        for cell in (near[2], near[3]):
             owe_again(cell.words, words, cell.owed, cell.checked)
-        self._arrived[:], self._looks[:], self._looks_far[:] = kernels.ANY, 0, 0
+        doubt(found, shared.links, self._arrived, self._looks, self._looks_far)
         self._filled, self._complete = _SHELLS, False
-        self._given_up = words if self._given_up is None else self._given_up | words
+        if self._given_up is None:
+            self._given_up = words
+        else:
+            np.bitwise_or.at(self._given_up, found >> 6, np.uint64(1) << (found & 63).astype(np.uint64))
         self._cell = self._without_evicted(self._cell)
         return found
 
@@ -337,31 +350,26 @@ class Planner:
 
     def _enter_shell(self, near: Candidates) -> bool:
         """Go on to the next shell around a cell of which something is left to send; return False if there is none."""
-        shared, held, every = self.candidates, self.holdings.words, self.candidates.everything
-        if self._rest is None:
-            union = np.empty_like(every.union)
-            self._rest = self._cell_for(every, every.owing, every.active)
-            self._rest = self._rest._replace(candidates=union, looks=self._looks_far)
-        rest = self._rest
-        if not self._shells:
-            self._shells = shared.shells(near.cell)
-            forget_paid(rest.words, rest.active, held.terms, shared.index.term_offsets, rest.owed)
-            rest.candidates[:], self._looks_far[:] = near.union, self._looks
-        s = len(rest.owed)  # all words that have Gaussians; packed sets are longer
+        shared, held = self.candidates, self.holdings.words
+        if not self._is_wide:
+            self._is_wide, self._looks_far = True, self._counts()
+            self._seen = blank(len(near.union), np.uint64)
+            self._seen[near.words] = near.union[near.words]
+            if self._bounds is not None:
+                self._looks_far[self._bounds.ends] = self._looks[self._bounds.ends]
         while self._next_stage < self._stages:
             self._stage = self._filled = self._next_stage
-            sets = [shared.words_of(cell) for cell in self._shells[self._stage - _SHELLS]]
-            allowed, is_left = np.zeros_like(rest.candidates), False
-            for k in range(0, len(sets), AT_ONCE):
-                some = tuple(sets[min(j, len(sets) - 1)] for j in range(k, k + AT_ONCE))
-                is_left |= see(some, shared.highest, held, rest.owed, allowed)
-            if is_left:
+            shell = shared.shell(near.cell, self._stage - _SHELLS)
+            here = shell.candidates
+            cell = self._cell_for(here, here.owing, here.active)
+            if is_left(here.words, shell.wanted, held, cell.owed):
                 break
         else:
             self._filled = self._stages
             return False
-        widen(rest.candidates, allowed, held, shared.links, self._looks, self._looks_far)
-        self._here, self._cell = every, self._without_evicted(rest._replace(allowed=(allowed & shared.highest)[:s]))
+        widen(self._seen, shell.seen, held, shared.links, self._looks_far)
+        cell = cell._replace(candidates=self._seen, looks=self._looks_far, allowed=shell.wanted)
+        self._here, self._cell = here, self._without_evicted(cell)
         self._view = self._view._replace(planes=_NO_PLANES, middle=_NO_PLANES, eyes=np.zeros((0, 3), np.float32))
         return True
 
@@ -424,11 +432,10 @@ class Planner:
         before, self._here = self._near, here
         is_new = before is None or before[0] is not here
         if is_new:
-            self._filled, self._shells = _SHELLS, []
-            np.copyto(self._looks, 0, where=self._looks < kernels.DONE)  # other candidates
-            self._sure[:], self._is_bounded = kernels.DONE, False
+            self._filled, self._is_wide = _SHELLS, False
+            self._looks, self._sure, self._bounds = self._counts(), self._counts(), None  # other candidates
         self._bound(here, make=not is_new)
-        shells = 0 if self._complete else self.candidates.num_shells(here.cell)
+        shells = 0 if self._complete else self.candidates.shells.count(here.cell)
         self._stages = _SHELLS + shells if self.config.fill else _AROUND
         if before is not None and before[0] is here and before[1] == cell_ahead:
             self._cell, self._stage = before[2], _NEEDS
@@ -444,19 +451,19 @@ class Planner:
 
     def _bound(self, here: Candidates, *, make: bool) -> None:
         """Skip the checks of what cannot be replaced yet, and of what is replaced whatever has arrived."""
-        if not self._is_bounded and (found := self.candidates.bounds_of(here, self._shares, make=make)) is not None:
-            np.maximum(self._looks, found[0], out=self._looks)
-            self._sure[:], self._is_bounded = found[1], True
+        if self._bounds is None and (found := self.candidates.bounds_of(here, self._shares, make=make)) is not None:
+            adopt(found, self._looks, self._sure)
+            self._bounds = found
 
     def _cell_for(self, here: Candidates, owing: Words, active: Words) -> kernels.Cell:
         """Return candidates as this client sees them."""
         owed, held = owing.copy(), self.holdings.words.terms
-        if held.any():
+        if self._has_terms:
             forget_paid(here.words, active, held, self.candidates.index.term_offsets, owed)
         none = np.zeros(len(here.words), np.uint64)
         return kernels.Cell(
             words=here.words, places=here.places, term_bytes=here.term_bytes, owed=owed, active=active,
-            candidates=here.union, allowed=self.candidates.all_bits[: len(none)], ahead=none,
+            candidates=here.union, allowed=~none, ahead=none,
             checked=np.zeros((self._kinds, len(none)), np.uint64),
             checked_at=np.zeros((self._kinds, len(none)), np.float32), arrived=self._arrived,
             looks=self._looks, sure=self._sure, last=self.candidates.index.last, shares=self._shares,

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from gsvis import _check
 from gsvis.abr._kernels import units as kernels
 from gsvis.abr._kernels.plan import NEVER
-from gsvis.abr.candidates import RINGS
+from gsvis.abr.rings import RINGS
 
 __all__ = [
     "AHEAD",

@@ -12,12 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.abr._kernels import units as kernels
-from gsvis.abr.candidates import RINGS, CandidateIndex, ring_cells, strengths
+from gsvis.abr.candidates import CandidateIndex, strengths
 from gsvis.abr.classes import FOV, classify
 from gsvis.abr.config import AbrConfig
 from gsvis.abr.holdings import Holdings
 from gsvis.abr.index import SceneIndex
 from gsvis.abr.policies import AHEAD, UtilityConfig, bounds, edge_offset, first_offset, lowest_last, offsets
+from gsvis.abr.rings import RINGS, ring_cells
 from gsvis.pvs.codec import ids_of
 
 __all__ = ["View", "is_dropped", "is_left", "order_records"]
@@ -119,9 +120,9 @@ def order_records(
     return walk.out
 
 
-def is_left(visible: set[int], wanted: set[int], held: set[int], gone: set[int], owed: set[int]) -> bool:
-    """Return whether cells that see some Gaussians have anything left: one of those, or terms that one owes."""
-    return any(g not in held or g in owed for g in (visible & wanted) - gone)
+def is_left(wanted: set[int], held: set[int], gone: set[int], owed: set[int]) -> bool:
+    """Return whether anything of some Gaussians is left to send: one of those, or terms that one owes."""
+    return any(g not in held or g in owed for g in wanted - gone)
 
 
 def is_dropped(x: int, index: SceneIndex, candidates: set[int], arrived: set[int], share: float) -> bool:
@@ -179,7 +180,8 @@ def _shells(
     """Yield what fills an idle link: the entries of each shell, all terms, and what it sees."""
     index, weight = shared.index, np.float32(np.mean(shared.index.class_weights))
     terms = set(range(index.num_terms)) if index.cones is not None or index.active is not None else set()
-    for cells in shared.shells(view.cell):
+    for number in range(shared.shells.count(view.cell)):
+        cells = shared.shells.cells(view.cell, number)
         visible = {g for cell in cells for g in index.sets.classes(cell)[0].tolist()}
         found: dict[tuple[int, int, int], list[int]] = {}
         for g in sorted(visible):

@@ -74,6 +74,10 @@ class Cache(Generic[_Value]):
             self.keep(key, found)
         return found
 
+    def named(self, name: Hashable) -> Cache[_Value]:
+        """Return a cache whose values are kept in this one, apart from those of other names."""
+        return _Named(self, name)
+
     def clear(self) -> None:
         """Remove all values."""
         with self._lock:
@@ -85,6 +89,20 @@ class Cache(Generic[_Value]):
             return False
         over_bytes = self.max_bytes is not None and self.nbytes > self.max_bytes
         return over_bytes or (self.max_items is not None and len(self._values) > self.max_items)
+
+
+class _Named(Cache[_Value]):
+    """Values that another cache keeps."""
+
+    def __init__(self, of: Cache[_Value], name: Hashable) -> None:
+        super().__init__()
+        self._of, self._name = of, name
+
+    def find(self, key: Hashable) -> _Value | None:
+        return self._of.find((self._name, key))
+
+    def keep(self, key: Hashable, value: _Value, nbytes: int | None = None) -> None:
+        self._of.keep((self._name, key), value, nbytes)
 
 
 def _size_of(value: Any) -> int:

@@ -120,7 +120,7 @@ class ArrayFiles:
         same: Mapping[str, str] | None = None,
         frozen: Collection[str] = (),
     ) -> None:
-        """Write all arrays as one file, atomically.
+        """Write all arrays as one file, atomically; they are empty after that.
 
         Args:
             path: The file.
@@ -150,6 +150,7 @@ class ArrayFiles:
                 for part in parts:
                     self._files[part].seek(0)
                     shutil.copyfileobj(self._files[part], out, 1 << 20)
+                    self._files[part].truncate(0)  # so that the disk never holds all of it twice
                 out.write(bytes(-out.tell() % _PAGE))
 
 

@@ -17,6 +17,7 @@ from pyroaring import BitMap
 
 from gsvis import _check
 from gsvis._kernels.bits import count
+from gsvis._kernels.blank import blank
 from gsvis.pvs._kernels import store as kernels
 
 __all__ = [
@@ -32,6 +33,7 @@ __all__ = [
     "encode_set",
     "ids_of",
     "pack",
+    "pack_some",
     "portable",
     "word_count",
 ]
@@ -64,9 +66,16 @@ def pack(ids: NDArray[Any], n: int) -> Words:
     """
     given = np.ascontiguousarray(ids)
     _check.in_range("ids", given, 0, n - 1)
-    words = np.zeros(word_count(n), np.uint64)
+    words: Words = blank(word_count(n), np.uint64)
     kernels.mark(given, words)
     return words
+
+
+def pack_some(ids: NDArray[Any]) -> tuple[NDArray[np.int32], Words]:
+    """Return the packed words of the set of the given ascending ids that are not empty: their numbers, and masks."""
+    words, masks = np.empty(len(ids), np.int32), np.empty(len(ids), np.uint64)
+    count = kernels.mark_some(ids, words, masks)
+    return words[:count].copy(), masks[:count].copy()
 
 
 def ids_of(words: Words) -> NDArray[np.int64]:

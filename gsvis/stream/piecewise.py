@@ -183,9 +183,8 @@ def _write_pieces(out: ArrayFiles, package: Pieces, survey: _Survey, numbers: pi
     out.append("record_term_offsets", np.zeros(1, np.int64))
     for piece, (low, contents) in enumerate(zip((low for low, _ in package.ranges()), package.pieces(), strict=True)):
         rounded = contents if survey.limits is None else round_records(contents, survey.limits)
-        levels = contents.levels()
-        radii, areas = extents(levels.union)
-        piecewise.write_gaussians(out, levels.union.means, radii, areas, (levels.first, levels.last), numbers)
+        g = contents.gaussians()
+        piecewise.write_gaussians(out, g.means, *extents(g), (contents.first, contents.last), numbers)
         counts = contents.term_counts
         out.append("importance", np.ones(len(contents), np.float32))
         out.append("parts", coding.split_records(rounded))

@@ -52,19 +52,17 @@ def decode_values(bits: str, order: int, count: int) -> list[int]:
     return values
 
 
-def lay_out(
-    ids: NDArray[Any], of: NDArray[Any], known: NDArray[np.bool_]
-) -> tuple[NDArray[Any], NDArray[Any], NDArray[np.bool_]]:
-    """Return ids in ascending order, the chunks that they need first, ascending, and all that are known then.
+def lay_out(ids: NDArray[Any], of: NDArray[Any], known: NDArray[np.bool_]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    """Return the chunks that ids need first, ascending, and all chunks that are known then.
 
     Args:
-        ids: (G,) ids of Gaussians, all different.
+        ids: (G,) ids of Gaussians, ascending.
         of: (N,) the chunk of each Gaussian.
         known: (C,) whether each chunk is known before.
     """
-    ordered, after = np.sort(ids), known.copy()
-    after[of[ordered]] = True
-    return ordered, np.flatnonzero(after & ~known), after
+    after = known.copy()
+    after[of[ids]] = True
+    return np.flatnonzero(after & ~known), after
 
 
 class PlainReader:

@@ -193,11 +193,6 @@ class StreamedScene:
         contents = type(self.package).open(self.package.path).contents
         return contents if self._quality is None else coarsen(contents, self._quality)[0]
 
-    @property
-    def ending(self) -> int:
-        """Number of Gaussians that others replace."""
-        return len(self.candidates.links.ending)
-
     def __len__(self) -> int:
         """Return N, the number of Gaussians."""
         return self.about.gaussians

@@ -9,17 +9,16 @@ sizes are bytes of messages.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from gsvis._kernels.blank import blank
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.config import AbrConfig
 from gsvis.abr.estimate import estimator
 from gsvis.abr.holdings import Holdings
 from gsvis.abr.planner import Batch, Planner
-from gsvis.pvs.codec import pack
 from gsvis.stream._kernels import ids as kernels
 from gsvis.stream.batch import FIXED_BYTES, Sections
 from gsvis.stream.meter import LinkMeter
@@ -89,9 +88,9 @@ class Session:
         self._throughput = estimator(self.config.estimator, self.config.start_rate)
         self.wire_bytes, self.record_bytes, self.filling_bytes = 0, 0.0, 0
         self._sequence, self._overhead = 0, _FIRST
-        self._has_row = np.zeros(len(scene.chunk_rows), bool)
-        self._has_row[scene.chunks[self.holdings.received]] = True
-        self._gone, self._room = self.holdings.gone.copy(), np.empty(scene.ending, np.int32)
+        self._has_row = blank(len(scene.chunk_rows), bool)
+        if holdings is not None:
+            self._has_row[scene.chunks[holdings.received]] = True
 
     @classmethod
     def from_hello(cls, scene: StreamedScene, hello: Hello, config: AbrConfig | None = None) -> Session:
@@ -232,15 +231,9 @@ class Session:
 
     def _encode(self, batch: Batch) -> bytes:
         scene = self.scene
-        if len(batch.evicted):
-            self._gone &= ~pack(batch.evicted, len(scene))
-        count, coding = len(batch.gaussians), scene.coding
-        gaussians, of = np.empty(count, np.int32), np.empty(count, np.int32)
-        fresh = np.empty(min(count, len(scene.chunk_rows)), np.int32)
-        new = kernels.lay_out(
-            batch.gaussians, np.zeros_like(self._gone), scene.chunks, scene.starts, self._has_row, gaussians, of, fresh
-        )
-        chunks, terms = fresh[:new], _ascending(batch.terms, self.holdings.sent_terms)
+        coding, gaussians, terms = scene.coding, np.sort(batch.gaussians), np.sort(batch.terms)
+        of, fresh = np.empty_like(gaussians), np.empty_like(gaussians)
+        chunks = fresh[: kernels.lay_out(gaussians, scene.chunks, scene.starts, self._has_row, of, fresh)]
         owners = scene.owners[terms]
         sections = Sections(
             sequence=self._sequence,
@@ -251,14 +244,7 @@ class Session:
             terms=terms,
             owners=owners,
             term_records=coding.encode_some_terms(scene.term_records, terms, owners),
-            gone=self._room[: kernels.added(self.holdings.gone, self._gone, self._room)],
+            gone=np.sort(batch.gone),
             evicted=np.sort(batch.evicted),
         )
         return sections.to_message(scene.about)
-
-
-def _ascending(ids: NDArray[Any], like: NDArray[np.uint64]) -> NDArray[Any]:
-    out = np.empty_like(ids)
-    if len(ids):
-        kernels.ascend(ids, np.zeros_like(like), out)
-    return out

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import logging
 import weakref
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from gsvis.abr.index import SceneIndex
 from gsvis.errors import GsvisError, SceneError
 from gsvis.files.cache import Cache
 from gsvis.pvs.cells import CellGrid
-from gsvis.pvs.codec import pack
+from gsvis.pvs.codec import pack, pack_some
 from gsvis.pvs.store import VisibilityStore
 from gsvis.world.beyond import Beyond
 from gsvis.world.world import World
@@ -33,6 +33,7 @@ _OPEN_TILES = 64  # tiles whose stores are open at once
 _TOUCH = 1e-3  # gap between two cells that touch, as a share of their size
 I64 = NDArray[np.int64]
 F64 = NDArray[np.float64]
+_Part = TypeVar("_Part")
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,11 +142,51 @@ class WorldCells:
         """Return the numbers of the cells that touch a cell, ascending."""
         if not 0 <= cell < len(self):
             raise ValueError(f"cell: expected a number in [0, {len(self) - 1}], got {cell!r}")
-        same = self.tiles == self.tiles[cell]
-        apart = np.abs(self.centers - self.centers[cell]).max(axis=1) - (self.sizes + self.sizes[cell]) / 2
-        near = np.where(same, np.abs(self.boxes - self.boxes[cell]).max(axis=1) <= 1, apart <= _TOUCH * self.sizes)
-        near[cell] = False
-        return np.flatnonzero(near)
+        starts, low, high = self._spans
+        center, reach = self.centers[cell], (0.5 + _TOUCH) * (self.sizes[cell] + self.sizes[starts[:-1]])[:, None]
+        some = self._of_tiles(np.flatnonzero(((center >= low - reach) & (center <= high + reach)).all(axis=1)))
+        same, sizes = self.tiles[some] == self.tiles[cell], self.sizes[some]
+        apart = np.abs(self.centers[some] - center).max(axis=1) - (sizes + self.sizes[cell]) / 2
+        near = np.where(same, np.abs(self.boxes[some] - self.boxes[cell]).max(axis=1) <= 1, apart <= _TOUCH * sizes)
+        found: I64 = some[near & (some != cell)]
+        return found
+
+    def nearest(self, position: F64) -> int:
+        """Return the cell that contains a position (3,), of those the one with the nearest center; else the nearest."""
+        starts, low, high = self._spans
+        beyond = np.clip(np.maximum(low - position, position - high), 0.0, 1e100)  # squares that do not overflow
+        within = np.flatnonzero((beyond <= self.sizes[starts[:-1], None] / 2).all(axis=1))
+        found = self._nearest(position, self._of_tiles(within), inside=True)
+        if found is not None:
+            return found[1]
+        least = (beyond * beyond).sum(axis=1)
+        best = np.inf, -1
+        for tile in np.argsort(least, kind="stable"):
+            if least[tile] > best[0]:
+                break
+            best = min(best, self._nearest(position, self._of_tiles(np.array([tile]))) or best)
+        return best[1]
+
+    def _nearest(self, position: F64, some: I64, *, inside: bool = False) -> tuple[float, int] | None:
+        """Return the square of the distance of the nearest center of some cells, or of those around a position."""
+        apart = np.clip(self.centers[some] - position, -1e100, 1e100)
+        if inside:
+            kept = np.abs(apart).max(axis=1, initial=0.0) <= self.sizes[some] / 2
+            some, apart = some[kept], apart[kept]
+        squares = (apart * apart).sum(axis=1)
+        return (float(squares.min()), int(some[squares.argmin()])) if len(some) else None
+
+    @cached_property
+    def _spans(self) -> tuple[I64, F64, F64]:
+        """Where the cells of each tile begin, and their number; and the box around their centers."""
+        starts = np.flatnonzero(np.diff(self.tiles, prepend=-1))
+        low, high = np.minimum.reduceat(self.centers, starts), np.maximum.reduceat(self.centers, starts)
+        return np.append(starts, len(self)), low, high
+
+    def _of_tiles(self, numbers: I64) -> I64:
+        """Return the cells of some of the tiles that have cells, ascending."""
+        starts = self._spans[0]
+        return np.concatenate([np.zeros(0, np.int64), *(np.arange(starts[k], starts[k + 1]) for k in numbers)])
 
 
 class WorldIndex(SceneIndex):
@@ -154,10 +195,7 @@ class WorldIndex(SceneIndex):
     def cell_of(self, position: NDArray[np.float64]) -> int:
         """Return the cell that contains a position (3,), of those the one with the nearest center; else the nearest."""
         cells: Any = self.grid
-        apart = np.clip(cells.centers - position, -1e100, 1e100)
-        inside = np.abs(apart).max(axis=1) <= cells.sizes / 2
-        squares = (apart * apart).sum(axis=1)
-        return int(np.where(inside, squares, squares + 1e200).argmin() if inside.any() else squares.argmin())
+        return int(cells.nearest(position))
 
 
 class _Tile:
@@ -199,7 +237,11 @@ class WorldSets:
 
     def visible_words(self, cell: int) -> NDArray[np.uint64]:
         """Return the visible set of a cell, packed."""
-        return pack(self._seen(cell)[0], self._n)
+        return pack(self._ids(cell), self._n)
+
+    def visible_masks(self, cell: int) -> tuple[NDArray[np.int32], NDArray[np.uint64]]:
+        """Return the words of the visible set of a cell that are not empty, ascending, and their masks."""
+        return pack_some(self._ids(cell))
 
     def of_gaussian(self, gaussian: int) -> tuple[VisibilityStore, int, int] | None:
         """Return the store of the tile that holds a Gaussian, its id there, and the number of the tile's first cell.
@@ -224,33 +266,71 @@ class WorldSets:
         return found
 
     def _read(self, cell: int) -> tuple[I64, NDArray[np.uint8]]:
-        """Read what a cell sees. What a damaged tile cannot tell is left out; its own Gaussians are all seen then."""
+        """Read what a cell sees."""
         tile, place = int(self._cells.tiles[cell]), int(self._cells.places[cell])
-        low, high = self._bases[tile : tile + 2].tolist()
-        parts = [(np.arange(low, high), np.zeros(high - low, np.uint8))]
+
+        def read(stores: _Tile) -> list[tuple[int, I64, NDArray[np.uint8]]]:
+            beyond = [] if stores.beyond is None else stores.beyond.of_cell(place)
+            beyond = [seen for seen in beyond if self._has_ids(seen.node)]
+            return [(tile, *stores.own.classes(place)), *((seen.node, seen.ids, seen.classes) for seen in beyond)]
+
+        found = self._unless_damaged(tile, read)
+        if found is None:
+            low, high = self._bases[tile : tile + 2].tolist()
+            return np.arange(low, high), np.zeros(high - low, np.uint8)
+        some = [(self._bases[node] + ids, classes) for node, ids, classes in sorted(found, key=_first)]
+        ids, classes = (np.concatenate([part[k] for part in some]) for k in (0, 1))
+        if _is_ascending(ids):
+            return ids, classes
+        order = np.argsort(ids, kind="stable")
+        return ids[order], classes[order]
+
+    def _ids(self, cell: int) -> I64:
+        """Return ascending ids of the Gaussians that a cell sees; faster than `classes`."""
+        tile, place = int(self._cells.tiles[cell]), int(self._cells.places[cell])
+
+        def read(stores: _Tile) -> list[tuple[int, I64]]:
+            beyond = [] if stores.beyond is None else stores.beyond.ids_of_cell(place)
+            return [(tile, stores.own.visible_ids(place)), *(seen for seen in beyond if self._has_ids(seen[0]))]
+
+        found = self._unless_damaged(tile, read)
+        if found is None:
+            return np.arange(*self._bases[tile : tile + 2].tolist())
+        every = np.concatenate([self._bases[node] + ids for node, ids in sorted(found, key=_first)])
+        return every if _is_ascending(every) else np.sort(every)
+
+    def _has_ids(self, node: int) -> bool:
+        return bool(self._bases[node + 1] > self._bases[node])
+
+    def _unless_damaged(self, tile: int, read: Callable[[_Tile], list[_Part]]) -> list[_Part] | None:
+        """Read from the stores of a tile; None if they are damaged: its own Gaussians are all seen then, no others."""
         try:
-            stores = self._tiles.find_or_make(tile, lambda: self._open(tile))
-            ids, classes = stores.own.classes(place)
-            parts = [(ids + low, classes)]
-            for seen in [] if stores.beyond is None else stores.beyond.of_cell(place):
-                base, end = self._bases[seen.node : seen.node + 2].tolist()
-                if end > base:
-                    parts.append((seen.ids + base, seen.classes))
+            return read(self._tiles.find_or_make(tile, lambda: self._open(tile)))
         except (GsvisError, OSError) as error:
             if tile not in self._said:
                 self._said.add(tile)
                 _LOG.error("%s: visible sets of tile %d are damaged: %s", self._world.path.name, tile, error)
-        ids = np.concatenate([part[0] for part in parts])
-        order = np.argsort(ids, kind="stable")
-        return ids[order], np.concatenate([part[1] for part in parts])[order]
+            return None
 
     def _open(self, tile: int) -> _Tile:
         package = self._world.package(tile)
         if self._tables is not None:
             package.keep_store(self._tables / f"{self._world.manifest.tiles[tile].package[:32]}.pvs")
         found = _Tile(package.visibility, self._world.beyond(tile))
+        found.own.cache = self._cache.named(("tile", tile))
+        if found.beyond is not None:
+            found.beyond.store.cache = self._cache.named(("beyond", tile))
         weakref.finalize(found, _close, package, found.beyond)
         return found
+
+
+def _first(part: tuple[Any, ...]) -> Any:
+    return part[0]
+
+
+def _is_ascending(ids: I64) -> bool:
+    """Return whether ids ascend, as they do unless several pieces of one node stand around a tile."""
+    return not bool((ids[1:] < ids[:-1]).any())
 
 
 def _close(package: Any, beyond: Beyond | None) -> None:

@@ -182,14 +182,17 @@ class WorldPackage(Package):
         node = self.nodes[piece]
         low = int(self.bases[node])
         if self._is_tile(node):
-            offsets, ids = nearest_replacements(contents.levels())
+            first = contents.first
+            lowest = first.min()  # a tile may have fewer levels than the world
+            own = Levels(contents.gaussians(), first - lowest, contents.last - lowest, contents.names)
+            offsets, ids = nearest_replacements(own)
             owners = np.repeat(np.arange(len(contents)), np.diff(offsets))
             return low + np.stack([owners, ids.astype(np.int64)], axis=1)
-        pairs, own = [np.zeros((0, 2), np.int64)], contents.gaussians().means
+        pairs, means_here = [np.zeros((0, 2), np.int64)], contents.gaussians().means
         for child in self._children[node]:
             first, end = self.bases[child : child + 2].tolist()
             theirs = first + self._lowest(child, end - first)
-            pairs.append(_nearest(own, means(first, end)[theirs - first], low, theirs))
+            pairs.append(_nearest(means_here, means(first, end)[theirs - first], low, theirs))
         return np.unique(np.concatenate(pairs), axis=0)
 
     def piece_sources(self, piece: int) -> Sequence[int]:

@@ -15,8 +15,11 @@ from gsvis.abr.holdings import Holdings
 from gsvis.abr.index import SceneIndex
 from gsvis.abr.planner import Planner
 from gsvis.abr.policies import POLICIES
+from gsvis.abr.rings import Shells
 from gsvis.color.activation import Activation
 from gsvis.color.srbf import SrbfColors
+from gsvis.files.cache import Cache
+from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.codec import ids_of
 from tests.abr import abr_scenes as scenes
 
@@ -58,7 +61,7 @@ def test_an_idle_link_brings_all_that_any_cell_sees(seed, policy, cones) -> None
 def test_what_fills_goes_by_the_distance_to_the_nearest_cell_that_sees_it(seed) -> None:
     index = scenes.random_index(seed, count=400, levels=1, shape=(8, 4, 2), share=0.02, most_terms=0)
     store = CandidateIndex(index)
-    shells = store.shells(0)
+    shells = [store.shells.cells(0, k) for k in range(store.shells.count(0))]
     assert sorted(cell for shell in shells for cell in shell) == list(range(len(index.grid)))
     first = np.full(len(index), len(shells))
     for k in reversed(range(len(shells))):
@@ -71,6 +74,18 @@ def test_what_fills_goes_by_the_distance_to_the_nearest_cell_that_sees_it(seed) 
     apart = np.linalg.norm(index.grid.centers - index.grid.centers[0], axis=1)
     far = [apart[shell].tolist() for shell in shells[1:]]
     assert [d for shell in far for d in shell] == sorted(d for shell in far for d in shell)
+
+
+def test_shells_are_sorted_as_if_all_cells_were() -> None:
+    coords = np.stack(np.unravel_index(np.arange(1800), (30, 30, 2)), axis=1).astype(np.int32)
+    grid = CellGrid(np.zeros(3), 1.0, (30, 30, 2), coords, np.array([0.0, 0.0, 1.0]))
+    for cell in (0, 911):
+        shells = Shells(grid, Cache(1 << 20))
+        near = [cell, *grid.neighbors(cell).tolist()]
+        order = np.argsort(np.linalg.norm(grid.centers - grid.centers[cell], axis=1), kind="stable")
+        found = [shells.cells(cell, k) for k in range(shells.count(cell))]
+        assert sorted(found[0]) == sorted(near)
+        assert [k for shell in found[1:] for k in shell] == order[~np.isin(order, near)].tolist()
 
 
 @FEW

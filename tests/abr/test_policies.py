@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from gsvis.abr._kernels import units as kernels
 from gsvis.abr._kernels.plan import NEVER
-from gsvis.abr.candidates import RINGS
 from gsvis.abr.index import nearest_replacements
 from gsvis.abr.policies import POLICIES, REGIMES, UtilityConfig, lowest_last, offsets, pairs, regime_of, table
+from gsvis.abr.rings import RINGS
 from tests.abr import abr_scenes as scenes
 
 FEW = settings(max_examples=12)

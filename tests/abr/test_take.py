@@ -10,14 +10,15 @@ from numba import njit
 
 from gsvis.abr import reference
 from gsvis.abr._kernels.lanes import not_behind
-from gsvis.abr._kernels.plan import DONE, UNITS
-from gsvis.abr._kernels.take import bound, see, widen
+from gsvis.abr._kernels.plan import UNITS
+from gsvis.abr._kernels.take import bound, is_left, widen
+from gsvis.abr._kernels.units import Seen
 from gsvis.abr.candidates import CandidateIndex
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.config import AbrConfig
 from gsvis.abr.holdings import Holdings
 from gsvis.abr.planner import Batch, Planner
-from gsvis.pvs.codec import ids_of, pack
+from gsvis.pvs.codec import ids_of, pack, pack_some
 from tests.abr import abr_scenes as scenes
 
 FEW = settings(max_examples=12)
@@ -35,15 +36,17 @@ def words(ids: set[int]) -> np.ndarray:
     return pack(np.array(sorted(ids), np.int64), N)
 
 
-@given(st.lists(SETS, min_size=8, max_size=8), SETS, SETS, SETS, SETS)
+def seen_of(ids: set[int] | np.ndarray) -> Seen:
+    return Seen(*pack_some(np.array(sorted(ids), np.int64)))
+
+
+@given(SETS, SETS, SETS, SETS)
 def test_what_is_left_of_cells_is_what_the_plain_twin_says(
-    seen: list[set[int]], wanted: set[int], held: set[int], gone: set[int], owed: set[int]
+    wanted: set[int], held: set[int], gone: set[int], owed: set[int]
 ) -> None:
-    allowed = np.zeros_like(words(set()))
-    found = see(tuple(map(words, seen)), words(wanted), held_of(held, gone).words, words(owed), allowed)
-    visible = set().union(*seen)
-    assert found == reference.is_left(visible, wanted, held, gone, owed)
-    assert ids_of(allowed).tolist() == sorted(visible)
+    some, masks = seen_of(wanted)
+    found = is_left(some, masks, held_of(held, gone).words, words(owed)[some])
+    assert found == reference.is_left(wanted, held, gone, owed)
 
 
 @FEW
@@ -54,15 +57,13 @@ def test_others_that_have_arrived_before_make_what_they_replace_due(seed: int) -
     some, others, held, gone = (rng.permutation(n)[: int(rng.integers(n))] for _ in range(4))
     holdings, candidates = Holdings(n, index.num_terms), pack(np.sort(some), n)
     holdings.sent[:], holdings.gone[:] = pack(np.sort(held), n), pack(np.sort(gone), n)
-    looks, near = np.full((2, len(links.ending)), 7, np.int32)
-    near[::3] = DONE
-    widen(candidates, pack(np.sort(others), n), holdings.words, links, near, looks)
+    looks = np.full(len(links.ending), 7, np.int32)
+    widen(candidates, seen_of(others), holdings.words, links, looks)
     assert ids_of(candidates).tolist() == np.union1d(some, others).tolist()
     fresh = np.intersect1d(np.setdiff1d(others, some), np.union1d(held, gone))
-    assert (looks[::3] == DONE).all()
-    for x, look, is_done in zip(links.ending.tolist(), looks.tolist(), (near == DONE).tolist(), strict=True):
+    for x, look in zip(links.ending.tolist(), looks.tolist(), strict=True):
         low, high = index.replacement_offsets[x : x + 2]
-        assert is_done or look == (0 if np.isin(index.replacement_ids[low:high], fresh).any() else 7)
+        assert look == (0 if np.isin(index.replacement_ids[low:high], fresh).any() else 7)
 
 
 @FEW
@@ -71,8 +72,11 @@ def test_bounds_hold_whatever_has_arrived(seed: int, share: float) -> None:
     index, rng = scenes.random_index(seed), np.random.default_rng(seed)
     links, n = CandidateIndex(index).links, len(index)
     candidates = rng.permutation(n)[: int(rng.integers(n))]
-    least, sure = np.zeros(len(links.ending), np.int32), np.empty(len(links.ending), np.int32)
-    bound(pack(np.sort(candidates), n), links, index.last, np.full(index.num_levels, share), least, sure)
+    room, *found = np.zeros((4, len(links.ending)), np.int32)
+    count = bound(seen_of(candidates), links, index.last, np.full(index.num_levels, share), room, *found)
+    assert not room.any()
+    bounds = {e: (least, sure) for e, least, sure in np.stack(found)[:, :count].T.tolist()}
+    assert len(bounds) == count
     for _ in range(5):
         arrived = set(rng.permutation(n)[: int(rng.integers(n))].tolist())
         for e, x in enumerate(links.ending.tolist()):
@@ -80,8 +84,9 @@ def test_bounds_hold_whatever_has_arrived(seed: int, share: float) -> None:
             areas = links.areas[links.starts[e] : links.starts[e + 1]].astype(np.float64)
             units = int(np.ceil(UNITS * areas / links.every[e])[np.isin(ids, list(arrived))].sum())
             is_dropped = reference.is_dropped(x, index, set(candidates.tolist()), arrived, share)
-            assert is_dropped or units < sure[e]
-            assert not is_dropped or units >= least[e]
+            least, sure = bounds.get(e, (-1, 2**31))  # nothing is known of those without candidates
+            assert is_dropped or units < sure
+            assert not is_dropped or units >= least
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -122,7 +127,7 @@ def test_counting_what_arrives_changes_no_batch(seed: int, replaced: float, memo
             if k % 3 == 0:
                 planner.on_pose(0.1 * k, index.grid.centers[cells[k // 30]], rng.normal(size=4))
             if checked:
-                planner._looks[:], planner._looks_far[:], planner._sure[:] = 0, 0, DONE
+                planner._looks[:], planner._looks_far[:], planner._sure[:] = 0, 0, 0
             found.append(planner.next_batch(0.1 * k, 40.0, 5000.0))
         return found
 

@@ -69,7 +69,7 @@ def test_kernels_are_not_compiled_again(path: Path, tmp_path: Path) -> None:
     """Mapped arrays have the types of those in memory."""
     with Package.open(path) as package, Package.open(path) as other:
         eager, (scene, _) = StreamedScene.open(package), open_kept(other, tmp_path)
-        for name in ("records", "links", "spheres", "spreads", "bodies", "highest", "all_bits", "_traits", "_every"):
+        for name in ("records", "links", "spheres", "spreads", "bodies", "highest", "_traits", "_every"):
             mine, theirs = getattr(scene.candidates, name), getattr(eager.candidates, name)
             pairs = zip(mine, theirs, strict=True) if isinstance(mine, tuple) else [(mine, theirs)]
             for a, b in pairs:

@@ -176,7 +176,7 @@ def test_a_server_of_the_record_says_the_same_bytes(record: Record, vector: dict
             session.holdings.add(*ids)
             fresh = np.flatnonzero(bits(session.holdings.gone & ~before)).astype(np.int32)
             some, terms = ids[0][::-1].astype(np.int32), ids[1][::-1].astype(np.uint32)
-            return Batch(some, terms, fresh, 1000.0, evicted=evicted[::-1].astype(np.int32))
+            return Batch(some, terms, fresh, 1000.0, evicted=evicted[::-1].astype(np.int32), gone=fresh)
 
         for step in vector["steps"]:
             data = bytes.fromhex(step["bytes"])

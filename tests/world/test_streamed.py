@@ -25,7 +25,9 @@ from gsvis.scene.view_sampling import ViewSampling
 from gsvis.serve import Address, Server, StreamClient, open_scenes
 from gsvis.stream import Quality, Receiver, Session, StreamedScene
 from gsvis.stream.coding import Coding
+from gsvis.train.levels import LevelsConfig
 from gsvis.world import World
+from gsvis.world.cells import WorldSets
 from gsvis.world.prepare import prepare_world
 from gsvis.world.streamed import WorldPackage, open_world
 from tests.serve.servers import ask, until
@@ -177,6 +179,23 @@ def test_tables_made_node_by_node_are_those_of_the_whole(
     assert bool(len(arrays["owners"])) == bool(degree)
 
 
+def test_a_tile_may_have_fewer_levels_than_the_world(tmp_path: Path) -> None:
+    """As what lies outside mostly does."""
+    levels = LevelsConfig((0.3,), (0.9,), ("low", "high"), iterations=3, preview=0.1, preview_from=0)
+    path = tmp_path / "city.gsworld"
+    prepare_world([write(street(), tmp_path / "street.ply")], path, config(levels, most=4000))
+    world = World.open(path)
+    counts = [len(tile.levels) for tile in world.manifest.tiles]
+    assert min(counts) < max(counts) == 2
+    for tables in (None, tmp_path):
+        scene, _ = open_world(path, tables=tables, quality=Quality())
+        assert isinstance(scene.package, WorldPackage)
+        few = slice(*scene.package.bases[np.argmin(counts) :][:2])
+        assert (scene.index.first[few] == 1).all()
+        assert len(scene.candidates.links.ending)
+        assert len(walk(scene)[2])
+
+
 def test_all_that_a_cell_sees_arrives(city: Path) -> None:
     """From each cell: what its tile's sets and the table of what lies beyond say, and what was held before."""
     scene, _ = open_world(city)
@@ -193,6 +212,19 @@ def test_all_that_a_cell_sees_arrives(city: Path) -> None:
             beyond.close()
         assert set(scene.index.sets.classes(cell)[0].tolist()) == expected
         assert scene.index.cell_of(cells.centers[cell]) >= 0
+
+
+def test_what_is_decoded_of_all_tiles_is_in_one_cache(city: Path) -> None:
+    scene, _ = open_world(city)
+    for cell in range(len(scene.index.grid)):
+        scene.candidates.in_cell(cell)
+    sets, kinds = scene.index.sets, {key[0] for key in scene.candidates.cache._values}
+    assert isinstance(sets, WorldSets)
+    tiles = sets._tiles._values
+    assert {("tile", tile) for tile in tiles} <= kinds
+    stores = [store for tile, _ in tiles.values() for store in (tile.own, tile.beyond.store)]
+    assert all(store.cache.find(("set", 0)) is not None and not store.cache.nbytes for store in stores)
+    assert scene.candidates.cache.nbytes <= scene.candidates.cache.max_bytes
 
 
 def test_cells_touch_across_borders(city: Path) -> None:

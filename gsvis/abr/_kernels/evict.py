@@ -15,28 +15,24 @@ def _remove(words, i):
 
 
 @kernel(error_model="numpy")
-def held_terms_of(words, held_terms, term_offsets):
-    """Return how many terms of Gaussians, a packed set (W,), are held."""
-    count, one = 0, np.uint64(1)
-    for w in range(len(words)):
-        rest = words[w]
-        while rest:
-            g = 64 * w + np.int64(lowest(rest))
-            rest &= rest - one
-            for t in range(term_offsets[g], term_offsets[g + 1]):
-                count += 1 if has(held_terms, t) else 0
+def held_terms_of(ids, held_terms, term_offsets):
+    """Return how many terms of Gaussians (M,) are held."""
+    count = 0
+    for i in range(len(ids)):
+        for t in range(term_offsets[ids[i]], term_offsets[ids[i] + 1]):
+            count += 1 if has(held_terms, t) else 0
     return count
 
 
 @kernel(error_model="numpy")
-def evict(order, masks, needed, sizes, held, term_offsets, links, out):
+def evict(words, masks, needed, sizes, held, term_offsets, links, out):
     """Remove Gaussians and their terms from what is held, until enough bytes are free.
 
     What an evicted Gaussian had replaced is no longer gone: it can be sent again.
 
     Args:
-        order: (M,) words, the first to go first.
-        masks: (W,) uint64, which Gaussians of each word may go; all are held and not gone.
+        words: (M,) words, the first to go first.
+        masks: (M,) uint64, which Gaussians of each may go; all are held and not gone.
         needed: Bytes.
         sizes: Bytes of a Gaussian, and of a term.
         held: `Held`; changed.
@@ -50,8 +46,8 @@ def evict(order, masks, needed, sizes, held, term_offsets, links, out):
     gaussians, held_terms, gone = held
     offsets, ranks, ending = links.offsets, links.ranks, links.ending
     count, done, freed, one = 0, 0, 0.0, np.uint64(1)
-    for w in order:
-        rest = masks[w]
+    for m in range(len(words)):
+        w, rest = np.int64(words[m]), masks[m]
         while rest:
             if freed >= needed:
                 return count, freed

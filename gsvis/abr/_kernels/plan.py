@@ -43,7 +43,7 @@ class Cell(NamedTuple):
     checked_at: Any  # (K, S) float32, `View.travelled` when the first of them were checked
     arrived: Any  # (E,) int32, units of area of the replacements of each that have arrived, rounded up; or `ANY` more
     looks: Any  # (E,) int32, how many have to have arrived before each is checked again among these candidates
-    sure: Any  # (E,) int32, how many suffice without a check
+    sure: Any  # (E,) int32, how many suffice without a check; 0 where that is not known
     last: Any  # (N,) uint8, level at which each Gaussian ends
     shares: Any  # (L,) by that level: of the area of its replacements that must be held before it is dropped
 
@@ -120,7 +120,7 @@ class Taken(NamedTuple):
     gaussians: Any
     terms: Any
     dropped: Any
-    queue: Any  # scratch
+    gone: Any  # all that is replaced, `dropped` among them
 
 
 class Work(NamedTuple):

@@ -10,7 +10,6 @@ from gsvis._kernels.compiled import kernel
 from gsvis._kernels.prefetch import prefetch
 from gsvis.abr._kernels.plan import ANY, DONE, KIND_BITS, SEVERAL, UNITS
 
-AT_ONCE = 8  # packed sets that `see` takes
 _NONE = -1  # in `Links.only`
 _AHEAD = 8  # entries of a plan that are read ahead
 
@@ -32,19 +31,13 @@ def forget_paid(words, active, held, term_offsets, owed):
 
 
 @kernel(error_model="numpy")
-def see(seen, wanted, held, owed, allowed):
-    """Add what `AT_ONCE` cells see, packed sets (W,), to what is allowed (W,).
-
-    Returns:
-        Whether a Gaussian in one of them and in `wanted` (W,), not gone, is not held or owes terms (S,).
-    """
-    a, b, c, d, e, f, g, h = seen
+def is_left(words, wanted, held, owed):
+    """Return whether one of the wanted, not gone, is not held or owes terms; words, wanted and owed are (S,)."""
     gaussians, _, gone = held
     left = np.uint64(0)
-    for w in range(len(owed)):
-        every = a[w] | b[w] | c[w] | d[w] | e[w] | f[w] | g[w] | h[w]
-        allowed[w] |= every
-        left |= every & wanted[w] & ~gone[w] & (~gaussians[w] | owed[w])
+    for s in range(len(words)):
+        w = words[s]
+        left |= wanted[s] & ~gone[w] & (~gaussians[w] | owed[s])
     return left != 0
 
 
@@ -95,16 +88,17 @@ def _change(centers, place, cosine, width, looks):
 
 
 @kernel(error_model="numpy")
-def widen(candidates, others, held, links, near, looks):
-    """Add others (W,) to the candidates (W,); set `looks` (E,) to 0 where replacements among them have arrived already.
+def widen(candidates, others, held, links, looks):
+    """Add others, `Seen`, to the candidates (W,); set `looks` (E,) to 0 where replacements among them have arrived.
 
-    A candidate that has not arrived only makes the area larger that has to arrive. What `near` (E,), the `looks` of a
-    cell, knows as replaced is so for these candidates, too.
+    A candidate that has not arrived only makes the area larger that has to arrive.
     """
     gaussians, _, gone = held
+    words, masks = others
     only, offsets, ranks, one = links.only, links.offsets, links.ranks, np.uint64(1)
-    for w in range(len(candidates)):
-        fresh = others[w] & ~candidates[w]
+    for s in range(len(words)):
+        w = np.int64(words[s])
+        fresh = masks[s] & ~candidates[w]
         candidates[w] |= fresh
         fresh &= gaussians[w] | gone[w]
         while fresh:
@@ -116,39 +110,77 @@ def widen(candidates, others, held, links, near, looks):
             elif e == SEVERAL:
                 for k in range(offsets[g], offsets[g + 1]):
                     looks[ranks[k]] = 0
-    for e in range(len(looks)):
-        looks[e] = DONE if near[e] == DONE else looks[e]
 
 
 @kernel(error_model="numpy")
-def bound(candidates, links, last, shares, least, sure):
-    """Find bounds on the area of replacements that has to have arrived, in units, for what the candidates (W,) replace.
+def doubt(ids, links, arrived, looks, looks_far):
+    """Note that it is not known what has arrived of the replacements of what some Gaussians (M,) replace."""
+    only, offsets, ranks = links.only, links.offsets, links.ranks
+    for i in range(len(ids)):
+        g = ids[i]
+        if only[g] == _NONE:
+            continue
+        for k in range(offsets[g], offsets[g + 1]):
+            e = ranks[k]
+            arrived[e], looks[e], looks_far[e] = ANY, 0, 0
+
+
+@kernel(error_model="numpy")
+def bound(candidates, links, last, shares, room, ends, least, sure):
+    """Find bounds on the area of replacements that has to have arrived, in units, for what the candidates replace.
 
     Args:
-        candidates: (W,) uint64.
+        candidates: `Seen`.
         links: `Links`.
         last: (N,) level at which each Gaussian ends.
         shares: `Cell.shares`.
-        least: (E,) int32 zeros, receives the area without which a Gaussian is not dropped.
+        room: (E,) int32 zeros, zeros again at the end.
+        ends: (E,) int32, receives which of the replaced have candidates.
+        least: (E,) int32, receives for each of these the area without which it is not dropped.
         sure: (E,) int32, receives the area with which it is dropped, whatever it consists of.
+
+    Returns:
+        Number of those.
     """
     only, only_units, offsets, ranks, units = links.only, links.only_units, links.offsets, links.ranks, links.units
     starts, ending, one = links.starts, links.ending, np.uint64(1)
-    for w in range((len(only) + 63) >> 6):
-        rest = candidates[w]
+    words, masks = candidates
+    count = 0
+    for s in range(len(words)):
+        w, rest = np.int64(words[s]), masks[s]
         while rest:
             g = 64 * w + np.int64(lowest(rest))
             rest &= rest - one
-            e = only[g]
-            if e >= 0:
-                least[e] += only_units[g] - 1
-            elif e == SEVERAL:
-                for k in range(offsets[g], offsets[g + 1]):
-                    least[ranks[k]] += units[k] - 1
-    for e in range(len(ending)):
-        share, area = shares[last[ending[e]]], least[e]
-        sure[e] = UNITS + np.int64(starts[e + 1] - starts[e]) + 1 - np.int64((1.0 - share) * area)
-        least[e] = np.int64(share * area) - 1
+            e = np.int64(only[g])
+            if e == _NONE:
+                continue
+            first, end = np.int64(0), np.int64(1)
+            if e == SEVERAL:
+                first, end = offsets[g], offsets[g + 1]
+            for k in range(first, end):
+                x = e if e >= 0 else np.int64(ranks[k])
+                if room[x] == 0:
+                    ends[count] = x
+                    count += 1
+                    room[x] = 1
+                room[x] += (only_units[g] if e >= 0 else units[k]) - 1
+    for k in range(count):
+        e = np.int64(ends[k])
+        share, area = shares[last[ending[e]]], room[e] - 1
+        room[e] = 0
+        sure[k] = UNITS + np.int64(starts[e + 1] - starts[e]) + 1 - np.int64((1.0 - share) * area)
+        least[k] = np.int64(share * area) - 1
+    return count
+
+
+@kernel
+def adopt(bounds, looks, sure):
+    """Write the bounds of a cell, ends, least and sure (B,), to the `looks` and `sure` (E,) of a viewer."""
+    ends, least, enough = bounds
+    for k in range(len(ends)):
+        e = ends[k]
+        looks[e] = max(looks[e], least[k])
+        sure[e] = enough[k]
 
 
 @kernel(error_model="numpy")
@@ -164,10 +196,10 @@ def take(plan, place, cell, held, view, records, links, budget, out):
         records: `Records`.
         links: `Links`.
         budget: Bytes.
-        out: `Taken`, receives ids; `dropped` and `queue` have room for all that can be dropped.
+        out: `Taken`, receives ids; `dropped` and `gone` have room for all that can be replaced.
 
     Returns:
-        Entry to continue at, numbers of Gaussians, terms and dropped Gaussians, and bytes.
+        Entry to continue at, numbers of Gaussians, terms, dropped and gone Gaussians, and bytes.
     """
     entries, sets, logs = plan
     words, owed, active, checked = cell.words, cell.owed, cell.active, cell.checked
@@ -178,12 +210,14 @@ def take(plan, place, cell, held, view, records, links, budget, out):
     candidates, sure, last, shares = cell.candidates, cell.sure, cell.last, cell.shares
     offsets, ranks, ending, starts, ids = links.offsets, links.ranks, links.ending, links.starts, links.ids
     units, weights, every = links.units, links.areas, links.every
-    out_gaussians, out_terms, out_dropped, queue = out.gaussians, out.terms, out.dropped, out.queue
+    out_gaussians, out_terms, out_dropped, queue = out.gaussians, out.terms, out.dropped, out.gone
     size, varied = np.float64(sizes[0]) if len(sizes) else 0.0, len(sizes) > 1
-    found, found_terms, dropped, total = 0, 0, np.int64(0), 0.0
+    found, found_terms, dropped, replaced, total = 0, 0, np.int64(0), np.int64(0), 0.0
     one, ones = np.uint64(1), ~np.uint64(0)
 
-    def drop_replaced(g, dropped):  # as a function of its own it would count references of thirty arrays each time
+    def drop_replaced(
+        g, dropped, replaced
+    ):  # as a function of its own it would count references of thirty arrays each time
         """Mark as gone what g replaces, where enough of the other replacements is held or cannot be seen from the cell.
 
         Enough is a share of their area, `Cell.shares`. A Gaussian that is gone counts as held, so what it was to
@@ -191,7 +225,7 @@ def take(plan, place, cell, held, view, records, links, budget, out):
         units that are rounded down, and it is not checked again before. With the area of `sure` nothing needs to be
         checked.
         """
-        waiting, done, y = 0, 0, g
+        waiting, done, y = replaced, replaced, g
         while True:
             is_new, one_only = y == g or not has(gaussians, y), np.int64(only[y])
             first, end = np.int64(0), np.int64(one_only >= 0)
@@ -207,7 +241,7 @@ def take(plan, place, cell, held, view, records, links, budget, out):
                 if has(gone, x):
                     looks[e] = DONE
                     continue
-                if not sure[e] <= arrived[e] < ANY:
+                if not 0 < sure[e] <= arrived[e] < ANY:
                     total, missing = 0.0, 0.0
                     for m in range(starts[e], starts[e + 1]):
                         w, bit = ids[m] >> 6, np.uint64(ids[m] & 63)
@@ -226,7 +260,7 @@ def take(plan, place, cell, held, view, records, links, budget, out):
                     out_dropped[dropped] = x
                     dropped += 1
             if done == waiting:
-                return dropped
+                return dropped, waiting
             y = np.int64(queue[done])
             done += 1
 
@@ -248,7 +282,7 @@ def take(plan, place, cell, held, view, records, links, budget, out):
             if not terms:
                 size = np.float64(sizes[g]) if varied else size
                 if total + size > budget:
-                    return place, found, found_terms, dropped, total
+                    return place, found, found_terms, dropped, replaced, total
                 total += size
                 out_gaussians[found] = g
                 found += 1
@@ -260,7 +294,7 @@ def take(plan, place, cell, held, view, records, links, budget, out):
                         arrived[e] = so_far
                         continue
                 if e != _NONE:
-                    dropped = drop_replaced(g, dropped)
+                    dropped, replaced = drop_replaced(g, dropped, replaced)
                     rest &= ~gone[w]
                 continue
             start, stop, kept_back, most = term_offsets[g], term_offsets[g + 1], False, np.float32(-np.inf)
@@ -280,7 +314,7 @@ def take(plan, place, cell, held, view, records, links, budget, out):
                             kept_back, most = True, change if change > most else most
                             continue
                     if total + term_sizes[t] > budget:
-                        return place, found, found_terms, dropped, total
+                        return place, found, found_terms, dropped, replaced, total
                     total += term_sizes[t]
                     out_terms[found_terms] = t
                     found_terms += 1
@@ -293,4 +327,4 @@ def take(plan, place, cell, held, view, records, links, budget, out):
             else:
                 owed[s] &= ~(one << low)
         place += 1
-    return place, found, found_terms, dropped, total
+    return place, found, found_terms, dropped, replaced, total

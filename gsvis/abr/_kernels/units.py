@@ -39,6 +39,13 @@ class Runs(NamedTuple):
     slots: Any  # (R,) int32, number of the word of each
 
 
+class Seen(NamedTuple):
+    """A packed set without its empty words."""
+
+    words: Any  # (S,) int32 rising, number of each word
+    masks: Any  # (S,) uint64
+
+
 class Traits(NamedTuple):
     """N Gaussians in W words."""
 
@@ -88,11 +95,11 @@ def word_spheres(means, radii, areas, spheres, spreads):
 
 
 @kernel(error_model="numpy")
-def cell_units(words, classes, traits, class_weights, found):
+def cell_units(seen, classes, traits, class_weights, found):
     """Split the members of a cell into units of ring 0.
 
     Args:
-        words: (W,) uint64, the members.
+        seen: `Seen`, the members.
         classes: (V,) weight class of each, in rising order of ids.
         traits: `Traits`.
         class_weights: (K,).
@@ -105,11 +112,9 @@ def cell_units(words, classes, traits, class_weights, found):
     out_words, out_masks, out_areas, out_pixels, out_codes, out_logs = found
     one = np.uint64(1)
     masks, sums = np.zeros(256, np.uint64), np.zeros((256, 2))
-    rank, filled = 0, 0
-    for w in range(len(words)):
-        rest = words[w]
-        if not rest:
-            continue
+    rank, filled, words, members = 0, 0, seen.words, seen.masks
+    for s in range(len(words)):
+        w, rest = np.int64(words[s]), members[s]
         low_class, high_class = 255, 0
         while rest:
             low = lowest(rest)
@@ -145,25 +150,91 @@ def cell_units(words, classes, traits, class_weights, found):
     return filled
 
 
-@kernel(error_model="numpy")
-def add_words(words, seen, fresh):
-    """Add to `fresh` what is in `words` and not in `seen`."""
-    for w in range(len(words)):
-        fresh[w] |= words[w] & ~seen[w]
+@kernel
+def add_fresh(seen, before, fresh, listed, count):
+    """Add to `fresh` (W,) what is `Seen` and not in `before` (W,), and list its words; return how many are listed."""
+    words, masks = seen
+    for s in range(len(words)):
+        w = words[s]
+        rest = masks[s] & ~before[w]
+        if rest:
+            if not fresh[w]:
+                listed[count] = w
+                count += 1
+            fresh[w] |= rest
+    return count
+
+
+@kernel
+def settle(words, fresh, before, masks, listed, count):
+    """Move what is in `fresh` (W,) to `before` (W,) and to `masks` (S,), for some words (S,); list words new to it."""
+    for s in range(len(words)):
+        w = words[s]
+        masks[s] = fresh[w]
+        fresh[w] = 0
+        if not before[w]:
+            listed[count] = w
+            count += 1
+        before[w] |= masks[s]
+    return count
+
+
+@kernel
+def take_out(words, packed, masks):
+    """Move some words (S,) of a packed set (W,) to `masks` (S,)."""
+    for s in range(len(words)):
+        masks[s] = packed[words[s]]
+        packed[words[s]] = 0
+
+
+@kernel
+def put_in(words, masks, packed):
+    """Write words (S,) to a packed set (W,)."""
+    for s in range(len(words)):
+        packed[words[s]] = masks[s]
+
+
+@kernel
+def find_masks(words, seen, out):
+    """Write what is `Seen` to `out` (S,), zeros, in the order of some words (S,), ascending."""
+    others, masks = seen
+    s = 0
+    for k in range(len(others)):
+        while s < len(words) and words[s] < others[k]:
+            s += 1
+        if s < len(words) and words[s] == others[k]:
+            out[s] = masks[k]
+
+
+@kernel
+def slots_in(words, of, out):
+    """Write the places in ascending words (S,) of the words of units (U,), which ascend ring by ring."""
+    s = 0
+    for u in range(len(of)):
+        if u and of[u] < of[u - 1]:
+            s = 0
+        while words[s] < of[u]:
+            s += 1
+        out[u] = s
 
 
 @kernel(error_model="numpy")
-def ring_units(fresh, every, found):
-    """Write the `fresh` part of the units of all Gaussians (`every`), and return the number of units."""
-    words, masks, areas, pixels, codes, logs = every
+def ring_units(fresh, starts, every, found):
+    """Write what is `fresh`, `Seen`, of the units of all Gaussians (`every`), and return the number of units.
+
+    Units of word w begin at starts[w].
+    """
+    _, masks, areas, pixels, codes, logs = every
     out_words, out_masks, out_areas, out_pixels, out_codes, out_logs = found
-    filled = 0
-    for u in range(len(words)):
-        mask = masks[u] & fresh[words[u]]
-        if mask:
-            out_words[filled], out_masks[filled], out_codes[filled] = words[u], mask, codes[u]
-            out_areas[filled], out_pixels[filled], out_logs[filled] = areas[u], pixels[u], logs[u]
-            filled += 1
+    words, wanted, filled = fresh.words, fresh.masks, 0
+    for s in range(len(words)):
+        w = words[s]
+        for u in range(starts[w], starts[w + 1]):
+            mask = masks[u] & wanted[s]
+            if mask:
+                out_words[filled], out_masks[filled], out_codes[filled] = w, mask, codes[u]
+                out_areas[filled], out_pixels[filled], out_logs[filled] = areas[u], pixels[u], logs[u]
+                filled += 1
     return filled
 
 

@@ -45,6 +45,19 @@ def mark(ids, words):
 
 
 @kernel
+def mark_some(ids, words, masks):
+    """Write the words of a set of ascending ids that are not empty, with room for all; return their number."""
+    count, before = 0, np.int64(-1)
+    for k in range(len(ids)):
+        w = np.int64(ids[k]) >> 6
+        if w != before:
+            words[count], masks[count], before = w, 0, w
+            count += 1
+        masks[count - 1] |= np.uint64(1) << np.uint64(ids[k] & 63)
+    return count
+
+
+@kernel
 def scatter(words, order, out):
     """Set the bits order[i] in `out` for the positions i of a set."""
     for w in range(len(words)):

@@ -9,8 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from gsvis._kernels.bits import lowest
-from gsvis._kernels.compiled import inner, kernel
+from gsvis._kernels.compiled import kernel
 
 MOST_ORDER = 24
 MOST_BITS = 2 * 33  # of a value below 2^32, in the worst order
@@ -203,82 +202,32 @@ def owners_from(values, terms, share, gaussians, out):
 
 
 @kernel
-def ascend(ids, blank, out):
-    """Write ids (M,), all different, to `out` in ascending order; `blank`, zeros for all there are, is overwritten."""
-    _mark(ids, blank)
-    count, one = 0, np.uint64(1)
-    for w in range(len(blank)):
-        rest = blank[w]
-        while rest:
-            out[count] = 64 * w + np.int64(lowest(rest))
-            rest &= rest - one
-            count += 1
-
-
-@inner
-def _mark(ids, marks):
-    """Add ids to a packed set; ids of a word mostly follow each other."""
-    before, some = np.int64(0), np.uint64(0)
-    for i in range(len(ids)):
-        w = np.int64(ids[i]) >> 6
-        if w != before:
-            marks[before] |= some
-            before, some = w, np.uint64(0)
-        some |= np.uint64(1) << np.uint64(ids[i] & 63)
-    if len(ids):
-        marks[before] |= some
-
-
-@kernel
-def lay_out(ids, blank, of, starts, known, out, rows, fresh):
-    """Write ids as `ascend` does, and the chunk of each; mark the chunks as known.
+def lay_out(ids, of, starts, known, rows, fresh):
+    """Write the chunk of each of the ascending ids; mark the chunks as known.
 
     Args:
-        ids: (G,) int32 ids of Gaussians, all different.
-        blank: (W,) uint64 zeros, room for a packed set of all ids; overwritten.
+        ids: (G,) int32 ids of Gaussians.
         of: (N,) int32, the chunk of each Gaussian.
         starts: (C + 1,) first id of each chunk, and N.
         known: (C,) bool.
-        out: (G,) int32 receives the ids.
         rows: (G,) int32 receives their chunks.
         fresh: (min(G, C),) or more, receives the chunks that were not known yet, ascending.
 
     Returns:
         Number of those.
     """
-    _mark(ids, blank)
-    count, found, end, row, one = 0, 0, np.int64(0), np.int32(0), np.uint64(1)
-    for w in range(len(blank)):
-        rest = blank[w]
-        while rest:
-            g = 64 * w + np.int64(lowest(rest))
-            rest &= rest - one
-            if g >= end:
-                row = of[g]
-                end = np.int64(starts[row + 1])
-                if not known[row]:
-                    known[row] = True
-                    fresh[found] = row
-                    found += 1
-            out[count], rows[count] = g, row
-            count += 1
+    found, end, row = 0, np.int64(0), np.int32(0)
+    for i in range(len(ids)):
+        g = np.int64(ids[i])
+        if g >= end:
+            row = of[g]
+            end = np.int64(starts[row + 1])
+            if not known[row]:
+                known[row] = True
+                fresh[found] = row
+                found += 1
+        rows[i] = row
     return found
-
-
-@kernel
-def added(words, before, out):
-    """Write the ascending ids in the set `words` that `before` lacks, and add them to it; return their number."""
-    count, one = 0, np.uint64(1)
-    for w in range(len(words)):
-        fresh = words[w] & ~before[w]
-        if not fresh:
-            continue
-        before[w] = words[w]
-        for b in range(64):
-            if fresh >> np.uint64(b) & one:
-                out[count] = 64 * w + b
-                count += 1
-    return count
 
 
 @kernel

@@ -1,0 +1,76 @@
+"""The cells around a cell: rings of neighbors, and shells that go on from there to the end of the scene.
+
+Cells are sorted by their distance only as far as somebody asks. Threads may share everything here.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.files.cache import Cache
+from gsvis.pvs.cells import CellGrid
+
+__all__ = ["RINGS", "Shells", "ring_cells"]
+
+RINGS = 4
+
+_SORTED = 512  # cells around a cell to sort at a time
+_SHELL = 8  # cells of a shell: its sets may all have to be read while a viewer waits
+
+
+class Shells:
+    """The shells around the cells of a grid.
+
+    Args:
+        grid: The cells.
+        cache: Keeps sorted cells.
+    """
+
+    def __init__(self, grid: Any, cache: Cache[Any]) -> None:
+        self._grid, self._cache, self._counts = grid, cache, dict[int, int]()
+
+    def count(self, cell: int) -> int:
+        """Return the number of shells around a cell; all cells of the scene are in one of them."""
+        if cell not in self._counts:
+            grid = self._grid
+            self._counts[cell] = 1 - (1 + len(grid.neighbors(cell)) - len(grid)) // _SHELL
+        return self._counts[cell]
+
+    def cells(self, cell: int, number: int) -> list[int]:
+        """Return the cells of a shell around a cell: of shell 0 the rings, of each further one the next nearest."""
+        if number == 0:
+            return [other for ring in ring_cells(self._grid, cell) for other in ring]
+        enough = (number * _SHELL - 1) // _SORTED + 1
+        key = "order", cell, 1 << (enough - 1).bit_length()
+        far: NDArray[np.int64] | None = self._cache.find(key)
+        if far is None:
+            far = self._nearest(cell, key[2] * _SORTED)
+            self._cache.keep(key, far, far.nbytes)
+        found: list[int] = far[(number - 1) * _SHELL : number * _SHELL].tolist()
+        return found
+
+    def _nearest(self, cell: int, most: int) -> NDArray[np.int64]:
+        """Return the nearest cells around the rings of a cell, at most so many, the nearest first."""
+        centers, near = self._grid.centers, self.cells(cell, 0)
+        apart = np.linalg.norm(centers - centers[cell], axis=1)
+        apart[near] = np.inf
+        count = min(most, len(apart) - len(near))
+        if not count:
+            return np.zeros(0, np.int64)
+        some = np.flatnonzero(apart <= np.partition(apart, count - 1)[count - 1])
+        return some[np.argsort(apart[some], kind="stable")][:count]
+
+
+def ring_cells(grid: Any, cell: int) -> list[list[int]]:
+    """Return four lists: the cell, and its neighbors by face, by edge and by corner."""
+    if not isinstance(grid, CellGrid):  # cells of several grids know their neighbors
+        return grid.rings(cell)  # type: ignore[no-any-return]
+    rings: list[list[int]] = [[grid.checked(cell)], [], [], []]
+    others = grid.neighbors(cell)
+    steps = np.abs(grid.coords[others] - grid.coords[cell]).sum(axis=1)
+    for other, ring in zip(others.tolist(), steps.tolist(), strict=True):
+        rings[ring].append(other)
+    return rings

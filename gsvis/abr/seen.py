@@ -1,0 +1,79 @@
+"""What cells see, as packed sets without empty words: of a large scene a cell sees little. Threads may share it."""
+
+from __future__ import annotations
+
+import threading
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis._kernels.blank import blank
+from gsvis.abr._kernels import units as kernels
+from gsvis.abr._kernels.units import Seen
+from gsvis.abr.index import SceneIndex, SparseSets
+from gsvis.files.cache import Cache
+from gsvis.pvs.codec import word_count
+
+__all__ = ["SeenSets"]
+
+Words = NDArray[np.uint64]
+
+
+class SeenSets:
+    """The visible sets of a scene.
+
+    Args:
+        index: The scene.
+        cache: Keeps the sets.
+    """
+
+    def __init__(self, index: SceneIndex, cache: Cache[Any]) -> None:
+        self._index, self._cache, self._local = index, cache, threading.local()
+
+    def of_cell(self, cell: int) -> Seen:
+        """Return the visible set of a cell; cache it, since cells share neighbors.
+
+        Raises:
+            ValueError: If it names Gaussians that the scene does not have.
+        """
+        found: Seen | None = self._cache.find(("words", cell))
+        if found is None:
+            sets, n = self._index.sets, len(self._index)
+            if isinstance(sets, SparseSets):
+                found, whole = Seen(*sets.visible_masks(cell)), True
+            else:
+                packed = sets.visible_words(cell)
+                words = np.flatnonzero(packed).astype(np.int32)
+                found, whole = Seen(words, packed[words]), len(packed) == word_count(n)
+            last = 64 * int(found.words[-1]) + int(found.masks[-1]).bit_length() if len(found.words) else 0
+            if not whole or last > n:
+                raise ValueError(f"words: expected a set of {n:,} Gaussians, got another")
+            self._cache.keep(("words", cell), found, sum(array.nbytes for array in found))
+        return found
+
+    def join(self, rings: list[list[Seen]]) -> tuple[list[Seen], Seen]:
+        """Return what the sets of each ring have that those of earlier rings lack, and all together."""
+        before, fresh = self._scratch()
+        sizes = [sum(len(seen.words) for seen in ring) for ring in rings]
+        union, known, found = np.empty(sum(sizes), np.int32), 0, []
+        for ring, size in zip(rings, sizes, strict=True):
+            listed, count = np.empty(size, np.int32), 0
+            for seen in ring:
+                count = kernels.add_fresh(seen, before, fresh, listed, count)
+            words = np.sort(listed[:count])
+            masks = np.empty(count, np.uint64)
+            known = kernels.settle(words, fresh, before, masks, union, known)
+            found.append(Seen(words, masks))
+        words = np.sort(union[:known])
+        masks = np.empty(known, np.uint64)
+        kernels.take_out(words, before, masks)
+        return found, Seen(words, masks)
+
+    def _scratch(self) -> tuple[Words, Words]:
+        """Return two packed sets of the calling thread, which it leaves empty."""
+        if not hasattr(self._local, "sets"):
+            size = word_count(len(self._index))
+            self._local.sets = blank(size, np.uint64), blank(size, np.uint64)
+        found: tuple[Words, Words] = self._local.sets
+        return found
