@@ -21,6 +21,7 @@ from gsvis.prepare.config import PrepareConfig
 from gsvis.prepare.prepare import stages_of
 from gsvis.progress import silent
 from gsvis.pvs.config import PvsConfig
+from gsvis.scene.corridor import space_along
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
@@ -56,8 +57,12 @@ def gather_rows(params: Facts, given: Given, out: Path, work: Path) -> Facts:
 def tile_space(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     """Task: find where eyes may be in the squares of a tile. Inputs are its rows, then those of the tiles around it.
 
+    With `walk`, positions within `margin` of the tile, eyes are along them, and nowhere without any.
+
     Facts: the number of free voxels; 0 if nobody can be there.
     """
+    if "walk" in params and not params["walk"]:
+        return {"voxels": 0}
     low, high, axes = (np.array(params[name]) for name in ("low", "high", "axes"))
     margin = MARGIN * float((high - low).max())
     parts = []
@@ -66,8 +71,12 @@ def tile_space(params: Facts, given: Given, out: Path, work: Path) -> Facts:
         across = g.means[:, axes]
         parts.append(g if k == 0 else g[((across >= low - margin) & (across < high + margin)).all(axis=1)])
     near = Gaussians.concatenate([Gaussians(g.means, g.quats, g.scales, g.opacities, g.sh0) for g in parts])
+    how = {"up": params["up"], "resolution": params["resolution"]}
     try:
-        found = NavigableSpace.from_scene(near, up=params["up"], resolution=params["resolution"])
+        if "walk" in params:
+            found = space_along(near, params["walk"], params["margin"], **how)
+        else:
+            found = NavigableSpace.from_scene(near, **how)
     except SceneError:
         return {"voxels": 0}
     free = found.free.copy()
