@@ -25,6 +25,7 @@ from gsvis.scene.view_sampling import ViewSampling
 from gsvis.serve import Address, Server, StreamClient, open_scenes
 from gsvis.stream import Quality, Receiver, Session, StreamedScene
 from gsvis.stream.coding import Coding
+from gsvis.train.levels import LevelsConfig
 from gsvis.world import World
 from gsvis.world.prepare import prepare_world
 from gsvis.world.streamed import WorldPackage, open_world
@@ -49,6 +50,16 @@ def far(tmp_path_factory: pytest.TempPathFactory) -> Path:
     scene = write(small_street(houses=4, step=0.5, flyaways=12), folder / "street.ply")
     prepare_world([scene], folder / "c.gsworld", options)
     return folder / "c.gsworld"
+
+
+@pytest.fixture(scope="module")
+def leveled(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A long world of two levels with districts that are seen; what lies outside has one level."""
+    folder = tmp_path_factory.mktemp("leveled")
+    levels = LevelsConfig((0.3,), (0.8,), ("low", "high"), iterations=2, preview=0.0)
+    scene = write(small_street(houses=4, step=0.5, flyaways=12), folder / "street.ply")
+    prepare_world([scene], folder / "d.gsworld", replace(config(levels, most=400), angle=0.3))
+    return folder / "d.gsworld"
 
 
 @pytest.fixture(scope="module")
@@ -131,6 +142,26 @@ def test_a_district_is_replaced_by_all_of_its_tiles(far: Path) -> None:
             with world.package(tile) as own:
                 lowest = np.flatnonzero(own.contents.first == own.contents.first.min())
             assert set((bases[tile] + lowest).tolist()) <= reached
+
+
+def test_the_levels_of_all_nodes_are_those_of_the_world(leveled: Path) -> None:
+    """The lowest level of a node stands in all levels below, and each level of a tile is that of the world."""
+    world, index = World.open(leveled), open_world(leveled)[0].index
+    package = WorldPackage(world, set())
+    assert package.nodes == [*range(len(world.manifest.tiles)), *sorted(seen_districts(world))]
+    assert index.level_names == ("low", "high")
+    counts = np.zeros(2, int)
+    for node in package.nodes:
+        some = slice(*package.bases[node : node + 2].tolist())
+        first, last = index.first[some], index.last[some]
+        with world.package(node) as own:
+            members, names = own.contents.levels(), own.manifest.names
+        for k in range(2):
+            level = members.member(max(0, k + len(names) - 2))
+            assert np.array_equal((first <= k) & (k <= last), level)
+            counts[k] += np.count_nonzero(level)
+    assert package.manifest.counts == tuple(counts)
+    assert {len(tile.levels) for tile in world.manifest.tiles} == {1, 2}
 
 
 def test_a_viewer_crosses_borders_and_gets_nothing_twice(city: Path, tmp_path: Path) -> None:
