@@ -42,6 +42,7 @@ _WHOLE = ("words", "places", "owing", "union", "active", "level_bytes")  # array
 _Tuple = TypeVar("_Tuple")
 
 _WORKS = 64  # ways to divide scratch memory that a thread remembers
+_NONE: Words = np.zeros(0, np.uint64)
 _SHELL = 8  # cells of a shell: its sets may all have to be read while a viewer waits
 
 
@@ -234,7 +235,7 @@ class CandidateIndex:
         index, levels = self.index, self.index.num_levels
         rings = ring_cells(index.grid, cell)
         seen = self.words_of(cell).copy()
-        parts = [self._split(seen, index.sets.classes(cell)[1], index.class_weights)]
+        parts = [self._split(seen, index.sets.classes(cell)[1], index.class_weights, index.standing(cell))]
         sums = np.zeros(levels * levels)
         kernels.pair_bytes(parts[0].slots, parts[0].masks, parts[0].codes, self._word_bytes, sums)
         for ring in range(1, RINGS):
@@ -416,13 +417,15 @@ class CandidateIndex:
             kernels.active_words(ids, self._owners, active, owing)
         return active, owing
 
-    def _split(self, words: Words, classes: NDArray[np.uint8], weights: F32) -> Units:
+    def _split(self, words: Words, classes: NDArray[np.uint8], weights: F32, standing: Words = _NONE) -> Units:
         """Return the units of the visible set of one cell, in ring 0, with words instead of slots."""
         if ones(words) != len(classes):
             raise ValueError(f"classes: expected one for each member, got {len(classes)}")
         _check.in_range("classes", classes, 0, len(weights) - 1)
         found = _room(len(classes))
-        count = kernels.cell_units(words, classes, self._traits, *_check.read_only(weights), found)
+        count = kernels.cell_units(
+            words, classes, self._traits, *_check.read_only(weights, standing), self.index.num_levels, found
+        )
         return Units(*(array[:count] for array in found))
 
 

@@ -23,7 +23,8 @@ from gsvis.files.cache import Cache
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.codec import pack
 from gsvis.pvs.store import VisibilityStore
-from gsvis.world.beyond import Beyond
+from gsvis.world.beyond import Beyond, Seen
+from gsvis.world.manifest import Tile
 from gsvis.world.world import World
 
 __all__ = ["WorldCells", "WorldIndex", "WorldSets"]
@@ -33,6 +34,7 @@ _OPEN_TILES = 64  # tiles whose stores are open at once
 _TOUCH = 1e-3  # gap between two cells that touch, as a share of their size
 I64 = NDArray[np.int64]
 F64 = NDArray[np.float64]
+_Seen = tuple[I64, NDArray[np.uint8], NDArray[np.uint8]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,6 +161,13 @@ class WorldIndex(SceneIndex):
         squares = (apart * apart).sum(axis=1)
         return int(np.where(inside, squares, squares + 1e200).argmin() if inside.any() else squares.argmin())
 
+    def standing(self, cell: int) -> NDArray[np.uint64]:
+        """Return what a cell sees of tiles that stand there at a lower level, and that ends at this level, packed."""
+        sets: Any = self.sets
+        ids, highest = sets.classes(cell)[0], sets.highest(cell)
+        some = ids[(self.last[ids] == highest) & (highest < self.num_levels - 1)]
+        return pack(some, len(self)) if len(some) else np.zeros(0, np.uint64)
+
 
 class _Tile:
     """The open stores of a tile."""
@@ -174,12 +183,16 @@ class WorldSets:
         world: The world.
         cells: Its cells.
         bases: First id of each node; nodes without ids are not seen.
+        levels: L, number of levels.
         tables: Folder where joined stores stay; None means temporary files.
         cache: Keeps decoded sets.
     """
 
-    def __init__(self, world: World, cells: WorldCells, bases: I64, tables: Path | None, cache: Cache[Any]) -> None:
+    def __init__(
+        self, world: World, cells: WorldCells, bases: I64, levels: int, tables: Path | None, cache: Cache[Any]
+    ) -> None:
         self._world, self._cells, self._bases, self._tables, self._cache = world, cells, bases, tables, cache
+        self._top = levels - 1
         self._tiles: Cache[_Tile] = Cache(max_items=_OPEN_TILES)
         self._said = set[int]()
 
@@ -194,8 +207,12 @@ class WorldSets:
 
     def classes(self, cell: int) -> tuple[I64, NDArray[np.uint8]]:
         """Return ascending ids of the Gaussians that a cell sees, and the class of each."""
-        ids, classes = self._seen(cell)
+        ids, classes, _ = self._seen(cell)
         return ids, classes
+
+    def highest(self, cell: int) -> NDArray[np.uint8]:
+        """Return the highest level that a cell sees of the part of a node that each of these Gaussians belongs to."""
+        return self._seen(cell)[2]
 
     def visible_words(self, cell: int) -> NDArray[np.uint64]:
         """Return the visible set of a cell, packed."""
@@ -216,33 +233,39 @@ class WorldSets:
         stores = self._tiles.find_or_make(node, lambda: self._open(node))
         return stores.own, gaussian - int(self._bases[node]), int(cells[0])
 
-    def _seen(self, cell: int) -> tuple[I64, NDArray[np.uint8]]:
-        found: tuple[I64, NDArray[np.uint8]] | None = self._cache.find(("seen", cell))
+    def _seen(self, cell: int) -> _Seen:
+        found: _Seen | None = self._cache.find(("seen", cell))
         if found is None:
             found = self._read(cell)
-            self._cache.keep(("seen", cell), found, found[0].nbytes + found[1].nbytes)
+            self._cache.keep(("seen", cell), found, sum(array.nbytes for array in found))
         return found
 
-    def _read(self, cell: int) -> tuple[I64, NDArray[np.uint8]]:
+    def _read(self, cell: int) -> _Seen:
         """Read what a cell sees. What a damaged tile cannot tell is left out; its own Gaussians are all seen then."""
         tile, place = int(self._cells.tiles[cell]), int(self._cells.places[cell])
         low, high = self._bases[tile : tile + 2].tolist()
-        parts = [(np.arange(low, high), np.zeros(high - low, np.uint8))]
+        parts = [(np.arange(low, high), np.zeros(high - low, np.uint8), self._top)]
         try:
             stores = self._tiles.find_or_make(tile, lambda: self._open(tile))
             ids, classes = stores.own.classes(place)
-            parts = [(ids + low, classes)]
+            parts = [(ids + low, classes, self._top)]
             for seen in [] if stores.beyond is None else stores.beyond.of_cell(place):
                 base, end = self._bases[seen.node : seen.node + 2].tolist()
                 if end > base:
-                    parts.append((seen.ids + base, seen.classes))
+                    parts.append((seen.ids + base, seen.classes, self._level_of(seen)))
         except (GsvisError, OSError) as error:
             if tile not in self._said:
                 self._said.add(tile)
                 _LOG.error("%s: visible sets of tile %d are damaged: %s", self._world.path.name, tile, error)
         ids = np.concatenate([part[0] for part in parts])
         order = np.argsort(ids, kind="stable")
-        return ids[order], np.concatenate([part[1] for part in parts])[order]
+        levels = np.repeat(np.array([part[2] for part in parts], np.uint8), [len(part[0]) for part in parts])
+        return ids[order], np.concatenate([part[1] for part in parts])[order], levels[order]
+
+    def _level_of(self, seen: Seen) -> int:
+        """Return the level of the world at which a part of a node stands; districts stand at all."""
+        node = self._world.manifest.node(seen.node)
+        return self._top - (len(node.levels) - 1 - seen.level) if isinstance(node, Tile) else self._top
 
     def _open(self, tile: int) -> _Tile:
         package = self._world.package(tile)

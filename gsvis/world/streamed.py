@@ -252,7 +252,7 @@ class WorldPackage(Package):
 
     def sets(self, cells: WorldCells, cache: Cache[Any]) -> WorldSets:
         """Return the visible sets of all cells, read tile by tile."""
-        return WorldSets(self.world, cells, self.bases, self._tables, cache)
+        return WorldSets(self.world, cells, self.bases, len(self.manifest.names), self._tables, cache)
 
     def _cells(self) -> WorldCells:
         return WorldCells.read(self.world, [node for node in self.nodes if self._is_tile(node)])

@@ -20,13 +20,14 @@ from gsvis.color.fit import FitConfig
 from gsvis.errors import FormatError
 from gsvis.files.mapped import MappedArrays
 from gsvis.prepare.colors import ColorConfig
+from gsvis.pvs.codec import ids_of
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.view_sampling import ViewSampling
 from gsvis.serve import Address, Server, StreamClient, open_scenes
 from gsvis.stream import Quality, Receiver, Session, StreamedScene
 from gsvis.stream.coding import Coding
 from gsvis.train.levels import LevelsConfig
-from gsvis.world import World
+from gsvis.world import Tile, World
 from gsvis.world.prepare import prepare_world
 from gsvis.world.streamed import WorldPackage, open_world
 from tests.serve.servers import ask, until
@@ -162,6 +163,36 @@ def test_the_levels_of_all_nodes_are_those_of_the_world(leveled: Path) -> None:
             counts[k] += np.count_nonzero(level)
     assert package.manifest.counts == tuple(counts)
     assert {len(tile.levels) for tile in world.manifest.tiles} == {1, 2}
+
+
+def test_a_viewer_of_the_highest_level_gets_all_that_stands_for_it_around_a_tile(leveled: Path) -> None:
+    """A far tile stands at a lower level: the Gaussians of this level alone are sent, as those of districts are."""
+    world, (scene, _) = World.open(leveled), open_world(leveled)
+    index, bases = scene.index, scene.package.bases  # type: ignore[attr-defined]
+    alone = 0
+    for cell in range(len(index.grid)):
+        tile = int(index.grid.tiles[cell])
+        beyond = world.beyond(tile)
+        assert beyond is not None
+        wanted = set[int]()
+        for seen in beyond.of_cell(int(index.grid.places[cell])):
+            node, ids = world.manifest.node(seen.node), bases[seen.node] + seen.ids
+            top = seen.level + 2 - len(node.levels) if isinstance(node, Tile) else 1
+            wanted |= set(ids[(index.first[ids] <= top) & (top <= index.last[ids])].tolist())
+        beyond.close()
+        session, held = Session(scene, VIEW, AbrConfig(start_rate=1e9, fill=False)), set[int]()
+        session.welcome(0.0)
+        session.on_ack(0.0, 0)
+        for k in range(20):
+            session.on_pose(0.1 * k + 0.1, index.grid.centers[cell], (0.5, -0.5, 0.5, -0.5))
+            if (message := session.next_message(0.1 * k + 0.1, 1e6)) is None:
+                break
+            held |= set(message.batch.gaussians.tolist())
+            session.on_ack(0.1 * k + 0.11, message.sequence)
+        alone += sum(index.last[g] == 0 for g in wanted & held)
+        assert session.planner.regime == "high"
+        assert wanted <= held | set(ids_of(session.holdings.gone).tolist())
+    assert alone > 0
 
 
 def test_a_viewer_crosses_borders_and_gets_nothing_twice(city: Path, tmp_path: Path) -> None:
