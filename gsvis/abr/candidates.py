@@ -42,7 +42,6 @@ _WHOLE = ("words", "places", "owing", "union", "active", "level_bytes")  # array
 _Tuple = TypeVar("_Tuple")
 
 _WORKS = 64  # ways to divide scratch memory that a thread remembers
-_NONE: Words = np.zeros(0, np.uint64)
 _SHELL = 8  # cells of a shell: its sets may all have to be read while a viewer waits
 
 
@@ -152,9 +151,8 @@ class CandidateIndex:
         self._owners = np.repeat(np.arange(len(index), dtype=np.int32), np.diff(index.term_offsets))
         self._scratch, self._shell_counts = threading.local(), dict[int, int]()
         all_of_them = pack(np.arange(len(index)), len(index))
-        units = self._split(
-            all_of_them, np.zeros(len(index), np.uint8), np.array([np.mean(index.class_weights)], np.float32)
-        )
+        weight = np.array([np.mean(index.class_weights)], np.float32)
+        units = self._split(all_of_them, np.zeros(len(index), np.uint8), weight, all_of_them[:0])
         self._every = Units(*(array.copy() for array in units))
         sent = index.num_terms if index.cones is not None or index.active is not None else 0
         owners = np.flatnonzero(np.diff(index.term_offsets)) if sent else np.zeros(0, np.int64)
@@ -417,15 +415,14 @@ class CandidateIndex:
             kernels.active_words(ids, self._owners, active, owing)
         return active, owing
 
-    def _split(self, words: Words, classes: NDArray[np.uint8], weights: F32, standing: Words = _NONE) -> Units:
+    def _split(self, words: Words, classes: NDArray[np.uint8], weights: F32, standing: Words) -> Units:
         """Return the units of the visible set of one cell, in ring 0, with words instead of slots."""
         if ones(words) != len(classes):
             raise ValueError(f"classes: expected one for each member, got {len(classes)}")
         _check.in_range("classes", classes, 0, len(weights) - 1)
         found = _room(len(classes))
-        count = kernels.cell_units(
-            words, classes, self._traits, *_check.read_only(weights, standing), self.index.num_levels, found
-        )
+        of_cell = *_check.read_only(weights, standing), self.index.num_levels
+        count = kernels.cell_units(words, classes, self._traits, *of_cell, found)
         return Units(*(array[:count] for array in found))
 
 
