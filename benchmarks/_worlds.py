@@ -8,7 +8,7 @@ Copies are jittered, so that no two tiles have the same content and tasks named 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -78,8 +78,13 @@ def small_street(houses: int = 4, step: float = 0.25, flyaways: int = 20, seed: 
     return Gaussians.concatenate(parts)
 
 
-def copies(g: Gaussians, count: int, up: int = 2, seed: int = 0) -> Iterator[Gaussians]:
-    """Yield copies of a scene on a square lattice: turned, mirrored, jittered, with doors, and a piece of street."""
+def copies(
+    g: Gaussians, count: int, up: int = 2, seed: int = 0, turns: Sequence[int] | None = None
+) -> Iterator[Gaussians]:
+    """Yield copies of a scene on a square lattice: turned, mirrored, jittered, with doors, and a piece of street.
+
+    `turns` gives the quarters by which each copy is turned; without them they are drawn.
+    """
     rng = np.random.default_rng(seed)
     low, high = g.bounds(0.98)
     middle, size = 0.5 * (low + high), float((high - low)[[k for k in range(3) if k != up]].max())
@@ -93,7 +98,8 @@ def copies(g: Gaussians, count: int, up: int = 2, seed: int = 0) -> Iterator[Gau
         door = (np.abs(means[:, flat[0]]) < _DOOR * size) & (np.abs(means[:, flat[1]]) > 0.3 * size)
         kept = core[~(door & (means[:, up] < 0.2 * size))]
         turn = np.eye(3)
-        angle = 0.5 * np.pi * int(rng.integers(4))
+        drawn = int(rng.integers(4))
+        angle = 0.5 * np.pi * (drawn if turns is None else turns[k])
         turn[np.ix_(flat, flat)] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
         copy = kept.transform(np.eye(3), -middle, 1.0)
         if rng.random() < 0.5:

@@ -130,6 +130,7 @@ PAGES = {
             "server_processes",
             "opening",
             "world_walk",
+            "world_walk_real",
             "stream_codec",
             "client_memory",
             "group_codec",

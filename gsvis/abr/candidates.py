@@ -29,12 +29,13 @@ from gsvis.abr.index import SceneIndex
 from gsvis.abr.rings import RINGS, Shells, ring_cells
 from gsvis.abr.seen import SeenSets
 from gsvis.files.cache import Cache
-from gsvis.pvs.codec import pack, word_count
+from gsvis.pvs.codec import pack, pack_some, word_count
 
 __all__ = ["CandidateIndex", "Candidates"]
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
 I32 = NDArray[np.int32]
 Words = NDArray[np.uint64]
 
@@ -176,7 +177,8 @@ class CandidateIndex:
         self.seen, self.shells = SeenSets(index, self.cache), Shells(index.grid, self.cache)
         all_words = np.arange(-(-len(index) // 64), dtype=np.int32)
         every = Seen(all_words, pack(np.arange(len(index)), len(index))[: len(all_words)])
-        units = self._split(every, np.zeros(len(index), np.uint8), np.array([np.mean(index.class_weights)], np.float32))
+        weight = np.array([np.mean(index.class_weights)], np.float32)
+        units = self._split(every, np.zeros(len(index), np.uint8), weight, np.zeros(0, np.int64))
         self._every = Units(*(array.copy() for array in units))
         sent = index.num_terms if index.cones is not None or index.active is not None else 0
         owners = np.flatnonzero(np.diff(index.term_offsets)) if sent else np.zeros(0, np.int64)
@@ -257,7 +259,7 @@ class CandidateIndex:
         index, levels = self.index, self.index.num_levels
         rings = ring_cells(index.grid, cell)
         fresh, seen = self.seen.join([[self.seen.of_cell(each) for each in ring] for ring in rings])
-        parts = [self._split(fresh[0], index.sets.classes(cell)[1], index.class_weights)]
+        parts = [self._split(fresh[0], index.sets.classes(cell)[1], index.class_weights, index.standing(cell))]
         sums = np.zeros(levels * levels)
         kernels.pair_bytes(parts[0].slots, parts[0].masks, parts[0].codes, self._word_bytes, sums)
         parts += [self._units_of(ring, fresh[ring]) for ring in range(1, RINGS)]
@@ -421,13 +423,17 @@ class CandidateIndex:
             kernels.active_words(ids, self._owners, active, owing)
         return active, owing
 
-    def _split(self, seen: Seen, classes: NDArray[np.uint8], weights: F32) -> Units:
+    def _split(self, seen: Seen, classes: NDArray[np.uint8], weights: F32, standing: I64) -> Units:
         """Return the units of the visible set of one cell, in ring 0, with words instead of slots."""
         if ones(seen.masks) != len(classes):
             raise ValueError(f"classes: expected one for each member, got {len(classes)}")
         _check.in_range("classes", classes, 0, len(weights) - 1)
         found = _room(len(classes))
-        count = kernels.cell_units(seen, classes, self._traits, *_check.read_only(weights), found)
+        words, masks = pack_some(standing)
+        stands = np.zeros(len(seen.words) if len(words) else 0, np.uint64)
+        stands[np.searchsorted(seen.words, words)] = masks
+        of_cell = *_check.read_only(weights, stands), self.index.num_levels
+        count = kernels.cell_units(seen, classes, self._traits, *of_cell, found)
         return Units(*(array[:count] for array in found))
 
 

@@ -269,6 +269,13 @@ class SceneIndex:
         apart = np.clip(grid.centers - position, -1e100, 1e100)  # squares that do not overflow
         return int(np.linalg.norm(apart, axis=1).argmin())
 
+    def standing(self, cell: int) -> I64:
+        """Return ascending ids of the Gaussians that a cell sees at all levels above their last.
+
+        Empty where there are none: in a package, whose cells see all levels of what they see.
+        """
+        return np.zeros(0, np.int64)
+
     @cached_property
     def _boxes(self) -> dict[tuple[float, ...], int]:
         return {tuple(map(float, box)): cell for cell, box in enumerate(self.grid.coords.tolist())}

@@ -219,7 +219,8 @@ class _Block:
         out.append("all_owing", owing[:used])
         found, (weights,) = _room(n), _check.read_only(np.array([numbers.weight], np.float32))
         members = kernels.Seen(np.arange(used, dtype=np.int32), pack(np.arange(n), _BLOCK)[:used])
-        count = kernels.cell_units(members, np.zeros(n, np.uint8), self.traits, weights, found)
+        none = _check.read_only(np.zeros(0, np.uint64))[0]
+        count = kernels.cell_units(members, np.zeros(n, np.uint8), self.traits, weights, none, numbers.levels, found)
         slots = found.slots[:count] + np.int32(self.first)
         starts = np.flatnonzero(np.diff(slots, prepend=-1)).astype(np.int32)
         before = out.count("unit_slots") if self.first else 0

@@ -219,6 +219,7 @@ def _units(index: SceneIndex, cell: int) -> list[Unit]:
     """Return the members of one word, ring, weight class and pair of levels, in the order of unit numbers."""
     found: dict[tuple[int, int, int, int, int], list[int]] = {}
     placed: set[int] = set()
+    standing, top = set(index.standing(cell).tolist()), index.num_levels - 1
     for ring, cells in zip(range(RINGS), ring_cells(index.grid, cell), strict=True):
         here: dict[int, int] = {}
         for other in cells:
@@ -228,7 +229,8 @@ def _units(index: SceneIndex, cell: int) -> list[Unit]:
                     here[g] = kind if ring == 0 else 0
         placed |= set(here)
         for g in sorted(here):
-            key = ring, g >> 6, here[g], int(index.first[g]), int(index.last[g])
+            last = top if ring == 0 and g in standing else int(index.last[g])
+            key = ring, g >> 6, here[g], int(index.first[g]), last
             found.setdefault(key, []).append(g)
 
     def place(item: Unit) -> tuple[int, int, int, int]:

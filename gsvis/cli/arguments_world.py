@@ -56,6 +56,11 @@ class World:
     """Pixels along a side of the six faces around a viewpoint of a cell."""
     limit: Annotated[float | None, SHARE, hint("0.0015")] = None
     """The set of a cell is finished when rays prove that it misses at most this share of the light."""
+    path: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: no path)")] = None
+    """Restrict viewpoints to this walk, in the frame of the scenes: a CSV of poses (t,x,y,z,qw,qx,qy,qz) or an EyeNavGS
+    recording. Tiles that it does not come near have no cells."""
+    margin: Annotated[float | None, DISTANCE, hint("1")] = None
+    """Distance of viewpoints from --path, at most, in scene units."""
     up: Annotated[str | None, arg(metavar="AXIS", help_behavior_hint="(default: the likely one)")] = None
     """Axis that points upwards, such as -y."""
     meters_per_unit: Annotated[float | None, DISTANCE, hint("not known")] = None

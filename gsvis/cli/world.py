@@ -17,6 +17,7 @@ from gsvis.cli.pvs import local_workers, named_memory, sets_config
 from gsvis.cli.source import check_folder, is_builtin, is_levels, parse_up, title_of
 from gsvis.cli.terminal import Status, busy_note, clock, facts, least_size_of, print_json, show, size_of
 from gsvis.errors import ArgumentError
+from gsvis.io.poses import load_path
 from gsvis.io.scenes import check_scene
 from gsvis.pvs.workers import Workers
 
@@ -107,6 +108,8 @@ def _check_arguments(command: World) -> WorldConfig:
     check_folder(Path(command.out).absolute().parent)
     (check_world_target if command.until == "world" else check_tiles_target)(Path(command.out))
     parse_up(command.up)
+    if command.margin is not None and command.path is None:
+        raise ValueError("--margin: expected --path with it, got none; add it or leave this out")
     for other in ("workers", "max_memory"):
         if command.scheduler is not None and getattr(command, other) is not None:
             got = getattr(command, other)
@@ -136,7 +139,11 @@ def _check_arguments(command: World) -> WorldConfig:
         meters_per_unit=command.meters_per_unit or 0.0,
     )
     up = None if command.up is None else command.up.strip()
-    return WorldConfig(TilingConfig(command.tile, up=up), package, command.far, command.angle)
+    config = WorldConfig(TilingConfig(command.tile, up=up), package, command.far, command.angle)
+    if command.path is None:
+        return config
+    margin = WorldConfig.margin if command.margin is None else command.margin
+    return replace(config, walk=tuple(map(tuple, load_path(command.path).positions.tolist())), margin=margin)
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Cut a navigable space to the part along a recorded walk.
+"""Cut a navigable space to the part along a recorded walk, or find the space along one.
 
 Scene frame and units. This module knows nothing about visibility.
 """
@@ -11,9 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
+from gsvis.errors import SceneError
+from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 
-__all__ = ["corridor", "share_in_solid"]
+__all__ = ["corridor", "fill_in", "share_in_solid", "space_along"]
 
 F64 = NDArray[np.float64]
 
@@ -64,11 +66,49 @@ def corridor(space: NavigableSpace, positions: ArrayLike, margin: float | None =
             f"path: expected positions in the navigable space of the scene, got {near:.0%} of them within {margin:.3g}"
             " of it; bring the path into the scene's frame (retarget it), or raise the margin"
         )
-    way, held = _voxels(space, _fill_in(points, 0.5 * space.voxel_size))
+    way, held = _voxels(space, fill_in(points, 0.5 * space.voxel_size))
     on_way = np.zeros(shape, bool)
     on_way[tuple(way[held].T)] = True
     kept = space.free & (np.asarray(ndimage.distance_transform_edt(~on_way)) <= reach)
     return replace(space, free=kept, rule=f"{space.rule}, along a path")
+
+
+def space_along(
+    g: Gaussians, positions: ArrayLike, margin: float, *, resolution: int = 160, up: ArrayLike | str | None = None
+) -> NavigableSpace:
+    """Return the clear voxels along a walk, whatever the scene is: where somebody walked, eyes may be.
+
+    `corridor` keeps what a space has along a walk. This finds rooms, streets and gardens of one walk alike, of which
+    the space of a scene holds one kind.
+
+    Args:
+        g: The scene.
+        positions: (T, 3) points of the walk, scene frame; see `fill_in`.
+        margin: Distance from a point, scene units, within which eyes may be.
+        resolution: Voxels along the longest side of the box, 8 to 384.
+        up: (3,) direction or an axis such as "+z"; guessed by default.
+
+    Raises:
+        ValueError: If an argument is out of range.
+        SceneError: If nothing is clear along the walk.
+    """
+    from scipy import ndimage  # here: they take long to import, and few need them
+    from scipy.spatial import cKDTree
+
+    points = _check.floats("positions", positions, ("T", 3), np.float64)
+    if len(points) == 0:
+        raise ValueError("positions: expected at least one, got none")
+    if not (np.isfinite(margin) and margin > 0.0):
+        raise ValueError(f"margin: expected a finite number > 0, got {margin!r}")
+    space = NavigableSpace.from_scene(g, resolution=resolution, up=up, seeds=points)
+    clear = np.argwhere(~ndimage.binary_dilation(space.occupied))
+    centers = space.origin + space.voxel_size * (clear + 0.5)
+    kept = clear[cKDTree(points).query(centers, distance_upper_bound=margin)[0] <= margin]
+    if len(kept) == 0:
+        raise SceneError(f"no navigable space: nothing within {margin:.3g} of the walk is clear", "raise the margin")
+    free = np.zeros(space.free.shape, bool)
+    free[tuple(kept.T)] = True
+    return replace(space, free=free, rule="clear, along a walk")
 
 
 def share_in_solid(space: NavigableSpace, positions: ArrayLike) -> float:
@@ -85,8 +125,8 @@ def _voxels(space: NavigableSpace, points: F64) -> tuple[NDArray[np.int64], NDAr
     return voxels, np.all((voxels >= 0) & (voxels < shape), axis=1)
 
 
-def _fill_in(points: F64, step: float) -> F64:
-    """Return the points with others in between, so that no step exceeds `step`, as far as memory allows."""
+def fill_in(points: F64, step: float) -> F64:
+    """Return points (T, 3) with others on the lines between them, so that no step exceeds `step`, up to 4 million."""
     lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
     step = max(step, float(lengths.sum()) / _MOST_POINTS)
     counts = np.maximum(np.ceil(lengths / step).astype(np.int64), 1)

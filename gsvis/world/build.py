@@ -13,11 +13,14 @@ from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any
 
+import numpy as np
+
 from gsvis.errors import SceneError
 from gsvis.files.objects import ObjectStore
 from gsvis.io.batches import Batch, list_batches
 from gsvis.progress import Progress
 from gsvis.pvs.workers import Workers
+from gsvis.scene.corridor import fill_in
 from gsvis.world.config import WorldConfig
 from gsvis.world.graph import Facts, Result, Task, run_graph
 from gsvis.world.tiles import MARGIN
@@ -182,9 +185,10 @@ class WorldBuild:
             needs: tuple[str, ...] = (f"rows {k}",)
             if rect is not None:
                 near = tuple(f"rows {other}" for other in self.touching(rect))
-                tasks.append(Task(f"space {k}", "gsvis.world.tiles:tile_space", self.square_of(rect), (*needs, *near)))
+                params = {**self.square_of(rect), **self._walk_near(rect)}
+                tasks.append(Task(f"space {k}", "gsvis.world.tiles:tile_space", params, (*needs, *near)))
                 needs = (*needs, f"space {k}")
-            params: Facts = {"config": package, "most": self.config.far}
+            params = {"config": package, "most": self.config.far}
             tasks.append(Task(f"levels {k}", "gsvis.world.tiles:make_tile_levels", params, needs))
         return tasks
 
@@ -300,6 +304,16 @@ class WorldBuild:
             "low": low, "high": high, "axes": list(grid.axes), "up": self.grid["up"],
             "resolution": self.config.resolution,
         }  # fmt: skip
+
+    def _walk_near(self, rect: Rect) -> Facts:
+        """Return the params of the walk within the margin of the squares of a tile; none without a walk."""
+        if self.config.walk is None:
+            return {}
+        square, reach = self.square_of(rect), self.config.margin
+        walk = fill_in(np.array(self.config.walk), 0.5 * reach)
+        across = walk[:, square["axes"]]
+        near = (across >= np.array(square["low"]) - reach) & (across < np.array(square["high"]) + reach)
+        return {"walk": walk[near.all(axis=1)].tolist(), "margin": reach}
 
     def _run(self, tasks: list[Task], stage: str) -> dict[str, Result]:
         made: dict[int, Any] = {}  # by identity: what tasks share, such as the list of districts, stays one object

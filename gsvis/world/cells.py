@@ -23,7 +23,8 @@ from gsvis.files.cache import Cache
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.codec import pack, pack_some
 from gsvis.pvs.store import VisibilityStore
-from gsvis.world.beyond import Beyond
+from gsvis.world.beyond import Beyond, Seen
+from gsvis.world.manifest import Tile
 from gsvis.world.world import World
 
 __all__ = ["WorldCells", "WorldIndex", "WorldSets"]
@@ -34,6 +35,7 @@ _TOUCH = 1e-3  # gap between two cells that touch, as a share of their size
 I64 = NDArray[np.int64]
 F64 = NDArray[np.float64]
 _Part = TypeVar("_Part")
+_Seen = tuple[I64, NDArray[np.uint8], NDArray[np.uint8]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,6 +199,13 @@ class WorldIndex(SceneIndex):
         cells: Any = self.grid
         return int(cells.nearest(position))
 
+    def standing(self, cell: int) -> I64:
+        """Return ascending ids of what a cell sees of tiles at a lower level that ends at this level."""
+        sets: Any = self.sets
+        ids, highest = sets.classes(cell)[0], sets.highest(cell)
+        some: I64 = ids[(self.last[ids] == highest) & (highest < self.num_levels - 1)]
+        return some
+
 
 class _Tile:
     """The open stores of a tile."""
@@ -212,12 +221,16 @@ class WorldSets:
         world: The world.
         cells: Its cells.
         bases: First id of each node; nodes without ids are not seen.
+        levels: L, number of levels.
         tables: Folder where joined stores stay; None means temporary files.
         cache: Keeps decoded sets.
     """
 
-    def __init__(self, world: World, cells: WorldCells, bases: I64, tables: Path | None, cache: Cache[Any]) -> None:
+    def __init__(
+        self, world: World, cells: WorldCells, bases: I64, levels: int, tables: Path | None, cache: Cache[Any]
+    ) -> None:
         self._world, self._cells, self._bases, self._tables, self._cache = world, cells, bases, tables, cache
+        self._top = levels - 1
         self._tiles: Cache[_Tile] = Cache(max_items=_OPEN_TILES)
         self._said = set[int]()
 
@@ -232,8 +245,12 @@ class WorldSets:
 
     def classes(self, cell: int) -> tuple[I64, NDArray[np.uint8]]:
         """Return ascending ids of the Gaussians that a cell sees, and the class of each."""
-        ids, classes = self._seen(cell)
+        ids, classes, _ = self._seen(cell)
         return ids, classes
+
+    def highest(self, cell: int) -> NDArray[np.uint8]:
+        """Return the highest level that a cell sees of the part of a node that each of these Gaussians belongs to."""
+        return self._seen(cell)[2]
 
     def visible_words(self, cell: int) -> NDArray[np.uint64]:
         """Return the visible set of a cell, packed."""
@@ -258,32 +275,35 @@ class WorldSets:
         stores = self._tiles.find_or_make(node, lambda: self._open(node))
         return stores.own, gaussian - int(self._bases[node]), int(cells[0])
 
-    def _seen(self, cell: int) -> tuple[I64, NDArray[np.uint8]]:
-        found: tuple[I64, NDArray[np.uint8]] | None = self._cache.find(("seen", cell))
+    def _seen(self, cell: int) -> _Seen:
+        found: _Seen | None = self._cache.find(("seen", cell))
         if found is None:
             found = self._read(cell)
-            self._cache.keep(("seen", cell), found, found[0].nbytes + found[1].nbytes)
+            self._cache.keep(("seen", cell), found, sum(array.nbytes for array in found))
         return found
 
-    def _read(self, cell: int) -> tuple[I64, NDArray[np.uint8]]:
+    def _read(self, cell: int) -> _Seen:
         """Read what a cell sees."""
         tile, place = int(self._cells.tiles[cell]), int(self._cells.places[cell])
 
-        def read(stores: _Tile) -> list[tuple[int, I64, NDArray[np.uint8]]]:
+        def read(stores: _Tile) -> list[tuple[int, I64, NDArray[np.uint8], int]]:
             beyond = [] if stores.beyond is None else stores.beyond.of_cell(place)
             beyond = [seen for seen in beyond if self._has_ids(seen.node)]
-            return [(tile, *stores.own.classes(place)), *((seen.node, seen.ids, seen.classes) for seen in beyond)]
+            own = tile, *stores.own.classes(place), self._top
+            return [own, *((seen.node, seen.ids, seen.classes, self._level_of(seen)) for seen in beyond)]
 
         found = self._unless_damaged(tile, read)
         if found is None:
             low, high = self._bases[tile : tile + 2].tolist()
-            return np.arange(low, high), np.zeros(high - low, np.uint8)
-        some = [(self._bases[node] + ids, classes) for node, ids, classes in sorted(found, key=_first)]
-        ids, classes = (np.concatenate([part[k] for part in some]) for k in (0, 1))
+            return np.arange(low, high), np.zeros(high - low, np.uint8), np.full(high - low, self._top, np.uint8)
+        some = sorted(found, key=_first)
+        ids = np.concatenate([self._bases[part[0]] + part[1] for part in some])
+        classes = np.concatenate([part[2] for part in some])
+        highest = np.repeat(np.array([part[3] for part in some], np.uint8), [len(part[1]) for part in some])
         if _is_ascending(ids):
-            return ids, classes
+            return ids, classes, highest
         order = np.argsort(ids, kind="stable")
-        return ids[order], classes[order]
+        return ids[order], classes[order], highest[order]
 
     def _ids(self, cell: int) -> I64:
         """Return ascending ids of the Gaussians that a cell sees; faster than `classes`."""
@@ -301,6 +321,11 @@ class WorldSets:
 
     def _has_ids(self, node: int) -> bool:
         return bool(self._bases[node + 1] > self._bases[node])
+
+    def _level_of(self, seen: Seen) -> int:
+        """Return the level of the world at which a part of a node stands; districts stand at all."""
+        node = self._world.manifest.node(seen.node)
+        return self._top - (len(node.levels) - 1 - seen.level) if isinstance(node, Tile) else self._top
 
     def _unless_damaged(self, tile: int, read: Callable[[_Tile], list[_Part]]) -> list[_Part] | None:
         """Read from the stores of a tile; None if they are damaged: its own Gaussians are all seen then, no others."""

@@ -25,6 +25,9 @@ class WorldConfig:
         angle: Largest spacing of a node over its distance from a tile, radians, from which it may stand in.
         looks: Eyes in a tile that look for nodes around it, coarsely.
         resolution: Voxels along the longest side of the space of a tile.
+        walk: (T, 3) positions of a recorded walk, scene frame, along which eyes are, straight between two of them; None
+            lets each tile find its own space. Tiles that the walk does not come near have no cells.
+        margin: Distance from the walk within which eyes may be, scene units.
 
     Raises:
         ValueError: If a value is out of range.
@@ -36,12 +39,21 @@ class WorldConfig:
     angle: float = 0.006
     looks: int = 24
     resolution: int = 160
+    walk: tuple[tuple[float, float, float], ...] | None = None
+    margin: float = 1.0
 
     def __post_init__(self) -> None:
         for name, least in (("far", 16), ("looks", 1), ("resolution", 8)):
             _check.positive_int(name, getattr(self, name), at_least=least)
         if not (np.isfinite(self.angle) and 0.0 < self.angle <= 1.0):
             raise ValueError(f"angle: expected radians in (0, 1], got {self.angle!r}")
+        if not (np.isfinite(self.margin) and self.margin > 0.0):
+            raise ValueError(f"margin: expected a finite number > 0, got {self.margin!r}")
+        if self.walk is not None:
+            walk = _check.floats("walk", self.walk, ("T", 3), np.float64)
+            if len(walk) == 0:
+                raise ValueError("walk: expected at least one position, got none")
+            object.__setattr__(self, "walk", tuple((x, y, z) for x, y, z in walk.tolist()))
         if self.package.level_size is not None:
             raise ValueError("package: expected no level_size, got one; tiles have no photos")
         if (levels := self.package.levels) is not None:

@@ -111,7 +111,7 @@ def _standing(node: Facts) -> int:
     """Return how many Gaussians of a node may stand around a tile: all of a district, most of a tile."""
     if "spacings" not in node:
         return int(node["gaussians"])
-    return max(node["levels"][0][1], int(_STANDS * node["gaussians"]))
+    return max(int(node["levels"][0][1]), int(_STANDS * node["gaussians"]))
 
 
 def _lowest(nodes: Sequence[Facts]) -> int:

@@ -119,7 +119,10 @@ class WorldPackage(Package):
                     found[node] = package.manifest
             except (GsvisError, OSError) as error:
                 _leave_out(world, node, str(error))
-        first = next((m for node, m in found.items() if node < len(world.manifest.tiles)), None)
+        first = max(
+            (m for node, m in found.items() if node < len(world.manifest.tiles)),
+            key=lambda m: len(m.names), default=None,
+        )  # fmt: skip
         if first is None:
             raise FormatError(world.path, "", "a tile that can be read", "none", "prepare the world again")
         self.nodes = [node for node, m in found.items() if _fits(world, node, m, first)]
@@ -157,12 +160,11 @@ class WorldPackage(Package):
         return [(int(self.bases[node]), int(self.bases[node + 1])) for node in self.nodes]
 
     def pieces(self) -> Iterator[Contents]:
-        """Yield the records of each node, with colors in the tables of the world."""
-        levels = len(self.manifest.names)
+        """Yield the records of each node, with colors in the tables of the world, and in its levels."""
         for node in self.nodes:
             try:
                 with self.world.package(node) as package:
-                    found = _in_world(package.contents, self.manifest.grids, levels, self._is_tile(node))
+                    found = _in_world(package.contents, self.manifest, self._is_tile(node))
             except (GsvisError, OSError) as error:
                 raise _DamagedNodeError(node, str(error)) from error
             yield found
@@ -182,17 +184,14 @@ class WorldPackage(Package):
         node = self.nodes[piece]
         low = int(self.bases[node])
         if self._is_tile(node):
-            first = contents.first
-            lowest = first.min()  # a tile may have fewer levels than the world
-            own = Levels(contents.gaussians(), first - lowest, contents.last - lowest, contents.names)
-            offsets, ids = nearest_replacements(own)
+            offsets, ids = nearest_replacements(contents.levels())
             owners = np.repeat(np.arange(len(contents)), np.diff(offsets))
             return low + np.stack([owners, ids.astype(np.int64)], axis=1)
-        pairs, means_here = [np.zeros((0, 2), np.int64)], contents.gaussians().means
+        pairs, own = [np.zeros((0, 2), np.int64)], contents.gaussians().means
         for child in self._children[node]:
             first, end = self.bases[child : child + 2].tolist()
             theirs = first + self._lowest(child, end - first)
-            pairs.append(_nearest(means_here, means(first, end)[theirs - first], low, theirs))
+            pairs.append(_nearest(own, means(first, end)[theirs - first], low, theirs))
         return np.unique(np.concatenate(pairs), axis=0)
 
     def piece_sources(self, piece: int) -> Sequence[int]:
@@ -253,7 +252,7 @@ class WorldPackage(Package):
 
     def sets(self, cells: WorldCells, cache: Cache[Any]) -> WorldSets:
         """Return the visible sets of all cells, read tile by tile."""
-        return WorldSets(self.world, cells, self.bases, self._tables, cache)
+        return WorldSets(self.world, cells, self.bases, len(self.manifest.names), self._tables, cache)
 
     def _cells(self) -> WorldCells:
         return WorldCells.read(self.world, [node for node in self.nodes if self._is_tile(node)])
@@ -274,10 +273,7 @@ class WorldPackage(Package):
         every = list(self._manifests.values())
         tiles = [m for node, m in self._manifests.items() if self._is_tile(node)]
         names, far = first.names, sum(m.gaussians for node, m in self._manifests.items() if not self._is_tile(node))
-        counts = [far] * len(names)
-        for m in tiles:
-            for k, count in enumerate(m.counts):
-                counts[len(names) - len(m.counts) + k] += count
+        counts = [far + sum(m.counts[max(0, k + len(m.counts) - len(names))] for m in tiles) for k in range(len(names))]
         info = replace(first.info, provenance=self.world.manifest.provenance, cost=None, fidelity=None)
         epsilons = [m.info.epsilon for m in tiles if m.info.epsilon is not None]
         info = replace(info, epsilon=min(epsilons, default=None))
@@ -336,7 +332,7 @@ def _fits(world: World, node: int, m: Manifest, first: Manifest) -> bool:
     same = m.info.up == first.info.up and m.grids.variant == first.grids.variant
     if same and m.grids.precision == first.grids.precision and len(m.names) <= len(first.names):
         return True
-    _leave_out(world, node, "its axes, levels or colors are not those of the first tile; prepare the world again")
+    _leave_out(world, node, "its axes, levels or colors are not those of the tiles; prepare the world again")
     return False
 
 
@@ -352,14 +348,16 @@ def _common(grids: list[Grids]) -> Grids:
     return Grids(grids[0].variant, grids[0].precision, base, scales, decays, most)
 
 
-def _in_world(contents: Contents, grids: Grids, levels: int, is_tile: bool) -> Contents:
+def _in_world(contents: Contents, world: Manifest, is_tile: bool) -> Contents:
     """Return the records of a node with colors in the tables of the world, and its levels as those of the world.
 
-    The levels of a tile are the highest of the world; a district stands in all.
+    The levels of a tile are the highest of the world, and its lowest stands in all below; a district stands in all.
     """
-    chunk_levels = contents.chunk_levels + np.uint8(levels - len(contents.names))
+    grids, more = world.grids, np.uint8(len(world.names) - len(contents.names))
+    chunk_levels = contents.chunk_levels + more
+    chunk_levels[contents.chunk_levels[:, 0] == 0, 0] = 0
     if not is_tile:
-        chunk_levels = np.tile(np.array([0, levels - 1], np.uint8), (len(chunk_levels), 1))
+        chunk_levels[:] = 0, len(world.names) - 1
     records, terms = contents.records, contents.term_records
     if contents.grids != grids:
         colors = quantize(contents.colors().dequantize(), refit=False, grids=grids)
@@ -367,7 +365,9 @@ def _in_world(contents: Contents, grids: Grids, levels: int, is_tile: bool) -> C
         records[:, 1:4] = colors.base
         if contents.layout.color_scale:
             records[:, 4] = colors.scales
-    return replace(contents, chunk_levels=chunk_levels, records=records, term_records=terms, grids=grids)
+    return replace(
+        contents, records=records, term_records=terms, grids=grids, names=world.names, chunk_levels=chunk_levels
+    )
 
 
 def _frozen(array: NDArray[Any]) -> NDArray[Any]:

@@ -22,11 +22,13 @@ from gsvis.prepare.config import PrepareConfig
 from gsvis.prepare.prepare import stages_of
 from gsvis.progress import silent
 from gsvis.pvs.config import PvsConfig
+from gsvis.scene.corridor import space_along
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.view_sampling import ViewSampling
 from gsvis.train.levels import LevelsConfig
+from gsvis.world.districts import merge_down
 from gsvis.world.graph import Facts, Given
 from gsvis.world.rows import flatten, load_gaussians, load_rows, median_spacing, save_gaussians, save_tile_levels
 
@@ -43,7 +45,7 @@ __all__ = [
     "tile_space",
 ]
 
-VERSIONS = {"gather_rows": 1, "make_tile_levels": 1, "tile_space": 2}
+VERSIONS = {"gather_rows": 1, "make_tile_levels": 2, "tile_space": 2}
 
 MARGIN = 0.15
 """How far beyond a tile its space is looked for, in its longer side."""
@@ -58,6 +60,8 @@ def gather_rows(params: Facts, given: Given, out: Path, work: Path) -> Facts:
 
 def tile_space(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     """Task: find where eyes may be in the squares of a tile. Inputs are its rows, then those of the tiles around it.
+
+    With `walk`, positions within `margin` of the tile, eyes are along them, and nowhere without any.
 
     Facts: the number of free voxels; 0 if nobody can be there.
     """
@@ -81,9 +85,15 @@ def near_tile(means: NDArray[np.floating[Any]], params: Facts) -> NDArray[np.boo
 
 def space_of_tile(near: Gaussians, params: Facts) -> NavigableSpace | None:
     """Return where eyes may be in the squares of a tile, from its rows and those around it; None if nowhere."""
+    if "walk" in params and not params["walk"]:
+        return None
     low, high, axes = (np.array(params[name]) for name in ("low", "high", "axes"))
+    how = {"up": params["up"], "resolution": params["resolution"]}
     try:
-        found = NavigableSpace.from_scene(near, up=params["up"], resolution=params["resolution"])
+        if "walk" in params:
+            found = space_along(near, params["walk"], params["margin"], **how)
+        else:
+            found = NavigableSpace.from_scene(near, **how)
     except SceneError:
         return None
     free = found.free.copy()
@@ -115,8 +125,8 @@ def load_space(path: Path) -> NavigableSpace:
 def make_tile_levels(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     """Task: make the levels of a tile from its rows and its space, in the order of a package.
 
-    Without a space, or where it is too small to train levels, the lower of two levels has the `most` Gaussians with the
-    largest shadows.
+    Without a space, or where it is too small to train levels, the lower of two levels is the tile merged to `most`
+    Gaussians: the largest alone would leave holes, and look finer than they are.
 
     Facts: names, sizes and spacings of the levels, and the record of their quality.
     """
@@ -125,7 +135,7 @@ def make_tile_levels(params: Facts, given: Given, out: Path, work: Path) -> Fact
     if given.inputs[1:] and given.inputs[1].facts["voxels"]:
         levels, quality = _trained(g, load_space(given.path(1, "space")), config, work)
     if levels is None:
-        levels = in_package_order(_strongest(g, params["most"]))
+        levels = in_package_order(_merged(g, params["most"]))
     save_tile_levels(out / "levels", levels)
     (out / "quality.json").write_text(json.dumps(quality), encoding="ascii")
     spacings = [median_spacing(levels.level(k)) for k in range(len(levels))]
@@ -165,12 +175,13 @@ def _trained(
         return None, None
 
 
-def _strongest(g: Gaussians, most: int) -> Levels:
-    """Return a scene as two levels, of which the lower has the Gaussians with the largest shadows; or as one."""
+def _merged(g: Gaussians, most: int) -> Levels:
+    """Return a scene as two levels, of which the lower is the scene merged to at most `most`; as one if it has no more.
+
+    They share nothing, so that who sees only one of them gets only this one.
+    """
     if len(g) <= most:
         return Levels.single(g)
-    s = g.scales.astype(np.float64)
-    strength = g.opacities * (s[:, 0] * s[:, 1] + s[:, 1] * s[:, 2] + s[:, 2] * s[:, 0])
-    first = np.ones(len(g), np.uint8)
-    first[np.argsort(-strength, kind="stable")[:most]] = 0
-    return Levels(g, first, np.ones(len(g), np.uint8), ("low", "high"))
+    low = merge_down(g, most)
+    level = np.repeat(np.array([0, 1], np.uint8), [len(low), len(g)])
+    return Levels(Gaussians.concatenate([low, g]), level, level, ("low", "high"))

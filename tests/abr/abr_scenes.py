@@ -29,6 +29,14 @@ class ArrayCells:
         return self._terms[cell]
 
 
+class StandingIndex(SceneIndex):
+    """A scene of which a cell sees a part at all levels above the last, as of a far tile of a world."""
+
+    def standing(self, cell: int) -> np.ndarray:
+        ids = self.sets.classes(cell)[0]
+        return ids[np.random.default_rng(cell).random(len(ids)) < 0.3]
+
+
 def random_levels(rng: np.random.Generator, count: int, levels: int, *, ordered: bool = True) -> Levels:
     means = rng.uniform(-5, 5, (count, 3))
     union = Gaussians(
@@ -69,6 +77,7 @@ def random_index(
     ordered: bool = True,
     classes: int = 4,
     cones: bool = False,
+    standing: bool = False,
 ) -> SceneIndex:
     rng = np.random.default_rng(seed)
     made = random_levels(rng, count, levels, ordered=ordered)
@@ -85,7 +94,7 @@ def random_index(
     cells = ArrayCells(count, members, terms)
     found = random_cones(rng, int(offsets[-1])) if cones else None
     sizes, nbytes = rng.integers(10, 20, count), rng.uniform(3, 6, int(offsets[-1]))
-    return SceneIndex.from_levels(
+    return (StandingIndex if standing else SceneIndex).from_levels(
         made,
         grid,
         cells,

@@ -74,12 +74,15 @@ def joined(batches: list[Batch], name: str) -> list[int]:
 @FEW
 @given(
     st.integers(0, 10_000), st.sampled_from(POLICIES), st.sampled_from(REGIMES), st.integers(1, 3), st.booleans(),
-    st.booleans(), st.booleans(),
+    st.booleans(), st.booleans(), st.booleans(),
 )  # fmt: skip
-def test_fast_and_slow_give_the_same_records_in_the_same_order(seed, policy, regime, levels, ordered, cones, fill):
+def test_fast_and_slow_give_the_same_records_in_the_same_order(
+    seed, policy, regime, levels, ordered, cones, fill, standing
+):
     shape = (4, 3, 3) if fill else (3, 3, 2)
     index = scenes.random_index(
-        seed, count=200, levels=levels, ordered=ordered, cones=cones, shape=shape, share=0.1 if fill else 0.4
+        seed, count=200, levels=levels, ordered=ordered, cones=cones, shape=shape, share=0.1 if fill else 0.4,
+        standing=standing,
     )  # fmt: skip
     store = CandidateIndex(index)
     view = some_view(index, seed, regime)

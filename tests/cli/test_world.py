@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from gsvis.cli import main
+from gsvis.world import World
 from tests.few_views import take_few_views
 from tests.world import cities
 
@@ -58,6 +59,7 @@ def test_a_scene_becomes_a_world_that_is_whole(scene: str, tmp_path: Path, capfd
         (["--lod", "1"], "--lod: expected one number, or one for each streamed scene, which are 0"),
         (["--up", "north"], "north"),
         (["--levels", "0.5", "0.3"], "--levels: expected each below the next"),
+        (["--margin", "2"], "--margin: expected --path with it"),
     ],
 )
 def test_wrong_arguments_end_with_one_line(
@@ -67,6 +69,18 @@ def test_wrong_arguments_end_with_one_line(
     error = capfd.readouterr().err
     assert message in error
     assert error.count("\n") == 1
+
+
+def test_a_world_has_eyes_along_a_path_alone(scene: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    walk, out = tmp_path / "walk.csv", tmp_path / "c.gsworld"
+    walk.write_text("t,x,y,z,qw,qx,qy,qz\n0,0.5,2,1.5,1,0,0,0\n4,4,2,1.5,1,0,0,0\n")
+    assert main(["world", scene, "-o", str(out), *SMALL, "--path", str(walk), "--margin", "0.6", "--json"]) == 0
+    assert json.loads(capfd.readouterr().out)["cells"] > 0
+    with World.open(out).package(0) as package:
+        grid = package.visibility.grid
+    assert grid.centers[:, 0].max() < 4.0 + 0.6 + grid.cell_size
+    assert main(["world", scene, "-o", str(tmp_path / "d.gsworld"), "--path", str(tmp_path / "none.csv")]) == 2
+    assert "none.csv" in capfd.readouterr().err
 
 
 def test_wrong_scenes_end_with_one_line(scene: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

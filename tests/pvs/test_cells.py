@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from gsvis.errors import SceneError
 from gsvis.pvs import CellGrid
-from gsvis.scene.corridor import corridor
+from gsvis.scene.corridor import corridor, space_along
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.procedural import two_rooms
@@ -192,6 +192,35 @@ def test_a_corridor_stays_out_of_walls() -> None:
     walk = np.array([[2.0, 2.0, 1.5], [6.0, 2.0, 1.5]])
     found = corridor(made.navigable, walk, 0.4)
     assert (found.free <= made.navigable.free).all()
+
+
+def test_eyes_along_a_walk_are_clear_near_it_and_fewer_for_a_smaller_margin() -> None:
+    g = two_rooms(1000, sh_degree=0).gaussians
+    walk = np.linspace([1.0, 2.0, 1.5], [7.0, 2.0, 1.5], 25)
+    found, wider = space_along(g, walk, 0.4, up="+z"), space_along(g, walk, 0.8, up="+z")
+    centers = centers_of(found)
+    assert np.linalg.norm(centers[:, None] - walk, axis=2).min(axis=1).max() <= 0.4
+    assert not (found.free & found.occupied).any()
+    assert (found.free <= wider.free).all()
+    assert found.volume < wider.volume
+
+
+def test_eyes_are_along_a_walk_in_a_room_and_outside_of_it() -> None:
+    g = two_rooms(1000, sh_degree=0).gaussians
+    walk = np.concatenate([np.linspace([1.0, 2.0, 1.5], [3.0, 2.0, 1.5], 9), [[-1.0, -1.0, 1.5]]])
+    found = space_along(g, walk, 0.4, up="+z")
+    assert found.contains(walk).all()
+
+
+def test_a_walk_along_which_nothing_is_clear_is_refused() -> None:
+    g = two_rooms(1000, sh_degree=0).gaussians
+    for bad in (0.0, -1.0, np.inf, np.nan):
+        with pytest.raises(ValueError, match="margin"):
+            space_along(g, [[2.0, 2.0, 1.5]], bad)
+    with pytest.raises(ValueError, match="positions"):
+        space_along(g, np.zeros((0, 3)), 1.0)
+    with pytest.raises(SceneError, match="navigable"):
+        space_along(g, [[2.0, 2.0, 1.5]], 1e-4)
 
 
 def test_a_walk_of_another_frame_is_refused() -> None:

@@ -20,13 +20,14 @@ from gsvis.color.fit import FitConfig
 from gsvis.errors import FormatError
 from gsvis.files.mapped import MappedArrays
 from gsvis.prepare.colors import ColorConfig
+from gsvis.pvs.codec import ids_of
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.view_sampling import ViewSampling
 from gsvis.serve import Address, Server, StreamClient, open_scenes
 from gsvis.stream import Quality, Receiver, Session, StreamedScene
 from gsvis.stream.coding import Coding
 from gsvis.train.levels import LevelsConfig
-from gsvis.world import World
+from gsvis.world import Tile, World
 from gsvis.world.cells import WorldSets
 from gsvis.world.prepare import prepare_world
 from gsvis.world.streamed import WorldPackage, open_world
@@ -51,6 +52,16 @@ def far(tmp_path_factory: pytest.TempPathFactory) -> Path:
     scene = write(small_street(houses=4, step=0.5, flyaways=12), folder / "street.ply")
     prepare_world([scene], folder / "c.gsworld", options)
     return folder / "c.gsworld"
+
+
+@pytest.fixture(scope="module")
+def leveled(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A long world of two levels with districts that are seen; what lies outside has one level."""
+    folder = tmp_path_factory.mktemp("leveled")
+    levels = LevelsConfig((0.3,), (0.8,), ("low", "high"), iterations=2, preview=0.0)
+    scene = write(small_street(houses=4, step=0.5, flyaways=12), folder / "street.ply")
+    prepare_world([scene], folder / "d.gsworld", replace(config(levels, most=400), angle=0.3))
+    return folder / "d.gsworld"
 
 
 @pytest.fixture(scope="module")
@@ -135,6 +146,56 @@ def test_a_district_is_replaced_by_all_of_its_tiles(far: Path) -> None:
             assert set((bases[tile] + lowest).tolist()) <= reached
 
 
+def test_the_levels_of_all_nodes_are_those_of_the_world(leveled: Path) -> None:
+    """The lowest level of a node stands in all levels below, and each level of a tile is that of the world."""
+    world, index = World.open(leveled), open_world(leveled)[0].index
+    package = WorldPackage(world, set())
+    assert package.nodes == [*range(len(world.manifest.tiles)), *sorted(seen_districts(world))]
+    assert index.level_names == ("low", "high")
+    counts = np.zeros(2, int)
+    for node in package.nodes:
+        some = slice(*package.bases[node : node + 2].tolist())
+        first, last = index.first[some], index.last[some]
+        with world.package(node) as own:
+            members, names = own.contents.levels(), own.manifest.names
+        for k in range(2):
+            level = members.member(max(0, k + len(names) - 2))
+            assert np.array_equal((first <= k) & (k <= last), level)
+            counts[k] += np.count_nonzero(level)
+    assert package.manifest.counts == tuple(counts)
+    assert {len(tile.levels) for tile in world.manifest.tiles} == {1, 2}
+
+
+def test_a_viewer_of_the_highest_level_gets_all_that_stands_for_it_around_a_tile(leveled: Path) -> None:
+    """A far tile stands at a lower level: the Gaussians of this level alone are sent, as those of districts are."""
+    world, (scene, _) = World.open(leveled), open_world(leveled)
+    index, bases = scene.index, scene.package.bases  # type: ignore[attr-defined]
+    alone = 0
+    for cell in range(len(index.grid)):
+        tile = int(index.grid.tiles[cell])
+        beyond = world.beyond(tile)
+        assert beyond is not None
+        wanted = set[int]()
+        for seen in beyond.of_cell(int(index.grid.places[cell])):
+            node, ids = world.manifest.node(seen.node), bases[seen.node] + seen.ids
+            top = seen.level + 2 - len(node.levels) if isinstance(node, Tile) else 1
+            wanted |= set(ids[(index.first[ids] <= top) & (top <= index.last[ids])].tolist())
+        beyond.close()
+        session, held = Session(scene, VIEW, AbrConfig(start_rate=1e9, fill=False)), set[int]()
+        session.welcome(0.0)
+        session.on_ack(0.0, 0)
+        for k in range(20):
+            session.on_pose(0.1 * k + 0.1, index.grid.centers[cell], (0.5, -0.5, 0.5, -0.5))
+            if (message := session.next_message(0.1 * k + 0.1, 1e6)) is None:
+                break
+            held |= set(message.batch.gaussians.tolist())
+            session.on_ack(0.1 * k + 0.11, message.sequence)
+        alone += sum(index.last[g] == 0 for g in wanted & held)
+        assert session.planner.regime == "high"
+        assert wanted <= held | set(ids_of(session.holdings.gone).tolist())
+    assert alone > 0
+
+
 def test_a_viewer_crosses_borders_and_gets_nothing_twice(city: Path, tmp_path: Path) -> None:
     scene, _ = open_world(city)
     found, receiver, came = walk(scene)
@@ -180,7 +241,7 @@ def test_tables_made_node_by_node_are_those_of_the_whole(
 
 
 def test_a_tile_may_have_fewer_levels_than_the_world(tmp_path: Path) -> None:
-    """As what lies outside mostly does."""
+    """As what lies outside mostly does. Its lowest level stands in all lower ones of the world."""
     levels = LevelsConfig((0.3,), (0.9,), ("low", "high"), iterations=3, preview=0.1, preview_from=0)
     path = tmp_path / "city.gsworld"
     prepare_world([write(street(), tmp_path / "street.ply")], path, config(levels, most=4000))
@@ -191,7 +252,7 @@ def test_a_tile_may_have_fewer_levels_than_the_world(tmp_path: Path) -> None:
         scene, _ = open_world(path, tables=tables, quality=Quality())
         assert isinstance(scene.package, WorldPackage)
         few = slice(*scene.package.bases[np.argmin(counts) :][:2])
-        assert (scene.index.first[few] == 1).all()
+        assert (scene.index.first[few] == 0).all()
         assert len(scene.candidates.links.ending)
         assert len(walk(scene)[2])
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -148,6 +149,35 @@ def test_a_stopped_run_goes_on_to_the_same_bytes(
     assert len(set(ran)) == len(ran), "nothing is done twice"
     assert len(ran) - before < 60
     assert cities.content(path) == cities.content(city)
+
+
+def test_eyes_of_a_world_are_along_its_walk(scene: Scene, city: Path, tmp_path: Path) -> None:
+    walk = ((0.5, 2.0, 1.5), (3.0, 2.0, 1.5))
+    path = tmp_path / "city.gsworld"
+    prepare_world([scene], path, replace(cities.config(), walk=walk, margin=0.8))
+    world, everywhere = World.open(path), World.open(city)
+    assert sum(tile.cells > 0 for tile in world.manifest.tiles) > 0
+    for k, (tile, free) in enumerate(zip(world.manifest.tiles, everywhere.manifest.tiles, strict=True)):
+        assert (tile.coords, tile.shape) == (free.coords, free.shape), "tiles do not depend on the walk"
+        assert tile.levels[-1][1] == free.levels[-1][1]
+        if tile.cells:
+            with world.package(k) as package:
+                grid = package.visibility.grid
+            on_walk = np.clip(grid.centers, *np.array(walk))
+            apart = np.linalg.norm(grid.centers - on_walk, axis=1)
+            assert apart.max() <= 0.8 + np.sqrt(3.0) * grid.cell_size
+    far = [k for k, tile in enumerate(world.manifest.tiles) if tile.low[0] > 3.8]
+    assert far
+    assert not any(world.manifest.tiles[k].cells for k in far)
+
+
+def test_a_walk_that_is_none_is_refused() -> None:
+    for margin in (0.0, -1.0, np.inf, np.nan):
+        with pytest.raises(ValueError, match="margin"):
+            replace(cities.config(), margin=margin)
+    for walk in ((), ((0.0, 1.0),), ((0.0, 1.0, np.nan),)):
+        with pytest.raises(ValueError, match="walk"):
+            replace(cities.config(), walk=walk)  # type: ignore[arg-type]
 
 
 def test_levels_are_trained_for_tiles(scene: Scene, tmp_path: Path) -> None:

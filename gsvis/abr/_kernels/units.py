@@ -94,8 +94,16 @@ def word_spheres(means, radii, areas, spheres, spreads):
         spreads[w] = min(spread / total, 1e30)
 
 
+@njit(inline="always")
+def _pair(pairs, levels, stands, g):
+    """Return first level L + last level of a Gaussian, whose last is the highest if its bit of `stands` is set."""
+    if (stands >> np.uint64(g & 63)) & np.uint64(1):
+        return pairs[g] // levels * levels + levels - 1
+    return np.int64(pairs[g])
+
+
 @kernel(error_model="numpy")
-def cell_units(seen, classes, traits, class_weights, found):
+def cell_units(seen, classes, traits, class_weights, standing, levels, found):
     """Split the members of a cell into units of ring 0.
 
     Args:
@@ -103,6 +111,8 @@ def cell_units(seen, classes, traits, class_weights, found):
         classes: (V,) weight class of each, in rising order of ids.
         traits: `Traits`.
         class_weights: (K,).
+        standing: (S,) uint64, the members that the cell sees at all levels above their last; (0,) for none.
+        levels: L.
         found: `Units`, receives the units, each with its word instead of a slot.
 
     Returns:
@@ -115,6 +125,7 @@ def cell_units(seen, classes, traits, class_weights, found):
     rank, filled, words, members = 0, 0, seen.words, seen.masks
     for s in range(len(words)):
         w, rest = np.int64(words[s]), members[s]
+        stands = standing[s] if len(standing) else np.uint64(0)
         low_class, high_class = 255, 0
         while rest:
             low = lowest(rest)
@@ -130,19 +141,20 @@ def cell_units(seen, classes, traits, class_weights, found):
             masks[kind], sums[kind, 0], sums[kind, 1] = 0, 0.0, 0.0
             while whole:
                 lead, mask = 64 * w + np.int64(lowest(whole)), whole
-                if mixed[w]:
+                pair = _pair(pairs, levels, stands, lead)
+                if mixed[w] or stands:
                     rest, mask, area, pixel = whole, np.uint64(0), 0.0, 0.0
                     while rest:
                         low = lowest(rest)
                         rest &= rest - one
                         g = 64 * w + np.int64(low)
-                        if pairs[g] == pairs[lead]:
+                        if _pair(pairs, levels, stands, g) == pair:
                             mask |= one << low
                             area += strengths[g, 0]
                             pixel += strengths[g, 1]
                 whole &= ~mask
                 count = np.float64(ones(mask))
-                out_words[filled], out_masks[filled], out_codes[filled] = w, mask, pairs[lead]
+                out_words[filled], out_masks[filled], out_codes[filled] = w, mask, pair
                 out_areas[filled] = class_weights[kind] * area / count
                 out_pixels[filled] = class_weights[kind] * pixel / count
                 out_logs[filled] = np.log(max(class_weights[kind], 1e-30))
