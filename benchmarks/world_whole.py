@@ -68,12 +68,8 @@ def main() -> None:
         return
     estimate = estimate_world(scenes, config, workers=given.workers)
     peak_file = given.work / "peak.json"
-    with watch_memory(0.2 * given.workers) as peak:
-        try:
-            made = prepare_world(scenes, given.work / "city.gsworld", config, workers=workers)
-        finally:
-            before = json.loads(peak_file.read_text()) if peak_file.is_file() else 0
-            peak_file.write_text(json.dumps(max(before, peak.bytes)))
+    with keep_peak(peak_file, given.workers):
+        made = prepare_world(scenes, given.work / "city.gsworld", config, workers=workers)
     write(given, estimate, made, json.loads(peak_file.read_text()))
 
 
@@ -86,12 +82,13 @@ def sample(
         found = build.chosen
         around = {k: sum(found[name].facts["gaussians"] for name in names) for k, names in build.nodes.items()}
         some = sorted(sorted(around, key=lambda k: around[k])[-given.sample :])
-        with watch_memory(0.2 * given.workers) as peak:
+        with keep_peak(given.work / "peak-of-sample.json", given.workers):
             results = build.prepared(some)
+    peak = json.loads((given.work / "peak-of-sample.json").read_text())
     cpu, most = sum(result.cpu for result in results), max(result.peak for result in results)
     pieces = [sum(count for piece in result.facts["pieces"] for _, count in piece["runs"]) for result in results]
     figures: list[dict[str, Any]] = [
-        {"name": "peak PSS of all processes", "target": given.max_memory, "reached": peak.bytes / 1e9, "unit": "GB",
+        {"name": "peak PSS of all processes", "target": given.max_memory, "reached": peak / 1e9, "unit": "GB",
          "better": "lower"},
         {"name": "largest process, RSS", "target": None, "reached": most / 1e9, "unit": "GB", "better": "lower"},
         {"name": "processor time of a package", "target": None, "reached": cpu / len(results), "unit": "s",
@@ -99,11 +96,22 @@ def sample(
     ]  # fmt: skip
     details = {
         "sample": f"packages of {len(some)} of {len(build.tiles)} tiles, those with most around them", "tiles": some,
-        "around": pieces, "cpu_s": [result.cpu for result in results], "processes": peak.processes,
+        "around": pieces, "cpu_s": [result.cpu for result in results],
         "gaussians": sum(found[f"levels {k}"].facts["gaussians"] for k in range(len(build.tiles))),
         "workers": given.workers,
     }  # fmt: skip
     write_result(given.out, "What do the packages of a large world hold in memory?", figures, details)
+
+
+@contextmanager
+def keep_peak(file: Path, workers: int) -> Iterator[None]:
+    """Follow the memory of all processes; the largest of this run and of those it goes on from stays in a file."""
+    with watch_memory(0.2 * workers) as peak:
+        try:
+            yield
+        finally:
+            before = json.loads(file.read_text()) if file.is_file() else 0
+            file.write_text(json.dumps(max(before, peak.bytes)))
 
 
 @contextmanager

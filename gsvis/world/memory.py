@@ -28,7 +28,7 @@ _TRAINING, _IMAGE = 160 * _MB, 7  # gradients of a view; bytes for each pixel of
 # Bytes of the package of a tile: for each Gaussian in and around it; for each of the largest level, of which looks and
 # tracer are in memory while it is looked at (docs/design/086); for each pixel of a look.
 _JOINT, _LEVEL, _PIXEL = 120, {"hybrid": 420, "raster": 650, "raycast": 910}, 6 * 64
-_STANDS = 0.75  # most of the highest levels of the tiles around one that stands there
+_NEAR, _STANDS, _FAR_STANDS = 12, 0.75, 0.4  # most of a tile's Gaussians that stand: of a dozen tiles, of all others
 
 
 def needed_memory(run: str, params: Facts, inputs: Sequence[Facts]) -> int:
@@ -102,16 +102,20 @@ def _tile(params: Facts, inputs: Sequence[Facts]) -> int:
     own = inputs[0]["gaussians"]
     if params["outside"] or not inputs[1]["voxels"]:
         return int(150 * _MB + 500 * own)
-    around = sum(_standing(each) for each in inputs[2:])
+    around = _standing([each for each in inputs[2:] if "spacings" in each])
+    around += sum(each["gaussians"] for each in inputs[2:] if "spacings" not in each)
     sets, joint = PvsConfig(**params["config"]["sets"]), own + around
     return tile_memory(own, [joint], joint, 0, sets) - IDLE
 
 
-def _standing(node: Facts) -> int:
-    """Return how many Gaussians of a node may stand around a tile: all of a district, most of a tile."""
-    if "spacings" not in node:
-        return int(node["gaussians"])
-    return max(int(node["levels"][0][1]), int(_STANDS * node["gaussians"]))
+def _standing(tiles: Sequence[Facts]) -> int:
+    """Return how many Gaussians of the tiles around one may stand there; the more there are, the farther most are."""
+    largest = sorted(tiles, key=lambda tile: tile["gaussians"], reverse=True)
+    shares = [_STANDS if k < _NEAR else _FAR_STANDS for k in range(len(largest))]
+    return sum(
+        max(int(tile["levels"][0][1]), int(share * tile["gaussians"]))
+        for tile, share in zip(largest, shares, strict=True)
+    )
 
 
 def _lowest(nodes: Sequence[Facts]) -> int:
