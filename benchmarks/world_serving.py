@@ -4,10 +4,10 @@ A world of 130 copies of a package, moved side by side, each a tile of its own w
 of the package. What a cell sees ends with its tile; neighbors of cells go across borders. Records of the copies share
 their files by hard links. Tables of the tiles that viewers come near are computed as a server does; those of all other
 tiles are holes in the file of tables, which read as zeros and take no disk: a server that looks there fails. Every
-viewer begins in another tile, stands still for three seconds and walks to the same place one tile on, and further. The
-same viewers visit the package alone, in a server of its own: first one at a time, package and world in turn, then all
-20 at once. A viewer does not decode while it visits; afterwards all bytes are compared with the records of the package,
-and images are drawn.
+viewer begins in another cell of another tile, stands still for three seconds and walks along x, most across a border.
+The same viewers visit the package alone, in a server of its own: first one at a time, package and world in turn, then
+all 20 at once. A viewer does not decode while it visits; afterwards all bytes are compared with the records of the
+package, and images are drawn.
 
 Given: showroom LOD 3 as a package of three levels with 255 cells, links of 10 Mbit/s, no round trip.
 Measured: PSS and RSS of the server, its open files, seconds from before the connection until what a link has brought
@@ -32,7 +32,7 @@ import numpy as np
 from _harness import add_arguments, need, write_result
 from _large_world import lattice, write_tables
 from _memory import pss
-from server_load import Viewer, memory_of, other_cores, serving
+from server_load import Viewer, cpu_of, memory_of, other_cores, serving
 
 from gsvis.package import Package
 from gsvis.scene.cameras import Cameras
@@ -43,20 +43,20 @@ from gsvis.stream.batch import Sections
 from gsvis.stream.kept import open_kept
 from gsvis.world.streamed import open_world
 
-STANDS_S = 3.0  # seconds before a viewer walks
+STANDS_S, SPEED = 3.0, 1.5  # seconds before a viewer walks; units a second
 FIRST_DB = 20.0
 SIZE = 192, 134  # pixels of an image
 
 
 class Visitor(Viewer):
-    """A viewer who stands at an eye, looks along x or y, and then walks by `step` every `STANDS_S` times two."""
+    """A viewer who stands at an eye, looks along x or y, and then walks along x."""
 
-    def __init__(self, url: str, eye: np.ndarray, forward: np.ndarray, step: np.ndarray) -> None:
+    def __init__(self, url: str, eye: np.ndarray, forward: np.ndarray) -> None:
         super().__init__(url, eye[None], np.array([0.0, 0.0, 1.0]), 0, np.inf)
         right = np.cross(forward, [0.0, 0.0, 1.0])
         turn = np.stack([right, np.cross(forward, right), forward], axis=1)
         self._quat = tuple(float(v) for v in quats_from_rotations(turn[None])[0])
-        self._eye, self._step = eye, step
+        self._eye = eye
         self.messages: list[tuple[float, bytes]] = []
         self.began = 0.0
 
@@ -64,7 +64,7 @@ class Visitor(Viewer):
         self.messages.append((at - self.began, data))
 
     def pose(self, t: float) -> bytes:
-        place = self._eye + max(0.0, t - STANDS_S) / (2.0 * STANDS_S) * self._step
+        place = self._eye + np.array([max(0.0, t - STANDS_S) * SPEED, 0.0, 0.0])
         return PoseAt(int(1e3 * t), tuple(float(v) for v in place), self._quat).to_bytes()
 
     async def run(self, until: float) -> None:
@@ -172,7 +172,7 @@ def checked(visitors: Sequence[Visitor], scene: StreamedScene) -> dict[str, int]
     return found
 
 
-def visit(url: str, guests: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], seconds: float) -> list[Visitor]:
+def visit(url: str, guests: Sequence[tuple[np.ndarray, np.ndarray]], seconds: float) -> list[Visitor]:
     """Visits at the same time."""
     visitors = [Visitor(url, *guest) for guest in guests]
 
@@ -194,7 +194,7 @@ def main() -> None:
     parser.add_argument("--near", type=int, default=6, help="first columns, whose tables are computed")
     parser.add_argument("--viewers", type=int, default=20)
     parser.add_argument("--alone", type=int, default=6, help="visits of one viewer at a time")
-    parser.add_argument("--seconds", type=float, default=12.0)
+    parser.add_argument("--seconds", type=float, default=16.0)
     parser.add_argument("--settled", type=float, default=10.0, help="seconds after the last viewer")
     parser.add_argument("--core", type=int, default=0, help="the core of the server")
     args = parser.parse_args()
@@ -206,16 +206,16 @@ def main() -> None:
     tables = args.work / "tables"
     write_tables(whole, near, tables)
     os.sched_setaffinity(0, other_cores(args.core))
-    views = Views.of(args.package, 5)
+    views = Views.of(args.package, args.viewers)
     alone, _ = open_kept(Package.open(args.package), tables)
     world, _ = open_world(whole, tables=tables)
     size, step = len(alone), alone.index.grid.cell_size * np.array(alone.index.grid.shape) * (1.0, 0.0, 0.0)
     across = alone.index.grid.cell_size * np.array(alone.index.grid.shape) * (0.0, 1.0, 0.0)
 
-    def guest(k: int, *, moved: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def guest(k: int, *, moved: bool) -> tuple[np.ndarray, np.ndarray]:
         """The guest of tile k, and in the package the same one, who walks out of it."""
         at, by = k % len(views.eyes), k // args.rows * step + k % args.rows * across
-        return views.eyes[at] + moved * by, views.forwards[at], step
+        return views.eyes[at] + moved * by, views.forwards[at]
 
     figures: list[dict[str, Any]] = []
     details: dict[str, Any] = {"package": args.package.name, "load_before": os.getloadavg()[0], "viewers": args.viewers}
@@ -237,8 +237,10 @@ def main() -> None:
                     at = first_image(visitor, views.frames[k % len(views.eyes)], base, scene, size)
                     firsts.setdefault(f"{name}, alone", []).append(at)
             for name, to, process, moved, scene in places:
+                cpu = cpu_of(process.pid)
                 with watching(process.pid) as watch:
                     visitors = visit(to, [guest(k, moved=moved) for k in range(args.viewers)], args.seconds)
+                    cpu = cpu_of(process.pid) - cpu
                     time.sleep(args.settled)
                 for k, visitor in enumerate(visitors):
                     frame, base = views.frames[k % len(views.eyes)], k * size if moved else 0
@@ -248,6 +250,7 @@ def main() -> None:
                 details[name] = {
                     "peak_pss": max(watch.pss), "peak_rss": max(watch.rss), "settled_pss": watch.pss[-1],
                     "settled_rss": watch.rss[-1], "open_files": watch.files, "pss": watch.pss[::4],
+                    "cpu_share": cpu / args.seconds, "connections": sum(visitor.opened for visitor in visitors),
                     "welcome_bytes": len(visitors[0].messages[0][1]),
                     "mbit_per_s": [visitor.bytes / args.seconds / 125_000 for visitor in visitors],
                 }  # fmt: skip

@@ -9,6 +9,7 @@ sizes are bytes of messages.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -88,6 +89,8 @@ class Session:
         self._throughput = estimator(self.config.estimator, self.config.start_rate)
         self.wire_bytes, self.record_bytes, self.filling_bytes = 0, 0.0, 0
         self._sequence, self._overhead = 0, _FIRST
+        sizes = len(self.holdings.sent), len(self.holdings.sent_terms)
+        self._marks, self._term_marks = ((blank(n, np.uint64), blank(-(-n // 64), np.uint64)) for n in sizes)
         self._has_row = blank(len(scene.chunk_rows), bool)
         if holdings is not None:
             self._has_row[scene.chunks[holdings.received]] = True
@@ -231,7 +234,8 @@ class Session:
 
     def _encode(self, batch: Batch) -> bytes:
         scene = self.scene
-        coding, gaussians, terms = scene.coding, np.sort(batch.gaussians), np.sort(batch.terms)
+        coding, gaussians = scene.coding, _ascending(batch.gaussians, *self._marks)
+        terms = _ascending(batch.terms, *self._term_marks)
         of, fresh = np.empty_like(gaussians), np.empty_like(gaussians)
         chunks = fresh[: kernels.lay_out(gaussians, scene.chunks, scene.starts, self._has_row, of, fresh)]
         owners = scene.owners[terms]
@@ -244,7 +248,14 @@ class Session:
             terms=terms,
             owners=owners,
             term_records=coding.encode_some_terms(scene.term_records, terms, owners),
-            gone=np.sort(batch.gone),
+            gone=_ascending(batch.gone, *self._marks),
             evicted=np.sort(batch.evicted),
         )
         return sections.to_message(scene.about)
+
+
+def _ascending(ids: NDArray[Any], marks: NDArray[np.uint64], summary: NDArray[np.uint64]) -> NDArray[Any]:
+    out = np.empty_like(ids)
+    if len(ids):
+        kernels.ascend(ids, marks, summary, out)
+    return out

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from pathlib import Path
 
 import numpy as np
@@ -93,6 +94,16 @@ def test_owners_go_on_with_their_terms(counts: list[int], data: st.DataObject) -
     assert back.tolist() == owners[chosen].tolist()
     if len(back):
         assert not kernels.owners_from(values, chosen, share, int(back[-1]), back)
+
+
+@given(st.sets(st.integers(0, 8191)), st.sampled_from([np.int32, np.uint32]), st.randoms())
+def test_ids_are_sorted(some: set[int], kind: type[np.int32] | type[np.uint32], chance: random.Random) -> None:
+    ids, marks, summary = np.array(chance.sample(sorted(some), len(some)), kind), *np.zeros((2, 128), np.uint64)
+    out = np.empty_like(ids)
+    kernels.ascend(ids, marks, summary, out)
+    assert np.array_equal(out, np.sort(ids))
+    assert not marks.any()
+    assert not summary.any()
 
 
 @given(st.sets(st.integers(0, 4095)), st.sets(st.integers(1, 4095), max_size=20), st.data())

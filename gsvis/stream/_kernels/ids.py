@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from gsvis._kernels.bits import lowest
 from gsvis._kernels.compiled import kernel
 
 MOST_ORDER = 24
@@ -199,6 +200,35 @@ def owners_from(values, terms, share, gaussians, out):
         term, owner = terms[i], found
         out[i] = found
     return True
+
+
+@kernel
+def ascend(ids, marks, summary, out):
+    """Write ids (M,), all different, to `out` in ascending order.
+
+    Args:
+        ids: (M,).
+        marks: (W,) uint64 zeros, a bit for each id there is; zeros again at the end.
+        summary: uint64 zeros, a bit for each word of `marks`; zeros again at the end.
+        out: (M,) receives the ids.
+    """
+    count, one = 0, np.uint64(1)
+    for i in range(len(ids)):
+        w = np.int64(ids[i]) >> 6
+        marks[w] |= one << np.uint64(ids[i] & 63)
+        summary[w >> 6] |= one << np.uint64(w & 63)
+    for v in range(len(summary)):
+        some = summary[v]
+        summary[v] = 0
+        while some:
+            w = 64 * v + np.int64(lowest(some))
+            some &= some - one
+            rest = marks[w]
+            marks[w] = 0
+            while rest:
+                out[count] = 64 * w + np.int64(lowest(rest))
+                rest &= rest - one
+                count += 1
 
 
 @kernel
