@@ -365,8 +365,9 @@ def _in_world(contents: Contents, world: Manifest, is_tile: bool) -> Contents:
         records[:, 1:4] = colors.base
         if contents.layout.color_scale:
             records[:, 4] = colors.scales
-    own = {"records": records, "term_records": terms, "grids": grids}
-    return replace(contents, names=world.names, chunk_levels=chunk_levels, **own)
+    return replace(
+        contents, names=world.names, chunk_levels=chunk_levels, records=records, term_records=terms, grids=grids
+    )
 
 
 def _frozen(array: NDArray[Any]) -> NDArray[Any]:
