@@ -178,8 +178,10 @@ class Stages:
         path, around = self.work.at(name), self.around
 
         def build(seen: Levels, target: Path) -> VisibilityStore:
-            how = {"workers": workers, "one_level": self.one_level, "progress": self.progress}
-            return build_pvs(seen, grid, self.space, target, self.config.sets, **how)
+            return build_pvs(
+                seen, grid, self.space, target, self.config.sets,
+                workers=workers, one_level=self.one_level, progress=self.progress,
+            )  # fmt: skip
 
         if around is None:
             build(levels, path).close()
