@@ -22,6 +22,7 @@ from gsvis.pvs.workers import Workers, machine_load
 from gsvis.train.levels import LevelsConfig
 from gsvis.world.build import WorldBuild
 from gsvis.world.config import WorldConfig
+from gsvis.world.graph import Facts
 from gsvis.world.memory import least_limit, needed_memory, tile_memory
 from gsvis.world.trial import Trial, try_tiles
 
@@ -242,9 +243,20 @@ def _memory(sizes: _Sizes, largest: int, most: int, workers: int) -> tuple[int, 
     package = sizes.config.package
     joint = int(min(largest * min(_MOST_AROUND, _ROOT_AROUND * sizes.tiles**0.5), sizes.count))
     tile = tile_memory(int(sizes.own * largest), [joint], int(sizes.own * joint), sizes.degree, package.sets)
-    params = {"config": package.as_dict()}
-    levels = needed_memory("gsvis.world.tiles:make_tile_levels", params, [{"gaussians": most}])
-    return int(_PEAK * tile), least_limit(levels, tile, workers)
+    params = {"config": package.as_dict(), "outside": False}
+    lowest = sizes.shares[0] if sizes.shares else 1.0
+
+    def levels(count: int) -> Facts:
+        return {"gaussians": int(sizes.own * count), "levels": [["", int(lowest * count)]], "spacings": []}
+
+    rows, own, others = {"gaussians": most}, levels(most), [levels(largest)] * min(sizes.tiles - 1, int(_MOST_AROUND))
+    needs: tuple[tuple[str, list[Facts]], ...] = (
+        ("tiles:tile_space", [rows, *others]), ("tiles:make_tile_levels", [rows]), ("districts:make_district", [own]),
+        ("pieces:choose_nodes", [own, {}, *others]), ("packages:prepare_tile", [own, {"voxels": 0}]),
+        ("packages:prepare_tile", [own, {"voxels": 1}, *others]),
+    )  # fmt: skip
+    task = max(needed_memory(f"gsvis.world.{run}", params, inputs) for run, inputs in needs)
+    return int(_PEAK * tile), least_limit(task, tile, workers)
 
 
 def _lower(levels: LevelsConfig) -> list[tuple[float, float]]:
