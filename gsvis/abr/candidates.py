@@ -132,7 +132,7 @@ class CandidateIndex:
         sent_per_stored: Least bytes of a record for each byte that it takes in the memory of a client.
         records: Bytes of all records.
         links: Which Gaussians replace which.
-        everything: All Gaussians and all terms as candidates of no cell, in ring 1, to fill idle links.
+        everything: All Gaussians and terms as candidates of no cell, in ring 1; shells use its runs and `term_bytes`.
         highest: (W,) uint64, the Gaussians of the highest level.
         seen: What each cell sees.
         shells: The cells around each cell.

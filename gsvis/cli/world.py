@@ -181,6 +181,8 @@ def _print_estimate(command: World, estimate: WorldEstimate) -> None:
 def _how_found(estimate: WorldEstimate) -> str:
     """Return what the times rest on, and what it took to find them."""
     trial, spent = estimate.trial, clock(estimate.spent)
+    if trial.eyes == 0.0:
+        return f"no tile that was tried has room for eyes, so it takes longer if others have; in {spent} of a core"
     if not trial.tiles:
         return f"times by constants, as trying would take a large part of the work; in {spent} of a core"
     eyes = f"about {trial.eyes:.0%} of the tiles have room for eyes"

@@ -328,7 +328,7 @@ def _nearest(mine: NDArray[np.float32], theirs: NDArray[np.float32], low: int, i
 
 
 def _fits(world: World, node: int, m: Manifest, first: Manifest) -> bool:
-    """Return whether a node can be streamed beside the first tile; log why not."""
+    """Return whether a node can be streamed beside the first of the tiles with most levels; log why not."""
     same = m.info.up == first.info.up and m.grids.variant == first.grids.variant
     if same and m.grids.precision == first.grids.precision and len(m.names) <= len(first.names):
         return True

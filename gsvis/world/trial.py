@@ -60,7 +60,7 @@ class Trial:
         choice: The looks that choose the Gaussians of all lower levels; 0 without levels.
         cells: Cells of a tile with room for eyes.
         cell: To find the set of a cell, its share of the shared looks included.
-        tiles: Tiles of which views were timed; 0 if all times come from constants.
+        tiles: Tiles of which views were timed; if 0, all times but `space` come from constants.
     """
 
     eyes: float
@@ -86,7 +86,7 @@ def try_tiles(build: WorldBuild, expected: Trial, most: int, budget: float) -> T
     Args:
         build: The preparation; its survey runs if it has not.
         expected: Times by constants.
-        most: Most Gaussians in and around a tile.
+        most: Most Gaussians around a tile.
         budget: Seconds of processor. What is expected to exceed it is not begun.
     """
     began, config = _clock(), build.config.package
