@@ -190,6 +190,10 @@ class WorldBuild:
                 needs = (*needs, f"space {k}")
             params = {"config": package, "most": self.config.far}
             tasks.append(Task(f"levels {k}", "gsvis.world.tiles:make_tile_levels", params, needs))
+        if self.config.walk is not None and not any(task.params.get("walk") for task in tasks):
+            raise SceneError(
+                "the walk comes near no tile", "bring it into the frame of the scenes, or raise the margin"
+            )
         return tasks
 
     @cached_property

@@ -74,7 +74,7 @@ def prepare_world(
         progress: Called with stages "sampling", "splitting", "levels", "nodes", "tiles" and "world", in tasks.
 
     Raises:
-        SceneError: If the scenes have nothing to see.
+        SceneError: If the scenes have nothing to see, or `WorldConfig.walk` comes near no tile.
         FormatError: If a scene is damaged, or the folder holds something else.
         ValueError: If a tile does not fit the memory of a worker, or another process prepares the same world.
         BackendError: If workers or store cannot be used.

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsvis.errors import FormatError
+from gsvis.errors import FormatError, SceneError
 from gsvis.package import Package
 from gsvis.pvs.workers import Workers
 from gsvis.train.levels import LevelsConfig
@@ -169,6 +169,12 @@ def test_eyes_of_a_world_are_along_its_walk(scene: Scene, city: Path, tmp_path: 
     far = [k for k, tile in enumerate(world.manifest.tiles) if tile.low[0] > 3.8]
     assert far
     assert not any(world.manifest.tiles[k].cells for k in far)
+
+
+def test_a_walk_in_another_frame_is_refused_before_levels_are_made(scene: Scene, tmp_path: Path) -> None:
+    config = replace(cities.config(), walk=((900.0, 900.0, 900.0),), margin=0.5)
+    with pytest.raises(SceneError, match=r"the walk comes near no tile; bring it into the frame of the scenes"):
+        prepare_world([scene], tmp_path / "city.gsworld", config)
 
 
 def test_a_walk_that_is_none_is_refused() -> None:
