@@ -59,7 +59,7 @@ _MOST_AROUND, _ROOT_AROUND = 12.0, 1.5  # the same of the tile with most of them
 _EFFICIENCY = 0.9  # of workers beside each other
 
 _UNSURE = 1.03  # times what a sample says of the fullest tile
-_PEAK = 0.85  # of what a limit of memory has to allow for a tile
+_PEAK = 0.85  # of what a limit of memory has to allow
 _RECORD, _TERM, _SETS = 13.6, 6.0, 0.3  # bytes for each Gaussian, each term, and each cell and Gaussian in and around
 _DISTRICTS, _SPACES = 1.33, 2_500_000  # districts for each tile; bytes of where eyes may be in one
 _ROWS = 3  # how often a Gaussian is kept with all its values
@@ -256,7 +256,7 @@ def _memory(sizes: _Sizes, largest: int, most: int, workers: int) -> tuple[int, 
         ("packages:prepare_tile", [own, {"voxels": 1}, *others]),
     )  # fmt: skip
     task = max(needed_memory(f"gsvis.world.{run}", params, inputs) for run, inputs in needs)
-    return int(_PEAK * tile), least_limit(task, tile, workers)
+    return int(_PEAK * least_limit(task, tile, 1)), least_limit(task, tile, workers)
 
 
 def _lower(levels: LevelsConfig) -> list[tuple[float, float]]:
