@@ -40,7 +40,9 @@ def key_cells(cells: int) -> NDArray[np.int64]:
 
 def order_of(labels: U16) -> NDArray[np.int32]:
     """Return (N,) int32, the Gaussian at each stored position: sorted by label, then by id."""
-    return np.argsort(labels, kind="stable").astype(np.int32)
+    order = np.empty(len(labels), np.int32)
+    kernels.sort_labels(labels, order)
+    return order
 
 
 def choose_labels(n: int, cells: int, read: Callable[[int], U64]) -> U16:

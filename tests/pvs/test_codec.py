@@ -128,6 +128,12 @@ def rooms(shuffled: bool) -> tuple[int, list[np.ndarray]]:
     return n, [_codec.pack(np.flatnonzero(seen[c][groups] ^ (rng.random(n) < 0.001)), n) for c in range(cells)]
 
 
+@given(st.integers(0, 2**32 - 1), st.integers(0, 500), st.sampled_from([1, 3, 300, 1 << 16]))
+def test_the_stored_order_is_by_label_then_by_id(seed: int, n: int, most: int) -> None:
+    labels = np.random.default_rng(seed).integers(0, most, n).astype(np.uint16)
+    assert np.array_equal(_order.order_of(labels), np.argsort(labels, kind="stable"))
+
+
 def test_labels_bring_together_what_the_same_cells_see() -> None:
     n, sets = rooms(shuffled=True)
     labels = _order.choose_labels(n, len(sets), sets.__getitem__)

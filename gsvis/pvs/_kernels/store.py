@@ -97,6 +97,19 @@ def reach(words, waiting, alive, order, value, out):
 
 
 @kernel
+def sort_labels(labels, order):
+    """Write the places of labels (N,) uint16, sorted by label, then by place."""
+    starts = np.zeros((1 << 16) + 1, np.int64)
+    for i in range(len(labels)):
+        starts[np.int64(labels[i]) + 1] += 1
+    for k in range(1, len(starts)):
+        starts[k] += starts[k - 1]
+    for i in range(len(labels)):
+        order[starts[labels[i]]] = i
+        starts[labels[i]] += 1
+
+
+@kernel
 def add_signature(words, bit, signatures):
     """Set one bit in the signatures (N, W) of all positions of a set."""
     column, flag = bit >> 6, np.uint64(1) << np.uint64(bit & 63)
