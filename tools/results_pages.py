@@ -150,6 +150,7 @@ PAGES = {
         (
             "world_large",
             "world_large_one_copy",
+            "world_large_sample",
             "world_borders",
             "world_borders_far",
             "world",
