@@ -183,7 +183,7 @@ BY_EITHER = {"ZipFile", "PyZipFile", "TarFile", "GzipFile", "BZ2File", "LZMAFile
 LIBRARIES = {"", "io", "codecs", "Image", "gzip", "bz2", "lzma", "tarfile", "zipfile", "wave", "tokenize"}
 """Whose `open` takes a path or what was opened."""
 
-OPENED = {"file", "stream", "self._file", "file.fileno()", "io.BytesIO(data)"}
+OPENED = {"file", "stream", "self._file", "file.fileno()", "io.BytesIO(data)", "-1"}
 """What is given in place of a path: files that were opened as regular ones, and bytes."""
 
 DOORS = """zipfile.ZipFile(path)
@@ -220,6 +220,7 @@ gzip.GzipFile(fileobj=io.BytesIO(data))
 zipfile.ZipFile(partial, "w", zipfile.ZIP_STORED)
 zipfile.ZipFile(partial, "a")
 mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+mmap.mmap(-1, 4096)
 pa.OSFile(str(path), "wb")
 Image.open(file)
 Image.open(io.BytesIO(data), formats=["WEBP"])
