@@ -12,12 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-__all__ = ["PAGE", "blank", "used_bytes"]
+__all__ = ["PAGE", "blank", "blanks", "cleared", "used_bytes"]
 
 PAGE = mmap.PAGESIZE
 """Bytes that the system gives at a time."""
 
 _SMALL = 1 << 18  # bytes below which a page more or less does not matter
+_DENSE = 1 << 24  # bytes up to which clearing takes less time than pages that are given again one by one
 
 
 def blank(size: int, kind: DTypeLike) -> NDArray[Any]:
@@ -35,6 +36,21 @@ def blank(size: int, kind: DTypeLike) -> NDArray[Any]:
     if hasattr(mmap, "MADV_NOHUGEPAGE"):
         block.madvise(mmap.MADV_NOHUGEPAGE)  # else the system may give 2 MB for the first element
     return np.frombuffer(block, dtype)
+
+
+def blanks(count: int, size: int, kind: DTypeLike) -> list[NDArray[Any]]:
+    """Return several arrays as `blank` makes them; in one block if they are not large: huge pages are fast."""
+    if size * np.dtype(kind).itemsize <= _DENSE:
+        return list(np.zeros((count, size), kind))
+    return [blank(size, kind) for _ in range(count)]
+
+
+def cleared(array: NDArray[Any]) -> NDArray[Any]:
+    """Return zeros in place of an array: the same array, or a blank one if it is large."""
+    if array.nbytes > _DENSE:
+        return blank(len(array), array.dtype)
+    array.fill(0)
+    return array
 
 
 def used_bytes(array: NDArray[Any]) -> int:

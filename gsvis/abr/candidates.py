@@ -39,6 +39,7 @@ I64 = NDArray[np.int64]
 I32 = NDArray[np.int32]
 Words = NDArray[np.uint64]
 
+_DENSE = 1 << 16  # words of a scene up to which all of them are looked at in place of those of a shell
 _WHOLE = ("words", "places", "owing", "union", "active", "level_bytes")  # arrays of `CandidateIndex.everything`
 _Tuple = TypeVar("_Tuple")
 
@@ -105,8 +106,8 @@ class Shell(NamedTuple):
     """What some cells around a viewer's cell see."""
 
     seen: Seen  # all of it
-    wanted: Words  # (S,) of it what is of the highest level
-    candidates: Candidates  # that, without a union
+    wanted: Words  # of it what is of the highest level, for each word of the candidates
+    candidates: Candidates  # that, without a union; in a small scene `CandidateIndex.everything`
 
 
 class CandidateIndex:
@@ -275,14 +276,21 @@ class CandidateIndex:
 
     def shell(self, cell: int, number: int) -> Shell:
         """Return what the cells of a shell around a cell see; cache it."""
-        found: Shell | None = self.cache.find(("shell", cell, number))
+        found: Shell | None = self.shells.recent.find((cell, number))
         if found is None:
             _, seen = self.seen.join([[self.seen.of_cell(other) for other in self.shells.cells(cell, number)]])
-            wanted = seen.masks & self.highest[seen.words]
-            units, owing = self._units_of(1, Seen(seen.words, wanted)), self._every_term[1][seen.words]
-            made = self._assemble(-1, [units], seen, self._every_term[0], owing, 0.0, has_union=False)
-            found = Shell(seen, wanted, replace(made, term_bytes=self.everything.term_bytes))
-            self.cache.keep(("shell", cell, number), found, made.nbytes + wanted.nbytes + seen.masks.nbytes)
+            wanted, made = seen.masks & self.highest[seen.words], self.everything
+            if len(made.words) > _DENSE:
+                units, owing = self._units_of(1, Seen(seen.words, wanted)), self._every_term[1][seen.words]
+                own = self._assemble(-1, [units], seen, self._every_term[0], owing, 0.0, has_union=False)
+                found = Shell(seen, wanted, replace(own, term_bytes=made.term_bytes))
+            else:
+                found = Shell(seen, np.zeros(len(made.words), np.uint64), made)
+                found.wanted[seen.words] = wanted
+            nbytes = (
+                found.wanted.nbytes + 2 * seen.masks.nbytes + (found.candidates is not made) * found.candidates.nbytes
+            )
+            self.shells.recent.keep((cell, number), found, nbytes)
         return found
 
     def bounds_of(self, here: Candidates, shares: F64, *, make: bool) -> Bounds | None:
@@ -337,19 +345,12 @@ class CandidateIndex:
         *,
         has_union: bool = True,
     ) -> Candidates:
-        """Return candidates.
+        """Return candidates of units in different rings, with words instead of slots.
 
-        Args:
-            cell: Number of the cell.
-            parts: Units of different rings, with words instead of slots.
-            seen: All candidates.
-            active: Active terms.
-            owing: (S,) Gaussians that own some of the active terms that these units are to send.
-            terms: Number of those.
-            sums: (L * L,) bytes of what the cell itself sees, by first and last level.
-            has_union: Whether to fill `Candidates.union`.
+        `owing` (S,) owns some of the active terms that these units are to send, `terms` of them; `sums` (L * L,) are
+        bytes of what the cell itself sees, by first and last level.
         """
-        of, *rest = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+        of, *rest = parts[0] if len(parts) == 1 else (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
         words, slots = seen.words, np.empty_like(of)
         kernels.slots_in(words, of, slots)
         starts = np.append(np.flatnonzero(np.diff(slots, prepend=-1)), len(slots)).astype(np.int32)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
-from gsvis._kernels.blank import blank
+from gsvis._kernels.blank import blank, blanks, cleared
 from gsvis.abr._kernels import plan as kernels
 from gsvis.abr._kernels.evict import owe_again
 from gsvis.abr._kernels.take import adopt, doubt, forget_paid, is_left, take, widen
@@ -143,7 +143,8 @@ class Planner:
         self._travelled, self._aimed, self._fresh = 0.0, "high", False
         self._stage, self._stages, self._filled, self._complete = _NEEDS, _AROUND, _SHELLS, False
         self._table, self._keys = table(self.config.policy, "high", index.num_levels, self.config.utility)
-        self._arrived, self._looks, self._looks_far, self._sure = (self._counts() for _ in range(4))
+        replaced = len(candidates.links.ending)  # those of far tiles take no memory
+        self._arrived, self._looks, self._looks_far, self._sure = blanks(4, replaced, np.int32)
         self._bounds: Bounds | None = None
         self._has_terms = holdings is not None  # or may have
         for held in (self.holdings.received, self.holdings.replaced) if holdings is not None else ():
@@ -165,10 +166,6 @@ class Planner:
         if self._here is None or self._fresh:
             return False
         return (self._stage > _DETAILS or (self._is_used_up and self._next_stage > _DETAILS)) and not self.done
-
-    def _counts(self) -> I32:
-        """Return a zero for each Gaussian that others replace; those of far tiles take no memory."""
-        return blank(len(self.candidates.links.ending), np.int32)
 
     @property
     def _is_used_up(self) -> bool:
@@ -352,7 +349,7 @@ class Planner:
         """Go on to the next shell around a cell of which something is left to send; return False if there is none."""
         shared, held = self.candidates, self.holdings.words
         if not self._is_wide:
-            self._is_wide, self._looks_far = True, self._counts()
+            self._is_wide, self._looks_far = True, cleared(self._looks_far)
             self._seen = blank(len(near.union), np.uint64)
             self._seen[near.words] = near.union[near.words]
             if self._bounds is not None:
@@ -433,7 +430,7 @@ class Planner:
         is_new = before is None or before[0] is not here
         if is_new:
             self._filled, self._is_wide = _SHELLS, False
-            self._looks, self._sure, self._bounds = self._counts(), self._counts(), None  # other candidates
+            self._looks, self._sure, self._bounds = cleared(self._looks), cleared(self._sure), None  # other candidates
         self._bound(here, make=not is_new)
         shells = 0 if self._complete else self.candidates.shells.count(here.cell)
         self._stages = _SHELLS + shells if self.config.fill else _AROUND

@@ -18,6 +18,7 @@ __all__ = ["RINGS", "Shells", "ring_cells"]
 RINGS = 4
 
 _SORTED = 512  # cells around a cell to sort at a time
+_RECENT = 8  # share of the cache for what is made of shells
 _SHELL = 8  # cells of a shell: its sets may all have to be read while a viewer waits
 
 
@@ -27,10 +28,14 @@ class Shells:
     Args:
         grid: The cells.
         cache: Keeps sorted cells.
+
+    Attributes:
+        recent: For what is made of shells: they are many and large, and would push all cells out of the cache.
     """
 
     def __init__(self, grid: Any, cache: Cache[Any]) -> None:
         self._grid, self._cache, self._counts = grid, cache, dict[int, int]()
+        self.recent: Cache[Any] = Cache(None if cache.max_bytes is None else cache.max_bytes // _RECENT)
 
     def count(self, cell: int) -> int:
         """Return the number of shells around a cell; all cells of the scene are in one of them."""
