@@ -79,6 +79,13 @@ def walked(shared: CandidateIndex, budget: float) -> tuple[Planner, bool]:
 NEEDS, FILLS = 0.5 * TILE, 6.0 * TILE  # bytes of a batch
 
 
+@pytest.fixture
+def as_large(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Scenes of this size are treated as those above 4 million Gaussians."""
+    monkeypatch.setattr("gsvis.abr.candidates._DENSE", 0)
+
+
+@pytest.mark.usefixtures("as_large")
 @pytest.mark.parametrize("budget", [NEEDS, FILLS])
 def test_memory_of_a_viewer_follows_the_tiles_it_visits_not_the_world(budget: float) -> None:
     found = []
@@ -94,11 +101,17 @@ def test_memory_of_a_viewer_follows_the_tiles_it_visits_not_the_world(budget: fl
         assert large[name] <= size + 2 * PAGE, name
 
 
-def test_what_is_chosen_does_not_depend_on_tiles_that_nobody_comes_near() -> None:
-    found = [walked(row_of_tiles(tiles), FILLS)[0].holdings for tiles in (16, 64)]
-    for mine, theirs in zip(*((held.received, held.shown, held.replaced) for held in found), strict=True):
+def test_what_is_chosen_does_not_depend_on_tiles_that_nobody_comes_near_nor_on_the_size_of_a_scene(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    found = []
+    for tiles, dense in ((16, 1 << 16), (16, 0), (64, 0)):
+        monkeypatch.setattr("gsvis.abr.candidates._DENSE", dense)
+        found.append(walked(row_of_tiles(tiles), FILLS)[0].holdings)
+    for mine, *others in zip(*((held.received, held.shown, held.replaced) for held in found), strict=True):
         assert len(mine) > 0
-        np.testing.assert_array_equal(mine, theirs)
+        for theirs in others:
+            np.testing.assert_array_equal(mine, theirs)
 
 
 def test_blank_arrays_are_zeros_that_can_be_written() -> None:
