@@ -117,7 +117,7 @@ def steps_of(low: np.ndarray, high: np.ndarray, count: int) -> list[Pose]:
     return [*there, *back, *((np.array([x, 3.0, 1.5]), ACROSS) for x in xs)]
 
 
-def walked(scene: StreamedScene, steps: list[Pose], truth: list[np.ndarray], drawn: int) -> dict[str, Any]:
+def stream_walk(scene: StreamedScene, steps: list[Pose], truth: list[np.ndarray], drawn: int) -> dict[str, Any]:
     session = Session(scene, VIEW, AbrConfig(fill=False, start_rate=1e8))
     receiver, welcome = Receiver(scene.header), session.welcome(0.0).data
     about = SceneHeader.parse(welcome)
@@ -203,7 +203,7 @@ def main() -> None:
         one, city = StreamedScene.open(folder / "one.gsvis"), open_world(folder / "city.gsworld")[0]
         steps = case.poses(one)
         truth = [frame(case.whole, pose) for pose in steps[:: case.drawn]]
-        runs = {name: walked(scene, steps, truth, case.drawn) for name, scene in (("one", one), ("world", city))}
+        runs = {name: stream_walk(scene, steps, truth, case.drawn) for name, scene in (("one", one), ("world", city))}
     single, world = (np.array(runs[name]["frames"]) for name in ("one", "world"))
     worse = int(((world < 35.0) & (single >= 35.0)).sum())
     figures = [

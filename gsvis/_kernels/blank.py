@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-__all__ = ["PAGE", "blank", "blanks", "cleared", "used_bytes"]
+__all__ = ["PAGE", "blank", "blanks", "clear", "used_bytes"]
 
 PAGE = mmap.PAGESIZE
 """Bytes that the system gives at a time."""
@@ -45,7 +45,7 @@ def blanks(count: int, size: int, kind: DTypeLike) -> list[NDArray[Any]]:
     return [blank(size, kind) for _ in range(count)]
 
 
-def cleared(array: NDArray[Any]) -> NDArray[Any]:
+def clear(array: NDArray[Any]) -> NDArray[Any]:
     """Return zeros in place of an array: the same array, or a blank one if it is large."""
     if array.nbytes > _DENSE:
         return blank(len(array), array.dtype)

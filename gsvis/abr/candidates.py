@@ -133,7 +133,7 @@ class CandidateIndex:
         sent_per_stored: Least bytes of a record for each byte that it takes in the memory of a client.
         records: Bytes of all records.
         links: Which Gaussians replace which.
-        everything: All Gaussians and terms as candidates of no cell, in ring 1; shells use its runs and `term_bytes`.
+        everything: All Gaussians and terms as candidates of no cell, in ring 1: those of each shell of a small scene.
         highest: (W,) uint64, the Gaussians of the highest level.
         seen: What each cell sees.
         shells: The cells around each cell.
@@ -283,14 +283,11 @@ class CandidateIndex:
             if len(made.words) > _DENSE:
                 units, owing = self._units_of(1, Seen(seen.words, wanted)), self._every_term[1][seen.words]
                 own = self._assemble(-1, [units], seen, self._every_term[0], owing, 0.0, has_union=False)
-                found = Shell(seen, wanted, replace(own, term_bytes=made.term_bytes))
+                found, nbytes = Shell(seen, wanted, replace(own, term_bytes=made.term_bytes)), own.nbytes
             else:
-                found = Shell(seen, np.zeros(len(made.words), np.uint64), made)
+                found, nbytes = Shell(seen, np.zeros(len(made.words), np.uint64), made), 0  # all shells share it
                 found.wanted[seen.words] = wanted
-            nbytes = (
-                found.wanted.nbytes + 2 * seen.masks.nbytes + (found.candidates is not made) * found.candidates.nbytes
-            )
-            self.shells.recent.keep((cell, number), found, nbytes)
+            self.shells.recent.keep((cell, number), found, nbytes + found.wanted.nbytes + 2 * seen.masks.nbytes)
         return found
 
     def bounds_of(self, here: Candidates, shares: F64, *, make: bool) -> Bounds | None:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
-from gsvis._kernels.blank import blank, blanks, cleared
+from gsvis._kernels.blank import blank, blanks, clear
 from gsvis.abr._kernels import plan as kernels
 from gsvis.abr._kernels.evict import owe_again
 from gsvis.abr._kernels.take import adopt, doubt, forget_paid, is_left, take, widen
@@ -349,7 +349,7 @@ class Planner:
         """Go on to the next shell around a cell of which something is left to send; return False if there is none."""
         shared, held = self.candidates, self.holdings.words
         if not self._is_wide:
-            self._is_wide, self._looks_far = True, cleared(self._looks_far)
+            self._is_wide, self._looks_far = True, clear(self._looks_far)
             self._seen = blank(len(near.union), np.uint64)
             self._seen[near.words] = near.union[near.words]
             if self._bounds is not None:
@@ -430,7 +430,7 @@ class Planner:
         is_new = before is None or before[0] is not here
         if is_new:
             self._filled, self._is_wide = _SHELLS, False
-            self._looks, self._sure, self._bounds = cleared(self._looks), cleared(self._sure), None  # other candidates
+            self._looks, self._sure, self._bounds = clear(self._looks), clear(self._sure), None  # other candidates
         self._bound(here, make=not is_new)
         shells = 0 if self._complete else self.candidates.shells.count(here.cell)
         self._stages = _SHELLS + shells if self.config.fill else _AROUND

@@ -63,11 +63,11 @@ class SeenSets:
             listed, count = np.empty(size, np.int32), 0
             for seen in ring:
                 count = kernels.add_fresh(seen, before, fresh, listed, count)
-            words = _rising(listed[:count], fresh)
+            words = _sort_words(listed[:count], fresh)
             masks = np.empty(count, np.uint64)
             known = kernels.settle(words, fresh, before, masks, union, known)
             found.append(Seen(words, masks))
-        words = _rising(union[:known], before)
+        words = _sort_words(union[:known], before)
         masks = np.empty(known, np.uint64)
         kernels.take_out(words, before, masks)
         return found, Seen(words, masks)
@@ -81,7 +81,7 @@ class SeenSets:
         return found
 
 
-def _rising(listed: NDArray[np.int32], words: Words) -> NDArray[np.int32]:
+def _sort_words(listed: NDArray[np.int32], words: Words) -> NDArray[np.int32]:
     """Return the numbers of the words that are not empty, which are listed, ascending."""
     if len(words) < _FEW * len(listed):  # one pass takes less time than sorting
         return np.flatnonzero(words).astype(np.int32)

@@ -74,7 +74,7 @@ class Cache(Generic[_Value]):
             self.keep(key, found)
         return found
 
-    def named(self, name: Hashable) -> Cache[_Value]:
+    def scope(self, name: Hashable) -> Cache[_Value]:
         """Return a cache whose values are kept in this one, apart from those of other names."""
         return _Named(self, name)
 

@@ -234,8 +234,8 @@ class Session:
 
     def _encode(self, batch: Batch) -> bytes:
         scene = self.scene
-        coding, gaussians = scene.coding, _ascending(batch.gaussians, *self._marks)
-        terms = _ascending(batch.terms, *self._term_marks)
+        coding, gaussians = scene.coding, _sort_ids(batch.gaussians, *self._marks)
+        terms = _sort_ids(batch.terms, *self._term_marks)
         of, fresh = np.empty_like(gaussians), np.empty_like(gaussians)
         chunks = fresh[: kernels.lay_out(gaussians, scene.chunks, scene.starts, self._has_row, of, fresh)]
         owners = scene.owners[terms]
@@ -248,13 +248,13 @@ class Session:
             terms=terms,
             owners=owners,
             term_records=coding.encode_some_terms(scene.term_records, terms, owners),
-            gone=_ascending(batch.gone, *self._marks),
+            gone=_sort_ids(batch.gone, *self._marks),
             evicted=np.sort(batch.evicted),
         )
         return sections.to_message(scene.about)
 
 
-def _ascending(ids: NDArray[Any], marks: NDArray[np.uint64], summary: NDArray[np.uint64]) -> NDArray[Any]:
+def _sort_ids(ids: NDArray[Any], marks: NDArray[np.uint64], summary: NDArray[np.uint64]) -> NDArray[Any]:
     out = np.empty_like(ids)
     if len(ids):
         kernels.ascend(ids, marks, summary, out)

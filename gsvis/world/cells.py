@@ -342,9 +342,9 @@ class WorldSets:
         if self._tables is not None:
             package.keep_store(self._tables / f"{self._world.manifest.tiles[tile].package[:32]}.pvs")
         found = _Tile(package.visibility, self._world.beyond(tile))
-        found.own.cache = self._cache.named(("tile", tile))
+        found.own.cache = self._cache.scope(("tile", tile))
         if found.beyond is not None:
-            found.beyond.store.cache = self._cache.named(("beyond", tile))
+            found.beyond.store.cache = self._cache.scope(("beyond", tile))
         weakref.finalize(found, _close, package, found.beyond)
         return found
 

@@ -136,7 +136,7 @@ def estimate_world(
         side = float(build.grid["grid"]["side"]) * float(np.median([max(rect[2:]) for rect in build.grid["tiles"]]))
         count, degree = sum(each["gaussians"] for each in facts), max(each["sh_degree"] for each in facts)
         sizes = _Sizes(config, count, len(expected), degree)
-        trial = sizes.untried()
+        trial = sizes.by_constants()
         budget = min(max(_LEAST_BUDGET, _BUDGET_SHARE * sum(sizes.seconds(trial).values())), _MOST_BUDGET)
         progress("trying tiles", 0, 1)
         trial = try_tiles(build, trial, int(sizes.joint - sizes.each), budget)
@@ -189,7 +189,7 @@ class _Sizes:
         self.lowest = count * (self.shares[0] if self.shares else 1.0)
         self.cells = config.package.cells or MOST_CELLS
 
-    def untried(self) -> Trial:
+    def by_constants(self) -> Trial:
         """Return what a tile takes by constants."""
         choice = _CHOICE + _CHOICE_ROW * self.each if self.shares else 0.0
         cell = _CELL + _CELL_ROW * self.joint

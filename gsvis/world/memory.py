@@ -102,13 +102,13 @@ def _tile(params: Facts, inputs: Sequence[Facts]) -> int:
     own = inputs[0]["gaussians"]
     if params["outside"] or not inputs[1]["voxels"]:
         return int(150 * _MB + 500 * own)
-    around = _standing([each for each in inputs[2:] if "spacings" in each])
+    around = _count_standing([each for each in inputs[2:] if "spacings" in each])
     around += sum(each["gaussians"] for each in inputs[2:] if "spacings" not in each)
     sets, joint = PvsConfig(**params["config"]["sets"]), own + around
     return tile_memory(own, [joint], joint, 0, sets) - IDLE
 
 
-def _standing(tiles: Sequence[Facts]) -> int:
+def _count_standing(tiles: Sequence[Facts]) -> int:
     """Return how many Gaussians of the tiles around one may stand there; the more there are, the farther most are."""
     largest = sorted(tiles, key=lambda tile: tile["gaussians"], reverse=True)
     shares = [_STANDS if k < _NEAR else _FAR_STANDS for k in range(len(largest))]

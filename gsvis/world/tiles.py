@@ -135,7 +135,7 @@ def make_tile_levels(params: Facts, given: Given, out: Path, work: Path) -> Fact
     if given.inputs[1:] and given.inputs[1].facts["voxels"]:
         levels, quality = _trained(g, load_space(given.path(1, "space")), config, work)
     if levels is None:
-        levels = in_package_order(_merged(g, params["most"]))
+        levels = in_package_order(_merge(g, params["most"]))
     save_tile_levels(out / "levels", levels)
     (out / "quality.json").write_text(json.dumps(quality), encoding="ascii")
     spacings = [median_spacing(levels.level(k)) for k in range(len(levels))]
@@ -175,7 +175,7 @@ def _trained(
         return None, None
 
 
-def _merged(g: Gaussians, most: int) -> Levels:
+def _merge(g: Gaussians, most: int) -> Levels:
     """Return a scene as two levels, of which the lower is the scene merged to at most `most`; as one if it has no more.
 
     They share nothing, so that who sees only one of them gets only this one.

@@ -204,7 +204,7 @@ def _time_views(g: Gaussians, space: NavigableSpace, config: PrepareConfig) -> t
 
 
 def _time_cell(tile: _Tile, others: Gaussians, space: NavigableSpace, config: PrepareConfig) -> tuple[int, float]:
-    """Return the number of cells of a tile, and what one of them takes with its share of the shared looks."""
+    """Return the number of cells of a tile, and the seconds of one cell with its share of the shared looks."""
     joint = _stand_in(Gaussians.concatenate([flatten(tile.own), tile.near, others]), config.levels)
     size = config.cell_size
     most = (config.cells or MOST_CELLS) if size is None else MAX_CELLS

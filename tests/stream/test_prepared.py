@@ -78,7 +78,7 @@ def test_inverses_divide_every_state_by_every_size() -> None:
 
 
 @njit
-def divided(values: np.ndarray, strides: np.ndarray, out: np.ndarray) -> None:
+def divide(values: np.ndarray, strides: np.ndarray, out: np.ndarray) -> None:
     for i in range(len(values)):
         out[i] = records._divide(values[i], strides[i], records._inverse(strides[i]))
 
@@ -90,5 +90,5 @@ def test_strides_divide_without_a_division() -> None:
         values = rng.integers(-(strides << 18), strides << 18)
         for near in (values, values // strides * strides, -(strides << 18), (strides << 18) - 1):
             out = np.empty(len(strides), np.int64)
-            divided(near, strides, out)
+            divide(near, strides, out)
             np.testing.assert_array_equal(out, near // strides)

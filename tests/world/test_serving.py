@@ -67,7 +67,7 @@ def held_by(planner: Planner) -> dict[str, int]:
     return {name: used_bytes(array) for name, array in arrays.items() if isinstance(array, np.ndarray)}
 
 
-def walked(shared: CandidateIndex, budget: float) -> tuple[Planner, bool]:
+def walk_two_tiles(shared: CandidateIndex, budget: float) -> tuple[Planner, bool]:
     """Return the planner of a viewer who has walked through two tiles, and whether something filled its link."""
     planner, filling = Planner(shared, VIEW, AbrConfig()), False
     for k in range(12):
@@ -91,7 +91,7 @@ def test_memory_of_a_viewer_follows_the_tiles_it_visits_not_the_world(budget: fl
     found = []
     for tiles in (16, 64):
         shared = row_of_tiles(tiles)
-        planner, filling = walked(shared, budget)
+        planner, filling = walk_two_tiles(shared, budget)
         assert filling == (budget == FILLS)
         found.append((held_by(planner), shared.cache.nbytes))
     (small, cached), (large, cached_of_large) = found
@@ -107,7 +107,7 @@ def test_what_is_chosen_does_not_depend_on_tiles_that_nobody_comes_near_nor_on_t
     found = []
     for tiles, dense in ((16, 1 << 16), (16, 0), (64, 0)):
         monkeypatch.setattr("gsvis.abr.candidates._DENSE", dense)
-        found.append(walked(row_of_tiles(tiles), FILLS)[0].holdings)
+        found.append(walk_two_tiles(row_of_tiles(tiles), FILLS)[0].holdings)
     for mine, *others in zip(*((held.received, held.shown, held.replaced) for held in found), strict=True):
         assert len(mine) > 0
         for theirs in others:

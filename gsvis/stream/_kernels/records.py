@@ -439,8 +439,8 @@ def coarsen(words, rows, chunks, layout, rounding, out):
         size = chunks.lows[row] + top * stride
         area = 2 * size - _middle(s, top) * stride
         light = area + 2 * layout.logs[opacity]
-        opacity = _round(opacity, _rounded(rounding.opacity, area), _NONE, _BYTE)
-        shape, tint = _rounded(rounding.shape, light), _rounded(rounding.color, light)
+        opacity = _round(opacity, _bits_to_round(rounding.opacity, area), _NONE, _BYTE)
+        shape, tint = _bits_to_round(rounding.shape, light), _bits_to_round(rounding.color, light)
         for k in range(3):  # shapes relative to the largest, which stays
             s[k] = top - _round(top - s[k], shape, _NONE, top)
         middle = _middle(s, top)
@@ -467,7 +467,7 @@ def _middle(scales, top):
 
 
 @inner(forceinline=True)
-def _rounded(limit, weight):
+def _bits_to_round(limit, weight):
     """Return how many bits are rounded of what weighs this, 1/64 octaves."""
     return min(max((limit - (weight >> 2)) >> 6, _NONE), np.int64(MOST_ROUNDED))
 
