@@ -159,6 +159,16 @@ USE = (
                 target="≤ 1.03, 0, 0",
             ),
             Row(
+                "A server of 101.5 M Gaussians with 20 viewers: memory; first image of one viewer after a package's?",
+                (
+                    "world_serving: RSS of its server with 20 viewers, peak",
+                    "world_serving: first image of 20 dB, one viewer: world minus package",
+                    "world_serving: the same, 20 viewers at once",
+                ),
+                ours="{0:.2f} GB; {1:.2f} s ({2:.1f} s with 20 at once)",
+                target="≤ 2 GB, 0.2 s",
+            ),
+            Row(
                 "How much faster are two Dask workers than one on two cores, and how many results differ?",
                 ("world_cluster: speed-up of 2 workers over 1", "world_cluster: results that differ"),
                 ours="{0:.2f} times, {1:.0f}",
