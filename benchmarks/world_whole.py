@@ -45,19 +45,8 @@ STAGES = {
 
 def main() -> None:
     """Estimate and prepare a world, and compare."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--scene", default="showroom", help="a scene of the real data, or a file in formats/")
-    parser.add_argument("--lod", type=int, default=2)
-    parser.add_argument("--copies", type=int, default=0, help="turned, mirrored and jittered copies; 0 for the scene")
-    parser.add_argument("--most", type=int, default=250_000)
-    parser.add_argument("--cells", type=int, default=2, help="cells of a tile")
-    parser.add_argument("--steps", type=int, default=60, help="steps of training of each lower level; 0 for no levels")
-    parser.add_argument("--views", type=int, help="views that levels are trained from, and none held out")
-    parser.add_argument("--workers", type=int, default=1, help="processes")
-    parser.add_argument("--max-memory", type=float, help="gigabytes for all processes")
+    parser = add_world_options(argparse.ArgumentParser(description=__doc__))
     parser.add_argument("--sample", type=int, help="packages of so many tiles alone, those with most around them")
-    parser.add_argument("--smaller", type=Path, help="result of this benchmark on fewer copies, with the same options")
-    parser.add_argument("--work", type=Path, help="folder for the world, some gigabytes")
     given = add_arguments(parser).parse_args()
     need(given.work, "a folder for the world with --work")
     given.work.mkdir(parents=True, exist_ok=True)
@@ -71,6 +60,22 @@ def main() -> None:
     with keep_peak(peak_file, given.workers):
         made = prepare_world(scenes, given.work / "city.gsworld", config, workers=workers)
     write(given, estimate, made, json.loads(peak_file.read_text()))
+
+
+def add_world_options(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
+    """Add the options that say which world is made, and how."""
+    parser.add_argument("--scene", default="showroom", help="a scene of the real data, or a file in formats/")
+    parser.add_argument("--lod", type=int, default=2)
+    parser.add_argument("--copies", type=int, default=0, help="turned, mirrored and jittered copies; 0 for the scene")
+    parser.add_argument("--most", type=int, default=250_000)
+    parser.add_argument("--cells", type=int, default=2, help="cells of a tile")
+    parser.add_argument("--steps", type=int, default=60, help="steps of training of each lower level; 0 for no levels")
+    parser.add_argument("--views", type=int, help="views that levels are trained from, and none held out")
+    parser.add_argument("--workers", type=int, default=1, help="processes")
+    parser.add_argument("--max-memory", type=float, help="gigabytes for all processes")
+    parser.add_argument("--smaller", type=Path, help="result of this benchmark on fewer copies, with the same options")
+    parser.add_argument("--work", type=Path, help="folder for the world, some gigabytes")
+    return parser
 
 
 def sample(

@@ -11,15 +11,14 @@ import os
 import re
 import shutil
 from collections.abc import Callable, Collection
-from concurrent.futures import Future
 from concurrent.futures import TimeoutError as Late
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from threading import Thread
 from typing import Any, TypeVar
 
 from gsvis._extras import require
+from gsvis._threads import call_apart
 from gsvis.errors import BackendError, FormatError, GsvisError
 from gsvis.files.atomic import atomic_path, remove_all_partials
 from gsvis.files.limits import DAMAGED, digest_of, read_whole
@@ -222,7 +221,7 @@ class RemoteStore(ObjectStore):
         """Return what the store answers; try again where it fails, and raise one clear line at the end."""
         for attempt in range(_TRIES):
             try:
-                return _answer_of(ask).result(self.patience)
+                return call_apart(ask, "gsvis-store").result(self.patience)
             except FileNotFoundError:
                 raise
             except Late as error:
@@ -245,20 +244,6 @@ class RemoteStore(ObjectStore):
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled by its address."""
         return RemoteStore, (self.address, self.patience)
-
-
-def _answer_of(ask: Callable[[], _Answer]) -> Future[_Answer]:
-    """Return the answer to come of a call, from a thread of its own that no exit of the program waits for."""
-    answer = Future[_Answer]()
-
-    def call() -> None:
-        try:
-            answer.set_result(ask())
-        except BaseException as error:
-            answer.set_exception(error)
-
-    Thread(target=call, name="gsvis-store", daemon=True).start()
-    return answer
 
 
 def _compare(path: Path, wanted: StoredObject, name: str = "") -> None:

@@ -12,10 +12,10 @@ from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeoutError
 from contextlib import contextmanager, suppress
 from importlib.metadata import version
-from threading import Thread
 from typing import Any
 
 from gsvis._extras import require
+from gsvis._threads import call_apart
 from gsvis.errors import BackendError
 from gsvis.pvs import _workers, processes
 from gsvis.pvs.workers import Workers
@@ -126,15 +126,10 @@ def _ask(address: str, timeout: float) -> Any:
                 self.status = "closed"
                 raise
 
-    answer = Future[Any]()
+    def ask() -> Client:
+        return Asked(address, timeout=timeout, set_as_default=False, name="gsvis")
 
-    def ask() -> None:
-        try:
-            answer.set_result(Asked(address, timeout=timeout, set_as_default=False, name="gsvis"))
-        except Exception as error:
-            answer.set_exception(error)
-
-    Thread(target=ask, daemon=True).start()
+    answer = call_apart(ask, "gsvis-scheduler")
     try:
         return answer.result(timeout + _SLACK)
     except FutureTimeoutError:

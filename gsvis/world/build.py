@@ -141,6 +141,11 @@ class WorldBuild:
         return list(self.files)
 
     @cached_property
+    def searched(self) -> frozenset[int]:
+        """Tiles in which places for eyes are looked for: all but the outside."""
+        return frozenset(k for k, rect in enumerate(self.tiles) if rect is not None)
+
+    @cached_property
     def districts(self) -> list[DistrictPlan]:
         """The districts, each after those that it is made of; the tree of cuts with every second cut left out."""
         numbers = {rect: k for k, rect in enumerate(self.tiles)}
@@ -183,7 +188,7 @@ class WorldBuild:
         tasks = list(self._row_tasks)
         for k, rect in enumerate(self.tiles):
             needs: tuple[str, ...] = (f"rows {k}",)
-            if rect is not None:
+            if rect is not None and k in self.searched:
                 near = tuple(f"rows {other}" for other in self.touching(rect))
                 params = {**self.square_of(rect), **self._walk_near(rect)}
                 tasks.append(Task(f"space {k}", "gsvis.world.tiles:tile_space", params, (*needs, *near)))
@@ -214,8 +219,8 @@ class WorldBuild:
         needs = tuple(f"district {k}" for k in range(len(rows)))
         options = {"districts": rows, "angle": self.config.angle, "looks": self.config.looks}
         tasks = []
-        for k, rect in enumerate(self.tiles):
-            if rect is not None and self.made[f"space {k}"].facts["voxels"]:
+        for k in sorted(self.searched):
+            if self.made[f"space {k}"].facts["voxels"]:
                 own = (f"levels {k}", f"space {k}")
                 params = {"tile": k, "tiles": len(self.tiles), **options}
                 tasks.append(Task(f"around {k}", "gsvis.world.pieces:choose_nodes", params, (*own, *needs)))
@@ -265,7 +270,7 @@ class WorldBuild:
                 "name": tile_name(rect), "up": self.grid["up"], "outside": rect is None,
                 "reach": self.reach,
             }  # fmt: skip
-            own = (f"levels {k}",) if rect is None else (f"levels {k}", f"space {k}")
+            own = (f"levels {k}", f"space {k}") if k in self.searched else (f"levels {k}",)
             tasks.append(Task(f"tile {k}", "gsvis.world.packages:prepare_tile", params, (*own, *around)))
         return tasks
 
