@@ -155,7 +155,7 @@ def _around_object(space: Occupancy, low: F64, high: F64, up: F64) -> Mask:
 def where_people_stand(free: Mask, occupied: Mask, voxel_size: float, up: F64) -> Mask:
     """Return the free voxels (X, Y, Z) at the height of a standing person above what lies below; may be empty."""
     greatest = _greatest_height(free.shape, voxel_size, up)
-    heights = voxel_size * _heights(occupied, up)
+    heights = voxel_size * _heights(occupied, up).astype(np.float64)
     low, high = (share * greatest for share in _STANDING)
     return np.asarray(free & (heights >= low) & (heights <= max(high, low + 2.0 * voxel_size)))
 
@@ -193,13 +193,15 @@ def above_ground(space: Occupancy, up: F64) -> Mask:
     return space.largest_part(hemmed)
 
 
-def _heights(occupied: Mask, up: F64) -> F64:
+def _heights(occupied: Mask, up: F64) -> NDArray[np.float32]:
     """Return (X, Y, Z) voxels from each voxel down to the next occupied one, along the axis nearest to `up`."""
     axis = int(np.abs(up).argmax())
     layers = np.moveaxis(occupied, axis, 0)[:: 1 if up[axis] > 0 else -1]
-    index = np.arange(len(layers), dtype=np.float64)[:, None, None]
-    ground = np.maximum.accumulate(np.where(layers, index, -np.inf), axis=0)
-    return np.moveaxis((index - ground)[:: 1 if up[axis] > 0 else -1], 0, axis)
+    index = np.arange(len(layers), dtype=np.float32)[:, None, None]
+    ground = np.where(layers, index, np.float32(-np.inf))
+    np.maximum.accumulate(ground, axis=0, out=ground)
+    np.subtract(index, ground, out=ground)
+    return np.moveaxis(ground[:: 1 if up[axis] > 0 else -1], 0, axis)
 
 
 def _under_the_sky(space: Occupancy, among: Mask, up: F64) -> Mask:

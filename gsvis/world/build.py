@@ -23,7 +23,7 @@ from gsvis.pvs.workers import Workers
 from gsvis.scene.corridor import fill_in
 from gsvis.world.config import WorldConfig
 from gsvis.world.graph import Facts, Result, Task, run_graph
-from gsvis.world.tiles import MARGIN
+from gsvis.world.tiles import MARGIN, SURROUNDINGS
 from gsvis.world.tiling import Rect, grid_of, sampling_interval, tile_name
 
 __all__ = ["DistrictPlan", "WorldBuild"]
@@ -189,8 +189,8 @@ class WorldBuild:
         for k, rect in enumerate(self.tiles):
             needs: tuple[str, ...] = (f"rows {k}",)
             if rect is not None and k in self.searched:
-                near = tuple(f"rows {other}" for other in self.touching(rect))
-                params = {**self.square_of(rect), **self._walk_near(rect)}
+                params = self.space_params(rect)
+                near = tuple(f"rows {other}" for other in self.touching(rect, params["around"]))
                 tasks.append(Task(f"space {k}", "gsvis.world.tiles:tile_space", params, (*needs, *near)))
                 needs = (*needs, f"space {k}")
             params = {"config": package, "most": self.config.far}
@@ -294,9 +294,9 @@ class WorldBuild:
     def _district(self, node: int) -> str:
         return f"district {node - len(self.tiles)}"
 
-    def touching(self, rect: Rect) -> list[int]:
-        """Return the tiles that touch a tile, or lie within the margin in which its space is looked for."""
-        reach = max(MARGIN * max(rect[2:]), 1e-9)
+    def touching(self, rect: Rect, margin: float = MARGIN) -> list[int]:
+        """Return the tiles that touch a tile, or lie within a margin around it, in its longer side."""
+        reach = max(margin * max(rect[2:]), 1e-9)
 
         def near(other: Rect) -> bool:
             gaps = [max(rect[i] - other[i] - other[i + 2], other[i] - rect[i] - rect[i + 2]) for i in (0, 1)]
@@ -304,8 +304,13 @@ class WorldBuild:
 
         return [k for k, other in enumerate(self.tiles) if other is not None and near(other)]
 
-    def square_of(self, rect: Rect) -> dict[str, Any]:
-        """Return the params of the space of a tile."""
+    def space_params(self, rect: Rect) -> Facts:
+        """Return the params of the space of a tile. Along a walk, what the place is does not matter."""
+        around = SURROUNDINGS if self.config.walk is None else MARGIN
+        return {**self.square_of(rect), **self._walk_near(rect), "around": around}
+
+    def square_of(self, rect: Rect) -> Facts:
+        """Return where a tile lies, and the voxels along its longer side."""
         grid = grid_of(self.grid["grid"])
         low = [grid.origin[axis] + grid.side * place for axis, place in zip(grid.axes, rect[:2], strict=True)]
         high = [each + grid.side * count for each, count in zip(low, rect[2:], strict=True)]

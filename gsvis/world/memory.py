@@ -12,16 +12,21 @@ from typing import Any
 
 from gsvis.prepare.memory import kept_memory
 from gsvis.pvs.config import PvsConfig
+from gsvis.scene.navigable import MAX_RESOLUTION
 
-__all__ = ["IDLE", "least_limit", "needed_memory", "tile_memory"]
+__all__ = ["IDLE", "MOST_VOXELS", "least_limit", "needed_memory", "tile_memory"]
 
 Facts = dict[str, Any]
 
 IDLE = 280 << 20
 """Bytes of a process that has loaded every library and runs no task."""
 
+MOST_VOXELS = 1 << 23
+"""Of the space of a tile and its surroundings."""
+
 _MB = 1 << 20
 _GUESSED = 1 << 18  # Gaussians of a batch that only reading counts
+_VOXEL = 29  # bytes of a voxel of a space, while it is looked for
 _HELD = 60 * _MB  # bytes that earlier tasks leave in a worker
 _TRAINING, _IMAGE = 160 * _MB, 7  # gradients of a view; bytes for each pixel of all views, of which most are smaller
 
@@ -80,7 +85,9 @@ def _rows(params: Facts, inputs: Sequence[Facts]) -> int:
 
 def _space(params: Facts, inputs: Sequence[Facts]) -> int:
     counts = [each["gaussians"] for each in inputs]
-    return int(80 * _MB + 900 * counts[0] + 160 * max(counts))
+    side = min(MAX_RESOLUTION, 4 * params["resolution"])
+    rows = 900 * counts[0] + 160 * max(counts) + 60 * sum(counts[1:])
+    return int(80 * _MB + _VOXEL * min(MOST_VOXELS, side**3) + rows)
 
 
 def _levels(params: Facts, inputs: Sequence[Facts]) -> int:

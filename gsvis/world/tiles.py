@@ -25,15 +25,17 @@ from gsvis.pvs.config import PvsConfig
 from gsvis.scene.corridor import space_along
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
-from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.navigable import MAX_RESOLUTION, NavigableSpace
 from gsvis.scene.view_sampling import ViewSampling
 from gsvis.train.levels import LevelsConfig
 from gsvis.world.districts import merge_down
 from gsvis.world.graph import Facts, Given
+from gsvis.world.memory import MOST_VOXELS
 from gsvis.world.rows import flatten, load_gaussians, load_rows, median_spacing, save_gaussians, save_tile_levels
 
 __all__ = [
     "MARGIN",
+    "SURROUNDINGS",
     "VERSIONS",
     "config_of",
     "gather_rows",
@@ -45,10 +47,15 @@ __all__ = [
     "tile_space",
 ]
 
-VERSIONS = {"gather_rows": 1, "make_tile_levels": 2, "tile_space": 2}
+VERSIONS = {"gather_rows": 1, "make_tile_levels": 2, "tile_space": 3}
 
 MARGIN = 0.15
-"""How far beyond a tile its space is looked for, in its longer side."""
+"""How far beyond a tile what is solid counts, in its longer side."""
+
+SURROUNDINGS = 1.0
+"""How far beyond a tile it is looked at to know what the place is, and which space is enclosed, in its longer side."""
+
+_COVERAGE = 0.98  # of the centers, inside the box of a grid on each axis
 
 
 def gather_rows(params: Facts, given: Given, out: Path, work: Path) -> Facts:
@@ -61,14 +68,15 @@ def gather_rows(params: Facts, given: Given, out: Path, work: Path) -> Facts:
 def tile_space(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     """Task: find where eyes may be in the squares of a tile. Inputs are its rows, then those of the tiles around it.
 
-    With `walk`, positions within `margin` of the tile, eyes are along them, and nowhere without any.
+    Gaussians within `around` of the tile count, in its longer side. With `walk`, positions within `margin` of the tile,
+    eyes are along them, and nowhere without any.
 
     Facts: the number of free voxels; 0 if nobody can be there.
     """
     parts = []
     for k in range(len(given)):
         g = load_gaussians(given.path(k, "rows"))
-        parts.append(flatten(g if k == 0 else g[near_tile(g.means, params)]))
+        parts.append(flatten(g if k == 0 else g[near_tile(g.means, params, params["around"])]))
     space = space_of_tile(Gaussians.concatenate(parts), params)
     if space is None:
         return {"voxels": 0}
@@ -76,10 +84,13 @@ def tile_space(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     return {"voxels": int(np.count_nonzero(space.free))}
 
 
-def near_tile(means: NDArray[np.floating[Any]], params: Facts) -> NDArray[np.bool_]:
-    """Return which centers (N, 3) lie in a tile or in the margin around it; `params` as for `tile_space`."""
+def near_tile(means: NDArray[np.floating[Any]], params: Facts, margin: float = MARGIN) -> NDArray[np.bool_]:
+    """Return which centers (N, 3) lie in a tile or in a margin around it, in its longer side.
+
+    `params` are those of `tile_space`.
+    """
     low, high, axes = (np.array(params[name]) for name in ("low", "high", "axes"))
-    margin, across = MARGIN * float((high - low).max()), means[:, axes]
+    margin, across = margin * float((high - low).max()), means[:, axes]
     return np.asarray(((across >= low - margin) & (across < high + margin)).all(axis=1))
 
 
@@ -88,7 +99,7 @@ def space_of_tile(near: Gaussians, params: Facts) -> NavigableSpace | None:
     if "walk" in params and not params["walk"]:
         return None
     low, high, axes = (np.array(params[name]) for name in ("low", "high", "axes"))
-    how = {"up": params["up"], "resolution": params["resolution"]}
+    how = {"up": params["up"], "resolution": _resolution(near, near_tile(near.means, params), params["resolution"])}
     try:
         if "walk" in params:
             found = space_along(near, params["walk"], params["margin"], **how)
@@ -103,6 +114,16 @@ def space_of_tile(near: Gaussians, params: Facts) -> NavigableSpace | None:
         shape[axis] = -1
         free &= ((middles >= first) & (middles < last)).reshape(shape)
     return replace(found, free=free) if free.any() else None
+
+
+def _resolution(near: Gaussians, own: NDArray[np.bool_], resolution: int) -> int:
+    """Return the voxels along the longest side of the grid over a tile and its surroundings.
+
+    Voxels are as large as in a grid of a `resolution` over the tile, `own`, or larger where memory asks for it.
+    """
+    sides, tile = (np.diff(np.stack(g.bounds(_COVERAGE)), axis=0)[0].astype(np.float64) for g in (near, near[own]))
+    voxel_size = max(float(tile.max()) / resolution, float(np.cbrt(sides.prod() / MOST_VOXELS)))
+    return int(np.clip(np.ceil(sides.max() / max(voxel_size, 1e-12)), resolution, MAX_RESOLUTION))
 
 
 def save_space(path: Path, space: NavigableSpace) -> None:

@@ -60,7 +60,7 @@ def leveled(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("leveled")
     levels = LevelsConfig((0.3,), (0.8,), ("low", "high"), iterations=2, preview=0.0)
     scene = write(small_street(houses=4, step=0.5, flyaways=12), folder / "street.ply")
-    prepare_world([scene], folder / "d.gsworld", replace(config(levels, most=400), angle=0.3))
+    prepare_world([scene], folder / "d.gsworld", replace(config(levels, most=400), angle=0.8))
     return folder / "d.gsworld"
 
 
