@@ -11,17 +11,20 @@ import weakref
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis._kernels.blank import blank
 from gsvis.abr.index import SceneIndex
 from gsvis.errors import GsvisError, SceneError
 from gsvis.files.cache import Cache
+from gsvis.package.manifest import Manifest
+from gsvis.package.package import PARTS
+from gsvis.package.sets import open_sets
 from gsvis.pvs.cells import CellGrid
-from gsvis.pvs.codec import pack, pack_some
+from gsvis.pvs.codec import pack_some, word_count
 from gsvis.pvs.store import VisibilityStore
 from gsvis.world.beyond import Beyond, Seen
 from gsvis.world.manifest import Tile
@@ -36,6 +39,7 @@ I64 = NDArray[np.int64]
 F64 = NDArray[np.float64]
 _Part = TypeVar("_Part")
 _Seen = tuple[I64, NDArray[np.uint8], NDArray[np.uint8]]
+_Masks = tuple[NDArray[np.int32], NDArray[np.uint64]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,15 +226,21 @@ class WorldSets:
         cells: Its cells.
         bases: First id of each node; nodes without ids are not seen.
         levels: L, number of levels.
-        tables: Folder where joined stores stay; None means temporary files.
-        cache: Keeps decoded sets.
+        manifests: Manifest of the package of each tile.
+        cache: Keeps what is decoded.
     """
 
     def __init__(
-        self, world: World, cells: WorldCells, bases: I64, levels: int, tables: Path | None, cache: Cache[Any]
+        self,
+        world: World,
+        cells: WorldCells,
+        bases: I64,
+        levels: int,
+        manifests: Mapping[int, Manifest],
+        cache: Cache[Any],
     ) -> None:
-        self._world, self._cells, self._bases, self._tables, self._cache = world, cells, bases, tables, cache
-        self._top = levels - 1
+        self._world, self._cells, self._bases, self._cache = world, cells, bases, cache
+        self._top, self._manifests = levels - 1, manifests
         self._tiles: Cache[_Tile] = Cache(max_items=_OPEN_TILES)
         self._said = set[int]()
 
@@ -254,11 +264,23 @@ class WorldSets:
 
     def visible_words(self, cell: int) -> NDArray[np.uint64]:
         """Return the visible set of a cell, packed."""
-        return pack(self._ids(cell), self._n)
+        words: NDArray[np.uint64] = blank(word_count(self._n), np.uint64)
+        numbers, masks = self.visible_masks(cell)
+        words[numbers] = masks
+        return words
 
-    def visible_masks(self, cell: int) -> tuple[NDArray[np.int32], NDArray[np.uint64]]:
+    def visible_masks(self, cell: int) -> _Masks:
         """Return the words of the visible set of a cell that are not empty, ascending, and their masks."""
-        return pack_some(self._ids(cell))
+        tile, place = int(self._cells.tiles[cell]), int(self._cells.places[cell])
+        low, high = self._bases[tile : tile + 2].tolist()
+
+        def read(stores: _Tile) -> list[_Masks]:
+            beyond = [] if stores.beyond is None else stores.beyond.ids_of_cell(place)
+            others = [np.sort(self._bases[node] + ids) for node, ids in beyond if self._has_ids(node)]
+            return [stores.own.visible_masks(place, first=low), *(pack_some(ids) for ids in others)]
+
+        found = self._unless_damaged(tile, read)
+        return pack_some(np.arange(low, high)) if found is None else found[0] if len(found) == 1 else _join(found)
 
     def of_gaussian(self, gaussian: int) -> tuple[VisibilityStore, int, int] | None:
         """Return the store of the tile that holds a Gaussian, its id there, and the number of the tile's first cell.
@@ -300,24 +322,10 @@ class WorldSets:
         ids = np.concatenate([self._bases[part[0]] + part[1] for part in some])
         classes = np.concatenate([part[2] for part in some])
         highest = np.repeat(np.array([part[3] for part in some], np.uint8), [len(part[1]) for part in some])
-        if _is_ascending(ids):
+        if not (ids[1:] < ids[:-1]).any():  # they ascend unless several pieces of one node stand around a tile
             return ids, classes, highest
         order = np.argsort(ids, kind="stable")
         return ids[order], classes[order], highest[order]
-
-    def _ids(self, cell: int) -> I64:
-        """Return ascending ids of the Gaussians that a cell sees; faster than `classes`."""
-        tile, place = int(self._cells.tiles[cell]), int(self._cells.places[cell])
-
-        def read(stores: _Tile) -> list[tuple[int, I64]]:
-            beyond = [] if stores.beyond is None else stores.beyond.ids_of_cell(place)
-            return [(tile, stores.own.visible_ids(place)), *(seen for seen in beyond if self._has_ids(seen[0]))]
-
-        found = self._unless_damaged(tile, read)
-        if found is None:
-            return np.arange(*self._bases[tile : tile + 2].tolist())
-        every = np.concatenate([self._bases[node] + ids for node, ids in sorted(found, key=_first)])
-        return every if _is_ascending(every) else np.sort(every)
 
     def _has_ids(self, node: int) -> bool:
         return bool(self._bases[node + 1] > self._bases[node])
@@ -338,14 +346,12 @@ class WorldSets:
             return None
 
     def _open(self, tile: int) -> _Tile:
-        package = self._world.package(tile)
-        if self._tables is not None:
-            package.keep_store(self._tables / f"{self._world.manifest.tiles[tile].package[:32]}.pvs")
-        found = _Tile(package.visibility, self._world.beyond(tile))
-        found.own.cache = self._cache.scope(("tile", tile))
+        parts = self._world.package_path(tile) / PARTS
+        own = open_sets(parts, self._manifests[tile], self._cache.scope(("tile", tile)))
+        found = _Tile(own, self._world.beyond(tile))
         if found.beyond is not None:
             found.beyond.store.cache = self._cache.scope(("beyond", tile))
-        weakref.finalize(found, _close, package, found.beyond)
+            weakref.finalize(found, found.beyond.close)
         return found
 
 
@@ -353,12 +359,10 @@ def _first(part: tuple[Any, ...]) -> Any:
     return part[0]
 
 
-def _is_ascending(ids: I64) -> bool:
-    """Return whether ids ascend, as they do unless several pieces of one node stand around a tile."""
-    return not bool((ids[1:] < ids[:-1]).any())
-
-
-def _close(package: Any, beyond: Beyond | None) -> None:
-    package.close()
-    if beyond is not None:
-        beyond.close()
+def _join(sets: list[_Masks]) -> _Masks:
+    """Return the words of several sets together; two nodes may share a word."""
+    numbers, masks = (np.concatenate(arrays) for arrays in zip(*sets, strict=True))
+    order = np.argsort(numbers, kind="stable")
+    numbers, masks = numbers[order], masks[order]
+    starts = np.flatnonzero(np.diff(numbers, prepend=-1))
+    return numbers[starts], np.bitwise_or.reduceat(masks, starts) if len(starts) else masks
