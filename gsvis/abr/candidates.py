@@ -251,6 +251,10 @@ class CandidateIndex:
             self.cache.keep(("candidates", cell), found)
         return found
 
+    def has(self, cell: int) -> bool:
+        """Whether the candidates of a cell are in the cache."""
+        return self.cache.find(("candidates", cell)) is not None
+
     def build(self, cell: int) -> Candidates:
         """Compute the candidates of a cell, without the cache.
 

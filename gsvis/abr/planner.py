@@ -168,6 +168,12 @@ class Planner:
         return (self._stage > _DETAILS or (self._is_used_up and self._next_stage > _DETAILS)) and not self.done
 
     @property
+    def has_to_prepare(self) -> bool:
+        """Whether the candidates of the viewer's cell are to be made first."""
+        near = self._near
+        return self.cell >= 0 and (near is None or near[0].cell != self.cell) and not self.candidates.has(self.cell)
+
+    @property
     def _is_used_up(self) -> bool:
         return self._whole and self._place == len(self._plan.entries)
 

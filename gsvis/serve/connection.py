@@ -294,7 +294,7 @@ class Connection:
                 await self._wait(wait)
                 continue
             if self._setting.planners is None:
-                await self._setting.pace.turns.take()
+                await self._setting.pace.turns.take(is_long=self._session.has_to_prepare)
                 self._take_in()
                 if self._idle_for(self._setting.measure()) > 0.0:
                     continue
