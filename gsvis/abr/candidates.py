@@ -245,10 +245,7 @@ class CandidateIndex:
         Raises:
             ValueError: If there is no such cell, or it names Gaussians or terms that the scene does not have.
         """
-        found: Candidates | None = self.cache.find(("candidates", cell))
-        if found is None:
-            found = self.build(cell)
-            self.cache.keep(("candidates", cell), found)
+        found: Candidates = self.cache.find_or_make(("candidates", cell), lambda: self.build(cell))
         return found
 
     def has(self, cell: int) -> bool:

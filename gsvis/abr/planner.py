@@ -203,6 +203,10 @@ class Planner:
         self._fresh = True
         self._pose, self._time, self.cell = pose, t, self.candidates.index.cell_of(pose.position)
 
+    def position_in(self, seconds: float) -> NDArray[np.float64] | None:
+        """Return where the client will be so long after its last pose, (3,) scene frame; None before the first."""
+        return None if self._pose is None else self._poses.predict(self._time + seconds).position
+
     def next_batch(self, t: float, budget: float, rate: float, *, spare: float | None = None) -> Batch:
         """Return the next records, an empty batch before the first pose. They count as held from now on.
 

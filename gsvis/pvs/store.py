@@ -19,27 +19,23 @@ from numpy.typing import ArrayLike, NDArray
 from pyroaring import BitMap
 
 from gsvis import _check
-from gsvis.errors import FormatError, SceneError
+from gsvis.errors import FormatError
 from gsvis.files.cache import Cache
 from gsvis.files.joined import JoinedFiles
-from gsvis.files.limits import DAMAGED, Budget
+from gsvis.files.limits import DAMAGED
 from gsvis.files.sections import SectionFile
 from gsvis.progress import Progress, silent
+from gsvis.pvs import _head as head
 from gsvis.pvs import _order
 from gsvis.pvs import codec as _codec
 from gsvis.pvs._kernels import store as kernels
-from gsvis.pvs._rows import read_rows
 from gsvis.pvs._writer import (
     FILE_KIND,
-    FORMAT,
     CellSet,
     StoreInfo,
     StoreWriter,
-    beyond_free,
     write_store,
 )
-from gsvis.pvs.cells import MAX_CELLS, CellGrid
-from gsvis.pvs.stored_certificates import CERTIFIED_ROW, StoredCertificates
 from gsvis.pvs.why import Why, why
 from gsvis.raycast.tracer import Tracer
 from gsvis.scene.content import scene_hash
@@ -81,9 +77,9 @@ class VisibilityStore:
         self._known_scene: weakref.ref[Gaussians | Levels] | None = None
         self._file = SectionFile(path, FILE_KIND, joined)
         try:
-            self.info, self.grid = self._read_header()
-            self._rows = read_rows(self._file, len(self.grid), self.gaussians)
-            self.certificates = self._read_certificates()
+            self.info, self.grid = head.read_header(self._file)
+            self._rows = head.read_rows(self._file, len(self.grid), self.gaussians)
+            self.certificates = head.read_certificates(self._file, len(self.grid))
         except BaseException:
             self._file.close()
             raise
@@ -208,10 +204,15 @@ class VisibilityStore:
         kernels.scatter_from(self._decode(cell) if held is None else held, self._order, first & 63, out)
         return _codec.used_words(out, first >> 6)
 
+    def load(self) -> VisibilityStore:
+        """Decode what all queries need, so that the first of them need not wait for it; return the store."""
+        _ = self._order
+        return self
+
     def classes(self, cell: int) -> tuple[NDArray[np.int64], U8]:
         """Return the (V,) ids that a cell sees, ascending, and the (V,) weight class of each."""
         levels, words, order = self._levels(self.check_cell(cell)), self._words(cell), self._order
-        of_scene = np.zeros(self.gaussians, np.uint8)
+        of_scene = np.empty(self.gaussians, np.uint8)  # pages that hold none of the set stay untouched
         kernels.scatter_levels(words, order, levels, of_scene)
         ids = np.empty(int(self._rows["visible"][cell]), np.int64)
         classes = np.empty(len(ids), np.uint8)
@@ -470,36 +471,6 @@ class VisibilityStore:
             return _codec.decompress(self._file.read(name), length)
         except _codec.CodecError as error:
             raise self._undecodable(f"section {name!r}", error) from error
-
-    def _read_header(self) -> tuple[StoreInfo, CellGrid]:
-        header = self._file.header
-        if header.raw("format") != FORMAT:
-            raise self._fault("format", repr(FORMAT), repr(header.raw("format"))[:60])
-        scene, grid = header.raw("scene"), header.child("grid")
-        if not isinstance(scene, str):
-            raise self._fault("scene", "the hash of a scene", repr(scene)[:60])
-        n, cells = header.integer("gaussians", 0, (1 << 31) - 1), grid.integer("cells", 1, MAX_CELLS)
-        Budget(self.path, self._file.size).claim(beyond_free(n) + 12 * cells, "header")
-        config = header.child("config").value
-        shape = tuple(int(side) for side in grid.numbers("shape", 3))
-        frame = grid.numbers("origin", 3), grid.number("cell_size"), shape
-        tau, edges, up = header.number("tau"), header.numbers("class_edges"), grid.numbers("up", 3)
-        coords = np.frombuffer(self._unpack("coords", 12 * cells), "<i4").reshape(-1, 3).astype(np.int32)
-        try:
-            return StoreInfo(n, scene, tau, edges, config), CellGrid(*frame, coords, up)  # type: ignore[arg-type]
-        except (ValueError, SceneError) as error:
-            raise FormatError(self.path, "header", "a grid and classes that are valid", str(error), DAMAGED) from error
-
-    def _read_certificates(self) -> StoredCertificates:
-        if "certificates" not in self._file.sections:  # stores of older versions
-            return StoredCertificates.none(len(self.grid))
-        data = self._file.read("certificates")
-        if len(data) != len(self.grid) * CERTIFIED_ROW.itemsize:
-            raise self._fault("section 'certificates'", f"{len(self.grid)} rows", f"{len(data)} bytes")
-        try:
-            return StoredCertificates.from_rows(np.frombuffer(data, CERTIFIED_ROW))
-        except ValueError as error:
-            raise self._fault("section 'certificates'", "valid rows", str(error)) from error
 
     def _fault(self, where: str, expected: str, got: str) -> FormatError:
         return FormatError(self.path, where, expected, got, DAMAGED)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 import weakref
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, TypeVar
@@ -134,6 +134,21 @@ class WorldCells:
             found[free] = numbers[tuple(places[free].T)]
         return found
 
+    def tiles_near(self, cell: int) -> set[int]:
+        """Return the tile of a cell, and those of the cells that touch it."""
+        if cell not in self._near:
+            self._near[cell] = {int(self.tiles[cell]), *self.tiles[self.neighbors(cell)].tolist()}
+        return self._near[cell]
+
+    def tiles_at(self, position: F64) -> list[int]:
+        """Return the tiles whose cells are around a position (3,)."""
+        starts, low, high = self._spans
+        reach = self.sizes[starts[:-1], None] / 2
+        found: list[int] = self.tiles[starts[:-1]][
+            ((position >= low - reach) & (position <= high + reach)).all(1)
+        ].tolist()
+        return found
+
     def rings(self, cell: int) -> list[list[int]]:
         """Return the cell, and its neighbors by face, by edge and by corner; those of other tiles count as by face."""
         found: list[list[int]] = [[cell], [], [], []]
@@ -183,6 +198,10 @@ class WorldCells:
         return (float(squares.min()), int(some[squares.argmin()])) if len(some) else None
 
     @cached_property
+    def _near(self) -> dict[int, set[int]]:
+        return {}
+
+    @cached_property
     def _spans(self) -> tuple[I64, F64, F64]:
         """Where the cells of each tile begin, and their number; and the box around their centers."""
         starts = np.flatnonzero(np.diff(self.tiles, prepend=-1))
@@ -202,6 +221,23 @@ class WorldIndex(SceneIndex):
         """Return the cell that contains a position (3,), of those the one with the nearest center; else the nearest."""
         cells: Any = self.grid
         return int(cells.nearest(position))
+
+    def shares_near(self, cells: Iterable[int]) -> dict[int, tuple[float, float]]:
+        """Return the tiles around some cells, and the share of all ids that each has, from one number to another."""
+        grid: Any = self.grid
+        sets: Any = self.sets
+        return {tile: sets.share_of(tile) for cell in set(cells) for tile in grid.tiles_near(cell)}
+
+    def closed_at(self, position: F64) -> list[int]:
+        """Return the tiles around a position (3,) whose visible sets are not open."""
+        grid: Any = self.grid
+        sets: Any = self.sets
+        return [tile for tile in grid.tiles_at(position) if not sets.is_open(tile)]
+
+    def open_tile(self, tile: int) -> None:
+        """Open the visible sets of a tile, so that the first viewer who comes need not wait for it. Any thread may."""
+        sets: Any = self.sets
+        sets.load(tile)
 
     def standing(self, cell: int) -> I64:
         """Return ascending ids of what a cell sees of tiles at a lower level that ends at this level."""
@@ -252,6 +288,19 @@ class WorldSets:
     @cached_property
     def _n(self) -> int:
         return int(self._bases[-1])
+
+    def share_of(self, tile: int) -> tuple[float, float]:
+        """Return where the ids of a tile begin and end, as shares of all ids."""
+        low, high = self._bases[tile : tile + 2].tolist()
+        return low / self._n, high / self._n
+
+    def is_open(self, tile: int) -> bool:
+        """Whether the stores of a tile are open."""
+        return self._tiles.find(tile) is not None
+
+    def load(self, tile: int) -> None:
+        """Open the stores of a tile, and decode what all queries need."""
+        self._unless_damaged(tile, lambda stores: [stores.own.load()])
 
     def classes(self, cell: int) -> tuple[I64, NDArray[np.uint8]]:
         """Return ascending ids of the Gaussians that a cell sees, and the class of each."""
@@ -318,6 +367,10 @@ class WorldSets:
         if found is None:
             low, high = self._bases[tile : tile + 2].tolist()
             return np.arange(low, high), np.zeros(high - low, np.uint8), np.full(high - low, self._top, np.uint8)
+        if len(found) == 1:
+            node, ids, classes, level = found[0]
+            ids += self._bases[node]  # the store has made them for this call
+            return ids, classes, np.full(len(ids), level, np.uint8)
         some = sorted(found, key=_first)
         ids = np.concatenate([self._bases[part[0]] + part[1] for part in some])
         classes = np.concatenate([part[2] for part in some])
