@@ -204,8 +204,14 @@ class Planner:
         self._pose, self._time, self.cell = pose, t, self.candidates.index.cell_of(pose.position)
 
     def position_in(self, seconds: float) -> NDArray[np.float64] | None:
-        """Return where the client will be so long after its last pose, (3,) scene frame; None before the first."""
-        return None if self._pose is None else self._poses.predict(self._time + seconds).position
+        """Return where the client will be so long after its last pose if it goes on as in the second after it.
+
+        None before the first pose; (3,) scene frame. Predictors look no farther than a second.
+        """
+        if self._pose is None:
+            return None
+        step: NDArray[np.float64] = self._poses.predict(self._time + 1.0).position - self._pose.position
+        return self._pose.position + seconds * step
 
     def next_batch(self, t: float, budget: float, rate: float, *, spare: float | None = None) -> Batch:
         """Return the next records, an empty batch before the first pose. They count as held from now on.
