@@ -6,7 +6,6 @@ import struct
 import threading
 import zlib
 from dataclasses import dataclass, fields
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +17,8 @@ from pyroaring import BitMap
 
 from gsvis.errors import FormatError
 from gsvis.files import sections
-from gsvis.files.cache import Cache
-from gsvis.files.joined import JoinedFiles
 from gsvis.pvs import _writer
 from gsvis.pvs.cells import CellGrid
-from gsvis.pvs.codec import pack_some
 from gsvis.pvs.store import CellSet, StoreInfo, StoreWriter, VisibilityStore, write_store
 from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
@@ -184,28 +180,6 @@ def test_a_cache_of_any_size_changes_no_answer(tmp_path: Path) -> None:
                 assert np.array_equal(store.classes(cell)[0], np.flatnonzero(truth.seen[cell]))
                 assert np.allclose(store.distance_to_visibility(cell), naive_distances(truth, cell), rtol=1e-6)
             assert store.cache.nbytes <= room
-
-
-@pytest.mark.parametrize("first", [0, 64, 1_000_037])
-@pytest.mark.parametrize("most", [0, 1 << 20])
-def test_a_store_in_parts_answers_as_one_file_in_ids_that_begin_anywhere(tmp_path: Path, first: int, most: int) -> None:
-    truth = structured(5_000, 12)
-    whole, data = truth.write(tmp_path / "whole.pvs"), (tmp_path / "whole.pvs").read_bytes()
-    cuts = np.linspace(0, len(data), 8).astype(int).tolist()
-    for k, (start, end) in enumerate(pairwise(cuts)):
-        (tmp_path / f"{k}").write_bytes(data[start:end])
-    joined = JoinedFiles([tmp_path / f"{k}" for k in range(7)], np.diff(cuts).tolist())
-    shared = Cache[Any](most)
-    with VisibilityStore(tmp_path / "none.pvs", joined=joined, cache=shared.scope("tile")).load() as store:
-        for cell in range(len(whole)):
-            numbers, masks = store.visible_masks(cell, first=first)
-            expected = pack_some(first + whole.visible_ids(cell))
-            assert np.array_equal(numbers, expected[0])
-            assert np.array_equal(masks, expected[1])
-            for mine, theirs in zip(store.classes(cell), whole.classes(cell), strict=True):
-                assert np.array_equal(mine, theirs)
-        assert shared.nbytes <= most
-        assert bool(shared.nbytes) == bool(most)
 
 
 def test_threads_may_share_a_store(tmp_path: Path) -> None:
