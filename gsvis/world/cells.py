@@ -140,15 +140,6 @@ class WorldCells:
             self._near[cell] = {int(self.tiles[cell]), *self.tiles[self.neighbors(cell)].tolist()}
         return self._near[cell]
 
-    def tiles_at(self, position: F64) -> list[int]:
-        """Return the tiles whose cells are around a position (3,)."""
-        starts, low, high = self._spans
-        reach = self.sizes[starts[:-1], None] / 2
-        found: list[int] = self.tiles[starts[:-1]][
-            ((position >= low - reach) & (position <= high + reach)).all(1)
-        ].tolist()
-        return found
-
     def rings(self, cell: int) -> list[list[int]]:
         """Return the cell, and its neighbors by face, by edge and by corner; those of other tiles count as by face."""
         found: list[list[int]] = [[cell], [], [], []]
@@ -229,10 +220,10 @@ class WorldIndex(SceneIndex):
         return {tile: sets.share_of(tile) for cell in set(cells) for tile in grid.tiles_near(cell)}
 
     def closed_at(self, position: F64) -> list[int]:
-        """Return the tiles around a position (3,) whose visible sets are not open."""
+        """Return the tiles around the cell of a position (3,) whose visible sets are not open."""
         grid: Any = self.grid
         sets: Any = self.sets
-        return [tile for tile in grid.tiles_at(position) if not sets.is_open(tile)]
+        return sorted(tile for tile in grid.tiles_near(self.cell_of(position)) if not sets.is_open(tile))
 
     def open_tile(self, tile: int) -> None:
         """Open the visible sets of a tile, so that the first viewer who comes need not wait for it. Any thread may."""
