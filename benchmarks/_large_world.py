@@ -113,13 +113,13 @@ def _move_store(store: Path, to: Path, by: np.ndarray) -> None:
 
 def write_tables(world: Path, part: Path, folder: Path) -> None:
     """Write the file of tables of a world whose first nodes are those of another one; the rest of it are holes."""
-    whole = WorldPackage(World.open(world), set(), folder)
+    whole = WorldPackage(World.open(world), set())
     path = folder / f"{_key(whole, PIXEL, None)}.tables"
     if path.is_file():
         return
     _, kept = open_world(part, tables=folder, quality=None)
     assert kept is not None
-    own = WorldPackage(World.open(part), set(), folder)
+    own = WorldPackage(World.open(part), set())
     known = MappedArrays(folder / f"{_key(own, PIXEL, None)}.tables")
     about = SceneHeader.parse(base64.b64decode(known.facts["welcome"]))
     assert about.grids == whole.manifest.grids

@@ -245,11 +245,12 @@ class CandidateIndex:
         Raises:
             ValueError: If there is no such cell, or it names Gaussians or terms that the scene does not have.
         """
-        found: Candidates | None = self.cache.find(("candidates", cell))
-        if found is None:
-            found = self.build(cell)
-            self.cache.keep(("candidates", cell), found)
+        found: Candidates = self.cache.find_or_make(("candidates", cell), lambda: self.build(cell))
         return found
+
+    def has(self, cell: int) -> bool:
+        """Whether the candidates of a cell are in the cache."""
+        return self.cache.find(("candidates", cell)) is not None
 
     def build(self, cell: int) -> Candidates:
         """Compute the candidates of a cell, without the cache.

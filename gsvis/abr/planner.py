@@ -168,6 +168,12 @@ class Planner:
         return (self._stage > _DETAILS or (self._is_used_up and self._next_stage > _DETAILS)) and not self.done
 
     @property
+    def has_to_prepare(self) -> bool:
+        """Whether the candidates of the viewer's cell are to be made first."""
+        near = self._near
+        return self.cell >= 0 and (near is None or near[0].cell != self.cell) and not self.candidates.has(self.cell)
+
+    @property
     def _is_used_up(self) -> bool:
         return self._whole and self._place == len(self._plan.entries)
 
@@ -196,6 +202,16 @@ class Planner:
         self._poses.observe(t, pose.position, pose.quat)
         self._fresh = True
         self._pose, self._time, self.cell = pose, t, self.candidates.index.cell_of(pose.position)
+
+    def position_in(self, seconds: float) -> NDArray[np.float64] | None:
+        """Return where the client will be so long after its last pose if it goes on as in the second after it.
+
+        None before the first pose; (3,) scene frame. Predictors look no farther than a second.
+        """
+        if self._pose is None:
+            return None
+        step: NDArray[np.float64] = self._poses.predict(self._time + 1.0).position - self._pose.position
+        return self._pose.position + seconds * step
 
     def next_batch(self, t: float, budget: float, rate: float, *, spare: float | None = None) -> Batch:
         """Return the next records, an empty batch before the first pose. They count as held from now on.

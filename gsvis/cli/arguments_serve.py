@@ -67,7 +67,7 @@ class Serve:
     """Folder for tables that are computed once for each package and memory-mapped after that."""
     no_tables: Flag = False
     """Decode packages into memory at the start instead, and never close them."""
-    tables_memory: Annotated[int, BYTES, hint("1GB")] = 1_000_000_000
+    tables_memory: Annotated[int, BYTES, hint("800MB")] = 800_000_000
     """Memory limit for mapped tables, for each process."""
     close: Annotated[float, SECONDS] = 600.0
     """Close a scene that nobody looks at for so many seconds; the next viewer opens it again."""

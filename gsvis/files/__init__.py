@@ -7,6 +7,7 @@ _MODULES = (
     "cache",
     "fields",
     "folders",
+    "joined",
     "limits",
     "locks",
     "objects",

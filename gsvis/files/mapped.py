@@ -15,6 +15,7 @@ import re
 import shutil
 import struct
 from collections.abc import Collection, Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -202,14 +203,38 @@ class MappedArrays:
         found.flags.writeable = writable
         return name, found
 
-    def release(self) -> None:
-        """Give back the memory of all pages; a page that is touched again comes from the file.
+    def release(self, shares: Sequence[tuple[float, float]] | None = None) -> None:
+        """Give back the memory of pages; a page that is touched again comes from the file.
 
         Safe at any time, also while other threads read: the content stays the same. Does nothing where the system has
         no such call.
+
+        Args:
+            shares: Which shares of each array, each from one number in [0, 1] to another; None means all.
         """
-        if hasattr(self._map, "madvise"):
+        if not hasattr(self._map, "madvise"):
+            return
+        if shares is None:
             self._map.madvise(mmap.MADV_DONTNEED)
+            return
+        for place, size in self._lines:
+            for low, high in shares:
+                start = -(-(place + int(size * low)) // mmap.PAGESIZE) * mmap.PAGESIZE
+                end = (place + int(size * high)) // mmap.PAGESIZE * mmap.PAGESIZE
+                if start < end:
+                    self._map.madvise(mmap.MADV_DONTNEED, start, end - start)
+
+    @cached_property
+    def _lines(self) -> list[tuple[int, int]]:
+        """Where in the file the lines of arrays along their longest axis begin, and their bytes."""
+        base = np.frombuffer(self._map, np.uint8).ctypes.data
+        found = set[tuple[int, int]]()
+        for array in self.arrays.values():
+            count = len(array) if array.ndim > 1 and len(array) < array.shape[1] else 1
+            found |= {
+                (array.ctypes.data - base + k * array.nbytes // count, array.nbytes // count) for k in range(count)
+            }
+        return sorted(found)
 
 
 def resident_bytes() -> int:

@@ -21,6 +21,7 @@ from typing import Any, BinaryIO
 from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.files.fields import Fields, parse_object
+from gsvis.files.joined import JoinedFiles
 from gsvis.files.limits import DAMAGED, open_regular
 
 __all__ = ["HEAD_BYTES", "FileKind", "Section", "SectionFile", "SectionWriter"]
@@ -107,32 +108,42 @@ class SectionFile:
     Args:
         path: The file.
         kind: Expected kind of the file.
+        joined: The content of the file, if it lies in several; `path` only names it then. None maps the file.
 
     Raises:
         FormatError: If the head, the length, the header or the list of sections is not valid.
         OSError: If the file cannot be opened.
     """
 
-    def __init__(self, path: str | os.PathLike[str], kind: FileKind) -> None:
-        self.path, self.kind = _check.path("path", path), kind
-        with open_regular(self.path) as file:
-            size = os.fstat(file.fileno()).st_size
-            place, length, crc = self._read_head(file.read(HEAD_BYTES), size)
-            self._map = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+    def __init__(self, path: str | os.PathLike[str], kind: FileKind, joined: JoinedFiles | None = None) -> None:
+        self.path, self.kind, self._joined = _check.path("path", path), kind, joined
+        self._map: mmap.mmap | None = None
+        if joined is not None:
+            size = joined.size
+            place, length, crc = self._read_head(joined.read(0, HEAD_BYTES), size)
+        else:
+            with open_regular(self.path) as file:
+                size = os.fstat(file.fileno()).st_size
+                place, length, crc = self._read_head(file.read(HEAD_BYTES), size)
+                self._map = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         try:
             self.size = size
             self.header = self._read_header(place, length, crc)
             self.sections = self._read_list(place)
         except BaseException:
-            self._map.close()
+            self.close()
             raise
 
     def close(self) -> None:
         """Close the file."""
-        self._map.close()
+        self._joined = None
+        if self._map is not None:
+            self._map.close()
 
     def _bytes(self, start: int, length: int) -> bytes:
-        if self._map.closed:
+        if self._joined is not None:
+            return self._joined.read(start, length)
+        if self._map is None or self._map.closed:
             raise ValueError("file: expected an open one, got one that was closed; open it again")
         return self._map[start : start + length]
 

@@ -8,6 +8,7 @@ cell gives the same Gaussian. This module knows no file and no grid.
 from __future__ import annotations
 
 import threading
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,7 @@ __all__ = [
     "pack",
     "pack_some",
     "portable",
+    "used_words",
     "word_count",
 ]
 
@@ -76,6 +78,14 @@ def pack_some(ids: NDArray[Any]) -> tuple[NDArray[np.int32], Words]:
     words, masks = np.empty(len(ids), np.int32), np.empty(len(ids), np.uint64)
     count = kernels.mark_some(ids, words, masks)
     return words[:count].copy(), masks[:count].copy()
+
+
+def used_words(words: Words, first: int = 0) -> tuple[NDArray[np.int32], Words]:
+    """Return the words of a set that are not empty: their numbers, from `first` on, and masks."""
+    size = kernels.used(words, first, np.empty(0, np.int32), words[:0])
+    numbers, masks = np.empty(size, np.int32), np.empty(size, np.uint64)
+    kernels.used(words, first, numbers, masks)
+    return numbers, masks
 
 
 def ids_of(words: Words) -> NDArray[np.int64]:
@@ -210,17 +220,15 @@ def decode_classes(data: bytes, words: Words, n: int, parent: U8 | None, classes
     before = np.zeros(n, np.uint8) if parent is None else parent
     counts = np.zeros(256, np.int64)
     kernels.count_contexts(words, before, counts)
-    parts = [np.zeros(0, np.uint8)]
-    start = 4 * streams
-    for context, end in enumerate(ends.tolist()):
-        count = int(counts[context])
-        if count:
-            parts.append(
-                _split_digits(decompress(data[start:end], -(-count // digits_a_byte(classes))), count, classes)
-            )
-        start = end
+    width = digits_a_byte(classes)
+    sizes = -(-counts // width)
+    places = np.cumsum(sizes) - sizes
+    digits = np.empty(int(sizes.sum()), np.uint8)
+    for context, (start, end) in enumerate(zip([4 * streams, *ends[:-1].tolist()], ends.tolist(), strict=True)):
+        if sizes[context]:
+            _decompress_into(data[start:end], digits[places[context] :][: sizes[context]])
     levels = np.zeros(n, np.uint8)
-    kernels.place_classes(words, before, np.concatenate(parts), np.cumsum(counts) - counts, levels)
+    kernels.place_classes(words, before, digits, places, _digits_of_bytes(classes), levels)
     return levels
 
 
@@ -242,9 +250,14 @@ def decode_labels(data: bytes, n: int) -> NDArray[np.uint16]:
     """
     if data[:1] not in (b"\1", b"\2"):
         raise CodecError(f"expected labels in planes of 1 or 2, got {data[:1]!r}")
-    content = np.frombuffer(decompress(data[1:], 2 * n), np.uint8)
-    pairs = content.reshape(2, n).T if data[:1] == b"\2" else content.reshape(n, 2)
-    return np.asarray(pairs[:, 0] + (pairs[:, 1].astype(np.uint16) << np.uint16(8)))
+    content = np.empty(2 * n, np.uint8)
+    _decompress_into(data[1:], content)
+    if data[:1] == b"\1":
+        return content.view("<u2").astype(np.uint16, copy=False)
+    labels = content[n:].astype(np.uint16)
+    labels <<= np.uint16(8)
+    labels |= content[:n]
+    return labels
 
 
 def digits_a_byte(classes: int) -> int:
@@ -263,8 +276,8 @@ def _join_digits(symbols: NDArray[np.int64], classes: int) -> bytes:
     return (padded @ (classes ** np.arange(width))).astype(np.uint8).tobytes()
 
 
-def _split_digits(data: bytes, count: int, classes: int) -> U8:
-    """Return the `count` numbers that `_join_digits` encoded."""
+@cache
+def _digits_of_bytes(classes: int) -> U8:
+    """Return (256, D) the numbers below `classes` that `_join_digits` put in each byte."""
     powers = classes ** np.arange(digits_a_byte(classes))
-    table = (np.arange(256)[:, None] // powers % classes).astype(np.uint8)
-    return np.asarray(table[np.frombuffer(data, np.uint8)].reshape(-1)[:count])
+    return (np.arange(256)[:, None] // powers % classes).astype(np.uint8)

@@ -19,26 +19,23 @@ from numpy.typing import ArrayLike, NDArray
 from pyroaring import BitMap
 
 from gsvis import _check
-from gsvis.errors import FormatError, SceneError
+from gsvis.errors import FormatError
 from gsvis.files.cache import Cache
-from gsvis.files.limits import DAMAGED, Budget
+from gsvis.files.joined import JoinedFiles
+from gsvis.files.limits import DAMAGED
 from gsvis.files.sections import SectionFile
 from gsvis.progress import Progress, silent
+from gsvis.pvs import _head as head
 from gsvis.pvs import _order
 from gsvis.pvs import codec as _codec
 from gsvis.pvs._kernels import store as kernels
 from gsvis.pvs._writer import (
-    CELL_ROW,
     FILE_KIND,
-    FORMAT,
     CellSet,
     StoreInfo,
     StoreWriter,
-    beyond_free,
     write_store,
 )
-from gsvis.pvs.cells import MAX_CELLS, CellGrid
-from gsvis.pvs.stored_certificates import CERTIFIED_ROW, StoredCertificates
 from gsvis.pvs.why import Why, why
 from gsvis.raycast.tracer import Tracer
 from gsvis.scene.content import scene_hash
@@ -62,16 +59,27 @@ class VisibilityStore:
         cache: Cache of decoded cells; assign another `Cache` to share it.
     """
 
-    def __init__(self, path: str | PathLike[str], *, max_cache: int = 256 << 20) -> None:
-        """Open a file without checking its scene; see `open`."""
+    def __init__(
+        self,
+        path: str | PathLike[str],
+        *,
+        max_cache: int = 256 << 20,
+        joined: JoinedFiles | None = None,
+        cache: Cache[Any] | None = None,
+    ) -> None:
+        """Open a file without checking its scene; see `open`.
+
+        `joined` is the content of the file where it lies in several. A `cache` that others share holds the order, too.
+        """
         self.path = _check.path("path", path)
-        self.cache: Cache[Any] = Cache(_check.positive_int("max_cache", max_cache, at_least=0))
+        self._keeps_order = cache is None
+        self.cache = Cache[Any](_check.positive_int("max_cache", max_cache, at_least=0)) if cache is None else cache
         self._known_scene: weakref.ref[Gaussians | Levels] | None = None
-        self._file = SectionFile(path, FILE_KIND)
+        self._file = SectionFile(path, FILE_KIND, joined)
         try:
-            self.info, self.grid = self._read_header()
-            self._rows = self._read_rows()
-            self.certificates = self._read_certificates()
+            self.info, self.grid = head.read_header(self._file)
+            self._rows = head.read_rows(self._file, len(self.grid), self.gaussians)
+            self.certificates = head.read_certificates(self._file, len(self.grid))
         except BaseException:
             self._file.close()
             raise
@@ -186,11 +194,30 @@ class VisibilityStore:
         """Return `visible` as packed words: Gaussian i is bit i % 64 of word i // 64, whole roaring containers."""
         return self._in_scene_order(self._words(self.check_cell(cell)))
 
+    def visible_masks(self, cell: int, *, first: int = 0) -> tuple[NDArray[np.int32], Words]:
+        """Return `visible` as the packed words that are not empty, ascending: their numbers, and masks.
+
+        Ids begin at `first`, as those of a tile in a world. The decoded set is not cached.
+        """
+        held: Words | None = self.cache.find(("set", self.check_cell(cell)))
+        out = np.zeros(_codec.word_count(self.gaussians) + 1, np.uint64)
+        kernels.scatter_from(self._decode(cell) if held is None else held, self._order, first & 63, out)
+        return _codec.used_words(out, first >> 6)
+
+    def load(self) -> VisibilityStore:
+        """Decode what all queries need, so that the first of them need not wait for it; return the store."""
+        _ = self._order
+        return self
+
     def classes(self, cell: int) -> tuple[NDArray[np.int64], U8]:
         """Return the (V,) ids that a cell sees, ascending, and the (V,) weight class of each."""
-        levels = self._levels(self.check_cell(cell))
-        ids = _codec.ids_of(self._in_scene_order(self._words(cell)))
-        return ids, levels[self._places[ids]] - np.uint8(1)
+        levels, words, order = self._levels(self.check_cell(cell)), self._words(cell), self._order
+        of_scene = np.empty(self.gaussians, np.uint8)  # pages that hold none of the set stay untouched
+        kernels.scatter_levels(words, order, levels, of_scene)
+        ids = np.empty(int(self._rows["visible"][cell]), np.int64)
+        classes = np.empty(len(ids), np.uint8)
+        kernels.take_levels(self._in_scene_order(words), of_scene, ids, classes)
+        return ids, classes
 
     def union(self, cells: Iterable[int]) -> BitMap:
         """Return the Gaussians that any of the given cells sees."""
@@ -349,9 +376,16 @@ class VisibilityStore:
             raise FormatError(self.path, "scene", wanted, got, remedy)
         self._known_scene = weakref.ref(scene)
 
-    @cached_property
+    @property
     def _order(self) -> NDArray[np.int32]:
         """(N,) the Gaussian at each stored position."""
+        return self._own_order if self._keeps_order else self.cache.find_or_make("order", self._decode_order)
+
+    @cached_property
+    def _own_order(self) -> NDArray[np.int32]:
+        return self._decode_order()
+
+    def _decode_order(self) -> NDArray[np.int32]:
         data = self._file.read("labels")
         try:
             return _order.order_of(_codec.decode_labels(data, self.gaussians))
@@ -397,15 +431,18 @@ class VisibilityStore:
         """Return the set of a cell, stored order; do not change it."""
         held: Words | None = self.cache.find(("set", cell))
         if held is None:
-            row = self._rows[cell]
-            place = int(row["set_offset"]), int(row["set_length"]), int(row["set_crc"])
-            data = self._file.read_part("sets", *place, f"set of cell {cell}")
-            try:
-                held = _codec.decode_set(data, self.gaussians, int(row["visible"]))
-            except _codec.CodecError as error:
-                raise self._undecodable(f"set of cell {cell}", error) from error
+            held = self._decode(cell)
             self.cache.keep(("set", cell), held)
         return held
+
+    def _decode(self, cell: int) -> Words:
+        row = self._rows[cell]
+        place = int(row["set_offset"]), int(row["set_length"]), int(row["set_crc"])
+        data = self._file.read_part("sets", *place, f"set of cell {cell}")
+        try:
+            return _codec.decode_set(data, self.gaussians, int(row["visible"]))
+        except _codec.CodecError as error:
+            raise self._undecodable(f"set of cell {cell}", error) from error
 
     def _levels(self, cell: int) -> U8:
         """Return (N,) uint8, stored order: class plus 1 of what a cell sees, 0 elsewhere; do not change it."""
@@ -434,57 +471,6 @@ class VisibilityStore:
             return _codec.decompress(self._file.read(name), length)
         except _codec.CodecError as error:
             raise self._undecodable(f"section {name!r}", error) from error
-
-    def _read_header(self) -> tuple[StoreInfo, CellGrid]:
-        header = self._file.header
-        if header.raw("format") != FORMAT:
-            raise self._fault("format", repr(FORMAT), repr(header.raw("format"))[:60])
-        scene, grid = header.raw("scene"), header.child("grid")
-        if not isinstance(scene, str):
-            raise self._fault("scene", "the hash of a scene", repr(scene)[:60])
-        n, cells = header.integer("gaussians", 0, (1 << 31) - 1), grid.integer("cells", 1, MAX_CELLS)
-        Budget(self.path, self._file.size).claim(beyond_free(n) + 12 * cells, "header")
-        config = header.child("config").value
-        shape = tuple(int(side) for side in grid.numbers("shape", 3))
-        frame = grid.numbers("origin", 3), grid.number("cell_size"), shape
-        tau, edges, up = header.number("tau"), header.numbers("class_edges"), grid.numbers("up", 3)
-        coords = np.frombuffer(self._unpack("coords", 12 * cells), "<i4").reshape(-1, 3).astype(np.int32)
-        try:
-            return StoreInfo(n, scene, tau, edges, config), CellGrid(*frame, coords, up)  # type: ignore[arg-type]
-        except (ValueError, SceneError) as error:
-            raise FormatError(self.path, "header", "a grid and classes that are valid", str(error), DAMAGED) from error
-
-    def _read_rows(self) -> NDArray[Any]:
-        data = self._file.read("cells")
-        if len(data) != len(self.grid) * CELL_ROW.itemsize:
-            raise self._fault("section 'cells'", f"{len(self.grid)} rows", f"{len(data)} bytes")
-        rows = np.frombuffer(data, CELL_ROW)
-        for kind, name in (("set", "sets"), ("class", "classes")):
-            lengths = rows[f"{kind}_length"].astype(np.int64)
-            starts = np.cumsum(lengths) - lengths
-            whole = int(lengths.sum()) == self._file.section(name).length
-            if not whole or not np.array_equal(rows[f"{kind}_offset"].astype(np.int64), starts):
-                raise self._fault("section 'cells'", f"cells that fill section {name!r} in order", "others")
-        at = np.arange(len(rows))
-        for _ in range(_order.MAX_DEPTH + 1):  # every valid chain of parents ends within these steps
-            parents = rows["parent"][at].astype(np.int64)
-            if len(at) and (parents.min() < -1 or parents.max() >= len(rows)):
-                raise self._fault("section 'cells'", "parents that are cells", "others")
-            at = parents[parents >= 0]
-        if len(at) or (len(rows) and rows["visible"].max() > self.gaussians):
-            raise self._fault("section 'cells'", "short chains of parents and sets of the scene", "others")
-        return rows
-
-    def _read_certificates(self) -> StoredCertificates:
-        if "certificates" not in self._file.sections:  # stores of older versions
-            return StoredCertificates.none(len(self.grid))
-        data = self._file.read("certificates")
-        if len(data) != len(self.grid) * CERTIFIED_ROW.itemsize:
-            raise self._fault("section 'certificates'", f"{len(self.grid)} rows", f"{len(data)} bytes")
-        try:
-            return StoredCertificates.from_rows(np.frombuffer(data, CERTIFIED_ROW))
-        except ValueError as error:
-            raise self._fault("section 'certificates'", "valid rows", str(error)) from error
 
     def _fault(self, where: str, expected: str, got: str) -> FormatError:
         return FormatError(self.path, where, expected, got, DAMAGED)

@@ -194,6 +194,8 @@ class Connection:
                 self._alarm.cancel()
             await asyncio.gather(*loops, return_exceptions=True)
             self._seat = None  # it refers to this object
+            if self.session is not None:
+                self._served.sessions.discard(self.session)
             if self._uses:
                 self._served.leave(self._setting.clock.now())
             self._account(began)
@@ -217,6 +219,7 @@ class Connection:
             self.session = await self._apart(partial(Session.from_hello, scene, said, self._setting.config))
         except ValueError as error:
             raise ProtocolError(f"HELLO: {error}") from error
+        self._served.sessions.add(self.session)
         self._alive = self._moved = clock.now()
         await self._peer.send(self.session.welcome(self._setting.measure()).data)
         self._setting.metrics.opened.add(of=self._served.name)
@@ -294,7 +297,7 @@ class Connection:
                 await self._wait(wait)
                 continue
             if self._setting.planners is None:
-                await self._setting.pace.turns.take()
+                await self._setting.pace.turns.take(is_long=self._session.has_to_prepare)
                 self._take_in()
                 if self._idle_for(self._setting.measure()) > 0.0:
                     continue

@@ -43,7 +43,7 @@ class Limits:
         tick_s: Seconds before the server plans again for a client that had nothing to receive.
         batch_bytes: Most bytes of one batch, approximately.
         close_s: Seconds without viewers after which a scene with kept tables is closed.
-        tables_bytes: Most bytes of kept tables in the memory of the process, checked once a second.
+        tables_bytes: Most bytes of kept tables in the memory of the process, checked four times a second.
     """
 
     connections: int = 100
@@ -60,7 +60,7 @@ class Limits:
     tick_s: float = 0.1
     batch_bytes: int = 512 * 1024
     close_s: float = 600.0
-    tables_bytes: int = 1 << 30
+    tables_bytes: int = 800_000_000
 
     def __post_init__(self) -> None:
         for entry in fields(self):

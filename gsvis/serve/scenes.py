@@ -55,6 +55,7 @@ class ServedScene:
         users: Who uses the open scene now: viewers and questions.
         used_at: When the last of them left, seconds of the server's clock.
         openings: How often the scene was opened.
+        sessions: The sessions of its viewers.
     """
 
     name: str
@@ -68,6 +69,7 @@ class ServedScene:
     users: int = field(default=0, init=False)
     used_at: float = field(default=0.0, init=False)
     openings: int = field(default=0, init=False)
+    sessions: set[Session] = field(default_factory=set, init=False)
 
     def __post_init__(self) -> None:
         self._lock, self._is_world = threading.Lock(), False

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import logging
 import socket
 import ssl
@@ -37,6 +38,7 @@ from gsvis.serve.upkeep import LOOK_S, Upkeep
 __all__ = ["Address", "Server", "listen", "url_of"]
 
 _LATE_S = 0.2
+_LOOKS = 4  # looks between two publications of what siblings read
 _STOP_S = 3.0  # seconds that connections have to end when the server stops
 _NEVER = 1_000_000  # seconds; for time-outs of uvicorn that the guards replace
 _LINES_PER_S = 20.0  # most lines a second of each logger of asyncio and uvicorn
@@ -167,8 +169,11 @@ class Server:
                 task.cancel()
 
     async def _look_after(self) -> None:
-        while True:
-            self._publish()
+        for look in itertools.count():
+            if look % _LOOKS == 0:
+                self._publish()
+                for opening in self._upkeep.ahead():
+                    await asyncio.to_thread(opening)
             await asyncio.sleep(LOOK_S)
             self._upkeep.look()
 

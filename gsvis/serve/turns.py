@@ -9,6 +9,7 @@ would then measure the server instead of their links.
 from __future__ import annotations
 
 import asyncio
+import math
 import time
 from collections import deque
 from collections.abc import Callable
@@ -22,6 +23,12 @@ _TURN_S = 0.001  # seconds for which clients are read before the loop looks at a
 class Turns:
     """Let one task after the other do work that blocks the event loop, in the order in which they ask.
 
+    Long work comes after short work: twenty newcomers whose cells have to be made would else wait for all twenty cells
+    before one of them gets its second message. Where both wait, each has half of the time.
+
+    Args:
+        measure: Function that returns seconds, never decreasing.
+
     Examples:
         >>> async def work(turns: Turns, number: int, done: list[int]) -> None:
         ...     await turns.take()
@@ -34,16 +41,23 @@ class Turns:
         [0, 1, 2, 3]
     """
 
-    def __init__(self) -> None:
-        self._waiting: deque[asyncio.Future[None]] = deque()
+    def __init__(self, measure: Callable[[], float] = time.perf_counter) -> None:
+        self._measure = measure
+        self._short, self._long = deque[asyncio.Future[None]](), deque[asyncio.Future[None]]()
         self._taken = False
+        self._began: float | None = None  # the turn of long work that runs
+        self._due = -math.inf  # when long work is before short work again
 
-    async def take(self) -> None:
-        """Wait for a turn, which lasts until the task waits for something else."""
+    async def take(self, *, is_long: bool = False) -> None:
+        """Wait for a turn, which lasts until the task waits for something else.
+
+        Args:
+            is_long: Whether the work may take ten times as long as that of others.
+        """
         loop = asyncio.get_running_loop()
         if self._taken:
             mine = loop.create_future()
-            self._waiting.append(mine)
+            (self._long if is_long else self._short).append(mine)
             try:
                 await mine
             except asyncio.CancelledError:
@@ -51,15 +65,22 @@ class Turns:
                     self._give_on()
                 raise
         self._taken = True
+        self._began = self._measure() if is_long else None
         loop.call_soon(self._give_on)  # after the loop has looked at the sockets
 
     def _give_on(self) -> None:
-        while self._waiting:
-            waiting = self._waiting.popleft()
-            if not waiting.done():
-                waiting.set_result(None)
-                return
-        self._taken = False
+        if self._began is not None:
+            now = self._measure()
+            self._due, self._began = now + (now - self._began), None
+        for waiting in (self._short, self._long):  # those that were cancelled
+            while waiting and waiting[0].done():
+                waiting.popleft()
+        if self._long and (not self._short or self._measure() >= self._due):
+            self._long.popleft().set_result(None)
+        elif self._short:
+            self._short.popleft().set_result(None)
+        else:
+            self._taken = False
 
 
 class Readings:

@@ -1,13 +1,15 @@
-"""What a server does once a second beside its viewers: close scenes without viewers, and bound the memory of tables.
+"""What a server does beside its viewers: close scenes without viewers, bound the memory of tables, open tiles ahead.
 
 Tables are memory-mapped, so their memory can be given back at any time; a page that is touched again comes from the
-file, which the system mostly still has in its cache. Scenes without viewers go first, those used longest ago before
-others.
+file, which the system mostly still has in its cache. Tiles of worlds that nobody is near go first, then scenes without
+viewers, those used longest ago before others.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
+from typing import Any, Protocol, runtime_checkable
 
 from gsvis.files.mapped import resident_bytes
 from gsvis.serve._log import EventLog
@@ -15,10 +17,30 @@ from gsvis.serve.limits import Limits
 from gsvis.serve.metrics import Metrics
 from gsvis.serve.scenes import ServedScene
 
-__all__ = ["LOOK_S", "Upkeep"]
+__all__ = ["AHEAD_S", "LOOK_S", "Upkeep"]
 
-LOOK_S = 1.0
-"""Seconds between two looks."""
+LOOK_S = 0.25
+"""Seconds between two looks: pages of tables come at a gigabyte a second when many viewers arrive."""
+
+AHEAD_S = 3.0
+"""Seconds ahead of a walk for which tiles are opened."""
+
+
+@runtime_checkable
+class Tiled(Protocol):
+    """An index of many tiles."""
+
+    def shares_near(self, cells: Iterable[int]) -> dict[int, tuple[float, float]]:
+        """Return the tiles around some cells, and the share of all ids that each has, from one number to another."""
+        ...
+
+    def closed_at(self, position: Any) -> list[int]:
+        """Return the tiles around a position (3,) that are not open."""
+        ...
+
+    def open_tile(self, tile: int) -> None:
+        """Open a tile; any thread may."""
+        ...
 
 
 class Upkeep:
@@ -45,6 +67,7 @@ class Upkeep:
     ) -> None:
         self._scenes, self._limits, self._metrics, self._log = scenes, limits, metrics, log
         self._now, self._resident = now, resident
+        self._touched: dict[str, dict[int, tuple[float, float]]] = {}  # tiles that somebody has been near, by scene
         for served in scenes.values():
             served.used_at = now()
             if served.tables is not None:
@@ -56,9 +79,12 @@ class Upkeep:
         now, served = self._now(), list(self._scenes.values())
         for scene in served:
             if scene.close_unused(now, self._limits.close_s):
+                self._touched.pop(scene.name, None)
                 self._metrics.scenes_closed.add(of=scene.name)
                 self._log("unused", scene=scene.name, seconds=self._limits.close_s)
         mapped = [scene for scene in served if scene.tables is not None]
+        for scene in mapped:
+            self._release_tiles(scene)
         for scene in sorted(mapped, key=lambda each: (each.users > 0, each.used_at)):
             if self._excess() <= self._limits.tables_bytes:
                 break
@@ -67,6 +93,31 @@ class Upkeep:
                 self._metrics.tables_released.add(of=scene.name)
         self._metrics.tables_bytes.set(self._excess() if mapped else 0)
         self._metrics.open_scenes.set(sum(scene.opened is not None for scene in served))
+
+    def ahead(self) -> list[Callable[[], None]]:
+        """Return what opens the tiles that viewers are about to enter; threads may run it."""
+        found = dict[tuple[str, int], Callable[[], None]]()
+        for scene in self._scenes.values():
+            index: Any = None if scene.opened is None else scene.opened.index
+            if isinstance(index, Tiled):
+                for session in scene.sessions:
+                    position = session.planner.position_in(AHEAD_S)
+                    for tile in [] if position is None else index.closed_at(position):
+                        found[scene.name, tile] = partial(index.open_tile, tile)
+        return list(found.values())
+
+    def _release_tiles(self, scene: ServedScene) -> None:
+        """Give back the memory of tiles of a world that viewers have left, if there is too much."""
+        index: Any = None if scene.opened is None else scene.opened.index
+        if not isinstance(index, Tiled):
+            return
+        near = index.shares_near(cell for each in scene.sessions if (cell := each.planner.cell) >= 0)
+        touched = self._touched.setdefault(scene.name, {})
+        left = [share for tile, share in touched.items() if tile not in near]
+        if left and scene.tables is not None and self._excess() > self._limits.tables_bytes:
+            scene.tables.release(left)
+            touched.clear()
+        touched.update(near)
 
     def _excess(self) -> int:
         return max(0, self._resident() - self._base)

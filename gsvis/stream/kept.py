@@ -14,7 +14,7 @@ import logging
 import os
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
@@ -49,9 +49,13 @@ class KeptTables:
     def __init__(self, mapped: MappedArrays) -> None:
         self._mapped, self.nbytes = mapped, mapped.nbytes
 
-    def release(self) -> None:
-        """Give back the memory of all pages; those that are touched again come from the file. Safe at any time."""
-        self._mapped.release()
+    def release(self, shares: Sequence[tuple[float, float]] | None = None) -> None:
+        """Give back the memory of pages; those that are touched again come from the file. Safe at any time.
+
+        Args:
+            shares: Which shares of all ids, such as those of a tile, about; None means all.
+        """
+        self._mapped.release(shares)
 
 
 def open_kept(

@@ -138,6 +138,11 @@ class Session:
         """Whether the next message only fills an idle link."""
         return self.planner.filling
 
+    @property
+    def has_to_prepare(self) -> bool:
+        """Whether the next message takes long, because nobody has been in the cell of the viewer yet."""
+        return self.planner.has_to_prepare
+
     def welcome(self, t: float) -> Message:
         """Return WELCOME, the first message to send; its acknowledgement shows the round trip."""
         self._record_sent(t, 0, len(self.scene.header))

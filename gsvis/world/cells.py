@@ -8,20 +8,23 @@ from __future__ import annotations
 
 import logging
 import weakref
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis._kernels.blank import blank
 from gsvis.abr.index import SceneIndex
 from gsvis.errors import GsvisError, SceneError
 from gsvis.files.cache import Cache
+from gsvis.package.manifest import Manifest
+from gsvis.package.package import PARTS
+from gsvis.package.sets import open_sets
 from gsvis.pvs.cells import CellGrid
-from gsvis.pvs.codec import pack, pack_some
+from gsvis.pvs.codec import pack_some, word_count
 from gsvis.pvs.store import VisibilityStore
 from gsvis.world.beyond import Beyond, Seen
 from gsvis.world.manifest import Tile
@@ -36,6 +39,7 @@ I64 = NDArray[np.int64]
 F64 = NDArray[np.float64]
 _Part = TypeVar("_Part")
 _Seen = tuple[I64, NDArray[np.uint8], NDArray[np.uint8]]
+_Masks = tuple[NDArray[np.int32], NDArray[np.uint64]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,6 +134,12 @@ class WorldCells:
             found[free] = numbers[tuple(places[free].T)]
         return found
 
+    def tiles_near(self, cell: int) -> set[int]:
+        """Return the tile of a cell, and those of the cells that touch it."""
+        if cell not in self._near:
+            self._near[cell] = {int(self.tiles[cell]), *self.tiles[self.neighbors(cell)].tolist()}
+        return self._near[cell]
+
     def rings(self, cell: int) -> list[list[int]]:
         """Return the cell, and its neighbors by face, by edge and by corner; those of other tiles count as by face."""
         found: list[list[int]] = [[cell], [], [], []]
@@ -179,6 +189,10 @@ class WorldCells:
         return (float(squares.min()), int(some[squares.argmin()])) if len(some) else None
 
     @cached_property
+    def _near(self) -> dict[int, set[int]]:
+        return {}
+
+    @cached_property
     def _spans(self) -> tuple[I64, F64, F64]:
         """Where the cells of each tile begin, and their number; and the box around their centers."""
         starts = np.flatnonzero(np.diff(self.tiles, prepend=-1))
@@ -198,6 +212,23 @@ class WorldIndex(SceneIndex):
         """Return the cell that contains a position (3,), of those the one with the nearest center; else the nearest."""
         cells: Any = self.grid
         return int(cells.nearest(position))
+
+    def shares_near(self, cells: Iterable[int]) -> dict[int, tuple[float, float]]:
+        """Return the tiles around some cells, and the share of all ids that each has, from one number to another."""
+        grid: Any = self.grid
+        sets: Any = self.sets
+        return {tile: sets.share_of(tile) for cell in set(cells) for tile in grid.tiles_near(cell)}
+
+    def closed_at(self, position: F64) -> list[int]:
+        """Return the tiles around the cell of a position (3,) whose visible sets are not open."""
+        grid: Any = self.grid
+        sets: Any = self.sets
+        return sorted(tile for tile in grid.tiles_near(self.cell_of(position)) if not sets.is_open(tile))
+
+    def open_tile(self, tile: int) -> None:
+        """Open the visible sets of a tile, so that the first viewer who comes need not wait for it. Any thread may."""
+        sets: Any = self.sets
+        sets.load(tile)
 
     def standing(self, cell: int) -> I64:
         """Return ascending ids of what a cell sees of tiles at a lower level that ends at this level."""
@@ -222,15 +253,21 @@ class WorldSets:
         cells: Its cells.
         bases: First id of each node; nodes without ids are not seen.
         levels: L, number of levels.
-        tables: Folder where joined stores stay; None means temporary files.
-        cache: Keeps decoded sets.
+        manifests: Manifest of the package of each tile.
+        cache: Keeps what is decoded.
     """
 
     def __init__(
-        self, world: World, cells: WorldCells, bases: I64, levels: int, tables: Path | None, cache: Cache[Any]
+        self,
+        world: World,
+        cells: WorldCells,
+        bases: I64,
+        levels: int,
+        manifests: Mapping[int, Manifest],
+        cache: Cache[Any],
     ) -> None:
-        self._world, self._cells, self._bases, self._tables, self._cache = world, cells, bases, tables, cache
-        self._top = levels - 1
+        self._world, self._cells, self._bases, self._cache = world, cells, bases, cache
+        self._top, self._manifests = levels - 1, manifests
         self._tiles: Cache[_Tile] = Cache(max_items=_OPEN_TILES)
         self._said = set[int]()
 
@@ -243,6 +280,19 @@ class WorldSets:
     def _n(self) -> int:
         return int(self._bases[-1])
 
+    def share_of(self, tile: int) -> tuple[float, float]:
+        """Return where the ids of a tile begin and end, as shares of all ids."""
+        low, high = self._bases[tile : tile + 2].tolist()
+        return low / self._n, high / self._n
+
+    def is_open(self, tile: int) -> bool:
+        """Whether the stores of a tile are open."""
+        return self._tiles.find(tile) is not None
+
+    def load(self, tile: int) -> None:
+        """Open the stores of a tile, and decode what all queries need."""
+        self._unless_damaged(tile, lambda stores: [stores.own.load()])
+
     def classes(self, cell: int) -> tuple[I64, NDArray[np.uint8]]:
         """Return ascending ids of the Gaussians that a cell sees, and the class of each."""
         ids, classes, _ = self._seen(cell)
@@ -254,11 +304,23 @@ class WorldSets:
 
     def visible_words(self, cell: int) -> NDArray[np.uint64]:
         """Return the visible set of a cell, packed."""
-        return pack(self._ids(cell), self._n)
+        words: NDArray[np.uint64] = blank(word_count(self._n), np.uint64)
+        numbers, masks = self.visible_masks(cell)
+        words[numbers] = masks
+        return words
 
-    def visible_masks(self, cell: int) -> tuple[NDArray[np.int32], NDArray[np.uint64]]:
+    def visible_masks(self, cell: int) -> _Masks:
         """Return the words of the visible set of a cell that are not empty, ascending, and their masks."""
-        return pack_some(self._ids(cell))
+        tile, place = int(self._cells.tiles[cell]), int(self._cells.places[cell])
+        low, high = self._bases[tile : tile + 2].tolist()
+
+        def read(stores: _Tile) -> list[_Masks]:
+            beyond = [] if stores.beyond is None else stores.beyond.ids_of_cell(place)
+            others = [np.sort(self._bases[node] + ids) for node, ids in beyond if self._has_ids(node)]
+            return [stores.own.visible_masks(place, first=low), *(pack_some(ids) for ids in others)]
+
+        found = self._unless_damaged(tile, read)
+        return pack_some(np.arange(low, high)) if found is None else found[0] if len(found) == 1 else _join(found)
 
     def of_gaussian(self, gaussian: int) -> tuple[VisibilityStore, int, int] | None:
         """Return the store of the tile that holds a Gaussian, its id there, and the number of the tile's first cell.
@@ -296,28 +358,18 @@ class WorldSets:
         if found is None:
             low, high = self._bases[tile : tile + 2].tolist()
             return np.arange(low, high), np.zeros(high - low, np.uint8), np.full(high - low, self._top, np.uint8)
+        if len(found) == 1:
+            node, ids, classes, level = found[0]
+            ids += self._bases[node]  # the store has made them for this call
+            return ids, classes, np.full(len(ids), level, np.uint8)
         some = sorted(found, key=_first)
         ids = np.concatenate([self._bases[part[0]] + part[1] for part in some])
         classes = np.concatenate([part[2] for part in some])
         highest = np.repeat(np.array([part[3] for part in some], np.uint8), [len(part[1]) for part in some])
-        if _is_ascending(ids):
+        if not (ids[1:] < ids[:-1]).any():  # they ascend unless several pieces of one node stand around a tile
             return ids, classes, highest
         order = np.argsort(ids, kind="stable")
         return ids[order], classes[order], highest[order]
-
-    def _ids(self, cell: int) -> I64:
-        """Return ascending ids of the Gaussians that a cell sees; faster than `classes`."""
-        tile, place = int(self._cells.tiles[cell]), int(self._cells.places[cell])
-
-        def read(stores: _Tile) -> list[tuple[int, I64]]:
-            beyond = [] if stores.beyond is None else stores.beyond.ids_of_cell(place)
-            return [(tile, stores.own.visible_ids(place)), *(seen for seen in beyond if self._has_ids(seen[0]))]
-
-        found = self._unless_damaged(tile, read)
-        if found is None:
-            return np.arange(*self._bases[tile : tile + 2].tolist())
-        every = np.concatenate([self._bases[node] + ids for node, ids in sorted(found, key=_first)])
-        return every if _is_ascending(every) else np.sort(every)
 
     def _has_ids(self, node: int) -> bool:
         return bool(self._bases[node + 1] > self._bases[node])
@@ -338,14 +390,12 @@ class WorldSets:
             return None
 
     def _open(self, tile: int) -> _Tile:
-        package = self._world.package(tile)
-        if self._tables is not None:
-            package.keep_store(self._tables / f"{self._world.manifest.tiles[tile].package[:32]}.pvs")
-        found = _Tile(package.visibility, self._world.beyond(tile))
-        found.own.cache = self._cache.scope(("tile", tile))
+        parts = self._world.package_path(tile) / PARTS
+        own = open_sets(parts, self._manifests[tile], self._cache.scope(("tile", tile)))
+        found = _Tile(own, self._world.beyond(tile))
         if found.beyond is not None:
             found.beyond.store.cache = self._cache.scope(("beyond", tile))
-        weakref.finalize(found, _close, package, found.beyond)
+            weakref.finalize(found, found.beyond.close)
         return found
 
 
@@ -353,12 +403,10 @@ def _first(part: tuple[Any, ...]) -> Any:
     return part[0]
 
 
-def _is_ascending(ids: I64) -> bool:
-    """Return whether ids ascend, as they do unless several pieces of one node stand around a tile."""
-    return not bool((ids[1:] < ids[:-1]).any())
-
-
-def _close(package: Any, beyond: Beyond | None) -> None:
-    package.close()
-    if beyond is not None:
-        beyond.close()
+def _join(sets: list[_Masks]) -> _Masks:
+    """Return the words of several sets together; two nodes may share a word."""
+    numbers, masks = (np.concatenate(arrays) for arrays in zip(*sets, strict=True))
+    order = np.argsort(numbers, kind="stable")
+    numbers, masks = numbers[order], masks[order]
+    starts = np.flatnonzero(np.diff(numbers, prepend=-1))
+    return numbers[starts], np.bitwise_or.reduceat(masks, starts) if len(starts) else masks

@@ -16,7 +16,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -70,7 +69,7 @@ def open_world(
     """
     world, without = World.open(path), set[int]()
     while True:
-        package = WorldPackage(world, without, tables)
+        package = WorldPackage(world, without)
         try:
             if tables is None:
                 with tempfile.TemporaryDirectory(prefix="gsvis-") as folder:  # a mapped file outlives its name
@@ -100,7 +99,6 @@ class WorldPackage(Package):
     Args:
         world: The world.
         without: Nodes to leave out.
-        tables: Folder where joined visible sets stay; None means temporary files.
 
     Attributes:
         world: The world.
@@ -108,8 +106,8 @@ class WorldPackage(Package):
         bases: First id of each node of the world, and the number of all; all other nodes have no ids.
     """
 
-    def __init__(self, world: World, without: set[int], tables: str | PathLike[str] | None = None) -> None:
-        self.path, self.world, self._tables = world.path, world, None if tables is None else Path(tables)
+    def __init__(self, world: World, without: set[int]) -> None:
+        self.path, self.world = world.path, world
         found: dict[int, Manifest] = {}
         for node in _needed(world):
             if node in without:
@@ -252,7 +250,7 @@ class WorldPackage(Package):
 
     def sets(self, cells: WorldCells, cache: Cache[Any]) -> WorldSets:
         """Return the visible sets of all cells, read tile by tile."""
-        return WorldSets(self.world, cells, self.bases, len(self.manifest.names), self._tables, cache)
+        return WorldSets(self.world, cells, self.bases, len(self.manifest.names), self._manifests, cache)
 
     def _cells(self) -> WorldCells:
         return WorldCells.read(self.world, [node for node in self.nodes if self._is_tile(node)])

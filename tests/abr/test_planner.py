@@ -138,6 +138,25 @@ def test_what_is_beyond_reach_follows_in_the_same_order(seed, policy, regime, re
         assert joined(parts, name) == joined(whole, name)
 
 
+def test_a_walk_goes_on_as_in_the_next_second_and_a_new_cell_has_to_be_prepared_once() -> None:
+    shared = CandidateIndex(scenes.random_index(0))
+    planner, other = Planner(shared, VIEW, AbrConfig()), Planner(shared, VIEW, AbrConfig())
+    assert planner.position_in(3.0) is None
+    assert not planner.has_to_prepare
+    for k in range(40):
+        planner.on_pose(0.1 * k, [0.05 * k, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0])
+    there = planner.position_in(3.0)
+    assert there is not None
+    assert np.allclose(there, [0.05 * 39 + 1.5, 0.0, 0.0], atol=0.02)
+    other.on_pose(0.0, [0.05 * 39, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0])
+    assert planner.cell == other.cell
+    assert planner.has_to_prepare
+    assert other.has_to_prepare
+    planner.next_batch(4.0, 1e3, 1e6)
+    assert not planner.has_to_prepare
+    assert not other.has_to_prepare
+
+
 def test_cells_that_see_nothing_have_nothing_to_send() -> None:
     index = scenes.random_index(8, count=100, share=0.0)
     planner = aimed(CandidateIndex(index), some_view(index, 8), "utility")

@@ -63,6 +63,27 @@ def test_who_asks_alone_need_not_wait() -> None:
     assert asyncio.run(main())
 
 
+def test_long_work_comes_after_short_work_but_gets_half_of_the_time() -> None:
+    async def main() -> list[str]:
+        costs = Costs()
+        turns, done = Turns(costs.measure), list[str]()
+
+        async def work(name: str, cost: float, times: int, *, is_long: bool) -> None:
+            for _ in range(times):
+                await turns.take(is_long=is_long)
+                costs.now += cost
+                done.append(name)
+                await asyncio.sleep(0)
+
+        long = [work("L", 1.0, 1, is_long=True) for _ in range(4)]
+        short = [work("s", 0.25, 5, is_long=False) for _ in range(2)]
+        await asyncio.gather(*long, *short)
+        return done
+
+    found = "".join(asyncio.run(main()))
+    assert found == "LssssLssssLssL"  # the first asked before anybody else; the last when nothing short waits
+
+
 class Costs:
     """A clock that stands still but for what reading takes."""
 

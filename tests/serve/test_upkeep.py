@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -107,6 +110,75 @@ def test_memory_of_tables_is_given_back_oldest_first(plain: Path, celled: Path, 
         assert released[1:] == ["plain", "celled"]  # who is used goes last
         assert metrics.tables_released.value("celled") == 2
         assert metrics.open_scenes.value() == 2
+
+
+@dataclass(frozen=True)
+class RowOfTiles:
+    """Ten tiles of ten cells each, one after the other along x; those that were opened are listed."""
+
+    opened: set[int]
+
+    def shares_near(self, cells: Iterable[int]) -> dict[int, tuple[float, float]]:
+        return {tile: (tile / 10, (tile + 1) / 10) for cell in cells for tile in {cell // 10, min(cell + 1, 99) // 10}}
+
+    def closed_at(self, position: np.ndarray) -> list[int]:
+        return sorted({int(position[0]) // 10} - self.opened)
+
+    def open_tile(self, tile: int) -> None:
+        self.opened.add(tile)
+
+
+@dataclass(eq=False)
+class Walker:
+    """A session of a viewer who walks along x, a cell a second."""
+
+    cell: int
+
+    @property
+    def planner(self) -> Walker:
+        return self
+
+    def position_in(self, seconds: float) -> np.ndarray:
+        return np.array([self.cell + seconds, 0.0, 0.0])
+
+
+def test_tiles_that_viewers_have_left_give_memory_back_before_those_they_are_in(plain: Path, tmp_path: Path) -> None:
+    with open_scenes([plain], tables=tmp_path) as scenes:
+        served, resident, released, walker = scenes["plain"], [0], list[Any](), Walker(5)
+        limits, metrics = Limits(tables_bytes=50), Metrics()
+        upkeep = Upkeep(scenes, limits, metrics, EventLog(), ManualClock().now, resident=lambda: resident[0])
+        assert served.opened is not None
+        assert served.tables is not None
+        served.opened.index = RowOfTiles(set())  # type: ignore[assignment]
+        served.sessions.add(walker)  # type: ignore[arg-type]
+
+        def release(shares: Any = None) -> None:
+            released.append(shares)
+            resident[0] -= 40
+
+        served.tables.release = release  # type: ignore[method-assign]
+        for cell, nbytes in ((5, 10), (9, 40), (15, 60), (16, 60)):
+            walker.cell, resident[0] = cell, nbytes
+            upkeep.look()
+        assert released == [[(0.0, 0.1)], None]  # the first tile once; then nothing was left but the walker's own
+        walker.cell, resident[0] = 42, 100
+        upkeep.look()
+        assert released[2:] == [[(0.1, 0.2)], None]
+
+
+def test_a_tile_is_opened_before_a_walker_comes(plain: Path, tmp_path: Path) -> None:
+    with open_scenes([plain], tables=tmp_path) as scenes:
+        served, walker, index = scenes["plain"], Walker(0), RowOfTiles({0})
+        upkeep = Upkeep(scenes, Limits(), Metrics(), EventLog(), ManualClock().now)
+        assert upkeep.ahead() == []
+        assert served.opened is not None
+        served.opened.index = index  # type: ignore[assignment]
+        served.sessions |= {walker, Walker(0)}  # type: ignore[arg-type]
+        for walker.cell in range(100):
+            for opening in upkeep.ahead():
+                opening()
+            assert walker.cell // 10 in index.opened
+        assert index.opened == set(range(11))
 
 
 def test_closing_does_not_wait_for_a_thread_that_opens(plain: Path, tmp_path: Path) -> None:

@@ -28,7 +28,7 @@ from gsvis.stream import Quality, Receiver, Session, StreamedScene
 from gsvis.stream.coding import Coding
 from gsvis.train.levels import LevelsConfig
 from gsvis.world import Tile, World
-from gsvis.world.cells import WorldSets
+from gsvis.world.cells import WorldIndex, WorldSets
 from gsvis.world.prepare import prepare_world
 from gsvis.world.streamed import WorldPackage, open_world
 from tests.serve.servers import ask, until
@@ -396,3 +396,21 @@ def test_a_server_streams_a_world(city: Path, tmp_path: Path) -> None:
         until(lambda: scenes["a"].users == 0)
         assert scenes["a"].close_unused(1e12, 1.0)
         scenes["a"].use()
+
+
+def test_a_tile_that_is_opened_ahead_answers_as_one_that_is_not(city: Path) -> None:
+    index, other = open_world(city)[0].index, open_world(city)[0].index
+    assert isinstance(index, WorldIndex)
+    grid: Any = index.grid
+    bases = WorldPackage(World.open(city), set()).bases
+    for cell in range(0, len(grid), 7):
+        tile, near = int(grid.tiles[cell]), index.shares_near([cell])
+        assert set(near) == {tile, *grid.tiles[grid.neighbors(cell)].tolist()}
+        assert near[tile] == (bases[tile] / bases[-1], bases[tile + 1] / bases[-1])
+        assert set(index.closed_at(grid.centers[cell])) <= set(near)
+        for closed in index.closed_at(grid.centers[cell]):
+            index.open_tile(closed)
+        assert index.closed_at(grid.centers[cell]) == []
+        for mine, theirs in zip(index.sets.visible_masks(cell), other.sets.visible_masks(cell), strict=True):
+            assert np.array_equal(mine, theirs)
+        assert np.array_equal(ids_of(index.sets.visible_words(cell)), index.sets.classes(cell)[0])

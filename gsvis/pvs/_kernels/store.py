@@ -69,6 +69,54 @@ def scatter(words, order, out):
 
 
 @kernel
+def scatter_from(words, order, first, out):
+    """Set the bits first + order[i] in `out` for the positions i of a set."""
+    start = np.uint64(first)
+    for w in range(len(words)):
+        word = words[w]
+        while word:
+            i = np.uint64(order[64 * w + np.int64(lowest(word))]) + start
+            out[i >> np.uint64(6)] |= np.uint64(1) << (i & np.uint64(63))
+            word &= word - np.uint64(1)
+
+
+@kernel
+def used(words, first, numbers, masks):
+    """Write the words that are not empty, and their numbers from `first` on; return how many, with or without room."""
+    count = 0
+    for w in range(len(words)):
+        if words[w]:
+            if count < len(masks):
+                numbers[count], masks[count] = first + w, words[w]
+            count += 1
+    return count
+
+
+@kernel
+def scatter_levels(words, order, levels, out):
+    """Write levels[i] at order[i] for the positions i of a set."""
+    for w in range(len(words)):
+        word = words[w]
+        while word:
+            i = 64 * w + np.int64(lowest(word))
+            out[order[i]] = levels[i]
+            word &= word - np.uint64(1)
+
+
+@kernel
+def take_levels(words, levels, ids, out):
+    """Write the positions of the set bits, ascending, and their levels less 1; with room for exactly these."""
+    filled = 0
+    for w in range(len(words)):
+        word = words[w]
+        while word:
+            i = 64 * w + np.int64(lowest(word))
+            ids[filled], out[filled] = i, levels[i] - np.uint8(1)
+            filled += 1
+            word &= word - np.uint64(1)
+
+
+@kernel
 def reach(words, waiting, alive, order, value, out):
     """Write `value` at order[i] for the positions i of a set that still wait, and stop them from waiting.
 
@@ -158,16 +206,28 @@ def count_contexts(words, parent, counts):
 
 
 @kernel
-def place_classes(words, parent, symbols, starts, levels):
-    """Give each position of a set the next of the symbols of its value in `parent`, plus 1."""
-    at = starts.copy()
+def place_classes(words, parent, data, starts, digits, levels):
+    """Give each position of a set the next symbol of its value in `parent`, plus 1.
+
+    Args:
+        words: The set.
+        parent: (N,) uint8 value of each position.
+        data: uint8, symbols as digits, several a byte.
+        starts: First byte of the symbols of each value.
+        digits: (256, D) uint8, the digits of each byte.
+        levels: (N,) uint8, changed.
+    """
+    at, digit = starts.copy(), np.zeros(len(starts), np.int64)
     for w in range(len(words)):
         word = words[w]
         while word:
             i = 64 * w + np.int64(lowest(word))
             context = parent[i]
-            levels[i] = symbols[at[context]] + np.uint8(1)
-            at[context] += 1
+            levels[i] = digits[data[at[context]], digit[context]] + np.uint8(1)
+            digit[context] += 1
+            if digit[context] == digits.shape[1]:
+                at[context] += 1
+                digit[context] = 0
             word &= word - np.uint64(1)
 
 

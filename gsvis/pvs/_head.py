@@ -1,0 +1,96 @@
+"""What is read of a store when it opens: its header, the rows of its cells, and their certificates."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.errors import FormatError, SceneError
+from gsvis.files.limits import DAMAGED, Budget
+from gsvis.files.sections import SectionFile
+from gsvis.pvs._order import MAX_DEPTH
+from gsvis.pvs._writer import CELL_ROW, FORMAT, StoreInfo, beyond_free
+from gsvis.pvs.cells import MAX_CELLS, CellGrid
+from gsvis.pvs.codec import CodecError, decompress
+from gsvis.pvs.stored_certificates import CERTIFIED_ROW, StoredCertificates
+
+__all__ = ["read_certificates", "read_header", "read_rows"]
+
+
+def read_header(file: SectionFile) -> tuple[StoreInfo, CellGrid]:
+    """Return what a store was built from, and its cells.
+
+    Raises:
+        FormatError: If the header is damaged.
+    """
+    header = file.header
+    if header.raw("format") != FORMAT:
+        raise _fault(file, "format", repr(FORMAT), repr(header.raw("format"))[:60])
+    scene, grid = header.raw("scene"), header.child("grid")
+    if not isinstance(scene, str):
+        raise _fault(file, "scene", "the hash of a scene", repr(scene)[:60])
+    n, cells = header.integer("gaussians", 0, (1 << 31) - 1), grid.integer("cells", 1, MAX_CELLS)
+    Budget(file.path, file.size).claim(beyond_free(n) + 12 * cells, "header")
+    config = header.child("config").value
+    shape = tuple(int(side) for side in grid.numbers("shape", 3))
+    frame = grid.numbers("origin", 3), grid.number("cell_size"), shape
+    tau, edges, up = header.number("tau"), header.numbers("class_edges"), grid.numbers("up", 3)
+    try:
+        boxes = decompress(file.read("coords"), 12 * cells)
+    except CodecError as error:
+        raise _fault(file, "section 'coords'", "bytes that can be decoded", f"others ({error})") from error
+    coords = np.frombuffer(boxes, "<i4").reshape(-1, 3).astype(np.int32)
+    try:
+        return StoreInfo(n, scene, tau, edges, config), CellGrid(*frame, coords, up)  # type: ignore[arg-type]
+    except (ValueError, SceneError) as error:
+        raise _fault(file, "header", "a grid and classes that are valid", str(error)) from error
+
+
+def read_rows(file: SectionFile, cells: int, gaussians: int) -> NDArray[Any]:
+    """Return the rows of a store with so many cells and Gaussians.
+
+    Raises:
+        FormatError: If they do not fit the file, or each other.
+    """
+    data = file.read("cells")
+    if len(data) != cells * CELL_ROW.itemsize:
+        raise _fault(file, "section 'cells'", f"{cells} rows", f"{len(data)} bytes")
+    rows = np.frombuffer(data, CELL_ROW)
+    for kind, name in (("set", "sets"), ("class", "classes")):
+        lengths = rows[f"{kind}_length"].astype(np.int64)
+        starts = np.cumsum(lengths) - lengths
+        whole = int(lengths.sum()) == file.section(name).length
+        if not whole or not np.array_equal(rows[f"{kind}_offset"].astype(np.int64), starts):
+            raise _fault(file, "section 'cells'", f"cells that fill section {name!r} in order", "others")
+    at = np.arange(len(rows))
+    for _ in range(MAX_DEPTH + 1):  # every valid chain of parents ends within these steps
+        parents = rows["parent"][at].astype(np.int64)
+        if len(at) and (parents.min() < -1 or parents.max() >= len(rows)):
+            raise _fault(file, "section 'cells'", "parents that are cells", "others")
+        at = parents[parents >= 0]
+    if len(at) or (len(rows) and rows["visible"].max() > gaussians):
+        raise _fault(file, "section 'cells'", "short chains of parents and sets of the scene", "others")
+    return rows
+
+
+def read_certificates(file: SectionFile, cells: int) -> StoredCertificates:
+    """Return the certificates of a store with so many cells.
+
+    Raises:
+        FormatError: If they do not fit the cells, or are damaged.
+    """
+    if "certificates" not in file.sections:  # stores of older versions
+        return StoredCertificates.none(cells)
+    data = file.read("certificates")
+    if len(data) != cells * CERTIFIED_ROW.itemsize:
+        raise _fault(file, "section 'certificates'", f"{cells} rows", f"{len(data)} bytes")
+    try:
+        return StoredCertificates.from_rows(np.frombuffer(data, CERTIFIED_ROW))
+    except ValueError as error:
+        raise _fault(file, "section 'certificates'", "valid rows", str(error)) from error
+
+
+def _fault(file: SectionFile, where: str, expected: str, got: str) -> FormatError:
+    return FormatError(file.path, where, expected, got, DAMAGED)
