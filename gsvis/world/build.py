@@ -26,7 +26,7 @@ from gsvis.world.graph import Facts, Result, Task, run_graph
 from gsvis.world.tiles import MARGIN
 from gsvis.world.tiling import Rect, grid_of, sampling_interval, tile_name
 
-__all__ = ["DistrictPlan", "WorldBuild"]
+__all__ = ["DistrictPlan", "WorldBuild", "far_from_walk", "plan_districts"]
 
 _GUESSED = 1 << 18  # Gaussians of a batch that only reading counts
 _FEWEST = 64  # Gaussians of a tile; fewer go to the outside
@@ -44,6 +44,42 @@ class DistrictPlan:
 
     children: tuple[int, ...]
     tiles: tuple[int, ...]
+
+
+def plan_districts(tree: Any, places: Sequence[int | None], count: int) -> list[DistrictPlan]:
+    """Return the districts of a tree of cuts, every second cut left out; each is after those that it is made of.
+
+    Args:
+        tree: Numbers of rectangles, cut by cut, as `cut_squares` returns it.
+        places: Tile of each rectangle; None for one so empty that its Gaussians went to the outside.
+        count: Number of tiles, the outside included. Districts are nodes from there.
+    """
+    found: list[DistrictPlan] = []
+
+    def visit(tree: Any) -> int | None:
+        if tree is None:
+            return None
+        if isinstance(tree, list):
+            below = [part for child in tree for part in (child if isinstance(child, list) else [child])]
+            children = sorted(each for each in map(visit, below) if each is not None)
+            if len(children) < 2:
+                return children[0] if children else None
+            tiles = sorted(tile for each in children for tile in found[each - count].tiles)
+            found.append(DistrictPlan(tuple(children), tuple(tiles)))
+        else:
+            tile = places[tree]
+            if tile is None:
+                return None
+            found.append(DistrictPlan((tile,), (tile,)))
+        return count + len(found) - 1
+
+    visit(tree)
+    return found
+
+
+def far_from_walk() -> SceneError:
+    """Return the error of a walk that comes near no tile."""
+    return SceneError("the walk comes near no tile", "bring it into the frame of the scenes, or raise the margin")
 
 
 @dataclass(eq=False)
@@ -142,29 +178,10 @@ class WorldBuild:
 
     @cached_property
     def districts(self) -> list[DistrictPlan]:
-        """The districts, each after those that it is made of; the tree of cuts with every second cut left out."""
+        """The districts, each after those that it is made of."""
         numbers = {rect: k for k, rect in enumerate(self.tiles)}
-        found: list[DistrictPlan] = []
-
-        def visit(tree: Any) -> int | None:
-            if tree is None:
-                return None
-            if isinstance(tree, list):
-                below = [part for child in tree for part in (child if isinstance(child, list) else [child])]
-                children = sorted(each for each in map(visit, below) if each is not None)
-                if len(children) < 2:
-                    return children[0] if children else None
-                tiles = sorted(tile for each in children for tile in found[each - len(self.tiles)].tiles)
-                found.append(DistrictPlan(tuple(children), tuple(tiles)))
-            else:
-                tile = numbers.get(tuple(self.grid["tiles"][tree]))
-                if tile is None:  # so few that they went to the outside
-                    return None
-                found.append(DistrictPlan((tile,), (tile,)))
-            return len(self.tiles) + len(found) - 1
-
-        visit(self.grid["tree"])
-        return found
+        places = [numbers.get(tuple(rect)) for rect in self.grid["tiles"]]
+        return plan_districts(self.grid["tree"], places, len(self.tiles))
 
     @cached_property
     def _row_tasks(self) -> list[Task]:
@@ -185,15 +202,13 @@ class WorldBuild:
             needs: tuple[str, ...] = (f"rows {k}",)
             if rect is not None:
                 near = tuple(f"rows {other}" for other in self.touching(rect))
-                params = {**self.square_of(rect), **self._walk_near(rect)}
+                params = self.space_params(rect)
                 tasks.append(Task(f"space {k}", "gsvis.world.tiles:tile_space", params, (*needs, *near)))
                 needs = (*needs, f"space {k}")
             params = {"config": package, "most": self.config.far}
             tasks.append(Task(f"levels {k}", "gsvis.world.tiles:make_tile_levels", params, needs))
         if self.config.walk is not None and not any(task.params.get("walk") for task in tasks):
-            raise SceneError(
-                "the walk comes near no tile", "bring it into the frame of the scenes, or raise the margin"
-            )
+            raise far_from_walk()
         return tasks
 
     @cached_property
@@ -299,8 +314,12 @@ class WorldBuild:
 
         return [k for k, other in enumerate(self.tiles) if other is not None and near(other)]
 
+    def space_params(self, rect: Rect) -> dict[str, Any]:
+        """Return the params of the space of a tile: its square, and the walk near it if there is one."""
+        return {**self.square_of(rect), **self._walk_near(rect)}
+
     def square_of(self, rect: Rect) -> dict[str, Any]:
-        """Return the params of the space of a tile."""
+        """Return the square of a tile and how its space is looked for."""
         grid = grid_of(self.grid["grid"])
         low = [grid.origin[axis] + grid.side * place for axis, place in zip(grid.axes, rect[:2], strict=True)]
         high = [each + grid.side * count for each, count in zip(low, rect[2:], strict=True)]

@@ -20,7 +20,8 @@ from gsvis.progress import Progress, silent
 from gsvis.pvs.cell_count import MOST_CELLS
 from gsvis.pvs.workers import Workers, machine_load
 from gsvis.train.levels import LevelsConfig
-from gsvis.world.build import WorldBuild
+from gsvis.world.build import WorldBuild, plan_districts
+from gsvis.world.coding import TileBytes
 from gsvis.world.config import WorldConfig
 from gsvis.world.graph import Facts
 from gsvis.world.memory import least_limit, needed_memory, tile_memory
@@ -60,10 +61,18 @@ _EFFICIENCY = 0.9  # of workers beside each other
 
 _UNSURE = 1.03  # times what a sample says of the fullest tile
 _PEAK = 0.85  # of what a limit of memory has to allow
-_RECORD, _TERM, _SETS = 13.6, 6.0, 0.3  # bytes for each Gaussian, each term, and each cell and Gaussian in and around
-_DISTRICTS, _SPACES = 1.33, 2_500_000  # districts for each tile; bytes of where eyes may be in one
-_ROWS = 3  # how often a Gaussian is kept with all its values
-_SAMPLED = 1 << 19
+
+# Where no tile is tried: bytes of a Gaussian in a package; for each Gaussian in and around a tile, direction sets and
+# what a cell sees of it; where eyes may be in one.
+_RECORD, _DIRECTIONS, _SET, _SPACE_BYTES = 13.6, 1.5, 0.2, 3_500_000
+
+# Bytes of files, from flowers LOD 3, nika LOD 2 and guitar (docs/design/093).
+_TERM = 3.5  # of a term
+_MORE_CELLS = 0.1  # direction sets grow by this power of the number of cells
+_BESIDE = 0.57  # of a cell beside others, over one alone
+_FAR_RECORD = 0.84  # of a Gaussian of a district, over one of a tile
+_FILES, _BARE_FILES = 11_000, 4_000  # of the package and the stores of a tile; of a package without cells
+_ROW, _ROW_SH = 56, 12  # of a Gaussian that is kept, and of each SH coefficient above degree 0
 
 
 @dataclass(frozen=True)
@@ -141,13 +150,11 @@ def estimate_world(
         progress("trying tiles", 0, 1)
         trial = try_tiles(build, trial, int(sizes.joint - sizes.each), budget)
         progress("trying tiles", 1, 1)
-    seconds = sizes.seconds(trial)
+        seconds = sizes.seconds(trial)
+        world, kept = _bytes(sizes, trial, build)
     largest = int(max(expected.max(), 1))
     most = max(_UNSURE * largest * count / max(expected.sum(), 1), count - float(expected.sum()))
     memory, limit = _memory(sizes, largest, int(most), workers)
-    row = 4 * (14 + (3 * (degree + 1) ** 2 - 3))
-    per = _RECORD * sizes.own + _TERM * _terms_of(config, degree) + _SETS * sizes.cells * sizes.joint / sizes.each
-    districts = int(_RECORD * _DISTRICTS * sizes.tiles * min(config.far, sizes.lowest / sizes.tiles))
     return WorldEstimate(
         gaussians=count,
         tiles=sizes.tiles,
@@ -158,8 +165,8 @@ def estimate_world(
         workers=workers,
         memory=memory,
         max_memory=limit,
-        nbytes=districts + int(per * count),
-        work_bytes=districts + _SPACES * sizes.tiles + int((_ROWS * row + per) * count + row * min(count, _SAMPLED)),
+        nbytes=world,
+        work_bytes=kept,
         load=load,
         trial=trial,
         spent=_clock() - began,
@@ -193,7 +200,8 @@ class _Sizes:
         """Return what a tile takes by constants."""
         choice = _CHOICE + _CHOICE_ROW * self.each if self.shares else 0.0
         cell = _CELL + _CELL_ROW * self.joint
-        return Trial(1.0, _SPACE, _VIEW + _VIEW_ROW * self.each, choice, float(self.cells), cell)
+        nbytes = TileBytes(_RECORD, _DIRECTIONS * self.joint, _SET * self.joint, _SPACE_BYTES)
+        return Trial(1.0, _SPACE, _VIEW + _VIEW_ROW * self.each, choice, float(self.cells), cell, nbytes)
 
     def seconds(self, trial: Trial) -> dict[str, float]:
         """Return the seconds of processor of each stage."""
@@ -229,6 +237,24 @@ class _Sizes:
             fit = _TERMS_FIT * (union + min(union, _PRICED))
             views += _WEIGHED * package.colors.views.count * (1 + len(self.shares))
         return _PACKAGE + _PACKAGE_ROW * union + sets + fit + views * trial.view
+
+
+def _bytes(sizes: _Sizes, trial: Trial, build: WorldBuild) -> tuple[int, int]:
+    """Return the bytes of the world, and of the kept work."""
+    far, each, cells, union = build.config.far, trial.nbytes, trial.cells, sizes.own * sizes.each
+    seen = trial.eyes * sizes.tiles
+    lowest = sizes.lowest / sizes.tiles * trial.eyes + min(far, sizes.each) * (1.0 - trial.eyes)
+    districts = plan_districts(build.grid["tree"], range(sizes.tiles), sizes.tiles)
+    merged = sum(min(far, lowest * len(plan.tiles)) for plan in districts)
+    stores = each.directions * cells**_MORE_CELLS + each.cell * (_BESIDE * cells + 1.0 - _BESIDE)
+    terms = _TERM * _terms_of(build.config, sizes.degree) * union
+    gaussians = seen * union + (sizes.tiles - seen) * (sizes.each + min(far, sizes.each))
+    world = each.record * (gaussians + _FAR_RECORD * merged) + seen * (terms + stores + _FILES)
+    world += _BARE_FILES * len(districts)
+    row = _ROW + _ROW_SH * ((sizes.degree + 1) ** 2 - 1)
+    samples = sum(size for result in build.survey.values() for _, size in result.files.values())
+    kept = samples + row * (2 * sizes.count + gaussians) + _ROW * merged + seen * each.space
+    return int(world), int(world + kept)
 
 
 def _memory(sizes: _Sizes, largest: int, most: int, workers: int) -> tuple[int, int]:
