@@ -6,6 +6,7 @@ Levels are not trained for that: a lower level is the part of the next one that 
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,7 +16,8 @@ from numpy.typing import NDArray
 from gsvis.package.order import morton_codes
 from gsvis.prepare.surroundings import Surroundings
 from gsvis.pvs import codec
-from gsvis.pvs.cell_view import CellView
+from gsvis.pvs.cell_view import CellView, Sighting
+from gsvis.raycast.directions import face_of
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
@@ -23,7 +25,7 @@ from gsvis.train.levels import LevelsConfig
 from gsvis.world.bare import write_bare_package
 from gsvis.world.rows import flatten
 
-__all__ = ["TileBytes", "bytes_of_record", "bytes_of_space", "bytes_of_view", "levels_of", "surroundings_of"]
+__all__ = ["TileBytes", "bytes_of_record", "bytes_of_space", "bytes_of_view", "direction_sets", "levels_of", "surroundings_of"]
 
 U8 = NDArray[np.uint8]
 
@@ -34,7 +36,7 @@ class TileBytes:
 
     Attributes:
         record: A Gaussian in a package without sets and terms, its share of the table of chunks included.
-        directions: The direction sets in the two stores of a tile, of one cell.
+        directions: The direction sets in the two stores of a tile.
         cell: What a cell adds to the two stores, if no neighbor says a part of it.
         space: Where eyes may be.
     """
@@ -55,26 +57,40 @@ def bytes_of_record(g: Gaussians, levels: LevelsConfig | None, up: str, most: in
     return float(facts["bytes"]) / len(some)
 
 
-def bytes_of_view(view: CellView, own: int, around: int, classes: int) -> tuple[float, float]:
+def direction_sets(view: CellView, others: Sequence[Sighting], means: NDArray[np.float32]) -> U8:
+    """Return (N, 10) direction sets toward the viewpoints of a cell and those of other looks.
+
+    Args:
+        view: What the cell sees.
+        others: What other viewpoints see.
+        means: (N, 3) centers.
+    """
+    sets = np.zeros((len(means), view.directions.shape[1]), np.uint8)
+    sets[view.ids] = view.directions
+    for each in others:
+        faces = face_of(each.viewpoint - means[each.ids])
+        sets[each.ids, faces // 8] |= (1 << faces % 8).astype(np.uint8)
+    return sets
+
+
+def bytes_of_view(view: CellView, sets: U8, own: int, classes: int) -> tuple[float, float]:
     """Return the bytes of direction sets, and of the set of a cell with its classes, in both stores of a tile.
 
     Args:
         view: What the cell sees: ids of the tile, then of what stands around it.
+        sets: (N, 10) direction sets of both.
         own: Gaussians of the tile.
-        around: Gaussians around it.
         classes: Number of classes of weights.
     """
     directions = cell = 0
-    for low, count in ((0, own), (own, around)):
+    for low, count in ((0, own), (own, len(sets) - own)):
         if not count:
             continue
         some = slice(*np.searchsorted(view.ids, [low, low + count]))
         ids = view.ids[some].astype(np.int64) - low
         words, ranks = codec.pack(ids, count), np.zeros(count, np.uint8)
         ranks[ids] = view.classes[some] + 1
-        sets = np.zeros((count, view.directions.shape[1]), np.uint8)
-        sets[ids] = view.directions[some]
-        directions += len(codec.compress(np.ascontiguousarray(sets.T).tobytes()))
+        directions += len(codec.compress(np.ascontiguousarray(sets[low : low + count].T).tobytes()))
         cell += len(codec.encode_set(words)) + len(codec.encode_classes(words, ranks, None, classes))
     return float(directions), float(cell)
 

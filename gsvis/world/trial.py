@@ -37,6 +37,7 @@ from gsvis.world.coding import (
     bytes_of_record,
     bytes_of_space,
     bytes_of_view,
+    direction_sets,
     levels_of,
     surroundings_of,
 )
@@ -54,6 +55,8 @@ _POLLED = 16  # cameras from which the number of looks is found
 _STAYS = 0.5  # share of the Gaussians that mostly stand in a look that chooses
 _FAINT = 0.02  # presence of the others
 _FEWEST = 64  # Gaussians of a tile; fewer have no levels
+_OTHER_LOOKS = 8  # from other cells, for the bytes of direction sets
+_MORE_EYES, _GROWTH = 1.5, 0.5  # what other cells add to these by rays; growth with the number of looks (design/093)
 _CODED, _MOST_CODED = 1 << 16, 4  # Gaussians that are coded for their bytes, and tiles that they come from
 _SEED = 3
 _GOLDEN = 0.5 * (5.0**0.5 - 1.0)  # steps of this share of the tiles spread the tried ones, however many they are
@@ -284,5 +287,10 @@ def _try_cell(tile: _Tile, others: Gaussians, space: NavigableSpace, config: Pre
     fine = int(np.count_nonzero(shared.fine))
     every = [*looks[0], *looks[1]]
     looking = fine * float(np.mean(looks[1] or every)) + (len(shared) - fine) * float(np.mean(looks[0] or every))
-    nbytes = bytes_of_view(view, len(own.union), len(around), len(config.sets.class_edges))
-    return _Cell(len(grid), finding + looking / len(grid), *nbytes)
+    others = np.setdiff1d(np.arange(len(shared)), shared.of_cell(cell))
+    some = others[np.linspace(0, len(others) - 1, min(len(others), _OTHER_LOOKS)).astype(int)]
+    elsewhere = [finder.look(shared.points[k], fine=False) for k in some.tolist()]
+    sets = direction_sets(view, elsewhere, work.levels.union.means)
+    directions, nbytes = bytes_of_view(view, sets, len(own.union), len(config.sets.class_edges))
+    directions *= _MORE_EYES * (len(shared) / (len(seen) + len(elsewhere))) ** _GROWTH
+    return _Cell(len(grid), finding + looking / len(grid), directions, nbytes)
