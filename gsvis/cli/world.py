@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 __all__ = ["run_world"]
 
 _HIGHEST = "high"
+_CLUSTERS = (4, 16, 64, 256)
+"""Numbers of workers of which a dry run tells the time."""
 
 
 def run_world(command: World) -> None:
@@ -160,7 +162,10 @@ def _workers(command: World) -> Iterator[Workers]:
 def _print_estimate(command: World, estimate: WorldEstimate) -> None:
     if command.json:
         document = {"format": "gsvis-world-estimate", "version": 1, **asdict(estimate)}
-        print_json({**document, "core_hours": estimate.core_hours})
+        times = {str(count): estimate.seconds_with(count) for count in (estimate.workers, *_more_workers(estimate))}
+        print_json({
+            **document, "core_hours": estimate.core_hours, "seconds": estimate.seconds, "seconds_by_workers": times,
+        })  # fmt: skip
         return
     workers = "1 worker" if estimate.workers == 1 else f"{estimate.workers} workers"
     rows = [
@@ -175,7 +180,15 @@ def _print_estimate(command: World, estimate: WorldEstimate) -> None:
         ("how found", _how_found(estimate)),
     ]
     stages = [(name, clock(seconds)) for name, seconds in estimate.core_seconds.items()]
-    show(facts(f"{command.out}: what it would cost", rows), facts("on one core", stages), " Nothing was written.")
+    more = [(f"{count:,} workers", f"about {clock(estimate.seconds_with(count))}") for count in _more_workers(estimate)]
+    tables = [facts(f"{command.out}: what it would cost", rows), facts("stages, on one core", stages)]
+    show(*tables, *([facts("on a cluster, with", more)] if more else []), " Nothing was written.")
+
+
+def _more_workers(estimate: WorldEstimate) -> list[int]:
+    """Return numbers of workers of a cluster that save time beside those of the run; the last is the most that do."""
+    most = estimate.most_workers
+    return [count for count in (*(count for count in _CLUSTERS if count < most), most) if count > estimate.workers]
 
 
 def _how_found(estimate: WorldEstimate) -> str:

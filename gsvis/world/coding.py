@@ -25,7 +25,15 @@ from gsvis.train.levels import LevelsConfig
 from gsvis.world.bare import write_bare_package
 from gsvis.world.rows import flatten
 
-__all__ = ["TileBytes", "bytes_of_record", "bytes_of_space", "bytes_of_view", "direction_sets", "levels_of", "surroundings_of"]
+__all__ = [
+    "TileBytes",
+    "bytes_of_record",
+    "bytes_of_space",
+    "bytes_of_view",
+    "direction_sets",
+    "levels_of",
+    "surroundings_of",
+]
 
 U8 = NDArray[np.uint8]
 

@@ -7,6 +7,7 @@ machine compiles kernels as well, which takes about a minute.
 
 from __future__ import annotations
 
+import math
 import tempfile
 import time
 from collections.abc import Sequence
@@ -58,6 +59,7 @@ _WEIGHED, _COST, _CLIENT = 0.78, 3.7, 3.5  # a view of the importance of colors,
 _AROUND = 7.5  # most Gaussians in and around a tile, in those of the tile
 _MOST_AROUND, _ROOT_AROUND = 12.0, 1.5  # the same of the tile with most of them: at most, and times the root of tiles
 _EFFICIENCY = 0.9  # of workers beside each other
+_ALL_TILES = ("tiling", "spaces", "districts")  # stages with a task for each tile; others have one where eyes may be
 
 _UNSURE = 1.03  # times what a sample says of the fullest tile
 _PEAK = 0.85  # of what a limit of memory has to allow
@@ -84,7 +86,6 @@ class WorldEstimate:
         largest: Gaussians of the fullest tile.
         side: Median length of the longer side of a tile, scene units.
         core_seconds: Seconds of processor of each stage.
-        seconds: Time with the workers.
         workers: Number of workers.
         memory: Peak bytes of a worker.
         max_memory: Least limit of the memory of all processes under which every task fits, one at a time.
@@ -100,7 +101,6 @@ class WorldEstimate:
     largest: int
     side: float
     core_seconds: dict[str, float]
-    seconds: float
     workers: int
     memory: int
     max_memory: int
@@ -111,9 +111,30 @@ class WorldEstimate:
     spent: float
 
     @property
+    def seconds(self) -> float:
+        """Time with the workers."""
+        return self.seconds_with(self.workers)
+
+    @property
     def core_hours(self) -> float:
         """Hours of one core."""
         return sum(self.core_seconds.values()) / 3600.0
+
+    @property
+    def most_workers(self) -> int:
+        """Workers beyond which more save no time: as many as tiles with room for eyes."""
+        return max(1, round(self.trial.eyes * self.tiles))
+
+    def seconds_with(self, workers: int) -> float:
+        """Return the time with so many workers, on one machine or a cluster; a tile is made by one of them."""
+        _check.positive_int("workers", workers)
+        if workers == 1:
+            return sum(self.core_seconds.values())
+        found = 0.0
+        for stage, seconds in self.core_seconds.items():
+            tasks = self.tiles if stage in _ALL_TILES else self.most_workers
+            found += seconds * math.ceil(tasks / workers) / tasks
+        return found / _EFFICIENCY
 
 
 def estimate_world(
@@ -160,7 +181,6 @@ def estimate_world(
         largest=largest,
         side=side,
         core_seconds=seconds,
-        seconds=sum(seconds.values()) / max(1.0, _EFFICIENCY * min(workers, sizes.tiles)),
         workers=workers,
         memory=memory,
         max_memory=limit,

@@ -58,6 +58,7 @@ _FEWEST = 64  # Gaussians of a tile; fewer have no levels
 _OTHER_LOOKS = 8  # from other cells, for the bytes of direction sets
 _MORE_EYES, _GROWTH = 1.5, 0.5  # what other cells add to these by rays; growth with the number of looks (design/093)
 _CODED, _MOST_CODED = 1 << 16, 4  # Gaussians that are coded for their bytes, and tiles that they come from
+_CODING = 2e-5  # seconds for each of them
 _SEED = 3
 _GOLDEN = 0.5 * (5.0**0.5 - 1.0)  # steps of this share of the tiles spread the tried ones, however many they are
 
@@ -104,7 +105,10 @@ def try_tiles(build: WorldBuild, expected: Trial, most: int, budget: float) -> T
         most: Most Gaussians around a tile.
         budget: Seconds of processor. What is expected to exceed it is not begun.
     """
-    began, config = _clock(), build.config.package
+    config = build.config.package
+    with _one_thread():
+        _load_kernels(config)
+    began = _clock()
     tiles = build.grid["tiles"]
     params = [build.space_params(rect) for rect in tiles]
     near = [k for k, each in enumerate(params) if each.get("walk", True)]
@@ -125,6 +129,10 @@ def try_tiles(build: WorldBuild, expected: Trial, most: int, budget: float) -> T
             start, tile = _clock(), rows[number]
             spaces[number] = space_of_tile(Gaussians.concatenate([flatten(tile.own), tile.near]), params[number])
             tried.spaces.append(_clock() - start)
+        if budget - (_clock() - began) > _CODED * _CODING:
+            coded = [rows[k].own for k in chosen if len(rows[k].own) >= _FEWEST][:_MOST_CODED]
+            part = _CODED // max(len(coded), 1)
+            tried.records = [bytes_of_record(own, config.levels, build.grid["up"], part) for own in coded]
         last, last_cell = 0.0, 0.0  # what the tile before has taken
         for number, space in spaces.items():
             left = budget - (_clock() - began)
@@ -138,9 +146,6 @@ def try_tiles(build: WorldBuild, expected: Trial, most: int, budget: float) -> T
                     start = _clock()
                     tried.cells.append(_try_cell(rows[number], _others(build, number, most), space, config))
                     last_cell = _clock() - start
-        coded = [rows[k].own for k in chosen if len(rows[k].own) >= _FEWEST][:_MOST_CODED]
-        part = _CODED // max(len(coded), 1)
-        tried.records = [bytes_of_record(own, config.levels, build.grid["up"], part) for own in coded]
     found = [space for space in spaces.values() if space is not None]
     tried.rooms = [bytes_of_space(space) for space in found]
     eyes, space = reached * len(found) / len(chosen), reached * float(np.median(tried.spaces))
@@ -199,6 +204,20 @@ def _one_thread() -> Iterator[None]:
         yield
     finally:
         set_num_threads(before)
+
+
+def _load_kernels(config: PrepareConfig) -> None:
+    """Try a tile of few Gaussians: the first run on a machine compiles kernels, which is no part of a budget."""
+    rng, count = np.random.default_rng(_SEED), 4 * _FEWEST
+    quats, half = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)), np.full(count, 0.5)
+    g = Gaussians(rng.normal(size=(count, 3)), quats, np.full((count, 3), 0.1), half, np.zeros((count, 1, 3)))
+    space = NavigableSpace.from_box((3.0, 3.0, 3.0), (4.0, 4.0, 4.0), 8)
+    sets = replace(config.sets, size=8, lower_size=8, max_inner=0)
+    few = replace(config, cells=1, cell_size=None, sets=sets)
+    bytes_of_record(g, config.levels, "+z", count)
+    with suppress(SceneError):
+        _time_views(g, space, few)
+        _try_cell(_Tile(g, g[:0]), g[:0], space, few)
 
 
 def _read_tiles(build: WorldBuild, chosen: list[int]) -> dict[int, _Tile]:

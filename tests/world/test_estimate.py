@@ -66,7 +66,8 @@ def test_what_exceeds_the_budget_is_left_to_constants(scene: tuple[str, None], m
     monkeypatch.setattr(estimates, "_LEAST_BUDGET", 0.0)
     monkeypatch.setattr(estimates, "_BUDGET_SHARE", 0.0)
     untried = estimate_world([scene], CONFIG).trial
-    assert replace(found.trial, eyes=untried.eyes, space=untried.space) == untried
+    nbytes = replace(found.trial.nbytes, space=untried.nbytes.space)
+    assert replace(found.trial, eyes=untried.eyes, space=untried.space, nbytes=nbytes) == untried
     assert untried.eyes == 1.0
 
 
