@@ -1,33 +1,28 @@
-"""How many bytes the files of a tile take: code a part of its rows, and what a tried cell sees, as the run does.
+"""How many bytes the files of a tile take: stand-ins for its levels, and what a tried cell sees, coded as stores do.
 
 Levels are not trained for that: a lower level is the part of the next one that covers most. Scene frame and units.
 """
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.package.order import morton_codes
 from gsvis.prepare.surroundings import Surroundings
-from gsvis.pvs import codec
 from gsvis.pvs.cell_view import CellView, Sighting
+from gsvis.pvs.coded_size import bytes_of_cell, bytes_of_directions
 from gsvis.raycast.directions import face_of
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.train.levels import LevelsConfig
-from gsvis.world.bare import write_bare_package
-from gsvis.world.rows import flatten
 
 __all__ = [
     "TileBytes",
-    "bytes_of_record",
     "bytes_of_space",
     "bytes_of_view",
     "direction_sets",
@@ -53,16 +48,6 @@ class TileBytes:
     directions: float
     cell: float
     space: float
-
-
-def bytes_of_record(g: Gaussians, levels: LevelsConfig | None, up: str, most: int) -> float:
-    """Return the bytes of a Gaussian in a package, from at most so many that are neighbors."""
-    axis = int(np.ptp(g.means, axis=0).argmax())
-    first = max(0, (len(g) - most) // 2)
-    some = np.sort(np.argsort(g.means[:, axis], kind="stable")[first : first + most])
-    with tempfile.TemporaryDirectory(prefix="gsvis-") as folder:
-        _, facts = write_bare_package(Path(folder), levels_of(flatten(g[some]), levels), up, 0.0)
-    return float(facts["bytes"]) / len(some)
 
 
 def direction_sets(view: CellView, others: Sequence[Sighting], means: NDArray[np.float32]) -> U8:
@@ -95,11 +80,8 @@ def bytes_of_view(view: CellView, sets: U8, own: int, classes: int) -> tuple[flo
         if not count:
             continue
         some = slice(*np.searchsorted(view.ids, [low, low + count]))
-        ids = view.ids[some].astype(np.int64) - low
-        words, ranks = codec.pack(ids, count), np.zeros(count, np.uint8)
-        ranks[ids] = view.classes[some] + 1
-        directions += len(codec.compress(np.ascontiguousarray(sets[low : low + count].T).tobytes()))
-        cell += len(codec.encode_set(words)) + len(codec.encode_classes(words, ranks, None, classes))
+        cell += bytes_of_cell(view.ids[some] - low, view.classes[some], count, classes)
+        directions += bytes_of_directions(sets[low : low + count])
     return float(directions), float(cell)
 
 

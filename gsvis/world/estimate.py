@@ -19,6 +19,7 @@ from gsvis import _check
 from gsvis.files.objects import open_store
 from gsvis.progress import Progress, silent
 from gsvis.pvs.cell_count import MOST_CELLS
+from gsvis.pvs.coded_size import BESIDE
 from gsvis.pvs.workers import Workers, machine_load
 from gsvis.train.levels import LevelsConfig
 from gsvis.world.build import WorldBuild, plan_districts
@@ -70,7 +71,6 @@ _RECORD, _DIRECTIONS, _SET, _SPACE_BYTES = 13.6, 2.0, 0.2, 3_500_000
 
 # Bytes of files, from flowers LOD 3, nika LOD 2 and guitar (docs/design/093).
 _TERM = 3.5  # of a term
-_BESIDE = 0.63  # of a cell beside others, over one alone
 _FAR_RECORD = 0.84  # of a Gaussian of a district, over one of a tile
 _FILES, _BARE_FILES = 11_000, 4_000  # of the package and the stores of a tile; of a package without cells
 _ROW, _ROW_SH = 56, 12  # of a Gaussian that is kept, and of each SH coefficient above degree 0
@@ -265,7 +265,7 @@ def _bytes(sizes: _Sizes, trial: Trial, build: WorldBuild) -> tuple[int, int]:
     lowest = sizes.lowest / sizes.tiles * trial.eyes + min(far, sizes.each) * (1.0 - trial.eyes)
     districts = plan_districts(build.grid["tree"], range(sizes.tiles), sizes.tiles)
     merged = sum(min(far, lowest * len(plan.tiles)) for plan in districts)
-    stores = each.directions + each.cell * (_BESIDE * cells + 1.0 - _BESIDE)
+    stores = each.directions + each.cell * (BESIDE * cells + 1.0 - BESIDE)
     terms = _TERM * _terms_of(build.config, sizes.degree) * union
     gaussians = seen * union + (sizes.tiles - seen) * (sizes.each + min(far, sizes.each))
     world = each.record * (gaussians + _FAR_RECORD * merged) + seen * (terms + stores + _FILES)

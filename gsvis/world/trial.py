@@ -19,6 +19,7 @@ from numba import get_num_threads, set_num_threads
 
 from gsvis.errors import SceneError
 from gsvis.io.batches import read_batch
+from gsvis.prepare.coded_size import bytes_of_record
 from gsvis.prepare.config import PrepareConfig
 from gsvis.pvs.build import plan_work
 from gsvis.pvs.cell_count import MOST_CELLS
@@ -34,7 +35,6 @@ from gsvis.train.levels import frozen_sizes
 from gsvis.world.build import WorldBuild, far_from_walk
 from gsvis.world.coding import (
     TileBytes,
-    bytes_of_record,
     bytes_of_space,
     bytes_of_view,
     direction_sets,
@@ -132,7 +132,7 @@ def try_tiles(build: WorldBuild, expected: Trial, most: int, budget: float) -> T
         if budget - (_clock() - began) > _CODED * _CODING:
             coded = [rows[k].own for k in chosen if len(rows[k].own) >= _FEWEST][:_MOST_CODED]
             part = _CODED // max(len(coded), 1)
-            tried.records = [bytes_of_record(own, config.levels, build.grid["up"], part) for own in coded]
+            tried.records = [bytes_of_record(levels_of(flatten(own), config.levels), part) for own in coded]
         last, last_cell = 0.0, 0.0  # what the tile before has taken
         for number, space in spaces.items():
             left = budget - (_clock() - began)
@@ -214,7 +214,7 @@ def _load_kernels(config: PrepareConfig) -> None:
     space = NavigableSpace.from_box((3.0, 3.0, 3.0), (4.0, 4.0, 4.0), 8)
     sets = replace(config.sets, size=8, lower_size=8, max_inner=0)
     few = replace(config, cells=1, cell_size=None, sets=sets)
-    bytes_of_record(g, config.levels, "+z", count)
+    bytes_of_record(levels_of(g, config.levels), count)
     with suppress(SceneError):
         _time_views(g, space, few)
         _try_cell(_Tile(g, g[:0]), g[:0], space, few)
