@@ -52,7 +52,8 @@ def run_world(command: World) -> None:
     scenes, config = _check_scenes(command), _check_arguments(command)
     with Status() as status:
         if command.dry_run:
-            count = local_workers(command.workers, None).count
+            with _workers(command) as workers:
+                count = workers.count
             estimate = estimate_world(scenes, config, workers=count, progress=status)
         else:
             about = {"made_by": f"gsvis {version()}", "scenes": [title_of(path) for path, _ in scenes]}
@@ -171,7 +172,7 @@ def _print_estimate(command: World, estimate: WorldEstimate) -> None:
     rows = [
         ("Gaussians", f"{estimate.gaussians:,}"),
         ("tiles", f"{estimate.tiles:,} of side {estimate.side:.3g}, the fullest {estimate.largest:,}"),
-        ("time", f"about {clock(estimate.seconds)} with {workers}{busy_note(estimate.load)}"),
+        ("time", f"about {_rough(estimate.seconds)} with {workers}{busy_note(estimate.load)}"),
         ("core hours", f"about {estimate.core_hours:.2g}"),
         ("memory", f"about {size_of(estimate.memory)} a worker"),
         ("--max-memory", f"{least_size_of(estimate.max_memory)} or more"),
@@ -179,10 +180,17 @@ def _print_estimate(command: World, estimate: WorldEstimate) -> None:
         ("kept beside it", f"about {size_of(estimate.work_bytes)}"),
         ("how found", _how_found(estimate)),
     ]
-    stages = [(name, clock(seconds)) for name, seconds in estimate.core_seconds.items()]
-    more = [(f"{count:,} workers", f"about {clock(estimate.seconds_with(count))}") for count in _more_workers(estimate)]
-    tables = [facts(f"{command.out}: what it would cost", rows), facts("stages, on one core", stages)]
-    show(*tables, *([facts("on a cluster, with", more)] if more else []), " Nothing was written.")
+    stages = [(name, _rough(seconds)) for name, seconds in estimate.core_seconds.items()]
+    more = [
+        (f"{count:,} workers", f"about {_rough(estimate.seconds_with(count))}") for count in _more_workers(estimate)
+    ]
+    tables = [facts(f"{command.out}: what it would cost", rows), facts("on one core", stages)]
+    show(*tables, *([facts("on a cluster", more)] if more else []), " Nothing was written.")
+
+
+def _rough(seconds: float) -> str:
+    """Return expected seconds as text, without digits that nobody knows."""
+    return f"{round(seconds / 60.0)} min" if 120.0 <= seconds < 3570.0 else clock(seconds)
 
 
 def _more_workers(estimate: WorldEstimate) -> list[int]:
