@@ -148,8 +148,8 @@ def try_tiles(build: WorldBuild, expected: Trial, most: int, budget: float) -> T
                     last_cell = _clock() - start
     found = [space for space in spaces.values() if space is not None]
     tried.rooms = [bytes_of_space(space) for space in found]
-    eyes, space = reached * len(found) / len(chosen), reached * float(np.median(tried.spaces))
-    return tried.in_place_of(replace(expected, eyes=eyes, space=space))
+    eyes, taken = reached * len(found) / len(chosen), reached * float(np.median(tried.spaces))
+    return tried.in_place_of(replace(expected, eyes=eyes, space=taken))
 
 
 @dataclass
@@ -169,7 +169,7 @@ class _Tried:
             view, choice = np.mean(self.views, axis=0).tolist()
             found = replace(found, view=view, choice=choice, tiles=len(self.views))
         if self.cells:
-            cells, cell, directions, seen = np.mean(self.cells, axis=0).tolist()
+            cells, cell, directions, seen = np.mean(np.array(self.cells), axis=0).tolist()
             found = replace(found, cells=cells, cell=cell)
             nbytes = replace(nbytes, directions=directions, cell=seen)
         if self.records:
@@ -183,13 +183,13 @@ class _Cell(NamedTuple):
     """What a cell of a tile takes.
 
     Attributes:
-        count: Cells of the tile.
+        cells: Cells of the tile.
         seconds: To find its set, its share of the shared looks included.
         directions: Bytes of the direction sets of the tile and of what stands around it.
         nbytes: Bytes of the set and its classes.
     """
 
-    count: float
+    cells: float
     seconds: float
     directions: float
     nbytes: float
@@ -306,8 +306,8 @@ def _try_cell(tile: _Tile, others: Gaussians, space: NavigableSpace, config: Pre
     fine = int(np.count_nonzero(shared.fine))
     every = [*looks[0], *looks[1]]
     looking = fine * float(np.mean(looks[1] or every)) + (len(shared) - fine) * float(np.mean(looks[0] or every))
-    others = np.setdiff1d(np.arange(len(shared)), shared.of_cell(cell))
-    some = others[np.linspace(0, len(others) - 1, min(len(others), _OTHER_LOOKS)).astype(int)]
+    left = np.setdiff1d(np.arange(len(shared)), shared.of_cell(cell))
+    some = left[np.linspace(0, len(left) - 1, min(len(left), _OTHER_LOOKS)).astype(int)]
     elsewhere = [finder.look(shared.points[k], fine=False) for k in some.tolist()]
     sets = direction_sets(view, elsewhere, work.levels.union.means)
     directions, nbytes = bytes_of_view(view, sets, len(own.union), len(config.sets.class_edges))
