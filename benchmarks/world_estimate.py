@@ -3,7 +3,8 @@
 Each scene is a small world of a few tiles, with 30 steps of training for each lower level and two cells a tile. A
 process of its own says what it would cost and then prepares it, both in one thread.
 
-Given: objects, a scan of a room, a wall outdoors and a built-in street, of which no constant of the dry run was taken.
+Given: objects, scans of a room, a wall outdoors and a built-in street, of which no constant of the dry run was taken;
+    the street once more with eyes along a walk through a part of it.
 Measured: seconds of processor of each stage and of all, peak of proportional memory (PSS), bytes of the world and of
     the kept work, against what the dry run said; seconds of processor of the dry run; whether the limit of memory that
     it names is accepted.
@@ -37,8 +38,14 @@ from gsvis.world.estimate import estimate_world
 from gsvis.world.prepare import prepare_world
 from gsvis.world.tiling import TilingConfig
 
-MOST = {"biker": 60_000, "arkit": 40_000, "trumpet": 40_000, "nika LOD 1, half": 20_000, "street": 20_000}
+MOST = {
+    "biker": 60_000, "arkit": 40_000, "trumpet": 40_000, "nika LOD 1, half": 20_000, "street": 20_000,
+    "massa": 25_000, "gsplayer": 8_000, "street, walk": 10_000,
+}  # fmt: skip
 """Most Gaussians of a tile of each scene."""
+
+WALKS = {"street, walk": ((2.0, 0.0, 1.6), (16.0, 0.5, 1.6))}
+"""Positions along which eyes are, of scenes in which they are not everywhere."""
 
 
 def main() -> None:
@@ -99,9 +106,11 @@ def scene_of(name: str) -> Gaussians:
         return load_scene(formats / "biker.compressed.ply")
     if name == "arkit":
         return load_scene(formats / "arkit_scene.splat")
-    if name == "trumpet":
-        return load_scene(realdata() / "scenes/statues/trumpet.sog")
-    if name == "street":
+    if name == "gsplayer":
+        return load_scene(formats / "gsplayer_scene.compressed.ply")
+    if name in ("trumpet", "massa"):
+        return load_scene(realdata() / f"scenes/statues/{name}.sog")
+    if name in ("street", "street, walk"):
         return small_street(houses=6, step=0.12)
     g = load_scene(realdata() / "scenes/nika_sh3/lod-meta.json", 1)
     low, high = g.bounds(0.98)
@@ -117,7 +126,7 @@ def prepare(name: str, given: argparse.Namespace) -> None:
     save_ply(scene_of(name), folder / "scene.ply")
     scenes = [(str(folder / "scene.ply"), None)]
     package = PrepareConfig(levels=LevelsConfig((0.25, 0.5), iterations=given.steps), cells=given.cells)
-    config = WorldConfig(TilingConfig(MOST[name]), package)
+    config = WorldConfig(TilingConfig(MOST[name]), package, walk=WALKS.get(name))
     estimate = estimate_world(scenes, config)
     with watch_memory(0.2) as peak:
         made = prepare_world(scenes, folder / "city.gsworld", config, workers=Workers(max_memory=estimate.max_memory))

@@ -175,7 +175,7 @@ USE = (
                 target="≥ 1.7, 0",
             ),
             Row(
-                "How far apart are a dry run and its world, worst of five held-out scenes: time, peak memory, bytes?",
+                "How far apart are a dry run and its world, worst of held-out worlds: time, peak memory, bytes?",
                 (
                     "world_estimate: processor time, the larger over the smaller, worst of all",
                     "world_estimate: peak PSS, the larger over the smaller, worst of all",

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 __all__ = ["run_world"]
 
 _HIGHEST = "high"
+_CLUSTERS = (4, 16, 64, 256)
+"""Numbers of workers of which a dry run tells the time."""
 
 
 def run_world(command: World) -> None:
@@ -50,7 +52,8 @@ def run_world(command: World) -> None:
     scenes, config = _check_scenes(command), _check_arguments(command)
     with Status() as status:
         if command.dry_run:
-            count = local_workers(command.workers, None).count
+            with _workers(command) as workers:
+                count = workers.count
             estimate = estimate_world(scenes, config, workers=count, progress=status)
         else:
             about = {"made_by": f"gsvis {version()}", "scenes": [title_of(path) for path, _ in scenes]}
@@ -160,13 +163,16 @@ def _workers(command: World) -> Iterator[Workers]:
 def _print_estimate(command: World, estimate: WorldEstimate) -> None:
     if command.json:
         document = {"format": "gsvis-world-estimate", "version": 1, **asdict(estimate)}
-        print_json({**document, "core_hours": estimate.core_hours})
+        times = {str(count): estimate.seconds_with(count) for count in (estimate.workers, *_more_workers(estimate))}
+        print_json({
+            **document, "core_hours": estimate.core_hours, "seconds": estimate.seconds, "seconds_by_workers": times,
+        })  # fmt: skip
         return
     workers = "1 worker" if estimate.workers == 1 else f"{estimate.workers} workers"
     rows = [
         ("Gaussians", f"{estimate.gaussians:,}"),
         ("tiles", f"{estimate.tiles:,} of side {estimate.side:.3g}, the fullest {estimate.largest:,}"),
-        ("time", f"about {clock(estimate.seconds)} with {workers}{busy_note(estimate.load)}"),
+        ("time", f"about {_rough(estimate.seconds)} with {workers}{busy_note(estimate.load)}"),
         ("core hours", f"about {estimate.core_hours:.2g}"),
         ("memory", f"about {size_of(estimate.memory)} a worker"),
         ("--max-memory", f"{least_size_of(estimate.max_memory)} or more"),
@@ -174,8 +180,23 @@ def _print_estimate(command: World, estimate: WorldEstimate) -> None:
         ("kept beside it", f"about {size_of(estimate.work_bytes)}"),
         ("how found", _how_found(estimate)),
     ]
-    stages = [(name, clock(seconds)) for name, seconds in estimate.core_seconds.items()]
-    show(facts(f"{command.out}: what it would cost", rows), facts("on one core", stages), " Nothing was written.")
+    stages = [(name, _rough(seconds)) for name, seconds in estimate.core_seconds.items()]
+    more = [
+        (f"{count:,} workers", f"about {_rough(estimate.seconds_with(count))}") for count in _more_workers(estimate)
+    ]
+    tables = [facts(f"{command.out}: what it would cost", rows), facts("on one core", stages)]
+    show(*tables, *([facts("on a cluster", more)] if more else []), " Nothing was written.")
+
+
+def _rough(seconds: float) -> str:
+    """Return expected seconds as text, without digits that nobody knows."""
+    return f"{round(seconds / 60.0)} min" if 120.0 <= seconds < 3570.0 else clock(seconds)
+
+
+def _more_workers(estimate: WorldEstimate) -> list[int]:
+    """Return numbers of workers of a cluster that save time beside those of the run; the last is the most that do."""
+    most = estimate.most_workers
+    return [count for count in (*(count for count in _CLUSTERS if count < most), most) if count > estimate.workers]
 
 
 def _how_found(estimate: WorldEstimate) -> str:

@@ -16,7 +16,7 @@ import numpy as np
 from gsvis.color.records import bytes_per_term
 from gsvis.color.srbf import SrbfColors
 from gsvis.color.storage import load_srbf
-from gsvis.package import RECORD_BYTES
+from gsvis.prepare.coded_size import bytes_of_record
 from gsvis.prepare.config import PrepareConfig
 from gsvis.prepare.memory import kept_memory, left_for_sets
 from gsvis.prepare.prepare import stages_of
@@ -53,8 +53,9 @@ _STEP = 0.01  # seconds of each training step
 # Seconds for each Gaussian and core.
 _BASE_FIT, _TERMS_FIT, _RECORDS = 2e-5, 3e-4, 6e-6
 
-_CHUNK = 31.0 / 200.0  # bytes for each Gaussian
-_PACKED = 0.82  # size of coded records over their raw size
+_CODED = 1 << 15  # Gaussians that are coded for the size of records
+_PACKED_TERM = 0.78  # size of coded terms over their raw size
+_FILES = 10_000  # bytes of a package besides records, terms and sets
 _VIEWS_TIMED = 5
 _IMAGES = 5  # of a view that measures what a client gets
 
@@ -155,8 +156,8 @@ class _Estimator:
         self._fidelity(exact, store)
         if store is not None:
             store.close()
-        term_bytes = int(terms * bytes_per_term(self.config.colors.fit.variant, "wire"))
-        nbytes = int(self.union * (_PACKED * RECORD_BYTES + _CHUNK)) + term_bytes + disk
+        term_bytes = _PACKED_TERM * bytes_per_term(self.config.colors.fit.variant, "wire") * terms
+        nbytes = int(self.union * bytes_of_record(self.levels, _CODED) + term_bytes + disk) + _FILES
         what = f"{self.union:,} records, {terms:,} terms"
         self.found.append(StageEstimate("package", "to do", what, _RECORDS * self.union, 0))
         return PreparationEstimate(

@@ -17,6 +17,7 @@ from gsvis.pvs._workers import forget_scene
 from gsvis.pvs.build import Work, plan_work
 from gsvis.pvs.cell_view import Finder
 from gsvis.pvs.cells import CellGrid
+from gsvis.pvs.coded_size import BESIDE, bytes_of_cell
 from gsvis.pvs.config import PvsConfig
 from gsvis.pvs.workers import (
     SCENE_BYTES,
@@ -46,8 +47,7 @@ _RARE = 1.7
 _MOST_TRIED = 12
 _GOLDEN = 0.5 * (5.0**0.5 - 1.0)  # steps of this share of the cells spread the tried ones evenly, however many they are
 
-_BITS = 2.0  # bits for each visible Gaussian of a cell: its set and its classes
-_DISK_PER_GAUSSIAN = 6  # order and direction sets
+_DIRECTIONS = 4.5  # bytes of the direction set of a Gaussian: 2 where eyes see it from afar, 6 in rooms
 _START = 3.0  # seconds until worker processes are ready, for viewpoints and for cells
 _CHECK = 0.3  # seconds of the second tracer, and for each Gaussian
 _CHECK_PER_GAUSSIAN = 3e-5
@@ -142,7 +142,7 @@ def estimate_pvs(
         of_cells=of_cells,
         memory=expected_memory(levels, config, count if processes else 1),
         visible=tried.visible / tried.cells,
-        disk=int(_BITS / 8.0 * tried.visible / tried.cells * cells) + _DISK_PER_GAUSSIAN * len(levels.union),
+        disk=int(BESIDE * tried.coded / tried.cells * cells + _DIRECTIONS * len(levels.union)),
         working_disk=int(tried.held / tried.looks * viewpoints + tried.kept / tried.cells * cells)
         + (SCENE_BYTES * len(levels.union) if processes else 0),
         load=load,
@@ -159,6 +159,7 @@ class _Tried:
     held: int = 0
     kept: int = 0
     visible: int = 0
+    coded: int = 0
     threads: float = 1.0  # speed-up of a look by all threads
 
     @property
@@ -196,6 +197,7 @@ def _try_cells(work: Work, least: int, progress: Progress) -> _Tried:
         tried.held += sum(len(pack_sighting(each)) for each in sightings)
         tried.kept += len(pack_view(view))
         tried.visible += len(view.ids)
+        tried.coded += bytes_of_cell(view.ids, view.classes, len(work.levels.union), len(work.config.class_edges))
         progress("trying", tried.cells, len(some))
     progress("trying", len(some), len(some))
     forget_scene()

@@ -26,7 +26,7 @@ from gsvis.scene._occupancy import MIN_SHARE, Occupancy
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.kinds import WALKABLE, SpaceKind, find_kind, is_rooms
 
-__all__ = ["above_ground", "eye_heights", "find_eyes", "stand_around", "where_people_stand"]
+__all__ = ["above_ground", "eye_heights", "find_eyes", "find_mixed", "stand_around", "where_people_stand"]
 
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -97,6 +97,39 @@ def find_eyes(
     least, greatest = eye_heights(space, up)
     eyes = f"{least:.2g} to {greatest:.2g} units above the ground"
     return space, standing, "free, ground below at the height of an eye", replace(kind, eyes=eyes)
+
+
+def find_mixed(
+    build: Callable[[F64, F64], Occupancy], low: F64, high: F64, up: F64
+) -> tuple[Occupancy, Mask, str, SpaceKind] | None:
+    """Find the voxels where eyes belong in a piece of something larger: in rooms, and on open ground.
+
+    Args:
+        build: Makes a grid over a box.
+        low: (3,) lowest corner of the scene without outliers.
+        high: (3,) highest corner.
+        up: (3,) unit up axis.
+
+    Returns:
+        As `find_eyes`; None if there is neither.
+    """
+    try:
+        space = build(low, high)
+    except SceneError:
+        return None
+    inside, _, enclosed = space.choose(up, np.zeros((0, 3)))
+    standing = above_ground(space, up)
+    has_rooms = enclosed and float(inside.mean()) >= MIN_SHARE
+    has_ground = footprint(standing, up) >= WALKABLE
+    if has_rooms and has_ground:
+        kind = SpaceKind("rooms", "enclosed space, and ground under the sky", None, "inside, and above the ground")
+        return space, inside | standing, "free, enclosed or with ground below", kind
+    if has_rooms:
+        return space, inside, "free, enclosed", SpaceKind("rooms", "enclosed space", None, "inside")
+    if has_ground:
+        kind = SpaceKind("open place", "ground under the sky", None, "above the ground")
+        return space, standing, "free, ground below", kind
+    return None
 
 
 def stand_around(build: Callable[[F64, F64], Occupancy], low: F64, high: F64, up: F64) -> tuple[Occupancy, Mask, str]:

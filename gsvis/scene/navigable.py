@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.errors import SceneError
-from gsvis.scene._eyes import find_eyes, stand_around, where_people_stand
+from gsvis.scene._eyes import find_eyes, find_mixed, stand_around, where_people_stand
 from gsvis.scene._occupancy import MIN_ALPHA, Occupancy, robust_box
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
@@ -101,6 +101,7 @@ class NavigableSpace:
         coverage: float = 0.98,
         up: ArrayLike | str | None = None,
         seeds: ArrayLike | None = None,
+        mixed: bool = False,
     ) -> NavigableSpace:
         """Find the navigable space of a scene: around an object, in rooms, or above the ground of an open place.
 
@@ -113,12 +114,16 @@ class NavigableSpace:
             up: (3,) direction or an axis such as "+z"; guessed by default.
             seeds: (S, 3) positions known to be navigable, such as captured cameras. The box grows to hold them. The
                 connected parts that hold them are kept instead of the largest part.
+            mixed: Whether this is a piece of something larger, such as a city: then eyes are in rooms and on open ground
+                if it has both, and around it only if it has neither.
 
         Raises:
-            ValueError: If an argument is out of range.
+            ValueError: If an argument is out of range, or `mixed` comes with `seeds`.
             SceneError: If the scene has no free space.
         """
         _check_resolution(resolution)
+        if mixed and seeds is not None:
+            raise ValueError("seeds: expected none for a piece of something larger, got some")
         for name, value, least, most in (
             ("max_alpha", max_alpha, 1e-6, 1.0 - 1e-6),
             ("clearance", clearance, 0.0, 32.0),
@@ -130,6 +135,8 @@ class NavigableSpace:
         low, high = robust_box(seen, coverage, points)
         grid = partial(Occupancy.from_gaussians, [seen], resolution=resolution)
         build = partial(grid, max_alpha=max_alpha, clearance=clearance)
+        if mixed and (found := find_mixed(build, low, high, axis)) is not None:
+            return cls._over(*found, axis, seen)
         return cls._over(*find_eyes(build, low, high, seen, axis, points), axis, seen)
 
     @classmethod

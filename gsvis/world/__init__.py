@@ -18,6 +18,7 @@ from gsvis.world.manifest import BeyondTable, District, Grid, Piece, Tile, World
 from gsvis.world.world import VerifiedWorld, World, is_world
 
 if TYPE_CHECKING:
+    from gsvis.world.coding import TileBytes
     from gsvis.world.config import WorldConfig
     from gsvis.world.estimate import WorldEstimate, estimate_world
     from gsvis.world.graph import Given, Result, Task, run_graph
@@ -38,6 +39,7 @@ __all__ = [
     "Seen",
     "Task",
     "Tile",
+    "TileBytes",
     "TilingConfig",
     "Trial",
     "VerifiedWorld",
@@ -54,6 +56,7 @@ __all__ = [
 ]
 
 _HOMES = {
+    "coding": ("TileBytes",),
     "config": ("WorldConfig",),
     "estimate": ("WorldEstimate", "estimate_world"),
     "graph": ("Given", "Result", "Task", "run_graph"),

@@ -26,7 +26,7 @@ from gsvis.world.graph import Facts, Result, Task, run_graph
 from gsvis.world.tiles import MARGIN, SURROUNDINGS
 from gsvis.world.tiling import Rect, grid_of, sampling_interval, tile_name
 
-__all__ = ["DistrictPlan", "WorldBuild"]
+__all__ = ["DistrictPlan", "WorldBuild", "far_from_walk", "plan_districts"]
 
 _GUESSED = 1 << 18  # Gaussians of a batch that only reading counts
 _FEWEST = 64  # Gaussians of a tile; fewer go to the outside
@@ -44,6 +44,42 @@ class DistrictPlan:
 
     children: tuple[int, ...]
     tiles: tuple[int, ...]
+
+
+def plan_districts(tree: Any, places: Sequence[int | None], count: int) -> list[DistrictPlan]:
+    """Return the districts of a tree of cuts, every second cut left out; each is after those that it is made of.
+
+    Args:
+        tree: Numbers of rectangles, cut by cut, as `cut_squares` returns it.
+        places: Tile of each rectangle; None for one so empty that its Gaussians went to the outside.
+        count: Number of tiles, the outside included. Districts are nodes from there.
+    """
+    found: list[DistrictPlan] = []
+
+    def visit(tree: Any) -> int | None:
+        if tree is None:
+            return None
+        if isinstance(tree, list):
+            below = [part for child in tree for part in (child if isinstance(child, list) else [child])]
+            children = sorted(each for each in map(visit, below) if each is not None)
+            if len(children) < 2:
+                return children[0] if children else None
+            tiles = sorted(tile for each in children for tile in found[each - count].tiles)
+            found.append(DistrictPlan(tuple(children), tuple(tiles)))
+        else:
+            tile = places[tree]
+            if tile is None:
+                return None
+            found.append(DistrictPlan((tile,), (tile,)))
+        return count + len(found) - 1
+
+    visit(tree)
+    return found
+
+
+def far_from_walk() -> SceneError:
+    """Return the error of a walk that comes near no tile."""
+    return SceneError("the walk comes near no tile", "bring it into the frame of the scenes, or raise the margin")
 
 
 @dataclass(eq=False)
@@ -70,8 +106,13 @@ class WorldBuild:
         return [batch for path, lod in self.scenes for batch in list_batches(path, lod)]
 
     @cached_property
+    def every(self) -> int:
+        """One of so many Gaussians is in the samples."""
+        return sampling_interval(sum(b.count if b.count >= 0 else _GUESSED for b in self.batches))
+
+    @cached_property
     def _survey_tasks(self) -> list[Task]:
-        every = sampling_interval(sum(b.count if b.count >= 0 else _GUESSED for b in self.batches))
+        every = self.every
         samples = [
             Task(f"sample {k}", "gsvis.world.tiling:sample_rows", {"batch": asdict(batch), "every": every})
             for k, batch in enumerate(self.batches)
@@ -147,29 +188,10 @@ class WorldBuild:
 
     @cached_property
     def districts(self) -> list[DistrictPlan]:
-        """The districts, each after those that it is made of; the tree of cuts with every second cut left out."""
+        """The districts, each after those that it is made of."""
         numbers = {rect: k for k, rect in enumerate(self.tiles)}
-        found: list[DistrictPlan] = []
-
-        def visit(tree: Any) -> int | None:
-            if tree is None:
-                return None
-            if isinstance(tree, list):
-                below = [part for child in tree for part in (child if isinstance(child, list) else [child])]
-                children = sorted(each for each in map(visit, below) if each is not None)
-                if len(children) < 2:
-                    return children[0] if children else None
-                tiles = sorted(tile for each in children for tile in found[each - len(self.tiles)].tiles)
-                found.append(DistrictPlan(tuple(children), tuple(tiles)))
-            else:
-                tile = numbers.get(tuple(self.grid["tiles"][tree]))
-                if tile is None:  # so few that they went to the outside
-                    return None
-                found.append(DistrictPlan((tile,), (tile,)))
-            return len(self.tiles) + len(found) - 1
-
-        visit(self.grid["tree"])
-        return found
+        places = [numbers.get(tuple(rect)) for rect in self.grid["tiles"]]
+        return plan_districts(self.grid["tree"], places, len(self.tiles))
 
     @cached_property
     def _row_tasks(self) -> list[Task]:
@@ -196,9 +218,7 @@ class WorldBuild:
             params = {"config": package, "most": self.config.far}
             tasks.append(Task(f"levels {k}", "gsvis.world.tiles:make_tile_levels", params, needs))
         if self.config.walk is not None and not any(task.params.get("walk") for task in tasks):
-            raise SceneError(
-                "the walk comes near no tile", "bring it into the frame of the scenes, or raise the margin"
-            )
+            raise far_from_walk()
         return tasks
 
     @cached_property

@@ -7,6 +7,7 @@ machine compiles kernels as well, which takes about a minute.
 
 from __future__ import annotations
 
+import math
 import tempfile
 import time
 from collections.abc import Sequence
@@ -18,9 +19,11 @@ from gsvis import _check
 from gsvis.files.objects import open_store
 from gsvis.progress import Progress, silent
 from gsvis.pvs.cell_count import MOST_CELLS
+from gsvis.pvs.coded_size import BESIDE
 from gsvis.pvs.workers import Workers, machine_load
 from gsvis.train.levels import LevelsConfig
-from gsvis.world.build import WorldBuild
+from gsvis.world.build import WorldBuild, plan_districts
+from gsvis.world.coding import TileBytes
 from gsvis.world.config import WorldConfig
 from gsvis.world.graph import Facts
 from gsvis.world.memory import least_limit, needed_memory, tile_memory
@@ -57,13 +60,20 @@ _WEIGHED, _COST, _CLIENT = 0.78, 3.7, 3.5  # a view of the importance of colors,
 _AROUND = 7.5  # most Gaussians in and around a tile, in those of the tile
 _MOST_AROUND, _ROOT_AROUND = 12.0, 1.5  # the same of the tile with most of them: at most, and times the root of tiles
 _EFFICIENCY = 0.9  # of workers beside each other
+_ALL_TILES = ("tiling", "spaces", "districts")  # stages with a task for each tile; others have one where eyes may be
 
 _UNSURE = 1.03  # times what a sample says of the fullest tile
 _PEAK = 0.85  # of what a limit of memory has to allow
-_RECORD, _TERM, _SETS = 13.6, 6.0, 0.3  # bytes for each Gaussian, each term, and each cell and Gaussian in and around
-_DISTRICTS, _SPACES = 1.33, 2_500_000  # districts for each tile; bytes of where eyes may be in one
-_ROWS = 3  # how often a Gaussian is kept with all its values
-_SAMPLED = 1 << 19
+
+# Where no tile is tried: bytes of a Gaussian in a package; for each Gaussian in and around a tile, direction sets and
+# what a cell sees of it; where eyes may be in one.
+_RECORD, _DIRECTIONS, _SET, _SPACE_BYTES = 13.6, 2.0, 0.2, 3_500_000
+
+# Bytes of files, from flowers LOD 3, nika LOD 2 and guitar (docs/design/093).
+_TERM = 3.5  # of a term
+_FAR_RECORD = 0.84  # of a Gaussian of a district, over one of a tile
+_FILES, _BARE_FILES = 11_000, 4_000  # of the package and the stores of a tile; of a package without cells
+_ROW, _ROW_SH = 56, 12  # of a Gaussian that is kept, and of each SH coefficient above degree 0
 
 
 @dataclass(frozen=True)
@@ -76,7 +86,6 @@ class WorldEstimate:
         largest: Gaussians of the fullest tile.
         side: Median length of the longer side of a tile, scene units.
         core_seconds: Seconds of processor of each stage.
-        seconds: Time with the workers.
         workers: Number of workers.
         memory: Peak bytes of a worker.
         max_memory: Least limit of the memory of all processes under which every task fits, one at a time.
@@ -92,7 +101,6 @@ class WorldEstimate:
     largest: int
     side: float
     core_seconds: dict[str, float]
-    seconds: float
     workers: int
     memory: int
     max_memory: int
@@ -103,9 +111,30 @@ class WorldEstimate:
     spent: float
 
     @property
+    def seconds(self) -> float:
+        """Time with the workers."""
+        return self.seconds_with(self.workers)
+
+    @property
     def core_hours(self) -> float:
         """Hours of one core."""
         return sum(self.core_seconds.values()) / 3600.0
+
+    @property
+    def most_workers(self) -> int:
+        """Workers beyond which more save no time: as many as tiles with room for eyes."""
+        return max(1, round(self.trial.eyes * self.tiles))
+
+    def seconds_with(self, workers: int) -> float:
+        """Return the time with so many workers, on one machine or a cluster; a tile is made by one of them."""
+        _check.positive_int("workers", workers)
+        if workers == 1:
+            return sum(self.core_seconds.values())
+        found = 0.0
+        for stage, seconds in self.core_seconds.items():
+            tasks = self.tiles if stage in _ALL_TILES else self.most_workers
+            found += seconds * math.ceil(tasks / workers) / tasks
+        return found / _EFFICIENCY
 
 
 def estimate_world(
@@ -141,25 +170,22 @@ def estimate_world(
         progress("trying tiles", 0, 1)
         trial = try_tiles(build, trial, int(sizes.joint - sizes.each), budget)
         progress("trying tiles", 1, 1)
-    seconds = sizes.seconds(trial)
+        seconds = sizes.seconds(trial)
+        world, kept = _bytes(sizes, trial, build)
     largest = int(max(expected.max(), 1))
     most = max(_UNSURE * largest * count / max(expected.sum(), 1), count - float(expected.sum()))
     memory, limit = _memory(sizes, largest, int(most), workers)
-    row = 4 * (14 + (3 * (degree + 1) ** 2 - 3))
-    per = _RECORD * sizes.own + _TERM * _terms_of(config, degree) + _SETS * sizes.cells * sizes.joint / sizes.each
-    districts = int(_RECORD * _DISTRICTS * sizes.tiles * min(config.far, sizes.lowest / sizes.tiles))
     return WorldEstimate(
         gaussians=count,
         tiles=sizes.tiles,
         largest=largest,
         side=side,
         core_seconds=seconds,
-        seconds=sum(seconds.values()) / max(1.0, _EFFICIENCY * min(workers, sizes.tiles)),
         workers=workers,
         memory=memory,
         max_memory=limit,
-        nbytes=districts + int(per * count),
-        work_bytes=districts + _SPACES * sizes.tiles + int((_ROWS * row + per) * count + row * min(count, _SAMPLED)),
+        nbytes=world,
+        work_bytes=kept,
         load=load,
         trial=trial,
         spent=_clock() - began,
@@ -193,7 +219,8 @@ class _Sizes:
         """Return what a tile takes by constants."""
         choice = _CHOICE + _CHOICE_ROW * self.each if self.shares else 0.0
         cell = _CELL + _CELL_ROW * self.joint
-        return Trial(1.0, _SPACE, _VIEW + _VIEW_ROW * self.each, choice, float(self.cells), cell)
+        nbytes = TileBytes(_RECORD, _DIRECTIONS * self.joint, _SET * self.joint, _SPACE_BYTES)
+        return Trial(1.0, _SPACE, _VIEW + _VIEW_ROW * self.each, choice, float(self.cells), cell, nbytes)
 
     def seconds(self, trial: Trial) -> dict[str, float]:
         """Return the seconds of processor of each stage."""
@@ -231,6 +258,24 @@ class _Sizes:
         return _PACKAGE + _PACKAGE_ROW * union + sets + fit + views * trial.view
 
 
+def _bytes(sizes: _Sizes, trial: Trial, build: WorldBuild) -> tuple[int, int]:
+    """Return the bytes of the world, and of the kept work."""
+    far, each, cells, union = build.config.far, trial.nbytes, trial.cells, sizes.own * sizes.each
+    seen = trial.eyes * sizes.tiles
+    lowest = sizes.lowest / sizes.tiles * trial.eyes + min(far, sizes.each) * (1.0 - trial.eyes)
+    districts = plan_districts(build.grid["tree"], range(sizes.tiles), sizes.tiles)
+    merged = sum(min(far, lowest * len(plan.tiles)) for plan in districts)
+    stores = each.directions + each.cell * (BESIDE * cells + 1.0 - BESIDE)
+    terms = _TERM * _terms_of(build.config, sizes.degree) * union
+    gaussians = seen * union + (sizes.tiles - seen) * (sizes.each + min(far, sizes.each))
+    world = each.record * (gaussians + _FAR_RECORD * merged) + seen * (terms + stores + _FILES)
+    world += _BARE_FILES * len(districts)
+    row = _ROW + _ROW_SH * ((sizes.degree + 1) ** 2 - 1)
+    samples = sum(size for result in build.survey.values() for _, size in result.files.values())
+    kept = samples + row * (2 * sizes.count + gaussians) + _ROW * merged + seen * each.space
+    return int(world), int(world + kept)
+
+
 def _memory(sizes: _Sizes, largest: int, most: int, workers: int) -> tuple[int, int]:
     """Return the peak bytes of a worker, and the least limit of all processes.
 
@@ -243,7 +288,7 @@ def _memory(sizes: _Sizes, largest: int, most: int, workers: int) -> tuple[int, 
     package = sizes.config.package
     joint = int(min(largest * min(_MOST_AROUND, _ROOT_AROUND * sizes.tiles**0.5), sizes.count))
     tile = tile_memory(int(sizes.own * largest), [joint], int(sizes.own * joint), sizes.degree, package.sets)
-    params = {"config": package.as_dict(), "outside": False}
+    params = {"config": package.as_dict(), "outside": False, "resolution": sizes.config.resolution}
     lowest = sizes.shares[0] if sizes.shares else 1.0
 
     def levels(count: int) -> Facts:

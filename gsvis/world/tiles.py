@@ -95,7 +95,10 @@ def near_tile(means: NDArray[np.floating[Any]], params: Facts, margin: float = M
 
 
 def space_of_tile(near: Gaussians, params: Facts) -> NavigableSpace | None:
-    """Return where eyes may be in the squares of a tile, from its rows and those around it; None if nowhere."""
+    """Return where eyes may be in the squares of a tile, from its rows and those around it; None if nowhere.
+
+    They are in rooms and on open ground: a world has both, and a tile does not show which of them goes on.
+    """
     if "walk" in params and not params["walk"]:
         return None
     low, high, axes = (np.array(params[name]) for name in ("low", "high", "axes"))
@@ -104,7 +107,7 @@ def space_of_tile(near: Gaussians, params: Facts) -> NavigableSpace | None:
         if "walk" in params:
             found = space_along(near, params["walk"], params["margin"], **how)
         else:
-            found = NavigableSpace.from_scene(near, **how)
+            found = NavigableSpace.from_scene(near, mixed=True, **how)
     except SceneError:
         return None
     free = found.free.copy()
@@ -113,7 +116,23 @@ def space_of_tile(near: Gaussians, params: Facts) -> NavigableSpace | None:
         shape = [1, 1, 1]
         shape[axis] = -1
         free &= ((middles >= first) & (middles < last)).reshape(shape)
-    return replace(found, free=free) if free.any() else None
+    return _cut(replace(found, free=free), params) if free.any() else None
+
+
+def _cut(space: NavigableSpace, params: Facts) -> NavigableSpace:
+    """Return a space without the voxels and targets beyond the margin of its tile."""
+    low, high, axes = (np.array(params[name]) for name in ("low", "high", "axes"))
+    margin, size = MARGIN * float((high - low).max()), space.voxel_size
+    first, last = np.zeros(3, int), np.array(space.free.shape)
+    for axis, start, end in zip(axes.tolist(), low.tolist(), high.tolist(), strict=True):
+        places = np.array([start - margin, end + margin]) - space.origin[axis]
+        first[axis] = max(0, int(np.floor(places[0] / size)))
+        last[axis] = min(int(last[axis]), int(np.ceil(places[1] / size)))
+    some = tuple(slice(a, b) for a, b in zip(first, last, strict=True))
+    origin = space.origin + size * first
+    inside = ((space.targets >= origin) & (space.targets < origin + size * (last - first))).all(axis=1)
+    targets = space.targets[inside] if inside.any() else space.targets
+    return replace(space, origin=origin, free=space.free[some], occupied=space.occupied[some], targets=targets)
 
 
 def _resolution(near: Gaussians, own: NDArray[np.bool_], resolution: int) -> int:
@@ -121,9 +140,14 @@ def _resolution(near: Gaussians, own: NDArray[np.bool_], resolution: int) -> int
 
     Voxels are as large as in a grid of a `resolution` over the tile, `own`, or larger where memory asks for it.
     """
-    sides, tile = (np.diff(np.stack(g.bounds(_COVERAGE)), axis=0)[0].astype(np.float64) for g in (near, near[own]))
+    sides, tile = _sides(near), _sides(near[own])
     voxel_size = max(float(tile.max()) / resolution, float(np.cbrt(sides.prod() / MOST_VOXELS)))
     return int(np.clip(np.ceil(sides.max() / max(voxel_size, 1e-12)), resolution, MAX_RESOLUTION))
+
+
+def _sides(g: Gaussians) -> NDArray[np.float64]:
+    low, high = g.bounds(_COVERAGE)
+    return np.asarray(high - low, np.float64)
 
 
 def save_space(path: Path, space: NavigableSpace) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from gsvis.errors import ArgumentError
+from gsvis.errors import ArgumentError, SceneError
 from gsvis.pvs.workers import Workers
 from gsvis.train.levels import LevelsConfig
 from gsvis.world import estimate as estimates
@@ -66,7 +66,8 @@ def test_what_exceeds_the_budget_is_left_to_constants(scene: tuple[str, None], m
     monkeypatch.setattr(estimates, "_LEAST_BUDGET", 0.0)
     monkeypatch.setattr(estimates, "_BUDGET_SHARE", 0.0)
     untried = estimate_world([scene], CONFIG).trial
-    assert replace(found.trial, eyes=untried.eyes, space=untried.space) == untried
+    nbytes = replace(found.trial.nbytes, space=untried.nbytes.space)
+    assert replace(found.trial, eyes=untried.eyes, space=untried.space, nbytes=nbytes) == untried
     assert untried.eyes == 1.0
 
 
@@ -81,3 +82,34 @@ def test_more_steps_cells_and_workers_change_what_they_should(
     assert many.core_seconds["packages"] == pytest.approx(few.core_seconds["packages"])
     assert many.seconds < sum(many.core_seconds.values())
     assert many.max_memory > few.max_memory
+
+
+def test_a_walk_counts_the_tiles_and_cells_that_it_comes_near(scene: tuple[str, None], tmp_path: Path) -> None:
+    walk = ((1.0, 0.0, 1.6), (4.0, 0.0, 1.6))
+    config = replace(CONFIG, walk=walk, margin=0.8)
+    found, everywhere = estimate_world([scene], config), estimate_world([scene], CONFIG)
+    made = prepare_world([scene], tmp_path / "a.gsworld", config)
+    voxels = [result.facts["voxels"] for name, result in made.results.items() if name.startswith("space ")]
+    assert found.trial.eyes == pytest.approx(sum(count > 0 for count in voxels) / len(voxels))
+    assert 0.0 < found.trial.eyes < everywhere.trial.eyes
+    cells = [result.facts["cells"] for name, result in made.results.items() if name.startswith("tile ")]
+    assert found.trial.cells == pytest.approx(sum(cells) / max(sum(count > 0 for count in cells), 1), abs=1.0)
+    assert found.core_seconds["packages"] < everywhere.core_seconds["packages"]
+    with pytest.raises(SceneError, match="the walk comes near no tile"):
+        estimate_world([scene], replace(CONFIG, walk=((900.0, 900.0, 900.0),)))
+
+
+def test_bytes_are_near_those_of_the_run(scene: tuple[str, None], tmp_path: Path) -> None:
+    found = estimate_world([scene], CONFIG)
+    made = prepare_world([scene], tmp_path / "a.gsworld", CONFIG)
+    kept = sum(path.stat().st_size for path in made.work.rglob("*") if path.is_file())
+    assert 0.6 < found.nbytes / made.nbytes < 1.6
+    assert 0.6 < found.work_bytes / kept < 1.6
+
+
+def test_more_workers_than_tiles_save_no_time(scene: tuple[str, None]) -> None:
+    found = estimate_world([scene], CONFIG)
+    times = [found.seconds_with(count) for count in (2, 4, found.tiles, 1000)]
+    assert times == sorted(times, reverse=True)
+    assert times[-1] == times[-2]
+    assert found.seconds == found.seconds_with(1) == sum(found.core_seconds.values())
