@@ -105,9 +105,8 @@ class Bounds(NamedTuple):
 class Shell(NamedTuple):
     """What some cells around a viewer's cell see."""
 
-    seen: Seen  # all of it
-    wanted: Words  # of it what is of the highest level, for each word of the candidates
-    candidates: Candidates  # that, without a union; in a small scene `CandidateIndex.everything`
+    seen: Seen  # in the words of the candidates
+    candidates: Candidates  # of it what is of the highest level, without a union; or `CandidateIndex.everything`
 
 
 class CandidateIndex:
@@ -174,7 +173,7 @@ class CandidateIndex:
         mixed[(np.flatnonzero(np.diff(pairs)) + 1) >> 6] = True
         self._traits = kernels.Traits(*_check.read_only(strengths(index, self.pixel_area), pairs, mixed))
         self._owners = np.repeat(np.arange(len(index), dtype=np.int32), np.diff(index.term_offsets))
-        self._scratch = threading.local()
+        self._scratch, self._shared = threading.local(), dict[str, Words]()
         self.seen, self.shells = SeenSets(index, self.cache), Shells(index.grid, self.cache)
         all_words = np.arange(-(-len(index) // 64), dtype=np.int32)
         every = Seen(all_words, pack(np.arange(len(index)), len(index))[: len(all_words)])
@@ -230,7 +229,7 @@ class CandidateIndex:
         self._every_term = a["active"], a["owing"]
         self.records, self.links = _typed("record", plan.Records, a), _typed("link", plan.Links, a)
         self._every = _typed("every", Units, a)
-        self._scratch = threading.local()
+        self._scratch, self._shared = threading.local(), dict[str, Words]()
         self.seen, self.shells = SeenSets(index, self.cache), Shells(index.grid, self.cache)
         whole = {name: a[f"all_{name}"] for name in _WHOLE}
         self.everything = Candidates(
@@ -274,21 +273,49 @@ class CandidateIndex:
             terms = float(own.sum())
         return self._assemble(cell, parts, seen, active, owing, terms, sums)
 
-    def shell(self, cell: int, number: int) -> Shell:
-        """Return what the cells of a shell around a cell see; cache it."""
-        found: Shell | None = self.shells.recent.find((cell, number))
-        if found is None:
-            _, seen = self.seen.join([[self.seen.of_cell(other) for other in self.shells.cells(cell, number)]])
-            wanted, made = seen.masks & self.highest[seen.words], self.everything
-            if len(made.words) > _DENSE:
-                units, owing = self._units_of(1, Seen(seen.words, wanted)), self._every_term[1][seen.words]
-                own = self._assemble(-1, [units], seen, self._every_term[0], owing, 0.0, has_union=False)
-                found, nbytes = Shell(seen, wanted, replace(own, term_bytes=made.term_bytes)), own.nbytes
-            else:
-                found, nbytes = Shell(seen, np.zeros(len(made.words), np.uint64), made), 0  # all shells share it
-                found.wanted[seen.words] = wanted
-            self.shells.recent.keep((cell, number), found, nbytes + found.wanted.nbytes + 2 * seen.masks.nbytes)
+    @property
+    def is_small(self) -> bool:
+        """Whether passes over all words of the scene take less time than lists of some."""
+        return len(self.everything.words) <= _DENSE
+
+    def shell(self, here: Candidates, number: int) -> Shell:
+        """Return what the cells of a shell around a cell see; cache it.
+
+        Args:
+            here: Candidates of the cell.
+            number: Number of the shell.
+        """
+        made, key, is_small = self.everything, (here.cell, number), self.is_small
+        if is_small and number == 0:
+            return Shell(Seen(made.words, here.union[: len(made.words)]), made)
+        found: Shell | None = self.shells.recent.find(key)
+        if found is None and is_small:
+            masks = self.seen.pack(self.shells.cells(*key))[: len(made.words)]
+            found = Shell(Seen(made.words, masks), made)  # shells differ in their masks alone
+            self.shells.recent.keep(key, found, masks.nbytes)
+        elif found is None:
+            cells = self.shells.cells(*key)
+            seen = here.seen if number == 0 else self.seen.join([[self.seen.of_cell(other) for other in cells]])[1]
+            units = self._units_of(1, Seen(seen.words, seen.masks & self.highest[seen.words]))
+            owing = self._every_term[1][seen.words]
+            own = self._assemble(-1, [units], seen, self._every_term[0], owing, 0.0, has_union=False)
+            found = Shell(seen, replace(own, term_bytes=made.term_bytes))
+            self.shells.recent.keep(key, found, own.nbytes + seen.masks.nbytes)
         return found
+
+    def every_bit(self, slots: int) -> Words:
+        """Return full words (S,), shared by all clients: not to be changed."""
+        return self._sized("full", slots, ~np.uint64(0))
+
+    def no_bit(self, slots: int) -> Words:
+        """Return empty words (S,), shared by all clients: not to be changed."""
+        return self._sized("empty", slots, np.uint64(0))
+
+    def _sized(self, name: str, slots: int, value: np.uint64) -> Words:
+        made: Words = self._shared.get(name, np.zeros(0, np.uint64))
+        if len(made) < slots:
+            self._shared[name] = made = np.full(slots, value)
+        return made[:slots]
 
     def bounds_of(self, here: Candidates, shares: F64, *, make: bool) -> Bounds | None:
         """Return what has to arrive before Gaussians are dropped, for those that candidates replace.

@@ -139,6 +139,7 @@ class Planner:
         self._cell = kernels.Cell(*(np.zeros(0, np.int32),) * 15)
         self._seen: Words = np.zeros(0, np.uint64)  # candidates of the cell and of the shells so far
         self._is_wide = False  # whether `_seen` and `_looks_far` are those of this cell
+        self._wide: kernels.Cell | None = None  # of `CandidateIndex.everything`, written anew for each shell
         self._view = kernels.View(*(np.zeros(0, np.float32),) * 9)
         self._travelled, self._aimed, self._fresh = 0.0, "high", False
         self._stage, self._stages, self._filled, self._complete = _NEEDS, _AROUND, _SHELLS, False
@@ -349,26 +350,46 @@ class Planner:
         """Go on to the next shell around a cell of which something is left to send; return False if there is none."""
         shared, held = self.candidates, self.holdings.words
         if not self._is_wide:
-            self._is_wide, self._looks_far = True, clear(self._looks_far)
-            self._seen = blank(len(near.union), np.uint64)
-            self._seen[near.words] = near.union[near.words]
-            if self._bounds is not None:
-                self._looks_far[self._bounds.ends] = self._looks[self._bounds.ends]
+            self._begin_wide(near)
         while self._next_stage < self._stages:
             self._stage = self._filled = self._next_stage
-            shell = shared.shell(near.cell, self._stage - _SHELLS)
-            here = shell.candidates
-            cell = self._cell_for(here, here.owing, here.active)
-            if is_left(here.words, shell.wanted, held, cell.owed):
+            shell = shared.shell(near, self._stage - _SHELLS)
+            cell = self._wide_cell(shell.candidates)
+            if is_left(shell.seen, shared.highest, held, cell.owed, cell.allowed):
                 break
         else:
             self._filled = self._stages
             return False
         widen(self._seen, shell.seen, held, shared.links, self._looks_far)
-        cell = cell._replace(candidates=self._seen, looks=self._looks_far, allowed=shell.wanted)
-        self._here, self._cell = here, self._without_evicted(cell)
+        self._here, self._cell = shell.candidates, self._without_evicted(cell)
         self._view = self._view._replace(planes=_NO_PLANES, middle=_NO_PLANES, eyes=np.zeros((0, 3), np.float32))
         return True
+
+    def _begin_wide(self, near: Candidates) -> None:
+        """Begin to widen the candidates of a cell."""
+        self._is_wide = True
+        if self.candidates.is_small:
+            self._seen = near.union.copy()
+            self._looks_far[:] = self._looks
+            return
+        self._looks_far, self._seen = clear(self._looks_far), blank(len(near.union), np.uint64)
+        self._seen[near.words] = near.union[near.words]
+        if self._bounds is not None:
+            self._looks_far[self._bounds.ends] = self._looks[self._bounds.ends]
+
+    def _wide_cell(self, here: Candidates) -> kernels.Cell:
+        """Return candidates of a shell as this client sees them; it allows nothing yet."""
+        made = self._wide if here is self.candidates.everything else None
+        if made is None:
+            made = self._cell_for(here, here.owing, here.active)
+            made = made._replace(allowed=np.empty_like(made.allowed))
+        elif len(made.owed):
+            made.owed[:], made.checked[:], made.checked_at[:] = here.owing, 0, 0.0
+            if self._has_terms:
+                forget_paid(here.words, made.active, self.holdings.words.terms, self.candidates.index.term_offsets, made.owed)
+        if here is self.candidates.everything:
+            self._wide = made
+        return made._replace(candidates=self._seen, looks=self._looks_far)
 
     def _follow(self, now: Pose, t: float, rate: float) -> None:
         """Rank for a pose and the pose predicted from it, if these, the cell or the regime have changed enough."""
@@ -454,16 +475,16 @@ class Planner:
 
     def _cell_for(self, here: Candidates, owing: Words, active: Words) -> kernels.Cell:
         """Return candidates as this client sees them."""
-        owed, held = owing.copy(), self.holdings.words.terms
+        shared, slots = self.candidates, len(here.words)
+        owed = owing[: slots if shared.index.num_terms else 0].copy()
         if self._has_terms:
-            forget_paid(here.words, active, held, self.candidates.index.term_offsets, owed)
-        none = np.zeros(len(here.words), np.uint64)
+            forget_paid(here.words, active, self.holdings.words.terms, shared.index.term_offsets, owed)
         return kernels.Cell(
             words=here.words, places=here.places, term_bytes=here.term_bytes, owed=owed, active=active,
-            candidates=here.union, allowed=~none, ahead=none,
-            checked=np.zeros((self._kinds, len(none)), np.uint64),
-            checked_at=np.zeros((self._kinds, len(none)), np.float32), arrived=self._arrived,
-            looks=self._looks, sure=self._sure, last=self.candidates.index.last, shares=self._shares,
+            candidates=here.union, allowed=shared.every_bit(slots), ahead=shared.no_bit(slots),
+            checked=np.zeros((self._kinds, len(owed)), np.uint64),
+            checked_at=np.zeros((self._kinds, len(owed)), np.float32), arrived=self._arrived,
+            looks=self._looks, sure=self._sure, last=shared.index.last, shares=self._shares,
         )  # fmt: skip
 
     def _rank(self, here: Candidates, enough: float) -> None:

@@ -34,13 +34,13 @@ class Cell(NamedTuple):
     words: Any  # (S,) int32 rising, number of each word
     places: Any  # (6, S) float32, see `Candidates.places`
     term_bytes: Any  # mean bytes of the active terms of a Gaussian that has some
-    owed: Any  # (S,) uint64, Gaussians that may have active terms that are not held
+    owed: Any  # (S,) uint64, Gaussians that may have active terms that are not held; (0,) in a scene without terms
     active: Any  # active terms as a packed set
     candidates: Any  # (W,) uint64, all candidates
     allowed: Any  # (S,) uint64, what may be sent now: all, or while filling what the shell sees
     ahead: Any  # (S,) uint64, what the cell sees that the viewer is about to enter
-    checked: Any  # (K, S) uint64 for each kind of terms, Gaussians that owe none of it for the eye
-    checked_at: Any  # (K, S) float32, `View.travelled` when the first of them were checked
+    checked: Any  # (K, S) or (K, 0) uint64 for each kind of terms, Gaussians that owe none of it for the eye
+    checked_at: Any  # (K, S) or (K, 0) float32, `View.travelled` when the first of them were checked
     arrived: Any  # (E,) int32, units of area of the replacements of each that have arrived, rounded up; or `ANY` more
     looks: Any  # (E,) int32, how many have to have arrived before each is checked again among these candidates
     sure: Any  # (E,) int32, how many suffice without a check; 0 where that is not known
@@ -208,7 +208,9 @@ def _gather(words, allowed, owed, gaussians, gone, free, due):
     """Set what is neither held nor gone (`free`), and what is owed and not gone (`due`), for words (S,)."""
     for s in range(len(words)):
         w = words[s]
-        free[s], due[s] = allowed[s] & ~(gaussians[w] | gone[w]), allowed[s] & owed[s] & ~gone[w]
+        free[s] = allowed[s] & ~(gaussians[w] | gone[w])
+    for s in range(len(owed)):
+        due[s] = allowed[s] & owed[s] & ~gone[words[s]]
 
 
 @inner(error_model="numpy")
@@ -358,8 +360,11 @@ def rank(units, runs, cell, held, view, table, limits, work):
     x, y, z, word_bytes = places[0], places[1], places[2], places[5]
     _squares(x, y, z, places[4], view.eye, squares)
     _gather(words, cell.allowed, cell.owed, held.gaussians, held.gone, free, due[0])
-    for k in range(len(due)):
-        _skip_checked(squares, view.travelled, view.parallax, due[0], cell.checked[k], cell.checked_at[k], due[k])
+    if len(cell.owed):
+        for k in range(len(due)):
+            _skip_checked(squares, view.travelled, view.parallax, due[0], cell.checked[k], cell.checked_at[k], due[k])
+    else:
+        due[:] = 0
     for s in range(len(words)):
         middle[s] = free[s] | due[0, s]
     count = _list(slots, masks, middle, chosen)

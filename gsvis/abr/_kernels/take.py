@@ -23,7 +23,7 @@ def _put(words, i):
 def forget_paid(words, active, held, term_offsets, owed):
     """Clear in `owed` (S,) the words of Gaussians whose active terms are all held."""
     count = len(term_offsets) - 1
-    for s in range(len(words)):
+    for s in range(len(owed)):
         if owed[s]:
             w = np.int64(words[s])
             if not _left(active, held, term_offsets[64 * w], term_offsets[min(64 * w + 64, count)]):
@@ -31,13 +31,20 @@ def forget_paid(words, active, held, term_offsets, owed):
 
 
 @kernel(error_model="numpy")
-def is_left(words, wanted, held, owed):
-    """Return whether one of the wanted, not gone, is not held or owes terms; words, wanted and owed are (S,)."""
+def is_left(seen, wanted, held, owed, allowed):
+    """Set what is `Seen` and wanted (W,) as allowed (S,); return whether some of it is left to send.
+
+    That is what is not gone, and not held or among those which owe terms, `owed` (S,) or (0,).
+    """
+    words, masks = seen
     gaussians, _, gone = held
     left = np.uint64(0)
     for s in range(len(words)):
         w = words[s]
-        left |= wanted[s] & ~gone[w] & (~gaussians[w] | owed[s])
+        allowed[s] = masks[s] & wanted[w]
+        left |= allowed[s] & ~gone[w] & ~gaussians[w]
+    for s in range(len(owed)):
+        left |= allowed[s] & owed[s] & ~gone[words[s]]
     return left != 0
 
 
