@@ -511,13 +511,31 @@ def _links(index: SceneIndex) -> plan.Links:
     theirs = areas[index.replacement_ids]
     every = np.add.reduceat(theirs, starts[:-1]) if len(ending) else np.zeros(0)
     units = np.ceil(plan.UNITS * np.repeat(areas, counts) / every[ranks]).astype(np.int32)
-    only, only_units = np.full(len(index), plan.SEVERAL, np.int32), np.zeros(len(index), np.int32)
-    one = counts == 1
-    only[counts == 0], only[one], only_units[one] = -1, ranks[offsets[:-1][one]], units[offsets[:-1][one]]
+    only, firsts = only_links(counts, ranks, units)
     return plan.Links(
-        only=only, offsets=offsets, ranks=ranks, units=units, only_units=only_units, ending=ending, starts=starts,
+        only=only, firsts=firsts, offsets=offsets, ranks=ranks, units=units, ending=ending, starts=starts,
         ids=index.replacement_ids, areas=theirs.astype(np.float32), every=every,
     )  # fmt: skip
+
+
+def only_links(counts: I64, ranks: I32, units: I32) -> tuple[NDArray[np.uint32], I32]:
+    """Return `Links.only` and `Links.firsts` of the Gaussians of some words.
+
+    Args:
+        counts: (N,) how many Gaussians each replaces.
+        ranks: Their numbers, for each.
+        units: Area of the Gaussian, for each of `ranks`.
+    """
+    one, starts, padded = counts == 1, np.cumsum(counts) - counts, -(-len(counts) // 64) * 64
+    number = np.full(padded, np.iinfo(np.int32).max, np.int32)
+    number[: len(counts)][one] = ranks[starts[one]]
+    firsts = number.reshape(-1, 64).min(axis=1)
+    firsts[firsts == np.iinfo(np.int32).max] = 0
+    near = number[: len(counts)].astype(np.int64) - np.repeat(firsts, 64)[: len(counts)]
+    fits = one & (near < (1 << 16) + plan.SEVERAL)
+    only = np.where(counts == 0, (1 << 16) + plan.NONE, (1 << 16) + plan.SEVERAL).astype(np.uint32)
+    only[fits] = (units[starts[fits]].astype(np.int64) << 16 | near[fits]).astype(np.uint32)
+    return only, firsts
 
 
 def _least(sizes: F32) -> float:

@@ -23,9 +23,9 @@ _AHEAD, _LINE = 3, 16  # words whose spheres are read ahead, and numbers in a li
 NEVER = 1 << 30  # the key of what is never sent
 KIND_BITS = 3  # of an entry: which kind of records
 DONE = np.int32(2**31 - 1)  # in `Cell.looks`: replaced
-UNITS = 1 << 24  # of area, of all replacements of a Gaussian
+UNITS = (1 << 16) - 1  # of area, of all replacements of a Gaussian
 ANY = np.int32(1 << 26)  # units that have arrived where it is not known what has
-SEVERAL = -2  # in `Links.only`
+NONE, SEVERAL = -1, -2  # numbers in `Links.only`, as the last of 16 bits
 
 
 class Cell(NamedTuple):
@@ -102,16 +102,24 @@ class Records(NamedTuple):
 class Links(NamedTuple):
     """Which Gaussians replace which; E are replaced."""
 
-    only: Any  # (N,) number, in [0, E), of the one that each replaces; -1 for none, `SEVERAL` for more
+    only: Any  # (N,) uint32: number, in [0, E), of the one that each replaces, less that of its word, `NONE` or
+    # `SEVERAL`, in 16 bits; its area in `UNITS` of what it replaces, rounded up, in the 16 above
+    firsts: Any  # (W,) int32, least number of those that the Gaussians of a word replace
     offsets: Any  # (N + 1,) into `ranks`
     ranks: Any  # numbers of all that each replaces
-    units: Any  # int32 for each of `ranks`: area of the Gaussian in `UNITS` of what it replaces, rounded up
-    only_units: Any  # (N,) int32, the same for `only`; 0 for none and for more
+    units: Any  # int32 for each of `ranks`: area in `UNITS`, as in `only`
     ending: Any  # (E,) ids of the replaced
     starts: Any  # (E + 1,) into `ids`
     ids: Any  # replacements of each
     areas: Any  # float32 for each of `ids`, above 0
     every: Any  # (E,) float64, sum of these areas for each
+
+
+@njit(inline="always")
+def only_of(only, first):
+    """Return the number of the one that a Gaussian replaces, `NONE` or `SEVERAL`, from its row and its word's row."""
+    near = np.int64(only & np.uint32(0xFFFF))
+    return first + near if near < (1 << 16) + SEVERAL else near - (1 << 16)
 
 
 class Taken(NamedTuple):
