@@ -26,6 +26,7 @@ from gsvis.abr._kernels.take import bound
 from gsvis.abr._kernels.units import Runs, Seen, Units
 from gsvis.abr.cones import TermCones
 from gsvis.abr.index import SceneIndex
+from gsvis.abr.links import links_of
 from gsvis.abr.rings import RINGS, Shells, ring_cells
 from gsvis.abr.seen import SeenSets
 from gsvis.files.cache import Cache
@@ -167,13 +168,13 @@ class CandidateIndex:
         self.sent_per_stored = min(ratios) if index.num_terms else ratios[0]
         terms = index.term_offsets, index.term_bytes, cones.centers, cones.places, cones.cosines, cones.widths
         self.records = plan.Records(*_check.read_only(sizes, *terms, index.areas))
-        self.links = _links(index)
+        self.links = links_of(index)
         pairs = index.first.astype(np.uint16) * index.num_levels + index.last
         mixed = np.zeros(count, np.bool_)
         mixed[(np.flatnonzero(np.diff(pairs)) + 1) >> 6] = True
         self._traits = kernels.Traits(*_check.read_only(strengths(index, self.pixel_area), pairs, mixed))
         self._owners = np.repeat(np.arange(len(index), dtype=np.int32), np.diff(index.term_offsets))
-        self._scratch, self._shared = threading.local(), dict[str, Words]()
+        self._scratch, self._words = threading.local(), (np.zeros(0, np.uint64),) * 2
         self.seen, self.shells = SeenSets(index, self.cache), Shells(index.grid, self.cache)
         all_words = np.arange(-(-len(index) // 64), dtype=np.int32)
         every = Seen(all_words, pack(np.arange(len(index)), len(index))[: len(all_words)])
@@ -229,7 +230,7 @@ class CandidateIndex:
         self._every_term = a["active"], a["owing"]
         self.records, self.links = _typed("record", plan.Records, a), _typed("link", plan.Links, a)
         self._every = _typed("every", Units, a)
-        self._scratch, self._shared = threading.local(), dict[str, Words]()
+        self._scratch, self._words = threading.local(), (np.zeros(0, np.uint64),) * 2
         self.seen, self.shells = SeenSets(index, self.cache), Shells(index.grid, self.cache)
         whole = {name: a[f"all_{name}"] for name in _WHOLE}
         self.everything = Candidates(
@@ -303,19 +304,12 @@ class CandidateIndex:
             self.shells.recent.keep(key, found, own.nbytes + seen.masks.nbytes)
         return found
 
-    def every_bit(self, slots: int) -> Words:
-        """Return full words (S,), shared by all clients: not to be changed."""
-        return self._sized("full", slots, ~np.uint64(0))
-
-    def no_bit(self, slots: int) -> Words:
-        """Return empty words (S,), shared by all clients: not to be changed."""
-        return self._sized("empty", slots, np.uint64(0))
-
-    def _sized(self, name: str, slots: int, value: np.uint64) -> Words:
-        made: Words = self._shared.get(name, np.zeros(0, np.uint64))
-        if len(made) < slots:
-            self._shared[name] = made = np.full(slots, value)
-        return made[:slots]
+    def full_and_empty(self, slots: int) -> tuple[Words, Words]:
+        """Return full words and empty words, both (S,), which all clients share: not to be changed."""
+        if len(self._words[0]) < slots:
+            self._words = np.full(slots, ~np.uint64(0)), np.zeros(slots, np.uint64)
+        full, empty = self._words
+        return full[:slots], empty[:slots]
 
     def bounds_of(self, here: Candidates, shares: F64, *, make: bool) -> Bounds | None:
         """Return what has to arrive before Gaussians are dropped, for those that candidates replace.
@@ -499,43 +493,6 @@ def _word_means(values: NDArray[Any], words: int) -> F32:
     sums = np.add.reduceat(values, starts) if len(values) else np.zeros(0, np.float32)
     out[: len(starts)] = sums / np.minimum(64, len(values) - starts)
     return out
-
-
-def _links(index: SceneIndex) -> plan.Links:
-    """Return which Gaussians replace which."""
-    ending = np.flatnonzero(np.diff(index.replacement_offsets)).astype(np.int32)
-    starts = np.append(index.replacement_offsets[ending], len(index.replacement_ids))
-    offsets, owners = index.replaced
-    ranks = np.searchsorted(ending, owners).astype(np.int32)
-    areas, counts = np.maximum(index.areas, np.float32(1e-30)).astype(np.float64), np.diff(offsets)
-    theirs = areas[index.replacement_ids]
-    every = np.add.reduceat(theirs, starts[:-1]) if len(ending) else np.zeros(0)
-    units = np.ceil(plan.UNITS * np.repeat(areas, counts) / every[ranks]).astype(np.int32)
-    only, firsts = only_links(counts, ranks, units)
-    return plan.Links(
-        only=only, firsts=firsts, offsets=offsets, ranks=ranks, units=units, ending=ending, starts=starts,
-        ids=index.replacement_ids, areas=theirs.astype(np.float32), every=every,
-    )  # fmt: skip
-
-
-def only_links(counts: I64, ranks: I32, units: I32) -> tuple[NDArray[np.uint32], I32]:
-    """Return `Links.only` and `Links.firsts` of the Gaussians of some words.
-
-    Args:
-        counts: (N,) how many Gaussians each replaces.
-        ranks: Their numbers, for each.
-        units: Area of the Gaussian, for each of `ranks`.
-    """
-    one, starts, padded = counts == 1, np.cumsum(counts) - counts, -(-len(counts) // 64) * 64
-    number = np.full(padded, np.iinfo(np.int32).max, np.int32)
-    number[: len(counts)][one] = ranks[starts[one]]
-    firsts = number.reshape(-1, 64).min(axis=1)
-    firsts[firsts == np.iinfo(np.int32).max] = 0
-    near = number[: len(counts)].astype(np.int64) - np.repeat(firsts, 64)[: len(counts)]
-    fits = one & (near < (1 << 16) + plan.SEVERAL)
-    only = np.where(counts == 0, (1 << 16) + plan.NONE, (1 << 16) + plan.SEVERAL).astype(np.uint32)
-    only[fits] = (units[starts[fits]].astype(np.int64) << 16 | near[fits]).astype(np.uint32)
-    return only, firsts
 
 
 def _least(sizes: F32) -> float:

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from gsvis import _check
 from gsvis.abr._kernels import plan
 from gsvis.abr._kernels import units as kernels
-from gsvis.abr.candidates import _room, _word_means, only_links
+from gsvis.abr.candidates import _room, _word_means
+from gsvis.abr.links import only_links
 from gsvis.files.mapped import ArrayFiles
 from gsvis.pvs.codec import pack, word_count
 

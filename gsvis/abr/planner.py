@@ -139,7 +139,7 @@ class Planner:
         self._cell = kernels.Cell(*(np.zeros(0, np.int32),) * 15)
         self._seen: Words = np.zeros(0, np.uint64)  # candidates of the cell and of the shells so far
         self._is_wide = False  # whether `_seen` and `_looks_far` are those of this cell
-        self._wide: kernels.Cell | None = None  # of `CandidateIndex.everything`, written anew for each shell
+        self._wide: kernels.Cell | None = None  # the last shell; written anew for one with the same words
         self._view = kernels.View(*(np.zeros(0, np.float32),) * 9)
         self._travelled, self._aimed, self._fresh = 0.0, "high", False
         self._stage, self._stages, self._filled, self._complete = _NEEDS, _AROUND, _SHELLS, False
@@ -369,8 +369,7 @@ class Planner:
         """Begin to widen the candidates of a cell."""
         self._is_wide = True
         if self.candidates.is_small:
-            self._seen = near.union.copy()
-            self._looks_far[:] = self._looks
+            self._seen, self._looks_far[:] = near.union.copy(), self._looks
             return
         self._looks_far, self._seen = clear(self._looks_far), blank(len(near.union), np.uint64)
         self._seen[near.words] = near.union[near.words]
@@ -379,16 +378,14 @@ class Planner:
 
     def _wide_cell(self, here: Candidates) -> kernels.Cell:
         """Return candidates of a shell as this client sees them; it allows nothing yet."""
-        made = self._wide if here is self.candidates.everything else None
-        if made is None:
-            made = self._cell_for(here, here.owing, here.active)
-            made = made._replace(allowed=np.empty_like(made.allowed))
+        made = self._wide
+        if made is None or made.words is not here.words:
+            self._wide = made = self._cell_for(here, here.owing, here.active)._replace(
+                allowed=np.empty_like(here.owing)
+            )
         elif len(made.owed):
             made.owed[:], made.checked[:], made.checked_at[:] = here.owing, 0, 0.0
-            if self._has_terms:
-                forget_paid(here.words, made.active, self.holdings.words.terms, self.candidates.index.term_offsets, made.owed)
-        if here is self.candidates.everything:
-            self._wide = made
+            self._forget_paid(made)
         return made._replace(candidates=self._seen, looks=self._looks_far)
 
     def _follow(self, now: Pose, t: float, rate: float) -> None:
@@ -476,16 +473,20 @@ class Planner:
     def _cell_for(self, here: Candidates, owing: Words, active: Words) -> kernels.Cell:
         """Return candidates as this client sees them."""
         shared, slots = self.candidates, len(here.words)
-        owed = owing[: slots if shared.index.num_terms else 0].copy()
-        if self._has_terms:
-            forget_paid(here.words, active, self.holdings.words.terms, shared.index.term_offsets, owed)
-        return kernels.Cell(
+        owed, (full, empty) = owing[: slots if shared.index.num_terms else 0].copy(), shared.full_and_empty(slots)
+        cell = kernels.Cell(
             words=here.words, places=here.places, term_bytes=here.term_bytes, owed=owed, active=active,
-            candidates=here.union, allowed=shared.every_bit(slots), ahead=shared.no_bit(slots),
-            checked=np.zeros((self._kinds, len(owed)), np.uint64),
+            candidates=here.union, allowed=full, ahead=empty, checked=np.zeros((self._kinds, len(owed)), np.uint64),
             checked_at=np.zeros((self._kinds, len(owed)), np.float32), arrived=self._arrived,
             looks=self._looks, sure=self._sure, last=shared.index.last, shares=self._shares,
         )  # fmt: skip
+        self._forget_paid(cell)
+        return cell
+
+    def _forget_paid(self, cell: kernels.Cell) -> None:
+        if self._has_terms:
+            offsets = self.candidates.index.term_offsets
+            forget_paid(cell.words, cell.active, self.holdings.words.terms, offsets, cell.owed)
 
     def _rank(self, here: Candidates, enough: float) -> None:
         work = self.candidates.work(len(here.words), len(here), self._keys, self._kinds)
