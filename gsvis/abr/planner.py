@@ -380,9 +380,8 @@ class Planner:
         """Return candidates of a shell as this client sees them; it allows nothing yet."""
         made = self._wide
         if made is None or made.words is not here.words:
-            self._wide = made = self._cell_for(here, here.owing, here.active)._replace(
-                allowed=np.empty_like(here.owing)
-            )
+            made = self._cell_for(here, here.owing, here.active)
+            self._wide = made = made._replace(allowed=np.empty_like(made.allowed))
         elif len(made.owed):
             made.owed[:], made.checked[:], made.checked_at[:] = here.owing, 0, 0.0
             self._forget_paid(made)
@@ -490,11 +489,10 @@ class Planner:
 
     def _rank(self, here: Candidates, enough: float) -> None:
         work = self.candidates.work(len(here.words), len(here), self._keys, self._kinds)
-        limits = kernels.Limits(float(enough), self._least)
+        self._place, limits = 0, kernels.Limits(float(enough), self._least)
         self._plan, self._least, self._whole = kernels.rank(
             here.units, here.runs, self._cell, self.holdings.words, self._view, self._table, limits, work
         )
-        self._place = 0
 
 
 def _gains(*epsilons: float) -> NDArray[np.float64]:
