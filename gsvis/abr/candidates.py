@@ -26,6 +26,7 @@ from gsvis.abr._kernels.take import bound
 from gsvis.abr._kernels.units import Runs, Seen, Units
 from gsvis.abr.cones import TermCones
 from gsvis.abr.index import SceneIndex
+from gsvis.abr.links import links_of
 from gsvis.abr.rings import RINGS, Shells, ring_cells
 from gsvis.abr.seen import SeenSets
 from gsvis.files.cache import Cache
@@ -105,9 +106,8 @@ class Bounds(NamedTuple):
 class Shell(NamedTuple):
     """What some cells around a viewer's cell see."""
 
-    seen: Seen  # all of it
-    wanted: Words  # of it what is of the highest level, for each word of the candidates
-    candidates: Candidates  # that, without a union; in a small scene `CandidateIndex.everything`
+    seen: Seen  # in the words of the candidates
+    candidates: Candidates  # of it what is of the highest level, without a union; or `CandidateIndex.everything`
 
 
 class CandidateIndex:
@@ -168,13 +168,13 @@ class CandidateIndex:
         self.sent_per_stored = min(ratios) if index.num_terms else ratios[0]
         terms = index.term_offsets, index.term_bytes, cones.centers, cones.places, cones.cosines, cones.widths
         self.records = plan.Records(*_check.read_only(sizes, *terms, index.areas))
-        self.links = _links(index)
+        self.links = links_of(index)
         pairs = index.first.astype(np.uint16) * index.num_levels + index.last
         mixed = np.zeros(count, np.bool_)
         mixed[(np.flatnonzero(np.diff(pairs)) + 1) >> 6] = True
         self._traits = kernels.Traits(*_check.read_only(strengths(index, self.pixel_area), pairs, mixed))
         self._owners = np.repeat(np.arange(len(index), dtype=np.int32), np.diff(index.term_offsets))
-        self._scratch = threading.local()
+        self._scratch, self._words = threading.local(), (np.zeros(0, np.uint64),) * 2
         self.seen, self.shells = SeenSets(index, self.cache), Shells(index.grid, self.cache)
         all_words = np.arange(-(-len(index) // 64), dtype=np.int32)
         every = Seen(all_words, pack(np.arange(len(index)), len(index))[: len(all_words)])
@@ -230,7 +230,7 @@ class CandidateIndex:
         self._every_term = a["active"], a["owing"]
         self.records, self.links = _typed("record", plan.Records, a), _typed("link", plan.Links, a)
         self._every = _typed("every", Units, a)
-        self._scratch = threading.local()
+        self._scratch, self._words = threading.local(), (np.zeros(0, np.uint64),) * 2
         self.seen, self.shells = SeenSets(index, self.cache), Shells(index.grid, self.cache)
         whole = {name: a[f"all_{name}"] for name in _WHOLE}
         self.everything = Candidates(
@@ -275,21 +275,42 @@ class CandidateIndex:
             terms = float(own.sum())
         return self._assemble(cell, parts, seen, active, owing, terms, sums)
 
-    def shell(self, cell: int, number: int) -> Shell:
-        """Return what the cells of a shell around a cell see; cache it."""
-        found: Shell | None = self.shells.recent.find((cell, number))
-        if found is None:
-            _, seen = self.seen.join([[self.seen.of_cell(other) for other in self.shells.cells(cell, number)]])
-            wanted, made = seen.masks & self.highest[seen.words], self.everything
-            if len(made.words) > _DENSE:
-                units, owing = self._units_of(1, Seen(seen.words, wanted)), self._every_term[1][seen.words]
-                own = self._assemble(-1, [units], seen, self._every_term[0], owing, 0.0, has_union=False)
-                found, nbytes = Shell(seen, wanted, replace(own, term_bytes=made.term_bytes)), own.nbytes
-            else:
-                found, nbytes = Shell(seen, np.zeros(len(made.words), np.uint64), made), 0  # all shells share it
-                found.wanted[seen.words] = wanted
-            self.shells.recent.keep((cell, number), found, nbytes + found.wanted.nbytes + 2 * seen.masks.nbytes)
+    @property
+    def is_small(self) -> bool:
+        """Whether passes over all words of the scene take less time than lists of some."""
+        return len(self.everything.words) <= _DENSE
+
+    def shell(self, here: Candidates, number: int) -> Shell:
+        """Return what the cells of a shell around a cell see; cache it.
+
+        Args:
+            here: Candidates of the cell.
+            number: Number of the shell.
+        """
+        made, key, is_small = self.everything, (here.cell, number), self.is_small
+        if is_small and number == 0:
+            return Shell(Seen(made.words, here.union[: len(made.words)]), made)
+        found: Shell | None = self.shells.recent.find(key)
+        if found is None and is_small:
+            masks = self.seen.pack(self.shells.cells(*key))[: len(made.words)]
+            found = Shell(Seen(made.words, masks), made)  # shells differ in their masks alone
+            self.shells.recent.keep(key, found, masks.nbytes)
+        elif found is None:
+            cells = self.shells.cells(*key)
+            seen = here.seen if number == 0 else self.seen.join([[self.seen.of_cell(other) for other in cells]])[1]
+            units = self._units_of(1, Seen(seen.words, seen.masks & self.highest[seen.words]))
+            owing = self._every_term[1][seen.words]
+            own = self._assemble(-1, [units], seen, self._every_term[0], owing, 0.0, has_union=False)
+            found = Shell(seen, replace(own, term_bytes=made.term_bytes))
+            self.shells.recent.keep(key, found, own.nbytes + seen.masks.nbytes)
         return found
+
+    def full_and_empty(self, slots: int) -> tuple[Words, Words]:
+        """Return full words and empty words, both (S,), which all clients share: not to be changed."""
+        if len(self._words[0]) < slots:
+            self._words = np.full(slots, ~np.uint64(0)), np.zeros(slots, np.uint64)
+        full, empty = self._words
+        return full[:slots], empty[:slots]
 
     def bounds_of(self, here: Candidates, shares: F64, *, make: bool) -> Bounds | None:
         """Return what has to arrive before Gaussians are dropped, for those that candidates replace.
@@ -473,25 +494,6 @@ def _word_means(values: NDArray[Any], words: int) -> F32:
     sums = np.add.reduceat(values, starts) if len(values) else np.zeros(0, np.float32)
     out[: len(starts)] = sums / np.minimum(64, len(values) - starts)
     return out
-
-
-def _links(index: SceneIndex) -> plan.Links:
-    """Return which Gaussians replace which."""
-    ending = np.flatnonzero(np.diff(index.replacement_offsets)).astype(np.int32)
-    starts = np.append(index.replacement_offsets[ending], len(index.replacement_ids))
-    offsets, owners = index.replaced
-    ranks = np.searchsorted(ending, owners).astype(np.int32)
-    areas, counts = np.maximum(index.areas, np.float32(1e-30)).astype(np.float64), np.diff(offsets)
-    theirs = areas[index.replacement_ids]
-    every = np.add.reduceat(theirs, starts[:-1]) if len(ending) else np.zeros(0)
-    units = np.ceil(plan.UNITS * np.repeat(areas, counts) / every[ranks]).astype(np.int32)
-    only, only_units = np.full(len(index), plan.SEVERAL, np.int32), np.zeros(len(index), np.int32)
-    one = counts == 1
-    only[counts == 0], only[one], only_units[one] = -1, ranks[offsets[:-1][one]], units[offsets[:-1][one]]
-    return plan.Links(
-        only=only, offsets=offsets, ranks=ranks, units=units, only_units=only_units, ending=ending, starts=starts,
-        ids=index.replacement_ids, areas=theirs.astype(np.float32), every=every,
-    )  # fmt: skip
 
 
 def _least(sizes: F32) -> float:

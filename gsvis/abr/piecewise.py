@@ -17,6 +17,7 @@ from gsvis import _check
 from gsvis.abr._kernels import plan
 from gsvis.abr._kernels import units as kernels
 from gsvis.abr.candidates import _room, _word_means
+from gsvis.abr.links import only_links
 from gsvis.files.mapped import ArrayFiles
 from gsvis.pvs.codec import pack, word_count
 
@@ -150,11 +151,8 @@ def write_reversed(
         ranked, sums = np.concatenate(ranks)[order].astype(np.int32), np.concatenate(every)[order]
         areas = np.maximum(out.rows("record_areas", low, high), np.float32(1e-30)).astype(np.float64)
         units = np.ceil(plan.UNITS * np.repeat(areas, counts) / sums).astype(np.int32)
-        only, only_units = np.full(high - low, plan.SEVERAL, np.int32), np.zeros(high - low, np.int32)
-        starts, one = np.cumsum(counts) - counts, counts == 1
-        only[counts == 0], only[one], only_units[one] = -1, ranked[starts[one]], units[starts[one]]
         out.append("link_offsets", out.count("link_ranks") + np.cumsum(counts) if low else np.cumsum(counts))
-        for name, array in (("ranks", ranked), ("units", units), ("only", only), ("only_units", only_units)):
+        for name, array in (("ranks", ranked), ("units", units)):
             out.append(f"link_{name}", array)
 
 
@@ -175,7 +173,11 @@ def write_words(out: ArrayFiles, numbers: PieceNumbers) -> dict[str, Any]:
         traits = kernels.Traits(*_check.read_only(out.rows("strengths", low, high), pairs, mixed))
         own = _Block(low // 64, means, radii, areas, traits)
         sizes = np.full(high - low, numbers.nbytes, np.float32)
+        links = out.rows("link_offsets", low, high + 1)
+        rows = int(links[0]), int(links[-1])
+        only, firsts = only_links(np.diff(links), out.rows("link_ranks", *rows), out.rows("link_units", *rows))
         named: dict[str, NDArray[Any]] = {
+            "link_only": only, "link_firsts": firsts,
             "mixed": mixed, "highest": pack(np.flatnonzero(lasts == numbers.levels - 1), _BLOCK), "owing": owing,
             "word_bytes": _word_means(sizes, _BLOCK // 64), "word_terms": _word_means(terms, _BLOCK // 64),
             "all_union": pack(np.arange(high - low), _BLOCK),

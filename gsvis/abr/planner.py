@@ -139,6 +139,7 @@ class Planner:
         self._cell = kernels.Cell(*(np.zeros(0, np.int32),) * 15)
         self._seen: Words = np.zeros(0, np.uint64)  # candidates of the cell and of the shells so far
         self._is_wide = False  # whether `_seen` and `_looks_far` are those of this cell
+        self._wide: kernels.Cell | None = None  # the last shell; written anew for one with the same words
         self._view = kernels.View(*(np.zeros(0, np.float32),) * 9)
         self._travelled, self._aimed, self._fresh = 0.0, "high", False
         self._stage, self._stages, self._filled, self._complete = _NEEDS, _AROUND, _SHELLS, False
@@ -365,26 +366,42 @@ class Planner:
         """Go on to the next shell around a cell of which something is left to send; return False if there is none."""
         shared, held = self.candidates, self.holdings.words
         if not self._is_wide:
-            self._is_wide, self._looks_far = True, clear(self._looks_far)
-            self._seen = blank(len(near.union), np.uint64)
-            self._seen[near.words] = near.union[near.words]
-            if self._bounds is not None:
-                self._looks_far[self._bounds.ends] = self._looks[self._bounds.ends]
+            self._begin_wide(near)
         while self._next_stage < self._stages:
             self._stage = self._filled = self._next_stage
-            shell = shared.shell(near.cell, self._stage - _SHELLS)
-            here = shell.candidates
-            cell = self._cell_for(here, here.owing, here.active)
-            if is_left(here.words, shell.wanted, held, cell.owed):
+            shell = shared.shell(near, self._stage - _SHELLS)
+            cell = self._wide_cell(shell.candidates)
+            if is_left(shell.seen, shared.highest, held, cell.owed, cell.allowed):
                 break
         else:
             self._filled = self._stages
             return False
         widen(self._seen, shell.seen, held, shared.links, self._looks_far)
-        cell = cell._replace(candidates=self._seen, looks=self._looks_far, allowed=shell.wanted)
-        self._here, self._cell = here, self._without_evicted(cell)
+        self._here, self._cell = shell.candidates, self._without_evicted(cell)
         self._view = self._view._replace(planes=_NO_PLANES, middle=_NO_PLANES, eyes=np.zeros((0, 3), np.float32))
         return True
+
+    def _begin_wide(self, near: Candidates) -> None:
+        """Begin to widen the candidates of a cell."""
+        self._is_wide = True
+        if self.candidates.is_small:
+            self._seen, self._looks_far[:] = near.union.copy(), self._looks
+            return
+        self._looks_far, self._seen = clear(self._looks_far), blank(len(near.union), np.uint64)
+        self._seen[near.words] = near.union[near.words]
+        if self._bounds is not None:
+            self._looks_far[self._bounds.ends] = self._looks[self._bounds.ends]
+
+    def _wide_cell(self, here: Candidates) -> kernels.Cell:
+        """Return candidates of a shell as this client sees them; it allows nothing yet."""
+        made = self._wide
+        if made is None or made.words is not here.words:
+            made = self._cell_for(here, here.owing, here.active)
+            self._wide = made = made._replace(allowed=np.empty_like(made.allowed))
+        elif len(made.owed):
+            made.owed[:], made.checked[:], made.checked_at[:] = here.owing, 0, 0.0
+            self._forget_paid(made)
+        return made._replace(candidates=self._seen, looks=self._looks_far)
 
     def _follow(self, now: Pose, t: float, rate: float) -> None:
         """Rank for a pose and the pose predicted from it, if these, the cell or the regime have changed enough."""
@@ -470,25 +487,28 @@ class Planner:
 
     def _cell_for(self, here: Candidates, owing: Words, active: Words) -> kernels.Cell:
         """Return candidates as this client sees them."""
-        owed, held = owing.copy(), self.holdings.words.terms
-        if self._has_terms:
-            forget_paid(here.words, active, held, self.candidates.index.term_offsets, owed)
-        none = np.zeros(len(here.words), np.uint64)
-        return kernels.Cell(
+        shared, slots = self.candidates, len(here.words)
+        owed, (full, empty) = owing[: slots if shared.index.num_terms else 0].copy(), shared.full_and_empty(slots)
+        cell = kernels.Cell(
             words=here.words, places=here.places, term_bytes=here.term_bytes, owed=owed, active=active,
-            candidates=here.union, allowed=~none, ahead=none,
-            checked=np.zeros((self._kinds, len(none)), np.uint64),
-            checked_at=np.zeros((self._kinds, len(none)), np.float32), arrived=self._arrived,
-            looks=self._looks, sure=self._sure, last=self.candidates.index.last, shares=self._shares,
+            candidates=here.union, allowed=full, ahead=empty, checked=np.zeros((self._kinds, len(owed)), np.uint64),
+            checked_at=np.zeros((self._kinds, len(owed)), np.float32), arrived=self._arrived,
+            looks=self._looks, sure=self._sure, last=shared.index.last, shares=self._shares,
         )  # fmt: skip
+        self._forget_paid(cell)
+        return cell
+
+    def _forget_paid(self, cell: kernels.Cell) -> None:
+        if self._has_terms:
+            offsets = self.candidates.index.term_offsets
+            forget_paid(cell.words, cell.active, self.holdings.words.terms, offsets, cell.owed)
 
     def _rank(self, here: Candidates, enough: float) -> None:
         work = self.candidates.work(len(here.words), len(here), self._keys, self._kinds)
-        limits = kernels.Limits(float(enough), self._least)
+        self._place, limits = 0, kernels.Limits(float(enough), self._least)
         self._plan, self._least, self._whole = kernels.rank(
             here.units, here.runs, self._cell, self.holdings.words, self._view, self._table, limits, work
         )
-        self._place = 0
 
 
 def _gains(*epsilons: float) -> NDArray[np.float64]:

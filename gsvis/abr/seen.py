@@ -72,6 +72,13 @@ class SeenSets:
         kernels.take_out(words, before, masks)
         return found, Seen(words, masks)
 
+    def pack(self, cells: list[int]) -> Words:
+        """Return all that cells see as a packed set (W,), in a scene that is not large."""
+        packed = np.zeros(word_count(len(self._index)), np.uint64)
+        for cell in cells:
+            kernels.add(self.of_cell(cell), packed)
+        return packed
+
     def _scratch(self) -> tuple[Words, Words]:
         """Return two packed sets of the calling thread, which it leaves empty."""
         if not hasattr(self._local, "sets"):

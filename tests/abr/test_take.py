@@ -40,13 +40,17 @@ def seen_of(ids: set[int] | np.ndarray) -> Seen:
     return Seen(*pack_some(np.array(sorted(ids), np.int64)))
 
 
-@given(SETS, SETS, SETS, SETS)
+@given(SETS, SETS, SETS, SETS, SETS)
 def test_what_is_left_of_cells_is_what_the_plain_twin_says(
-    wanted: set[int], held: set[int], gone: set[int], owed: set[int]
+    wanted: set[int], others: set[int], held: set[int], gone: set[int], owed: set[int]
 ) -> None:
-    some, masks = seen_of(wanted)
-    found = is_left(some, masks, held_of(held, gone).words, words(owed)[some])
+    seen = seen_of(wanted | others)
+    allowed = np.empty_like(seen.masks)
+    found = is_left(seen, words(wanted), held_of(held, gone).words, words(owed)[seen.words], allowed)
     assert found == reference.is_left(wanted, held, gone, owed)
+    assert allowed.tolist() == words(wanted)[seen.words].tolist()
+    without = is_left(seen, words(wanted), held_of(held, gone).words, words(set())[:0], allowed)
+    assert without == reference.is_left(wanted, held, gone, set())
 
 
 @FEW

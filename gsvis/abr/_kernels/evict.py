@@ -76,8 +76,8 @@ def evict(words, masks, needed, sizes, held, term_offsets, links, out):
 
 @kernel(error_model="numpy")
 def owe_again(words, evicted, owed, checked):
-    """Add evicted Gaussians, a packed set (W,), to what is `owed` (S,), and remove them from `checked` (K, S)."""
-    for s in range(len(words)):
+    """Add evicted Gaussians, a packed set (W,), to what is `owed` (S,) or (0,); remove them from `checked` (K, S)."""
+    for s in range(len(owed)):
         bits = evicted[words[s]]
         owed[s] |= bits
         for k in range(len(checked)):

@@ -23,9 +23,9 @@ _AHEAD, _LINE = 3, 16  # words whose spheres are read ahead, and numbers in a li
 NEVER = 1 << 30  # the key of what is never sent
 KIND_BITS = 3  # of an entry: which kind of records
 DONE = np.int32(2**31 - 1)  # in `Cell.looks`: replaced
-UNITS = 1 << 24  # of area, of all replacements of a Gaussian
+UNITS = (1 << 16) - 1  # of area, of all replacements of a Gaussian
 ANY = np.int32(1 << 26)  # units that have arrived where it is not known what has
-SEVERAL = -2  # in `Links.only`
+NONE, SEVERAL = -1, -2  # numbers in `Links.only`, as the last of 16 bits
 
 
 class Cell(NamedTuple):
@@ -34,13 +34,13 @@ class Cell(NamedTuple):
     words: Any  # (S,) int32 rising, number of each word
     places: Any  # (6, S) float32, see `Candidates.places`
     term_bytes: Any  # mean bytes of the active terms of a Gaussian that has some
-    owed: Any  # (S,) uint64, Gaussians that may have active terms that are not held
+    owed: Any  # (S,) uint64, Gaussians that may have active terms that are not held; (0,) in a scene without terms
     active: Any  # active terms as a packed set
     candidates: Any  # (W,) uint64, all candidates
     allowed: Any  # (S,) uint64, what may be sent now: all, or while filling what the shell sees
     ahead: Any  # (S,) uint64, what the cell sees that the viewer is about to enter
-    checked: Any  # (K, S) uint64 for each kind of terms, Gaussians that owe none of it for the eye
-    checked_at: Any  # (K, S) float32, `View.travelled` when the first of them were checked
+    checked: Any  # (K, S) or (K, 0) uint64 for each kind of terms, Gaussians that owe none of it for the eye
+    checked_at: Any  # (K, S) or (K, 0) float32, `View.travelled` when the first of them were checked
     arrived: Any  # (E,) int32, units of area of the replacements of each that have arrived, rounded up; or `ANY` more
     looks: Any  # (E,) int32, how many have to have arrived before each is checked again among these candidates
     sure: Any  # (E,) int32, how many suffice without a check; 0 where that is not known
@@ -102,16 +102,24 @@ class Records(NamedTuple):
 class Links(NamedTuple):
     """Which Gaussians replace which; E are replaced."""
 
-    only: Any  # (N,) number, in [0, E), of the one that each replaces; -1 for none, `SEVERAL` for more
+    only: Any  # (N,) uint32: number, in [0, E), of the one that each replaces, less that of its word, `NONE` or
+    # `SEVERAL`, in 16 bits; its area in `UNITS` of what it replaces, rounded up, in the 16 above
+    firsts: Any  # (W,) int32, least number of those that the Gaussians of a word replace
     offsets: Any  # (N + 1,) into `ranks`
     ranks: Any  # numbers of all that each replaces
-    units: Any  # int32 for each of `ranks`: area of the Gaussian in `UNITS` of what it replaces, rounded up
-    only_units: Any  # (N,) int32, the same for `only`; 0 for none and for more
+    units: Any  # int32 for each of `ranks`: area in `UNITS`, as in `only`
     ending: Any  # (E,) ids of the replaced
     starts: Any  # (E + 1,) into `ids`
     ids: Any  # replacements of each
     areas: Any  # float32 for each of `ids`, above 0
     every: Any  # (E,) float64, sum of these areas for each
+
+
+@njit(inline="always")
+def only_of(only, first):
+    """Return the number of the one that a Gaussian replaces, `NONE` or `SEVERAL`, from its row and its word's row."""
+    near = np.int64(only & np.uint32(0xFFFF))
+    return first + near if near < (1 << 16) + SEVERAL else near - (1 << 16)
 
 
 class Taken(NamedTuple):
@@ -208,7 +216,9 @@ def _gather(words, allowed, owed, gaussians, gone, free, due):
     """Set what is neither held nor gone (`free`), and what is owed and not gone (`due`), for words (S,)."""
     for s in range(len(words)):
         w = words[s]
-        free[s], due[s] = allowed[s] & ~(gaussians[w] | gone[w]), allowed[s] & owed[s] & ~gone[w]
+        free[s] = allowed[s] & ~(gaussians[w] | gone[w])
+    for s in range(len(owed)):
+        due[s] = allowed[s] & owed[s] & ~gone[words[s]]
 
 
 @inner(error_model="numpy")
@@ -358,8 +368,11 @@ def rank(units, runs, cell, held, view, table, limits, work):
     x, y, z, word_bytes = places[0], places[1], places[2], places[5]
     _squares(x, y, z, places[4], view.eye, squares)
     _gather(words, cell.allowed, cell.owed, held.gaussians, held.gone, free, due[0])
-    for k in range(len(due)):
-        _skip_checked(squares, view.travelled, view.parallax, due[0], cell.checked[k], cell.checked_at[k], due[k])
+    if len(cell.owed):
+        for k in range(len(due)):
+            _skip_checked(squares, view.travelled, view.parallax, due[0], cell.checked[k], cell.checked_at[k], due[k])
+    else:
+        due[:] = 0
     for s in range(len(words)):
         middle[s] = free[s] | due[0, s]
     count = _list(slots, masks, middle, chosen)

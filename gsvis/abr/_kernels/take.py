@@ -8,10 +8,10 @@ from numba import njit
 from gsvis._kernels.bits import has, lowest
 from gsvis._kernels.compiled import kernel
 from gsvis._kernels.prefetch import prefetch
-from gsvis.abr._kernels.plan import ANY, DONE, KIND_BITS, SEVERAL, UNITS
+from gsvis.abr._kernels.plan import ANY, DONE, KIND_BITS, NONE, SEVERAL, UNITS, only_of
 
-_NONE = -1  # in `Links.only`
-_AHEAD = 8  # entries of a plan that are read ahead
+_AHEAD, _NEXT = 8, 3  # entries of a plan that are read ahead
+_LINE = 16  # Gaussians in a line of the cache
 
 
 @njit(inline="always")
@@ -23,7 +23,7 @@ def _put(words, i):
 def forget_paid(words, active, held, term_offsets, owed):
     """Clear in `owed` (S,) the words of Gaussians whose active terms are all held."""
     count = len(term_offsets) - 1
-    for s in range(len(words)):
+    for s in range(len(owed)):
         if owed[s]:
             w = np.int64(words[s])
             if not _left(active, held, term_offsets[64 * w], term_offsets[min(64 * w + 64, count)]):
@@ -31,13 +31,20 @@ def forget_paid(words, active, held, term_offsets, owed):
 
 
 @kernel(error_model="numpy")
-def is_left(words, wanted, held, owed):
-    """Return whether one of the wanted, not gone, is not held or owes terms; words, wanted and owed are (S,)."""
+def is_left(seen, wanted, held, owed, allowed):
+    """Set what is `Seen` and wanted (W,) as allowed (S,); return whether some of it is left to send.
+
+    That is what is not gone, and not held or among those which owe terms, `owed` (S,) or (0,).
+    """
+    words, masks = seen
     gaussians, _, gone = held
     left = np.uint64(0)
     for s in range(len(words)):
         w = words[s]
-        left |= wanted[s] & ~gone[w] & (~gaussians[w] | owed[s])
+        allowed[s] = masks[s] & wanted[w]
+        left |= allowed[s] & ~gone[w] & ~gaussians[w]
+    for s in range(len(owed)):
+        left |= allowed[s] & owed[s] & ~gone[words[s]]
     return left != 0
 
 
@@ -95,7 +102,7 @@ def widen(candidates, others, held, links, looks):
     """
     gaussians, _, gone = held
     words, masks = others
-    only, offsets, ranks, one = links.only, links.offsets, links.ranks, np.uint64(1)
+    only, firsts, offsets, ranks, one = links.only, links.firsts, links.offsets, links.ranks, np.uint64(1)
     for s in range(len(words)):
         w = np.int64(words[s])
         fresh = masks[s] & ~candidates[w]
@@ -104,7 +111,7 @@ def widen(candidates, others, held, links, looks):
         while fresh:
             g = 64 * w + np.int64(lowest(fresh))
             fresh &= fresh - one
-            e = only[g]
+            e = only_of(only[g], firsts[w])
             if e >= 0:
                 looks[e] = 0
             elif e == SEVERAL:
@@ -115,11 +122,9 @@ def widen(candidates, others, held, links, looks):
 @kernel(error_model="numpy")
 def doubt(ids, links, arrived, looks, looks_far):
     """Note that it is not known what has arrived of the replacements of what some Gaussians (M,) replace."""
-    only, offsets, ranks = links.only, links.offsets, links.ranks
+    offsets, ranks = links.offsets, links.ranks
     for i in range(len(ids)):
         g = ids[i]
-        if only[g] == _NONE:
-            continue
         for k in range(offsets[g], offsets[g + 1]):
             e = ranks[k]
             arrived[e], looks[e], looks_far[e] = ANY, 0, 0
@@ -142,7 +147,7 @@ def bound(candidates, links, last, shares, room, ends, least, sure):
     Returns:
         Number of those.
     """
-    only, only_units, offsets, ranks, units = links.only, links.only_units, links.offsets, links.ranks, links.units
+    only, firsts, offsets, ranks, units = links.only, links.firsts, links.offsets, links.ranks, links.units
     starts, ending, one = links.starts, links.ending, np.uint64(1)
     words, masks = candidates
     count = 0
@@ -151,8 +156,8 @@ def bound(candidates, links, last, shares, room, ends, least, sure):
         while rest:
             g = 64 * w + np.int64(lowest(rest))
             rest &= rest - one
-            e = np.int64(only[g])
-            if e == _NONE:
+            e = only_of(only[g], firsts[w])
+            if e == NONE:
                 continue
             first, end = np.int64(0), np.int64(1)
             if e == SEVERAL:
@@ -163,7 +168,7 @@ def bound(candidates, links, last, shares, room, ends, least, sure):
                     ends[count] = x
                     count += 1
                     room[x] = 1
-                room[x] += (only_units[g] if e >= 0 else units[k]) - 1
+                room[x] += (np.int32(only[g] >> 16) if e >= 0 else units[k]) - 1
     for k in range(count):
         e = np.int64(ends[k])
         share, area = shares[last[ending[e]]], room[e] - 1
@@ -206,7 +211,7 @@ def take(plan, place, cell, held, view, records, links, budget, out):
     gaussians, held_terms, gone = held
     sizes, term_offsets, term_sizes, centers, centers_of, cosines, widths, areas = records
     eyes, bodies, toward = view.eyes, view.bodies, np.empty((len(view.eyes), 4), np.float32)
-    only, only_units, arrived, looks, gains = links.only, links.only_units, cell.arrived, cell.looks, view.gains
+    only, firsts, arrived, looks, gains = links.only, links.firsts, cell.arrived, cell.looks, view.gains
     candidates, sure, last, shares = cell.candidates, cell.sure, cell.last, cell.shares
     offsets, ranks, ending, starts, ids = links.offsets, links.ranks, links.ending, links.starts, links.ids
     units, weights, every = links.units, links.areas, links.every
@@ -227,14 +232,14 @@ def take(plan, place, cell, held, view, records, links, budget, out):
         """
         waiting, done, y = replaced, replaced, g
         while True:
-            is_new, one_only = y == g or not has(gaussians, y), np.int64(only[y])
+            is_new, one_only = y == g or not has(gaussians, y), only_of(only[y], firsts[y >> 6])
             first, end = np.int64(0), np.int64(one_only >= 0)
             if one_only == SEVERAL:
                 first, end = offsets[y], offsets[y + 1]
             for k in range(first, end):
                 e = one_only if one_only >= 0 else np.int64(ranks[k])
                 if is_new:
-                    arrived[e] += only_units[y] if one_only >= 0 else units[k]
+                    arrived[e] += np.int32(only[y] >> 16) if one_only >= 0 else units[k]
                 if arrived[e] < looks[e]:
                     continue
                 x = np.int64(ending[e])
@@ -270,9 +275,17 @@ def take(plan, place, cell, held, view, records, links, budget, out):
         soon = np.int64(words[entries[ahead] >> KIND_BITS])
         prefetch(gaussians, soon)
         prefetch(gone, soon)
-        soon = 64 * soon + np.int64(lowest(sets[ahead]))
-        prefetch(only, soon)
-        prefetch(only_units, soon)
+        for k in range(0, 64, _LINE):
+            if (sets[ahead] >> np.uint64(k)) & np.uint64((1 << _LINE) - 1):
+                prefetch(only, 64 * soon + k)
+        ahead = min(place + _NEXT, len(entries) - 1)
+        soon, coming = np.int64(words[entries[ahead] >> KIND_BITS]), sets[ahead]
+        first = firsts[soon]
+        while coming:
+            e = only_of(only[64 * soon + np.int64(lowest(coming))], first)
+            coming &= coming - one
+            prefetch(arrived, e)
+            prefetch(looks, e)
         gain = gains[kind] + logs[place] if terms else 0.0
         rest = sets[place] & ~gone[w] & (gaussians[w] & owed[s] & ~checked[kind, s] if terms else ~gaussians[w])
         while rest:
@@ -287,13 +300,13 @@ def take(plan, place, cell, held, view, records, links, budget, out):
                 out_gaussians[found] = g
                 found += 1
                 gaussians[w] |= one << low
-                e = np.int64(only[g])
+                e = only_of(only[g], firsts[w])
                 if e >= 0:
-                    so_far = arrived[e] + only_units[g]
+                    so_far = arrived[e] + np.int32(only[g] >> 16)
                     if so_far < looks[e]:
                         arrived[e] = so_far
                         continue
-                if e != _NONE:
+                if e != NONE:
                     dropped, replaced = drop_replaced(g, dropped, replaced)
                     rest &= ~gone[w]
                 continue

@@ -200,6 +200,14 @@ def take_out(words, packed, masks):
 
 
 @kernel
+def add(seen, packed):
+    """Add what is `Seen` to a packed set (W,)."""
+    words, masks = seen
+    for s in range(len(words)):
+        packed[words[s]] |= masks[s]
+
+
+@kernel
 def put_in(words, masks, packed):
     """Write words (S,) to a packed set (W,)."""
     for s in range(len(words)):

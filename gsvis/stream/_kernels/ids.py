@@ -13,6 +13,7 @@ from gsvis._kernels.bits import lowest
 from gsvis._kernels.compiled import kernel
 
 MOST_ORDER = 24
+_NEAR = 4  # chunks to look at one after the other before the one of an id is looked up
 MOST_BITS = 2 * 33  # of a value below 2^32, in the worst order
 
 
@@ -246,12 +247,17 @@ def lay_out(ids, of, starts, known, rows, fresh):
     Returns:
         Number of those.
     """
-    found, end, row = 0, np.int64(0), np.int32(0)
+    found, end, row = 0, np.int64(0), np.int64(-1)
     for i in range(len(ids)):
         g = np.int64(ids[i])
         if g >= end:
-            row = of[g]
-            end = np.int64(starts[row + 1])
+            last = row + _NEAR
+            while row < last and g >= end:  # most chunks follow each other, and `starts` stays in the cache
+                row += 1
+                end = np.int64(starts[row + 1])
+            if g >= end:
+                row = np.int64(of[g])
+                end = np.int64(starts[row + 1])
             if not known[row]:
                 known[row] = True
                 fresh[found] = row
