@@ -106,7 +106,7 @@ def _step(u: F64) -> float:
     least = float(gaps.min())
     for parts in range(1, 1 + _PARTS):
         step = least / parts
-        for some in (gaps[gaps <= least * 24.0 / min(parts, 24)], gaps, np.cumsum(gaps)):
+        for some in (gaps[gaps <= least * (24.0 / min(parts, 24))], gaps, np.cumsum(gaps)):
             times = np.rint(some / step)
             if np.abs(some / step - times).max() > 0.2:
                 break

@@ -205,3 +205,9 @@ def test_steps_that_mean_nothing_are_refused() -> None:
             replace(table, steps=np.array([steps], np.float32), origins=np.full((1, 3), origin, np.float32))
     with pytest.raises(ValueError, match="bits"):
         replace(table, bits=[[15, 0, 0]])
+
+
+def test_the_smallest_gap_of_a_run_is_always_among_those_that_are_compared() -> None:
+    """Its twenty-fourth part times 24 may round below it: with this seed that left nothing to compare."""
+    means = np.random.default_rng(136).normal(size=(2000, 3)).astype(np.float32)
+    assert not len(find_lattices(means[np.argsort(means[:, 0])]).steps)

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from gsvis.errors import SceneError
+from gsvis.scene import procedural
 from gsvis.scene._occupancy import INFLATION, REACH, optical_depth
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.content import space_hash
@@ -307,3 +308,21 @@ def test_the_hash_of_a_space_depends_on_its_free_voxels() -> None:
     others = (replace(space, free=free), replace(space, origin=space.origin + 1.0), replace(space, voxel_size=0.3))
     assert space_hash(space) == space_hash(replace(space, up=np.array([0.0, 1.0, 0.0])))
     assert len({space_hash(space), *(space_hash(other) for other in others)}) == 4
+
+
+def test_a_piece_of_a_city_has_eyes_in_its_rooms_and_on_the_open_ground_beside_them() -> None:
+    scene = procedural.two_rooms(12_000, sh_degree=0)
+    low, high = scene.gaussians.means.min(axis=0), scene.gaussians.means.max(axis=0)
+    corners = (float(low[0]), float(high[1]) + 0.5), (float(high[0]), float(high[1]) + 6.5)
+    beside = wall(2, float(low[2]), *corners, step=0.15)
+    both = Gaussians.concatenate([scene.gaussians, beside])
+    eyes = scene.navigable.sample_viewpoints(1000, np.random.default_rng(0))
+    for mixed in (False, True):
+        space = NavigableSpace.from_scene(both, up=scene.up, resolution=96, mixed=mixed)
+        assert space.contains(eyes).mean() >= 0.99
+        found = space.sample_viewpoints(1000, np.random.default_rng(0))
+        outside = found[found[:, 1] > high[1]]
+        assert (len(outside) > 0) == mixed
+        assert np.all(outside[:, 2] > low[2])
+    with pytest.raises(ValueError, match="seeds: expected none"):
+        NavigableSpace.from_scene(both, seeds=eyes, mixed=True)

@@ -266,7 +266,7 @@ def test_surroundings_that_do_not_fit_the_memory_are_refused(
 
 def test_a_stage_that_does_not_fit_the_memory_is_refused_before_it_starts(scene: Scene, tmp_path: Path) -> None:
     with pytest.raises(
-        ValueError, match=r"max_memory: expected at least 0.3\d\d GB .* one of them with space 0, got 0.35 GB; raise it"
+        ValueError, match=r"max_memory: expected at least 0.4\d* GB .* one of them with space 0, got 0.35 GB; raise it"
     ):
         prepare_world([scene], tmp_path / "city.gsworld", cities.config(), workers=Workers(1, max_memory=350_000_000))
 
