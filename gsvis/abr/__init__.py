@@ -15,13 +15,14 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from gsvis.abr.batches import Batch
     from gsvis.abr.candidates import CandidateIndex
     from gsvis.abr.classes import Classes, FieldOfView, classify
     from gsvis.abr.config import AbrConfig
     from gsvis.abr.estimate import Ewma, HarmonicMean, RobustMpc, ThroughputEstimator, estimator
     from gsvis.abr.holdings import Holdings
     from gsvis.abr.index import ActiveSets, CellSets, SceneIndex, SceneTerms
-    from gsvis.abr.planner import Batch, Planner
+    from gsvis.abr.planner import Planner
     from gsvis.abr.policies import POLICIES, UtilityConfig
     from gsvis.abr.predict import KalmanPose, LastPose, LinearPose, Pose, PosePredictor, predictor
     from gsvis.abr.qoe import Difference, Qoe, QoeConfig, paired_difference, quality_of_experience
@@ -63,13 +64,14 @@ __all__ = [
 ]
 
 _HOMES = {
+    "batches": ("Batch",),
     "candidates": ("CandidateIndex",),
     "classes": ("Classes", "FieldOfView", "classify"),
     "config": ("AbrConfig",),
     "estimate": ("Ewma", "HarmonicMean", "RobustMpc", "ThroughputEstimator", "estimator"),
     "holdings": ("Holdings",),
     "index": ("ActiveSets", "CellSets", "SceneIndex", "SceneTerms"),
-    "planner": ("Batch", "Planner"),
+    "planner": ("Planner",),
     "policies": ("POLICIES", "UtilityConfig"),
     "predict": ("KalmanPose", "LastPose", "LinearPose", "Pose", "PosePredictor", "predictor"),
     "qoe": ("Difference", "Qoe", "QoeConfig", "paired_difference", "quality_of_experience"),

@@ -9,7 +9,7 @@ and no message: time and rate are arguments.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,6 +20,7 @@ from gsvis.abr._kernels import plan as kernels
 from gsvis.abr._kernels.evict import owe_again
 from gsvis.abr._kernels.take import adopt, doubt, forget_paid, is_left, take, widen
 from gsvis.abr._kernels.units import EDGE, INSIDE, OUTSIDE
+from gsvis.abr.batches import Batch
 from gsvis.abr.candidates import Bounds, CandidateIndex, Candidates
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.config import AbrConfig
@@ -29,7 +30,7 @@ from gsvis.abr.policies import edge_offset, filling_table, regime_of, table
 from gsvis.abr.predict import Pose, PosePredictor, predictor
 from gsvis.pvs.codec import pack
 
-__all__ = ["Batch", "Planner"]
+__all__ = ["Planner"]
 
 F32 = NDArray[np.float32]
 I32 = NDArray[np.int32]
@@ -41,39 +42,6 @@ _FOOTPRINT = 3.6e-5  # steradians, of a square of 6 mrad
 _NEEDS, _DETAILS, _AROUND, _SHELLS = range(4)
 _NO_PLANES = np.zeros((0, 5, 4), np.float32)
 _NOTHING = kernels.Plan(np.zeros(0, np.int32), np.zeros(0, np.uint64), np.zeros(0, np.float32))
-
-
-@dataclass(frozen=True, eq=False)
-class Batch:
-    """Records that are sent together.
-
-    Attributes:
-        gaussians: (G,) int32 ids of the records of geometry and base color, in order.
-        terms: (M,) uint32 ids of the records of terms, in order; their Gaussians are in this batch or before it.
-        dropped: (D,) int32 ids of Gaussians that the client stops showing: all their replacements have been sent.
-        bytes: Bytes of the records.
-        filling: Whether the view needs none of it: it fills an idle link.
-        evicted: (E,) int32 ids that the client forgets before it adds the others, so that its memory suffices: its
-            Gaussians with their terms, and that others had been replaced by them.
-        gone: (R,) int32 ids of all Gaussians that are replaced from now on, held or not, `dropped` among them.
-    """
-
-    gaussians: I32
-    terms: NDArray[np.uint32]
-    dropped: I32
-    bytes: float
-    filling: bool = False
-    evicted: I32 = field(default_factory=lambda: np.zeros(0, np.int32))
-    gone: I32 = field(default_factory=lambda: np.zeros(0, np.int32))
-
-    def __len__(self) -> int:
-        """Return the number of records."""
-        return len(self.gaussians) + len(self.terms)
-
-    @classmethod
-    def empty(cls) -> Batch:
-        """Return a batch without records."""
-        return cls(np.zeros(0, np.int32), np.zeros(0, np.uint32), np.zeros(0, np.int32), 0.0)
 
 
 class Planner:

@@ -15,11 +15,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis._kernels.blank import blank
+from gsvis.abr.batches import Batch
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.config import AbrConfig
 from gsvis.abr.estimate import estimator
 from gsvis.abr.holdings import Holdings
-from gsvis.abr.planner import Batch, Planner
+from gsvis.abr.planner import Planner
 from gsvis.stream._kernels import ids as kernels
 from gsvis.stream.batch import FIXED_BYTES, Sections
 from gsvis.stream.meter import LinkMeter

@@ -7,13 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gsvis.abr.batches import Batch
 from gsvis.abr.candidates import CandidateIndex
 from gsvis.abr.classes import FOV, FieldOfView, classify
 from gsvis.abr.config import AbrConfig
 from gsvis.abr.holdings import Holdings
 from gsvis.abr.index import SceneIndex
 from gsvis.abr.memory import ClientMemory
-from gsvis.abr.planner import Batch, Planner
+from gsvis.abr.planner import Planner
 from gsvis.pvs.codec import ids_of
 from tests.abr import abr_scenes as scenes
 

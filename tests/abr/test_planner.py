@@ -9,11 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gsvis.abr.batches import Batch
 from gsvis.abr.candidates import CandidateIndex
 from gsvis.abr.classes import ADJACENT, FOV, NONE, PERIPHERAL, FieldOfView, classify
 from gsvis.abr.config import AbrConfig
 from gsvis.abr.holdings import Holdings
-from gsvis.abr.planner import Batch, Planner
+from gsvis.abr.planner import Planner
 from gsvis.abr.policies import POLICIES, REGIMES, UtilityConfig
 from gsvis.abr.predict import exponential
 from gsvis.abr.reference import View, order_records

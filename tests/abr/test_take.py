@@ -13,11 +13,12 @@ from gsvis.abr._kernels.lanes import not_behind
 from gsvis.abr._kernels.plan import UNITS
 from gsvis.abr._kernels.take import bound, is_left, widen
 from gsvis.abr._kernels.units import Seen
+from gsvis.abr.batches import Batch
 from gsvis.abr.candidates import CandidateIndex
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.config import AbrConfig
 from gsvis.abr.holdings import Holdings
-from gsvis.abr.planner import Batch, Planner
+from gsvis.abr.planner import Planner
 from gsvis.pvs.codec import ids_of, pack, pack_some
 from tests.abr import abr_scenes as scenes
 

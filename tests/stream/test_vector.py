@@ -18,9 +18,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
+from gsvis.abr.batches import Batch
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.config import AbrConfig
-from gsvis.abr.planner import Batch
 from gsvis.color.evaluate import evaluate
 from gsvis.stream import Ack, Bye, Hello, PoseAt, Receiver, Session, StreamedScene, parse_client
 from gsvis.stream.coding import Quality
