@@ -1,6 +1,7 @@
 """Bytes on disk apart from scenes: atomic writes, locks, the Arrow container, limits, caches, one way to resume."""
 
 _MODULES = (
+    "apart",
     "archive",
     "arrow",
     "atomic",

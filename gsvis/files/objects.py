@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from gsvis._extras import require
-from gsvis._threads import call_apart
 from gsvis.errors import BackendError, FormatError, GsvisError
+from gsvis.files.apart import call_apart
 from gsvis.files.atomic import atomic_path, remove_all_partials
 from gsvis.files.limits import DAMAGED, digest_of, read_whole
 from gsvis.files.output import output_errors

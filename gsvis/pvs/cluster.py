@@ -15,8 +15,8 @@ from importlib.metadata import version
 from typing import Any
 
 from gsvis._extras import require
-from gsvis._threads import call_apart
 from gsvis.errors import BackendError
+from gsvis.files.apart import call_apart
 from gsvis.pvs import _workers, processes
 from gsvis.pvs.workers import Workers
 
