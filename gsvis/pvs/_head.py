@@ -34,16 +34,16 @@ def read_header(file: SectionFile) -> tuple[StoreInfo, CellGrid]:
     n, cells = header.integer("gaussians", 0, (1 << 31) - 1), grid.integer("cells", 1, MAX_CELLS)
     Budget(file.path, file.size).claim(beyond_free(n) + 12 * cells, "header")
     config = header.child("config").value
-    shape = tuple(int(side) for side in grid.numbers("shape", 3))
-    frame = grid.numbers("origin", 3), grid.number("cell_size"), shape
-    tau, edges, up = header.number("tau"), header.numbers("class_edges"), grid.numbers("up", 3)
+    x, y, z = (int(side) for side in grid.numbers("shape", 3))
+    origin, size, up = grid.numbers("origin", 3), grid.number("cell_size"), grid.numbers("up", 3)
+    tau, edges = header.number("tau"), header.numbers("class_edges")
     try:
         boxes = decompress(file.read("coords"), 12 * cells)
     except CodecError as error:
         raise _fault(file, "section 'coords'", "bytes that can be decoded", f"others ({error})") from error
     coords = np.frombuffer(boxes, "<i4").reshape(-1, 3).astype(np.int32)
     try:
-        return StoreInfo(n, scene, tau, edges, config), CellGrid(*frame, coords, up)  # type: ignore[arg-type]
+        return StoreInfo(n, scene, tau, edges, config), CellGrid(origin, size, (x, y, z), coords, up)
     except (ValueError, SceneError) as error:
         raise _fault(file, "header", "a grid and classes that are valid", str(error)) from error
 

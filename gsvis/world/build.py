@@ -330,7 +330,7 @@ class WorldBuild:
         return {**self.square_of(rect), **self._walk_near(rect), "around": around}
 
     def square_of(self, rect: Rect) -> Facts:
-        """Return where a tile lies, and the voxels along its longer side."""
+        """Return where a tile lies, its up axis, and the resolution of its space."""
         grid = grid_of(self.grid["grid"])
         low = [grid.origin[axis] + grid.side * place for axis, place in zip(grid.axes, rect[:2], strict=True)]
         high = [each + grid.side * count for each, count in zip(low, rect[2:], strict=True)]

@@ -24,7 +24,8 @@ class WorldConfig:
         far: Most Gaussians of a district.
         angle: Largest spacing of a node over its distance from a tile, radians, from which it may stand in.
         looks: Eyes in a tile that look for nodes around it, coarsely.
-        resolution: Voxels along the longest side of the space of a tile.
+        resolution: Voxels along the longest side of a tile and the strip around it. What lies farther around is looked
+            at in voxels of this size, or larger ones where they would be too many.
         walk: (T, 3) positions of a recorded walk, scene frame, along which eyes are, straight between two of them; None
             lets each tile find its own space. Tiles that the walk does not come near have no cells.
         margin: Distance from the walk within which eyes may be, scene units.

@@ -22,11 +22,11 @@ IDLE = 280 << 20
 """Bytes of a process that has loaded every library and runs no task."""
 
 MOST_VOXELS = 1 << 23
-"""Of the space of a tile and its surroundings."""
+"""Of the space of a tile and its surroundings, unless the resolution of the tile alone asks for more."""
 
 _MB = 1 << 20
 _GUESSED = 1 << 18  # Gaussians of a batch that only reading counts
-_VOXEL = 29  # bytes of a voxel of a space, while it is looked for
+_VOXEL = 30  # bytes of a voxel of a space, while it is looked for
 _HELD = 60 * _MB  # bytes that earlier tasks leave in a worker
 _TRAINING, _IMAGE = 160 * _MB, 7  # gradients of a view; bytes for each pixel of all views, of which most are smaller
 
@@ -85,9 +85,9 @@ def _rows(params: Facts, inputs: Sequence[Facts]) -> int:
 
 def _space(params: Facts, inputs: Sequence[Facts]) -> int:
     counts = [each["gaussians"] for each in inputs]
-    side = min(MAX_RESOLUTION, 4 * params["resolution"])
+    least, side = params["resolution"], min(MAX_RESOLUTION, 4 * params["resolution"])
     rows = 900 * counts[0] + 160 * max(counts) + 60 * sum(counts[1:])
-    return int(80 * _MB + _VOXEL * min(MOST_VOXELS, side**3) + rows)
+    return int(80 * _MB + _VOXEL * min(max(MOST_VOXELS, least**3), side**3) + rows)
 
 
 def _levels(params: Facts, inputs: Sequence[Facts]) -> int:

@@ -142,21 +142,23 @@ class Walker:
         return np.array([self.cell + seconds, 0.0, 0.0])
 
 
-def test_tiles_that_viewers_have_left_give_memory_back_before_those_they_are_in(plain: Path, tmp_path: Path) -> None:
+def test_tiles_that_viewers_have_left_give_memory_back_before_those_they_are_in(
+    plain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with open_scenes([plain], tables=tmp_path) as scenes:
         served, resident, released, walker = scenes["plain"], [0], list[Any](), Walker(5)
         limits, metrics = Limits(tables_bytes=50), Metrics()
         upkeep = Upkeep(scenes, limits, metrics, EventLog(), ManualClock().now, resident=lambda: resident[0])
         assert served.opened is not None
         assert served.tables is not None
-        served.opened.index = RowOfTiles(set())  # type: ignore[assignment]
-        served.sessions.add(walker)  # type: ignore[arg-type]
+        monkeypatch.setattr(served.opened, "index", RowOfTiles(set()))
+        monkeypatch.setattr(served, "sessions", {walker})
 
         def release(shares: Any = None) -> None:
             released.append(shares)
             resident[0] -= 40
 
-        served.tables.release = release  # type: ignore[method-assign]
+        monkeypatch.setattr(served.tables, "release", release)
         for cell, nbytes in ((5, 10), (9, 40), (15, 60), (16, 60)):
             walker.cell, resident[0] = cell, nbytes
             upkeep.look()
@@ -166,14 +168,14 @@ def test_tiles_that_viewers_have_left_give_memory_back_before_those_they_are_in(
         assert released[2:] == [[(0.1, 0.2)], None]
 
 
-def test_a_tile_is_opened_before_a_walker_comes(plain: Path, tmp_path: Path) -> None:
+def test_a_tile_is_opened_before_a_walker_comes(plain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with open_scenes([plain], tables=tmp_path) as scenes:
         served, walker, index = scenes["plain"], Walker(0), RowOfTiles({0})
         upkeep = Upkeep(scenes, Limits(), Metrics(), EventLog(), ManualClock().now)
         assert upkeep.ahead() == []
         assert served.opened is not None
-        served.opened.index = index  # type: ignore[assignment]
-        served.sessions |= {walker, Walker(0)}  # type: ignore[arg-type]
+        monkeypatch.setattr(served.opened, "index", index)
+        monkeypatch.setattr(served, "sessions", {walker, Walker(0)})
         for walker.cell in range(100):
             for opening in upkeep.ahead():
                 opening()
