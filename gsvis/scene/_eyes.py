@@ -101,7 +101,7 @@ def find_eyes(
 
 def find_mixed(
     build: Callable[[F64, F64], Occupancy], low: F64, high: F64, up: F64
-) -> tuple[Occupancy, Mask, str, SpaceKind] | None:
+) -> tuple[Occupancy, Mask, str, SpaceKind]:
     """Find the voxels where eyes belong in a piece of something larger: in rooms, and on open ground.
 
     Args:
@@ -111,12 +111,12 @@ def find_mixed(
         up: (3,) unit up axis.
 
     Returns:
-        As `find_eyes`; None if there is neither.
+        As `find_eyes`.
+
+    Raises:
+        SceneError: If it has neither.
     """
-    try:
-        space = build(low, high)
-    except SceneError:
-        return None
+    space = build(low, high)
     inside, _, enclosed = space.choose(up, np.zeros((0, 3)))
     standing = above_ground(space, up)
     has_rooms = enclosed and float(inside.mean()) >= MIN_SHARE
@@ -129,7 +129,7 @@ def find_mixed(
     if has_ground:
         kind = SpaceKind("open place", "ground under the sky", None, "above the ground")
         return space, standing, "free, ground below", kind
-    return None
+    raise SceneError("no navigable space: no room and no open ground", "look at the scene as a whole")
 
 
 def stand_around(build: Callable[[F64, F64], Occupancy], low: F64, high: F64, up: F64) -> tuple[Occupancy, Mask, str]:

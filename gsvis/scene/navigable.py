@@ -115,7 +115,7 @@ class NavigableSpace:
             seeds: (S, 3) positions known to be navigable, such as captured cameras. The box grows to hold them. The
                 connected parts that hold them are kept instead of the largest part.
             mixed: Whether this is a piece of something larger, such as a city: then eyes are in rooms and on open
-                ground if it has both, and around it only if it has neither.
+                ground, and never around it.
 
         Raises:
             ValueError: If an argument is out of range, or `mixed` comes with `seeds`.
@@ -135,8 +135,8 @@ class NavigableSpace:
         low, high = robust_box(seen, coverage, points)
         grid = partial(Occupancy.from_gaussians, [seen], resolution=resolution)
         build = partial(grid, max_alpha=max_alpha, clearance=clearance)
-        if mixed and (found := find_mixed(build, low, high, axis)) is not None:
-            return cls._over(*found, axis, seen)
+        if mixed:
+            return cls._over(*find_mixed(build, low, high, axis), axis, seen)
         return cls._over(*find_eyes(build, low, high, seen, axis, points), axis, seen)
 
     @classmethod

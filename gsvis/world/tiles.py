@@ -6,6 +6,7 @@ Scene frame and units. Each function here is a task of a graph.
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -47,7 +48,7 @@ __all__ = [
     "tile_space",
 ]
 
-VERSIONS = {"gather_rows": 1, "make_tile_levels": 2, "tile_space": 3}
+VERSIONS = {"gather_rows": 1, "make_tile_levels": 2, "tile_space": 4}
 
 MARGIN = 0.15
 """How far beyond a tile what is solid counts, in its longer side."""
@@ -97,18 +98,23 @@ def near_tile(means: NDArray[np.floating[Any]], params: Facts, margin: float = M
 def space_of_tile(near: Gaussians, params: Facts) -> NavigableSpace | None:
     """Return where eyes may be in the squares of a tile, from its rows and those around it; None if nowhere.
 
-    They are in rooms and on open ground: a world has both, and a tile does not show which of them goes on.
+    They are in rooms and on open ground: a world has both, and a tile does not show which of them goes on. Where there
+    is neither they are around what is there.
     """
     if "walk" in params and not params["walk"]:
         return None
     low, high, axes = (np.array(params[name]) for name in ("low", "high", "axes"))
-    how = {"up": params["up"], "resolution": _resolution(near, near_tile(near.means, params), params["resolution"])}
-    try:
+    fine = _resolution(near, near_tile(near.means, params), params["resolution"])
+    found: NavigableSpace | None = None
+    with suppress(SceneError):
         if "walk" in params:
-            found = space_along(near, params["walk"], params["margin"], **how)
+            found = space_along(near, params["walk"], params["margin"], resolution=fine, up=params["up"])
         else:
-            found = NavigableSpace.from_scene(near, mixed=True, **how)
-    except SceneError:
+            found = NavigableSpace.from_scene(near, mixed=True, resolution=fine, up=params["up"])
+    if found is None and "walk" not in params:  # an object: the grid around it is larger, so voxels are, too
+        with suppress(SceneError):
+            found = NavigableSpace.from_scene(near, resolution=params["resolution"], up=params["up"])
+    if found is None:
         return None
     free = found.free.copy()
     for axis, first, last in zip(axes.tolist(), low.tolist(), high.tolist(), strict=True):

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from gsvis.errors import SceneError
 from gsvis.files.objects import open_store
 from gsvis.progress import silent
 from gsvis.pvs.workers import Workers
-from gsvis.scene.procedural import two_rooms
+from gsvis.scene.kinds import SpaceKind
+from gsvis.scene.procedural import nested_shells, two_rooms
 from gsvis.world.build import WorldBuild
+from gsvis.world.memory import needed_memory
 from gsvis.world.rows import load_gaussians, load_tile_levels
-from gsvis.world.tiles import load_space
+from gsvis.world.tiles import load_space, space_of_tile
 from tests.world import cities
 
 
@@ -62,3 +67,27 @@ def test_eyes_are_in_rooms_that_borders_cut(tmp_path: Path) -> None:
     assert len(build.searched) >= 4
     assert inside.mean() >= 0.95
     assert volume <= 1.4 * scene.navigable.volume  # that of the scene keeps a quarter of a unit from all walls
+
+
+def test_the_space_around_an_object_takes_no_more_memory_than_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Eyes around an object need a grid beyond it: voxels as small as for rooms would take three times as much."""
+
+    def has_neither(*_: object) -> None:
+        raise SceneError("no room and no open ground")
+
+    monkeypatch.setattr("gsvis.scene.navigable.find_mixed", has_neither)
+    monkeypatch.setattr("gsvis.scene._eyes.is_rooms", lambda _: False)
+    monkeypatch.setattr("gsvis.scene._eyes.find_kind", lambda found: SpaceKind("object", "for this test", found))
+    g = nested_shells(4_000, sh_degree=0).gaussians
+    params: dict[str, Any] = {
+        "low": [-9.0, -9.0], "high": [9.0, 9.0], "axes": [0, 1], "up": [0.0, 0.0, 1.0], "resolution": 160, "around": 1.0
+    }  # fmt: skip
+    tracemalloc.start()
+    try:
+        space = space_of_tile(g, params)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert space is not None
+    assert space.kind.kind == "object"
+    assert peak <= needed_memory("gsvis.world.tiles:tile_space", params, [{"gaussians": len(g)}])
