@@ -4,7 +4,7 @@ A world is prepared in a process with two workers that is killed again and again
 after its first task began, until it is complete. Every task notes when it begins and when it has ended. Views, faces
 and steps are few, so that a world of many tiles takes minutes.
 
-Given: a scene of the real data, or a built-in street of 4 houses.
+Given: a scene of the real data, copies of it, or a built-in street of 4 houses.
 Measured: tasks that had begun and not ended at each kill, tasks that ran again though they had ended, differing files
     against a run that nobody killed, files that only the killed run has left beside its world or among temporary files.
 Defaults chosen on: nothing.
@@ -13,6 +13,7 @@ Defaults chosen on: nothing.
 from __future__ import annotations
 
 import argparse
+import hashlib
 import os
 import random
 import signal
@@ -24,8 +25,9 @@ from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
-from _harness import add_arguments, realdata, write_result
+from _harness import add_arguments, need, write_result
 from _worlds import small_street
+from world_whole import scenes_of
 
 from gsvis.io.ply import save_ply
 from gsvis.prepare.config import PrepareConfig
@@ -47,7 +49,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scene", help="a scene of the real data; default: a built-in street")
     parser.add_argument("--lod", type=int, default=3)
+    parser.add_argument("--copies", type=int, default=0, help="turned, mirrored and jittered copies; 0 for the scene")
     parser.add_argument("--most", type=int, default=60_000, help="Gaussians of a tile of that scene")
+    parser.add_argument("--work", type=Path, help="folder for copies, some gigabytes")
     parser.add_argument("--kills", type=int, default=10)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--prepare", type=Path, help=argparse.SUPPRESS)
@@ -55,7 +59,11 @@ def main() -> None:
     if given.prepare:
         prepare(given.prepare, given)
         return
-    with tempfile.TemporaryDirectory() as folder:
+    if given.copies:
+        need(given.work, "a folder for copies with --work")
+        given.work.mkdir(parents=True, exist_ok=True)
+        scenes_of(given)
+    with tempfile.TemporaryDirectory(dir=given.work) as folder:
         whole, killed = Path(folder) / "whole", Path(folder) / "killed"
         for each in (whole, killed):
             (each / "tmp").mkdir(parents=True)
@@ -85,8 +93,9 @@ def main() -> None:
         {"name": "temporary files left", "target": 0, "reached": len(left), "unit": "", "better": "lower"},
     ]
     details = {
-        "scene": given.scene or "a built-in street", "tiles": len(tiles), "lost": lost, "tasks": len(ends),
-        "gaussians": sum(tile.levels[-1][1] for tile in tiles), "unkilled_s": took, "left": sorted(left),
+        "scene": given.scene or "a built-in street", "copies": given.copies, "tiles": len(tiles), "tasks": len(ends),
+        "gaussians": sum(tile.levels[-1][1] for tile in tiles), "unkilled_s": took,
+        "lost": lost, "left": sorted(left),
     }  # fmt: skip
     write_result(given.out, "What does a kill cost the preparation of a world?", figures, details)
 
@@ -124,9 +133,9 @@ def prepare(folder: Path, given: argparse.Namespace) -> None:
     sets = PvsConfig(size=24, lower_size=16, limit=0.05, rays=128, max_inner=1)
     levels, cells = None, 2
     tiling, options = TilingConfig(500, up="+z"), {"far": 64, "angle": 0.1, "looks": 6, "resolution": 32}
-    scene: tuple[str, int | None] = (str(folder / "street.ply"), None)
+    scenes: list[tuple[str, int | None]] = [(str(folder / "street.ply"), None)]
     if given.scene is not None:
-        scene = (str(realdata() / "scenes" / given.scene / "lod-meta.json"), given.lod)
+        scenes = scenes_of(given)
         sets, cells = replace(sets, size=96, lower_size=64), 1
         levels = LevelsConfig((0.25, 0.5), iterations=4)
         tiling, options = TilingConfig(given.most), {"far": 2048, "angle": 0.05, "looks": 6, "resolution": 96}
@@ -134,7 +143,7 @@ def prepare(folder: Path, given: argparse.Namespace) -> None:
     os.environ["GSVIS_KILLS_LOG"] = str(folder / "log")
     graph.perform = noted
     config = WorldConfig(tiling, package, **options)
-    prepare_world([scene], folder / "city.gsworld", config, workers=Workers(WORKERS))
+    prepare_world(scenes, folder / "city.gsworld", config, workers=Workers(WORKERS))
 
 
 _perform = graph.perform
@@ -169,10 +178,11 @@ def open_tasks(folder: Path) -> int:
     return counts["begin"] - counts["end"]
 
 
-def content(folder: Path) -> dict[str, bytes]:
-    """The files of the world."""
+def content(folder: Path) -> dict[str, str]:
+    """Digests of the files of the world."""
     world = folder / "city.gsworld"
-    return {p.relative_to(world).as_posix(): p.read_bytes() for p in world.rglob("*") if p.is_file()}
+    paths = [path for path in world.rglob("*") if path.is_file()]
+    return {path.relative_to(world).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in paths}
 
 
 def kept(folder: Path) -> set[str]:

@@ -8,7 +8,7 @@ was.
 Given: a built-in street, walked along and back and looked across, by sets of 4 eyes a cell at 64 px; with `--scene` two
     copies of a real scene merged to fewer Gaussians, turned, mirrored, jittered, with doors and a street between them,
     walked from room to room (`_walks.py`), in two levels. A district has the share of a tile, and stands from as many
-    pixels of the sets on, that the defaults give it.
+    pixels of the sets on, that the defaults give it. Eyes are near the walk; with `--found`, where the place has room.
 Measured: bytes of messages, repeats, PSNR of frames of 160 x 120.
 Defaults chosen on: the street.
 """
@@ -103,9 +103,12 @@ def real_case(args: argparse.Namespace) -> Case:
     config = WorldConfig(
         tiles, package, far=default.far * args.most // default.tiling.most,
         angle=default.angle * default.package.sets.size / SIZE, looks=12, resolution=96,
-        walk=tuple(map(tuple, walk.tolist())), margin=MARGIN,
+        walk=None if args.found else tuple(map(tuple, walk.tolist())), margin=MARGIN,
     )  # fmt: skip
-    space = space_along(whole, walk, MARGIN, resolution=384, up=UP)
+    if args.found:
+        space = NavigableSpace.from_scene(whole, mixed=True, resolution=384, up=UP)
+    else:
+        space = space_along(whole, walk, MARGIN, resolution=384, up=UP)
     return Case(whole, space, config, lambda one: poses_along(walk), 1)
 
 
@@ -182,6 +185,7 @@ def main() -> None:
     parser.add_argument("--scene", help="a scene of the real data, such as showroom; without it the built-in street")
     parser.add_argument("--lod", type=int, default=3)
     parser.add_argument("--gaussians", type=int, default=100_000, help="of a copy of a real scene")
+    parser.add_argument("--found", action="store_true", help="prepare a real scene without its walk")
     parser.add_argument("--seed", type=int, default=0, help="of the places that the walk through a real scene visits")
     parser.add_argument("--houses", type=int, default=10)
     parser.add_argument("--step", type=float, default=0.3, help="of the lattice of the street; of the real walk")
