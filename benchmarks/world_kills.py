@@ -22,6 +22,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
@@ -53,6 +54,8 @@ def main() -> None:
     parser.add_argument("--most", type=int, default=60_000, help="Gaussians of a tile of that scene")
     parser.add_argument("--work", type=Path, help="folder for copies, some gigabytes")
     parser.add_argument("--kills", type=int, default=10)
+    parser.add_argument("--every", type=float, help="seconds between two kills, without a run that nobody kills")
+    parser.add_argument("--keep", type=Path, help="folder of the two worlds, kept; a killed one goes on")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--prepare", type=Path, help=argparse.SUPPRESS)
     given = add_arguments(parser).parse_args()
@@ -63,13 +66,14 @@ def main() -> None:
         need(given.work, "a folder for copies with --work")
         given.work.mkdir(parents=True, exist_ok=True)
         scenes_of(given)
-    with tempfile.TemporaryDirectory(dir=given.work) as folder:
+    with ExitStack() as stack:
+        folder = given.keep or stack.enter_context(tempfile.TemporaryDirectory(dir=given.work))
         whole, killed = Path(folder) / "whole", Path(folder) / "killed"
         for each in (whole, killed):
-            (each / "tmp").mkdir(parents=True)
+            (each / "tmp").mkdir(parents=True, exist_ok=True)
             if given.scene is None:
                 save_ply(small_street(houses=4, step=0.35, flyaways=12), each / "street.ply")
-        took = begun(whole, None)
+        took = given.every * given.kills if given.every else begun(whole, None)
         kills, rng = 0, random.Random(given.seed)
         lost: list[int] = []
         while kills < given.kills:
@@ -83,18 +87,19 @@ def main() -> None:
         again = sum(count - 1 for count in ends.values())
         whole_world, killed_world = content(whole), content(killed)
         differing = sum(whole_world.get(name) != killed_world.get(name) for name in whole_world | killed_world)
-        left = kept(killed) - kept(whole)
+        left = {name for name in kept(killed) if name.startswith("tmp")} if given.every else kept(killed) - kept(whole)
         tiles = WorldManifest.read(killed / "city.gsworld" / WORLD).tiles
     figures = [
         {"name": "kills", "target": given.kills, "reached": kills, "unit": "", "better": "higher"},
         {"name": "tasks lost by a kill, most", "target": WORKERS, "reached": max(lost), "unit": "", "better": "lower"},
         {"name": "tasks that had ended and ran again", "target": 0, "reached": again, "unit": "", "better": "lower"},
-        {"name": "files that differ", "target": 0, "reached": differing, "unit": "", "better": "lower"},
         {"name": "temporary files left", "target": 0, "reached": len(left), "unit": "", "better": "lower"},
     ]
+    if not given.every:
+        figures.append({"name": "files that differ", "target": 0, "reached": differing, "unit": "", "better": "lower"})
     details = {
         "scene": given.scene or "a built-in street", "copies": given.copies, "tiles": len(tiles), "tasks": len(ends),
-        "gaussians": sum(tile.levels[-1][1] for tile in tiles), "unkilled_s": took,
+        "gaussians": sum(tile.levels[-1][1] for tile in tiles), "unkilled_s": None if given.every else took,
         "lost": lost, "left": sorted(left),
     }  # fmt: skip
     write_result(given.out, "What does a kill cost the preparation of a world?", figures, details)

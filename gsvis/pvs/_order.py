@@ -96,8 +96,22 @@ def _distinct(signatures: U64) -> tuple[U64, NDArray[np.int64]] | None:
     step = -(-len(signatures) // _SAMPLE)
     if len(np.unique(signatures[::step], axis=0)) > _SIDES[-1] ** 2:
         return None
-    distinct, which = np.unique(signatures, axis=0, return_inverse=True)
-    return np.ascontiguousarray(distinct), which.reshape(-1)
+    return _unique(signatures)
+
+
+def _unique(signatures: U64) -> tuple[U64, NDArray[np.int64]]:
+    """Return the different signatures, ascending, and which of them (N,) each is. Those of nobody are not sorted."""
+    seen = np.flatnonzero(signatures.any(axis=1))
+    if signatures.shape[1] == 1:  # much faster than rows
+        some, places = np.unique(signatures[seen, 0], return_inverse=True)
+        some = some[:, None]
+    else:
+        some, places = np.unique(signatures[seen], axis=0, return_inverse=True)
+    if len(seen) == len(signatures):
+        return np.ascontiguousarray(some), places.reshape(-1)
+    which = np.zeros(len(signatures), np.int64)
+    which[seen] = 1 + places.reshape(-1)
+    return np.concatenate([np.zeros((1, signatures.shape[1]), np.uint64), some]), which
 
 
 def _trial_size(trials: list[U64], labels: U16) -> int:
@@ -149,9 +163,9 @@ def _centers(sample: U64, count: int) -> U64:
 
 def _nearest(signatures: U64, centers: U64) -> NDArray[np.int64]:
     if signatures.shape[1] == 1:  # few cells have few different signatures
-        distinct, which = np.unique(signatures[:, 0], return_inverse=True)
+        distinct, which = _unique(signatures)
         if 4 * len(distinct) < len(signatures):
-            return np.asarray(_nearest_of(distinct[:, None], centers)[which])
+            return np.asarray(_nearest_of(distinct, centers)[which])
     return _nearest_of(signatures, centers)
 
 

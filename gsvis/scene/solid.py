@@ -18,7 +18,8 @@ I64 = NDArray[np.int64]
 BURIED = 0.5
 """Alpha at the eye above which the eye counts as inside something solid."""
 
-_FEW = 64  # points that are tested together
+_IN_A_BIN = 4  # points, on average
+_MOST_BINS = 32  # along an axis
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,30 +54,28 @@ class Solid:
     def buries(self, points: F64) -> NDArray[np.bool_]:
         """Return which points (P, 3) lie inside a Gaussian with an alpha of at least a half there.
 
-        The points are halved until few are left, so that each part meets only the Gaussians that reach its box.
+        The points are sorted into bins, so that each Gaussian meets only those in and around its box.
         """
+        found = np.zeros(len(points), bool)
         if len(points) == 0 or len(self.ids) == 0:
-            return np.zeros(len(points), bool)
+            return found
         low, high = points.min(axis=0), points.max(axis=0)
-        some = self.near(low, high)
-        if len(points) <= _FEW:
-            return some._largest_alpha(points) >= BURIED
-        axis = int((high - low).argmax())
-        order = np.argpartition(points[:, axis], len(points) // 2)
-        found = np.empty(len(points), bool)
-        for part in (order[: len(points) // 2], order[len(points) // 2 :]):
-            found[part] = some.buries(points[part])
-        return found
-
-    def _largest_alpha(self, points: F64) -> F64:
-        """Return (P,) the largest alpha of these Gaussians at each point."""
-        some = self.gaussians[self.ids]
+        side = max(1, min(_MOST_BINS, int(np.cbrt(len(points) / _IN_A_BIN))))
+        per_unit = np.divide(side, high - low, out=np.zeros(3), where=high > low)
+        numbers = np.empty(len(points), np.int64)
+        kernels.bin_points(np.ascontiguousarray(points), low, per_unit, side, numbers)
+        order = np.argsort(numbers, kind="stable")
+        binned = np.ascontiguousarray(points[order])
+        bins = low, per_unit, np.concatenate([[0], np.cumsum(np.bincount(numbers, minlength=side**3))])
+        holding = np.empty(len(self.ids), bool)
+        kernels.find_holding(self.low, self.high, binned, bins, side, holding)
+        some = self.gaussians[self.ids[holding]]
         whitening = np.swapaxes(some.rotations(), 1, 2) / some.scales.astype(np.float64)[:, :, None]
-        alphas = np.zeros(len(points))
-        kernels.largest_alpha(
-            some.means, np.ascontiguousarray(whitening), some.opacities, np.ascontiguousarray(points), alphas
-        )
-        return alphas
+        shapes = some.means, np.ascontiguousarray(whitening), some.opacities
+        inside = np.zeros(len(points), bool)
+        kernels.find_buried(shapes, self.low[holding], self.high[holding], binned, bins, side, BURIED, inside)
+        found[order] = inside
+        return found
 
 
 def buried(g: Gaussians, points: F64) -> NDArray[np.bool_]:

@@ -204,3 +204,15 @@ def test_the_cache_forgets_what_was_used_longest_ago() -> None:
     assert cache.nbytes == 300
     cache.clear()
     assert len(cache) == cache.nbytes == 0
+
+
+@pytest.mark.parametrize("words", [1, 2])
+@pytest.mark.parametrize("unseen", [0, 700])
+def test_signatures_are_found_as_numpy_finds_them(words: int, unseen: int) -> None:
+    rng = np.random.default_rng([words, unseen])
+    signatures = rng.integers(1, 9, (1000, words)).astype(np.uint64) << np.uint64(60)
+    signatures[rng.permutation(1000)[:unseen]] = 0
+    distinct, which = _order._unique(signatures)
+    expected, places = np.unique(signatures, axis=0, return_inverse=True)
+    assert np.array_equal(distinct, expected)
+    assert np.array_equal(which, places.reshape(-1))

@@ -54,3 +54,15 @@ def test_what_is_solid_near_a_box_buries_the_same_points_of_it() -> None:
     near = whole.near(low, high)
     assert 3 <= len(near.ids) < len(whole.ids)
     assert near.buries(points).tolist() == whole.buries(points).tolist()
+
+
+def test_points_in_a_plane_on_a_line_and_on_the_faces_of_boxes_are_found() -> None:
+    g = clutter(4)
+    solid = Solid.from_scene(g)
+    flat = np.random.default_rng(3).normal(size=(300, 3)) * (1.0, 0.0, 0.5)
+    line = np.linspace(-2.0, 2.0, 200)[:, None] * (0.0, 1.0, 0.0)
+    corners = np.concatenate([solid.low, solid.high, g.means.astype(np.float64)])
+    for points in (flat, line, corners):
+        together = solid.buries(points)
+        assert together.tolist() == [bool(solid.buries(point[None])[0]) for point in points]
+        assert 0 < np.count_nonzero(together) < len(points)

@@ -1,23 +1,88 @@
-"""Kernel for the alpha of Gaussians at points. Arrays are checked and contiguous; scene frame."""
+"""Kernels for points inside Gaussians that hide what is behind them. Arrays are checked and contiguous; scene frame.
+
+Points lie in bins: `bins` is the lowest corner (3,) of a cube of `side` bins along each axis, bins per unit (3,), and
+(side**3 + 1,) where the points of each bin begin, the last axis fastest. Points are in the order of their bins.
+"""
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from gsvis._kernels.compiled import kernel
+from gsvis._kernels.compiled import inner, kernel
+
+
+@inner
+def _bin(at, origin, per_unit, side):
+    """Return the bin of a coordinate, the nearest one beyond the cube. It never falls where the coordinate rises."""
+    return int(min(max((at - origin) * per_unit, 0.0), side - 1.0))
 
 
 @kernel
-def largest_alpha(means, whitening, opacities, points, out):
-    """Write the largest alpha at each point over the given Gaussians into out (P,); `whitening` is (K, 3, 3)."""
+def bin_points(points, origin, per_unit, side, out):
+    """Write the bin of each point (P, 3) into out (P,)."""
     for p in range(len(points)):
-        best = 0.0
-        for i in range(len(means)):
-            squared = 0.0
-            for row in range(3):
-                along = 0.0
-                for k in range(3):
-                    along += whitening[i, row, k] * (points[p, k] - means[i, k])
-                squared += along * along
-            best = max(best, opacities[i] * np.exp(-0.5 * squared))
-        out[p] = best
+        number = 0
+        for axis in range(3):
+            number = number * side + _bin(points[p, axis], origin[axis], per_unit[axis], side)
+        out[p] = number
+
+
+@inner
+def _holds(low, high, point):
+    """Return whether a box holds a point."""
+    x, y, z = point
+    return low[0] <= x <= high[0] and low[1] <= y <= high[1] and low[2] <= z <= high[2]
+
+
+@kernel
+def find_holding(low, high, points, bins, side, out):
+    """Write into out (K,) which of the boxes (K, 3) hold a point."""
+    origin, per_unit, starts = bins
+    first, last = np.empty(3, np.int64), np.empty(3, np.int64)
+    for i in range(len(low)):
+        for axis in range(3):
+            first[axis] = _bin(low[i, axis], origin[axis], per_unit[axis], side)
+            last[axis] = _bin(high[i, axis], origin[axis], per_unit[axis], side)
+        found = False
+        for x in range(first[0], last[0] + 1):
+            for y in range(first[1], last[1] + 1):
+                row = (x * side + y) * side
+                for p in range(starts[row + first[2]], starts[row + last[2] + 1]):
+                    if _holds(low[i], high[i], points[p]):
+                        found = True
+                        break
+                if found:
+                    break
+            if found:
+                break
+        out[i] = found
+
+
+@kernel
+def find_buried(shapes, low, high, points, bins, side, least, out):
+    """Write into out (P,) which points have an alpha of `least` or more in a Gaussian whose box holds them.
+
+    `shapes` is means (K, 3), whitening (K, 3, 3) and opacities (K,).
+    """
+    means, whitening, opacities = shapes
+    origin, per_unit, starts = bins
+    first, last = np.empty(3, np.int64), np.empty(3, np.int64)
+    for i in range(len(means)):
+        for axis in range(3):
+            first[axis] = _bin(low[i, axis], origin[axis], per_unit[axis], side)
+            last[axis] = _bin(high[i, axis], origin[axis], per_unit[axis], side)
+        for x in range(first[0], last[0] + 1):
+            for y in range(first[1], last[1] + 1):
+                row = (x * side + y) * side
+                for p in range(starts[row + first[2]], starts[row + last[2] + 1]):
+                    if out[p] or not _holds(low[i], high[i], points[p]):
+                        continue
+                    squared = 0.0
+                    for line in range(3):
+                        along = 0.0
+                        for k in range(3):
+                            along += whitening[i, line, k] * (points[p, k] - means[i, k])
+                        squared += along * along
+                    out[p] = opacities[i] * math.exp(-0.5 * squared) >= least
