@@ -5,7 +5,7 @@ The scene is also cleaned at once, without a limit, to compare.
 
 Given: showroom LOD 2, and copies of LOD 3, turned, mirrored and jittered.
 Measured: peak of proportional memory (PSS) of the command over the limit, seconds of processor, and of the Gaussians
-    that clean at once removes, or keeps, the share that clean in tiles removes too.
+    that clean at once removes, or keeps, the share that clean in tiles removes too; with `--smaller` an exponent.
 Defaults chosen on: memory for each Gaussian on showroom LOD 2 and 3.
 """
 
@@ -37,6 +37,7 @@ def main() -> None:
     parser.add_argument("--copied", type=int, default=3, help="LOD of the copies")
     parser.add_argument("--limit", type=int, default=950, help="--max-memory of clean, MB")
     parser.add_argument("--only", choices=("convert", "scene", "larger"), nargs="+", help="leave out the rest")
+    parser.add_argument("--smaller", type=Path, help="result of this benchmark with fewer copies, for an exponent")
     parser.add_argument("--work", type=Path, help="folder for the scenes, a gigabyte")
     given = add_arguments(parser).parse_args()
     need(given.work, "a folder for the scenes with --work")
@@ -73,6 +74,13 @@ def main() -> None:
         runs["clean in tiles"]["removed_by_both"] = gone
     if "larger" in parts:
         runs["clean larger in tiles"] = command("clean", str(larger), *limited, str(given.work / "tiled-large.ply"))
+        if given.smaller is not None:
+            before = json.loads(given.smaller.read_text())["details"]["runs"]["clean larger in tiles"]
+            ratios = [runs["clean larger in tiles"][name] / before[name] for name in ("cpu_s", "gaussians")]
+            figures.append(
+                {"name": "exponent of processor time of clean", "target": 1.05, "unit": "",
+                 "reached": float(np.log(ratios[0]) / np.log(ratios[1])), "better": "lower"}
+            )  # fmt: skip
     for name, run in runs.items():
         if "in tiles" in name:
             over = {"name": f"peak PSS over --max-memory, {name}", "target": 1.0, "unit": "", "better": "lower"}

@@ -151,6 +151,8 @@ PAGES = {
             "world_large",
             "world_large_one_copy",
             "world_large_sample",
+            "world_district",
+            "world_district_one_copy",
             "world_borders",
             "world_borders_far",
             "world",
