@@ -49,7 +49,7 @@ __all__ = [
     "tile_space",
 ]
 
-VERSIONS = {"gather_rows": 1, "make_tile_levels": [2, STAGES["levels"]], "tile_space": 4}
+VERSIONS = {"gather_rows": 1, "make_tile_levels": [2, STAGES["levels"]], "tile_space": 5}
 
 MARGIN = 0.15
 """How far beyond a tile what is solid counts, in its longer side."""
