@@ -80,7 +80,7 @@ class World:
     dry_run: Flag = False
     """Print tiles, time, memory, disk and core hours, and write nothing."""
     discard: Flag = False
-    """Delete the folder of kept work when the world is complete."""
+    """Delete city.gsworld.work when the world is complete; what lies in --store stays."""
     json: Flag = False
     """Print one JSON document instead of tables."""
     debug: Flag = False

@@ -66,7 +66,7 @@ def run_world(command: World) -> None:
                     else:
                         tiles = write_tiles(scenes, command.out, command.until, config, **common)
             except KeyboardInterrupt:
-                kept = f"what was finished is kept in {work.name}; run the same command to resume"
+                kept = f"what was finished is kept in {command.store or work.name}; run the same command to resume"
                 raise KeyboardInterrupt(kept) from None
             if command.discard:
                 shutil.rmtree(work, ignore_errors=True)

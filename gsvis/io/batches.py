@@ -34,7 +34,7 @@ class Batch:
         start: First row, or number of the file.
         count: Number of Gaussians; -1 where only reading tells.
         nbytes: Bytes on disk, about.
-        stamp: Size and time of the file, so that a batch of a changed file is another one.
+        stamp: Sizes and times of its files, so that a batch of a changed file is another one.
     """
 
     path: str
@@ -63,15 +63,17 @@ def list_batches(path: str | os.PathLike[str], lod: int | None = None) -> list[B
         where = os.path.join(os.curdir, where)
     if check_scene(where, lod):
         level, files = streamed_files(where, lod)
-        return [Batch(where, level, "file", number, count, *_size_and_stamp(at)) for number, count, at in files]
+        tree = os.path.join(where, "lod-meta.json") if os.path.isdir(where) else where
+        found = [(number, count, *_size_and_stamp(at, tree)) for number, count, at in files]
+        return [Batch(where, level, "file", *each) for each in found]
     nbytes, stamp = _size_and_stamp(where)
-    found = None
+    rows = None
     if os.path.isfile(where):
         with open_regular(where) as stream:
-            found = ply_rows(where, stream) if stream.peek(3)[:3] == b"ply" else None
-    if found is None:
+            rows = ply_rows(where, stream) if stream.peek(3)[:3] == b"ply" else None
+    if rows is None:
         return [Batch(where, None, "whole", 0, -1, nbytes, stamp)]
-    count, width = found
+    count, width = rows
     counts = [(start, min(ROWS, count - start)) for start in range(0, count, ROWS)]
     return [Batch(where, None, "rows", start, some, some * width, stamp) for start, some in counts]
 
@@ -93,10 +95,14 @@ def read_batch(batch: Batch) -> Gaussians:
     return found
 
 
-def _size_and_stamp(path: str | os.PathLike[str]) -> tuple[int, str]:
-    """Return the bytes of a file, or of all files in a folder, and a text that changes with them."""
-    folder = os.fspath(path)
-    files = sorted(entry.path for entry in os.scandir(folder)) if os.path.isdir(folder) else [folder]
-    found = [os.stat(file) for file in files]
-    digest = hashlib.sha256(repr([(each.st_size, each.st_mtime_ns) for each in found]).encode())
+def _size_and_stamp(path: str | os.PathLike[str], *beside: str) -> tuple[int, str]:
+    """Return the bytes of a file, or of all files in a folder, and a text that changes with them, or with others.
+
+    The images of a SOG lie beside its meta.json, so they count with it.
+    """
+    place = os.fspath(path)
+    place = os.path.dirname(place) or os.curdir if place.lower().endswith(".json") else place
+    files = sorted(entry.path for entry in os.scandir(place)) if os.path.isdir(place) else [place]
+    found, others = [os.stat(file) for file in files], [os.stat(file) for file in beside]
+    digest = hashlib.sha256(repr([(each.st_size, each.st_mtime_ns) for each in (*found, *others)]).encode())
     return sum(each.st_size for each in found), digest.hexdigest()[:16]

@@ -86,7 +86,10 @@ class Package:
         """Read the manifest; see `open`."""
         self.path = _check.path("path", path)
         if self.path.is_dir() and not (self.path / MANIFEST).is_file():
-            raise FormatError(self.path, "", f"a package with a {MANIFEST}", "a folder without", _REMEDY)
+            got, remedy = "a folder without", _REMEDY
+            if (self.path / "world.json").is_file():
+                got, remedy = "a world", "give one of its tiles, which are in packages"
+            raise FormatError(self.path, "", f"a package with a {MANIFEST}", got, remedy)
         self.manifest = Manifest.read(self.path / MANIFEST)
         self._parts = PartFolder(self.path / PARTS)
         self._opened = ExitStack()

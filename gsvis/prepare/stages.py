@@ -49,9 +49,10 @@ from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.train.level_views import LevelViews, draw_views, load_photograph_views
 
-__all__ = ["StageRecord", "Stages", "around_of"]
+__all__ = ["VERSIONS", "StageRecord", "Stages", "around_of"]
 
-_VERSIONS = {"levels": 4, "sets": 3, "colors": 2, "cost": 2, "fidelity": 3}  # increase when results change
+VERSIONS = {"levels": 4, "sets": 3, "colors": 2, "cost": 2, "fidelity": 3}
+"""Version of the results of each stage; increase it when they change."""
 
 
 @dataclass(frozen=True)
@@ -313,7 +314,7 @@ class Stages:
         return draw_views(self.scene, self.space, config.level_views, config.level_held_out, progress=self.progress)
 
     def _key(self, stage: str, **decides: Any) -> str:
-        return self.work.key(stage, {"version": _VERSIONS[stage], **decides})
+        return self.work.key(stage, {"version": VERSIONS[stage], **decides})
 
     @contextmanager
     def _stage(self, name: str) -> Iterator[list[bool]]:

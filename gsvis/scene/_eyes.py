@@ -117,10 +117,8 @@ def find_mixed(
         SceneError: If it has neither.
     """
     space = build(low, high)
-    inside, _, enclosed = space.choose(up, np.zeros((0, 3)))
-    standing = above_ground(space, up)
-    has_rooms = enclosed and float(inside.mean()) >= MIN_SHARE
-    has_ground = footprint(standing, up) >= WALKABLE
+    inside, standing = space.enclosed_parts(up), above_ground(space, up)
+    has_rooms, has_ground = inside.any(), footprint(standing, up) >= WALKABLE
     if has_rooms and has_ground:
         kind = SpaceKind("rooms", "enclosed space, and ground under the sky", None, "inside, and above the ground")
         return space, inside | standing, "free, enclosed or with ground below", kind

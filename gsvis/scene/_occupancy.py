@@ -38,6 +38,7 @@ SOLID = float(np.log(2.0))  # optical depth along a grid direction that counts a
 ENCLOSED = 0.7
 RULES = ((0.5, ENCLOSED), (0.5, 0.3), (0.5, 0.1), (0.0, 0.3), (0.0, 0.1), (0.0, 0.0))  # least share below, around
 MIN_SHARE = 0.05  # of the box, for a rule to be taken
+ROOM = 0.1  # of the largest enclosed part, for another one to be taken for rooms
 SMOOTHING = 5  # voxels: 26 directions see in stripes
 NUM_TARGETS = 4096
 _CHUNK = 1 << 17
@@ -125,6 +126,26 @@ class Occupancy:
             " free space",
             "check that they are in the scene's frame, or raise max_alpha or lower clearance",
         )
+
+    def enclosed_parts(self, up: F64) -> Mask:
+        """Return the clear voxels that are enclosed as in rooms: all connected parts of a tenth of the largest or more.
+
+        Empty if all of them together hold too little of the box for `choose` to take its first rule.
+
+        Args:
+            up: (3,) unit up axis.
+        """
+        from scipy import ndimage
+
+        below, around = _surroundings(self.depth, up)
+        min_below, min_around = RULES[0]
+        labels, count = ndimage.label(self.clear & (below >= min_below) & (around >= min_around))
+        sizes = np.bincount(labels.ravel(), minlength=count + 1)
+        sizes[0] = 0
+        large = (sizes > 0) & (sizes >= ROOM * sizes.max())
+        if sizes[large].sum() < MIN_SHARE * labels.size:
+            return np.zeros(self.clear.shape, bool)
+        return np.asarray(large[labels])
 
     def largest_part(self, among: Mask | None = None) -> Mask:
         """Return the largest connected part of the clear voxels, or of those in a mask (X, Y, Z); may be empty."""

@@ -21,6 +21,7 @@ F64 = NDArray[np.float64]
 
 _INSIDE = 0.5  # share of the positions that have to be near navigable space
 _MOST_POINTS = 4_000_000
+_AT_ONCE = 1 << 18  # voxels whose distances from a walk are found together
 
 
 def corridor(space: NavigableSpace, positions: ArrayLike, margin: float | None = None) -> NavigableSpace:
@@ -101,13 +102,15 @@ def space_along(
     if not (np.isfinite(margin) and margin > 0.0):
         raise ValueError(f"margin: expected a finite number > 0, got {margin!r}")
     space = NavigableSpace.from_scene(g, resolution=resolution, up=up, seeds=points)
-    clear = np.argwhere(~ndimage.binary_dilation(space.occupied))
-    centers = space.origin + space.voxel_size * (clear + 0.5)
-    kept = clear[cKDTree(points).query(centers, distance_upper_bound=margin)[0] <= margin]
-    if len(kept) == 0:
+    clear, walk = np.asarray(~ndimage.binary_dilation(space.occupied)), cKDTree(points)
+    free, layers = np.zeros(clear.shape, bool), max(1, _AT_ONCE // clear[0].size)
+    for start in range(0, len(clear), layers):
+        some = np.argwhere(clear[start : start + layers]) + np.array([start, 0, 0])
+        centers = space.origin + space.voxel_size * (some + 0.5)
+        near = some[walk.query(centers, distance_upper_bound=margin)[0] <= margin]
+        free[tuple(near.T)] = True
+    if not free.any():
         raise SceneError(f"no navigable space: nothing within {margin:.3g} of the walk is clear", "raise the margin")
-    free = np.zeros(space.free.shape, bool)
-    free[tuple(kept.T)] = True
     return replace(space, free=free, rule="clear, along a walk")
 
 

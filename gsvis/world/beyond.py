@@ -72,7 +72,15 @@ class Beyond:
 
     @cached_property
     def _starts(self) -> I64:
+        """Where the ids of each piece begin, and their number."""
         return np.concatenate([[0], np.cumsum([piece.count for piece in self.table.pieces])]).astype(np.int64)
+
+    @cached_property
+    def _runs(self) -> tuple[I64, I64]:
+        """Where the ids of each run begin, and what to add to them for ids of its node."""
+        first, counts = np.array([run for piece in self.table.pieces for run in piece.runs], np.int64).reshape(-1, 2).T
+        starts = np.cumsum(counts) - counts
+        return starts, first - starts
 
     def of_cell(self, cell: int) -> list[Seen]:
         """Return what a cell sees of each node, in the order of the pieces; nodes that it does not see are left out.
@@ -95,11 +103,13 @@ class Beyond:
 
     def _split(self, ids: I64) -> Iterator[tuple[Piece, I64, slice]]:
         """Yield each piece that has some of the ids, these as ids of its node, and where they are."""
+        starts, more = self._runs
+        places = ids + more[np.searchsorted(starts, ids, side="right") - 1] if len(ids) else ids
         cuts = np.searchsorted(ids, self._starts)
         for k, piece in enumerate(self.table.pieces):
             some = slice(cuts[k], cuts[k + 1])
             if some.start < some.stop:
-                yield piece, piece.ids()[ids[some] - self._starts[k]], some
+                yield piece, places[some], some
 
     def verify(self) -> None:
         """Read and decode the whole store.

@@ -14,6 +14,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gsvis.errors import SceneError
 from gsvis.files.objects import ObjectStore
@@ -99,6 +100,11 @@ class WorldBuild:
     store: ObjectStore
     workers: Workers
     progress: Progress
+
+    @cached_property
+    def walk(self) -> NDArray[np.float64] | None:
+        """(T, 3) positions of the walk, near enough to each other for its margin; None without a walk."""
+        return None if self.config.walk is None else fill_in(np.array(self.config.walk), 0.5 * self.config.margin)
 
     @cached_property
     def batches(self) -> list[Batch]:
@@ -341,13 +347,12 @@ class WorldBuild:
 
     def _walk_near(self, rect: Rect) -> Facts:
         """Return the params of the walk within the margin of the squares of a tile; none without a walk."""
-        if self.config.walk is None:
+        if self.walk is None:
             return {}
         square, reach = self.square_of(rect), self.config.margin
-        walk = fill_in(np.array(self.config.walk), 0.5 * reach)
-        across = walk[:, square["axes"]]
+        across = self.walk[:, square["axes"]]
         near = (across >= np.array(square["low"]) - reach) & (across < np.array(square["high"]) + reach)
-        return {"walk": walk[near.all(axis=1)].tolist(), "margin": reach}
+        return {"walk": self.walk[near.all(axis=1)].tolist(), "margin": reach}
 
     def _run(self, tasks: list[Task], stage: str) -> dict[str, Result]:
         made: dict[int, Any] = {}  # by identity: what tasks share, such as the list of districts, stays one object

@@ -1,6 +1,6 @@
-"""Districts: a few Gaussians that stand for a tile, or for a square of tiles, from afar. Scene frame and units.
+"""Districts: a few Gaussians that stand for a tile, or for tiles beside each other, from afar. Scene frame and units.
 
-They are made bottom-up: that of a tile from its lowest level, that of a square from its four children.
+They are made bottom-up: that of a tile from its lowest level, that of several from the two to four below it.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ import math
 import tempfile
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from gsvis.world.coding import TileBytes
 from gsvis.world.config import WorldConfig
 from gsvis.world.graph import Facts
 from gsvis.world.memory import least_limit, needed_memory, tile_memory
+from gsvis.world.standing import distances_of, nodes_around, own_districts
 from gsvis.world.trial import Trial, try_tiles
 
 __all__ = ["WorldEstimate", "estimate_world"]
@@ -59,6 +60,8 @@ _BASE_FIT, _TERMS_FIT, _PRICED = 1.3e-5, 3.3e-4, 6144  # for each Gaussian witho
 _WEIGHED, _COST, _CLIENT = 0.78, 3.7, 3.5  # a view of the importance of colors, of the cost of rounding, of a client's
 _AROUND = 7.5  # most Gaussians in and around a tile, in those of the tile
 _MOST_AROUND, _ROOT_AROUND = 12.0, 1.5  # the same of the tile with most of them: at most, and times the root of tiles
+_SPREAD = 1.25  # spacing of a district over that of as many Gaussians on a lattice on its ground
+_ASKED = 64  # tiles of which the memory of what stands around them is found
 _EFFICIENCY = 0.9  # of workers beside each other
 _ALL_TILES = ("tiling", "spaces", "districts")  # stages with a task for each tile; others have one where eyes may be
 
@@ -174,7 +177,7 @@ def estimate_world(
         world, kept = _bytes(sizes, trial, build)
     largest = int(max(expected.max(), 1))
     most = max(_UNSURE * largest * count / max(expected.sum(), 1), count - float(expected.sum()))
-    memory, limit = _memory(sizes, largest, int(most), workers)
+    memory, limit = _memory(sizes, build, largest, int(most), workers)
     return WorldEstimate(
         gaussians=count,
         tiles=sizes.tiles,
@@ -276,11 +279,12 @@ def _bytes(sizes: _Sizes, trial: Trial, build: WorldBuild) -> tuple[int, int]:
     return int(world), int(world + kept)
 
 
-def _memory(sizes: _Sizes, largest: int, most: int, workers: int) -> tuple[int, int]:
+def _memory(sizes: _Sizes, build: WorldBuild, largest: int, most: int, workers: int) -> tuple[int, int]:
     """Return the peak bytes of a worker, and the least limit of all processes.
 
     Args:
         sizes: The sizes of the world.
+        build: The preparation.
         largest: Gaussians of the fullest tile, by the sample.
         most: What it or the outside may have, what is too faint for the sample included.
         workers: Workers of the run.
@@ -288,7 +292,7 @@ def _memory(sizes: _Sizes, largest: int, most: int, workers: int) -> tuple[int, 
     package = sizes.config.package
     joint = int(min(largest * min(_MOST_AROUND, _ROOT_AROUND * sizes.tiles**0.5), sizes.count))
     tile = tile_memory(int(sizes.own * largest), [joint], int(sizes.own * joint), sizes.degree, package.sets)
-    params = {"config": package.as_dict(), "outside": False, "resolution": sizes.config.resolution}
+    params: Facts = {"config": package.as_dict(), "outside": False, "resolution": sizes.config.resolution}
     lowest = sizes.shares[0] if sizes.shares else 1.0
 
     def levels(count: int) -> Facts:
@@ -297,11 +301,36 @@ def _memory(sizes: _Sizes, largest: int, most: int, workers: int) -> tuple[int, 
     rows, own, others = {"gaussians": most}, levels(most), [levels(largest)] * min(sizes.tiles - 1, int(_MOST_AROUND))
     needs: tuple[tuple[str, list[Facts]], ...] = (
         ("tiles:tile_space", [rows, *others]), ("tiles:make_tile_levels", [rows]), ("districts:make_district", [own]),
-        ("pieces:choose_nodes", [own, {}, *others]), ("packages:prepare_tile", [own, {"voxels": 0}]),
-        ("packages:prepare_tile", [own, {"voxels": 1}, *others]),
+        ("packages:prepare_tile", [own, {"voxels": 0}]),
     )  # fmt: skip
     task = max(needed_memory(f"gsvis.world.{run}", params, inputs) for run, inputs in needs)
-    return int(_PEAK * least_limit(task, tile, 1)), least_limit(task, tile, workers)
+    (plans, facts), tiles = _districts(sizes, build), [levels(int(each)) for each in build.grid["expected"]]
+    params |= {"tiles": sizes.tiles, "districts": plans, "angle": sizes.config.angle}
+    alone, packages = own_districts(plans), 0
+    for number in np.unique(np.linspace(0, sizes.tiles - 1, _ASKED).astype(int)).tolist():
+        params["tile"] = number
+        low, high = (np.array(facts[alone[number]][name]) for name in ("low", "high"))
+        far, near = nodes_around(params, facts, distances_of(low, high, facts))
+        inputs = [tiles[number], {"voxels": 1}, *(tiles[k] for k in near), *(facts[k] for k in far)]
+        task = max(task, needed_memory("gsvis.world.pieces:choose_nodes", params, [own, {}, *facts]))
+        packages = max(packages, needed_memory("gsvis.world.packages:prepare_tile", params, inputs))
+    # A package is asked for more than it takes: which parts of tiles stand around it is known when it is made.
+    return int(_PEAK * least_limit(task, tile, 1)), least_limit(max(task, packages), tile, workers)
+
+
+def _districts(sizes: _Sizes, build: WorldBuild) -> tuple[list[Facts], list[Facts]]:
+    """Return the plans of the districts, and their facts if the Gaussians of each lie evenly on its ground."""
+    rects, side = np.array(build.grid["tiles"]), float(build.grid["grid"]["side"])
+    plans = [asdict(plan) for plan in plan_districts(build.grid["tree"], range(sizes.tiles), sizes.tiles)]
+    facts = list[Facts]()
+    for plan in plans:
+        some = rects[list(plan["tiles"])]
+        low, high = some[:, :2].min(axis=0), (some[:, :2] + some[:, 2:]).max(axis=0)
+        count = max(1, int(min(sizes.config.far, len(some) * sizes.lowest / sizes.tiles)))
+        spacing = _SPREAD * side * math.sqrt(int(some[:, 2:].prod(axis=1).sum()) / count)
+        corners = {"low": [*(side * low).tolist(), 0.0], "high": [*(side * high).tolist(), 0.0]}
+        facts.append({**corners, "spacing": spacing, "gaussians": count})
+    return plans, facts
 
 
 def _lower(levels: LevelsConfig) -> list[tuple[float, float]]:

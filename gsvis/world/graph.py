@@ -16,13 +16,11 @@ import os
 import platform
 import re
 import shutil
-import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
-from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field
-from functools import cache
+from functools import cache, cached_property
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -30,13 +28,12 @@ from typing import Any
 from gsvis.errors import ArgumentError, BackendError, FormatError, GsvisError, OutputError
 from gsvis.files.fields import Fields, parse_object
 from gsvis.files.limits import DAMAGED
-from gsvis.files.locks import try_lock
-from gsvis.files.objects import FolderStore, ObjectStore, StoredObject, open_store
-from gsvis.files.output import output_errors
+from gsvis.files.objects import ObjectStore, StoredObject, open_store
 from gsvis.progress import Progress, silent
 from gsvis.pvs.processes import Processes, limit_threads, one_at_a_time
 from gsvis.pvs.workers import Workers, memory_error
 from gsvis.world.memory import IDLE, needed_memory
+from gsvis.world.work import forget_work, work_folder
 
 __all__ = ["TOO_LARGE", "Given", "Job", "Result", "Task", "machine_kind", "perform", "run_graph"]
 
@@ -58,7 +55,8 @@ class Task:
 
     Attributes:
         name: Name for people, different from all others of the graph.
-        run: Function, as `module:name`. Its module has a number for it in `VERSIONS`; increase it if results change.
+        run: Function, as `module:name`. Its module has a version for it in `VERSIONS`, of JSON values; change it if
+            results change.
         params: JSON values.
         needs: Names of the tasks whose results it reads, in order.
     """
@@ -87,7 +85,7 @@ class Result:
     cpu: float = 0.0
     peak: int = 0
 
-    @property
+    @cached_property
     def digest(self) -> str:
         """Hash of the content: files and facts."""
         return _hash([sorted((name, *stored) for name, stored in self.files.items()), self.facts])
@@ -191,8 +189,8 @@ def machine_kind() -> str:
 def key_of(task: Task, inputs: Iterable[Result], machine: str) -> str:
     """Return the key of a task: the hash of everything that decides its result."""
     module, name = task.run.split(":")
-    version = import_module(module).VERSIONS[name]
-    return _hash([task.run, version, task.params, [each.digest for each in inputs], machine])
+    versions = _version(), import_module(module).VERSIONS[name]
+    return _hash([task.run, versions, task.params, [each.digest for each in inputs], machine])
 
 
 def perform(job: Job) -> Result:
@@ -203,27 +201,27 @@ def perform(job: Job) -> Result:
     """
     _check_worker(job)
     store = open_store(job.store)
-    found = find_result(store, job.key)
-    if found is not None:
-        return found
+    with work_folder(store, job.key) as work, one_at_a_time:
+        found = find_result(store, job.key)  # of a worker that was given up and still ended
+        return _perform(job, store, work) if found is None else found
+
+
+def _perform(job: Job, store: ObjectStore, work: Path) -> Result:
+    """Run a task in its folder, and leave its result in the store."""
     module, name = job.task.run.split(":")
     run: Run = getattr(import_module(module), name)
     began, cpu = time.perf_counter(), time.process_time()
-    with ExitStack() as stack:
-        work = stack.enter_context(_work_folder(store, job.key))
-        stack.enter_context(one_at_a_time)
-        limit_threads()
-        out, cached = work / "out", work / "cache"
-        shutil.rmtree(out, ignore_errors=True)
-        for folder in (out, cached, work / "kept"):
-            folder.mkdir(parents=True, exist_ok=True)
-        facts = run(dict(job.task.params), Given(store, job.inputs, cached, job.max_memory), out, work / "kept")
-        paths = sorted(path for path in out.rglob("*") if path.is_file())
-        files = {path.relative_to(out).as_posix(): store.put(path) for path in paths}
-        facts = json.loads(json.dumps(facts, allow_nan=False))
-        result = Result(files, facts, time.perf_counter() - began, time.process_time() - cpu, _peak_memory())
-        store.keep_note(f"{job.key}.json", result.to_json())
-    shutil.rmtree(work, ignore_errors=True)
+    limit_threads()
+    out, cached, kept = work / "out", work / "cache", work / "kept"
+    shutil.rmtree(out, ignore_errors=True)
+    for folder in (out, cached, kept):
+        folder.mkdir(parents=True, exist_ok=True)
+    facts = run(dict(job.task.params), Given(store, job.inputs, cached, job.max_memory), out, kept)
+    paths = sorted(path for path in out.rglob("*") if path.is_file())
+    files = {path.relative_to(out).as_posix(): store.put(path) for path in paths}
+    facts = json.loads(json.dumps(facts, allow_nan=False))
+    result = Result(files, facts, time.perf_counter() - began, time.process_time() - cpu, _peak_memory())
+    store.keep_note(f"{job.key}.json", result.to_json())
     return result
 
 
@@ -341,7 +339,7 @@ class _Run:
             key, machine = key_of(task, inputs, machine_kind()), machine_kind()
             found = find_result(self.store, key)
             if found is not None:
-                _forget_work(self.store, key)
+                forget_work(self.store, key)
                 self._finish(number, found)
                 continue
             need, left = needed_memory(task.run, task.params, [each.facts for each in inputs]), None
@@ -425,33 +423,6 @@ class _Crew:
             self._processes.end(kill=True)
 
 
-def _forget_work(store: ObjectStore, key: str) -> None:
-    """Remove the folder of a finished task, which a worker that was killed at its end has left in a shared folder."""
-    if isinstance(store, FolderStore) and (store.folder / "work" / key).is_dir():
-        shutil.rmtree(store.folder / "work" / key, ignore_errors=True)
-
-
-@contextmanager
-def _work_folder(store: ObjectStore, key: str) -> Iterator[Path]:
-    """Yield the folder of a task: that of a killed attempt where nobody works in it, or a new one.
-
-    In a shared folder, any worker finds it. A slow worker that was given up may still hold it.
-    """
-    root = store.folder / "work" if isinstance(store, FolderStore) else Path(tempfile.gettempdir()) / "gsvis-work"
-    folder = root / key
-    with output_errors(root):
-        folder.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(folder / "lock", os.O_CREAT | os.O_RDWR, 0o666)
-    try:
-        if try_lock(descriptor) == "held":
-            yield folder
-        else:
-            with tempfile.TemporaryDirectory(dir=root, prefix=f"{key[:16]}-") as other:
-                yield Path(other)
-    finally:
-        os.close(descriptor)
-
-
 def _check_worker(job: Job) -> None:
     where = f"a worker on {platform.node()}, process {os.getpid()}"
     if _version() != job.version:
@@ -463,6 +434,7 @@ def _check_worker(job: Job) -> None:
         )
 
 
+@cache
 def _version() -> str:
     from importlib.metadata import version
 

@@ -296,6 +296,7 @@ class _Reader:
         tiles = tuple(self._tile(row, k, grid, nodes) for k, row in enumerate(rows))
         self._check_order(tiles, grid)
         self._check_children(len(tiles), districts)
+        self._check_pieces(tiles, districts)
         return WorldManifest(up, meters, grid, tiles, districts, fields.child("provenance").value)
 
     def _grid(self, fields: Fields) -> Grid:
@@ -377,6 +378,19 @@ class _Reader:
                 raise self._fault(f"districts[{k}].children", "each node once", f"{district.children}"[:60])
             used |= set(district.children)
             members.append(district.tiles)
+
+    def _check_pieces(self, tiles: tuple[Tile, ...], districts: tuple[District, ...]) -> None:
+        """Raise unless each piece is of a level that its node has, and of ids that it has."""
+        sizes = [(len(tile.levels), tile.gaussians) for tile in tiles] + [(1, each.gaussians) for each in districts]
+        for k, tile in enumerate(tiles):
+            for n, piece in enumerate(() if tile.beyond is None else tile.beyond.pieces):
+                (levels, most), where = sizes[piece.node], f"tiles[{k}].beyond.pieces[{n}]"
+                if piece.level >= levels:
+                    got = f"level {piece.level}"
+                    raise self._fault(f"{where}.level", f"one of {levels} levels of node {piece.node}", got)
+                if piece.runs and sum(piece.runs[-1]) > most:
+                    got = f"an end at {sum(piece.runs[-1]):,}"
+                    raise self._fault(f"{where}.runs", f"ids of node {piece.node}, below {most:,}", got)
 
     def _rows(self, key: str) -> list[Fields]:
         return _objects(self.fields, key)

@@ -10,9 +10,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
+
 from gsvis.prepare.memory import kept_memory
 from gsvis.pvs.config import PvsConfig
 from gsvis.scene.navigable import MAX_RESOLUTION
+from gsvis.world.standing import distances_of, nodes_around, own_districts
 
 __all__ = ["IDLE", "MOST_VOXELS", "least_limit", "needed_memory", "tile_memory"]
 
@@ -34,6 +37,7 @@ _TRAINING, _IMAGE = 160 * _MB, 7  # gradients of a view; bytes for each pixel of
 # tracer are in memory while it is looked at (docs/design/086); for each pixel of a look.
 _JOINT, _LEVEL, _PIXEL = 120, {"hybrid": 420, "raster": 650, "raycast": 910}, 6 * 64
 _NEAR, _STANDS, _FAR_STANDS = 12, 0.75, 0.4  # most of a tile's Gaussians that stand: of a dozen tiles, of all others
+_BESIDE = 0.5  # how far beyond the Gaussians of a tile its eyes may be, at most, in its longest side
 
 
 def needed_memory(run: str, params: Facts, inputs: Sequence[Facts]) -> int:
@@ -79,6 +83,10 @@ def _batch(params: Facts, inputs: Sequence[Facts]) -> int:
     return int(10 * _MB + 200 * (count if count >= 0 else max(_GUESSED, params["batch"]["nbytes"] // 16)))
 
 
+def _grid(params: Facts, inputs: Sequence[Facts]) -> int:
+    return int(20 * _MB + 450 * sum(each["sampled"] for each in inputs))
+
+
 def _rows(params: Facts, inputs: Sequence[Facts]) -> int:
     return int(10 * _MB + 250 * sum(inputs[number]["counts"][name] for number, name in params["files"]))
 
@@ -102,7 +110,13 @@ def _district(params: Facts, inputs: Sequence[Facts]) -> int:
 
 
 def _around(params: Facts, inputs: Sequence[Facts]) -> int:
-    return int(120 * _MB + 550 * (inputs[0]["levels"][0][1] + sum(each["gaussians"] for each in inputs[2:])))
+    """Return the bytes of a choice of nodes: of the districts it reads those that may stand, from wherever eyes are."""
+    districts, own = inputs[2:], own_districts(params["districts"])
+    low, high = (np.array(districts[own[params["tile"]]][name]) for name in ("low", "high"))
+    beside = _BESIDE * float(np.max(high - low))
+    standing, tiles = nodes_around(params, districts, distances_of(low - beside, high + beside, districts))
+    stand = sum(districts[k]["gaussians"] for k in (*standing, *(own[tile] for tile in tiles)))
+    return int(120 * _MB + 550 * (inputs[0]["levels"][0][1] + stand))
 
 
 def _tile(params: Facts, inputs: Sequence[Facts]) -> int:
@@ -132,6 +146,7 @@ def _lowest(nodes: Sequence[Facts]) -> int:
 
 _NEEDS: dict[str, Callable[[Facts, Sequence[Facts]], int]] = {
     "gsvis.world.tiling:sample_rows": _batch,
+    "gsvis.world.tiling:find_grid": _grid,
     "gsvis.world.tiling:split_batch": _batch,
     "gsvis.world.tiles:gather_rows": _rows,
     "gsvis.world.tiles:tile_space": _space,

@@ -10,6 +10,7 @@ from gsvis.errors import SceneError
 from gsvis.files.limits import read_whole
 from gsvis.package import Package
 from gsvis.prepare.prepare import finish_package, stages_of
+from gsvis.prepare.stages import VERSIONS as STAGES
 from gsvis.prepare.surroundings import Surroundings
 from gsvis.progress import silent
 from gsvis.pvs.workers import memory_error
@@ -24,7 +25,7 @@ from gsvis.world.tiles import config_of, load_space
 
 __all__ = ["VERSIONS", "prepare_tile"]
 
-VERSIONS = {"prepare_tile": 2}
+VERSIONS = {"prepare_tile": [2, {name: version for name, version in STAGES.items() if name != "levels"}]}
 
 
 def prepare_tile(params: Facts, given: Given, out: Path, work: Path) -> Facts:

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +23,7 @@ from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.solid import Solid
 from gsvis.world.graph import Facts, Given
 from gsvis.world.rows import flatten, load_gaussians, load_tile_levels
+from gsvis.world.standing import distances_of, nodes_around, own_districts
 from gsvis.world.tiles import load_space
 
 __all__ = [
@@ -33,7 +33,6 @@ __all__ = [
     "Runs",
     "choose_nodes",
     "free_box",
-    "gap",
     "join_surroundings",
     "part_of_district",
     "parts_of_tile",
@@ -79,31 +78,18 @@ def choose_nodes(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     """
     space = load_space(given.path(1, "space"))
     low, high = free_box(space)
-    rows = params["districts"]
-    facts = [each.facts for each in given.inputs[2:]]
-    reach = [gap(low, high, each["low"], each["high"]) for each in facts]
-    allowed = [
-        params["tile"] not in row["tiles"] and each["spacing"] <= params["angle"] * far
-        for row, each, far in zip(rows, facts, reach, strict=True)
-    ]
-    districts, tiles = _descend(rows, allowed, params["tiles"])
-    tiles = [k for k in tiles if k != params["tile"]]
-    own = {row["tiles"][0]: k for k, row in enumerate(rows) if len(row["tiles"]) == 1}
+    facts, own = [each.facts for each in given.inputs[2:]], own_districts(params["districts"])
+    distances = distances_of(low, high, facts)
+    districts, tiles = nodes_around(params, facts, distances)
     stand = [*districts, *(own[k] for k in tiles)]
     scenes = {k: load_gaussians(given.path(2 + k, "district")) for k in stand}
     seen = _look_coarsely(load_tile_levels(given.path(0, "levels")), space, scenes, params["looks"])
     near = float(np.max(high - low))
     return {
         "districts": [k for k in districts if k in seen],
-        "tiles": [k for k in tiles if own[k] in seen or reach[own[k]] < near],
+        "tiles": [k for k in tiles if own[k] in seen or distances[own[k]] < near],
         "unseen": len([k for k in stand if k not in seen]),
     }
-
-
-def gap(low: F64, high: F64, other_low: Sequence[float], other_high: Sequence[float]) -> float:
-    """Return the distance between two boxes; 0 where they touch or overlap."""
-    apart = np.maximum(np.maximum(np.array(other_low) - high, low - np.array(other_high)), 0.0)
-    return float(np.linalg.norm(apart))
 
 
 def parts_of_tile(
@@ -166,22 +152,6 @@ def _part(levels: Levels, chosen: Mask, level: int, target: int) -> Part | None:
     first = member.argmax(axis=0).astype(np.uint8)
     last = (target - 1 - member[::-1].argmax(axis=0)).astype(np.uint8)
     return Part(level, runs_of(kept), Surroundings(levels.union[kept], first, last))
-
-
-def _descend(rows: Sequence[Mapping[str, Any]], allowed: Sequence[bool], count: int) -> tuple[list[int], list[int]]:
-    """Return the coarsest allowed districts, and the tiles of which no district is allowed, all ascending."""
-    inner = {child - count for row in rows for child in row["children"]}
-    stack = [k for k in range(len(rows)) if k not in inner]
-    districts, tiles = [], []
-    while stack:
-        k = stack.pop()
-        if allowed[k]:
-            districts.append(k)
-        elif len(rows[k]["tiles"]) == 1:
-            tiles.append(rows[k]["tiles"][0])
-        else:
-            stack += [child - count for child in rows[k]["children"]]
-    return sorted(districts), sorted(tiles)
 
 
 def _look_coarsely(own: Levels, space: NavigableSpace, scenes: Mapping[int, Gaussians], looks: int) -> set[int]:

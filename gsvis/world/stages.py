@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import json
 import os
+import re
+import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +20,7 @@ from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.files.atomic import atomic_path
 from gsvis.files.objects import open_store
-from gsvis.io.levels import save_levels
+from gsvis.io.levels import MAP, save_levels
 from gsvis.io.ply import save_ply
 from gsvis.prepare.work_folder import WorkFolder
 from gsvis.progress import Progress, silent
@@ -27,7 +29,7 @@ from gsvis.scene.inspection import axis_vector
 from gsvis.world.build import WorldBuild
 from gsvis.world.config import WorldConfig
 from gsvis.world.rows import load_gaussians, load_tile_levels
-from gsvis.world.tiling import tile_name
+from gsvis.world.tiling import OUTSIDE, tile_name
 
 __all__ = ["INDEX", "STAGES", "WrittenTile", "check_tiles_target", "write_tiles"]
 
@@ -39,6 +41,7 @@ STAGES: tuple[Stage, ...] = ("tiles", "levels")
 """Stages after which a preparation can stop."""
 
 _FORMAT = "gsvis-tiles"
+_TILE = re.compile(rf"tile-(\d+-\d+|{OUTSIDE})")
 
 
 @dataclass(frozen=True)
@@ -71,6 +74,8 @@ def write_tiles(
     progress: Progress = silent,
 ) -> list[WrittenTile]:
     """Write the tiles of scenes, or their levels, and resume an earlier run; the outside is the last tile.
+
+    Tiles that an earlier run has left there with other options are removed.
 
     With more than one worker, a script that calls this needs an `if __name__ == "__main__":` guard.
 
@@ -109,6 +114,7 @@ def write_tiles(
         rows = [{**each.__dict__, "levels": dict(each.levels)} for each in written]
         with atomic_path(target / INDEX) as partial:
             partial.write_text(json.dumps({**about, "tiles": rows}, indent=1) + "\n", encoding="utf-8")
+        _remove_others(target, until, {each.file for each in written})
     return written
 
 
@@ -123,6 +129,17 @@ def check_tiles_target(target: Path) -> None:
     others = [] if not target.is_dir() else [path.name for path in target.iterdir() if not path.name.startswith("tile")]
     if others:
         raise FormatError(target, "", "tiles or an empty folder", f"{min(others)!r}", "choose another name")
+
+
+def _remove_others(target: Path, until: Stage, kept: set[str]) -> None:
+    """Remove the tiles of this kind in a folder that are not among those to keep."""
+    for path in target.iterdir():
+        if path.name in kept:
+            continue
+        if until == "tiles" and path.suffix == ".ply" and _TILE.fullmatch(path.stem):
+            path.unlink()
+        elif until == "levels" and _TILE.fullmatch(path.name) and (path / MAP).is_file():
+            shutil.rmtree(path)
 
 
 def _write(build: WorldBuild, number: int, until: Stage, results: dict[str, Any], target: Path) -> WrittenTile:

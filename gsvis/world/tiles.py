@@ -21,6 +21,7 @@ from gsvis.package import in_package_order
 from gsvis.prepare.colors import ColorConfig
 from gsvis.prepare.config import PrepareConfig
 from gsvis.prepare.prepare import stages_of
+from gsvis.prepare.stages import VERSIONS as STAGES
 from gsvis.progress import silent
 from gsvis.pvs.config import PvsConfig
 from gsvis.scene.corridor import space_along
@@ -48,7 +49,7 @@ __all__ = [
     "tile_space",
 ]
 
-VERSIONS = {"gather_rows": 1, "make_tile_levels": 2, "tile_space": 4}
+VERSIONS = {"gather_rows": 1, "make_tile_levels": [2, STAGES["levels"]], "tile_space": 5}
 
 MARGIN = 0.15
 """How far beyond a tile what is solid counts, in its longer side."""

@@ -87,7 +87,8 @@ class World:
         self.path = _check.path("path", path)
         self.alone = not is_world(self.path) and (self.path / MANIFEST).is_file()
         if self.path.is_dir() and not self.alone and not is_world(self.path):
-            raise FormatError(self.path, "", f"a world with a {WORLD}", "a folder without", _REMEDY)
+            expected = f"a world with a {WORLD}, or a package with a {MANIFEST}"
+            raise FormatError(self.path, "", expected, "a folder with neither", "was its preparation stopped?")
         self.manifest = self._of_package() if self.alone else WorldManifest.read(self.path / WORLD)
 
     @classmethod
@@ -112,7 +113,7 @@ class World:
         return f"World({m.gaussians:,} Gaussians, {len(m.tiles)} tiles, {len(m.districts)} districts, {self.path.name})"
 
     def tile_at(self, position: ArrayLike) -> int:
-        """Return the tile whose square holds a position (3,); -1 where there is none."""
+        """Return the tile whose squares hold a position (3,); -1 where there is none."""
         point = _check.floats("position", position, (3,), np.float64)
         return 0 if self.alone else int(self.manifest.tiles_at(point[None])[0])
 
@@ -177,7 +178,6 @@ class World:
             if table is not None:
                 try:
                     table.verify()
-                    self._check_runs(table)
                     if len(table) != found.cells:
                         got = f"{len(table):,}"
                         raise FormatError(table.store.path, "cells", f"{found.cells:,} of the tile", got, _REMEDY)
@@ -200,14 +200,6 @@ class World:
         }
         folders = [(self.path / name, names) for name, names in known.items() if (self.path / name).is_dir()]
         return [path for folder, names in folders for path in sorted(folder.iterdir()) if path.name not in names]
-
-    def _check_runs(self, table: Beyond) -> None:
-        """Raise unless every run ends within the package of its node."""
-        for piece in table.table.pieces:
-            most = self.manifest.node(piece.node).gaussians
-            if piece.runs and sum(piece.runs[-1]) > most:
-                got = f"an end at {sum(piece.runs[-1]):,}"
-                raise FormatError(self.path, f"pieces of node {piece.node}", f"ids below {most:,}", got, DAMAGED)
 
     def _of_package(self) -> WorldManifest:
         with Package.open(self.path) as package:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -17,6 +18,7 @@ from tests.io.scene_files import (
     ply_bytes,
     random_scene,
     raw_columns,
+    sog_files,
     splat_bytes,
     streamed_files,
     write_files,
@@ -60,6 +62,25 @@ def test_a_batch_of_a_file_that_changed_is_another_one_or_is_refused(tmp_path: P
     assert before.stamp != after.stamp
     with pytest.raises(FormatError, match="did the file change"):
         read_batch(before)
+
+
+def test_the_images_beside_a_meta_json_count_with_it(tmp_path: Path) -> None:
+    """Their bytes say what the scene needs, and one that changes makes another batch."""
+    write_files(tmp_path, sog_files(random_scene(70)))
+    (folder,), (file,) = list_batches(tmp_path), list_batches(tmp_path / "meta.json")
+    assert file.nbytes == folder.nbytes == sum(path.stat().st_size for path in tmp_path.iterdir())
+    image = next(path for path in tmp_path.iterdir() if path.suffix != ".json")
+    os.utime(image, ns=(1, 1))
+    assert list_batches(tmp_path / "meta.json")[0].stamp != file.stamp
+
+
+@pytest.mark.parametrize("name", [".", "lod-meta.json"])
+def test_a_tree_that_changes_makes_other_batches(tmp_path: Path, name: str) -> None:
+    write_files(tmp_path, streamed_files({0: random_scene(300, 0)}))
+    (before,) = list_batches(tmp_path / name)
+    os.utime(tmp_path / "lod-meta.json", ns=(1, 1))
+    (after,) = list_batches(tmp_path / name)
+    assert before.stamp != after.stamp
 
 
 def test_a_truncated_ply_is_refused_before_it_is_read(tmp_path: Path) -> None:

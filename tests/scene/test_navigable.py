@@ -326,3 +326,14 @@ def test_a_piece_of_a_city_has_eyes_in_its_rooms_and_on_the_open_ground_beside_t
         assert np.all(outside[:, 2] > low[2])
     with pytest.raises(ValueError, match="seeds: expected none"):
         NavigableSpace.from_scene(both, seeds=eyes, mixed=True)
+
+
+def test_a_piece_of_a_city_has_eyes_in_rooms_that_no_door_connects() -> None:
+    """The largest has a quarter of them; a closet of a hundredth of it counts for nothing."""
+    rooms = [room((5.0 * k, 0.0, 0.0), (5.0 * k + 4.0, 4.0, 3.0)) for k in range(4)]
+    closet = room((20.0, 0.0, 0.0), (21.0, 1.0, 1.0))
+    space = NavigableSpace.from_scene(Gaussians.concatenate([*rooms, closet]), up="+z", resolution=96, mixed=True)
+    for k in range(4):
+        assert space.contains([[5.0 * k + 2.0, 2.0, 1.5]]).all()
+        assert not space.contains([[5.0 * k + 4.5, 2.0, 1.5]]).any()
+    assert not space.contains([[20.5, 0.5, 0.5]]).any()

@@ -5,6 +5,8 @@ from __future__ import annotations
 import itertools
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
@@ -13,7 +15,10 @@ from gsvis.pvs.workers import Workers
 from gsvis.train.levels import LevelsConfig
 from gsvis.world import estimate as estimates
 from gsvis.world import trial as trials
+from gsvis.world.build import WorldBuild
+from gsvis.world.config import WorldConfig
 from gsvis.world.estimate import estimate_world
+from gsvis.world.memory import IDLE, needed_memory
 from gsvis.world.prepare import prepare_world
 from tests.world import cities
 
@@ -105,6 +110,29 @@ def test_bytes_are_near_those_of_the_run(scene: tuple[str, None], tmp_path: Path
     kept = sum(path.stat().st_size for path in made.work.rglob("*") if path.is_file())
     assert 0.6 < found.nbytes / made.nbytes < 1.6
     assert 0.6 < found.work_bytes / kept < 1.6
+
+
+def test_the_limit_of_memory_counts_every_tile_that_may_stand_around_one() -> None:
+    """In a world of many tiles more than a dozen stand around each at less than full distance."""
+    side, each = 8, 200_000
+
+    def tree(x: int, y: int, size: int) -> Any:
+        half = size // 2
+        if size == 1:
+            return x * side + y
+        return [[tree(x + a, y, half), tree(x + a, y + half, half)] for a in (0, half)]
+
+    rects = [(x, y, 1, 1) for x in range(side) for y in range(side)]
+    grid = {"tiles": rects, "expected": [each] * side**2, "tree": tree(0, 0, side), "grid": {"side": 16.0}}
+    config = WorldConfig()
+    sizes = estimates._Sizes(config, each * side**2, side**2, 0)
+    build = cast(WorldBuild, SimpleNamespace(grid=grid, config=config))
+    _, limit = estimates._memory(sizes, build, each, each, 1)
+    tile = {"gaussians": int(sizes.own * each), "levels": [["low", each // 4]], "spacings": []}
+    params = {"outside": False, "config": config.package.as_dict()}
+    inputs = [tile, {"voxels": 1}, *([tile] * 24)]  # those within two tiles of one in the middle
+    assert limit >= IDLE + needed_memory("gsvis.world.packages:prepare_tile", params, inputs)
+    assert limit < 4 * IDLE + needed_memory("gsvis.world.packages:prepare_tile", params, [*inputs, *([tile] * 24)])
 
 
 def test_more_workers_than_tiles_save_no_time(scene: tuple[str, None]) -> None:

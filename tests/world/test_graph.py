@@ -17,8 +17,9 @@ import pytest
 
 from gsvis.errors import BackendError, FormatError, GsvisError, OutputError
 from gsvis.files.objects import open_store
+from gsvis.prepare.stages import VERSIONS as STAGES
 from gsvis.pvs.workers import Workers
-from gsvis.world import graph
+from gsvis.world import graph, packages, tiles
 from gsvis.world.graph import Task, machine_kind, run_graph
 from gsvis.world.memory import IDLE
 from tests.world.small_tasks import HERE, tree
@@ -172,6 +173,24 @@ def test_another_version_or_processor_is_refused(tmp_path: Path, monkeypatch: py
     assert here != graph.key_of(tree(2)[0], (), "m68k base")
     monkeypatch.setattr("tests.world.small_tasks.VERSIONS", {"count": 2})
     assert here != graph.key_of(tree(2)[0], (), machine_kind())
+    monkeypatch.undo()
+    monkeypatch.setattr(graph, "_version", lambda: "0.0.1")  # what another release has made is not mixed in
+    assert here != graph.key_of(tree(2)[0], (), machine_kind())
+
+
+def test_the_version_of_a_task_names_those_of_the_stages_that_it_runs() -> None:
+    assert STAGES["levels"] in tiles.VERSIONS["make_tile_levels"]
+    assert {name for each in packages.VERSIONS["prepare_tile"] if isinstance(each, dict) for name in each} | {
+        "levels"
+    } == set(STAGES)
+
+
+def test_a_result_that_a_slow_worker_has_left_meanwhile_is_taken(tmp_path: Path) -> None:
+    log, (task, *_) = tmp_path / "log", tree(2, tmp_path / "log")
+    job = graph.Job(task, "0" * 64, (), str(tmp_path / "store"), graph._version(), machine_kind())
+    assert graph.perform(job) == graph.perform(job)
+    assert log.stat().st_size == 1
+    assert not list((tmp_path / "store" / "work").iterdir())
 
 
 def test_wrong_graphs_are_refused(tmp_path: Path) -> None:

@@ -75,6 +75,14 @@ BAD: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "district": (lambda v: v["tiles"][0]["beyond"]["pieces"][2].update(node=4), "each tile in one node"),
     "around": (lambda v: v["tiles"][0]["beyond"]["pieces"][2].update(node=5), "each tile in one node"),
     "runs": (lambda v: v["tiles"][0]["beyond"]["pieces"][0].update(runs=[[6, 2], [0, 4]]), "ascending runs"),
+    "no level": (
+        lambda v: v["tiles"][0]["beyond"]["pieces"][0].update(level=2),
+        "one of 2 levels of node 1, got level 2",
+    ),
+    "no ids": (
+        lambda v: v["tiles"][0]["beyond"]["pieces"][0].update(runs=[[0, 4], [6, 3]]),
+        "ids of node 1, below 8, got an end at 9",
+    ),
     "ids": (lambda v: v["tiles"][0]["beyond"]["pieces"][1].update(runs=[[3, 2]]), "each id once"),
     "member": (lambda v: v["districts"][2].update(tiles=[0, 3]), "numbers of tiles below 3"),
     "later": (lambda v: v["districts"].reverse(), "numbers of nodes before it below 3"),

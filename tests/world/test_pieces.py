@@ -11,7 +11,8 @@ from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.procedural import random_scene
 from gsvis.world import pieces
-from gsvis.world.pieces import BLOCK, gap, join_surroundings, part_of_district, parts_of_tile, runs_of
+from gsvis.world.pieces import BLOCK, join_surroundings, part_of_district, parts_of_tile, runs_of
+from gsvis.world.standing import distances_of, nodes_around
 
 
 def test_a_far_tower_counts_and_the_room_behind_the_wall_does_not() -> None:
@@ -76,6 +77,16 @@ def test_surroundings_stand_in_the_levels_of_the_tile() -> None:
 def test_runs_and_gaps() -> None:
     assert runs_of(np.array([1, 1, 0, 0, 1], bool)) == [(0, 2), (4, 1)]
     assert runs_of(np.zeros(0, bool)) == []
-    assert gap(np.zeros(3), np.ones(3), [1.0, 4.0, 0.0], [2.0, 5.0, 1.0]) == pytest.approx(3.0)
-    assert gap(np.zeros(3), np.ones(3), [0.5] * 3, [0.6] * 3) == 0.0
+    boxes = [{"low": [1.0, 4.0, 0.0], "high": [2.0, 5.0, 1.0]}, {"low": [0.5] * 3, "high": [0.6] * 3}]
+    assert distances_of(np.zeros(3), np.ones(3), boxes) == pytest.approx([3.0, 0.0])
+    assert len(distances_of(np.zeros(3), np.ones(3), [])) == 0
     assert BLOCK == 256
+
+
+def test_each_other_tile_stands_once_and_as_coarsely_as_its_distance_allows() -> None:
+    plans = [*({"children": [k], "tiles": [k]} for k in range(4)), {"children": [6, 7], "tiles": [2, 3]}]
+    params = {"tile": 0, "tiles": 4, "districts": plans, "angle": 0.1}
+    facts = [{"spacing": 1.0}] * 4 + [{"spacing": 2.0}]
+    assert nodes_around(params, facts, np.array([0.0, 0.0, 30.0, 30.0, 30.0])) == ([4], [1])
+    assert nodes_around(params, facts, np.array([0.0, 0.0, 12.0, 30.0, 12.0])) == ([2, 3], [1])
+    assert nodes_around(params, facts, np.array([0.0, 0.0, 9.0, 30.0, 9.0])) == ([3], [1, 2])

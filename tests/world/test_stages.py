@@ -14,7 +14,7 @@ from gsvis.io.levels import load_levels
 from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
 from gsvis.world.rows import content_order
-from gsvis.world.stages import INDEX, write_tiles
+from gsvis.world.stages import INDEX, STAGES, Stage, write_tiles
 from tests.world import cities
 
 
@@ -45,6 +45,17 @@ def test_levels_are_folders_of_levels_and_the_highest_is_the_tile(tmp_path: Path
         assert tile.levels == tuple(zip(levels.names, levels.counts, strict=True))
         tops.append(levels.level(len(levels) - 1))
     assert in_order(Gaussians.concatenate(tops)) == in_order(load_scene(tmp_path / "s.ply"))
+
+
+@pytest.mark.parametrize("until", STAGES)
+def test_tiles_of_other_options_are_removed_and_other_files_stay(until: Stage, tmp_path: Path) -> None:
+    scene, out = cities.write(cities.street(), tmp_path / "s.ply"), tmp_path / "city"
+    first = write_tiles([scene], out, until, cities.config())
+    kept = out / "tile-0-0.gsvis"
+    kept.mkdir()
+    second = write_tiles([scene], out, until, cities.config(most=2_000))
+    assert {tile.file for tile in first} - {tile.file for tile in second}
+    assert {path.name for path in out.iterdir()} == {tile.file for tile in second} | {INDEX, kept.name}
 
 
 def test_the_command_writes_them_again_and_refuses_other_folders(

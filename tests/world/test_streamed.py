@@ -337,7 +337,11 @@ def check_facts(server: Server, grid: Any, gaussians: int) -> None:
     floor = json.loads(ask(server, "/scenes/a/floor")[2])
     assert json.loads(ask(server, "/scenes/a/seen")[2]) is None
     heights = np.array([value for value in floor["heights"] if value is not None])
-    assert len(heights) > 10
+    steps = np.stack(np.meshgrid(np.arange(floor["columns"]), np.arange(floor["rows"])), axis=-1).reshape(-1, 2) + 0.5
+    places = floor["origin"] + floor["side"] * steps @ np.array([floor["first"], floor["second"]])
+    over = np.abs(places[:, None, :2] - grid.centers[:, :2]).max(axis=2) <= grid.sizes / 2
+    assert over.any(axis=1).tolist() == [value is not None for value in floor["heights"]]
+    assert len(heights)
     low, high = grid.centers[:, 2].min() - grid.sizes.max() / 2, grid.centers[:, 2].max() + grid.sizes.max() / 2
     assert low <= heights.min() <= heights.max() <= high
     seen = [json.loads(ask(server, f"/scenes/a/why/{k}")[2]) for k in (0, 40, gaussians - 1)]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +21,10 @@ from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.procedural import random_scene
 from gsvis.world.build import WorldBuild
+from gsvis.world.graph import Given
+from gsvis.world.memory import needed_memory
 from gsvis.world.rows import content_order, load_gaussians
-from gsvis.world.tiling import TilingConfig, cut_squares
+from gsvis.world.tiling import TilingConfig, cut_squares, find_grid
 from tests.world import cities
 
 
@@ -45,6 +49,22 @@ def test_every_row_ends_in_one_tile(tmp_path: Path) -> None:
     assert scene_hash(together[content_order(together)]) == scene_hash(stored[content_order(stored)])
     for coords, rows in tiles.items():
         assert len(rows) <= 700 or coords is None
+
+
+def test_the_grid_takes_no_more_memory_than_is_counted_for_its_sample(tmp_path: Path) -> None:
+    build = built(
+        [cities.write(random_scene(np.random.default_rng(0), 120_000), tmp_path / "s.ply")], tmp_path / "work"
+    )
+    samples = tuple(result for name, result in build.survey.items() if name != "grid")
+    params = {"config": asdict(TilingConfig(700)), "every": build.every}
+    tracemalloc.start()
+    try:
+        find_grid(params, Given(build.store, samples, tmp_path), tmp_path, tmp_path)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert sum(each.facts["sampled"] for each in samples) > 100_000
+    assert peak <= needed_memory("gsvis.world.tiling:find_grid", params, [each.facts for each in samples])
 
 
 @pytest.mark.parametrize("rows", [97, 1000])

@@ -87,6 +87,31 @@ def test_cells_see_across_the_border(city: Path) -> None:
     assert crossing
 
 
+def test_ids_beyond_a_tile_are_those_that_its_pieces_count(city: Path) -> None:
+    """What is found by runs is what a list of all ids of the pieces says."""
+    world, found = World.open(city), 0
+    for tile in range(len(world.manifest.tiles)):
+        beyond = world.beyond(tile)
+        if beyond is None:
+            continue
+        nodes = np.repeat([piece.node for piece in beyond.table.pieces], [piece.count for piece in beyond.table.pieces])
+        every = np.concatenate([piece.ids() for piece in beyond.table.pieces])
+        for cell in range(len(beyond)):
+            ids = beyond.store.visible_ids(cell)
+            seen = beyond.of_cell(cell)
+            assert np.concatenate([each.ids for each in seen]).tolist() == every[ids].tolist()
+            assert (
+                np.repeat([each.node for each in seen], [len(each.ids) for each in seen]).tolist()
+                == nodes[ids].tolist()
+            )
+            assert [(each.node, each.ids.tolist()) for each in seen] == [
+                (node, some.tolist()) for node, some in beyond.ids_of_cell(cell)
+            ]
+            found += len(ids)
+        beyond.close()
+    assert found
+
+
 def test_what_is_seen_beyond_is_what_a_look_at_the_whole_street_sees(city: Path) -> None:
     """An eye in a cell, looking at the whole street: most of its weight is in the sets of the cell, by (node, id)."""
     from gsvis.pvs.look import Look
@@ -276,8 +301,13 @@ def test_something_else_is_not_replaced(tmp_path: Path) -> None:
     (tmp_path / "photos" / "cat.jpg").write_bytes(b"cat")
     with pytest.raises(FormatError, match=r"a world or an empty folder, got 'cat.jpg'"):
         check_world_target(tmp_path / "photos")
-    with pytest.raises(FormatError, match=r"a world with a world.json, got a folder without"):
+    with pytest.raises(FormatError, match=r"a world with a world.json, or a package .*, got a folder with neither"):
         World.open(tmp_path / "photos")
+
+
+def test_a_world_is_not_taken_for_a_package(city: Path) -> None:
+    with pytest.raises(FormatError, match=r"a package with a manifest.json, got a world; give one of its tiles"):
+        Package.open(city)
 
 
 def test_the_manifest_names_no_path(city: Path, scene: Scene) -> None:

@@ -1,0 +1,88 @@
+"""The folder of a running task: a killed attempt leaves it to the next one, and whoever ends removes it.
+
+Its lock keeps a slow worker that was given up and its successor apart. Where the store is a folder, it lies there, and
+any worker finds it; else among temporary files.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from gsvis.files.locks import try_lock
+from gsvis.files.objects import FolderStore, ObjectStore
+from gsvis.files.output import output_errors
+
+__all__ = ["forget_work", "work_folder"]
+
+_LOCK = "lock"
+
+
+@contextmanager
+def work_folder(store: ObjectStore, key: str) -> Iterator[Path]:
+    """Yield the folder of a task, or a new one while another worker is in that; removed when the block succeeds.
+
+    Raises:
+        OutputError: If it cannot be written.
+    """
+    root = store.folder / "work" if isinstance(store, FolderStore) else _temporary()
+    with output_errors(root):
+        descriptor = _lock(root / key)
+    if descriptor is None:
+        with tempfile.TemporaryDirectory(dir=root, prefix=f"{key[:16]}-") as other:
+            yield Path(other)
+        return
+    try:
+        yield root / key
+        _empty(root / key)
+    finally:
+        os.close(descriptor)
+    with suppress(OSError):  # another worker may have begun in it
+        (root / key).rmdir()
+
+
+def forget_work(store: ObjectStore, key: str) -> None:
+    """Remove the folder of a finished task, which a worker that was killed at its end has left in a shared folder."""
+    if isinstance(store, FolderStore) and (store.folder / "work" / key).is_dir():
+        shutil.rmtree(store.folder / "work" / key, ignore_errors=True)
+
+
+def _temporary() -> Path:
+    """Return the folder of this user among temporary files."""
+    user = os.getuid() if hasattr(os, "getuid") else "user"
+    return Path(tempfile.gettempdir()) / f"gsvis-work-{user}"
+
+
+def _lock(folder: Path) -> int | None:
+    """Return the descriptor of the lock of a folder, which is made if it is missing; None if it cannot be had.
+
+    Whoever ends in a folder removes its lock, so a lock on a file that is no longer there is none.
+    """
+    while True:
+        folder.mkdir(parents=True, exist_ok=True)
+        try:
+            descriptor = os.open(folder / _LOCK, os.O_CREAT | os.O_RDWR, 0o666)
+        except FileNotFoundError:  # removed meanwhile
+            continue
+        held = try_lock(descriptor) == "held"
+        with suppress(FileNotFoundError):
+            if held and os.path.samestat(os.fstat(descriptor), os.stat(folder / _LOCK)):
+                return descriptor
+        os.close(descriptor)
+        if not held:
+            return None
+
+
+def _empty(folder: Path) -> None:
+    """Remove what is in a folder, its lock last."""
+    for path in folder.iterdir():
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        elif path.name != _LOCK:
+            path.unlink(missing_ok=True)
+    with suppress(OSError):  # a system that keeps open files
+        (folder / _LOCK).unlink()
