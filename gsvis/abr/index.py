@@ -21,7 +21,16 @@ from gsvis.pvs.cells import CellGrid
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 
-__all__ = ["ActiveSets", "CellSets", "RingSets", "SceneIndex", "SceneTerms", "SparseSets", "extents", "nearest_replacements"]
+__all__ = [
+    "ActiveSets",
+    "CellSets",
+    "RingSets",
+    "SceneIndex",
+    "SceneTerms",
+    "SparseSets",
+    "extents",
+    "nearest_replacements",
+]
 
 F32 = NDArray[np.float32]
 I32 = NDArray[np.int32]

@@ -90,7 +90,8 @@ class SeenSets:
         return packed
 
     def _checked(self, seen: Seen) -> Seen:
-        last, n = 64 * int(seen.words[-1]) + int(seen.masks[-1]).bit_length() if len(seen.words) else 0, len(self._index)
+        n = len(self._index)
+        last = 64 * int(seen.words[-1]) + int(seen.masks[-1]).bit_length() if len(seen.words) else 0
         if last > n:
             raise ValueError(f"words: expected a set of {n:,} Gaussians, got another")
         return seen
