@@ -17,29 +17,23 @@ from concurrent.futures import ThreadPoolExecutor
 __all__ = ["Preparations", "Readings", "Turns"]
 
 _IN_A_ROW = 3  # turns of newcomers while others wait
-_AT_ONCE = 2  # preparations; while one reads from a disk, the other computes
 _SHARE_S = 0.0005  # seconds for which one client is read before another
 _TURN_S = 0.001  # seconds for which clients are read before the loop looks at all sockets
 
 
 class _Queue:
-    """Tasks that wait for a place: newcomers first, both kinds in the order of asking.
+    """Tasks that wait for one place: newcomers first, both kinds in the order of asking.
 
     A newcomer sees nothing yet, and needs little; what others get is larger. Others have every fourth turn at least.
-
-    Args:
-        places: Number of places.
     """
 
-    def __init__(self, places: int = 1) -> None:
+    def __init__(self) -> None:
         self._newcomers, self._others = deque[asyncio.Future[None]](), deque[asyncio.Future[None]]()
-        self._free, self._row = places, 0
+        self._taken, self._row = False, 0
 
     async def enter(self, *, is_new: bool) -> None:
-        """Wait for a place, and take it."""
-        if self._free:
-            self._free -= 1
-        else:
+        """Wait for the place, and take it."""
+        if self._taken:
             mine = asyncio.get_running_loop().create_future()
             (self._newcomers if is_new else self._others).append(mine)
             try:
@@ -48,9 +42,10 @@ class _Queue:
                 if mine.done() and not mine.cancelled():
                     self.leave()
                 raise
+        self._taken = True
 
     def leave(self) -> None:
-        """Give a place to the next."""
+        """Give the place to the next."""
         for waiting in (self._newcomers, self._others):  # those that were cancelled
             while waiting and waiting[0].done():
                 waiting.popleft()
@@ -61,7 +56,7 @@ class _Queue:
             self._row = 0
             self._others.popleft().set_result(None)
         else:
-            self._free += 1
+            self._taken = False
 
 
 class Turns:
@@ -93,14 +88,15 @@ class Turns:
 
 
 class Preparations:
-    """Make what clients wait for, such as a cell that nobody has been in: in threads, a few at once.
+    """Make what clients wait for, such as a cell that nobody has been in: in a thread, one after the other.
 
     The event loop goes on meanwhile. It reads acknowledgements when they arrive, so that sessions measure their links,
     and plans for those whose cells are there. Kernels release Python's lock, so another core does most of the work.
+    With two at once on one core most newcomers would wait as long as the last.
     """
 
     def __init__(self) -> None:
-        self._queue, self._threads = _Queue(_AT_ONCE), ThreadPoolExecutor(_AT_ONCE, "gsvis-prepare")
+        self._queue, self._thread = _Queue(), ThreadPoolExecutor(1, "gsvis-prepare")
 
     async def make(self, work: Callable[[], object], *, is_new: bool = False) -> None:
         """Call a function in a thread when it is its turn, and wait for it; raises what it raises.
@@ -111,7 +107,7 @@ class Preparations:
         """
         await self._queue.enter(is_new=is_new)
         try:
-            await asyncio.get_running_loop().run_in_executor(self._threads, work)
+            await asyncio.get_running_loop().run_in_executor(self._thread, work)
         finally:
             self._queue.leave()
 

@@ -8,8 +8,6 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-import pytest
-
 from gsvis.errors import FormatError
 from gsvis.serve.turns import Preparations, Readings, Turns
 
@@ -84,9 +82,7 @@ def test_newcomers_come_first_and_others_have_every_fourth_turn() -> None:
     assert asyncio.run(main()) == "oNNNoNNNoNooo"  # the first asked before anybody else
 
 
-def test_what_clients_wait_for_is_made_in_turn_while_the_loop_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gsvis.serve.turns._AT_ONCE", 1)
-
+def test_what_clients_wait_for_is_made_in_turn_while_the_loop_goes_on() -> None:
     async def main() -> tuple[list[str], int]:
         preparations, made, looks = Preparations(), list[str](), 0
         begun, end = threading.Event(), threading.Event()
