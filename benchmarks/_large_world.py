@@ -21,9 +21,12 @@ from gsvis.files.limits import digest_of
 from gsvis.files.mapped import MappedArrays, _write_head
 from gsvis.files.sections import SectionFile, SectionWriter
 from gsvis.package import Package
+from gsvis.package.blocks import write_blocks
+from gsvis.package.codec import lay_linear
 from gsvis.package.manifest import MANIFEST, Blob
 from gsvis.package.package import PARTS, columns_of
 from gsvis.package.parts import PartFolder
+from gsvis.progress import silent
 from gsvis.pvs._writer import FILE_KIND
 from gsvis.pvs.codec import word_count
 from gsvis.stream.header import SceneHeader, identity_of
@@ -37,61 +40,78 @@ PIXEL = 2e-3
 _PAGE = 1 << 12
 
 
+def linear(package: Path, to: Path) -> Path:
+    """Write a package with all centers in boxes of chunks; those on a lattice of logarithms cannot be moved."""
+    if (to / MANIFEST).is_file():
+        return to
+    with Package.open(package) as found:
+        m, contents, parts = found.manifest, found.contents, PartFolder(to / PARTS)
+        records, table = lay_linear(contents.records, contents.table, contents.layout)
+        (to / PARTS).mkdir(parents=True)
+        blocks = tuple(write_blocks(parts, replace(contents, records=records, table=table), silent))
+        tables = ((parts.write_columns("chunks", columns_of(table, contents.chunk_levels)), len(table)),)
+        for blob in (m.visibility, m.active_terms):
+            for part in () if blob is None else blob.parts:
+                os.link(package / PARTS / part.name, to / PARTS / part.name)
+        (to / MANIFEST).write_bytes(replace(m, tables=tables, blocks=blocks).to_json())
+    return to
+
+
 def lattice(package: Path, to: Path, columns: int, rows: int) -> Path:
-    """Write a world of columns times rows copies of a package with cells; the cells of neighbors touch."""
+    """Write a world of columns times rows copies of a package with cells, moved; the cells of neighbors touch.
+
+    All centers of the package are in boxes of chunks, see `linear`.
+    """
     if (to / "world.json").is_file():
         return to
     (to / "packages").mkdir(parents=True, exist_ok=True)
     with Package.open(package) as small:
+        assert not small.contents.table.logarithmic.any(), "centers that cannot be moved"
         grid, up = small.visibility.grid, small.manifest.info.up
         meters, count = small.manifest.info.meters_per_unit, len(grid)
-    x, y = (k for k in range(3) if up[k] == 0.0)
-    width, height = int(grid.shape[x]), int(grid.shape[y])
-    side, tiles = float(grid.cell_size), []
-    for copy in range(columns * rows):
-        place = np.array(divmod(copy, rows)) * (width, height)
-        by = np.zeros(3)
-        by[[x, y]] = side * place
-        folder = moved(package, to / "packages", by, str(copy))
-        low = grid.origin + by
-        with Package.open(folder) as found:
-            tiles.append(
-                tile_of_package(
-                    folder, found.manifest, coords=tuple(place.tolist()), shape=(width, height), cells=count,
-                    low=tuple(low.tolist()), high=tuple((low + side * np.array(grid.shape)).tolist()),
-                )
-            )  # fmt: skip
+        x, y = (k for k in range(3) if up[k] == 0.0)
+        width, height = int(grid.shape[x]), int(grid.shape[y])
+        side, tiles = float(grid.cell_size), []
+        for copy in range(columns * rows):
+            place = np.array(divmod(copy, rows)) * (width, height)
+            by = np.zeros(3)
+            by[[x, y]] = side * place
+            folder = moved(small, to / "packages", by, str(copy))
+            low = grid.origin + by
+            with Package.open(folder) as found:
+                tiles.append(
+                    tile_of_package(
+                        folder, found.manifest, coords=tuple(place.tolist()), shape=(width, height), cells=count,
+                        low=tuple(low.tolist()), high=tuple((low + side * np.array(grid.shape)).tolist()),
+                    )
+                )  # fmt: skip
     squares = Grid(tuple(grid.origin.tolist()), side, (x, y), (width * columns, height * rows))
     WorldManifest(up, meters, squares, tuple(tiles)).write(to / "world.json")
     return to
 
 
-def moved(package: Path, packages: Path, by: np.ndarray, note: str) -> Path:
+def moved(found: Package, packages: Path, by: np.ndarray, note: str) -> Path:
     """Write a package whose Gaussians and cells are moved, under the name of its content."""
     work = packages / f".{note}"
     shutil.rmtree(work, ignore_errors=True)
     (work / PARTS).mkdir(parents=True)
-    with Package.open(package) as found:
-        m, contents, parts = found.manifest, found.contents, PartFolder(work / PARTS)
-        tables, sets = m.tables, m.visibility
-        kept = {part.name for block in m.blocks for part in (block.gaussians, *(part for part, _ in block.terms))}
-        if by.any():
-            plain = (contents.table.steps >= 0).all(axis=1)[
-                :, None
-            ]  # flyaways in logarithmic chunks stay where they are
-            table = replace(contents.table, origins=(contents.table.origins + by * plain).astype(np.float32))
-            tables = ((parts.write_columns("chunks", columns_of(table, contents.chunk_levels)), len(table)),)
-        else:
-            kept |= {part.name for part, _ in m.tables}
-        if sets is not None:
-            _move_store(found.visibility.path, work / "sets.pvs", by)
-            part = parts.write_bytes((work / "sets.pvs").read_bytes())
-            sets = Blob((part,), part.nbytes)
-            (work / "sets.pvs").unlink()
-        for name in kept:
-            os.link(package / PARTS / name, work / PARTS / name)
-        info = replace(m.info, provenance={"copy": note})
-        (work / MANIFEST).write_bytes(replace(m, info=info, tables=tables, visibility=sets).to_json())
+    m, contents, parts = found.manifest, found.contents, PartFolder(work / PARTS)
+    tables, sets = m.tables, m.visibility
+    kept = {part.name for block in m.blocks for part in (block.gaussians, *(part for part, _ in block.terms))}
+    if by.any():
+        table = replace(contents.table, origins=(contents.table.origins + by).astype(np.float32))
+        tables = ((parts.write_columns("chunks", columns_of(table, contents.chunk_levels)), len(table)),)
+    else:
+        kept |= {part.name for part, _ in m.tables}
+    if sets is not None:
+        _move_store(found.visibility.path, work / "sets.pvs", by)
+        part = parts.write_bytes((work / "sets.pvs").read_bytes())
+        sets = Blob((part,), part.nbytes)
+        (work / "sets.pvs").unlink()
+    for name in kept:
+        os.link(found.path / PARTS / name, work / PARTS / name)
+    info = replace(m.info, provenance={"copy": note})
+    (work / MANIFEST).write_bytes(replace(m, info=info, tables=tables, visibility=sets).to_json())
     to = packages / digest_of(work / MANIFEST)
     shutil.rmtree(to, ignore_errors=True)
     work.rename(to)

@@ -1,13 +1,14 @@
 """How much memory does a server of 10^8 Gaussians take with 20 viewers, and when does each see its first image?
 
 A world of 130 copies of a package, moved side by side, each a tile of its own with the levels, cells and visible sets
-of the package. What a cell sees ends with its tile; neighbors of cells go across borders. Records of the copies share
-their files by hard links. Tables of the tiles that viewers come near are computed as a server does; those of all other
-tiles are holes in the file of tables, which read as zeros and take no disk: a server that looks there fails. Every
-viewer begins in another cell of another tile, stands still for three seconds and walks along x, most across a border.
-The same viewers visit the package alone, in a server of its own: first one at a time, package and world in turn, then
-all 20 at once. A viewer does not decode while it visits; afterwards all bytes are compared with the records of the
-package, and images are drawn.
+of the package. All centers of that package are in boxes of chunks: those on a lattice of logarithms cannot be moved.
+What a cell sees ends with its tile; neighbors of cells go across borders. Records of the copies share their files by
+hard links. Tables of the tiles that viewers come near are computed as a server does; those of all other tiles are holes
+in the file of tables, which read as zeros and take no disk: a server that looks there fails. Every viewer begins in
+another cell of another tile, stands still for three seconds and walks along x, most across a border. The same viewers
+visit the package alone, in a server of its own: first one at a time, package and world in turn, then all 20 at once. A
+viewer does not decode while it visits; afterwards all bytes are compared with the records of the package, and images
+are drawn.
 
 Given: showroom LOD 3 as a package of three levels with 255 cells, links of 10 Mbit/s, no round trip.
 Measured: PSS and RSS of the server, its open files, seconds from before the connection until what a link has brought
@@ -30,7 +31,7 @@ from typing import Any
 
 import numpy as np
 from _harness import add_arguments, need, write_result
-from _large_world import lattice, write_tables
+from _large_world import lattice, linear, write_tables
 from _memory import pss
 from server_load import Viewer, cpu_of, memory_of, other_cores, serving
 
@@ -201,13 +202,14 @@ def main() -> None:
     need(args.package, "what `gsvis prepare` made")
     need(args.work, "a folder with --work")
     args.work.mkdir(parents=True, exist_ok=True)
-    whole = lattice(args.package, args.work / f"whole-{args.columns}-{args.rows}.gsworld", args.columns, args.rows)
-    near = lattice(args.package, args.work / f"part-{args.near}-{args.rows}.gsworld", args.near, args.rows)
+    package = linear(args.package, args.work / "linear.gsvis")
+    whole = lattice(package, args.work / f"city-{args.columns}-{args.rows}.gsworld", args.columns, args.rows)
+    near = lattice(package, args.work / f"near-{args.near}-{args.rows}.gsworld", args.near, args.rows)
     tables = args.work / "tables"
     write_tables(whole, near, tables)
     os.sched_setaffinity(0, other_cores(args.core))
-    views = Views.of(args.package, args.viewers)
-    alone, _ = open_kept(Package.open(args.package), tables)
+    views = Views.of(package, args.viewers)
+    alone, _ = open_kept(Package.open(package), tables)
     world, _ = open_world(whole, tables=tables)
     size, step = len(alone), alone.index.grid.cell_size * np.array(alone.index.grid.shape) * (1.0, 0.0, 0.0)
     across = alone.index.grid.cell_size * np.array(alone.index.grid.shape) * (0.0, 1.0, 0.0)
@@ -225,7 +227,7 @@ def main() -> None:
     began = time.perf_counter()
     with serving(whole, args.core, *options) as (server, url):
         details["seconds_to_serve"] = time.perf_counter() - began
-        with serving(args.package, args.core, *options) as (other, package_url):
+        with serving(package, args.core, *options) as (other, package_url):
             places = (("package", package_url, other, False, alone), ("world", url, server, True, world))
             visit(package_url, [guest(0, moved=False)], 3.0)  # kernels
             visit(url, [guest(4 * args.rows - 1, moved=True)], 3.0)

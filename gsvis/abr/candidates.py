@@ -9,7 +9,6 @@ further shell the next nearest cells.
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, TypeVar
@@ -28,6 +27,7 @@ from gsvis.abr.cones import TermCones
 from gsvis.abr.index import SceneIndex
 from gsvis.abr.links import links_of
 from gsvis.abr.rings import RINGS, Shells, ring_cells
+from gsvis.abr.scratch import Scratch
 from gsvis.abr.seen import SeenSets
 from gsvis.files.cache import Cache
 from gsvis.pvs.codec import pack, pack_some, word_count
@@ -44,7 +44,6 @@ _DENSE = 1 << 16  # words of a scene up to which all of them are looked at in pl
 _WHOLE = ("words", "places", "owing", "union", "active", "level_bytes")  # arrays of `CandidateIndex.everything`
 _Tuple = TypeVar("_Tuple")
 
-_WORKS = 64  # ways to divide scratch memory that a thread remembers
 _PAGE_BITS = (PAGE // 8).bit_length() - 1  # of a number of words
 
 
@@ -137,6 +136,7 @@ class CandidateIndex:
         highest: (W,) uint64, the Gaussians of the highest level.
         seen: What each cell sees.
         shells: The cells around each cell.
+        scratch: Memory in which threads plan.
     """
 
     def __init__(
@@ -174,7 +174,7 @@ class CandidateIndex:
         mixed[(np.flatnonzero(np.diff(pairs)) + 1) >> 6] = True
         self._traits = kernels.Traits(*_check.read_only(strengths(index, self.pixel_area), pairs, mixed))
         self._owners = np.repeat(np.arange(len(index), dtype=np.int32), np.diff(index.term_offsets))
-        self._scratch, self._words = threading.local(), (np.zeros(0, np.uint64),) * 2
+        self.scratch, self._words = Scratch(len(self.links.ending)), (np.zeros(0, np.uint64),) * 2
         self.seen, self.shells = SeenSets(index, self.cache), Shells(index.grid, self.cache)
         all_words = np.arange(-(-len(index) // 64), dtype=np.int32)
         every = Seen(all_words, pack(np.arange(len(index)), len(index))[: len(all_words)])
@@ -230,7 +230,7 @@ class CandidateIndex:
         self._every_term = a["active"], a["owing"]
         self.records, self.links = _typed("record", plan.Records, a), _typed("link", plan.Links, a)
         self._every = _typed("every", Units, a)
-        self._scratch, self._words = threading.local(), (np.zeros(0, np.uint64),) * 2
+        self.scratch, self._words = Scratch(len(self.links.ending)), (np.zeros(0, np.uint64),) * 2
         self.seen, self.shells = SeenSets(index, self.cache), Shells(index.grid, self.cache)
         whole = {name: a[f"all_{name}"] for name in _WHOLE}
         self.everything = Candidates(
@@ -260,7 +260,7 @@ class CandidateIndex:
         """
         index, levels = self.index, self.index.num_levels
         rings = ring_cells(index.grid, cell)
-        fresh, seen = self.seen.join([[self.seen.of_cell(each) for each in ring] for ring in rings])
+        fresh, seen = self.seen.join(self.seen.of_rings(rings))
         parts = [self._split(fresh[0], index.sets.classes(cell)[1], index.class_weights, index.standing(cell))]
         sums = np.zeros(levels * levels)
         kernels.pair_bytes(parts[0].slots, parts[0].masks, parts[0].codes, self._word_bytes, sums)
@@ -323,11 +323,8 @@ class CandidateIndex:
         key = "bounds", here.cell, shares.tobytes()
         found: Bounds | None = self.cache.find(key)
         if found is None and make:
-            size = len(self.links.ending)
-            if not hasattr(self._scratch, "ends"):
-                self._scratch.ends = blank(size, np.int32)  # zeros again after each use
-            out = [np.empty(size, np.int32) for _ in range(3)]
-            count = bound(here.seen, self.links, self.index.last, shares, self._scratch.ends, *out)
+            known, *out = self.scratch.bounds()
+            count = bound(here.seen, self.links, self.index.last, shares, known, *out)
             found = Bounds(*(array[:count].copy() for array in out))
             self.cache.keep(key, found, sum(array.nbytes for array in found))
         return found
@@ -390,38 +387,6 @@ class CandidateIndex:
             term_bytes=owned / max(ones(owing), 1),
             level_bytes=(np.zeros(levels) if sums is None else _level_bytes(sums, levels)) + owned,
         )
-
-    def work(self, slots: int, units: int, keys: int, terms: int = 1) -> plan.Work:
-        """Return scratch memory of the calling thread; the next call overwrites it.
-
-        Args:
-            slots: S, number of words.
-            units: U, number of units.
-            keys: M, number of keys.
-            terms: K, number of kinds of terms.
-        """
-        key = slots, units, keys, terms
-        made: dict[tuple[int, ...], plan.Work] = self._scratch.__dict__.setdefault("made", {})
-        if key not in made:
-            if len(made) >= _WORKS:
-                made.clear()
-            made[key] = self._work(slots, units, keys, terms)
-        return made[key]
-
-    def _work(self, slots: int, units: int, keys: int, terms: int) -> plan.Work:
-        local, entries, sizes = self._scratch, 3 * (1 + terms) * units, []
-        for name, size, kinds in (
-            ("slots", slots, (*3 * (np.uint64,), *2 * (np.uint8,), np.float32, np.int32)),
-            ("due", terms * slots, (np.uint64,)), ("units", units, (np.int32, np.int32)),
-            ("entries", entries, (np.int32, np.int32, np.uint64, np.int32)), ("keys", keys, (np.int64, np.float64)),
-        ):  # fmt: skip
-            if not hasattr(local, name) or len(getattr(local, name)[0]) < size:
-                local.made.clear()  # they have the memory before
-                setattr(local, name, tuple(np.empty(size, kind) for kind in kinds))
-            sizes.append([array[:size] for array in getattr(local, name)])
-        (inside, middle, free, *others), (due,), of_units, listed, sums = sizes
-        of_words = [inside, middle, free, due.reshape(terms, slots), *others]
-        return plan.Work(*of_words, *of_units, *listed, *sums)
 
     def _units_of(self, ring: int, members: Seen) -> Units:
         """Return the units of any Gaussians, in a ring, with words instead of slots."""

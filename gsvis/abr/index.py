@@ -7,7 +7,7 @@ and no client.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Protocol, runtime_checkable
@@ -21,7 +21,16 @@ from gsvis.pvs.cells import CellGrid
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 
-__all__ = ["ActiveSets", "CellSets", "SceneIndex", "SceneTerms", "SparseSets", "extents", "nearest_replacements"]
+__all__ = [
+    "ActiveSets",
+    "CellSets",
+    "RingSets",
+    "SceneIndex",
+    "SceneTerms",
+    "SparseSets",
+    "extents",
+    "nearest_replacements",
+]
 
 F32 = NDArray[np.float32]
 I32 = NDArray[np.int32]
@@ -42,6 +51,18 @@ class CellSets(Protocol):
 
     def visible_words(self, cell: int, /) -> Words:
         """Return the visible set of a cell, packed as by `gsvis.pvs.codec.pack`."""
+        ...
+
+
+@runtime_checkable
+class RingSets(Protocol):
+    """Visible sets of cells that are joined before they are listed: neighbors see much of the same."""
+
+    def ring_masks(self, rings: Sequence[Sequence[int]], /) -> list[list[tuple[I32, Words]]]:
+        """Return sets of each ring of cells, as `SparseSets.visible_masks` does.
+
+        Those of a ring and of earlier ones together are what the cells of these rings see.
+        """
         ...
 
 

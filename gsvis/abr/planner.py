@@ -142,6 +142,10 @@ class Planner:
         near = self._near
         return self.cell >= 0 and (near is None or near[0].cell != self.cell) and not self.candidates.has(self.cell)
 
+    def prepare(self) -> None:
+        """Make the candidates of the viewer's cell, and keep them for all viewers."""
+        self.candidates.in_cell(self.cell)
+
     @property
     def _is_used_up(self) -> bool:
         return self._whole and self._place == len(self._plan.entries)
@@ -239,8 +243,7 @@ class Planner:
         shared, held = self.candidates, self.holdings.words
         counts, sizes = (self.holdings.gaussians, self.holdings.terms), shared.least_sizes
         most = [min(n, int(min(budget, 1e12) / size) + 1) for n, size in zip(counts, sizes, strict=True)]
-        out = np.empty(most[0], np.int32), np.empty(most[1], np.uint32), np.empty(len(self._arrived), np.int32)
-        gone = np.empty_like(out[2])
+        out = np.empty(most[0], np.int32), np.empty(most[1], np.uint32), *shared.scratch.taken()
         taken, total, evicted = [0, 0, 0, 0], 0.0, None
         while True:
             limit = self._limit(budget if self._stage <= _DETAILS else spare)
@@ -251,7 +254,7 @@ class Planner:
             if self._place == len(self._plan.entries):
                 self._wanted = max(2.0 * self._wanted, self.reach, budget - total)  # rank more for a view that lasts
                 self._rank(self._here, self._wanted)
-            rest = kernels.Taken(out[0][taken[0] :], out[1][taken[1] :], out[2][taken[2] :], gone[taken[3] :])
+            rest = kernels.Taken(*(array[count:] for array, count in zip(out, taken, strict=True)))
             self._place, *found, size = take(
                 self._plan, self._place, self._cell, held, self._view, shared.records, shared.links, limit - total, rest
             )  # fmt: skip
@@ -263,7 +266,7 @@ class Planner:
                 self._is_full = blocked
                 break
             evicted = self._evict((budget - limit) / self.candidates.sent_per_stored)
-        gaussians, terms, dropped, gone = (a[:count].copy() for a, count in zip((*out, gone), taken, strict=True))
+        gaussians, terms, dropped, gone = (a[:count].copy() for a, count in zip(out, taken, strict=True))
         self._has_terms |= taken[1] > 0
         if self.memory is not None:
             self.memory.add(taken[0], taken[1], dropped)
@@ -472,7 +475,7 @@ class Planner:
             forget_paid(cell.words, cell.active, self.holdings.words.terms, offsets, cell.owed)
 
     def _rank(self, here: Candidates, enough: float) -> None:
-        work = self.candidates.work(len(here.words), len(here), self._keys, self._kinds)
+        work = self.candidates.scratch.work(len(here.words), len(here), self._keys, self._kinds)
         self._place, limits = 0, kernels.Limits(float(enough), self._least)
         self._plan, self._least, self._whole = kernels.rank(
             here.units, here.runs, self._cell, self.holdings.words, self._view, self._table, limits, work

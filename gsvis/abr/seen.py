@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gsvis._kernels.blank import blank
 from gsvis.abr._kernels import units as kernels
 from gsvis.abr._kernels.units import Seen
-from gsvis.abr.index import SceneIndex, SparseSets
+from gsvis.abr.index import RingSets, SceneIndex, SparseSets
 from gsvis.files.cache import Cache
 from gsvis.pvs.codec import word_count
 
@@ -48,11 +48,21 @@ class SeenSets:
                 packed = sets.visible_words(cell)
                 words = np.flatnonzero(packed).astype(np.int32)
                 found, whole = Seen(words, packed[words]), len(packed) == word_count(n)
-            last = 64 * int(found.words[-1]) + int(found.masks[-1]).bit_length() if len(found.words) else 0
-            if not whole or last > n:
+            if not whole:
                 raise ValueError(f"words: expected a set of {n:,} Gaussians, got another")
-            self._cache.keep(("words", cell), found, sum(array.nbytes for array in found))
+            self._cache.keep(("words", cell), self._checked(found), sum(array.nbytes for array in found))
         return found
+
+    def of_rings(self, rings: list[list[int]]) -> list[list[Seen]]:
+        """Return sets of each ring of cells for `join`: one for each cell, or fewer that hold as much.
+
+        Raises:
+            ValueError: If they name Gaussians that the scene does not have.
+        """
+        sets = self._index.sets
+        if isinstance(sets, RingSets):
+            return [[self._checked(Seen(*masks)) for masks in ring] for ring in sets.ring_masks(rings)]
+        return [[self.of_cell(cell) for cell in ring] for ring in rings]
 
     def join(self, rings: list[list[Seen]]) -> tuple[list[Seen], Seen]:
         """Return what the sets of each ring have that those of earlier rings lack, and all together."""
@@ -78,6 +88,13 @@ class SeenSets:
         for cell in cells:
             kernels.add(self.of_cell(cell), packed)
         return packed
+
+    def _checked(self, seen: Seen) -> Seen:
+        n = len(self._index)
+        last = 64 * int(seen.words[-1]) + int(seen.masks[-1]).bit_length() if len(seen.words) else 0
+        if last > n:
+            raise ValueError(f"words: expected a set of {n:,} Gaussians, got another")
+        return seen
 
     def _scratch(self) -> tuple[Words, Words]:
         """Return two packed sets of the calling thread, which it leaves empty."""

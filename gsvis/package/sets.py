@@ -5,6 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from gsvis.errors import FormatError, SceneError
 from gsvis.files.cache import Cache
 from gsvis.files.joined import JoinedFiles
@@ -17,7 +20,9 @@ __all__ = ["open_sets"]
 _REMEDY = "prepare the package again"
 
 
-def open_sets(parts: Path, manifest: Manifest, cache: Cache[Any]) -> VisibilityStore:
+def open_sets(
+    parts: Path, manifest: Manifest, cache: Cache[Any], *, order: NDArray[np.int32] | None = None
+) -> VisibilityStore:
     """Open the visible sets of a package.
 
     What is read is checked against the checksums in the store, not against the names of the parts.
@@ -26,6 +31,7 @@ def open_sets(parts: Path, manifest: Manifest, cache: Cache[Any]) -> VisibilityS
         parts: Folder of the parts.
         manifest: The manifest of the package.
         cache: Keeps all that is decoded.
+        order: (N,) `VisibilityStore.order`, where it is known.
 
     Raises:
         SceneError: If the package has no visible sets.
@@ -36,7 +42,7 @@ def open_sets(parts: Path, manifest: Manifest, cache: Cache[Any]) -> VisibilityS
         raise SceneError(f"{parts.parent}: the package has no visible sets; prepare it with visibility")
     folder = PartFolder(parts)
     joined = JoinedFiles([folder.check_size(part) for part in blob.parts], [part.nbytes for part in blob.parts])
-    store = VisibilityStore(parts.parent / "sets.pvs", joined=joined, cache=cache)
+    store = VisibilityStore(parts.parent / "sets.pvs", joined=joined, cache=cache, order=order)
     if store.info.scene != manifest.scene or store.gaussians != manifest.gaussians:
         store.close()
         got = f"{store.info.scene[:12]}..."

@@ -8,7 +8,7 @@ writes stores, `codec.py` codes the sets.
 from __future__ import annotations
 
 import weakref
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 from os import PathLike
 from types import TracebackType
@@ -29,13 +29,7 @@ from gsvis.pvs import _head as head
 from gsvis.pvs import _order
 from gsvis.pvs import codec as _codec
 from gsvis.pvs._kernels import store as kernels
-from gsvis.pvs._writer import (
-    FILE_KIND,
-    CellSet,
-    StoreInfo,
-    StoreWriter,
-    write_store,
-)
+from gsvis.pvs._writer import FILE_KIND, CellSet, StoreInfo, StoreWriter, write_store
 from gsvis.pvs.why import Why, why
 from gsvis.raycast.tracer import Tracer
 from gsvis.scene.content import scene_hash
@@ -66,19 +60,23 @@ class VisibilityStore:
         max_cache: int = 256 << 20,
         joined: JoinedFiles | None = None,
         cache: Cache[Any] | None = None,
+        order: NDArray[np.int32] | None = None,
     ) -> None:
         """Open a file without checking its scene; see `open`.
 
-        `joined` is the content of the file where it lies in several. A `cache` that others share holds the order, too.
+        `joined` is the content of the file where it lies in several. A `cache` that others share holds the order, too,
+        unless it is known: `order` is what `order` of another store of this file has returned.
         """
         self.path = _check.path("path", path)
-        self._keeps_order = cache is None
+        self._order, self._keeps_order = order, cache is None
         self.cache = Cache[Any](_check.positive_int("max_cache", max_cache, at_least=0)) if cache is None else cache
         self._known_scene: weakref.ref[Gaussians | Levels] | None = None
         self._file = SectionFile(path, FILE_KIND, joined)
         try:
             self.info, self.grid = head.read_header(self._file)
             self._rows = head.read_rows(self._file, len(self.grid), self.gaussians)
+            if order is not None and len(order) != self.gaussians:
+                raise ValueError(f"order: expected {self.gaussians:,} Gaussians, got {len(order):,}")
             self.certificates = head.read_certificates(self._file, len(self.grid))
         except BaseException:
             self._file.close()
@@ -151,6 +149,13 @@ class VisibilityStore:
         """(C,) number of viewpoints that each set was found from."""
         return self._rows["viewpoints"].astype(np.int64)
 
+    @property
+    def order(self) -> NDArray[np.int32]:
+        """(N,) the Gaussian at each place of the sets in the file; do not change it."""
+        if self._order is None and self._keeps_order:
+            self._order = self._decode_order()
+        return self.cache.find_or_make("order", self._decode_order) if self._order is None else self._order
+
     def class_interval(self, level: int) -> tuple[float, float]:
         """Return the lowest weight of a class and the weight at which it ends.
 
@@ -200,18 +205,33 @@ class VisibilityStore:
         Ids begin at `first`, as those of a tile in a world. The decoded set is not cached.
         """
         held: Words | None = self.cache.find(("set", self.check_cell(cell)))
-        out = np.zeros(_codec.word_count(self.gaussians) + 1, np.uint64)
-        kernels.scatter_from(self._decode(cell) if held is None else held, self._order, first & 63, out)
-        return _codec.used_words(out, first >> 6)
+        return self._masks(self._decode(cell) if held is None else held, first)
+
+    def ring_masks(
+        self, rings: Sequence[Sequence[int]], *, first: int = 0
+    ) -> list[list[tuple[NDArray[np.int32], Words]]]:
+        """Return one set for each ring of cells, in a list: what they see and those of earlier rings do not.
+
+        Sets are as from `visible_masks`. They are joined as they are stored, and only what is new is put in order.
+        """
+        before, found = np.zeros(_codec.word_count(self.gaussians), np.uint64), []
+        for ring in rings:
+            fresh = np.zeros_like(before)
+            for cell in ring:
+                fresh |= self._words(self.check_cell(cell))
+            fresh &= ~before
+            before |= fresh
+            found.append([self._masks(fresh, first)])
+        return found
 
     def load(self) -> VisibilityStore:
         """Decode what all queries need, so that the first of them need not wait for it; return the store."""
-        _ = self._order
+        _ = self.order
         return self
 
     def classes(self, cell: int) -> tuple[NDArray[np.int64], U8]:
         """Return the (V,) ids that a cell sees, ascending, and the (V,) weight class of each."""
-        levels, words, order = self._levels(self.check_cell(cell)), self._words(cell), self._order
+        levels, words, order = self._levels(self.check_cell(cell)), self._words(cell), self.order
         of_scene = np.empty(self.gaussians, np.uint8)  # pages that hold none of the set stay untouched
         kernels.scatter_levels(words, order, levels, of_scene)
         ids = np.empty(int(self._rows["visible"][cell]), np.int64)
@@ -261,7 +281,7 @@ class VisibilityStore:
         for other, distance in zip(nearest.tolist(), distances.tolist(), strict=True):
             if len(alive) == 0 or distance > within:
                 break
-            kept = kernels.reach(self._words(other), waiting, alive, self._order, np.float32(distance), out)
+            kept = kernels.reach(self._words(other), waiting, alive, self.order, np.float32(distance), out)
             alive = alive[:kept]
         return out
 
@@ -322,7 +342,7 @@ class VisibilityStore:
         progress("verify", 0, len(self))
         for name in self._file.sections:
             self._file.read(name)
-        _ = self._order, self.direction_sets
+        _ = self.order, self.direction_sets
         ever = np.zeros_like(self._ever)
         for cell in range(len(self)):
             ever |= self._words(cell)
@@ -376,15 +396,6 @@ class VisibilityStore:
             raise FormatError(self.path, "scene", wanted, got, remedy)
         self._known_scene = weakref.ref(scene)
 
-    @property
-    def _order(self) -> NDArray[np.int32]:
-        """(N,) the Gaussian at each stored position."""
-        return self._own_order if self._keeps_order else self.cache.find_or_make("order", self._decode_order)
-
-    @cached_property
-    def _own_order(self) -> NDArray[np.int32]:
-        return self._decode_order()
-
     def _decode_order(self) -> NDArray[np.int32]:
         data = self._file.read("labels")
         try:
@@ -396,7 +407,7 @@ class VisibilityStore:
     def _places(self) -> NDArray[np.int32]:
         """(N,) the stored position of each Gaussian."""
         places = np.empty(self.gaussians, np.int32)
-        places[self._order] = np.arange(self.gaussians, dtype=np.int32)
+        places[self.order] = np.arange(self.gaussians, dtype=np.int32)
         return places
 
     @cached_property
@@ -417,8 +428,13 @@ class VisibilityStore:
 
     def _in_scene_order(self, words: Words) -> Words:
         out = np.zeros_like(words)
-        kernels.scatter(words, self._order, out)
+        kernels.scatter(words, self.order, out)
         return out
+
+    def _masks(self, words: Words, first: int) -> tuple[NDArray[np.int32], Words]:
+        out = np.zeros(len(words) + 1, np.uint64)
+        kernels.scatter_from(words, self.order, first & 63, out)
+        return _codec.used_words(out, first >> 6)
 
     def _at_least(self, cell: int, least_class: int) -> Words:
         """Return the set of a cell with at least this weight class, stored order."""

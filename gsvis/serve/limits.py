@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from gsvis import _check
-from gsvis.serve.turns import Turns
+from gsvis.serve.turns import Preparations, Turns
 from gsvis.stream.wire import LEAST_HELLO
 
 __all__ = ["Limits", "Pace", "RateBucket", "Seats", "Viewer"]
@@ -197,6 +197,7 @@ class Pace:
 
     Attributes:
         turns: Turns of the clients that are planned for in the thread of the event loop.
+        preparations: What these clients wait for.
 
     Examples:
         >>> pace = Pace()
@@ -216,7 +217,7 @@ class Pace:
     _MOST = 4.0  # largest factor, unless a client waits longer for its turn
 
     def __init__(self) -> None:
-        self._late, self.turns = 0.0, Turns()
+        self._late, self.turns, self.preparations = 0.0, Turns(), Preparations()
 
     def observe(self, late: float) -> None:
         """Record that something ran late by this many seconds."""

@@ -18,7 +18,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from gsvis.serve._log import EventLog
@@ -34,7 +34,7 @@ _STOP_S = 10.0  # seconds that children have to end before they are killed
 
 @dataclass(frozen=True)
 class Child:
-    """What a child is told by its supervisor, in its environment.
+    """What a supervisor passes to a child, in its environment.
 
     Attributes:
         number: Number of the child, from 0.
@@ -50,7 +50,10 @@ class Child:
 
     @classmethod
     def from_environment(cls) -> Child | None:
-        """Return what this process is told; None if it is no child. A program that it starts is none."""
+        """Return what the supervisor of this process passed to it; None if there is none.
+
+        Programs that this process starts get nothing.
+        """
         text = os.environ.pop(_VARIABLE, None)
         return None if text is None else cls(**json.loads(text))
 
@@ -183,9 +186,9 @@ class Supervisor:
             self._start(place, folder, reading)
 
     def _start(self, place: _Place, folder: Path, reading: int) -> None:
-        told = {"number": place.number, "listener": self._listener.fileno(), "parent": reading, "folder": str(folder)}
+        child = Child(place.number, self._listener.fileno(), reading, str(folder))
         place.process = subprocess.Popen(
-            self._command, env={**os.environ, _VARIABLE: json.dumps(told)},
+            self._command, env={**os.environ, _VARIABLE: json.dumps(asdict(child))},
             pass_fds=(self._listener.fileno(), reading), stdin=subprocess.DEVNULL,
             start_new_session=True,  # Ctrl-C reaches only this process, which passes it on
         )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Turns of the clients of one thread, to plan for them and to read what they sent.
+"""Turns of the clients of one thread: to plan for them, to make what they wait for, and to read what they sent.
 
 Between two turns the event loop looks at all sockets.
 
@@ -9,25 +9,58 @@ would then measure the server instead of their links.
 from __future__ import annotations
 
 import asyncio
-import math
 import time
 from collections import deque
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 
-__all__ = ["Readings", "Turns"]
+__all__ = ["Preparations", "Readings", "Turns"]
 
+_IN_A_ROW = 3  # turns of newcomers while others wait
 _SHARE_S = 0.0005  # seconds for which one client is read before another
 _TURN_S = 0.001  # seconds for which clients are read before the loop looks at all sockets
 
 
+class _Queue:
+    """Tasks that wait for one place: newcomers first, both kinds in the order of asking.
+
+    A newcomer sees nothing yet, and needs little; what others get is larger. Others have every fourth turn at least.
+    """
+
+    def __init__(self) -> None:
+        self._newcomers, self._others = deque[asyncio.Future[None]](), deque[asyncio.Future[None]]()
+        self._taken, self._row = False, 0
+
+    async def enter(self, *, is_new: bool) -> None:
+        """Wait for the place, and take it."""
+        if self._taken:
+            mine = asyncio.get_running_loop().create_future()
+            (self._newcomers if is_new else self._others).append(mine)
+            try:
+                await mine
+            except asyncio.CancelledError:
+                if mine.done() and not mine.cancelled():
+                    self.leave()
+                raise
+        self._taken = True
+
+    def leave(self) -> None:
+        """Give the place to the next."""
+        for waiting in (self._newcomers, self._others):  # those that were cancelled
+            while waiting and waiting[0].done():
+                waiting.popleft()
+        if self._newcomers and (not self._others or self._row < _IN_A_ROW):
+            self._row = self._row + 1 if self._others else 0
+            self._newcomers.popleft().set_result(None)
+        elif self._others:
+            self._row = 0
+            self._others.popleft().set_result(None)
+        else:
+            self._taken = False
+
+
 class Turns:
-    """Let one task after the other do work that blocks the event loop, in the order in which they ask.
-
-    Long work comes after short work: twenty newcomers whose cells have to be made would else wait for all twenty cells
-    before one of them gets its second message. Where both wait, each has half of the time.
-
-    Args:
-        measure: Function that returns seconds, never decreasing.
+    """Let one task after the other do work that blocks the event loop, newcomers before others.
 
     Examples:
         >>> async def work(turns: Turns, number: int, done: list[int]) -> None:
@@ -41,46 +74,42 @@ class Turns:
         [0, 1, 2, 3]
     """
 
-    def __init__(self, measure: Callable[[], float] = time.perf_counter) -> None:
-        self._measure = measure
-        self._short, self._long = deque[asyncio.Future[None]](), deque[asyncio.Future[None]]()
-        self._taken = False
-        self._began: float | None = None  # the turn of long work that runs
-        self._due = -math.inf  # when long work is before short work again
+    def __init__(self) -> None:
+        self._queue = _Queue()
 
-    async def take(self, *, is_long: bool = False) -> None:
+    async def take(self, *, is_new: bool = False) -> None:
         """Wait for a turn, which lasts until the task waits for something else.
 
         Args:
-            is_long: Whether the work may take ten times as long as that of others.
+            is_new: Whether the work is for a client that has no picture yet.
         """
-        loop = asyncio.get_running_loop()
-        if self._taken:
-            mine = loop.create_future()
-            (self._long if is_long else self._short).append(mine)
-            try:
-                await mine
-            except asyncio.CancelledError:
-                if mine.done() and not mine.cancelled():
-                    self._give_on()
-                raise
-        self._taken = True
-        self._began = self._measure() if is_long else None
-        loop.call_soon(self._give_on)  # after the loop has looked at the sockets
+        await self._queue.enter(is_new=is_new)
+        asyncio.get_running_loop().call_soon(self._queue.leave)  # after the loop has looked at the sockets
 
-    def _give_on(self) -> None:
-        if self._began is not None:
-            now = self._measure()
-            self._due, self._began = now + (now - self._began), None
-        for waiting in (self._short, self._long):  # those that were cancelled
-            while waiting and waiting[0].done():
-                waiting.popleft()
-        if self._long and (not self._short or self._measure() >= self._due):
-            self._long.popleft().set_result(None)
-        elif self._short:
-            self._short.popleft().set_result(None)
-        else:
-            self._taken = False
+
+class Preparations:
+    """Make what clients wait for, such as a cell that nobody has been in: in a thread, one after the other.
+
+    The event loop goes on meanwhile. It reads acknowledgements when they arrive, so that sessions measure their links,
+    and plans for those whose cells are there. Kernels release Python's lock, so another core does most of the work.
+    With two at once on one core most newcomers would wait as long as the last.
+    """
+
+    def __init__(self) -> None:
+        self._queue, self._thread = _Queue(), ThreadPoolExecutor(1, "gsvis-prepare")
+
+    async def make(self, work: Callable[[], object], *, is_new: bool = False) -> None:
+        """Call a function in a thread when it is its turn, and wait for it; raises what it raises.
+
+        Args:
+            work: The function.
+            is_new: Whether the work is for a client that has no picture yet.
+        """
+        await self._queue.enter(is_new=is_new)
+        try:
+            await asyncio.get_running_loop().run_in_executor(self._thread, work)
+        finally:
+            self._queue.leave()
 
 
 class Readings:

@@ -32,7 +32,7 @@ from gsvis.stream.scene import StreamedScene
 
 __all__ = ["KeptTables", "open_kept"]
 
-_FORMAT = 4  # raise it when the content of the tables changes
+_FORMAT = 5  # raise it when the content of the tables changes
 _LOG = logging.getLogger(__name__)
 _LOOK_S = 0.05
 _UNUSED_S = 30 * 86400.0  # after so many seconds without use, tables are removed when others are written

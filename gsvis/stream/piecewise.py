@@ -67,6 +67,10 @@ class Pieces(Protocol):
         """
         ...
 
+    def piece_order(self, piece: int) -> NDArray[np.int32]:
+        """Return (N,) the Gaussian at each place of the visible sets of a piece; -1 where it is not known."""
+        ...
+
     def piece_sources(self, piece: int) -> Sequence[int]:
         """Return the pieces whose Gaussians those of a piece may replace."""
         ...
@@ -188,6 +192,7 @@ def _write_pieces(out: ArrayFiles, package: Pieces, survey: _Survey, numbers: pi
         counts = contents.term_counts
         out.append("importance", np.ones(len(contents), np.float32))
         out.append("parts", coding.split_records(rounded))
+        out.append("set_order", package.piece_order(piece))
         out.append("chunks", contents.chunks + np.int32(chunks))
         out.append("starts", rounded.table.starts[:-1] + low)
         out.append("chunk_rows", chunk_rows_of(rounded).view(np.uint8))

@@ -145,7 +145,7 @@ class StreamedScene:
             "has_active": index.active is not None,
         }  # fmt: skip
         if isinstance(self.package, OwnIndex):
-            own |= grid.to_arrays()  # type: ignore[attr-defined]
+            own |= self.package.own_arrays()
         return arrays | own, facts
 
     @classmethod
@@ -297,6 +297,10 @@ class OwnIndex(Protocol):
 
     def scene_index(self, contents: Contents, nbytes: tuple[float, float], cache: Cache[Any], /) -> SceneIndex:
         """Return what planners need to know of the scene."""
+        ...
+
+    def own_arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the arrays that `index_from` needs beside those of all scenes."""
         ...
 
     def index_from(self, arrays: Mapping[str, NDArray[Any]], cache: Cache[Any], /, **fields: Any) -> SceneIndex:

@@ -8,6 +8,7 @@ sizes are bytes of messages.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -189,13 +190,21 @@ class Session:
         room = max(self.allowance(), PIECE) if self.outstanding == 0 else self.allowance()
         return min(size, room) if room >= 0.5 * size else 0.0
 
-    def next_message(self, t: float, budget: float | None = None) -> Message | None:
+    def prepare(self) -> None:
+        """Make what `has_to_prepare` asks for; another thread may, while nobody else uses the session."""
+        self.planner.prepare()
+
+    def next_message(
+        self, t: float, budget: float | None = None, *, sent_at: Callable[[], float] | None = None
+    ) -> Message | None:
         """Return the next batch.
 
         Args:
             t: Seconds.
             budget: Bytes that the message should have; None means `room`. The overhead of chunks and ids is known only
                 after the planner has chosen the records, so a message may exceed the budget by some percent.
+            sent_at: Returns the seconds at which the message is ready, so that planning does not count as time of the
+                link; None means t.
 
         Returns:
             The batch; None if the budget is too small, nothing is left for the view, or no pose has arrived.
@@ -212,7 +221,7 @@ class Session:
         data = self._encode(batch)
         if len(batch.evicted) == 0:
             self._overhead += _LEARNED * ((len(data) - FIXED_BYTES) / batch.bytes - self._overhead)
-        self._record_sent(t, self._sequence, len(data))
+        self._record_sent(t if sent_at is None else sent_at(), self._sequence, len(data))
         self.filling_bytes += len(data) if batch.filling else 0
         return Message(self._sequence, data, batch)
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from gsvis.world.beyond import Beyond, Seen
+from gsvis.world.beyond import Beyond, SeenNode
 from gsvis.world.manifest import BeyondTable, District, Grid, Piece, Tile, WorldManifest
 from gsvis.world.world import VerifiedWorld, World, is_world
 
@@ -36,7 +36,7 @@ __all__ = [
     "Piece",
     "PreparedWorld",
     "Result",
-    "Seen",
+    "SeenNode",
     "Task",
     "Tile",
     "TileBytes",

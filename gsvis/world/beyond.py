@@ -15,14 +15,14 @@ from gsvis.files.limits import DAMAGED, digest_of
 from gsvis.pvs.store import VisibilityStore
 from gsvis.world.manifest import BeyondTable, Piece
 
-__all__ = ["Beyond", "Seen"]
+__all__ = ["Beyond", "SeenNode"]
 
 I64 = NDArray[np.int64]
 U8 = NDArray[np.uint8]
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class SeenNode:
     """What a cell sees of one node.
 
     Attributes:
@@ -82,7 +82,7 @@ class Beyond:
         starts = np.cumsum(counts) - counts
         return starts, first - starts
 
-    def of_cell(self, cell: int) -> list[Seen]:
+    def of_cell(self, cell: int) -> list[SeenNode]:
         """Return what a cell sees of each node, in the order of the pieces; nodes that it does not see are left out.
 
         Raises:
@@ -90,7 +90,7 @@ class Beyond:
             FormatError: If the store is damaged there.
         """
         ids, classes = self.store.classes(cell)
-        return [Seen(piece.node, piece.level, places, classes[some]) for piece, places, some in self._split(ids)]
+        return [SeenNode(piece.node, piece.level, places, classes[some]) for piece, places, some in self._split(ids)]
 
     def ids_of_cell(self, cell: int) -> list[tuple[int, I64]]:
         """Return what a cell sees of each node without classes, which is faster: pairs of a node and ids.

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import logging
 import weakref
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -26,7 +26,7 @@ from gsvis.package.sets import open_sets
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.codec import pack_some, word_count
 from gsvis.pvs.store import VisibilityStore
-from gsvis.world.beyond import Beyond, Seen
+from gsvis.world.beyond import Beyond, SeenNode
 from gsvis.world.manifest import Tile
 from gsvis.world.world import World
 
@@ -234,7 +234,9 @@ class WorldIndex(SceneIndex):
         """Return ascending ids of what a cell sees of tiles at a lower level that ends at this level."""
         sets: Any = self.sets
         ids, highest = sets.classes(cell)[0], sets.highest(cell)
-        some: I64 = ids[(self.last[ids] == highest) & (highest < self.num_levels - 1)]
+        lower = np.flatnonzero(highest < self.num_levels - 1)  # often nothing
+        ids, highest = ids[lower], highest[lower]
+        some: I64 = ids[self.last[ids] == highest]
         return some
 
 
@@ -255,6 +257,8 @@ class WorldSets:
         levels: L, number of levels.
         manifests: Manifest of the package of each tile.
         cache: Keeps what is decoded.
+        orders: For the ids of each tile, the Gaussian at each place of its visible sets; -1 where it is not known. None
+            if none is known.
     """
 
     def __init__(
@@ -265,8 +269,10 @@ class WorldSets:
         levels: int,
         manifests: Mapping[int, Manifest],
         cache: Cache[Any],
+        *,
+        orders: NDArray[np.int32] | None = None,
     ) -> None:
-        self._world, self._cells, self._bases, self._cache = world, cells, bases, cache
+        self._world, self._cells, self._bases, self._cache, self._orders = world, cells, bases, cache, orders
         self._top, self._manifests = levels - 1, manifests
         self._tiles: Cache[_Tile] = Cache(max_items=_OPEN_TILES)
         self._said = set[int]()
@@ -315,12 +321,20 @@ class WorldSets:
         low, high = self._bases[tile : tile + 2].tolist()
 
         def read(stores: _Tile) -> list[_Masks]:
-            beyond = [] if stores.beyond is None else stores.beyond.ids_of_cell(place)
-            others = [np.sort(self._bases[node] + ids) for node, ids in beyond if self._has_ids(node)]
-            return [stores.own.visible_masks(place, first=low), *(pack_some(ids) for ids in others)]
+            return [stores.own.visible_masks(place, first=low), *self._beyond(stores, place)]
 
         found = self._unless_damaged(tile, read)
         return pack_some(np.arange(low, high)) if found is None else found[0] if len(found) == 1 else _join(found)
+
+    def ring_masks(self, rings: Sequence[Sequence[int]]) -> list[list[_Masks]]:
+        """Return sets of each ring of cells, joined where they are of one tile; see `RingSets`."""
+        found: list[list[_Masks]] = [[] for _ in rings]
+        for tile in dict.fromkeys(int(self._cells.tiles[cell]) for ring in rings for cell in ring):
+            mine = [[cell for cell in ring if self._cells.tiles[cell] == tile] for ring in rings]
+            joined = self._unless_damaged(tile, partial(self._join_rings, tile, mine))
+            for k, ring in enumerate(mine):
+                found[k] += [self.visible_masks(cell) for cell in ring] if joined is None else joined[k]
+        return found
 
     def of_gaussian(self, gaussian: int) -> tuple[VisibilityStore, int, int] | None:
         """Return the store of the tile that holds a Gaussian, its id there, and the number of the tile's first cell.
@@ -371,10 +385,21 @@ class WorldSets:
         order = np.argsort(ids, kind="stable")
         return ids[order], classes[order], highest[order]
 
+    def _join_rings(self, tile: int, rings: list[list[int]], stores: _Tile) -> list[list[_Masks]]:
+        places = [[int(self._cells.places[cell]) for cell in ring] for ring in rings]
+        own = stores.own.ring_masks(places, first=int(self._bases[tile]))
+        beyond = [[each for place in ring for each in self._beyond(stores, place)] for ring in places]
+        return [mine + others for mine, others in zip(own, beyond, strict=True)]
+
+    def _beyond(self, stores: _Tile, place: int) -> list[_Masks]:
+        """Return what a cell of a tile sees of other nodes."""
+        found = [] if stores.beyond is None else stores.beyond.ids_of_cell(place)
+        return [pack_some(np.sort(self._bases[node] + ids)) for node, ids in found if self._has_ids(node)]
+
     def _has_ids(self, node: int) -> bool:
         return bool(self._bases[node + 1] > self._bases[node])
 
-    def _level_of(self, seen: Seen) -> int:
+    def _level_of(self, seen: SeenNode) -> int:
         """Return the level of the world at which a part of a node stands; districts stand at all."""
         node = self._world.manifest.node(seen.node)
         return self._top - (len(node.levels) - 1 - seen.level) if isinstance(node, Tile) else self._top
@@ -391,7 +416,10 @@ class WorldSets:
 
     def _open(self, tile: int) -> _Tile:
         parts = self._world.package_path(tile) / PARTS
-        own = open_sets(parts, self._manifests[tile], self._cache.scope(("tile", tile)))
+        low, high = self._bases[tile : tile + 2].tolist()
+        order = None if self._orders is None or not low < high else self._orders[low:high]
+        order = None if order is None or order[0] < 0 else order
+        own = open_sets(parts, self._manifests[tile], self._cache.scope(("tile", tile)), order=order)
         found = _Tile(own, self._world.beyond(tile))
         if found.beyond is not None:
             found.beyond.store.cache = self._cache.scope(("beyond", tile))

@@ -29,6 +29,8 @@ from gsvis.package import Package
 from gsvis.package.codec import ChunkTable
 from gsvis.package.contents import Contents
 from gsvis.package.manifest import Manifest
+from gsvis.package.package import PARTS
+from gsvis.package.sets import open_sets
 from gsvis.package.terms import encode_terms
 from gsvis.scene.levels import Levels
 from gsvis.stream import Quality, StreamedScene
@@ -192,6 +194,21 @@ class WorldPackage(Package):
             pairs.append(_nearest(own, means(first, end)[theirs - first], low, theirs))
         return np.unique(np.concatenate(pairs), axis=0)
 
+    def piece_order(self, piece: int) -> NDArray[np.int32]:
+        """Return the Gaussian at each place of the visible sets of a node; -1 if it has none, or they are damaged."""
+        node = self.nodes[piece]
+        unknown = np.full(int(self.bases[node + 1] - self.bases[node]), -1, np.int32)
+        if not self._is_tile(node) or self._manifests[node].visibility is None:
+            return unknown
+        try:
+            store = open_sets(self.world.package_path(node) / PARTS, self._manifests[node], Cache())
+            try:
+                return store.order
+            finally:
+                store.close()
+        except (GsvisError, OSError):  # whoever reads the sets logs it
+            return unknown
+
     def piece_sources(self, piece: int) -> Sequence[int]:
         """Return the nodes whose Gaussians those of a node may replace: itself, and its district."""
         node, numbers = self.nodes[piece], {node: k for k, node in enumerate(self.nodes)}
@@ -225,6 +242,11 @@ class WorldPackage(Package):
             np.unique(np.concatenate([piece.starts + at for piece, at in zip(pieces, counts[:-1], strict=True)])),
         )  # fmt: skip
 
+    def own_arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the arrays that `index_from` needs beside those of all scenes."""
+        orders = [self.piece_order(piece) for piece in range(len(self.nodes))]
+        return {**self._cells().to_arrays(), "set_order": np.concatenate(orders)}
+
     def scene_index(self, contents: Contents, nbytes: tuple[float, float], cache: Cache[Any]) -> SceneIndex:
         """Return what planners need to know of the world."""
         cells, levels = self._cells(), contents.levels()
@@ -246,11 +268,13 @@ class WorldPackage(Package):
     def index_from(self, arrays: Any, cache: Cache[Any], **fields: Any) -> SceneIndex:
         """Return the index of a world whose arrays were written before."""
         cells = WorldCells.from_arrays(arrays, np.array(self.manifest.info.up))
-        return WorldIndex.trusted(**{**fields, "grid": cells, "sets": self.sets(cells, cache)})
+        sets = self.sets(cells, cache, arrays["set_order"])
+        return WorldIndex.trusted(**{**fields, "grid": cells, "sets": sets})
 
-    def sets(self, cells: WorldCells, cache: Cache[Any]) -> WorldSets:
-        """Return the visible sets of all cells, read tile by tile."""
-        return WorldSets(self.world, cells, self.bases, len(self.manifest.names), self._manifests, cache)
+    def sets(self, cells: WorldCells, cache: Cache[Any], orders: NDArray[np.int32] | None = None) -> WorldSets:
+        """Return the visible sets of all cells, read tile by tile; see `WorldSets` for the orders."""
+        levels = len(self.manifest.names)
+        return WorldSets(self.world, cells, self.bases, levels, self._manifests, cache, orders=orders)
 
     def _cells(self) -> WorldCells:
         return WorldCells.read(self.world, [node for node in self.nodes if self._is_tile(node)])

@@ -158,7 +158,7 @@ def structured(n: int = 20_000, cells: int = 40) -> Truth:
 def test_equal_content_makes_equal_bytes(tmp_path: Path) -> None:
     truth = structured()
     with truth.write(tmp_path / "a.pvs") as store:
-        assert store._order[0] != 0 or np.any(np.diff(store._order) != 1)  # stored in an order of its own
+        assert store.order[0] != 0 or np.any(np.diff(store.order) != 1)  # stored in an order of its own
         store.verify()
         for cell in (0, 17, 39):
             assert np.array_equal(store.visible_ids(cell), np.flatnonzero(truth.seen[cell]))

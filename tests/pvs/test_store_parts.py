@@ -36,3 +36,22 @@ def test_a_store_in_parts_answers_as_one_file_in_ids_that_begin_anywhere(tmp_pat
                 assert np.array_equal(mine, theirs)
         assert shared.nbytes <= most
         assert bool(shared.nbytes) == bool(most)
+
+
+@pytest.mark.parametrize("first", [0, 1_000_037])
+def test_rings_hold_what_earlier_ones_do_not_whether_or_not_the_order_is_known(tmp_path: Path, first: int) -> None:
+    truth, rings = structured(5_000, 12), [[3], [2, 4, 11], [], [0, 3, 1]]
+    with truth.write(tmp_path / "a.pvs") as store:
+        cache = Cache[Any]()
+        with VisibilityStore(tmp_path / "a.pvs", cache=cache, order=store.order) as known:
+            for each in (store, known):
+                before = np.zeros(5_000, bool)
+                for ring, sets in zip(rings, each.ring_masks(rings, first=first), strict=True):
+                    seen = truth.seen[ring].any(axis=0)
+                    (found,) = sets
+                    for mine, theirs in zip(found, pack_some(first + np.flatnonzero(seen & ~before)), strict=True):
+                        assert np.array_equal(mine, theirs)
+                    before |= seen
+        assert cache.find("order") is None
+        with pytest.raises(ValueError, match=r"^order: expected 5,000 Gaussians, got 4,999"):
+            VisibilityStore(tmp_path / "a.pvs", order=store.order[1:])

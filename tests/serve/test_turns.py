@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 from collections.abc import Callable
+from functools import partial
+from pathlib import Path
 
-from gsvis.serve.turns import Readings, Turns
+from gsvis.errors import FormatError
+from gsvis.serve.turns import Preparations, Readings, Turns
 
 
 def test_the_loop_runs_between_two_turns() -> None:
@@ -63,25 +67,62 @@ def test_who_asks_alone_need_not_wait() -> None:
     assert asyncio.run(main())
 
 
-def test_long_work_comes_after_short_work_but_gets_half_of_the_time() -> None:
-    async def main() -> list[str]:
-        costs = Costs()
-        turns, done = Turns(costs.measure), list[str]()
+def test_newcomers_come_first_and_others_have_every_fourth_turn() -> None:
+    async def main() -> str:
+        turns, done = Turns(), list[str]()
 
-        async def work(name: str, cost: float, times: int, *, is_long: bool) -> None:
+        async def work(name: str, times: int, *, is_new: bool) -> None:
             for _ in range(times):
-                await turns.take(is_long=is_long)
-                costs.now += cost
+                await turns.take(is_new=is_new)
                 done.append(name)
-                await asyncio.sleep(0)
 
-        long = [work("L", 1.0, 1, is_long=True) for _ in range(4)]
-        short = [work("s", 0.25, 5, is_long=False) for _ in range(2)]
-        await asyncio.gather(*long, *short)
-        return done
+        await asyncio.gather(*(work("o", 3, is_new=False) for _ in range(2)), work("N", 7, is_new=True))
+        return "".join(done)
 
-    found = "".join(asyncio.run(main()))
-    assert found == "LssssLssssLssL"  # the first asked before anybody else; the last when nothing short waits
+    assert asyncio.run(main()) == "oNNNoNNNoNooo"  # the first asked before anybody else
+
+
+def test_what_clients_wait_for_is_made_in_turn_while_the_loop_goes_on() -> None:
+    async def main() -> tuple[list[str], int]:
+        preparations, made, looks = Preparations(), list[str](), 0
+        begun, end = threading.Event(), threading.Event()
+
+        def hold() -> None:
+            begun.set()
+            assert end.wait(60.0)
+            made.append("held")
+
+        tasks = [asyncio.create_task(preparations.make(hold))]
+        while not begun.is_set():
+            await asyncio.sleep(0)
+        for name in ("other", "newcomer"):
+            work = partial(made.append, name)
+            tasks.append(asyncio.create_task(preparations.make(work, is_new=name == "newcomer")))
+        for _ in range(20):
+            await asyncio.sleep(0)
+            looks += not made
+        end.set()
+        await asyncio.gather(*tasks)
+        return made, looks
+
+    assert asyncio.run(main()) == (["held", "newcomer", "other"], 20)
+
+
+def test_a_preparation_that_fails_or_is_cancelled_lets_the_next_begin() -> None:
+    async def main() -> list[str]:
+        preparations, made = Preparations(), list[str]()
+
+        def fails() -> None:
+            raise FormatError(Path("x"), "", "a set", "none", "remedy")
+
+        tasks = [asyncio.create_task(preparations.make(fails)) for _ in range(2)]
+        await asyncio.sleep(0)
+        tasks[1].cancel()
+        await preparations.make(partial(made.append, "next"))
+        found = await asyncio.gather(*tasks, return_exceptions=True)
+        return [*made, *(type(error).__name__ for error in found)]
+
+    assert asyncio.run(main()) == ["next", "FormatError", "CancelledError"]
 
 
 class Costs:

@@ -56,6 +56,16 @@ def test_what_is_in_flight_is_bounded_by_the_window(scene: StreamedScene) -> Non
         session.on_ack(1.7, 3)
 
 
+@pytest.mark.parametrize("planning", [0.0, 0.04, 3.0])
+def test_planning_is_no_time_of_the_link(scene: StreamedScene, planning: float) -> None:
+    session = Session(scene, VIEW, AbrConfig(start_rate=1e6))
+    session.on_pose(0.0, [0, 0, 0], [1, 0, 0, 0])
+    message = session.next_message(0.0, 9000.0, sent_at=lambda: planning)
+    assert message is not None
+    session.on_ack(planning + 0.5, message.sequence)
+    assert session.rate == pytest.approx(len(message.data) / 0.5)
+
+
 @pytest.mark.parametrize("begin", [0.0, 12e3])
 def test_the_first_messages_are_small(scene: StreamedScene, begin: float) -> None:
     session = Session(scene, VIEW, AbrConfig(start_rate=1e6, window=1.0, begin=begin))
@@ -82,6 +92,7 @@ def test_candidates_are_what_the_cell_and_its_neighbors_see(scene: StreamedScene
 
 def test_one_cache_holds_all_that_is_decoded(scene: StreamedScene) -> None:
     scene.candidates.in_cell(0)
+    scene.candidates.seen.of_cell(0)
     cache = scene.candidates.cache
     assert scene.package.visibility.cache is cache
     kinds = {key[0] for key in cache._values}

@@ -16,8 +16,11 @@ import pytest
 from benchmarks._worlds import small_street
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.config import AbrConfig
+from gsvis.abr.rings import ring_cells
+from gsvis.abr.seen import SeenSets
 from gsvis.color.fit import FitConfig
 from gsvis.errors import FormatError
+from gsvis.files.cache import Cache
 from gsvis.files.mapped import MappedArrays
 from gsvis.prepare.colors import ColorConfig
 from gsvis.pvs.codec import ids_of
@@ -418,3 +421,47 @@ def test_a_tile_that_is_opened_ahead_answers_as_one_that_is_not(city: Path) -> N
         for mine, theirs in zip(index.sets.visible_masks(cell), other.sets.visible_masks(cell), strict=True):
             assert np.array_equal(mine, theirs)
         assert np.array_equal(ids_of(index.sets.visible_words(cell)), index.sets.classes(cell)[0])
+
+
+def test_sets_whose_order_the_tables_hold_are_those_that_know_none(copy: Path) -> None:
+    scene, _ = open_world(copy)
+    package, known = scene.package, scene.index.sets
+    assert isinstance(package, WorldPackage)
+    assert isinstance(known, WorldSets)
+    other = package.sets(scene.index.grid, Cache())  # type: ignore[arg-type]
+    for cell in range(len(scene.index.grid)):
+        for mine, theirs in zip(known.visible_masks(cell), other.visible_masks(cell), strict=True):
+            assert np.array_equal(mine, theirs)
+    orders = {(("tile", tile), "order") for tile in scene.index.grid.tiles.tolist()}  # type: ignore[attr-defined]
+    assert not orders & set(known._cache._values)
+    assert orders <= set(other._cache._values)
+    with package.world.package(0) as own:
+        assert np.array_equal(package.piece_order(0), own.visibility.order)
+        for part in own.manifest.visibility.parts:
+            path = package.world.package_path(0) / "parts" / part.name
+            path.write_bytes(bytes(path.stat().st_size))
+    assert np.array_equal(package.piece_order(0), np.full(own.manifest.gaussians, -1))
+
+
+@pytest.mark.parametrize("damaged", [False, True])
+def test_rings_that_are_joined_as_they_are_stored_hold_what_their_cells_see(
+    far: Path, tmp_path: Path, damaged: bool
+) -> None:
+    """Across borders, with what lies beyond the tiles, and where a tile is damaged: then its cells see all of it."""
+    copy = Path(shutil.copytree(far, tmp_path / "copy.gsworld"))
+    scene, _ = open_world(copy)
+    cells, seen = scene.index.grid, SeenSets(scene.index, Cache())
+    if damaged:
+        with World.open(copy).package(int(cells.tiles[0])) as own:  # type: ignore[attr-defined]
+            for part in own.manifest.visibility.parts:
+                (own.path / "parts" / part.name).write_bytes(bytes(part.nbytes))
+    across = 0
+    for cell in range(len(cells)):
+        rings = ring_cells(cells, cell)
+        across += len(set(cells.tiles[[k for ring in rings for k in ring]].tolist())) > 1  # type: ignore[attr-defined]
+        fresh, every = seen.join(seen.of_rings(rings))
+        expected, all_of_them = seen.join([[seen.of_cell(each) for each in ring] for ring in rings])
+        for mine, theirs in zip([*fresh, every], [*expected, all_of_them], strict=True):
+            assert np.array_equal(mine.words, theirs.words)
+            assert np.array_equal(mine.masks, theirs.masks)
+    assert across > 0

@@ -213,12 +213,13 @@ def ascend(ids, marks, summary, out):
         summary: uint64 zeros, a bit for each word of `marks`; zeros again at the end.
         out: (M,) receives the ids.
     """
-    count, one = 0, np.uint64(1)
+    count, one, low, high = 0, np.uint64(1), np.int64(len(summary)), np.int64(-1)
     for i in range(len(ids)):
         w = np.int64(ids[i]) >> 6
         marks[w] |= one << np.uint64(ids[i] & 63)
         summary[w >> 6] |= one << np.uint64(w & 63)
-    for v in range(len(summary)):
+        low, high = min(low, w >> 6), max(high, w >> 6)
+    for v in range(low, high + 1):  # in a large scene all ids are of a few tiles
         some = summary[v]
         summary[v] = 0
         while some:

@@ -1,0 +1,77 @@
+"""Scratch memory of the threads that plan. Each has its own; who has it next overwrites it.
+
+In a large scene a new array costs more than what is written to it.
+"""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis._kernels.blank import blank
+from gsvis.abr._kernels import plan
+
+__all__ = ["Scratch"]
+
+I32 = NDArray[np.int32]
+
+_WORKS = 64  # ways to divide scratch memory that a thread remembers
+
+
+class Scratch:
+    """Memory of each thread that asks.
+
+    Args:
+        replaced: E, number of Gaussians that others replace.
+    """
+
+    def __init__(self, replaced: int) -> None:
+        self._replaced, self._local = replaced, threading.local()
+
+    def taken(self) -> list[I32]:
+        """Return two (E,) int32 arrays, with room for all that a batch replaces."""
+        return self._rooms("taken", 2)
+
+    def bounds(self) -> list[I32]:
+        """Return four (E,) int32 arrays, with room for the bounds of a cell; the first holds zeros after each use."""
+        return self._rooms("bounds", 4)
+
+    def work(self, slots: int, units: int, keys: int, terms: int = 1) -> plan.Work:
+        """Return the memory in which units are ranked.
+
+        Args:
+            slots: S, number of words.
+            units: U, number of units.
+            keys: M, number of keys.
+            terms: K, number of kinds of terms.
+        """
+        key = slots, units, keys, terms
+        made: dict[tuple[int, ...], plan.Work] = self._local.__dict__.setdefault("made", {})
+        if key not in made:
+            if len(made) >= _WORKS:
+                made.clear()
+            made[key] = self._work(slots, units, keys, terms)
+        return made[key]
+
+    def _work(self, slots: int, units: int, keys: int, terms: int) -> plan.Work:
+        local, entries, sizes = self._local, 3 * (1 + terms) * units, []
+        for name, size, kinds in (
+            ("slots", slots, (*3 * (np.uint64,), *2 * (np.uint8,), np.float32, np.int32)),
+            ("due", terms * slots, (np.uint64,)), ("units", units, (np.int32, np.int32)),
+            ("entries", entries, (np.int32, np.int32, np.uint64, np.int32)), ("keys", keys, (np.int64, np.float64)),
+        ):  # fmt: skip
+            if not hasattr(local, name) or len(getattr(local, name)[0]) < size:
+                local.made.clear()  # they have the memory before
+                setattr(local, name, tuple(np.empty(size, kind) for kind in kinds))
+            sizes.append([array[:size] for array in getattr(local, name)])
+        (inside, middle, free, *others), (due,), of_units, listed, sums = sizes
+        of_words = [inside, middle, free, due.reshape(terms, slots), *others]
+        return plan.Work(*of_words, *of_units, *listed, *sums)
+
+    def _rooms(self, name: str, count: int) -> list[I32]:
+        if not hasattr(self._local, name):
+            setattr(self._local, name, [blank(self._replaced, np.int32) for _ in range(count)])
+        found: list[I32] = getattr(self._local, name)
+        return found
