@@ -168,7 +168,7 @@ USE = (
                     "world_serving: first image of 20 dB, one viewer: world minus package",
                     "world_serving: the same, 20 viewers at once",
                 ),
-                ours="{0:.2f} GB; {1:.2f} s ({2:.1f} s with 20 at once)",
+                ours="{0:.2f} GB; {1:.2f} s ({2:.2f} s with 20 at once)",
                 target="≤ 2 GB, 0.2 s",
             ),
             Row(
