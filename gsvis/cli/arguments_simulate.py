@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from gsvis.cli.readers import COUNTED, DEGREES, PACKAGES, PIXELS, PLAIN, SECONDS, WHOLE, hint
+from gsvis.cli.readers import BYTES, COUNTED, DEGREES, PACKAGES, PIXELS, PLAIN, SECONDS, WHOLE, hint
 from gsvis.cli.readers import _number as number
 from gsvis.cli.readers import _spec as spec
 
@@ -22,10 +22,10 @@ _MILLISECONDS = number("MS", float, 0.0, 10_000.0, "milliseconds in [0, 10000]")
 
 @dataclass(frozen=True)
 class Simulate:
-    """Simulate what a viewer sees while a package arrives over a link; write a report."""
+    """Simulate what a viewer sees while a scene arrives over a link; write a report."""
 
     package: Annotated[Positional[tuple[str, ...]], PACKAGES, arg(help_behavior_hint="")]
-    """Folders of packages, such as scene.gsvis; several are visited one after the other."""
+    """Folders of packages or worlds, such as scene.gsvis; several are visited one after the other."""
     path: Annotated[str, arg(metavar="FILE", help_behavior_hint="(required)")]
     """Recorded head poses: EyeNavGS, or columns t,x,y,z,qw,qx,qy,qz. Moved into the scene if they lie outside."""
     out: Annotated[str, arg(aliases=["-o"], metavar="DIR", help_behavior_hint="(required)")]
@@ -45,7 +45,7 @@ class Simulate:
     no_fill: Flag = False
     """Send only what a view needs: an idle link does not bring the rest of the scene."""
     scene: Annotated[tuple[str, ...], _FILES, hint("the packages themselves")] = ()
-    """The scene from which each package was made; compare with it instead of the rounded records."""
+    """The scene of each package, or all scenes of one world, to compare with instead of the rounded records."""
     lod: Annotated[int | None, WHOLE, hint("the finest that is there")] = None
     """Level of detail of a streamed --scene; 0 is the finest."""
     whole_file: Annotated[tuple[str, ...], _FILES, hint("written as SOG and measured")] = ()
@@ -62,6 +62,8 @@ class Simulate:
     """Leave the path where it is, even outside of the scene."""
     seed: Annotated[int, WHOLE] = 0
     """Of the place to which a path is brought."""
+    max_memory: Annotated[int | None, BYTES, hint("no bound; worlds must fit this machine")] = None
+    """Refuse what needs more memory, such as 4GB: all records are read."""
     json: Flag = False
     """Print report.json on standard output instead of tables."""
     debug: Flag = False

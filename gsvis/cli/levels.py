@@ -13,7 +13,7 @@ from gsvis._extras import require
 from gsvis.cli.arguments import Levels
 from gsvis.cli.kernels import warm_levels
 from gsvis.cli.levels_result import print_result, record_of
-from gsvis.cli.memory import check_memory, training_grows
+from gsvis.cli.memory import check_memory, machine_memory, training_grows
 from gsvis.cli.source import Source, check_folder, check_source, load_source, parse_up
 from gsvis.cli.stopping import between_steps
 from gsvis.cli.terminal import Status
@@ -166,11 +166,8 @@ def check_views(sampling: ViewSampling, held_out: int) -> None:
         ValueError: If they do not fit.
     """
     needed = image_bytes(sampling, held_out)
-    try:
-        memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    except (AttributeError, ValueError, OSError):  # not on this system
-        return
-    if needed > _MEMORY_SHARE * memory:
+    memory = machine_memory()
+    if memory is not None and needed > _MEMORY_SHARE * memory:
         raise ValueError(
             f"--views: expected images that fit into half of the memory ({memory / 1e9:.1f} GB), got"
             f" {sampling.count + held_out:,} of {sampling.width} x {sampling.height}, {needed / 1e9:.1f} GB; take"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -22,8 +23,10 @@ __all__ = [
     "check_memory",
     "check_preparation",
     "check_sets",
+    "check_simulation",
     "count_gaussians",
     "expected_memory",
+    "machine_memory",
     "training_grows",
 ]
 
@@ -52,6 +55,7 @@ NEEDS = {
     "page": Need(256 << 20, 900, 12),  # convert to .html
     "levels": Need(440 << 20, 700, 30),
     "color": Need(300 << 20, 600, 32),
+    "simulate": Need(400 << 20, 700, 12),
 }
 """The need of each command, measured and rounded up (docs/results/world.md)."""
 
@@ -153,6 +157,42 @@ def check_preparation(
         training = expected_memory("levels", count, degree, training_grows(config.levels.shares)) + images
         need = max(need, training)
     _check_fits(max(need, expected_memory("color", union, degree)), max_memory, (count, degree), IN_TILES)
+
+
+def check_simulation(
+    sizes: Sequence[int], scenes: Sequence[tuple[str, int | None]], max_memory: int | None, any_world: bool
+) -> None:
+    """Raise unless packages and worlds fit the memory with the scenes that they are compared with, before all are read.
+
+    Args:
+        sizes: Gaussians of each package or world, all levels together.
+        scenes: Path and level of detail of each scene.
+        max_memory: Bytes; None sets no limit for packages, and that of the machine for worlds.
+        any_world: Whether one of them is a world.
+
+    Raises:
+        ValueError: If they do not fit.
+    """
+    limit = machine_memory() if max_memory is None and any_world else max_memory
+    if limit is None:
+        return
+    need = expected_memory("simulate", sum(sizes), 0)
+    for scene, lod in scenes:
+        need += expected_memory("simulate", *count_gaussians(scene, lod)) - NEEDS["simulate"].base
+    if need > limit:
+        what = "--max-memory: expected" if max_memory is not None else "PACKAGE: expected a machine with"
+        raise ValueError(
+            f"{what} at least {least_size_of(need)} to draw {sum(sizes):,} Gaussians, got {size_of(limit)};"
+            " simulate one of the tiles, which are in packages" + ("" if max_memory is None else ", or raise it")
+        )
+
+
+def machine_memory() -> int | None:
+    """Return the bytes of memory of this machine; None if they are not known."""
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):  # not on this system
+        return None
 
 
 def training_grows(shares: Sequence[float]) -> float:

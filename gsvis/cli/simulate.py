@@ -1,4 +1,4 @@
-"""`gsvis simulate`: simulate what a viewer sees while packages arrive over a recorded link; compare two baselines."""
+"""`gsvis simulate`: simulate what a viewer sees while scenes arrive over a recorded link; compare two baselines."""
 
 from __future__ import annotations
 
@@ -11,12 +11,16 @@ from typing import TYPE_CHECKING, Any
 from gsvis._extras import has, remedy_of
 from gsvis.cli import version
 from gsvis.cli.arguments_simulate import Simulate
+from gsvis.cli.memory import check_simulation
 from gsvis.cli.source import check_report, check_source, load_source
 from gsvis.cli.terminal import Status, facts, print_json, show
 from gsvis.errors import ArgumentError
 from gsvis.io.poses import load_path
+from gsvis.package.manifest import MANIFEST
 from gsvis.package.package import Package
+from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.paths import HeadPath
+from gsvis.world.world import World, is_world
 
 if TYPE_CHECKING:
     from gsvis.abr import BandwidthTrace
@@ -65,6 +69,8 @@ def _check(command: Simulate) -> None:
         raise ValueError(f"--mbit: expected none with --trace, got {command.mbit:g}; leave one out")
     for name in ("scene", "whole_file"):
         given = getattr(command, name)
+        if name == "scene" and len(command.package) == 1 and is_world(command.package[0]):
+            continue  # a world is made of several scenes
         if given and len(given) != len(command.package):
             spelled = "--" + name.replace("_", "-")
             raise ValueError(f"{spelled}: expected one for each package, {len(command.package)}, got {len(given)}")
@@ -73,8 +79,18 @@ def _check(command: Simulate) -> None:
             raise FileNotFoundError(2, "no such file or folder", file)
     for scene in command.scene:
         check_source(scene, command.lod)
-    for package in command.package:
-        Package.open(package).close()
+    sizes = [_size_of(package) for package in command.package]
+    any_world = any(is_world(package) for package in command.package)
+    check_simulation(sizes, [(scene, command.lod) for scene in command.scene], command.max_memory, any_world)
+
+
+def _size_of(path: str) -> int:
+    """Return the Gaussians of a package or of a world, by its manifest."""
+    if is_world(path) or (Path(path).is_dir() and not (Path(path) / MANIFEST).is_file()):
+        m = World.open(path).manifest
+        return sum(m.node(k).gaussians for k in range(len(m)))
+    with Package.open(path) as package:
+        return len(package)
 
 
 def _trace(command: Simulate) -> BandwidthTrace:
@@ -98,7 +114,7 @@ def _write_report(command: Simulate, walk: HeadPath, trace: BandwidthTrace, stat
     )  # fmt: skip
     with ExitStack() as opened:
         visits = simulate_visits(
-            _places(command, opened, status), walk, link, config,
+            _places(command, walk, opened, status), walk, link, config,
             count=command.visits, abr=AbrConfig(policy=command.policy, fill=not command.no_fill), seed=command.seed,
             progress=status,
         )  # fmt: skip
@@ -110,22 +126,40 @@ def _write_report(command: Simulate, walk: HeadPath, trace: BandwidthTrace, stat
     return write_session_report(command.out, simulation, progress=status)
 
 
-def _places(command: Simulate, opened: ExitStack, status: Status) -> list[Place]:
-    """Open all packages; return them as places to simulate visits in."""
-    from gsvis.simulate.visits import Place
-
+def _places(command: Simulate, walk: HeadPath, opened: ExitStack, status: Status) -> list[Place]:
+    """Open all packages and worlds; return them as places to simulate visits in."""
     status("reading", 0, len(command.package))
     places = []
     for k, folder in enumerate(command.package):
-        package = opened.enter_context(Package.open(folder))
-        reference = load_source(command.scene[k], command.lod).gaussians if command.scene else None
         whole = command.whole_file[k] if command.whole_file else None
         try:
-            places.append(Place.open(package, reference=reference, whole_file=whole, as_is=command.as_is))
+            places.append(_open_place(folder, walk, opened, command, _reference(command, k), whole))
         except ArgumentError as error:
             raise error.renamed("--" + error.name.replace("_", "-")) from None
         status("reading", k + 1, len(command.package))
     return places
+
+
+def _open_place(
+    folder: str, walk: HeadPath, opened: ExitStack, command: Simulate, reference: Gaussians | None, whole: str | None
+) -> Place:
+    if is_world(folder):
+        from gsvis.world.place import open_place  # seldom needed
+
+        given: Any = {"as_is": command.as_is, "seed": command.seed}
+        return open_place(folder, walk, reference=reference, whole_file=whole, **given)
+    from gsvis.simulate.visits import Place
+
+    package = opened.enter_context(Package.open(folder))
+    return Place.open(package, reference=reference, whole_file=whole, as_is=command.as_is)
+
+
+def _reference(command: Simulate, place: int) -> Gaussians | None:
+    """Return the scene from which a package was made, or all of a world together; None if none is given."""
+    if not command.scene:
+        return None
+    scenes = command.scene if len(command.package) == 1 else command.scene[place : place + 1]
+    return Gaussians.concatenate([load_source(scene, command.lod).gaussians for scene in scenes])
 
 
 def _command_line(command: Simulate) -> str:
@@ -138,8 +172,14 @@ def _command_line(command: Simulate) -> str:
         if isinstance(value, tuple):
             words += value
         elif value is not True:
-            words.append(f"{value:g}" if isinstance(value, float) else str(value))
+            words.append(_spell(name, value))
     return shlex.join(words)
+
+
+def _spell(name: str, value: Any) -> str:
+    if name == "max_memory":
+        return f"{value}B"
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _plain(value: Any) -> Any:

@@ -205,6 +205,18 @@ def _explain_sent(document: dict[str, Any], figures: dict[str, Figure]) -> str:
     )
 
 
+def _explain_world(name: str, scene: dict[str, Any]) -> str:
+    """Return what the systems mean for a world; nothing for a package."""
+    if "tiles" not in scene:
+        return ""
+    tiles, districts = scene["tiles"], scene["districts"]
+    text = f"{name} is a world of {tiles:,} tile{'s' * (tiles != 1)}. The other systems send the highest level of all"
+    text += " tiles, as one file or along one curve."
+    if districts:
+        text += f" gsvis alone sends districts, which stand for tiles from afar: cells see {districts:,}."
+    return f"<li>{text}</li>"
+
+
 def _tables(document: dict[str, Any]) -> str:
     text = ""
     for visit in document["visits"]:
@@ -233,7 +245,7 @@ def _explain_assumptions(document: dict[str, Any]) -> str:
         text += f"<li>{name}: the full scene is {escape(visit['compared_with'])}."
         if "rule" in visit["path"]:
             text += f" Its path: {escape(str(visit['path']['rule']))}."
-        text += "</li>"
+        text += f"</li>{_explain_world(name, visit['scene'])}"
     rows = []
     for system in document["visits"][0]["systems"]:
         for key, value in system["about"].items():

@@ -57,17 +57,18 @@ class WholeFile(_Unaware):
         contents: The package; the last parcel names its ids.
         nbytes: Measured size of the file.
         measured: How the size was measured, for reports.
+        ids: Gaussians of the file; None means those of the highest level.
     """
 
     name, exact = "whole file", True
 
-    def __init__(self, contents: Contents, nbytes: int, measured: str = "") -> None:
+    def __init__(self, contents: Contents, nbytes: int, measured: str = "", *, ids: I64 | None = None) -> None:
         self.nbytes, self.measured = _check.positive_int("nbytes", nbytes), measured
         none = np.zeros(0, np.int64)
         cuts = [*range(0, nbytes, CHUNK), nbytes]
         parcels = [Parcel(k + 1, cuts[k + 1] - cuts[k], none, none, none) for k in range(len(cuts) - 1)]
         last = parcels[-1]
-        ids = np.flatnonzero(contents.last == len(contents.names) - 1)
+        ids = _highest(contents) if ids is None else ids
         parcels[-1] = Parcel(last.sequence, last.nbytes, ids, terms_of(contents, ids), none)
         super().__init__(parcels)
 
@@ -86,6 +87,7 @@ class MortonProgressive(_Unaware):
         gaussian_bytes: Bytes of a Gaussian with its base color.
         term_bytes: Bytes of a term; None means those of the package's records.
         measured: How the sizes were measured, for reports.
+        ids: Gaussians that are sent; None means those of the highest level.
     """
 
     name, exact = "Morton order", False
@@ -96,13 +98,15 @@ class MortonProgressive(_Unaware):
         gaussian_bytes: float = float(RECORD_BYTES),
         term_bytes: float | None = None,
         measured: str = "records of the package",
+        *,
+        ids: I64 | None = None,
     ) -> None:
         self.measured = measured
         size = float(contents.term_records.shape[1]) if term_bytes is None else term_bytes
         for name, value in (("gaussian_bytes", gaussian_bytes), ("term_bytes", size)):
             if not (np.isfinite(value) and value > 0):
                 raise ValueError(f"{name}: expected a finite number > 0, got {value!r}")
-        members = np.flatnonzero(contents.last == len(contents.names) - 1)
+        members = _highest(contents) if ids is None else ids
         ids = members[morton_order(contents.gaussians(members).means)]
         counts = contents.term_counts[ids].astype(np.int64)
         ends = np.cumsum(gaussian_bytes + size * counts)
@@ -130,6 +134,10 @@ def morton_order(means: ArrayLike) -> I64:
     low, high = np.quantile(points.astype(np.float64), [0.01, 0.99], axis=0)
     half = max(float((high - low).max()) / 2.0, 1e-9)
     return np.argsort(morton_codes(points, (low + high) / 2.0, half), kind="stable")
+
+
+def _highest(contents: Contents) -> I64:
+    return np.flatnonzero(contents.last == len(contents.names) - 1)
 
 
 def terms_of(contents: Contents, ids: I64) -> I64:

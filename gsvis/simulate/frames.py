@@ -39,10 +39,14 @@ class Stage:
     Args:
         contents: The package; its decoded records are drawn.
         reference: The scene before packaging; None means the highest level of the package with all terms.
+        members: (N,) which Gaussians belong to the full scene; None means those of the highest level.
+        whole: What `contents` is, for `compared_with`.
     """
 
     contents: Contents
     reference: Gaussians | None = None
+    members: Mask | None = None
+    whole: str = "the package"
 
     @cached_property
     def drawn(self) -> Gaussians:
@@ -51,7 +55,9 @@ class Stage:
 
     @cached_property
     def highest(self) -> Mask:
-        """(N,) whether each Gaussian belongs to the highest level."""
+        """(N,) whether each Gaussian belongs to the full scene."""
+        if self.members is not None:
+            return self.members
         return np.asarray(self.contents.last == len(self.contents.names) - 1)
 
     @cached_property
@@ -69,7 +75,7 @@ class Stage:
         """Description of the full scene."""
         if self.reference is not None:
             return "the scene before it became a package, unquantized, with its spherical harmonics"
-        return "the highest level of the package, as decoded, with all its terms"
+        return f"the highest level of {self.whole}, as decoded, with all its terms"
 
 
 class Frame:
@@ -81,7 +87,7 @@ class Frame:
 
     Attributes:
         ids: (M,) Gaussians that reach a pixel, ascending.
-        highest: (M,) which of them belong to the highest level.
+        highest: (M,) which of them belong to the full scene.
         reference: (H, W, 3) image of the full scene, in [0, 1].
     """
 

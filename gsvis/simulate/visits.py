@@ -1,4 +1,4 @@
-"""Simulate visits of packages, one after the other over one link: each scene is sent in three ways along a walk.
+"""Simulate visits of scenes, one after the other over one link: each scene is sent in three ways along a walk.
 
 places = [Place.open(package) for package in packages]
 visits = simulate_visits(places, load_path("walk.csv"), link, config)
@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from gsvis.abr import AbrConfig
 from gsvis.errors import ArgumentError, SceneError
 from gsvis.files.output import TEMPORARY, output_errors
 from gsvis.io.sog_writer import save_sog
+from gsvis.package.contents import Contents
 from gsvis.package.package import Package
 from gsvis.progress import Progress, silent
 from gsvis.scene.gaussians import Gaussians
@@ -35,7 +37,10 @@ from gsvis.simulate.playback import play
 from gsvis.simulate.viewing import Viewing, ViewingConfig, show_at, watch
 from gsvis.stream import StreamedScene
 
-__all__ = ["Place", "Visit", "simulate_visits"]
+__all__ = ["AS_IS", "Place", "Visit", "simulate_visits"]
+
+AS_IS = "if the path lies in the scene, ask for it as it is (--as-is)"
+"""What to do about a scene without a space to walk in."""
 
 Picture = tuple[float, str, NDArray[np.float32]]
 
@@ -45,21 +50,29 @@ _AFTER = 1.0  # seconds of the walk beyond a visit, for prediction
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """A package prepared for visits, once for any number of them.
+    """A scene prepared for visits, once for any number of them.
 
     Attributes:
         title: Name of the scene.
         scene: The scene, ready to stream.
+        contents: Its records.
+        highest: (N,) which Gaussians belong to the full scene.
         reference: The scene before it was packaged, to compare with; None compares with the package.
         whole_file: Bytes of the scene as one file, and how they were measured.
         space: Navigable space to move the walk into; None leaves the walk unchanged.
+        whole: What the scene is, for reports.
+        facts: More facts on the scene, ready for JSON.
     """
 
     title: str
     scene: StreamedScene
+    contents: Contents
+    highest: NDArray[np.bool_]
     reference: Gaussians | None
     whole_file: tuple[int, str]
     space: NavigableSpace | None
+    whole: str = "the package"
+    facts: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
     def open(
@@ -84,20 +97,53 @@ class Place:
         """
         scene = StreamedScene.open(package)
         contents = scene.contents
-        highest = np.flatnonzero(contents.last == len(contents.names) - 1)
-        if len(highest) == 0:
-            raise SceneError(
-                f"{package.path}: the package has no Gaussian in its highest level: there is nothing to see"
-            )
-        space = None if as_is else _find_space(contents.gaussians(highest), package)
+        highest = np.asarray(contents.last == len(contents.names) - 1)
+        find = None if as_is else partial(_find_space, package=package)
+        return cls.prepare(scene, contents, highest, find, reference=reference, whole_file=whole_file)
+
+    @classmethod
+    def prepare(
+        cls,
+        scene: StreamedScene,
+        contents: Contents,
+        highest: NDArray[np.bool_],
+        space: Callable[[Gaussians], NavigableSpace | None] | None,
+        *,
+        reference: Gaussians | None = None,
+        whole_file: str | os.PathLike[str] | None = None,
+        whole: str = "the package",
+        facts: Mapping[str, Any] | None = None,
+    ) -> Place:
+        """Prepare a scene that is ready to stream.
+
+        Args:
+            scene: The scene, whose package must stay open.
+            contents: Its records.
+            highest: (N,) which Gaussians belong to the full scene.
+            space: Returns the space to move walks into, from the full scene; None leaves walks unchanged.
+            reference: The scene before it was packaged.
+            whole_file: A file or folder of the scene, to take its size; None measures the scene as SOG.
+            whole: What the scene is, for reports.
+            facts: More facts on the scene, ready for JSON.
+
+        Raises:
+            SceneError: If the full scene is empty, or has no navigable space.
+            ArgumentError: If the whole file is empty.
+        """
+        path = scene.package.path
+        if not highest.any():
+            raise SceneError(f"{path}: {whole} has no Gaussian in its highest level: there is nothing to see")
+        full = contents.gaussians(np.flatnonzero(highest))
+        found = None if space is None else space(full)
         if whole_file is not None:
             measured = _file_size(_check.path("whole_file", whole_file))
         elif reference is not None:
             measured = _sog_size(reference), "SOG as gsvis writes it, of the scene: before it was packaged"
         else:
-            how = "SOG as gsvis writes it, of the scene: the package's highest level, base colors alone"
-            measured = _sog_size(contents.gaussians(highest)), how
-        return cls(package.path.resolve().name.removesuffix(".gsvis"), scene, reference, measured, space)
+            how = f"SOG as gsvis writes it, of the scene: the highest level of {whole}, base colors alone"
+            measured = _sog_size(full), how
+        title = path.resolve().name.removesuffix(".gsvis").removesuffix(".gsworld")
+        return cls(title, scene, contents, highest, reference, measured, found, whole, facts or {})
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,9 +206,7 @@ def _find_space(g: Gaussians, package: Package) -> NavigableSpace:
     try:
         return NavigableSpace.from_scene(g, up=np.array(package.manifest.info.up))
     except SceneError as error:
-        raise SceneError(
-            f"{package.path}: {error}; if the path lies in the scene, ask for it as it is (--as-is)"
-        ) from None
+        raise SceneError(f"{package.path}: {error}; {AS_IS}") from None
 
 
 def _file_size(path: Path) -> tuple[int, str]:
@@ -205,12 +249,12 @@ def _simulate_visit(
     progress: Progress,
 ) -> Visit:
     """Simulate one visit, with its scene sent in three ways."""
-    contents, (path, facts) = place.scene.contents, walk
-    stage = Stage(contents, place.reference)
+    contents, (path, facts) = place.contents, walk
+    stage, ids = Stage(contents, place.reference, place.highest, place.whole), np.flatnonzero(place.highest)
     deliveries: tuple[Delivery, ...] = (
         Adaptive(place.scene, config.view, abr),
-        WholeFile(contents, *place.whole_file),
-        MortonProgressive(contents),
+        WholeFile(contents, *place.whole_file, ids=ids),
+        MortonProgressive(contents, measured=f"records of {place.whole}", ids=ids),
     )
     progress("playing", 0, len(deliveries))
     played = []
@@ -223,7 +267,7 @@ def _simulate_visit(
         sessions,
         stage.compared_with,
         facts,
-        {"gaussians": stage.size[0], "terms": stage.size[1], "levels": list(contents.names)},
+        {"gaussians": stage.size[0], "terms": stage.size[1], "levels": list(contents.names), **place.facts},
         _pictures(stage, sessions, path, config),
     )
 

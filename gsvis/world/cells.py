@@ -63,10 +63,17 @@ class WorldCells:
     up: F64
 
     @classmethod
-    def read(cls, world: World, tiles: list[int]) -> WorldCells:
-        """Return the cells of tiles; one that cannot be read is left out, with a line in the log.
+    def read(cls, world: World, tiles: list[int], *, strict: bool = False) -> WorldCells:
+        """Return the cells of tiles.
+
+        Args:
+            world: The world.
+            tiles: Numbers of tiles.
+            strict: Whether to refuse a tile that cannot be read; otherwise it is left out, with a line in the log.
 
         Raises:
+            GsvisError: If a tile cannot be read, with `strict`.
+            OSError: If a tile cannot be read, with `strict`.
             SceneError: If there is no cell.
         """
         grids: dict[int, CellGrid] = {}
@@ -76,6 +83,8 @@ class WorldCells:
                     if package.manifest.visibility is not None:
                         grids[tile] = package.visibility.grid
             except (GsvisError, OSError) as error:
+                if strict:
+                    raise
                 _LOG.error("%s: tile %d has no cells: %s", world.path.name, tile, error)
         if not grids:
             raise SceneError(f"{world.path}: no tile has cells; prepare the world again")

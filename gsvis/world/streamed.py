@@ -53,6 +53,7 @@ def open_world(
     tables: str | PathLike[str] | None = None,
     max_cache_bytes: int = 512 << 20,
     quality: Quality | None = None,
+    strict: bool = False,
 ) -> tuple[StreamedScene, KeptTables | None]:
     """Open a world for streaming.
 
@@ -61,23 +62,27 @@ def open_world(
         tables: Folder for kept tables, which are computed node by node; None means a temporary one.
         max_cache_bytes: Most bytes of decoded sets and candidates of cells to keep.
         quality: How to round records before they are sent; None means not at all.
+        strict: Whether to refuse a world with a node that cannot be read; otherwise such nodes are left out.
 
     Returns:
         The scene, whose package the caller closes, and its kept tables; None if they are not kept.
 
     Raises:
-        FormatError: If the folder is no world, or no tile of it can be read.
+        GsvisError: If the folder is no world, or no tile of it can be read, or one node with `strict`.
         SceneError: If no tile of it has cells.
+        OSError: If a node cannot be read, with `strict`.
     """
     world, without = World.open(path), set[int]()
     while True:
-        package = WorldPackage(world, without)
+        package = WorldPackage(world, without, strict=strict)
         try:
             if tables is None:
                 with tempfile.TemporaryDirectory(prefix="gsvis-") as folder:  # a mapped file outlives its name
                     return open_kept(package, folder, max_cache_bytes=max_cache_bytes, quality=quality)[0], None
             return open_kept(package, tables, max_cache_bytes=max_cache_bytes, quality=quality)
         except _DamagedNodeError as error:
+            if strict:
+                raise
             _leave_out(world, error.node, str(error))
             without.add(error.node)
 
@@ -101,6 +106,7 @@ class WorldPackage(Package):
     Args:
         world: The world.
         without: Nodes to leave out.
+        strict: Whether to refuse a node that cannot be read or does not fit; otherwise it is left out.
 
     Attributes:
         world: The world.
@@ -108,8 +114,8 @@ class WorldPackage(Package):
         bases: First id of each node of the world, and the number of all; all other nodes have no ids.
     """
 
-    def __init__(self, world: World, without: set[int]) -> None:
-        self.path, self.world = world.path, world
+    def __init__(self, world: World, without: set[int], *, strict: bool = False) -> None:
+        self.path, self.world, self._strict = world.path, world, strict
         found: dict[int, Manifest] = {}
         for node in _needed(world):
             if node in without:
@@ -118,6 +124,8 @@ class WorldPackage(Package):
                 with world.package(node) as package:
                     found[node] = package.manifest
             except (GsvisError, OSError) as error:
+                if strict:
+                    raise
                 _leave_out(world, node, str(error))
         first = max(
             (m for node, m in found.items() if node < len(world.manifest.tiles)),
@@ -125,13 +133,18 @@ class WorldPackage(Package):
         )  # fmt: skip
         if first is None:
             raise FormatError(world.path, "", "a tile that can be read", "none", "prepare the world again")
-        self.nodes = [node for node, m in found.items() if _fits(world, node, m, first)]
+        self.nodes = [node for node, m in found.items() if _fits(world, node, m, first, strict)]
         self._manifests = {node: found[node] for node in self.nodes}
         self.bases = np.zeros(len(world) + 1, np.int64)
         for node, m in self._manifests.items():
             self.bases[node + 1] = m.gaussians
         self.bases = np.cumsum(self.bases)
         self.manifest = self._joined(first)
+
+    @property
+    def tiles(self) -> list[int]:
+        """Numbers of the tiles that can be read, ascending."""
+        return [node for node in self.nodes if self._is_tile(node)]
 
     @classmethod
     def open(cls, path: str | PathLike[str]) -> WorldPackage:
@@ -277,7 +290,7 @@ class WorldPackage(Package):
         return WorldSets(self.world, cells, self.bases, levels, self._manifests, cache, orders=orders)
 
     def _cells(self) -> WorldCells:
-        return WorldCells.read(self.world, [node for node in self.nodes if self._is_tile(node)])
+        return WorldCells.read(self.world, self.tiles, strict=self._strict)
 
     def _is_tile(self, node: int) -> bool:
         return node < len(self.world.manifest.tiles)
@@ -349,11 +362,14 @@ def _nearest(mine: NDArray[np.float32], theirs: NDArray[np.float32], low: int, i
     return np.stack([low + cKDTree(mine).query(theirs)[1].astype(np.int64), ids], axis=1)
 
 
-def _fits(world: World, node: int, m: Manifest, first: Manifest) -> bool:
-    """Return whether a node can be streamed beside the first of the tiles with most levels; log why not."""
+def _fits(world: World, node: int, m: Manifest, first: Manifest, strict: bool) -> bool:
+    """Return whether a node can be streamed beside the first of the tiles with most levels; log or raise if not."""
     same = m.info.up == first.info.up and m.grids.variant == first.grids.variant
     if same and m.grids.precision == first.grids.precision and len(m.names) <= len(first.names):
         return True
+    if strict:
+        expected, remedy = "the axes, levels and colors of the tiles", "prepare the world again"
+        raise FormatError(world.path, f"node {node}", expected, "others", remedy)
     _leave_out(world, node, "its axes, levels or colors are not those of the tiles; prepare the world again")
     return False
 

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import json
 import shlex
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from benchmarks._worlds import small_street
 from gsvis.cli import main, parse
 from gsvis.io import save_scene
 from gsvis.io.poses import write_poses
@@ -16,8 +20,11 @@ from gsvis.package import in_package_order, write_package
 from gsvis.scene.levels import Levels
 from gsvis.scene.paths import HeadPath
 from gsvis.scene.procedural import two_rooms
+from gsvis.world import World
+from gsvis.world.prepare import prepare_world
 from tests.package.worlds import colors_of
 from tests.simulate.streets import package_of, walk
+from tests.world.cities import config
 
 Capture = pytest.CaptureFixture[str]
 QUICK = ["--seconds", "1", "--every", "0.5", "--width", "32", "--height", "24", "--mbit", "0.2"]
@@ -131,3 +138,71 @@ def test_a_path_that_sees_nothing_has_no_headline(folder: Path, tmp_path: Path, 
     assert visit["views"]["with_content"] == 0
     assert visit["systems"][0]["figures"]["score"] is None
     assert "The path sees nothing of scene" in err
+
+
+@pytest.fixture(scope="module")
+def city(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A street as a world of some tiles, and the scenes that it was made of."""
+    folder, g = tmp_path_factory.mktemp("worlds"), small_street(houses=2, step=0.5, flyaways=0)
+    save_scene(g, folder / "street.ply")
+    half = g.means[:, 0] < 6.0
+    save_scene(g[half], folder / "left.ply")
+    save_scene(g[~half], folder / "right.ply")
+    prepare_world(
+        [(str(folder / f"{name}.ply"), None) for name in ("left", "right")], folder / "city.gsworld", config()
+    )
+    return folder / "city.gsworld"
+
+
+def gsvis(*words: object) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "gsvis", *(str(word) for word in words)]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def test_a_world_beside_a_package_in_a_process_of_its_own(city: Path, folder: Path, tmp_path: Path) -> None:
+    done = gsvis("simulate", city, street(folder), "--path", folder / "walk.csv", "-o", tmp_path, *QUICK, "--json")
+    assert done.returncode == 0, done.stderr
+    document = json.loads(done.stdout)
+    world, package = document["visits"]
+    assert world["scene"]["name"] == "city"
+    assert world["scene"]["tiles"] == len(World.open(city).manifest.tiles) > 1
+    assert "tiles" not in package["scene"]
+    assert "tiles of the world" in world["compared_with"]
+    assert np.isfinite(world["systems"][0]["curves"]["psnr"]).all()
+    assert [system["figures"]["records_twice"] for system in world["systems"]] == [0, 0, 0]
+    html = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert html.count("is a world of") == 1
+
+
+@pytest.mark.usefixtures("blank_plots")
+def test_a_world_alone_is_compared_with_all_of_its_scenes(city: Path, folder: Path, tmp_path: Path) -> None:
+    words = ["simulate", str(city), "--path", str(folder / "walk.csv"), "-o", str(tmp_path / "a"), *QUICK]
+    scenes = [str(city.parent / f"{name}.ply") for name in ("left", "right")]
+    found = []
+    for given in (scenes, [str(city.parent / "street.ply")]):
+        assert main([*words, "--scene", *given, "--max-memory", "4GB"]) == 0
+        found.append(json.loads((tmp_path / "a" / "report.json").read_text()))
+    assert parse(shlex.split(found[1]["command"])[1:]) == parse([*words, "--scene", *given, "--max-memory", "4GB"])
+    first, second = (each["visits"][0] for each in found)
+    assert "unquantized" in first["compared_with"]
+    assert first["systems"][0]["figures"] == second["systems"][0]["figures"]
+
+
+def test_worlds_that_cannot_be_simulated_are_refused_in_one_line(
+    city: Path, folder: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    end = ["--path", folder / "walk.csv", "-o", tmp_path / "report", *QUICK]
+    assert "expected at least" in refused(capsys, "simulate", city, *end, "--max-memory", "100MB")
+    scenes = ["a.ply", "b.ply", "c.ply"]
+    assert "one for each package, 2, got 3" in refused(capsys, "simulate", city, city, *end, "--scene", *scenes)
+    (tmp_path / "empty").mkdir()
+    assert "a world with a world.json, or a package" in refused(capsys, "simulate", tmp_path / "empty", *end)
+    broken = Path(shutil.copytree(city, tmp_path / "broken.gsworld"))
+    for part in World.open(broken).package_path(0).glob("parts/*.bin"):
+        part.write_bytes(part.read_bytes()[:-1] + b"?")
+    done = gsvis("simulate", broken, *end)
+    assert (done.returncode, done.stdout) == (2, "")
+    lines = [line for line in done.stderr.splitlines() if not line.startswith("gsvis: reading")]
+    assert len(lines) == 1
+    assert "damaged" in lines[0]
+    assert not (tmp_path / "report").exists()

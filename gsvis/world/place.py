@@ -1,0 +1,108 @@
+"""A world as a place of simulated visits: the full scene is what its tiles hold, and walks lie in its cells.
+
+All records are read; visible sets are read tile by tile, as by a server. Scene frame and units.
+"""
+
+from __future__ import annotations
+
+import os
+from contextlib import suppress
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.errors import SceneError
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.paths import HeadPath
+from gsvis.simulate.visits import AS_IS, Place
+from gsvis.world.cells import WorldCells
+from gsvis.world.streamed import WorldPackage, open_world
+from gsvis.world.world import World
+
+__all__ = ["open_place"]
+
+F64 = NDArray[np.float64]
+
+_UPRIGHT = np.cos(np.radians(1.0))
+_ENOUGH = 0.99  # of a walk in cells: it lies in the world
+_RESOLUTION = 256  # voxels along the space in which a place for a walk is looked for
+
+
+def open_place(
+    path: str | os.PathLike[str],
+    walk: HeadPath,
+    *,
+    reference: Gaussians | None = None,
+    whole_file: str | os.PathLike[str] | None = None,
+    as_is: bool = False,
+    seed: int = 0,
+) -> Place:
+    """Prepare a world for simulated visits.
+
+    A walk that lies in the cells stays where it is. Another one is brought into the cells of a tile that the seed
+    draws, and of the tiles around it as far as it is wide.
+
+    Args:
+        path: Folder of the world.
+        walk: The recorded walk.
+        reference: The scenes before they became a world; None compares with the highest level of all tiles.
+        whole_file: A file or folder of the scenes, to take its size; None measures the highest level as SOG.
+        as_is: Whether to leave walks unchanged.
+        seed: Seed of the tile to which a walk is brought.
+
+    Raises:
+        GsvisError: If a tile or a district cannot be read.
+        SceneError: If no tile has cells, or nobody can stand in those around the drawn tile.
+        ArgumentError: If the whole file is empty.
+        OSError: If a file cannot be read.
+    """
+    scene, _ = open_world(path, strict=True)
+    package, contents = scene.package, scene.contents
+    assert isinstance(package, WorldPackage)
+    highest, tiles = np.zeros(len(contents), bool), package.tiles
+    for node in tiles:  # districts belong to all levels, and stand for what the tiles hold
+        some = slice(*package.bases[node : node + 2].tolist())
+        highest[some] = contents.last[some] == len(contents.names) - 1
+    cells = scene.index.grid
+    assert isinstance(cells, WorldCells)
+    space = (
+        None if as_is or _lies_in(walk, cells) else partial(_find_space, world=package.world, cells=cells, seed=seed)
+    )
+    return Place.prepare(
+        scene, contents, highest, space, reference=reference, whole_file=whole_file,
+        whole=f"all {len(tiles):,} tiles of the world" if len(tiles) > 1 else "the one tile of the world",
+        facts={"tiles": len(tiles), "districts": len(package.nodes) - len(tiles)},
+    )  # fmt: skip
+
+
+def _lies_in(walk: HeadPath, cells: WorldCells) -> bool:
+    inside = cells.cell_at(walk.positions) >= 0
+    return bool(walk.upright @ cells.up >= _UPRIGHT and inside.mean() >= _ENOUGH)
+
+
+def _find_space(full: Gaussians, world: World, cells: WorldCells, seed: int) -> NavigableSpace:
+    """Return where eyes may be in the cells of a tile, which the seed draws, and in those around it."""
+    m = world.manifest
+    tile = int(np.random.default_rng(seed).choice(cells.tiles))  # one with more cells is drawn more often
+    low, high = (np.array(corner, np.float64) for corner in (m.tiles[tile].low, m.tiles[tile].high))
+    flat = np.abs(np.array(m.up)) < 0.5
+    margin = float((high - low)[flat].max())
+
+    def near(points: NDArray[np.floating]) -> NDArray[np.bool_]:
+        return np.asarray(((points >= low - margin) & (points <= high + margin))[:, flat].all(axis=1))
+
+    around, some = full[near(full.means)], near(cells.centers)
+    own = {name: getattr(cells, name)[some] for name in ("centers", "sizes", "tiles", "places", "boxes")}
+    mine = replace(cells, **own)
+    for mixed in (True, False):  # an object is neither rooms nor ground
+        with suppress(SceneError):
+            found = NavigableSpace.from_scene(around, resolution=_RESOLUTION, up=cells.up, mixed=mixed)
+            voxels = np.argwhere(found.free)
+            held = mine.cell_at(found.origin + found.voxel_size * (voxels + 0.5)) >= 0
+            free = np.zeros_like(found.free)
+            free[tuple(voxels[held].T)] = True
+            return replace(found, free=free, rule=f"{found.rule}, in cells")
+    raise SceneError(f"{world.path}: nobody can stand in the cells around tile {tile}; {AS_IS}, or take another --seed")
