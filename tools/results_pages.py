@@ -161,6 +161,7 @@ PAGES = {
             "world_opening",
             "world_serving",
             "world_kills",
+            "world_kills_large",
             "max_memory",
             "out_of_core",
             "world_cluster",
