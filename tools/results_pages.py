@@ -164,8 +164,6 @@ PAGES = {
             "world_kills_large",
             "max_memory",
             "out_of_core",
-            "clean_one_copy",
-            "clean_nine_copies",
             "world_cluster",
         ),
     ),

@@ -25,6 +25,7 @@ __all__ = ["clean_in_tiles", "in_tiles"]
 
 _WHOLE = ("report", "select", "apply", "cameras", *WORDS)  # options that need the whole scene
 _LEAST = 50_000  # Gaussians of a tile: smaller ones are mostly halo
+_MOST_UNSEEN = 0.5  # of a scene that no eye sees, above which there is a warning
 
 
 def in_tiles(command: Clean) -> bool:
@@ -74,6 +75,11 @@ def clean_in_tiles(command: Clean, config: CleanConfig) -> None:
                 (command.scene, command.lod), config, tiling, store,
                 workers=Workers(1, command.max_memory), progress=status,
             )  # fmt: skip
+            if (share := _unseen_share(found)) > _MOST_UNSEEN:
+                status.line(
+                    f"{command.scene}: {share:.0%} is never seen from the largest space in which eyes were found; if"
+                    " people are elsewhere too, such as behind closed doors, leave interior and unseen out of --classes"
+                )
             if not found.kept:
                 raise SceneError(f"{command.scene}: everything would go: nothing written; name fewer --classes")
             if command.out is not None:
@@ -120,6 +126,11 @@ def _store(command: Clean) -> Iterator[ObjectStore]:
     with work.opened():
         yield open_store(work.folder)
     shutil.rmtree(work.folder, ignore_errors=True)
+
+
+def _unseen_share(found: LargeCleaning) -> float:
+    """Return the share of a scene that goes because no eye sees it."""
+    return sum(found.removed.get(name, 0) for name in ("interior", "unseen")) / max(1, found.gaussians)
 
 
 def _decibels(found: LargeCleaning, name: str) -> str:

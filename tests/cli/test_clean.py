@@ -145,10 +145,14 @@ def test_a_scene_that_does_not_fit_is_cleaned_in_tiles(
 ) -> None:
     monkeypatch.setattr("gsvis.edit.memory.BASE", 598_000_000)
     monkeypatch.setattr(clean_large, "_LEAST", 100)
+    monkeypatch.setattr(clean_large, "_MOST_UNSEEN", 0.0)
     scene, out = str(folder / "dirty.ply"), str(tmp_path / "clean.ply")
     words = ["clean", scene, "-o", out, "--max-memory", "600MB", "--eyes", "3", "--held-out", "0", "--up", "+z"]
     assert main([*words, "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
+    said = capsys.readouterr()
+    found = json.loads(said.out)
+    unseen = sum(found["classes"][name]["removed"] for name in ("interior", "unseen"))
+    assert f"{unseen / found['gaussians']:.0%} is never seen" in said.err
     assert found["tiles"] >= 3
     assert found["gaussians"] == len(load_scene(scene))
     assert (
