@@ -7,7 +7,8 @@ eyes are. A run that was stopped goes on; its peak of memory stays in a file bes
 
 Given: copies of showroom, turned, mirrored and jittered, and the options of the benchmark of the smaller world.
 Measured: processor time of each stage, peak of memory of the largest process and of all (PSS). Of stages that the
-    district alone has, the mean of its tiles stands for all tiles. Exponents are against a smaller world that is whole.
+    district alone has, the mean of its tiles stands for all tiles: too little where more of those have eyes. Exponents
+    are against a smaller world that is whole.
 Defaults chosen on: no scene.
 """
 

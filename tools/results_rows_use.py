@@ -144,7 +144,7 @@ USE = (
                     "world_district: exponent of spaces",
                     "world_district: exponent of packages",
                 ),
-                ours="{0:.0f} core minutes, {1:.1f} GB; {2:.1f} GB a worker; at least {3:.2f}, spaces {4:.2f}, packages {5:.2f}",
+                ours="{0:.0f} core min, {1:.1f} GB; {2:.1f} GB a worker; ≥ {3:.2f}, spaces {4:.2f}, packages {5:.2f}",
                 target="≤ 480 (4 hours of two), 6 GB; 4 GB, 1.05 each",
                 verdict="missed",
             ),

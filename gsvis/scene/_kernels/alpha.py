@@ -19,6 +19,14 @@ def _bin(at, origin, per_unit, side):
     return int(min(max((at - origin) * per_unit, 0.0), side - 1.0))
 
 
+@inner
+def _span(low, high, i, origin, per_unit, side, first, last):
+    """Write the first and the last bin of a box along each axis."""
+    for axis in range(3):
+        first[axis] = _bin(low[i, axis], origin[axis], per_unit[axis], side)
+        last[axis] = _bin(high[i, axis], origin[axis], per_unit[axis], side)
+
+
 @kernel
 def bin_points(points, origin, per_unit, side, out):
     """Write the bin of each point (P, 3) into out (P,)."""
@@ -30,10 +38,13 @@ def bin_points(points, origin, per_unit, side, out):
 
 
 @inner
-def _holds(low, high, point):
-    """Return whether a box holds a point."""
-    x, y, z = point
-    return low[0] <= x <= high[0] and low[1] <= y <= high[1] and low[2] <= z <= high[2]
+def _holds(low, high, i, points, p):
+    """Return whether a box holds a point. By numbers: rows would cost more than what is compared."""
+    return (
+        low[i, 0] <= points[p, 0] <= high[i, 0]
+        and low[i, 1] <= points[p, 1] <= high[i, 1]
+        and low[i, 2] <= points[p, 2] <= high[i, 2]
+    )
 
 
 @kernel
@@ -42,15 +53,13 @@ def find_holding(low, high, points, bins, side, out):
     origin, per_unit, starts = bins
     first, last = np.empty(3, np.int64), np.empty(3, np.int64)
     for i in range(len(low)):
-        for axis in range(3):
-            first[axis] = _bin(low[i, axis], origin[axis], per_unit[axis], side)
-            last[axis] = _bin(high[i, axis], origin[axis], per_unit[axis], side)
+        _span(low, high, i, origin, per_unit, side, first, last)
         found = False
         for x in range(first[0], last[0] + 1):
             for y in range(first[1], last[1] + 1):
                 row = (x * side + y) * side
                 for p in range(starts[row + first[2]], starts[row + last[2] + 1]):
-                    if _holds(low[i], high[i], points[p]):
+                    if _holds(low, high, i, points, p):
                         found = True
                         break
                 if found:
@@ -70,14 +79,12 @@ def find_buried(shapes, low, high, points, bins, side, least, out):
     origin, per_unit, starts = bins
     first, last = np.empty(3, np.int64), np.empty(3, np.int64)
     for i in range(len(means)):
-        for axis in range(3):
-            first[axis] = _bin(low[i, axis], origin[axis], per_unit[axis], side)
-            last[axis] = _bin(high[i, axis], origin[axis], per_unit[axis], side)
+        _span(low, high, i, origin, per_unit, side, first, last)
         for x in range(first[0], last[0] + 1):
             for y in range(first[1], last[1] + 1):
                 row = (x * side + y) * side
                 for p in range(starts[row + first[2]], starts[row + last[2] + 1]):
-                    if out[p] or not _holds(low[i], high[i], points[p]):
+                    if out[p] or not _holds(low, high, i, points, p):
                         continue
                     squared = 0.0
                     for line in range(3):
