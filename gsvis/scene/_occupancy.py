@@ -7,7 +7,8 @@ lies within `clearance` voxels. A visitor has ground below and things around. Th
 those that stop light in at least half of the grid directions within 60 degrees of straight down, and in a share of all
 26 grid directions. Both are averaged over five voxels. The share is the first of 0.7, 0.3, 0.1 at which the largest
 connected part still holds 5% of the box: rooms pass at 0.7, ground under the sky at 0.3. If no share passes, the
-condition on the ground is dropped. The largest connected part of what remains is kept. `_eyes.py` replaces it where a
+condition on the ground is dropped. The largest connected part of what remains is kept. Rooms need no door between them:
+at 0.7 all parts of a tenth of the largest are kept, and hold 5% of the box together. `_eyes.py` replaces it where a
 scene is no rooms.
 """
 
@@ -118,8 +119,8 @@ class Occupancy:
                 if len(held) >= 0.5 * len(voxels):
                     return np.isin(labels, sorted(set().union(*held))), f"{rule}, holding seeds", enclosed
                 continue
-            part, size = _largest(labels)
-            if size >= MIN_SHARE * labels.size or (min_below, min_around) == RULES[-1]:
+            part = _rooms(labels) if enclosed else _largest(labels)
+            if np.count_nonzero(part) >= MIN_SHARE * labels.size or (min_below, min_around) == RULES[-1]:
                 return part, rule, enclosed
         raise SceneError(
             f"no navigable space: fewer than half of the {len(seeds)} seeds, such as cameras, lie within two voxels of"
@@ -140,19 +141,16 @@ class Occupancy:
         below, around = _surroundings(self.depth, up)
         min_below, min_around = RULES[0]
         labels, count = ndimage.label(self.clear & (below >= min_below) & (around >= min_around))
-        sizes = np.bincount(labels.ravel(), minlength=count + 1)
-        sizes[0] = 0
-        large = (sizes > 0) & (sizes >= ROOM * sizes.max())
-        if sizes[large].sum() < MIN_SHARE * labels.size:
+        if count == 0 or np.count_nonzero(rooms := _rooms(labels)) < MIN_SHARE * labels.size:
             return np.zeros(self.clear.shape, bool)
-        return np.asarray(large[labels])
+        return rooms
 
     def largest_part(self, among: Mask | None = None) -> Mask:
         """Return the largest connected part of the clear voxels, or of those in a mask (X, Y, Z); may be empty."""
         from scipy import ndimage
 
         labels, count = ndimage.label(self.clear if among is None else self.clear & among)
-        return _largest(labels)[0] if count else np.zeros(self.clear.shape, bool)
+        return _largest(labels) if count else np.zeros(self.clear.shape, bool)
 
     def voxels_of(self, points: NDArray[np.floating[Any]]) -> F64:
         """Return (M, 3) the points (P, 3) that lie on the grid, in voxels."""
@@ -244,10 +242,22 @@ def _smooth(counts: NDArray[np.uint8], of: int) -> Depth:
     return np.asarray(ndimage.uniform_filter(shares, SMOOTHING, mode="nearest"), np.float32)
 
 
-def _largest(labels: NDArray[np.int32]) -> tuple[Mask, int]:
+def _largest(labels: NDArray[np.int32]) -> Mask:
+    """Return (X, Y, Z) the largest part of a grid with labels, at least one above 0."""
+    return np.asarray(labels == _sizes(labels).argmax(), bool)
+
+
+def _rooms(labels: NDArray[np.int32]) -> Mask:
+    """Return (X, Y, Z) all parts of a tenth of the largest or more, of a grid with labels, at least one above 0."""
+    sizes = _sizes(labels)
+    return np.asarray((sizes >= max(1.0, ROOM * sizes.max()))[labels], bool)
+
+
+def _sizes(labels: NDArray[np.int32]) -> NDArray[np.int64]:
+    """Return the voxels of each part by its label; none for label 0, which is no part."""
     sizes = np.bincount(labels.ravel())
     sizes[0] = 0
-    return np.asarray(labels == sizes.argmax(), bool), int(sizes.max())
+    return sizes
 
 
 def _labels_near(labels: NDArray[np.int32], voxels: NDArray[np.int64]) -> list[set[int]]:
