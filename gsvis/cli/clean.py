@@ -11,7 +11,7 @@ import numpy as np
 
 from gsvis.cli import version
 from gsvis.cli.arguments import Clean
-from gsvis.cli.clean_large import clean_in_tiles, in_tiles
+from gsvis.cli.clean_large import clean_in_tiles, in_tiles, remark_on_unseen
 from gsvis.cli.scene_out import check_one_level, check_outputs, check_scene_out
 from gsvis.cli.source import (
     check_report,
@@ -22,7 +22,7 @@ from gsvis.cli.source import (
     parse_up,
 )
 from gsvis.cli.terminal import Status, facts, print_json, show, size_of
-from gsvis.cli.where import WORDS, check_where, find_place, space_document, spell
+from gsvis.cli.where import WORDS, check_where, find_place, given, space_document, spell
 from gsvis.errors import SceneError
 
 if TYPE_CHECKING:
@@ -124,16 +124,19 @@ def _find(
     command: Clean, config: CleanConfig, source: Source, walk: HeadPath | None, cameras: Cameras | None, status: Status
 ) -> tuple[Cleaning, list[str]]:
     """Find navigable space, without haze and flyaways, and what can go; return remarks too."""
-    from gsvis.edit import clean, core_of
+    from gsvis.edit import clean, core_of, find_in_pieces
 
     status("space", 0, 1)
     surfaces = replace(source, gaussians=core_of(source.gaussians))
     seeds = None if cameras is None else cameras.viewpoints
     place = find_place(surfaces, command, command.up, walk, seeds)
     space = place.required("say where eyes may be with --box, --around or --path")
+    if not given(command) and seeds is None and source.navigable is None:
+        space = find_in_pieces(surfaces.gaussians, space)
     status("space", 1, 1)
     found = clean(source.gaussians, navigable=space, cameras=cameras, config=config, progress=status)
-    return found, place.remarks
+    remark = remark_on_unseen(found.counts, len(source.gaussians))
+    return found, [*place.remarks, *([f" {remark}."] if remark else [])]
 
 
 def _check_left(command: Clean, kept: NDArray[np.bool_]) -> None:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from gsvis.edit import CleanConfig, LargeCleaning
     from gsvis.files.objects import ObjectStore
 
-__all__ = ["clean_in_tiles", "in_tiles"]
+__all__ = ["clean_in_tiles", "in_tiles", "remark_on_unseen"]
 
 _WHOLE = ("report", "select", "apply", "cameras", *WORDS)  # options that need the whole scene
 _LEAST = 50_000  # Gaussians of a tile: smaller ones are mostly halo
@@ -75,11 +75,8 @@ def clean_in_tiles(command: Clean, config: CleanConfig) -> None:
                 (command.scene, command.lod), config, tiling, store,
                 workers=Workers(1, command.max_memory), progress=status,
             )  # fmt: skip
-            if (share := _unseen_share(found)) > _MOST_UNSEEN:
-                status.line(
-                    f"{command.scene}: {share:.0%} is never seen from the largest space in which eyes were found; if"
-                    " people are elsewhere too, such as behind closed doors, leave interior and unseen out of --classes"
-                )
+            if remark := remark_on_unseen(found.removed, found.gaussians):
+                status.line(f"{command.scene}: {remark}")
             if not found.kept:
                 raise SceneError(f"{command.scene}: everything would go: nothing written; name fewer --classes")
             if command.out is not None:
@@ -128,9 +125,20 @@ def _store(command: Clean) -> Iterator[ObjectStore]:
     shutil.rmtree(work.folder, ignore_errors=True)
 
 
-def _unseen_share(found: LargeCleaning) -> float:
-    """Return the share of a scene that goes because no eye sees it."""
-    return sum(found.removed.get(name, 0) for name in ("interior", "unseen")) / max(1, found.gaussians)
+def remark_on_unseen(removed: dict[str, int], gaussians: int) -> str:
+    """Return a remark if most of a scene goes because no eye sees it; else nothing.
+
+    Args:
+        removed: Gaussians that go, by class.
+        gaussians: Of the scene.
+    """
+    share = sum(removed.get(name, 0) for name in ("interior", "unseen")) / max(1, gaussians)
+    if share <= _MOST_UNSEEN:
+        return ""
+    return (
+        f"{share:.0%} is never seen from where eyes were found; if people are elsewhere too, leave interior and unseen"
+        " out of --classes"
+    )
 
 
 def _decibels(found: LargeCleaning, name: str) -> str:

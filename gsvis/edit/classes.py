@@ -47,7 +47,7 @@ class CleanConfig:
         strength: How readily fog and floaters are found, in (0, 2]; 1 is the default.
         eyes: Viewpoints in navigable space that look around, at least 1.
         size: Pixels along a side of their faces.
-        resolution: Voxels along the longest side of the grid in which air is found, 8 to 512; fewer where
+        resolution: Voxels along the longest side of the grid in which air is found, 8 to 4096; fewer where
             the grid would hold more than 16 million.
         held_out: Views that the guard draws; 0 for no guard.
         least_db: PSNR in dB that each held-out view must keep when classes of `HIDDEN` go.

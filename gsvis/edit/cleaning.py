@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from gsvis.edit.classes import CLASSES, KEPT, CleanConfig, class_of, classify
 from gsvis.edit.evidence import Evidence, gather_evidence
 from gsvis.edit.guard import Cost, guard
+from gsvis.edit.places import find_in_pieces
 from gsvis.edit.shape import Shape
 from gsvis.errors import SceneError
 from gsvis.progress import Progress, silent
@@ -100,7 +101,10 @@ def clean(
     viewpoints = None if cameras is None else cameras.viewpoints
     if navigable is None:
         progress("space", 0, 1)
-        navigable = NavigableSpace.from_scene(core_of(g, shape), seeds=viewpoints)
+        core = core_of(g, shape)
+        navigable = NavigableSpace.from_scene(core, seeds=viewpoints)
+        if viewpoints is None:
+            navigable = find_in_pieces(core, navigable)
         progress("space", 1, 1)
     evidence = gather_evidence(g, shape, navigable, config, viewpoints=viewpoints, progress=progress)
     return judge(g, shape, navigable, evidence, config, progress=progress)

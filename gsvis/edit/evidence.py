@@ -18,7 +18,7 @@ from gsvis.edit._kernels import air as kernels
 from gsvis.edit.shape import FEW, Shape, affordable_resolution, find_surfaces
 from gsvis.errors import SceneError
 from gsvis.progress import Progress, silent
-from gsvis.scene.density import Density
+from gsvis.scene.density import MOST_RESOLUTION, Density
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.icosphere import face_directions
 from gsvis.scene.inspection import MIN_ALPHA
@@ -38,7 +38,8 @@ STOPS = float(np.log(2.0))  # optical depth behind which a ray counts no more
 CLOSED = 0.29  # optical depth of a voxel that closes a wall: a quarter of the light
 REACH = 4.0  # voxels around a Gaussian in which others count
 BACKDROP = 0.05  # share of a direction's solid angle that Gaussians far outside must cover to be a backdrop
-_EYES = 512  # that find air
+_EYES = 512  # that find air, at least
+_FINE = 0.4  # voxels of air in those of a space that was found in pieces, as where both grids are over all of a scene
 _RAYS = 8_000_000  # outward, at most, to look again at what the first found hidden
 _SAMPLES = 32  # points of a Gaussian that say where its mass lies
 
@@ -202,33 +203,27 @@ def _find_passed(
 ) -> tuple[Density, Mask]:
     """Return the grid over the scene and navigable space, and (X, Y, Z) the voxels of it that light from eyes enters.
 
-    Navigable space itself is lit: eyes may be anywhere in it.
+    Navigable space itself is lit: eyes may be anywhere in it. Where it was found in pieces, the grid is fine enough for
+    their rooms.
     """
     voxels = np.argwhere(navigable.free)
     corners = navigable.origin + navigable.voxel_size * np.stack([voxels.min(axis=0), voxels.max(axis=0) + 1])
     low, high = np.minimum(low, corners[0]), np.maximum(high, corners[1])
-    resolution = affordable_resolution(high - low, config.resolution)
+    resolution, longest = config.resolution, float((high - low).max())
+    if navigable.pieces > 1:
+        resolution = max(resolution, int(np.ceil(longest / (_FINE * navigable.voxel_size))))
+    resolution = affordable_resolution(high - low, min(resolution, MOST_RESOLUTION))
     margin = 2.0 * float((high - low).max()) / resolution
     density = Density.from_parts(parts, low - margin, high + margin, resolution)
-    eyes = np.concatenate([navigable.sample_viewpoints(_EYES, rng), given])
+    eyes = np.concatenate([navigable.sample_viewpoints(max(_EYES, config.eyes), rng), given])
     directions = np.ascontiguousarray(face_directions(16).reshape(-1, 3))
-    passed = _in_space(density, navigable)
+    x, y, z = density.depth.shape
+    passed = np.zeros((x, y, z), bool)
+    block, free, _ = navigable.on_grid(density.origin, density.voxel_size, (x, y, z))
+    passed[block] = free  # rays need not find what is known
     starts = np.ascontiguousarray((eyes - density.origin) / density.voxel_size)
     kernels.mark_passed(density.depth, starts, directions, STOPS, passed)
     return density, passed
-
-
-def _in_space(density: Density, navigable: NavigableSpace) -> Mask:
-    """Return (X, Y, Z) the voxels of a grid whose middle lies in navigable space: rays need not find what is known."""
-    places = []
-    for axis, count in enumerate(density.depth.shape):
-        middles = density.origin[axis] + density.voxel_size * (np.arange(count) + 0.5)
-        index = np.floor((middles - navigable.origin[axis]) / navigable.voxel_size).astype(np.int64)
-        places.append(np.where((index >= 0) & (index < navigable.free.shape[axis]), index, -1))
-    inside = np.ix_(*(place >= 0 for place in places))
-    found = np.zeros(density.depth.shape, bool)
-    found[inside] = navigable.free[np.ix_(*(place[place >= 0] for place in places))]
-    return found
 
 
 def _voxels_of(points: NDArray[np.float32], air: Air) -> tuple[NDArray[np.int64], Mask]:

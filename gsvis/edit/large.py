@@ -7,7 +7,7 @@ tiles and no flyaway stays. docs/design/074-clean-in-tiles.md.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.edit.classes import CLASSES, HIDDEN, KEPT, CleanConfig, class_of
+from gsvis.edit.places import AROUND
 from gsvis.files.archive import load_arrays
 from gsvis.files.objects import ObjectStore
 from gsvis.io.batches import read_batch
@@ -126,7 +127,10 @@ def clean_large(
     build = WorldBuild([scene], WorldConfig(tiling), store, workers, progress)
     listed = _Tasks(build, asdict(config))
     rects = [rect for rect in build.tiles if rect is not None]
-    tasks = [*build.split_tasks, listed.survey(), *(listed.merge(rect) for rect in build.tiles)]
+    tasks = [*build.split_tasks, listed.survey()]
+    survey = run_graph(tasks, store, workers, stage="space", progress=progress)["survey"]
+    pieces = [listed.piece(k, survey.facts) for k in range(len(survey.facts["pieces"]))]
+    tasks += [*pieces, listed.whole(pieces), *(listed.merge(rect) for rect in build.tiles)]
     run_graph(tasks, store, workers, stage="space", progress=progress)
     tasks += [listed.clean(rect) for rect in rects]
     if None in build.tiles:
@@ -147,15 +151,27 @@ class _Tasks:
         self._build, self._config = build, config
 
     def survey(self) -> Task:
+        """Return the task that finds where eyes may be by one grid over all."""
+        params, needs = self._all_rows()
+        params |= {"every": self._build.every, "up": self._build.grid["up"]}
+        return Task("survey", "gsvis.edit.tiles:survey_scene", params, needs)
+
+    def piece(self, number: int, survey: Facts) -> Task:
+        """Return the task that finds where eyes may be in a piece, by the facts of the survey."""
+        build, square = self._build, survey["pieces"][number]
+        tiles = [rect for rect in build.tiles if rect is not None and _meets(build.square_of(rect), square)]
+        files, needs = self._read([file for rect in tiles for file in build.files[rect]])
+        samples, numbers = self._samples(len(needs))
+        params = {"files": files, "square": square, "samples": numbers, "is_object": survey["kind"]["kind"] == "object"}
+        return Task(f"piece {number}", "gsvis.edit.tiles:find_piece", params, (*needs, *samples))
+
+    def whole(self, pieces: Sequence[Task]) -> Task:
         """Return the task that finds what is known of the whole scene."""
-        build = self._build
-        batches = len(build.batches)
-        params = {
-            "files": list(build.files.values()), "samples": list(range(batches, 2 * batches)),
-            "up": build.grid["up"], "config": self._config,
-        }  # fmt: skip
-        needs = (f"{kind} {k}" for kind in ("split", "sample") for k in range(batches))
-        return Task("whole", "gsvis.edit.tiles:survey_scene", params, tuple(needs))
+        params, needs = self._all_rows()
+        numbers = list(range(len(needs) + 1, len(needs) + 1 + len(pieces)))
+        params |= {"config": self._config, "survey": len(needs), "pieces": numbers}
+        needs = (*needs, "survey", *(task.name for task in pieces))
+        return Task("whole", "gsvis.edit.tiles:find_whole", params, needs)
 
     def merge(self, rect: Rect | None) -> Task:
         """Return the task that merges a tile to few Gaussians; all tiles together are fewer than `most`."""
@@ -191,10 +207,20 @@ class _Tasks:
     def outside(self) -> Task:
         """Return the task that finds flyaways."""
         files, needs = self._read(self._build.files[None])
-        samples = tuple(f"sample {k}" for k in range(len(self._build.batches)))
-        params = {"files": files, "samples": list(range(len(needs), len(needs) + len(samples))), **self._common(None)}
-        needs = (*needs, *samples)
-        return Task(_name("clean", None), "gsvis.edit.tiles:find_flyaways", params, needs)
+        samples, numbers = self._samples(len(needs))
+        params = {"files": files, "samples": numbers, **self._common(None)}
+        return Task(_name("clean", None), "gsvis.edit.tiles:find_flyaways", params, (*needs, *samples))
+
+    def _all_rows(self) -> tuple[Facts, tuple[str, ...]]:
+        """Return the params of a task that reads all tiles, one by one, and what it needs for that."""
+        splits = tuple(f"split {k}" for k in range(len(self._build.batches)))
+        samples, numbers = self._samples(len(splits))
+        return {"files": list(self._build.files.values()), "samples": numbers}, (*splits, *samples)
+
+    def _samples(self, after: int) -> tuple[tuple[str, ...], list[int]]:
+        """Return all samples, and their numbers as inputs of a task after some others."""
+        count = len(self._build.batches)
+        return tuple(f"sample {k}" for k in range(count)), list(range(after, after + count))
 
     def _read(self, files: list[tuple[int, str]]) -> tuple[list[tuple[int, str]], tuple[str, ...]]:
         """Return files by the number of their input, and the splits that are these inputs."""
@@ -204,6 +230,13 @@ class _Tasks:
     def _common(self, rect: Rect | None) -> Facts:
         batches = [batch for batch, _ in self._build.files[rect]]
         return {"config": self._config, "name": tile_name(rect), "batches": batches}
+
+
+def _meets(tile: Facts, square: Facts) -> bool:
+    """Return whether a tile reaches into a piece or into what is looked at around it."""
+    low, high = np.array(square["low"]), np.array(square["high"])
+    reach = AROUND * (high - low).max()
+    return bool(np.all((np.array(tile["low"]) < high + reach) & (np.array(tile["high"]) > low - reach)))
 
 
 def _name(kind: str, rect: Rect | None) -> str:

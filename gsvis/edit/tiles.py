@@ -1,14 +1,16 @@
 """Clean a tile of a scene: find what can go from it, in the whole scene, of which what is far is coarse. Graph tasks.
 
 Space, air, eyes and what counts as large are those of the whole scene, found from its tiles one after the other. What
-hides things is the tile and a halo as they are, and a few merged Gaussians for everything else. Scene frame.
+hides things is the tile and a halo as they are, and a few merged Gaussians for everything else. In a scene of many
+places (`places.py`) the eyes are those nearest to the tile. Scene frame.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,18 +19,31 @@ from gsvis.edit.classes import KEPT, CleanConfig, class_of
 from gsvis.edit.cleaning import judge
 from gsvis.edit.evidence import gather_evidence, part_of_backdrop
 from gsvis.edit.memory import cleaning_memory, most_gaussians
+from gsvis.edit.places import AROUND, is_well_known, join_pieces, lay_pieces, space_near, space_of_piece
 from gsvis.edit.shape import Shape, far_from
-from gsvis.edit.whole import Whole, core_within, load_whole, save_whole
+from gsvis.edit.whole import Whole, core_within, find_space, load_whole, save_whole
 from gsvis.files.archive import save_arrays
 from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.kinds import SpaceKind
 from gsvis.world.districts import merge_down
 from gsvis.world.graph import Facts, Given
 from gsvis.world.rows import content_order, flatten, load_gaussians, load_rows, save_gaussians
-from gsvis.world.tiles import MARGIN
+from gsvis.world.tiles import MARGIN, load_space, near_tile, save_space
 
-__all__ = ["VERSIONS", "clean_tile", "config_of", "find_flyaways", "merge_tile", "survey_scene"]
+__all__ = [
+    "VERSIONS",
+    "clean_tile",
+    "config_of",
+    "find_flyaways",
+    "find_piece",
+    "find_whole",
+    "merge_tile",
+    "survey_scene",
+]
 
-VERSIONS = {"clean_tile": 2, "find_flyaways": 1, "merge_tile": 1, "survey_scene": 1}
+VERSIONS = {
+    "clean_tile": 3, "find_flyaways": 1, "find_piece": 1, "find_whole": 1, "merge_tile": 1, "survey_scene": 2,
+}  # fmt: skip
 
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
@@ -37,14 +52,55 @@ _SPREAD = 1.6  # times as wide as merged: neighbors of a surface overlap, so tha
 
 
 def survey_scene(params: Facts, given: Given, out: Path, work: Path) -> Facts:
-    """Task: find what is known of the whole scene. Inputs are splits of all batches, then all samples.
+    """Task: find where eyes may be by one grid over all. Inputs are splits of all batches, then all samples.
 
     Params: `files`, for each tile and the outside (input, name) of its rows; `samples`, the numbers of the other
-    inputs; `up`; `config`.
+    inputs; `every`, one of how many Gaussians is in these; `up`. Facts: the `kind` and `rule` of the space; `pieces`,
+    see `lay_pieces`, none if the grid shows the scene.
     """
+    sample = _sample(params, given)
+    space = find_space(_Tiles(given, params["files"]), sample, up=params["up"])
+    save_space(out / "space", space)
+    pieces = [] if is_well_known(space) else lay_pieces(sample, params["every"], params["up"])
+    return {"pieces": pieces, "kind": asdict(space.kind), "rule": space.rule}
+
+
+def find_piece(params: Facts, given: Given, out: Path, work: Path) -> Facts:
+    """Task: find where eyes may be in a piece. Inputs are splits of batches, then all samples.
+
+    Params: `files` lists (input, name) of the rows of the tiles in and around it; `square`, see `lay_pieces`;
+    `samples`; `is_object`, whether the whole was taken for one. Facts: its Gaussians, and whether it has a space.
+    """
+    low, high = _sample(params, given).bounds(0.98)
+    square, parts = params["square"], []
+    for number, name in params["files"]:
+        g = load_gaussians(given.path(number, name))
+        parts.append(core_within(flatten(g[near_tile(g.means, square, AROUND)]), low, high))
+    near = Gaussians.concatenate(parts)
+    count = int(np.count_nonzero(near_tile(near.means, square, 0.0)))
+    space = space_of_piece(near[content_order(near)], square, params["is_object"]) if len(near) else None
+    if space is not None:
+        save_space(out / "space", space)
+    return {"gaussians": count, "space": space is not None}
+
+
+def find_whole(params: Facts, given: Given, out: Path, work: Path) -> Facts:
+    """Task: find what is known of the whole scene. Inputs are splits of all batches, all samples, then all spaces.
+
+    Params: `files`, `samples` and `config` as for other tasks; `survey`, the number of the input of `survey_scene`;
+    `pieces`, those of the inputs of `find_piece`; none if the scene is well known. Facts: `pieces`, in how many the
+    space was found.
+    """
+    facts = given.inputs[params["survey"]].facts
+    kind = SpaceKind(**{**facts["kind"], "evidence": None})
+    space = replace(load_space(given.path(params["survey"], "space")), kind=kind, rule=facts["rule"])
+    found = [(given.inputs[k].facts["gaussians"], given.inputs[k].facts["space"], k) for k in params["pieces"]]
+    if found:
+        pieces = [(count, load_space(given.path(k, "space")) if there else None) for count, there, k in found]
+        space = join_pieces(space, pieces)
     parts = _Tiles(given, params["files"])
-    save_whole(out, Whole.from_parts(parts, _sample(params, given), config_of(params["config"]), up=params["up"]))
-    return {}
+    save_whole(out, Whole.from_parts(parts, _sample(params, given), space, config_of(params["config"])))
+    return {"pieces": space.pieces}
 
 
 def merge_tile(params: Facts, given: Given, out: Path, work: Path) -> Facts:
@@ -78,6 +134,11 @@ def clean_tile(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     """
     own, around, order = _load(params, given)
     config, whole = config_of(params["config"]), _whole(params, given)
+    eyes, navigable = whole.air.eyes, whole.navigable
+    if given.inputs[params["whole"]].facts["pieces"] > 1:  # those of other pieces see little of this one
+        away = _away(eyes, params)
+        eyes = eyes[np.argsort(away, kind="stable")[: config.eyes]]
+        navigable = space_near(navigable, params) or navigable
     joint = Gaussians.concatenate([own, *around])
     needed = cleaning_memory(len(joint), 0)
     if given.max_memory is not None and needed > given.max_memory:
@@ -90,8 +151,9 @@ def clean_tile(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     found = classes = np.zeros(len(own), np.uint8)
     costs: Facts = {}
     if shape.core[: len(own)].any():
-        evidence = gather_evidence(joint, shape, whole.navigable, config, air=whole.air, judged=len(own))
-        result = judge(joint, shape, whole.navigable, evidence, config)
+        air = replace(whole.air, eyes=eyes)
+        evidence = gather_evidence(joint, shape, whole.navigable, config, air=air, judged=len(own))
+        result = judge(joint, shape, navigable, evidence, config)
         inside = [each[: len(own)] for each in (result.found, result.classes)]
         found, classes = (np.where(each == class_of("flyaways"), np.uint8(KEPT), each) for each in inside)
         costs = {name: asdict(cost) for name, cost in result.costs.items()}
@@ -131,22 +193,24 @@ def _load(params: Facts, given: Given) -> tuple[Gaussians, list[Gaussians], NDAr
     joined = Gaussians.concatenate([load_gaussians(given.path(number, name)) for number, name in params["files"]])
     order = content_order(joined)
     own = flatten(joined[order])
-    low, high, axes = (np.array(params[name]) for name in ("low", "high", "axes"))
-
-    def away(g: Gaussians) -> F64:
-        across = g.means[:, axes].astype(np.float64)
-        return np.asarray(np.maximum(np.maximum(low - across, across - high), 0.0).max(axis=1, initial=0.0))
-
-    width = MARGIN * float((high - low).max())
+    width = MARGIN * float(np.subtract(params["high"], params["low"]).max())
     near = [flatten(load_gaussians(given.path(number, name))) for number, name in params["halo"]]
-    halo = Gaussians.concatenate([g[away(g) < width] for g in near]) if near else own[:0]
+    halo = Gaussians.concatenate([g[_away(g.means, params) < width] for g in near]) if near else own[:0]
     merged = [(load_gaussians(given.path(number, name)), reached) for number, name, reached in params["merged"]]
     room = max(0, params["room"] - len(own) - sum(len(g) for g, _ in merged))
     if len(halo) > room:
-        width = float(np.partition(away(halo), room)[room])
-        halo = halo[away(halo) < width]
-    beyond = [g[away(g) >= width] if reached else g for g, reached in merged]
+        away = _away(halo.means, params)
+        width = float(np.partition(away, room)[room])
+        halo = halo[away < width]
+    beyond = [g[_away(g.means, params) >= width] if reached else g for g, reached in merged]
     return own, [halo[content_order(halo)], *beyond], order
+
+
+def _away(points: NDArray[np.floating[Any]], params: Facts) -> F64:
+    """Return (P,) how far points (P, 3) lie outside of the rectangle of a tile, along the axis on which it is most."""
+    low, high, axes = (np.array(params[name]) for name in ("low", "high", "axes"))
+    across = points[:, axes].astype(np.float64)
+    return np.asarray(np.maximum(np.maximum(low - across, across - high), 0.0).max(axis=1, initial=0.0))
 
 
 @dataclass(frozen=True)

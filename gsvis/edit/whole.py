@@ -6,7 +6,7 @@ Found from parts of which one is in memory at a time; the grids have a bounded n
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -22,9 +22,11 @@ from gsvis.scene.inspection import MIN_ALPHA
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.world.tiles import load_space, save_space
 
-__all__ = ["Whole", "core_within", "load_whole", "save_whole"]
+__all__ = ["Whole", "core_within", "find_space", "load_whole", "save_whole"]
 
 F64 = NDArray[np.float64]
+
+_MOST_EYES = 1 << 12  # of a scene of many places
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,34 +47,43 @@ class Whole:
 
     @classmethod
     def from_parts(
-        cls, parts: Iterable[Gaussians], sample: Gaussians, config: CleanConfig, *, up: ArrayLike | str | None = None
+        cls, parts: Iterable[Gaussians], sample: Gaussians, space: NavigableSpace, config: CleanConfig
     ) -> Whole:
         """Find what `clean` finds of a scene at once.
 
         Args:
-            parts: The scene, part by part; iterated over eight times or so.
+            parts: The scene, part by part; iterated over three times.
             sample: Some of its Gaussians that can be seen, drawn at random.
+            space: Where eyes may be. Each of its pieces gets as many eyes as one scene has.
             config: Eyes, resolution, strength, seed.
-            up: (3,) direction or an axis such as "+z"; guessed by default.
 
         Raises:
-            SceneError: If nothing but haze is there, or no eye can be anywhere.
+            SceneError: If all eyes lie inside something solid.
         """
         low, high = sample.bounds(0.98)
         core = _Filtered(parts, lambda g: core_within(g, low, high))
-        space = _find_space(core, core_within(sample, low, high), low, high, up)
-        return cls(low, high, space, find_air(core, low, high, space, config, np.zeros((0, 3))))
+        many = replace(config, eyes=max(config.eyes, min(config.eyes * space.pieces, _MOST_EYES)))
+        return cls(low, high, space, find_air(core, low, high, space, many, np.zeros((0, 3))))
 
 
-def _find_space(
-    core: Iterable[Gaussians], sample: Gaussians, low: F64, high: F64, up: ArrayLike | str | None
-) -> NavigableSpace:
-    """Return where eyes may be in a scene of which the core is given in parts, between its surfaces."""
-    if not (len(sample) and np.any(high > low)):
+def find_space(parts: Iterable[Gaussians], sample: Gaussians, *, up: ArrayLike | str | None = None) -> NavigableSpace:
+    """Find where eyes may be in a scene that comes in parts, by one grid over all of it, between its surfaces.
+
+    Args:
+        parts: The scene, part by part; iterated over five times or so.
+        sample: Some of its Gaussians that can be seen, drawn at random.
+        up: (3,) direction or an axis such as "+z"; guessed by default.
+
+    Raises:
+        SceneError: If nothing but haze is there, or no eye can be anywhere.
+    """
+    low, high = sample.bounds(0.98)
+    core, some = _Filtered(parts, lambda g: core_within(g, low, high)), core_within(sample, low, high)
+    if not (len(some) and np.any(high > low)):
         raise SceneError("the scene has nothing but haze and Gaussians far outside: no surface is left to look at")
     found = Surfaces.over(core, low, high)
     kept = _Filtered(core, lambda g: g[~found.lonely(g.means)])
-    return NavigableSpace.from_parts(kept, sample[~found.lonely(sample.means)], up=up)
+    return NavigableSpace.from_parts(kept, some[~found.lonely(some.means)], up=up)
 
 
 def core_within(g: Gaussians, low: F64, high: F64) -> Gaussians:

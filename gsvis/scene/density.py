@@ -16,12 +16,12 @@ from gsvis import _check
 from gsvis.scene._occupancy import MIN_ALPHA, optical_depth
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["Density"]
+__all__ = ["MOST_RESOLUTION", "Density"]
 
 F64 = NDArray[np.float64]
 Depth = NDArray[np.float32]
 
-_MOST = 512
+MOST_RESOLUTION = 4096
 _THICK = 2.0  # voxels: thinnest standard deviation from which a Gaussian is entered into a coarser grid
 
 
@@ -47,7 +47,7 @@ class Density:
             g: The scene; Gaussians with an opacity below 1/255 are left out.
             low: (3,) lowest corner.
             high: (3,) highest corner.
-            resolution: Voxels along the longest side, 8 to 512.
+            resolution: Voxels along the longest side, 8 to 4096.
 
         Raises:
             ValueError: If the box is empty, or `resolution` is out of range.
@@ -65,8 +65,8 @@ class Density:
         side = _check.floats("high", high, (3,), np.float64) - corner
         if not (side.min() >= 0.0 and side.max() > 0.0):
             raise ValueError(f"high: expected a corner above low, got sides {side.tolist()}")
-        if not 8 <= _check.positive_int("resolution", resolution) <= _MOST:
-            raise ValueError(f"resolution: expected a value in [8, {_MOST}], got {resolution}")
+        if not 8 <= _check.positive_int("resolution", resolution) <= MOST_RESOLUTION:
+            raise ValueError(f"resolution: expected a value in [8, {MOST_RESOLUTION}], got {resolution}")
         size = float(side.max()) / resolution
         counts = np.clip(np.ceil(side / size - 1e-6), 1, resolution).astype(int)
         shape = int(counts[0]), int(counts[1]), int(counts[2])

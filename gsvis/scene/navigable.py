@@ -49,6 +49,7 @@ class NavigableSpace:
         targets: (T, 3) points worth looking at; if empty, cameras look at points of the box.
         rule: Name of the rule that chose the voxels, for reports.
         kind: What the scene was taken for, and why.
+        pieces: On how many grids it was found: 1, or one over all and one for each piece.
 
     Raises:
         ValueError: If a shape or a value is wrong.
@@ -63,6 +64,7 @@ class NavigableSpace:
     targets: F64 = field(default_factory=lambda: np.zeros((0, 3)))
     rule: str = "given"
     kind: SpaceKind = _GIVEN
+    pieces: int = 1
 
     def __post_init__(self) -> None:
         free = np.ascontiguousarray(self.free, dtype=bool)
@@ -247,6 +249,29 @@ class NavigableSpace:
         """Return (M,) whether each of the (M, 3) points lies in a navigable voxel."""
         array = _check.floats("points", points, ("M", 3), np.float64)
         return self._look_up(self.free, array)
+
+    def on_grid(
+        self, origin: ArrayLike, voxel_size: float, shape: tuple[int, int, int]
+    ) -> tuple[tuple[slice, slice, slice], Mask, Mask]:
+        """Return the voxels of another grid in which this one lies, and which of these are free, and occupied.
+
+        A voxel is what this grid says at its middle.
+
+        Args:
+            origin: (3,) lowest corner of voxel (0, 0, 0) of the other grid, scene frame.
+            voxel_size: Side of its voxels, scene units.
+            shape: Its voxels along each axis.
+        """
+        corner = _check.floats("origin", origin, (3,), np.float64)
+        index, blocks = list[NDArray[np.int64]](), list[slice]()
+        for axis, count in enumerate(shape):
+            middles = corner[axis] + voxel_size * (np.arange(count) + 0.5)
+            places = np.floor((middles - self.origin[axis]) / self.voxel_size).astype(np.int64)
+            first, last = np.searchsorted(places, [0, self.free.shape[axis]])
+            blocks.append(slice(int(first), int(last)))
+            index.append(places[first:last])
+        inside = np.ix_(*index)
+        return (blocks[0], blocks[1], blocks[2]), self.free[inside], self.occupied[inside]
 
     def where_people_stand(self) -> NavigableSpace | None:
         """Return the part of it at the height of the eyes of standing people; None outside of rooms, or if too small.

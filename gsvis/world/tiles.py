@@ -43,6 +43,7 @@ __all__ = [
     "gather_rows",
     "load_space",
     "make_tile_levels",
+    "mixed_space_of_tile",
     "near_tile",
     "save_space",
     "space_of_tile",
@@ -104,7 +105,6 @@ def space_of_tile(near: Gaussians, params: Facts) -> NavigableSpace | None:
     """
     if "walk" in params and not params["walk"]:
         return None
-    low, high, axes = (np.array(params[name]) for name in ("low", "high", "axes"))
     fine = _resolution(near, near_tile(near.means, params), params["resolution"])
     found: NavigableSpace | None = None
     with suppress(SceneError):
@@ -115,8 +115,20 @@ def space_of_tile(near: Gaussians, params: Facts) -> NavigableSpace | None:
     if found is None and "walk" not in params:  # an object: the grid around it is larger, so voxels are, too
         with suppress(SceneError):
             found = NavigableSpace.from_scene(near, resolution=params["resolution"], up=params["up"])
-    if found is None:
-        return None
+    return None if found is None else _within(found, params)
+
+
+def mixed_space_of_tile(near: Gaussians, params: Facts) -> NavigableSpace | None:
+    """Return where eyes may be in the squares of a tile, in rooms and on open ground alone; None if nowhere."""
+    fine = _resolution(near, near_tile(near.means, params), params["resolution"])
+    with suppress(SceneError):
+        return _within(NavigableSpace.from_scene(near, mixed=True, resolution=fine, up=params["up"]), params)
+    return None
+
+
+def _within(found: NavigableSpace, params: Facts) -> NavigableSpace | None:
+    """Return a space without what is free outside of the squares of a tile; None if nothing else is."""
+    low, high, axes = (np.array(params[name]) for name in ("low", "high", "axes"))
     free = found.free.copy()
     for axis, first, last in zip(axes.tolist(), low.tolist(), high.tolist(), strict=True):
         middles = found.origin[axis] + found.voxel_size * (np.arange(free.shape[axis]) + 0.5)

@@ -25,7 +25,7 @@ from gsvis.scene.inspection import axis_vector, guess_up
 from gsvis.scene.sh import SH_C0
 from gsvis.world.graph import Facts, Given
 from gsvis.world.manifest import Grid
-from gsvis.world.rows import content_order, load_gaussians, save_gaussians
+from gsvis.world.rows import content_order, flatten, load_gaussians, save_gaussians
 
 __all__ = [
     "OUTSIDE",
@@ -38,6 +38,7 @@ __all__ = [
     "sample_rows",
     "sampling_interval",
     "split_batch",
+    "thin_out",
     "tile_name",
     "tiles_of",
 ]
@@ -92,10 +93,14 @@ def sample_rows(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     Facts: how many Gaussians the batch has, and how many are in the sample.
     """
     g = read_batch(Batch(**params["batch"]))
-    some = g[(_hashes(g.means) % np.uint32(params["every"]) == 0) & (g.opacities >= MIN_ALPHA)]
-    flat = Gaussians(some.means, some.quats, some.scales, some.opacities, some.sh0)
+    flat = flatten(thin_out(g, params["every"]))
     save_gaussians(out / "sample", flat)
     return {"gaussians": len(g), "sampled": len(flat), "sh_degree": g.sh_degree}
+
+
+def thin_out(g: Gaussians, every: int) -> Gaussians:
+    """Return of the Gaussians that can be seen about one in `every`, the same ones in any order."""
+    return g[(_hashes(g.means) % np.uint32(every) == 0) & (g.opacities >= MIN_ALPHA)]
 
 
 def find_grid(params: Facts, given: Given, out: Path, work: Path) -> Facts:

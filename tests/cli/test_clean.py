@@ -163,6 +163,17 @@ def test_a_scene_that_does_not_fit_is_cleaned_in_tiles(
     assert [path.name for path in tmp_path.iterdir()] == ["clean.ply"]
 
 
+def test_a_remark_says_that_most_is_never_seen(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["clean", str(folder / "dirty.ply"), "--eyes", "3", "--held-out", "0", "--up", "+z"]
+    assert main(words) == 0
+    assert "is never seen" not in capsys.readouterr().out
+    monkeypatch.setattr(clean_large, "_MOST_UNSEEN", 0.0)
+    assert main(words) == 0
+    assert "0% is never seen from where eyes were found" in " ".join(capsys.readouterr().out.split())
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [

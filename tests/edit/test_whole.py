@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from gsvis.edit import Shape, clean, core_of, gather_evidence
-from gsvis.edit.whole import Whole, core_within, load_whole, save_whole
+from gsvis.edit.whole import Whole, core_within, find_space, load_whole, save_whole
 from gsvis.errors import SceneError
 from gsvis.scene.density import Density
+from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from tests.edit.worlds import QUICK, dirty_room, dots
 
@@ -18,9 +20,13 @@ SCENE = dirty_room().scene
 THIRDS = [SCENE[k::3] for k in range(3)]
 
 
+def known_of(parts: list[Gaussians]) -> Whole:
+    return Whole.from_parts(parts, SCENE, find_space(parts, SCENE, up="+z"), QUICK)
+
+
 @pytest.fixture(scope="module")
 def whole() -> Whole:
-    return Whole.from_parts([SCENE], SCENE, QUICK, up="+z")
+    return known_of([SCENE])
 
 
 def test_the_grids_of_parts_are_those_of_the_scene() -> None:
@@ -35,7 +41,7 @@ def test_the_grids_of_parts_are_those_of_the_scene() -> None:
 
 
 def test_a_scene_in_parts_is_known_as_at_once(whole: Whole) -> None:
-    parts = Whole.from_parts(THIRDS, SCENE, QUICK, up="+z")
+    parts = known_of(THIRDS)
     assert np.mean(parts.navigable.free != whole.navigable.free) < 1e-3
     assert np.mean(parts.air.labels != whole.air.labels) < 1e-3
     np.testing.assert_array_equal(parts.low, whole.low)
@@ -67,8 +73,17 @@ def test_what_is_known_is_read_as_it_was_written(whole: Whole, tmp_path: Path) -
         np.testing.assert_array_equal(getattr(again.air, name), getattr(whole.air, name))
 
 
+def test_a_scene_of_many_places_has_more_eyes_and_finer_voxels_of_air(whole: Whole) -> None:
+    space = NavigableSpace.from_scene(core_of(SCENE), resolution=48, up="+z")
+    many = Whole.from_parts([SCENE], SCENE, replace(space, pieces=3), QUICK)
+    assert len(many.air.eyes) == 3 * len(whole.air.eyes)
+    assert many.air.voxel_size == pytest.approx(0.4 * space.voxel_size, rel=0.05)
+    once = Whole.from_parts([SCENE], SCENE, space, QUICK)
+    assert once.air.voxel_size == pytest.approx(whole.air.voxel_size, rel=0.02)
+
+
 def test_a_scene_of_haze_is_one_line() -> None:
     haze = dots(np.random.default_rng(1).random((50, 3)), 0.4, 0.05)
     assert len(core_within(haze, *haze.bounds(0.98))) == 0
     with pytest.raises(SceneError, match="nothing but haze"):
-        Whole.from_parts([haze], haze, QUICK)
+        find_space([haze], haze)

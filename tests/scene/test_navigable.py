@@ -74,9 +74,14 @@ class TestRooms:
         h = joined.voxel_size
         assert (5 - 6 * h) * (4 - 6 * h) * (3 - 6 * h) < joined.volume < 8 * 4 * 3
 
-    def test_without_a_door_the_larger_room_stays(self) -> None:
+    def test_without_a_door_both_rooms_stay(self) -> None:
         space = NavigableSpace.from_scene(two_rooms(door=False), resolution=64, up="+z")
-        assert space.contains(MIDDLES).tolist() == [True, False]
+        assert space.contains(MIDDLES).tolist() == [True, True]
+
+    def test_a_gap_in_a_wall_is_no_room(self) -> None:
+        g = Gaussians.concatenate([two_rooms(door=True), wall(0, 8.7, (0, 0), (4, 3))])
+        space = NavigableSpace.from_scene(g, resolution=64, up="+z")
+        assert space.contains([*MIDDLES, [8.35, 2.0, 1.5]]).tolist() == [True, True, False]
 
     def test_seeds_choose_the_room(self) -> None:
         g = two_rooms(door=False)
