@@ -124,7 +124,7 @@ def _find(
     command: Clean, config: CleanConfig, source: Source, walk: HeadPath | None, cameras: Cameras | None, status: Status
 ) -> tuple[Cleaning, list[str]]:
     """Find navigable space, without haze and flyaways, and what can go; return remarks too."""
-    from gsvis.edit import clean, core_of, find_in_pieces
+    from gsvis.edit import clean, core_of, find_in_parcels
 
     status("space", 0, 1)
     surfaces = replace(source, gaussians=core_of(source.gaussians))
@@ -132,7 +132,7 @@ def _find(
     place = find_place(surfaces, command, command.up, walk, seeds)
     space = place.required("say where eyes may be with --box, --around or --path")
     if not given(command) and seeds is None and source.navigable is None:
-        space = find_in_pieces(surfaces.gaussians, space)
+        space = find_in_parcels(surfaces.gaussians, space)
     status("space", 1, 1)
     found = clean(source.gaussians, navigable=space, cameras=cameras, config=config, progress=status)
     remark = remark_on_unseen(found.counts, len(source.gaussians))

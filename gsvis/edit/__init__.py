@@ -8,7 +8,7 @@ from gsvis.edit.eyes import Eyes, EyesInSpace, EyesOfCameras
 from gsvis.edit.guard import Cost, guard, measure_cost
 from gsvis.edit.large import LargeCleaning, clean_large
 from gsvis.edit.paint import Band, bands_of, colors_of, draw_legend, paint
-from gsvis.edit.places import PIECE, find_in_pieces
+from gsvis.edit.places import find_in_parcels
 from gsvis.edit.quantities import QUANTITIES, Quantity, QuantityConfig, measure_quantity, stored_quantity
 from gsvis.edit.shape import Shape
 from gsvis.edit.space import SpaceMeshes, mesh_space, solid_voxels
@@ -17,7 +17,6 @@ __all__ = [
     "CLASSES",
     "HIDDEN",
     "KEPT",
-    "PIECE",
     "QUANTITIES",
     "Band",
     "CleanConfig",
@@ -44,7 +43,7 @@ __all__ = [
     "core_of",
     "cut",
     "draw_legend",
-    "find_in_pieces",
+    "find_in_parcels",
     "gather_evidence",
     "guard",
     "held_out_cameras",

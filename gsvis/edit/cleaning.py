@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from gsvis.edit.classes import CLASSES, KEPT, CleanConfig, class_of, classify
 from gsvis.edit.evidence import Evidence, gather_evidence
 from gsvis.edit.guard import Cost, guard
-from gsvis.edit.places import find_in_pieces
+from gsvis.edit.places import find_in_parcels
 from gsvis.edit.shape import Shape
 from gsvis.errors import SceneError
 from gsvis.progress import Progress, silent
@@ -104,7 +104,7 @@ def clean(
         core = core_of(g, shape)
         navigable = NavigableSpace.from_scene(core, seeds=viewpoints)
         if viewpoints is None:
-            navigable = find_in_pieces(core, navigable)
+            navigable = find_in_parcels(core, navigable)
         progress("space", 1, 1)
     evidence = gather_evidence(g, shape, navigable, config, viewpoints=viewpoints, progress=progress)
     return judge(g, shape, navigable, evidence, config, progress=progress)

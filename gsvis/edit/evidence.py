@@ -39,7 +39,7 @@ CLOSED = 0.29  # optical depth of a voxel that closes a wall: a quarter of the l
 REACH = 4.0  # voxels around a Gaussian in which others count
 BACKDROP = 0.05  # share of a direction's solid angle that Gaussians far outside must cover to be a backdrop
 _EYES = 512  # that find air, at least
-_FINE = 0.4  # voxels of air in those of a space that was found in pieces, as where both grids are over all of a scene
+_FINE = 0.4  # voxels of air in those of a space that was found in parcels, as where both grids are over all of a scene
 _RAYS = 8_000_000  # outward, at most, to look again at what the first found hidden
 _SAMPLES = 32  # points of a Gaussian that say where its mass lies
 
@@ -203,14 +203,14 @@ def _find_passed(
 ) -> tuple[Density, Mask]:
     """Return the grid over the scene and navigable space, and (X, Y, Z) the voxels of it that light from eyes enters.
 
-    Navigable space itself is lit: eyes may be anywhere in it. Where it was found in pieces, the grid is fine enough for
-    their rooms.
+    Navigable space itself is lit: eyes may be anywhere in it. Where it was found in parcels, the grid is fine enough
+    for their rooms.
     """
     voxels = np.argwhere(navigable.free)
     corners = navigable.origin + navigable.voxel_size * np.stack([voxels.min(axis=0), voxels.max(axis=0) + 1])
     low, high = np.minimum(low, corners[0]), np.maximum(high, corners[1])
     resolution, longest = config.resolution, float((high - low).max())
-    if navigable.pieces > 1:
+    if navigable.parcels > 1:
         resolution = max(resolution, int(np.ceil(longest / (_FINE * navigable.voxel_size))))
     resolution = affordable_resolution(high - low, min(resolution, MOST_RESOLUTION))
     margin = 2.0 * float((high - low).max()) / resolution

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.edit.classes import CLASSES, HIDDEN, KEPT, CleanConfig, class_of
-from gsvis.edit.places import AROUND
+from gsvis.edit.parcels import AROUND
 from gsvis.files.archive import load_arrays
 from gsvis.files.objects import ObjectStore
 from gsvis.io.batches import read_batch
@@ -127,10 +127,10 @@ def clean_large(
     build = WorldBuild([scene], WorldConfig(tiling), store, workers, progress)
     listed = _Tasks(build, asdict(config))
     rects = [rect for rect in build.tiles if rect is not None]
-    tasks = [*build.split_tasks, listed.survey()]
+    tasks = [*build.split_tasks, *(listed.rows(rect) for rect in build.tiles), listed.survey()]
     survey = run_graph(tasks, store, workers, stage="space", progress=progress)["survey"]
-    pieces = [listed.piece(k, survey.facts) for k in range(len(survey.facts["pieces"]))]
-    tasks += [*pieces, listed.whole(pieces), *(listed.merge(rect) for rect in build.tiles)]
+    parcels = [listed.parcel(k, survey.facts) for k in range(len(survey.facts["parcels"]))]
+    tasks += [*parcels, listed.whole(parcels), *(listed.merge(rect) for rect in build.tiles)]
     run_graph(tasks, store, workers, stage="space", progress=progress)
     tasks += [listed.clean(rect) for rect in rects]
     if None in build.tiles:
@@ -150,90 +150,88 @@ class _Tasks:
     def __init__(self, build: WorldBuild, config: Facts) -> None:
         self._build, self._config = build, config
 
+    def rows(self, rect: Rect | None) -> Task:
+        """Return the task that joins the rows of a tile."""
+        files = self._build.files[rect]
+        used = sorted({batch for batch, _ in files})
+        params = {"files": [(used.index(batch), name) for batch, name in files]}
+        needs = tuple(f"split {batch}" for batch in used)
+        return Task(_name("rows", rect), "gsvis.edit.tiles:gather_rows", params, needs)
+
     def survey(self) -> Task:
         """Return the task that finds where eyes may be by one grid over all."""
-        params, needs = self._all_rows()
-        params |= {"every": self._build.every, "up": self._build.grid["up"]}
-        return Task("survey", "gsvis.edit.tiles:survey_scene", params, needs)
+        rows = self._rows(self._build.tiles)
+        samples, numbers = self._samples(len(rows))
+        params = {"tiles": len(rows), "samples": numbers, "every": self._build.every, "up": self._build.grid["up"]}
+        return Task("survey", "gsvis.edit.tiles:survey_scene", params, (*rows, *samples))
 
-    def piece(self, number: int, survey: Facts) -> Task:
-        """Return the task that finds where eyes may be in a piece, by the facts of the survey."""
-        build, square = self._build, survey["pieces"][number]
-        tiles = [rect for rect in build.tiles if rect is not None and _meets(build.square_of(rect), square)]
-        files, needs = self._read([file for rect in tiles for file in build.files[rect]])
-        samples, numbers = self._samples(len(needs))
-        params = {"files": files, "square": square, "samples": numbers, "is_object": survey["kind"]["kind"] == "object"}
-        return Task(f"piece {number}", "gsvis.edit.tiles:find_piece", params, (*needs, *samples))
+    def parcel(self, number: int, survey: Facts) -> Task:
+        """Return the task that finds where eyes may be in a parcel, by the facts of the survey."""
+        build, square = self._build, survey["parcels"][number]
+        rows = self._rows([rect for rect in build.tiles if rect and _meets(build.square_of(rect), square)])
+        samples, numbers = self._samples(len(rows))
+        params = {"tiles": len(rows), "square": square, "samples": numbers}
+        params["is_object"] = survey["kind"]["kind"] == "object"
+        return Task(f"parcel {number}", "gsvis.edit.tiles:find_parcel", params, (*rows, *samples))
 
-    def whole(self, pieces: Sequence[Task]) -> Task:
+    def whole(self, parcels: Sequence[Task]) -> Task:
         """Return the task that finds what is known of the whole scene."""
-        params, needs = self._all_rows()
-        numbers = list(range(len(needs) + 1, len(needs) + 1 + len(pieces)))
-        params |= {"config": self._config, "survey": len(needs), "pieces": numbers}
-        needs = (*needs, "survey", *(task.name for task in pieces))
+        rows = self._rows(self._build.tiles)
+        samples, numbers = self._samples(len(rows))
+        needs = (*rows, *samples, "survey", *(task.name for task in parcels))
+        survey = len(rows) + len(samples)
+        params = {"tiles": len(rows), "samples": numbers, "survey": survey, "config": self._config}
+        params["parcels"] = list(range(survey + 1, len(needs)))
         return Task("whole", "gsvis.edit.tiles:find_whole", params, needs)
 
     def merge(self, rect: Rect | None) -> Task:
         """Return the task that merges a tile to few Gaussians; all tiles together are fewer than `most`."""
         build = self._build
         most, touching = build.config.tiling.most, [len(build.touching(each)) for each in build.tiles if each]
-        files, needs = self._read(build.files[rect])
-        params = {
-            "files": files, "whole": len(needs), "near": max(1, most // (4 * max(1, *touching))),
-            "far": max(1, most // (8 * len(build.tiles))),
-        }  # fmt: skip
-        return Task(_name("merge", rect), "gsvis.edit.tiles:merge_tile", params, (*needs, "whole"))
+        params = {"near": max(1, most // (4 * max(1, *touching))), "far": max(1, most // (8 * len(build.tiles)))}
+        return Task(_name("merge", rect), "gsvis.edit.tiles:merge_tile", params, (_name("rows", rect), "whole"))
 
     def clean(self, rect: Rect) -> Task:
         """Return the task that judges a tile."""
         build = self._build
         touching = build.touching(rect)
-        near = [file for k in touching for file in build.files[build.tiles[k]]]
-        both, needs = self._read([*build.files[rect], *near])
+        rows = self._rows([rect, *(build.tiles[k] for k in touching)])
         others = [k for k, each in enumerate(build.tiles) if each != rect]
-        square, count = build.square_of(rect), len(build.files[rect])
+        square = build.square_of(rect)
         params = {
-            "files": both[:count], "halo": both[count:], "whole": len(needs),
+            "whole": len(rows),
             "merged": [
-                (len(needs) + 1 + i, "near" if k in touching or build.tiles[k] is None else "far", k in touching)
+                (len(rows) + 1 + i, "near" if k in touching or build.tiles[k] is None else "far", k in touching)
                 for i, k in enumerate(others)
             ],
             **{name: square[name] for name in ("low", "high", "axes")}, "room": int(JOINT * build.config.tiling.most),
             **self._common(rect),
         }  # fmt: skip
         merged = (_name("merge", build.tiles[k]) for k in others)
-        return Task(_name("clean", rect), "gsvis.edit.tiles:clean_tile", params, (*needs, "whole", *merged))
+        return Task(_name("clean", rect), "gsvis.edit.tiles:clean_tile", params, (*rows, "whole", *merged))
 
     def outside(self) -> Task:
         """Return the task that finds flyaways."""
-        files, needs = self._read(self._build.files[None])
-        samples, numbers = self._samples(len(needs))
-        params = {"files": files, "samples": numbers, **self._common(None)}
-        return Task(_name("clean", None), "gsvis.edit.tiles:find_flyaways", params, (*needs, *samples))
+        samples, numbers = self._samples(1)
+        params = {"samples": numbers, **self._common(None)}
+        return Task(_name("clean", None), "gsvis.edit.tiles:find_flyaways", params, (_name("rows", None), *samples))
 
-    def _all_rows(self) -> tuple[Facts, tuple[str, ...]]:
-        """Return the params of a task that reads all tiles, one by one, and what it needs for that."""
-        splits = tuple(f"split {k}" for k in range(len(self._build.batches)))
-        samples, numbers = self._samples(len(splits))
-        return {"files": list(self._build.files.values()), "samples": numbers}, (*splits, *samples)
+    def _rows(self, tiles: Sequence[Rect | None]) -> tuple[str, ...]:
+        """Return the tasks that join the rows of tiles."""
+        return tuple(_name("rows", rect) for rect in tiles)
 
     def _samples(self, after: int) -> tuple[tuple[str, ...], list[int]]:
         """Return all samples, and their numbers as inputs of a task after some others."""
         count = len(self._build.batches)
         return tuple(f"sample {k}" for k in range(count)), list(range(after, after + count))
 
-    def _read(self, files: list[tuple[int, str]]) -> tuple[list[tuple[int, str]], tuple[str, ...]]:
-        """Return files by the number of their input, and the splits that are these inputs."""
-        used = sorted({batch for batch, _ in files})
-        return [(used.index(batch), name) for batch, name in files], tuple(f"split {batch}" for batch in used)
-
     def _common(self, rect: Rect | None) -> Facts:
-        batches = [batch for batch, _ in self._build.files[rect]]
-        return {"config": self._config, "name": tile_name(rect), "batches": batches}
+        files = [f"{batch} {name}" for batch, name in self._build.files[rect]]
+        return {"config": self._config, "name": tile_name(rect), "files": files}
 
 
 def _meets(tile: Facts, square: Facts) -> bool:
-    """Return whether a tile reaches into a piece or into what is looked at around it."""
+    """Return whether a tile reaches into a parcel or into what is looked at around it."""
     low, high = np.array(square["low"]), np.array(square["high"])
     reach = AROUND * (high - low).max()
     return bool(np.all((np.array(tile["low"]) < high + reach) & (np.array(tile["high"]) > low - reach)))

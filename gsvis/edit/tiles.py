@@ -19,30 +19,33 @@ from gsvis.edit.classes import KEPT, CleanConfig, class_of
 from gsvis.edit.cleaning import judge
 from gsvis.edit.evidence import gather_evidence, part_of_backdrop
 from gsvis.edit.memory import cleaning_memory, most_gaussians
-from gsvis.edit.places import AROUND, is_well_known, join_pieces, lay_pieces, space_near, space_of_piece
+from gsvis.edit.parcels import AROUND, lay_parcels
+from gsvis.edit.places import is_well_known, join_parcels, space_of_parcel
 from gsvis.edit.shape import Shape, far_from
 from gsvis.edit.whole import Whole, core_within, find_space, load_whole, save_whole
-from gsvis.files.archive import save_arrays
+from gsvis.files.archive import load_arrays, save_arrays
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.kinds import SpaceKind
 from gsvis.world.districts import merge_down
 from gsvis.world.graph import Facts, Given
 from gsvis.world.rows import content_order, flatten, load_gaussians, load_rows, save_gaussians
-from gsvis.world.tiles import MARGIN, load_space, near_tile, save_space
+from gsvis.world.tiles import MARGIN, cut_to_tile, load_space, near_tile, save_space
 
 __all__ = [
     "VERSIONS",
     "clean_tile",
     "config_of",
     "find_flyaways",
-    "find_piece",
+    "find_parcel",
     "find_whole",
+    "gather_rows",
     "merge_tile",
     "survey_scene",
 ]
 
 VERSIONS = {
-    "clean_tile": 3, "find_flyaways": 1, "find_piece": 1, "find_whole": 1, "merge_tile": 1, "survey_scene": 2,
+    "clean_tile": 3, "find_flyaways": 2, "find_parcel": 1, "find_whole": 1, "gather_rows": 1, "merge_tile": 2,
+    "survey_scene": 2,
 }  # fmt: skip
 
 F64 = NDArray[np.float64]
@@ -51,67 +54,77 @@ U8 = NDArray[np.uint8]
 _SPREAD = 1.6  # times as wide as merged: neighbors of a surface overlap, so that it hides what is behind it
 
 
-def survey_scene(params: Facts, given: Given, out: Path, work: Path) -> Facts:
-    """Task: find where eyes may be by one grid over all. Inputs are splits of all batches, then all samples.
+def gather_rows(params: Facts, given: Given, out: Path, work: Path) -> Facts:
+    """Task: join the rows of a tile from all batches, with base colors alone, by content. Inputs are splits of batches.
 
-    Params: `files`, for each tile and the outside (input, name) of its rows; `samples`, the numbers of the other
-    inputs; `every`, one of how many Gaussians is in these; `up`. Facts: the `kind` and `rule` of the space; `pieces`,
-    see `lay_pieces`, none if the grid shows the scene.
+    Params: `files` lists (input, name). Leaves "rows", and "order": which row of the joined files each of them is.
+    Facts: `gaussians`, and the `sizes` of the files.
+    """
+    parts = [load_gaussians(given.path(number, name)) for number, name in params["files"]]
+    joined = Gaussians.concatenate(parts)
+    order = content_order(joined)
+    save_gaussians(out / "rows", flatten(joined[order]))
+    save_arrays(out / "order", {"order": order})
+    return {"gaussians": len(joined), "sizes": [len(g) for g in parts]}
+
+
+def survey_scene(params: Facts, given: Given, out: Path, work: Path) -> Facts:
+    """Task: find where eyes may be by one grid over all. Inputs are rows of all tiles and the outside, then samples.
+
+    Params: `tiles`, how many inputs are rows; `samples`, the numbers of the others; `every`, one of how many Gaussians
+    is in these; `up`. Facts: the `kind` and `rule` of the space; `parcels`, see `lay_parcels`, none if the grid shows
+    the scene.
     """
     sample = _sample(params, given)
-    space = find_space(_Tiles(given, params["files"]), sample, up=params["up"])
+    space = find_space(_Tiles(given, params["tiles"]), sample, up=params["up"])
     save_space(out / "space", space)
-    pieces = [] if is_well_known(space) else lay_pieces(sample, params["every"], params["up"])
-    return {"pieces": pieces, "kind": asdict(space.kind), "rule": space.rule}
+    parcels = [] if is_well_known(space) else lay_parcels(sample, params["every"], params["up"])
+    return {"parcels": parcels, "kind": asdict(space.kind), "rule": space.rule}
 
 
-def find_piece(params: Facts, given: Given, out: Path, work: Path) -> Facts:
-    """Task: find where eyes may be in a piece. Inputs are splits of batches, then all samples.
+def find_parcel(params: Facts, given: Given, out: Path, work: Path) -> Facts:
+    """Task: find where eyes may be in a parcel. Inputs are rows of the tiles in and around it, then all samples.
 
-    Params: `files` lists (input, name) of the rows of the tiles in and around it; `square`, see `lay_pieces`;
-    `samples`; `is_object`, whether the whole was taken for one. Facts: its Gaussians, and whether it has a space.
+    Params: `tiles`, how many inputs are rows; `square`, see `lay_parcels`; `samples`; `is_object`, whether the whole
+    was taken for one. Facts: its Gaussians, and whether it has a space.
     """
     low, high = _sample(params, given).bounds(0.98)
-    square, parts = params["square"], []
-    for number, name in params["files"]:
-        g = load_gaussians(given.path(number, name))
-        parts.append(core_within(flatten(g[near_tile(g.means, square, AROUND)]), low, high))
-    near = Gaussians.concatenate(parts)
+    square = params["square"]
+    around = [core_within(g[near_tile(g.means, square, AROUND)], low, high) for g in _Tiles(given, params["tiles"])]
+    near = Gaussians.concatenate(around)
     count = int(np.count_nonzero(near_tile(near.means, square, 0.0)))
-    space = space_of_piece(near[content_order(near)], square, params["is_object"]) if len(near) else None
+    space = space_of_parcel(near, square, params["is_object"])
     if space is not None:
         save_space(out / "space", space)
     return {"gaussians": count, "space": space is not None}
 
 
 def find_whole(params: Facts, given: Given, out: Path, work: Path) -> Facts:
-    """Task: find what is known of the whole scene. Inputs are splits of all batches, all samples, then all spaces.
+    """Task: find what is known of the whole scene. Inputs are rows of all tiles, all samples, then all spaces.
 
-    Params: `files`, `samples` and `config` as for other tasks; `survey`, the number of the input of `survey_scene`;
-    `pieces`, those of the inputs of `find_piece`; none if the scene is well known. Facts: `pieces`, in how many the
+    Params: `tiles`, `samples` and `config` as for other tasks; `survey`, the number of the input of `survey_scene`;
+    `parcels`, those of the inputs of `find_parcel`; none if the scene is well known. Facts: `parcels`, in how many the
     space was found.
     """
     facts = given.inputs[params["survey"]].facts
     kind = SpaceKind(**{**facts["kind"], "evidence": None})
     space = replace(load_space(given.path(params["survey"], "space")), kind=kind, rule=facts["rule"])
-    found = [(given.inputs[k].facts["gaussians"], given.inputs[k].facts["space"], k) for k in params["pieces"]]
+    found = [(given.inputs[k].facts["gaussians"], given.inputs[k].facts["space"], k) for k in params["parcels"]]
     if found:
-        pieces = [(count, load_space(given.path(k, "space")) if there else None) for count, there, k in found]
-        space = join_pieces(space, pieces)
-    parts = _Tiles(given, params["files"])
+        parcels = [(count, load_space(given.path(k, "space")) if there else None) for count, there, k in found]
+        space = join_parcels(space, parcels)
+    parts = _Tiles(given, params["tiles"])
     save_whole(out, Whole.from_parts(parts, _sample(params, given), space, config_of(params["config"])))
-    return {"pieces": space.pieces}
+    return {"parcels": space.parcels}
 
 
 def merge_tile(params: Facts, given: Given, out: Path, work: Path) -> Facts:
-    """Task: merge what hides things in a tile to few Gaussians. Inputs are splits of batches, then the whole scene.
+    """Task: merge what hides things in a tile to few Gaussians. Inputs are its rows, and the whole scene.
 
-    Params: `files` of the tile; `whole`, the number of that input; `near` and `far`, most Gaussians of the results with
-    these names.
+    Params: `near` and `far`, most Gaussians of the results with these names.
     """
-    whole = _whole(params, given)
-    rows = load_rows([given.path(number, name) for number, name in params["files"]])
-    g = core_within(flatten(rows), whole.low, whole.high)
+    whole = _whole(given, 1)
+    g = core_within(load_gaussians(given.path(0, "rows")), whole.low, whole.high)
     for name in ("near", "far"):
         few = merge_down(g, params[name]) if len(g) else g
         wide = (
@@ -122,23 +135,23 @@ def merge_tile(params: Facts, given: Given, out: Path, work: Path) -> Facts:
 
 
 def clean_tile(params: Facts, given: Given, out: Path, work: Path) -> Facts:
-    """Task: find the class of each Gaussian of a tile. Inputs are splits of batches, the whole scene, merged tiles.
+    """Task: find the class of each Gaussian of a tile.
 
-    Params: `files` and `halo` list (input, name) of the rows of the tile and of those that touch it; `low`, `high` and
+    Inputs are its rows, those of the tiles that touch it, the whole scene, and merged tiles. Params: `low`, `high` and
     `axes`, the rectangle of the tile; `room`, most Gaussians in and around the tile; `whole`, the number of that input;
     `merged` lists input, name, and whether the halo reaches into it, of all other tiles and the outside; `config`;
-    `name`.
+    `name`; `files`, the names of the arrays to leave.
 
-    Leaves "classes" with an array for each file of the tile. Facts: Gaussians found and removed of each class, and the
-    cost of each.
+    Leaves "classes" with an array for each file of a batch that was joined to the rows. Facts: Gaussians found and
+    removed of each class, and the cost of each.
     """
-    own, around, order = _load(params, given)
-    config, whole = config_of(params["config"]), _whole(params, given)
+    own, around = _load(params, given)
+    config, whole = config_of(params["config"]), _whole(given, params["whole"])
     eyes, navigable = whole.air.eyes, whole.navigable
-    if given.inputs[params["whole"]].facts["pieces"] > 1:  # those of other pieces see little of this one
+    if given.inputs[params["whole"]].facts["parcels"] > 1:  # those of other parcels see little of this one
         away = _away(eyes, params)
         eyes = eyes[np.argsort(away, kind="stable")[: config.eyes]]
-        navigable = space_near(navigable, params) or navigable
+        navigable = cut_to_tile(navigable, params) or navigable
     joint = Gaussians.concatenate([own, *around])
     needed = cleaning_memory(len(joint), 0)
     if given.max_memory is not None and needed > given.max_memory:
@@ -157,21 +170,19 @@ def clean_tile(params: Facts, given: Given, out: Path, work: Path) -> Facts:
         inside = [each[: len(own)] for each in (result.found, result.classes)]
         found, classes = (np.where(each == class_of("flyaways"), np.uint8(KEPT), each) for each in inside)
         costs = {name: asdict(cost) for name, cost in result.costs.items()}
-    unsorted = np.empty(len(own), np.uint8)
-    unsorted[order] = classes
-    _save(out, params, given, unsorted)
+    _save(out, params, given, classes)
     facts = _counts(found, classes, config)
     return {**facts, "costs": costs, "around": len(joint) - len(own)}
 
 
 def find_flyaways(params: Facts, given: Given, out: Path, work: Path) -> Facts:
-    """Task: find the flyaways among what lies outside all tiles. Inputs are splits of batches, then all samples.
+    """Task: find the flyaways among what lies outside all tiles. Inputs are its rows, then all samples.
 
-    Params: `files` of the outside; `samples`, the numbers of the other inputs; `config`. Leaves what `clean_tile` does.
+    Params: `samples`, the numbers of the other inputs; `config`; `files`. Leaves what `clean_tile` does.
     """
     config = config_of(params["config"])
     low, high = _sample(params, given).bounds(0.98)
-    g = Gaussians.concatenate([load_gaussians(given.path(number, name)) for number, name in params["files"]])
+    g = load_gaussians(given.path(0, "rows"))
     far = np.flatnonzero(far_from(g.means, low, high))
     classes = np.zeros(len(g), np.uint8)
     if "flyaways" in config.classes:
@@ -185,16 +196,14 @@ def config_of(value: Facts) -> CleanConfig:
     return CleanConfig(**{**value, "classes": tuple(value["classes"])})
 
 
-def _load(params: Facts, given: Given) -> tuple[Gaussians, list[Gaussians], NDArray[np.int64]]:
-    """Return the rows of a tile by content, what is around it, and the order of the former. All have base colors alone.
+def _load(params: Facts, given: Given) -> tuple[Gaussians, list[Gaussians]]:
+    """Return the rows of a tile, and what is around it.
 
     The halo is as wide as there is room for; beyond it are merged Gaussians.
     """
-    joined = Gaussians.concatenate([load_gaussians(given.path(number, name)) for number, name in params["files"]])
-    order = content_order(joined)
-    own = flatten(joined[order])
+    own = load_gaussians(given.path(0, "rows"))
     width = MARGIN * float(np.subtract(params["high"], params["low"]).max())
-    near = [flatten(load_gaussians(given.path(number, name))) for number, name in params["halo"]]
+    near = [load_gaussians(given.path(number, "rows")) for number in range(1, params["whole"])]
     halo = Gaussians.concatenate([g[_away(g.means, params) < width] for g in near]) if near else own[:0]
     merged = [(load_gaussians(given.path(number, name)), reached) for number, name, reached in params["merged"]]
     room = max(0, params["room"] - len(own) - sum(len(g) for g, _ in merged))
@@ -203,7 +212,7 @@ def _load(params: Facts, given: Given) -> tuple[Gaussians, list[Gaussians], NDAr
         width = float(np.partition(away, room)[room])
         halo = halo[away < width]
     beyond = [g[_away(g.means, params) >= width] if reached else g for g, reached in merged]
-    return own, [halo[content_order(halo)], *beyond], order
+    return own, [halo, *beyond]
 
 
 def _away(points: NDArray[np.floating[Any]], params: Facts) -> F64:
@@ -215,14 +224,14 @@ def _away(points: NDArray[np.floating[Any]], params: Facts) -> F64:
 
 @dataclass(frozen=True)
 class _Tiles:
-    """The rows of each tile by content, read again whenever they are iterated over."""
+    """The rows of each tile, the first inputs of a task, read again whenever they are iterated over."""
 
     given: Given
-    files: list[list[tuple[int, str]]]
+    count: int
 
     def __iter__(self) -> Iterator[Gaussians]:
-        for files in self.files:
-            yield flatten(load_rows([self.given.path(number, name) for number, name in files]))
+        for number in range(self.count):
+            yield load_gaussians(self.given.path(number, "rows"))
 
 
 def _sample(params: Facts, given: Given) -> Gaussians:
@@ -231,16 +240,16 @@ def _sample(params: Facts, given: Given) -> Gaussians:
     return load_rows([given.path(k, "sample") for k in sampled])
 
 
-def _whole(params: Facts, given: Given) -> Whole:
-    return load_whole(*(given.path(params["whole"], name) for name in ("space", "air")))
+def _whole(given: Given, number: int) -> Whole:
+    return load_whole(*(given.path(number, name) for name in ("space", "air")))
 
 
 def _save(out: Path, params: Facts, given: Given, classes: U8) -> None:
-    """Write the classes of the rows of each file."""
-    sizes = [given.inputs[number].facts["counts"][name] for number, name in params["files"]]
-    parts = np.split(classes, np.cumsum(sizes)[:-1])
-    names = [f"{batch} {name}" for batch, (_, name) in zip(params["batches"], params["files"], strict=True)]
-    save_arrays(out / "classes", dict(zip(names, parts, strict=True)))
+    """Write the classes of the rows of a tile, the first input, for each file of a batch in the order of its rows."""
+    unsorted = np.empty(len(classes), np.uint8)
+    unsorted[load_arrays(given.path(0, "order"), sealed=True)["order"]] = classes
+    parts = np.split(unsorted, np.cumsum(given.inputs[0].facts["sizes"])[:-1])
+    save_arrays(out / "classes", dict(zip(params["files"], parts, strict=True)))
 
 
 def _counts(found: U8, classes: U8, config: CleanConfig) -> Facts:

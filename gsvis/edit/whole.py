@@ -54,7 +54,7 @@ class Whole:
         Args:
             parts: The scene, part by part; iterated over three times.
             sample: Some of its Gaussians that can be seen, drawn at random.
-            space: Where eyes may be. Each of its pieces gets as many eyes as one scene has.
+            space: Where eyes may be. Each of its parcels gets as many eyes as one scene has.
             config: Eyes, resolution, strength, seed.
 
         Raises:
@@ -62,7 +62,7 @@ class Whole:
         """
         low, high = sample.bounds(0.98)
         core = _Filtered(parts, lambda g: core_within(g, low, high))
-        many = replace(config, eyes=max(config.eyes, min(config.eyes * space.pieces, _MOST_EYES)))
+        many = replace(config, eyes=max(config.eyes, min(config.eyes * space.parcels, _MOST_EYES)))
         return cls(low, high, space, find_air(core, low, high, space, many, np.zeros((0, 3))))
 
 

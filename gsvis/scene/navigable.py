@@ -49,7 +49,7 @@ class NavigableSpace:
         targets: (T, 3) points worth looking at; if empty, cameras look at points of the box.
         rule: Name of the rule that chose the voxels, for reports.
         kind: What the scene was taken for, and why.
-        pieces: On how many grids it was found: 1, or one over all and one for each piece.
+        parcels: On how many grids it was found: 1, or one over all and one for each parcel.
 
     Raises:
         ValueError: If a shape or a value is wrong.
@@ -64,7 +64,7 @@ class NavigableSpace:
     targets: F64 = field(default_factory=lambda: np.zeros((0, 3)))
     rule: str = "given"
     kind: SpaceKind = _GIVEN
-    pieces: int = 1
+    parcels: int = 1
 
     def __post_init__(self) -> None:
         free = np.ascontiguousarray(self.free, dtype=bool)

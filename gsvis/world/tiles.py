@@ -40,14 +40,15 @@ __all__ = [
     "SURROUNDINGS",
     "VERSIONS",
     "config_of",
+    "cut_to_tile",
     "gather_rows",
     "load_space",
     "make_tile_levels",
-    "mixed_space_of_tile",
     "near_tile",
     "save_space",
     "space_of_tile",
     "tile_space",
+    "within_tile",
 ]
 
 VERSIONS = {"gather_rows": 1, "make_tile_levels": [2, STAGES["levels"]], "tile_space": 5}
@@ -115,18 +116,10 @@ def space_of_tile(near: Gaussians, params: Facts) -> NavigableSpace | None:
     if found is None and "walk" not in params:  # an object: the grid around it is larger, so voxels are, too
         with suppress(SceneError):
             found = NavigableSpace.from_scene(near, resolution=params["resolution"], up=params["up"])
-    return None if found is None else _within(found, params)
+    return None if found is None else within_tile(found, params)
 
 
-def mixed_space_of_tile(near: Gaussians, params: Facts) -> NavigableSpace | None:
-    """Return where eyes may be in the squares of a tile, in rooms and on open ground alone; None if nowhere."""
-    fine = _resolution(near, near_tile(near.means, params), params["resolution"])
-    with suppress(SceneError):
-        return _within(NavigableSpace.from_scene(near, mixed=True, resolution=fine, up=params["up"]), params)
-    return None
-
-
-def _within(found: NavigableSpace, params: Facts) -> NavigableSpace | None:
+def within_tile(found: NavigableSpace, params: Facts) -> NavigableSpace | None:
     """Return a space without what is free outside of the squares of a tile; None if nothing else is."""
     low, high, axes = (np.array(params[name]) for name in ("low", "high", "axes"))
     free = found.free.copy()
@@ -135,11 +128,11 @@ def _within(found: NavigableSpace, params: Facts) -> NavigableSpace | None:
         shape = [1, 1, 1]
         shape[axis] = -1
         free &= ((middles >= first) & (middles < last)).reshape(shape)
-    return _cut(replace(found, free=free), params) if free.any() else None
+    return cut_to_tile(replace(found, free=free), params) if free.any() else None
 
 
-def _cut(space: NavigableSpace, params: Facts) -> NavigableSpace:
-    """Return a space without the voxels and targets beyond the margin of its tile."""
+def cut_to_tile(space: NavigableSpace, params: Facts) -> NavigableSpace | None:
+    """Return a space without the voxels and targets beyond the margin of a tile; None if nothing is free there."""
     low, high, axes = (np.array(params[name]) for name in ("low", "high", "axes"))
     margin, size = MARGIN * float((high - low).max()), space.voxel_size
     first, last = np.zeros(3, int), np.array(space.free.shape)
@@ -147,7 +140,9 @@ def _cut(space: NavigableSpace, params: Facts) -> NavigableSpace:
         places = np.array([start - margin, end + margin]) - space.origin[axis]
         first[axis] = max(0, int(np.floor(places[0] / size)))
         last[axis] = min(int(last[axis]), int(np.ceil(places[1] / size)))
-    some = tuple(slice(a, b) for a, b in zip(first, last, strict=True))
+    some = tuple(slice(a, max(a, b)) for a, b in zip(first.tolist(), last.tolist(), strict=True))
+    if not space.free[some].any():
+        return None
     origin = space.origin + size * first
     inside = ((space.targets >= origin) & (space.targets < origin + size * (last - first))).all(axis=1)
     targets = space.targets[inside] if inside.any() else space.targets

@@ -1,8 +1,7 @@
-"""Where eyes may be in a scene of many places: what one grid misses is found in pieces, and what it shows stays."""
+"""Where eyes may be in a scene of many places: what one grid misses is found in parcels, and what it shows stays."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -10,14 +9,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gsvis.edit import CleanConfig, clean, clean_large, find_in_pieces
-from gsvis.edit.places import is_well_known, join_pieces, lay_pieces, space_near
+from gsvis.edit import CleanConfig, clean, clean_large, find_in_parcels
+from gsvis.edit.parcels import lay_parcels, mixed_space
+from gsvis.edit.places import is_well_known, join_parcels
 from gsvis.files.objects import open_store
 from gsvis.io import save_scene
 from gsvis.scene.gaussians import Gaussians
-from gsvis.scene.kinds import SpaceKind
 from gsvis.scene.navigable import NavigableSpace
-from gsvis.world.tiles import near_tile
+from gsvis.world.graph import Facts
 from gsvis.world.tiling import TilingConfig
 from tests.scene.places import apartment, box, statue
 
@@ -42,7 +41,7 @@ def whole() -> NavigableSpace:
 
 @pytest.fixture(scope="module")
 def joined(whole: NavigableSpace) -> NavigableSpace:
-    return find_in_pieces(flats(), whole, most=1000)
+    return find_in_parcels(flats(), whole, most=1000)
 
 
 def test_one_grid_shows_no_flat(whole: NavigableSpace) -> None:
@@ -50,14 +49,14 @@ def test_one_grid_shows_no_flat(whole: NavigableSpace) -> None:
     assert not whole.contains(MIDDLES).any()
 
 
-def test_pieces_show_all_flats(whole: NavigableSpace, joined: NavigableSpace) -> None:
+def test_parcels_show_all_flats(whole: NavigableSpace, joined: NavigableSpace) -> None:
     assert joined.contains(MIDDLES).all()
-    assert joined.pieces > 2
+    assert joined.parcels > 2
     assert joined.voxel_size < 0.5 * whole.voxel_size
     assert not (joined.free & joined.occupied).any()
 
 
-def test_walls_stop_views_in_the_grid_of_pieces(joined: NavigableSpace) -> None:
+def test_walls_stop_views_in_the_grid_of_parcels(joined: NavigableSpace) -> None:
     inner = MIDDLES[1:-1]  # the robust box ends in the first room and in the last
     ways = np.tile([0.0, 0.0, 1.0], (len(inner), 1))
     np.testing.assert_allclose(joined.free_distances(inner, ways), HALF[2], atol=2.0 * joined.voxel_size)
@@ -66,53 +65,27 @@ def test_walls_stop_views_in_the_grid_of_pieces(joined: NavigableSpace) -> None:
 def test_rooms_that_one_grid_shows_stay_as_they_are() -> None:
     space = NavigableSpace.from_scene(apartment(), up="+z")
     assert is_well_known(space)
-    assert find_in_pieces(apartment(), space, most=2000) is space
-    unknown = replace(space, kind=SpaceKind("open place", "", None, ""))  # asked, pieces show what the grid shows
-    assert find_in_pieces(apartment(), unknown, most=12_000) is unknown
+    assert find_in_parcels(apartment(), space, most=20_000) is space
+    halves: list[Facts] = [
+        {"low": [low, 0.0], "high": [low + 4.0, 5.0], "axes": [0, 1], "up": "+z"} for low in (0.0, 4.0)
+    ]
+    parcels = [(1, mixed_space(apartment(), half, 0.05)) for half in halves]
+    assert all(found is not None for _, found in parcels)
+    assert join_parcels(space, parcels) is space
 
 
 def test_an_object_stays_one() -> None:
     space = NavigableSpace.from_scene(statue(), up="+z")
     assert space.kind.kind == "object"
-    assert find_in_pieces(statue(), space, most=1000) is space
+    assert find_in_parcels(statue(), space, most=1000) is space
 
 
-def test_a_scene_of_one_piece_is_not_looked_at_again(whole: NavigableSpace) -> None:
-    assert find_in_pieces(flats(), whole) is whole
+def test_a_scene_of_one_parcel_is_not_looked_at_again(whole: NavigableSpace) -> None:
+    assert find_in_parcels(flats(), whole) is whole
 
 
-def test_without_any_place_in_pieces_the_space_stays(whole: NavigableSpace) -> None:
-    assert join_pieces(whole, [(100, None), (50, None)]) is whole
-
-
-def test_pieces_cover_what_the_sample_holds_and_are_as_wide_as_asked() -> None:
-    squares = lay_pieces(flats(), 1, "+z", 1000)
-    assert all(each["axes"] == [0, 1] and each["up"] == "+z" for each in squares)
-    sides = np.array([np.subtract(each["high"], each["low"]) for each in squares])
-    np.testing.assert_allclose(sides, sides[0, 0])
-    own = np.array([near_tile(flats().means, each, 0.0) for each in squares])
-    assert own.sum(axis=0).max() == 1  # no two squares hold the same
-    assert own.any(axis=0).mean() > 0.95  # of the centers within the robust box
-    wider = lay_pieces(flats(), 1, "+z", 4000)
-    assert wider[0]["high"][0] - wider[0]["low"][0] == pytest.approx(2.0 * sides[0, 0])
-    assert lay_pieces(flats()[::2], 2, "+z", 1000)[0]["high"] == pytest.approx(squares[0]["high"], rel=0.2)
-
-
-def test_what_lies_in_one_point_has_no_pieces() -> None:
-    g = flats()[:9]
-    point = Gaussians(np.zeros((9, 3)), g.quats, g.scales, g.opacities, g.sh0)
-    assert lay_pieces(point, 1, "+z") == []
-
-
-def test_space_near_a_piece_is_that_of_the_whole_there(joined: NavigableSpace) -> None:
-    square = {"low": [-2.0, -2.0], "high": [2.0, 2.0], "axes": [0, 1]}
-    near = space_near(joined, square)
-    assert near is not None
-    assert near.contains(MIDDLES).tolist() == [True] + [False] * (COUNT - 1)
-    inside = near.origin + near.voxel_size * (np.argwhere(near.free) + 0.5)
-    assert joined.contains(inside).all()
-    assert near.volume == pytest.approx(joined.volume / COUNT, rel=0.1)
-    assert space_near(joined, {"low": [14.0, -1.0], "high": [18.0, 1.0], "axes": [0, 1]}) is None
+def test_without_any_place_in_parcels_the_space_stays(whole: NavigableSpace) -> None:
+    assert join_parcels(whole, [(100, None), (50, None)]) is whole
 
 
 def test_clean_keeps_all_flats(joined: NavigableSpace) -> None:
@@ -122,7 +95,7 @@ def test_clean_keeps_all_flats(joined: NavigableSpace) -> None:
 
 def test_clean_in_tiles_keeps_all_flats(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     save_scene(flats(), tmp_path / "flats.ply")
-    monkeypatch.setattr("gsvis.edit.tiles.lay_pieces", partial(lay_pieces, most=1000))
+    monkeypatch.setattr("gsvis.edit.tiles.lay_parcels", partial(lay_parcels, most=1000))
     tiling, store = TilingConfig(3000, up="+z"), open_store(tmp_path / "work")
     found = clean_large((str(tmp_path / "flats.ply"), None), LIGHT, tiling, store)
     assert found.tiles >= 3

@@ -75,7 +75,7 @@ def test_what_is_known_is_read_as_it_was_written(whole: Whole, tmp_path: Path) -
 
 def test_a_scene_of_many_places_has_more_eyes_and_finer_voxels_of_air(whole: Whole) -> None:
     space = NavigableSpace.from_scene(core_of(SCENE), resolution=48, up="+z")
-    many = Whole.from_parts([SCENE], SCENE, replace(space, pieces=3), QUICK)
+    many = Whole.from_parts([SCENE], SCENE, replace(space, parcels=3), QUICK)
     assert len(many.air.eyes) == 3 * len(whole.air.eyes)
     assert many.air.voxel_size == pytest.approx(0.4 * space.voxel_size, rel=0.05)
     once = Whole.from_parts([SCENE], SCENE, space, QUICK)

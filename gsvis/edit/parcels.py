@@ -1,0 +1,144 @@
+"""Find where eyes may be in a scene of many places, on squares that are small enough for a grid to show rooms.
+
+A grid over a large scene has voxels wider than doors, and rooms close up. So it is looked at parcel by parcel: squares
+as wide as what holds two million Gaussians where the scene is as dense as mostly, each with what lies around it.
+Scene frame and units. Gives spaces; draws and traces nothing.
+docs/design/099-many-places.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.errors import SceneError
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.inspection import axis_vector
+from gsvis.scene.navigable import MAX_RESOLUTION, NavigableSpace
+from gsvis.world.graph import Facts
+from gsvis.world.memory import MOST_VOXELS
+from gsvis.world.tiles import within_tile
+
+__all__ = [
+    "AROUND",
+    "PARCEL",
+    "VOXELS",
+    "find_side",
+    "join_spaces",
+    "lay_parcels",
+    "mixed_space",
+]
+
+F64 = NDArray[np.float64]
+
+PARCEL = 2_000_000
+"""Gaussians of a parcel, about."""
+
+AROUND = 0.4
+"""How far beyond a parcel it is looked at, in its side."""
+
+VOXELS = 200
+"""Voxels along the side of a parcel."""
+
+_COVERAGE = 0.98  # of the centers on each axis, within the lattice and within the box of a grid
+_CELLS = 256  # along the longer side of a scene, in which it is counted how dense it is
+_FEWEST = 4  # Gaussians of the sample in a parcel
+_MOST_JOINED = 1 << 24  # voxels of the grid of all parcels
+_TARGETS = 4096
+
+
+def find_side(sample: Gaussians, every: int, up: str, most: int = PARCEL) -> float:
+    """Return the side of parcels of a scene; 0 if it lies in a point.
+
+    Args:
+        sample: One in `every` of its Gaussians that can be seen.
+        every: One of how many.
+        up: Axis that points upward, such as "+z".
+        most: Gaussians of a parcel, about, where the scene is as dense as around most of them.
+    """
+    across, low, longest = _footprint(sample, up)
+    if not longest > 0.0:
+        return 0.0
+    cells = np.floor((across - low) / longest * (_CELLS - 1e-6)).astype(np.int64)
+    counts = np.bincount(cells[:, 0] * _CELLS + cells[:, 1])
+    dense = float(np.median(np.repeat(counts, counts)))  # Gaussians of a cell, as most Gaussians have it
+    return longest / _CELLS * float(np.sqrt(most / (every * dense)))
+
+
+def lay_parcels(sample: Gaussians, every: int, up: str, most: int = PARCEL) -> list[Facts]:
+    """Return the squares of a lattice over a scene that hold some of a sample; arguments as for `find_side`.
+
+    Returns:
+        Of each square `low` and `high` on the two `axes` that are level, and `up`.
+    """
+    across, low, _ = _footprint(sample, up)
+    side = find_side(sample, every, up, most)
+    if side == 0.0:
+        return []
+    places, held = np.unique(np.floor((across - low) / side).astype(np.int64), axis=0, return_counts=True)
+    corners = [(low + side * at, low + side * (at + 1)) for at in places[held >= _FEWEST]]
+    axes = _level_axes(up)
+    return [{"low": first.tolist(), "high": last.tolist(), "axes": axes, "up": up} for first, last in corners]
+
+
+def mixed_space(near: Gaussians, square: Facts, voxel_size: float) -> NavigableSpace | None:
+    """Return where eyes may be in a square, in rooms and on open ground; None if nowhere.
+
+    Args:
+        near: What is in it and around it.
+        square: Where it is: `low` and `high` on `axes`, and `up`.
+        voxel_size: Side of voxels, scene units; they are larger where they would be too many.
+    """
+    if len(near) == 0:
+        return None
+    low, high = near.bounds(_COVERAGE)
+    sides = (high - low).astype(np.float64)
+    size = max(voxel_size, float(np.cbrt(sides.prod() / MOST_VOXELS)), 1e-12)
+    resolution = int(np.clip(np.ceil(sides.max() / size), 8, MAX_RESOLUTION))
+    with suppress(SceneError):
+        found = NavigableSpace.from_scene(near, mixed=True, resolution=resolution, up=square["up"])
+        return within_tile(found, square)
+    return None
+
+
+def join_spaces(spaces: Sequence[NavigableSpace], below: NavigableSpace | None = None) -> NavigableSpace:
+    """Return several spaces on one grid, with voxels of the median of their sizes, or larger if there are too many.
+
+    Args:
+        spaces: At least one. Where they overlap, what is free in one is free.
+        below: A space that is free too, but whose walls count only where none of the others is known.
+    """
+    every = [*spaces, *([] if below is None else [below])]
+    low = np.min([each.origin for each in every], axis=0)
+    high = np.max([each.origin + each.voxel_size * np.array(each.free.shape) for each in every], axis=0)
+    finest = float(np.cbrt((high - low).prod() / _MOST_JOINED))
+    size = max(float(np.median([each.voxel_size for each in spaces])), finest)
+    x, y, z = (int(n) for n in np.ceil((high - low) / size - 1e-6))
+    free, occupied, known = (np.zeros((x, y, z), bool) for _ in range(3))
+    for each in every:
+        block, free_there, occupied_there = each.on_grid(low, size, (x, y, z))
+        free[block] |= free_there
+        occupied[block] |= occupied_there & ~known[block] if each is below else occupied_there
+        known[block] = True
+    targets = np.concatenate([each.targets for each in spaces])
+    some = np.linspace(0, len(targets) - 1, min(len(targets), _TARGETS)).astype(np.int64)
+    first = every[-1]
+    return NavigableSpace(
+        low, size, free, first.up, occupied & ~free, targets[some], first.rule, first.kind, len(every)
+    )
+
+
+def _footprint(sample: Gaussians, up: str) -> tuple[F64, F64, float]:
+    """Return (M, 2) the level coordinates of centers in the robust box, its lowest corner, and its longer side."""
+    axes = _level_axes(up)
+    low, high = (each[axes] for each in sample.bounds(_COVERAGE))
+    across = sample.means[:, axes].astype(np.float64)
+    return across[((across >= low) & (across <= high)).all(axis=1)], low, float((high - low).max())
+
+
+def _level_axes(up: str) -> list[int]:
+    upright = int(np.abs(axis_vector(up)).argmax())
+    return [axis for axis in range(3) if axis != upright]
