@@ -26,7 +26,7 @@ from gsvis.world.graph import Facts
 from gsvis.world.tiles import near_tile
 from gsvis.world.tiling import sampling_interval, thin_out
 
-__all__ = ["Parcel", "find_in_parcels", "is_well_known", "join_parcels", "space_of_parcel"]
+__all__ = ["Parcel", "find_in_parcels", "is_well_known", "join_parcels", "parcels_of", "space_of_parcel"]
 
 F64 = NDArray[np.float64]
 
@@ -53,14 +53,26 @@ def find_in_parcels(core: Gaussians, whole: NavigableSpace, *, most: int = PARCE
         whole: Where eyes may be by a grid over all of it.
         most: Gaussians of a parcel, about.
     """
-    if is_well_known(whole) or len(core) <= most:
-        return whole
     every = sampling_interval(len(core))
     is_object, parcels = whole.kind.kind == "object", list[Parcel]()
-    for square in lay_parcels(thin_out(core, every), every, _axis_of(whole.up), most):
+    for square in parcels_of(whole, thin_out(core, every), every, _axis_of(whole.up), most):
         near, own = core[near_tile(core.means, square, AROUND)], near_tile(core.means, square, 0.0)
         parcels.append((int(np.count_nonzero(own)), space_of_parcel(near, square, is_object)))
     return join_parcels(whole, parcels)
+
+
+def parcels_of(whole: NavigableSpace, sample: Gaussians, every: int, up: str, most: int = PARCEL) -> list[Facts]:
+    """Return the parcels of a scene, see `lay_parcels`; none if the grid over all of it shows it, or it is one parcel.
+
+    Args:
+        whole: Where eyes may be by a grid over all of it.
+        sample: One in `every` of its Gaussians that can be seen.
+        every: One of how many.
+        up: Axis that points upward, such as "+z".
+        most: Gaussians of a parcel, about.
+    """
+    found = [] if is_well_known(whole) else lay_parcels(sample, every, up, most)
+    return found if len(found) > 1 else []
 
 
 def space_of_parcel(near: Gaussians, square: Facts, is_object: bool) -> NavigableSpace | None:

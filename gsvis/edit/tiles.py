@@ -19,8 +19,8 @@ from gsvis.edit.classes import KEPT, CleanConfig, class_of
 from gsvis.edit.cleaning import judge
 from gsvis.edit.evidence import gather_evidence, part_of_backdrop
 from gsvis.edit.memory import cleaning_memory, most_gaussians
-from gsvis.edit.parcels import AROUND, lay_parcels
-from gsvis.edit.places import is_well_known, join_parcels, space_of_parcel
+from gsvis.edit.parcels import AROUND
+from gsvis.edit.places import join_parcels, parcels_of, space_of_parcel
 from gsvis.edit.shape import Shape, far_from
 from gsvis.edit.whole import Whole, core_within, find_space, load_whole, save_whole
 from gsvis.files.archive import load_arrays, save_arrays
@@ -72,13 +72,12 @@ def survey_scene(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     """Task: find where eyes may be by one grid over all. Inputs are rows of all tiles and the outside, then samples.
 
     Params: `tiles`, how many inputs are rows; `samples`, the numbers of the others; `every`, one of how many Gaussians
-    is in these; `up`. Facts: the `kind` and `rule` of the space; `parcels`, see `lay_parcels`, none if the grid shows
-    the scene.
+    is in these; `up`. Facts: the `kind` and `rule` of the space; `parcels`, see `parcels_of`.
     """
     sample = _sample(params, given)
     space = find_space(_Tiles(given, params["tiles"]), sample, up=params["up"])
     save_space(out / "space", space)
-    parcels = [] if is_well_known(space) else lay_parcels(sample, params["every"], params["up"])
+    parcels = parcels_of(space, sample, params["every"], params["up"])
     return {"parcels": parcels, "kind": asdict(space.kind), "rule": space.rule}
 
 

@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from gsvis.edit import CleanConfig, clean, clean_large, find_in_parcels
-from gsvis.edit.parcels import lay_parcels, mixed_space
-from gsvis.edit.places import is_well_known, join_parcels
+from gsvis.edit.parcels import mixed_space
+from gsvis.edit.places import is_well_known, join_parcels, parcels_of
 from gsvis.files.objects import open_store
 from gsvis.io import save_scene
 from gsvis.scene.gaussians import Gaussians
@@ -81,7 +81,7 @@ def test_an_object_stays_one() -> None:
 
 
 def test_a_scene_of_one_parcel_is_not_looked_at_again(whole: NavigableSpace) -> None:
-    assert find_in_parcels(flats(), whole) is whole
+    assert find_in_parcels(flats(), whole, most=10**8) is whole
 
 
 def test_without_any_place_in_parcels_the_space_stays(whole: NavigableSpace) -> None:
@@ -95,7 +95,7 @@ def test_clean_keeps_all_flats(joined: NavigableSpace) -> None:
 
 def test_clean_in_tiles_keeps_all_flats(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     save_scene(flats(), tmp_path / "flats.ply")
-    monkeypatch.setattr("gsvis.edit.tiles.lay_parcels", partial(lay_parcels, most=1000))
+    monkeypatch.setattr("gsvis.edit.tiles.parcels_of", partial(parcels_of, most=1000))
     tiling, store = TilingConfig(3000, up="+z"), open_store(tmp_path / "work")
     found = clean_large((str(tmp_path / "flats.ply"), None), LIGHT, tiling, store)
     assert found.tiles >= 3
