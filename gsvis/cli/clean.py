@@ -132,7 +132,7 @@ def _find(
     place = find_place(surfaces, command, command.up, walk, seeds)
     space = place.required("say where eyes may be with --box, --around or --path")
     if not given(command) and seeds is None and source.navigable is None:
-        space = find_in_parcels(surfaces.gaussians, space)
+        space = find_in_parcels(surfaces.gaussians, space, progress=status)
     status("space", 1, 1)
     found = clean(source.gaussians, navigable=space, cameras=cameras, config=config, progress=status)
     remark = remark_on_unseen(found.counts, len(source.gaussians))

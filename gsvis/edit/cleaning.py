@@ -104,7 +104,7 @@ def clean(
         core = core_of(g, shape)
         navigable = NavigableSpace.from_scene(core, seeds=viewpoints)
         if viewpoints is None:
-            navigable = find_in_parcels(core, navigable)
+            navigable = find_in_parcels(core, navigable, progress=progress)
         progress("space", 1, 1)
     evidence = gather_evidence(g, shape, navigable, config, viewpoints=viewpoints, progress=progress)
     return judge(g, shape, navigable, evidence, config, progress=progress)

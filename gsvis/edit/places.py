@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from gsvis.edit.parcels import AROUND, PARCEL, VOXELS, join_spaces, lay_parcels, mixed_space
 from gsvis.errors import SceneError
+from gsvis.progress import Progress, silent
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.inspection import AXES, axis_vector
 from gsvis.scene.kinds import SpaceKind
@@ -45,17 +46,22 @@ def is_well_known(space: NavigableSpace) -> bool:
     return found.kind == "rooms" and found.evidence is not None and found.evidence.seen_within >= _SEEN
 
 
-def find_in_parcels(core: Gaussians, whole: NavigableSpace, *, most: int = PARCEL) -> NavigableSpace:
+def find_in_parcels(
+    core: Gaussians, whole: NavigableSpace, *, most: int = PARCEL, progress: Progress = silent
+) -> NavigableSpace:
     """Return where eyes may be in a scene, by its parcels if the grid over all of it does not show them.
 
     Args:
         core: What hides things.
         whole: Where eyes may be by a grid over all of it.
         most: Gaussians of a parcel, about.
+        progress: Called with stage "space", in parcels.
     """
     every = sampling_interval(len(core))
     is_object, parcels = whole.kind.kind == "object", list[Parcel]()
-    for square in parcels_of(whole, thin_out(core, every), every, _axis_of(whole.up), most):
+    squares = parcels_of(whole, thin_out(core, every), every, _axis_of(whole.up), most)
+    for done, square in enumerate(squares):
+        progress("space", done, len(squares))
         near, own = core[near_tile(core.means, square, AROUND)], near_tile(core.means, square, 0.0)
         parcels.append((int(np.count_nonzero(own)), space_of_parcel(near, square, is_object)))
     return join_parcels(whole, parcels)
