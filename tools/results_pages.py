@@ -164,6 +164,8 @@ PAGES = {
             "world_kills_large",
             "max_memory",
             "out_of_core",
+            "clean_nine_copies",
+            "clean_one_copy",
             "world_cluster",
         ),
     ),
