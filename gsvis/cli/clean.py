@@ -135,7 +135,7 @@ def _find(
         space = find_in_parcels(surfaces.gaussians, space, progress=status)
     status("space", 1, 1)
     found = clean(source.gaussians, navigable=space, cameras=cameras, config=config, progress=status)
-    remark = remark_on_unseen(found.counts, len(source.gaussians))
+    remark = "" if given(command) else remark_on_unseen(found.counts, len(source.gaussians))
     return found, [*place.remarks, *([f" {remark}."] if remark else [])]
 
 

@@ -25,7 +25,7 @@ __all__ = ["clean_in_tiles", "in_tiles", "remark_on_unseen"]
 
 _WHOLE = ("report", "select", "apply", "cameras", *WORDS)  # options that need the whole scene
 _LEAST = 50_000  # Gaussians of a tile: smaller ones are mostly halo
-_MOST_UNSEEN = 0.5  # of a scene that no eye sees, above which there is a warning
+_MOST_UNSEEN = 0.2  # of a scene that no eye sees, above which there is a warning
 
 
 def in_tiles(command: Clean) -> bool:
@@ -126,7 +126,7 @@ def _store(command: Clean) -> Iterator[ObjectStore]:
 
 
 def remark_on_unseen(removed: dict[str, int], gaussians: int) -> str:
-    """Return a remark if most of a scene goes because no eye sees it; else nothing.
+    """Return a remark if much of a scene goes because no eye sees it; else nothing.
 
     Args:
         removed: Gaussians that go, by class.

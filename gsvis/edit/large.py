@@ -168,11 +168,10 @@ class _Tasks:
     def parcel(self, number: int, survey: Facts) -> Task:
         """Return the task that finds where eyes may be in a parcel, by the facts of the survey."""
         build, square = self._build, survey["parcels"][number]
-        rows = self._rows([rect for rect in build.tiles if rect and _meets(build.square_of(rect), square)])
-        samples, numbers = self._samples(len(rows))
-        params = {"tiles": len(rows), "square": square, "samples": numbers}
-        params["is_object"] = survey["kind"]["kind"] == "object"
-        return Task(f"parcel {number}", "gsvis.edit.tiles:find_parcel", params, (*rows, *samples))
+        near = [rect for rect in build.tiles if rect is None or _meets(build.square_of(rect), square)]
+        params = {"square": square, "is_object": survey["kind"]["kind"] == "object"}
+        params |= {name: survey[name] for name in ("low", "high")}
+        return Task(f"parcel {number}", "gsvis.edit.tiles:find_parcel", params, self._rows(near))
 
     def whole(self, parcels: Sequence[Task]) -> Task:
         """Return the task that finds what is known of the whole scene."""

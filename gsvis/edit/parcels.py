@@ -8,8 +8,9 @@ docs/design/099-many-places.md.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from contextlib import suppress
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,19 +21,22 @@ from gsvis.scene.inspection import axis_vector
 from gsvis.scene.navigable import MAX_RESOLUTION, NavigableSpace
 from gsvis.world.graph import Facts
 from gsvis.world.memory import MOST_VOXELS
-from gsvis.world.tiles import within_tile
+from gsvis.world.tiles import near_tile, within_tile
 
 __all__ = [
     "AROUND",
     "PARCEL",
     "VOXELS",
     "find_side",
+    "indoors",
     "join_spaces",
     "lay_parcels",
     "mixed_space",
+    "rows_near",
 ]
 
 F64 = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 PARCEL = 2_000_000
 """Gaussians of a parcel, about."""
@@ -47,6 +51,8 @@ _COVERAGE = 0.98  # of the centers on each axis, within the lattice and within t
 _CELLS = 256  # along the longer side of a scene, in which it is counted how dense it is
 _FEWEST = 4  # Gaussians of the sample in a parcel
 _MOST_JOINED = 1 << 24  # voxels of the grid of all parcels
+_MOST_PARCELS = 8  # times as many as the Gaussians ask for, and as many more
+_MOST_NEAR = 4_000_000  # Gaussians in and around a parcel
 _TARGETS = 4096
 
 
@@ -60,7 +66,7 @@ def find_side(sample: Gaussians, every: int, up: str, most: int = PARCEL) -> flo
         most: Gaussians of a parcel, about, where the scene is as dense as around most of them.
     """
     across, low, longest = _footprint(sample, up)
-    if not longest > 0.0:
+    if not (len(across) and longest > 0.0):
         return 0.0
     cells = np.floor((across - low) / longest * (_CELLS - 1e-6)).astype(np.int64)
     counts = np.bincount(cells[:, 0] * _CELLS + cells[:, 1])
@@ -71,17 +77,47 @@ def find_side(sample: Gaussians, every: int, up: str, most: int = PARCEL) -> flo
 def lay_parcels(sample: Gaussians, every: int, up: str, most: int = PARCEL) -> list[Facts]:
     """Return the squares of a lattice over a scene that hold some of a sample; arguments as for `find_side`.
 
+    Where most Gaussians are in one spot, squares as small as that asks for would be too many: they are wider then.
+
     Returns:
         Of each square `low` and `high` on the two `axes` that are level, and `up`.
     """
     across, low, _ = _footprint(sample, up)
-    side = find_side(sample, every, up, most)
+    side, bound = find_side(sample, every, up, most), _MOST_PARCELS * (1.0 + every * len(across) / most)
     if side == 0.0:
         return []
-    places, held = np.unique(np.floor((across - low) / side).astype(np.int64), axis=0, return_counts=True)
-    corners = [(low + side * at, low + side * (at + 1)) for at in places[held >= _FEWEST]]
+    while True:
+        places, held = np.unique(np.floor((across - low) / side).astype(np.int64), axis=0, return_counts=True)
+        places = places[held >= _FEWEST]
+        if len(places) <= bound:
+            break
+        side *= 2.0
+    corners = [(low + side * at, low + side * (at + 1)) for at in places]
     axes = _level_axes(up)
     return [{"low": first.tolist(), "high": last.tolist(), "axes": axes, "up": up} for first, last in corners]
+
+
+def rows_near(parts: Iterable[Gaussians], square: Facts) -> Gaussians:
+    """Return the Gaussians in a square and around it, of a scene in parts; if they are too many, fewer and wider ones.
+
+    Args:
+        parts: The scene, part by part; iterated over twice.
+        square: Where.
+    """
+    count = sum(int(np.count_nonzero(near_tile(g.means, square, AROUND))) for g in parts)
+    every = max(1, -(-count // _MOST_NEAR))
+    near = Gaussians.concatenate([g[np.flatnonzero(near_tile(g.means, square, AROUND))[::every]] for g in parts])
+    if every == 1:
+        return near
+    return Gaussians(near.means, near.quats, near.scales * every**0.5, near.opacities, near.sh0, near.shN)
+
+
+def indoors(space: NavigableSpace) -> Mask:
+    """Return (X, Y, Z) the free voxels of a space above which, in its grid, something stops light."""
+    axis = int(np.abs(space.up).argmax())
+    down = slice(None, None, -1 if space.up[axis] > 0 else 1)
+    covered = np.maximum.accumulate(np.moveaxis(space.occupied, axis, 0)[down], axis=0)[down]
+    return np.asarray(space.free & np.moveaxis(covered, 0, axis))
 
 
 def mixed_space(near: Gaussians, square: Facts, voxel_size: float) -> NavigableSpace | None:
@@ -104,36 +140,42 @@ def mixed_space(near: Gaussians, square: Facts, voxel_size: float) -> NavigableS
     return None
 
 
-def join_spaces(spaces: Sequence[NavigableSpace], below: NavigableSpace | None = None) -> NavigableSpace:
+def join_spaces(spaces: Iterable[NavigableSpace], below: NavigableSpace | None = None) -> NavigableSpace:
     """Return several spaces on one grid, with voxels of the median of their sizes, or larger if there are too many.
 
     Args:
-        spaces: At least one. Where they overlap, what is free in one is free.
+        spaces: At least one; iterated over twice. Where they overlap, what is free in one is free.
         below: A space that is free too, but whose walls count only where none of the others is known.
     """
-    every = [*spaces, *([] if below is None else [below])]
-    low = np.min([each.origin for each in every], axis=0)
-    high = np.max([each.origin + each.voxel_size * np.array(each.free.shape) for each in every], axis=0)
+    lasts = [] if below is None else [below]
+    lows, highs, sizes, looked_at, count = [], [], list[float](), [], 0
+    for each in chain(spaces, lasts):
+        count += 1
+        lows.append(each.origin)
+        highs.append(each.origin + each.voxel_size * np.array(each.free.shape))
+        if each is not below:
+            sizes.append(each.voxel_size)
+            looked_at.append(each.targets)
+    low, high = np.min(lows, axis=0), np.max(highs, axis=0)
     finest = float(np.cbrt((high - low).prod() / _MOST_JOINED))
-    size = max(float(np.median([each.voxel_size for each in spaces])), finest)
+    size = max(float(np.median(sizes)), finest)
     x, y, z = (int(n) for n in np.ceil((high - low) / size - 1e-6))
     free, occupied, known = (np.zeros((x, y, z), bool) for _ in range(3))
-    for each in every:
+    for each in chain(spaces, lasts):
         block, free_there, occupied_there = each.on_grid(low, size, (x, y, z))
         free[block] |= free_there
         occupied[block] |= occupied_there & ~known[block] if each is below else occupied_there
         known[block] = True
-    targets = np.concatenate([each.targets for each in spaces])
+    targets = np.concatenate(looked_at)
     some = np.linspace(0, len(targets) - 1, min(len(targets), _TARGETS)).astype(np.int64)
-    first = every[-1]
-    return NavigableSpace(
-        low, size, free, first.up, occupied & ~free, targets[some], first.rule, first.kind, len(every)
-    )
+    return NavigableSpace(low, size, free, each.up, occupied & ~free, targets[some], each.rule, each.kind, count)
 
 
 def _footprint(sample: Gaussians, up: str) -> tuple[F64, F64, float]:
     """Return (M, 2) the level coordinates of centers in the robust box, its lowest corner, and its longer side."""
     axes = _level_axes(up)
+    if len(sample) == 0:
+        return np.zeros((0, 2)), np.zeros(2), 0.0
     low, high = (each[axes] for each in sample.bounds(_COVERAGE))
     across = sample.means[:, axes].astype(np.float64)
     return across[((across >= low) & (across <= high)).all(axis=1)], low, float((high - low).max())

@@ -10,13 +10,13 @@ Scene frame and units. docs/design/099-many-places.md.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gsvis.edit.parcels import AROUND, PARCEL, VOXELS, join_spaces, lay_parcels, mixed_space
+from gsvis.edit.parcels import PARCEL, VOXELS, indoors, join_spaces, lay_parcels, mixed_space, rows_near
 from gsvis.errors import SceneError
 from gsvis.progress import Progress, silent
 from gsvis.scene.gaussians import Gaussians
@@ -34,8 +34,9 @@ F64 = NDArray[np.float64]
 Parcel = tuple[int, NavigableSpace | None]
 """The Gaussians of a parcel, and where eyes may be in it."""
 
-_SEEN = 0.5  # least share of the Gaussians that eyes see from rooms that are all there is
+_SEEN = 0.75  # least share of the Gaussians that eyes see from rooms that are all there is
 _SHOWN = 0.25  # least share of the space of parcels that the whole has, for it to stay as it is
+_NOTABLE = 0.05  # share of the space of parcels that is indoors, from which that has to be shown by itself
 _HELD = 0.5  # least share of the Gaussians in parcels with a place, for an object to be none
 _ALONE = 96  # voxels along the longest side of a parcel that may be an object
 
@@ -62,8 +63,9 @@ def find_in_parcels(
     squares = parcels_of(whole, thin_out(core, every), every, _axis_of(whole.up), most)
     for done, square in enumerate(squares):
         progress("space", done, len(squares))
-        near, own = core[near_tile(core.means, square, AROUND)], near_tile(core.means, square, 0.0)
-        parcels.append((int(np.count_nonzero(own)), space_of_parcel(near, square, is_object)))
+        count = int(np.count_nonzero(near_tile(core.means, square, 0.0)))
+        upright = {**square, "up": whole.up}
+        parcels.append((count, space_of_parcel(rows_near([core], square), upright, is_object)))
     return join_parcels(whole, parcels)
 
 
@@ -89,6 +91,8 @@ def space_of_parcel(near: Gaussians, square: Facts, is_object: bool) -> Navigabl
         square: Where it lies.
         is_object: Whether the whole scene was taken for an object. A parcel that looks like one has no place then.
     """
+    if len(near) == 0:
+        return None
     if is_object:
         try:
             alone = NavigableSpace.from_scene(near, resolution=_ALONE, up=square["up"])
@@ -100,36 +104,55 @@ def space_of_parcel(near: Gaussians, square: Facts, is_object: bool) -> Navigabl
     return mixed_space(near, square, side / VOXELS)
 
 
-def join_parcels(whole: NavigableSpace, parcels: Sequence[Parcel]) -> NavigableSpace:
+def join_parcels(whole: NavigableSpace, parcels: Iterable[Parcel]) -> NavigableSpace:
     """Return where eyes may be by a grid over a scene and by its parcels; that of the grid if it shows most of theirs.
+
+    Indoors counts by itself if it is a notable part: a street that the grid shows is larger than the rooms beside it.
 
     Args:
         whole: The space of the scene.
-        parcels: The space of each parcel within its squares.
+        parcels: The space of each parcel within its squares; iterated over three times.
     """
-    spaces = [space for _, space in parcels if space is not None]
-    volume = sum(space.volume for space in spaces)
-    shown = sum(_volume_within(space, whole) for space in spaces)
-    if shown >= _SHOWN * volume:
+    volumes, count, held, places = np.zeros(4), 0, 0, 0
+    for gaussians, space in parcels:
+        count += gaussians
+        if space is not None:
+            held, places = held + gaussians, places + 1
+            volumes += _volumes(space, whole)
+    volume, shown, inside, inside_shown = volumes.tolist()
+    if shown >= _SHOWN * volume and (inside < _NOTABLE * volume or inside_shown >= _SHOWN * inside):
         return whole
-    held = sum(count for count, space in parcels if space is not None)
-    if whole.kind.kind == "object" and held < _HELD * sum(count for count, _ in parcels):
+    if whole.kind.kind == "object" and held < _HELD * count:
         return whole
-    return _join(whole, spaces)
+    return _join(whole, _Spaces(parcels), places)
 
 
-def _volume_within(parcel: NavigableSpace, whole: NavigableSpace) -> float:
-    """Return how much of the space of a parcel lies in that of the whole scene."""
-    middles = parcel.origin + parcel.voxel_size * (np.argwhere(parcel.free) + 0.5)
-    return float(np.count_nonzero(whole.contains(middles))) * parcel.voxel_size**3
+def _volumes(parcel: NavigableSpace, whole: NavigableSpace) -> F64:
+    """Return (4,) the volume of a parcel's space, of it in the space of the whole scene, and the same indoors."""
+    voxels, inside = np.argwhere(parcel.free), indoors(parcel)[parcel.free]
+    shown = whole.contains(parcel.origin + parcel.voxel_size * (voxels + 0.5))
+    counts = [len(voxels), np.count_nonzero(shown), np.count_nonzero(inside), np.count_nonzero(inside & shown)]
+    return np.array(counts) * parcel.voxel_size**3
 
 
-def _join(whole: NavigableSpace, spaces: Sequence[NavigableSpace]) -> NavigableSpace:
-    """Return the space of a scene and that of its parcels as one."""
-    places = f"in rooms and on open ground of {len(spaces)} parcels of it"
+@dataclass(frozen=True)
+class _Spaces:
+    """The spaces of the parcels that have one, read again whenever they are iterated over."""
+
+    parcels: Iterable[Parcel]
+
+    def __iter__(self) -> Iterator[NavigableSpace]:
+        for _, space in self.parcels:
+            if space is not None:
+                yield space
+
+
+def _join(whole: NavigableSpace, spaces: _Spaces, count: int) -> NavigableSpace:
+    """Return the space of a scene and those of a number of its parcels as one."""
+    places = f"in rooms and on open ground of {count} parcels of it"
     if whole.kind.kind == "object":  # it is none, so nobody looks from around it
-        kind = SpaceKind("rooms", "many places", whole.kind.evidence, places)
-        return replace(join_spaces(spaces), rule="by parcels", kind=kind, parcels=1 + len(spaces))
+        kind, found = SpaceKind("rooms", "many places", whole.kind.evidence, places), join_spaces(spaces)
+        return replace(found, rule="by parcels", kind=kind, parcels=1 + found.parcels)
     kind = replace(whole.kind, eyes=f"{whole.kind.eyes}, and {places}")
     return replace(join_spaces(spaces, whole), rule=f"{whole.rule}; and by parcels", kind=kind)
 

@@ -19,8 +19,8 @@ from gsvis.edit.classes import KEPT, CleanConfig, class_of
 from gsvis.edit.cleaning import judge
 from gsvis.edit.evidence import gather_evidence, part_of_backdrop
 from gsvis.edit.memory import cleaning_memory, most_gaussians
-from gsvis.edit.parcels import AROUND
-from gsvis.edit.places import join_parcels, parcels_of, space_of_parcel
+from gsvis.edit.parcels import rows_near
+from gsvis.edit.places import Parcel, join_parcels, parcels_of, space_of_parcel
 from gsvis.edit.shape import Shape, far_from
 from gsvis.edit.whole import Whole, core_within, find_space, load_whole, save_whole
 from gsvis.files.archive import load_arrays, save_arrays
@@ -72,27 +72,29 @@ def survey_scene(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     """Task: find where eyes may be by one grid over all. Inputs are rows of all tiles and the outside, then samples.
 
     Params: `tiles`, how many inputs are rows; `samples`, the numbers of the others; `every`, one of how many Gaussians
-    is in these; `up`. Facts: the `kind` and `rule` of the space; `parcels`, see `parcels_of`.
+    is in these; `up`. Facts: `low` and `high` of the robust box; the `kind` and `rule` of the space; `parcels`, see
+    `parcels_of`.
     """
     sample = _sample(params, given)
     space = find_space(_Tiles(given, params["tiles"]), sample, up=params["up"])
     save_space(out / "space", space)
     parcels = parcels_of(space, sample, params["every"], params["up"])
-    return {"parcels": parcels, "kind": asdict(space.kind), "rule": space.rule}
+    low, high = sample.bounds(0.98)
+    known = {"low": low.tolist(), "high": high.tolist(), "kind": asdict(space.kind), "rule": space.rule}
+    return {**known, "parcels": parcels}
 
 
 def find_parcel(params: Facts, given: Given, out: Path, work: Path) -> Facts:
-    """Task: find where eyes may be in a parcel. Inputs are rows of the tiles in and around it, then all samples.
+    """Task: find where eyes may be in a parcel. Inputs are rows of the tiles in and around it, and of the outside.
 
-    Params: `tiles`, how many inputs are rows; `square`, see `lay_parcels`; `samples`; `is_object`, whether the whole
-    was taken for one. Facts: its Gaussians, and whether it has a space.
+    Params: `low` and `high`, the robust box of the whole scene; `square`, see `lay_parcels`; `is_object`, whether the
+    whole was taken for one. Facts: its Gaussians, and whether it has a space.
     """
-    low, high = _sample(params, given).bounds(0.98)
-    square = params["square"]
-    around = [core_within(g[near_tile(g.means, square, AROUND)], low, high) for g in _Tiles(given, params["tiles"])]
-    near = Gaussians.concatenate(around)
-    count = int(np.count_nonzero(near_tile(near.means, square, 0.0)))
-    space = space_of_parcel(near, square, params["is_object"])
+    low, high, square = np.array(params["low"]), np.array(params["high"]), params["square"]
+    tiles = _Tiles(given, len(given))
+    count = sum(int(np.count_nonzero(near_tile(g.means, square, 0.0))) for g in tiles)
+    near = core_within(rows_near(tiles, square), low, high) if count else None
+    space = None if near is None else space_of_parcel(near, square, params["is_object"])
     if space is not None:
         save_space(out / "space", space)
     return {"gaussians": count, "space": space is not None}
@@ -108,10 +110,8 @@ def find_whole(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     facts = given.inputs[params["survey"]].facts
     kind = SpaceKind(**{**facts["kind"], "evidence": None})
     space = replace(load_space(given.path(params["survey"], "space")), kind=kind, rule=facts["rule"])
-    found = [(given.inputs[k].facts["gaussians"], given.inputs[k].facts["space"], k) for k in params["parcels"]]
-    if found:
-        parcels = [(count, load_space(given.path(k, "space")) if there else None) for count, there, k in found]
-        space = join_parcels(space, parcels)
+    if params["parcels"]:
+        space = join_parcels(space, _Parcels(given, params["parcels"]))
     parts = _Tiles(given, params["tiles"])
     save_whole(out, Whole.from_parts(parts, _sample(params, given), space, config_of(params["config"])))
     return {"parcels": space.parcels}
@@ -231,6 +231,19 @@ class _Tiles:
     def __iter__(self) -> Iterator[Gaussians]:
         for number in range(self.count):
             yield load_gaussians(self.given.path(number, "rows"))
+
+
+@dataclass(frozen=True)
+class _Parcels:
+    """The parcels of a scene, read again whenever they are iterated over."""
+
+    given: Given
+    numbers: list[int]
+
+    def __iter__(self) -> Iterator[Parcel]:
+        for k in self.numbers:
+            facts = self.given.inputs[k].facts
+            yield facts["gaussians"], load_space(self.given.path(k, "space")) if facts["space"] else None
 
 
 def _sample(params: Facts, given: Given) -> Gaussians:

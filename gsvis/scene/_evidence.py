@@ -44,7 +44,7 @@ def gather(space: Occupancy, within: Mask, seen: Gaussians, up: F64) -> Evidence
 
     Args:
         space: The grid over the scene.
-        within: (X, Y, Z) the largest enclosed part; may be empty.
+        within: (X, Y, Z) the enclosed space; may be empty.
         seen: The Gaussians that can be seen.
         up: (3,) unit up axis.
 

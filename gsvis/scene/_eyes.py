@@ -93,7 +93,7 @@ def find_eyes(
         space, free, eyes = stand_around(build, low, high, up)
         return space, free, "free, around an object", replace(kind, eyes=eyes)
     if not walked:
-        return space, free, rule, replace(kind, eyes="in the largest free part, for its ground is not known")
+        return space, free, rule, replace(kind, eyes="in the largest free space, for its ground is not known")
     least, greatest = eye_heights(space, up)
     eyes = f"{least:.2g} to {greatest:.2g} units above the ground"
     return space, standing, "free, ground below at the height of an eye", replace(kind, eyes=eyes)

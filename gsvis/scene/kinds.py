@@ -24,7 +24,7 @@ class Evidence:
     """What decides the kind of a scene. All but `flatness` are shares, in [0, 1].
 
     Args:
-        seen_within: Gaussians that some eye in the largest enclosed space sees; 0 without such a space.
+        seen_within: Gaussians that some eye in enclosed space sees; 0 without such a space.
         seen_outside: Gaussians that some eye around the scene sees.
         roofed: Directions within 45 degrees of up that are stopped, in the mean of the eyes within.
         surrounded: Level directions that are stopped, in the mean of eyes above the ground; far Gaussians

@@ -115,9 +115,9 @@ class NavigableSpace:
             coverage: Share of the centers inside the box on each axis; the rest is ignored.
             up: (3,) direction or an axis such as "+z"; guessed by default.
             seeds: (S, 3) positions known to be navigable, such as captured cameras. The box grows to hold them. The
-                connected parts that hold them are kept instead of the largest part.
-            mixed: Whether this is a piece of something larger, such as a city: then eyes are in all rooms, whether or
-                not they are connected, and on open ground, and never around it.
+                connected parts that hold them are kept instead of the largest ones.
+            mixed: Whether this is a piece of something larger, such as a city: then eyes are in all rooms and
+                on open ground, and never around it.
 
         Raises:
             ValueError: If an argument is out of range, or `mixed` comes with `seeds`.

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gsvis.edit.parcels import find_side, join_spaces, lay_parcels, mixed_space
+from gsvis.edit.parcels import find_side, indoors, join_spaces, lay_parcels, mixed_space, rows_near
 from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.inspection import axis_vector
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.world.tiles import cut_to_tile, near_tile, within_tile
 from tests.scene.places import box
@@ -55,6 +56,42 @@ def test_the_side_follows_the_gaussians_that_the_sample_stands_for() -> None:
     side = find_side(rooms(), 1, "+z", 1000)
     assert find_side(rooms(), 4, "+z", 1000) == pytest.approx(0.5 * side)
     assert find_side(rooms(), 1, "+z", 4000) == pytest.approx(2.0 * side)
+
+
+def test_a_dense_spot_does_not_make_parcels_without_number() -> None:
+    rng, g = np.random.default_rng(0), rooms()
+    dense, wide = 0.3 * rng.normal(size=(3000, 3)), 100.0 * rng.random((2000, 3)) * (1.0, 1.0, 0.01)
+    some = rng.integers(len(g), size=5000)
+    spot = Gaussians(np.concatenate([dense, wide]), g.quats[some], g.scales[some], g.opacities[some], g.sh0[some])
+    assert find_side(spot, 1, "+z", 2000) < 2.0
+    assert 1 < len(lay_parcels(spot, 1, "+z", 2000)) <= 8 * (1 + 5000 / 2000)
+
+
+def test_an_empty_sample_has_no_parcels() -> None:
+    assert lay_parcels(rooms()[:0], 1, "+z") == []
+    assert lay_parcels(rooms()[[0, len(rooms()) - 1]], 1, "+z") == []  # none of two is within their robust box
+
+
+def test_rows_near_a_parcel_are_fewer_and_wider_where_they_are_too_many(monkeypatch: pytest.MonkeyPatch) -> None:
+    parts = [rooms()[:700], rooms()[700:]]
+    near = rows_near(parts, AT_FIRST)
+    inside = near_tile(rooms().means, AT_FIRST, 0.4)
+    np.testing.assert_array_equal(near.means, rooms().means[inside])
+    monkeypatch.setattr("gsvis.edit.parcels._MOST_NEAR", inside.sum() // 3)
+    fewer = rows_near(parts, AT_FIRST)
+    assert len(fewer) == pytest.approx(inside.sum() / 4, abs=2)
+    np.testing.assert_allclose(fewer.scales[0], 2.0 * near.scales[0])
+
+
+@pytest.mark.parametrize("up", ["+z", "-z", "+x"])
+def test_indoors_is_below_a_roof(up: str) -> None:
+    free, occupied = np.zeros((5, 5, 5), bool), np.zeros((5, 5, 5), bool)
+    free[1:4, 2, 2] = free[2, 2, 1:4] = True
+    occupied[2, 2, 4] = occupied[4, 2, 2] = True
+    space = NavigableSpace(np.zeros(3), 1.0, free, axis_vector(up), occupied)
+    x, _, z = np.indices(free.shape)
+    wanted = {"+z": free & (x == 2), "-z": np.zeros_like(free), "+x": free & (z == 2)}
+    np.testing.assert_array_equal(indoors(space), wanted[up])
 
 
 def test_each_room_is_found_in_its_square(spaces: list[NavigableSpace]) -> None:

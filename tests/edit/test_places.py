@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from gsvis.edit import CleanConfig, clean, clean_large, find_in_parcels
-from gsvis.edit.parcels import mixed_space
+from gsvis.edit.parcels import mixed_space, rows_near
 from gsvis.edit.places import is_well_known, join_parcels, parcels_of
 from gsvis.files.objects import open_store
 from gsvis.io import save_scene
@@ -18,7 +18,7 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.world.graph import Facts
 from gsvis.world.tiling import TilingConfig
-from tests.scene.places import apartment, box, statue
+from tests.scene.places import apartment, box, sheet, statue
 
 F64 = NDArray[np.float64]
 
@@ -74,6 +74,23 @@ def test_rooms_that_one_grid_shows_stay_as_they_are() -> None:
     assert join_parcels(space, parcels) is space
 
 
+def test_a_street_that_the_grid_shows_does_not_outvote_rooms() -> None:
+    rooms = np.array([[12.0 * x, 12.0 * y, 1.25] for x in range(4) for y in range(4)])
+    scene = Gaussians.concatenate(
+        [*(box(tuple(m - HALF), tuple(m + HALF), 0.3) for m in rooms), sheet(2, -0.05, (-6.0, -6.0), (42.0, 42.0), 0.3)]
+    )
+    whole = NavigableSpace.from_scene(scene, up="+z")
+    assert whole.kind.kind == "open place"
+    assert not whole.contains(rooms).any()
+    squares: list[Facts] = [
+        {"low": [12.0 * x - 6.0, -6.0], "high": [12.0 * x + 6.0, 42.0], "axes": [0, 1], "up": "+z"} for x in range(4)
+    ]
+    parcels = [(1, mixed_space(rows_near([scene], each), each, 0.15)) for each in squares]
+    joined = join_parcels(whole, parcels)
+    assert joined.contains(rooms).all()
+    assert joined.contains([[6.0, 6.0, 1.5]]).all()  # on the ground between them
+
+
 def test_an_object_stays_one() -> None:
     space = NavigableSpace.from_scene(statue(), up="+z")
     assert space.kind.kind == "object"
@@ -94,7 +111,8 @@ def test_clean_keeps_all_flats(joined: NavigableSpace) -> None:
 
 
 def test_clean_in_tiles_keeps_all_flats(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    save_scene(flats(), tmp_path / "flats.ply")
+    above = flats()[:40].transform(np.eye(3), (0.0, 0.0, 400.0), 1.0)  # in no tile
+    save_scene(Gaussians.concatenate([flats(), above]), tmp_path / "flats.ply")
     monkeypatch.setattr("gsvis.edit.tiles.parcels_of", partial(parcels_of, most=1000))
     tiling, store = TilingConfig(3000, up="+z"), open_store(tmp_path / "work")
     found = clean_large((str(tmp_path / "flats.ply"), None), LIGHT, tiling, store)
