@@ -104,8 +104,8 @@ def find_whole(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     """Task: find what is known of the whole scene. Inputs are rows of all tiles, all samples, then all spaces.
 
     Params: `tiles`, `samples` and `config` as for other tasks; `survey`, the number of the input of `survey_scene`;
-    `parcels`, those of the inputs of `find_parcel`; none if the scene is well known. Facts: `parcels`, in how many the
-    space was found.
+    `parcels`, those of the inputs of `find_parcel`; none if one grid shows the scene. Facts: `parcels`, on how many
+    grids the space was found.
     """
     facts = given.inputs[params["survey"]].facts
     kind = SpaceKind(**{**facts["kind"], "evidence": None})

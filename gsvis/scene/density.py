@@ -22,6 +22,8 @@ F64 = NDArray[np.float64]
 Depth = NDArray[np.float32]
 
 MOST_RESOLUTION = 4096
+"""Most voxels along the longest side of a grid."""
+
 _THICK = 2.0  # voxels: thinnest standard deviation from which a Gaussian is entered into a coarser grid
 
 

@@ -1,4 +1,4 @@
-"""Where eyes may be in a scene of many places: what one grid misses is found in parcels, and what it shows stays."""
+"""The space of a scene with many places: parcels find rooms that one grid misses, and a grid that is right is kept."""
 
 from __future__ import annotations
 

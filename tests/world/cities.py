@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from benchmarks._worlds import small_street
@@ -12,9 +13,10 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.view_sampling import ViewSampling
 from gsvis.train.levels import LevelsConfig
 from gsvis.world.config import WorldConfig
+from gsvis.world.prepare import prepare_world
 from gsvis.world.tiling import TilingConfig
 
-__all__ = ["config", "content", "street", "write"]
+__all__ = ["config", "content", "street", "write", "write_city"]
 
 
 def street() -> Gaussians:
@@ -35,6 +37,14 @@ def config(levels: LevelsConfig | None = None, most: int = 700) -> WorldConfig:
 def write(g: Gaussians, path: Path) -> tuple[str, None]:
     save_ply(g, path)
     return str(path), None
+
+
+def write_city(world: Path) -> Path:
+    """Prepare a long world of two levels with districts that are seen; what lies outside has one level."""
+    levels = LevelsConfig((0.3,), (0.8,), ("low", "high"), iterations=2, preview=0.0)
+    scene = write(small_street(houses=4, step=0.5, flyaways=12), world.with_name("street.ply"))
+    prepare_world([scene], world, replace(config(levels, most=400), angle=0.8))
+    return world
 
 
 def content(folder: Path) -> dict[str, bytes]:

@@ -18,14 +18,13 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.paths import HeadPath
 from gsvis.simulate import Link, Place, Stage, Visit, simulate_visits
 from gsvis.simulate.frames import Frame, psnr_of
-from gsvis.train.levels import LevelsConfig
 from gsvis.world import World
 from gsvis.world.manifest import WORLD
 from gsvis.world.place import open_place
 from gsvis.world.prepare import prepare_world
 from gsvis.world.streamed import WorldPackage
 from tests.simulate.streets import QUICK
-from tests.world.cities import config, write
+from tests.world.cities import config, write, write_city
 
 ALONG = np.array([0.5, -0.5, 0.5, -0.5])  # looks along x, z up
 FAST = Link(BandwidthTrace.constant(20.0), 0.02)
@@ -33,12 +32,7 @@ FAST = Link(BandwidthTrace.constant(20.0), 0.02)
 
 @pytest.fixture(scope="module")
 def city(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A long world of two levels, with districts that are seen, and with what lies outside."""
-    folder = tmp_path_factory.mktemp("leveled")
-    levels = LevelsConfig((0.3,), (0.8,), ("low", "high"), iterations=2, preview=0.0)
-    scene = write(small_street(houses=4, step=0.5, flyaways=12), folder / "street.ply")
-    prepare_world([scene], folder / "city.gsworld", replace(config(levels, most=400), angle=0.8))
-    return folder / "city.gsworld"
+    return write_city(tmp_path_factory.mktemp("leveled") / "city.gsworld")
 
 
 @pytest.fixture(scope="module")

@@ -35,7 +35,7 @@ from gsvis.world.cells import WorldIndex, WorldSets
 from gsvis.world.prepare import prepare_world
 from gsvis.world.streamed import WorldPackage, open_world
 from tests.serve.servers import ask, until
-from tests.world.cities import config, street, write
+from tests.world.cities import config, street, write, write_city
 
 VIEW = FieldOfView.from_degrees(90, 70, margin=8)
 
@@ -59,12 +59,7 @@ def far(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def leveled(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A long world of two levels with districts that are seen; what lies outside has one level."""
-    folder = tmp_path_factory.mktemp("leveled")
-    levels = LevelsConfig((0.3,), (0.8,), ("low", "high"), iterations=2, preview=0.0)
-    scene = write(small_street(houses=4, step=0.5, flyaways=12), folder / "street.ply")
-    prepare_world([scene], folder / "d.gsworld", replace(config(levels, most=400), angle=0.8))
-    return folder / "d.gsworld"
+    return write_city(tmp_path_factory.mktemp("leveled") / "d.gsworld")
 
 
 @pytest.fixture(scope="module")
