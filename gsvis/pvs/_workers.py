@@ -107,7 +107,7 @@ class SceneArrays:
             if isinstance(source, Path):
                 source = _map(source)
             first, last = (source[name] for name in _MEMBERSHIP)
-            union = Gaussians(**{name: source[name] for name in _SHAPES})
+            union = Gaussians(*(source[name] for name in _SHAPES))
             levels = Levels(union, first, last, [str(k) for k in range(int(last.max()) + 1)])
             finder = Finder(levels, self.config, self.shelf)
             _ready.keep(self.key, finder)

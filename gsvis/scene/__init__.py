@@ -5,6 +5,7 @@ _MODULES = (
     "content",
     "corridor",
     "density",
+    "facts",
     "flyaways",
     "gaussians",
     "histograms",
@@ -23,6 +24,7 @@ _MODULES = (
     "similarity",
     "solid",
     "symlog",
+    "upright",
     "view_sampling",
 )
 

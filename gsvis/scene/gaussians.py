@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
+from gsvis.scene.facts import SceneFacts
 from gsvis.scene.flyaways import find_flyaways
 from gsvis.scene.sh import rotation_of_sh, sh_degree_of
 
@@ -21,6 +22,7 @@ __all__ = ["Gaussians", "quats_from_rotations", "rotations_from_quats"]
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
+_NOTHING_KNOWN = SceneFacts()
 _LOG_SCALES = "did you pass log scales? pass np.exp(log_scales), or use gsvis.from_gsplat"
 _LOGITS = "did you pass logits? pass 1 / (1 + np.exp(-logit_opacities)), or use gsvis.from_gsplat"
 _FLAT = "give a flat Gaussian a small positive scale"
@@ -41,6 +43,7 @@ class Gaussians:
         opacities: (N,) in [0, 1].
         sh0: (N, 1, 3) constant SH coefficient of each color channel (color = 0.5 + 0.28209 sh0).
         shN: (N, K-1, 3) higher SH coefficients, K in {1, 4, 9, 16}; None means degree 0.
+        facts: What is known of the scene besides; nothing by default. A selection keeps it.
 
     Raises:
         ValueError: If a shape, a length or a value is out of range; the message names the argument.
@@ -59,6 +62,7 @@ class Gaussians:
     opacities: F32
     sh0: F32
     shN: F32  # noqa: N815  the field's own name
+    facts: SceneFacts
 
     def __init__(
         self,
@@ -68,6 +72,8 @@ class Gaussians:
         opacities: ArrayLike,
         sh0: ArrayLike,
         shN: ArrayLike | None = None,  # noqa: N803
+        *,
+        facts: SceneFacts = _NOTHING_KNOWN,
     ) -> None:
         arrays: dict[str, F32] = {
             "means": _check.floats("means", means, ("N", 3)),
@@ -90,6 +96,15 @@ class Gaussians:
             view = array.view()
             view.flags.writeable = False
             object.__setattr__(self, name, view)
+        object.__setattr__(self, "facts", facts)
+
+    def with_facts(self, facts: SceneFacts) -> Gaussians:
+        """Return the same Gaussians, not copied, with other facts."""
+        same: Gaussians = object.__new__(type(self))
+        for name in _NAMES:
+            object.__setattr__(same, name, getattr(self, name))
+        object.__setattr__(same, "facts", facts)
+        return same
 
     @classmethod
     def empty(cls, sh_degree: int = 0) -> Gaussians:
@@ -101,6 +116,8 @@ class Gaussians:
     def concatenate(cls, parts: list[Gaussians]) -> Gaussians:
         """Return one scene with the Gaussians of several; lower SH degrees are padded with zeros.
 
+        Facts are kept where all agree on all of them.
+
         Raises:
             ValueError: If `parts` is empty.
         """
@@ -109,7 +126,8 @@ class Gaussians:
         width = max(part.shN.shape[1] for part in parts)
         higher = [np.pad(part.shN, ((0, 0), (0, width - part.shN.shape[1]), (0, 0))) for part in parts]
         joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _NAMES[:-1]}
-        return cls(**joined, shN=np.concatenate(higher))
+        agreed = parts[0].facts if all(part.facts == parts[0].facts for part in parts) else _NOTHING_KNOWN
+        return cls(**joined, shN=np.concatenate(higher), facts=agreed)
 
     def __len__(self) -> int:
         return len(self.means)
@@ -125,6 +143,7 @@ class Gaussians:
             array = np.ascontiguousarray(getattr(self, name)[index])
             array.flags.writeable = False
             object.__setattr__(picked, name, array)
+        object.__setattr__(picked, "facts", self.facts)
         return picked
 
     def __repr__(self) -> str:
@@ -201,10 +220,11 @@ class Gaussians:
             self.opacities,
             self.sh0,
             np.einsum("ij,njc->nic", turn, self.shN) if turn.size else self.shN,
+            facts=self.facts.transform(r, scale),
         )
 
 
-_NAMES = tuple(f.name for f in fields(Gaussians))
+_NAMES = tuple(f.name for f in fields(Gaussians) if f.name != "facts")
 
 
 def _normalize(quats: F32) -> F32:

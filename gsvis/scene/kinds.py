@@ -50,12 +50,14 @@ class SpaceKind:
         reason: Why, in a line.
         evidence: The figures behind it; None if the space was given.
         eyes: Where eyes are, in a line.
+        confidence: Of the kind, in (0, 1]; 1 if it was given.
     """
 
     kind: Kind
     reason: str
     evidence: Evidence | None = None
     eyes: str = ""
+    confidence: float = 1.0
 
     def as_dict(self) -> dict[str, Any]:
         """Return the kind as plain numbers and strings, ready for JSON; `text` says it in a line."""

@@ -122,6 +122,6 @@ def box_of(means: NDArray[np.float32]) -> dict[str, list[float]]:
 
 def _gaussians(path: Path, found: dict[str, NDArray[Any]]) -> Gaussians:
     try:
-        return Gaussians(**{name: found[name] for name in _ARRAYS})
+        return Gaussians(*(found[name] for name in _ARRAYS))
     except (KeyError, ValueError) as error:
         raise FormatError(path, "", "a scene", str(error), DAMAGED) from error
