@@ -27,7 +27,6 @@ from gsvis.errors import SceneError
 from gsvis.raycast import CrossCheck, describe_check
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
-from gsvis.scene.inspection import axis_vector
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
 from gsvis.scene.solid import buried
@@ -101,7 +100,7 @@ def _write_report(
     subject = Subject(
         title=source.name,
         gaussians=g,
-        up=navigable.up if navigable is not None else axis_vector(facts_found["up"]),
+        up=navigable.up if navigable is not None else np.array(facts_found["up_vector"]),
         cameras_from="sampled in navigable space" if given is None else f"of {command.cameras}",
         command=_command_line(command),
         version=version(),

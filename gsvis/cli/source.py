@@ -173,11 +173,7 @@ def levels_spelled(source: Source) -> str:
 
 def inspect_scene_of(source: Source) -> dict[str, Any]:
     """Return the inspection of a scene as a dict; guess the up axis only where it is not known."""
-    up, known = None, source.known_up
-    if known is not None:
-        axis = int(np.abs(known).argmax())
-        up = ("+" if known[axis] > 0 else "-") + "xyz"[axis]
-    return inspect_scene(source.gaussians, up=up).as_dict()
+    return inspect_scene(source.gaussians, up=source.known_up).as_dict()
 
 
 def title_of(scene: str, lod: int | None = None) -> str:

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.errors import SceneError
+from gsvis.scene.axes import axis_vector
 from gsvis.scene.gaussians import Gaussians
-from gsvis.scene.inspection import axis_vector
 from gsvis.scene.navigable import MAX_RESOLUTION, NavigableSpace
 from gsvis.world.graph import Facts
 from gsvis.world.memory import MOST_VOXELS

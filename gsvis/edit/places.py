@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from gsvis.edit.parcels import PARCEL, VOXELS, indoors, join_spaces, lay_parcels, mixed_space, rows_near
 from gsvis.errors import SceneError
 from gsvis.progress import Progress, silent
+from gsvis.scene.axes import nearest_axis
 from gsvis.scene.gaussians import Gaussians
-from gsvis.scene.inspection import AXES, axis_vector
 from gsvis.scene.kinds import SpaceKind
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.world.graph import Facts
@@ -60,7 +60,7 @@ def find_in_parcels(
     """
     every = sampling_interval(len(core))
     is_object, parcels = whole.kind.kind == "object", list[Parcel]()
-    squares = parcels_of(whole, thin_out(core, every), every, _axis_of(whole.up), most)
+    squares = parcels_of(whole, thin_out(core, every), every, nearest_axis(whole.up), most)
     for done, square in enumerate(squares):
         progress("space", done, len(squares))
         count = int(np.count_nonzero(near_tile(core.means, square, 0.0)))
@@ -155,8 +155,3 @@ def _join(whole: NavigableSpace, spaces: _Spaces, count: int) -> NavigableSpace:
         return replace(found, rule="by parcels", kind=kind, parcels=1 + found.parcels)
     kind = replace(whole.kind, eyes=f"{whole.kind.eyes}, and {places}")
     return replace(join_spaces(spaces, whole), rule=f"{whole.rule}; and by parcels", kind=kind)
-
-
-def _axis_of(up: F64) -> str:
-    """Return the name of the axis nearest to a direction."""
-    return max(AXES, key=lambda name: float(axis_vector(name) @ up))

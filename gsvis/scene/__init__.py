@@ -1,6 +1,7 @@
 """Describe a scene: Gaussians, cameras, navigable space, and procedural scenes with known visibility."""
 
 _MODULES = (
+    "axes",
     "cameras",
     "content",
     "corridor",

@@ -11,21 +11,21 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from gsvis import _check
+from gsvis.scene.axes import AXES, axis_vector, describe_direction, nearest_axis, tilt_of
 from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.upright import SURE, Upright, doubt_up, find_up
 
-__all__ = ["SceneReport", "axis_vector", "guess_up", "has_no_floaters", "inspect_scene"]
+__all__ = ["AXES", "SceneReport", "axis_vector", "guess_up", "inspect_scene"]
 
 F64 = NDArray[np.float64]
 
-AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 MIN_ALPHA = 1.0 / 255.0  # docs/conventions.md
 FLOATER_EXTENT = 5.0  # in sizes of the robust box, about its middle
 _QUANTILES = {"min": 0.0, "p1": 0.01, "p10": 0.1, "p50": 0.5, "p90": 0.9, "p99": 0.99, "max": 1.0}
-_ALIGNED = np.cos(np.radians(20.0))
-# Log odds of each up axis among published scenes: COLMAP gives -y, viewers +y, scanners and CAD +z.
-_PRIOR = {"+x": -0.3, "-x": -0.3, "+y": 0.15, "-y": 0.3, "+z": 0.15, "-z": -0.3}
+_NEAR_AXIS = 10.0  # degrees
 
 
 @dataclass(frozen=True)
@@ -38,8 +38,9 @@ class SceneReport:
         bytes_in_memory: Bytes of the arrays.
         bounds: Lowest and highest corner of the box of all centers; empty for an empty scene.
         robust_bounds: The same for the middle 98% of the centers on each axis.
-        up: Likely up axis, such as "+z".
-        up_confidence: In (0, 1].
+        up: Likely up axis in words: such as "+z", or a vector and how far it is off the nearest axis.
+        up_vector: The same as a unit vector.
+        up_confidence: In (0, 1]; 1 if it is stated or given.
         opacities: Quantiles of the opacities by name.
         scales: Quantiles of the largest standard deviation of each Gaussian by name.
         invisible_share: Share with an opacity below 1/255.
@@ -59,6 +60,7 @@ class SceneReport:
     bounds: list[list[float]]
     robust_bounds: list[list[float]]
     up: str
+    up_vector: list[float]
     up_confidence: float
     opacities: dict[str, float]
     scales: dict[str, float]
@@ -77,21 +79,23 @@ class SceneReport:
         return asdict(self)
 
 
-def inspect_scene(g: Gaussians, *, up: str | None = None) -> SceneReport:
+def inspect_scene(g: Gaussians, *, up: ArrayLike | str | None = None) -> SceneReport:
     """Count, measure and check a scene.
 
     Args:
         g: The scene; may be empty.
-        up: The up axis where it is known, such as "+z"; None guesses.
+        up: The up axis where it is known, such as "+z" or (0, 0, 1); None takes what the scene states, else guesses.
 
     Returns:
         The report; `problems` lists what to check first.
     """
-    up, confidence = guess_up(g) if up is None else (up, 1.0)
+    found = find_up(g) if up is None else _given_up(g, up)
+    name, vector = describe_direction(found.up), found.up.tolist()
     if len(g) == 0:
         zeros = dict.fromkeys(_QUANTILES, 0.0)
         return SceneReport(
-            0, g.sh_degree, 0, [], [], up, confidence, zeros, zeros, *(0.0, 0.0), 0, 0.0, 0, *(0.0, 0.0, 0.0),
+            0, g.sh_degree, 0, [], [], name, vector, found.confidence, zeros, zeros,
+            *(0.0, 0.0), 0, 0.0, 0, *(0.0, 0.0, 0.0),
             problems=["the scene has no Gaussians"],
         )  # fmt: skip
     robust = g.bounds(0.98)
@@ -106,8 +110,9 @@ def inspect_scene(g: Gaussians, *, up: str | None = None) -> SceneReport:
         bytes_in_memory=g.nbytes,
         bounds=g.bounds(1.0).tolist(),
         robust_bounds=robust.tolist(),
-        up=up,
-        up_confidence=confidence,
+        up=name,
+        up_vector=vector,
+        up_confidence=found.confidence,
         opacities=_quantiles(g.opacities),
         scales=_quantiles(most),
         invisible_share=float(np.mean(g.opacities < MIN_ALPHA)),
@@ -120,7 +125,15 @@ def inspect_scene(g: Gaussians, *, up: str | None = None) -> SceneReport:
         giant_share=float(np.mean(most > 0.2 * half.max())) if diagonal > 0.0 else 0.0,
         problems=[],
     )
-    return replace(report, problems=list(_problems(report, g)))
+    doubts = [found.doubt] if found.doubt else []
+    return replace(report, problems=[*doubts, *_problems(report, g)])
+
+
+def _given_up(g: Gaussians, up: ArrayLike | str) -> Upright:
+    """Return an up axis that is known, with what contradicts it."""
+    vector = axis_vector(up) if isinstance(up, str) else np.asarray(up, np.float64)
+    unit = np.asarray(_check.unit_vectors("up", vector.reshape(1, -1))[0], np.float64)
+    return Upright(unit, 1.0, "given", doubt_up(g, unit))
 
 
 def _quantiles(values: NDArray[np.float32]) -> dict[str, float]:
@@ -161,8 +174,8 @@ def _problems(r: SceneReport, g: Gaussians) -> Iterator[str]:
     elif longest > 1000.0 or longest < 0.1:
         unit = "meters are unlikely; millimeters or map units?" if longest > 1000.0 else "meters are unlikely"
         yield f"the scene is {longest:.3g} units long: {unit}"
-    if r.up_confidence < 0.6:
-        yield f"the up axis is uncertain ({r.up} with a confidence of {r.up_confidence:.0%}); verify it"
+    if r.up_confidence < SURE:
+        yield f"the up axis is uncertain ({r.up}, with a confidence of {r.up_confidence:.0%}); verify it"
 
 
 def _value_problems(r: SceneReport, g: Gaussians, longest: float) -> Iterator[str]:
@@ -191,108 +204,15 @@ def _some(count: int, many: str = "lie", one: str = "lies") -> str:
     return f"1 Gaussian {one}" if count == 1 else f"{count:,} Gaussians {many}"
 
 
-def axis_vector(axis: str) -> F64:
-    """Return the (3,) unit vector of an axis such as "+z" or "-y".
-
-    Raises:
-        ValueError: If it is not the name of an axis.
-    """
-    if axis not in AXES:
-        raise ValueError(f"axis: expected one of {', '.join(map(repr, AXES))}, got {axis!r}")
-    vector = np.zeros(3)
-    vector["xyz".index(axis[1])] = 1.0 if axis[0] == "+" else -1.0
-    return vector
-
-
 def guess_up(g: Gaussians) -> tuple[str, float]:
-    """Guess the up axis of a scene.
+    """Return the axis nearest to the likely up direction, and a confidence in it in (0, 1].
 
-    Sums log odds for each signed axis from properties that trained scenes share. Captured surroundings are flat: the
-    shortest side of the robust box is up. A lone object, recognized by a box without floaters, is tall: its longest
-    side is up. Thin Gaussians lie on floors and tables. Mass sits low. Objects stand on the plane through the origin. A
-    mild prior favors -y where there is no evidence.
+    For callers that can only use one of the six axes; `find_up` returns the direction itself.
 
     Args:
-        g: The scene.
-
-    Returns:
-        The axis, such as "+z" or "-y", and a confidence in (0, 1]: its share of the odds of the six axes.
+        g: The scene; what it states is read first.
     """
-    odds = dict(_PRIOR)
-    robust = g.bounds(0.98) if len(g) else np.zeros((2, 3))
-    inside = np.all((g.means >= robust[0]) & (g.means <= robust[1]), axis=1) & (g.opacities >= MIN_ALPHA)
-    if np.count_nonzero(inside) >= 8 and np.all(robust[1] > robust[0]):
-        kept = g[inside]
-        signed = _low_mass(kept, robust)
-        unsigned = _flat_normals(kept) + _proportions(g)
-        standing = _on_origin_plane(g, robust)
-        for axis in AXES:
-            which, sign = "xyz".index(axis[1]), (1.0 if axis[0] == "+" else -1.0)
-            odds[axis] += float(unsigned[which] + sign * (signed[which] + standing[which]))
-    weights = np.exp(np.array([2.0 * odds[axis] for axis in AXES]))
-    best = int(weights.argmax())
-    return AXES[best], float(weights[best] / weights.sum())
-
-
-def _areas(g: Gaussians, cap: float) -> F64:
-    """Return (N,) opacity times the product of the two larger scales, which are clipped at `cap`."""
-    scales = np.minimum(np.sort(g.scales.astype(np.float64), axis=1), cap)
-    return np.asarray(g.opacities * scales[:, 1] * scales[:, 2], np.float64)
-
-
-def _low_mass(kept: Gaussians, robust: F64) -> F64:
-    """Return (3,) how much opaque area lies at the low end of each axis, in [-2, 2]; negative for the high end."""
-    extent = robust[1] - robust[0]
-    weights = _areas(kept, 0.05 * float(extent.max()))
-    weights /= weights.sum()
-    result = np.zeros(3)
-    for axis in range(3):
-        x = (kept.means[:, axis].astype(np.float64) - robust[0, axis]) / extent[axis]
-        order = np.argsort(x, kind="stable")
-        low, middle, high = x[order][np.searchsorted(np.cumsum(weights[order]), [0.05, 0.5, 0.95]).clip(0, len(x) - 1)]
-        skew = (high + low - 2.0 * middle) / max(high - low, 1e-12)
-        result[axis] = skew + 2.0 * (0.5 - float(weights @ x))
-    return result
-
-
-def _flat_normals(kept: Gaussians) -> F64:
-    """Return (3,) half the log of the area with its normal within 20 degrees of each axis over the mean; >= 0."""
-    scales = np.sort(kept.scales.astype(np.float64), axis=1)
-    areas = _areas(kept, float(np.quantile(scales[:, 2], 0.99))) * (1.0 - scales[:, 0] / scales[:, 1]) ** 2
-    normals = np.take_along_axis(kept.rotations(), kept.scales.argmin(axis=1)[:, None, None], axis=2)[:, :, 0]
-    aligned = areas @ (np.abs(normals) > _ALIGNED)
-    if not aligned.sum() > 0.0:
-        return np.zeros(3)
-    return np.asarray(0.5 * np.log(np.maximum(aligned / aligned.mean(), 1.0)))
-
-
-def has_no_floaters(g: Gaussians) -> bool:
-    """Return whether the exact box is at most 1.5 times the robust one on every axis: a lone object or a crop."""
-    exact, robust = np.subtract(*g.bounds(1.0)[::-1]), np.subtract(*g.bounds(0.98)[::-1])
-    return bool(np.all(exact <= 1.5 * robust))
-
-
-def _proportions(g: Gaussians) -> F64:
-    """Return (3,) log odds from the shape of the box: surroundings are flat, a lone object is tall."""
-    middle = np.subtract(*g.bounds(0.9)[::-1])
-    odds = np.zeros(3)
-    order = np.argsort(middle)
-    if has_no_floaters(g):
-        odds[order[2]] = np.log(middle[order[2]] / max(middle[order[1]], 1e-12))
-    else:
-        odds[order[0]] = np.log(middle[order[1]] / max(middle[order[0]], 1e-12))
-    return np.minimum(odds, 1.5)
-
-
-def _on_origin_plane(g: Gaussians, robust: F64) -> F64:
-    """Return (3,) +1 if the low end of a clean scene lies on the origin's plane on that axis, -1 if the high end."""
-    exact = g.bounds(1.0)
-    extent = robust[1] - robust[0]
-    at = -robust[0] / extent
-    result = np.zeros(3)
-    for axis in range(3):
-        others = np.delete(at, axis)
-        clean = exact[1, axis] - exact[0, axis] <= 1.5 * extent[axis]
-        if clean and np.all(np.abs(others - 0.5) < 0.25):
-            result[axis] = float(abs(at[axis]) < 0.05) - float(abs(at[axis] - 1.0) < 0.05)
-    return result
+    found = find_up(g, check=False)
+    axis = nearest_axis(found.up)
+    near = tilt_of(found.up, axis_vector(axis)) <= _NEAR_AXIS
+    return axis, found.confidence if near else 0.5 * found.confidence

@@ -1,6 +1,6 @@
-"""Find which way is up in a scene: what its file states, else the likely axis of its Gaussians, with a confidence.
+"""Find which way is up in a scene: what its file states, else what cameras say, else what the Gaussians show.
 
-Frame and units are the scene's own. This module knows no command and no file.
+Up is any unit vector in the scene's frame, with a confidence in it. This module knows no command and no file.
 """
 
 from __future__ import annotations
@@ -8,17 +8,25 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from gsvis import _check
+from gsvis.scene._up_cameras import level_cameras
+from gsvis.scene._up_odds import Likely, find_likely
+from gsvis.scene._up_sample import sample_surface
+from gsvis.scene.axes import axis_vector, describe_direction, tilt_of
+from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
-from gsvis.scene.inspection import axis_vector, guess_up
 
-__all__ = ["SURE", "Upright", "find_up"]
+__all__ = ["SURE", "Upright", "doubt_up", "find_up"]
 
 F64 = NDArray[np.float64]
 
 SURE = 0.8
 """Least confidence at which a guess is acted on without a word."""
+
+_NOTHING = 0.25  # confidence in the convention of most files, where nothing else is known
+_CONTRADICTION = 40.0  # degrees
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,25 +37,89 @@ class Upright:
         up: (3,) unit up axis, scene frame; any direction.
         confidence: In (0, 1]; 1 for what is stated or given.
         reason: Where it comes from, in a line.
+        doubt: What clearly contradicts it, in a line; empty if nothing does.
     """
 
     up: F64
     confidence: float
     reason: str
+    doubt: str = ""
 
     @property
     def sure(self) -> bool:
         """Whether the confidence is high enough to act on it without a word."""
         return self.confidence >= SURE
 
+    def __str__(self) -> str:
+        return f"{describe_direction(self.up)}, {self.confidence:.0%}: {self.reason}"
 
-def find_up(g: Gaussians) -> Upright:
-    """Return the up axis of a scene: the stated one, else the likely one.
+
+def find_up(g: Gaussians, *, cameras: Cameras | None = None, check: bool = True) -> Upright:
+    """Return the up axis of a scene: the stated one, else that of cameras, else the likely one.
+
+    A statement wins even where the scene clearly contradicts it; `doubt` then says so.
 
     Args:
         g: The scene; its facts are read first.
+        cameras: Cameras that took its photos, in the scene's frame. People hold cameras level.
+        check: Whether to look for what contradicts a statement or the cameras.
     """
     if g.facts.up is not None:
-        return Upright(np.array(g.facts.up), 1.0, f"stated by {g.facts.up_source or 'the file'}")
-    axis, confidence = guess_up(g)
-    return Upright(axis_vector(axis), confidence, "the likely axis of the Gaussians")
+        stated = np.array(g.facts.up)
+        doubt = doubt_up(g, stated, cameras=cameras) if check else ""
+        return Upright(stated, 1.0, f"stated by {g.facts.up_source or 'the file'}", doubt)
+    level = level_cameras(cameras) if cameras is not None else None
+    if level is not None and level.confidence >= SURE:
+        return Upright(*level, doubt_up(g, level.up) if check else "")
+    found = _from_gaussians(g)
+    if level is None:
+        return found
+    if tilt_of(level.up, found.up) < _CONTRADICTION:  # two witnesses of one direction
+        return Upright(level.up, 1.0 - (1.0 - level.confidence) * (1.0 - found.confidence), level.reason)
+    return found if found.confidence > level.confidence else Upright(*level)
+
+
+def doubt_up(g: Gaussians, up: ArrayLike, *, cameras: Cameras | None = None) -> str:
+    """Return what clearly contradicts an up axis, in a line; empty if nothing does.
+
+    Cameras are asked first, then ground and walls. Evidence that is not sure by itself contradicts nothing.
+
+    Args:
+        g: The scene; what it states is not read.
+        up: (3,) the axis in question, such as one that a user gives.
+        cameras: Cameras that took its photos, in the scene's frame.
+    """
+    axis = _check.unit_vectors("up", np.reshape(np.asarray(up, np.float64), (1, -1)))[0]
+    level = level_cameras(cameras) if cameras is not None else None
+    if level is not None and level.confidence >= SURE and tilt_of(axis, level.up) > _CONTRADICTION:
+        return _disagree(axis, level.up, "the cameras are")
+    sample = sample_surface(g)
+    likely = find_likely(sample) if sample is not None else None
+    if likely is None or likely.geometry < SURE or tilt_of(axis, likely.up) <= _CONTRADICTION:
+        return ""
+    return _disagree(axis, likely.up, "ground and walls are" if likely.ground else "the object is")
+
+
+def _disagree(axis: F64, other: F64, witness: str) -> str:
+    angle = tilt_of(axis, other)
+    how = "upside down" if angle > 140.0 else f"{angle:.0f} degrees off"
+    return f"up is {describe_direction(axis)}, but {witness} level with {describe_direction(other)} up: {how}?"
+
+
+def _from_gaussians(g: Gaussians) -> Upright:
+    sample = sample_surface(g)
+    if sample is None:
+        return Upright(axis_vector("-y"), _NOTHING, "what most files use; too few Gaussians to tell")
+    likely = find_likely(sample)
+    return Upright(likely.up, likely.confidence, _explain(likely))
+
+
+def _explain(likely: Likely) -> str:
+    """Return why an axis is the likely one, in a line."""
+    e = likely.evidence
+    if likely.confidence < 0.5:
+        return "little tells which way is up"
+    if not likely.ground:
+        return f"an object, {e.height:.1f} times as high as wide, {e.upright:.0%} of its surface upright"
+    what = "floor and ceiling hold" if e.pair > 0.3 else "level ground holds"
+    return f"{what} {e.slab:.0%} of the surface, {e.upright:.0%} is upright"

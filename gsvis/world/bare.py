@@ -11,7 +11,7 @@ from gsvis.files.limits import digest_of
 from gsvis.package import Package, PackageInfo, in_package_order, write_package
 from gsvis.package.manifest import MANIFEST, Manifest
 from gsvis.prepare.colors import prepare_colors
-from gsvis.scene.inspection import axis_vector
+from gsvis.scene.axes import axis_vector
 from gsvis.scene.levels import Levels
 from gsvis.world.rows import box_of, flatten
 

@@ -19,7 +19,7 @@ from gsvis.package.manifest import MANIFEST
 from gsvis.prepare.work_folder import WorkFolder
 from gsvis.progress import Progress, silent
 from gsvis.pvs.workers import Workers
-from gsvis.scene.inspection import axis_vector
+from gsvis.scene.axes import axis_vector
 from gsvis.world.bare import PACKAGE
 from gsvis.world.build import WorldBuild
 from gsvis.world.config import WorldConfig

@@ -25,7 +25,7 @@ from gsvis.io.ply import save_ply
 from gsvis.prepare.work_folder import WorkFolder
 from gsvis.progress import Progress, silent
 from gsvis.pvs.workers import Workers
-from gsvis.scene.inspection import axis_vector
+from gsvis.scene.axes import axis_vector
 from gsvis.world.build import WorldBuild
 from gsvis.world.config import WorldConfig
 from gsvis.world.rows import load_gaussians, load_tile_levels

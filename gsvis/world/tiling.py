@@ -20,9 +20,10 @@ from gsvis import _check
 from gsvis.errors import SceneError
 from gsvis.io.batches import Batch, read_batch
 from gsvis.raycast.proxies import MIN_ALPHA
+from gsvis.scene.axes import axis_vector, nearest_axis
 from gsvis.scene.gaussians import Gaussians
-from gsvis.scene.inspection import axis_vector, guess_up
 from gsvis.scene.sh import SH_C0
+from gsvis.scene.upright import find_up
 from gsvis.world.graph import Facts, Given
 from gsvis.world.manifest import Grid
 from gsvis.world.rows import content_order, flatten, load_gaussians, save_gaussians
@@ -114,7 +115,7 @@ def find_grid(params: Facts, given: Given, out: Path, work: Path) -> Facts:
         raise SceneError("the scene has no Gaussian with an opacity of at least 1/255: there is nothing to see")
     sample, config = Gaussians.concatenate(parts), TilingConfig(**params["config"])
     sample = sample[content_order(sample)]
-    up = config.up or guess_up(sample)[0]
+    up = config.up or nearest_axis(find_up(sample, check=False).up)  # the squares lie along axes
     low, high = sample.bounds(config.coverage)
     spread = np.maximum(_MARGIN * (high - low), 3.0 * float(np.median(sample.scales)))
     low, high = low - spread, high + spread

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from gsvis.scene.gaussians import Gaussians
-from gsvis.scene.inspection import AXES, axis_vector, guess_up, has_no_floaters, inspect_scene
+from gsvis.scene.inspection import AXES, axis_vector, guess_up, inspect_scene
 from gsvis.scene.procedural import random_scene
 
 
@@ -51,13 +51,6 @@ class TestUp:
         found, confidence = guess_up(ground().transform(rotation_to(axis)))
         assert found == axis
         assert confidence > 0.6
-
-    @pytest.mark.parametrize("axis", ["+y", "-y", "+z"])
-    def test_a_lone_object_stands_on_the_origin(self, axis: str) -> None:
-        rng = np.random.default_rng(1)
-        pillar = scene(np.column_stack([rng.normal(0, 0.2, (4000, 2)).clip(-0.4, 0.4), rng.uniform(0, 3, 4000)]))
-        assert has_no_floaters(pillar)
-        assert guess_up(pillar.transform(rotation_to(axis)))[0] == axis
 
     def test_without_evidence_it_is_minus_y_and_unsure(self) -> None:
         for g in (Gaussians.empty(), scene(np.zeros((50, 3))), scene(np.eye(3))):
@@ -113,7 +106,8 @@ class TestReport:
         report = inspect_scene(random_scene(np.random.default_rng(5), n, 1, kind))
         again = json.loads(json.dumps(report.as_dict(), allow_nan=False))
         assert again["count"] == n
-        assert again["up"] in AXES
+        assert np.linalg.norm(again["up_vector"]) == pytest.approx(1.0)
+        assert any(axis in again["up"] for axis in AXES)
         assert 0.0 < again["up_confidence"] <= 1.0
 
 
@@ -161,16 +155,12 @@ class TestProblems:
         ("nika_sh3/lod-meta.json", 0, "-y"),
         ("nika_sh3/lod-meta.json", 2, "-y"),
         ("flowers_sh2/lod-meta.json", 1, "-y"),
-        ("formats/guitar.compressed.ply", None, "-y"),
-        ("formats/biker.compressed.ply", None, "-y"),
-        ("formats/biker.spz", None, None),
     ],
 )
-def test_up_axis_of_real_scenes(realdata: Path, path: str, lod: int | None, up: str | None) -> None:
+def test_up_axis_of_real_scenes(realdata: Path, path: str, lod: int | None, up: str) -> None:
     from gsvis.io import load_scene
 
     g = load_scene(realdata / "scenes" / path, lod=lod)
     found, confidence = guess_up(g)
-    # The SPZ reader may turn the file's axes (y up) into those of the PLY: the y axis either way.
-    assert found == up if up else found[1] == "y"
+    assert found == up
     assert confidence > 0.6

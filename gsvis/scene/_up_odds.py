@@ -1,0 +1,123 @@
+"""Weigh the evidence for every direction that could be up, and find the likely one with an honest confidence.
+
+Two readings compete. In one the scene has ground or floors: level slabs on which things stand. In the other it is an
+object: tall, with upright surface around it and a wide foot. Weights are log odds, chosen on scenes whose up axis is
+known, each as it is and turned at random; benchmarks/upright.py measures them on others.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.scene._up_candidates import find_candidates, settle
+from gsvis.scene._up_evidence import AxisEvidence, measure_axis
+from gsvis.scene._up_sample import Sample
+from gsvis.scene.axes import AXES, axis_vector
+
+__all__ = ["Likely", "find_likely"]
+
+F64 = NDArray[np.float64]
+
+_SAME = 15.0  # degrees within which candidates are one answer
+_LEAST_CONTACT = 0.01
+_SHEET = 0.6  # most confidence where nothing stands on the slab: a sheet has no up
+_SNAP = 6.0  # degrees within which an object stands along an axis of its file
+# Log odds of directions by convention: COLMAP gives -y, tilted by up to 40 degrees; viewers +y; scanners and CAD +z.
+_ON_AXIS = {"-y": 1.6, "+y": 1.0, "+z": 1.2}
+_TILTED = 0.7
+_TILT = 40.0  # degrees
+
+
+class Likely(NamedTuple):
+    """The likely up axis of a sample.
+
+    Attributes:
+        up: (3,) unit vector.
+        confidence: In (0, 1]: of the direction within some ten degrees.
+        geometry: Confidence that remains without any convention of files.
+        ground: Whether it was found by ground or floors; else by the shape of an object.
+        evidence: What was measured along `up`.
+    """
+
+    up: F64
+    confidence: float
+    geometry: float
+    ground: bool
+    evidence: AxisEvidence
+
+
+def find_likely(sample: Sample) -> Likely:
+    """Return the likely up axis.
+
+    What the conventions of files add can raise a confidence only up to the square root of what the Gaussians give.
+
+    Args:
+        sample: The surface of the core.
+    """
+    axes, found, odds = _best_apart(sample, find_candidates(sample))
+    directions = np.concatenate([axes, -axes])
+    total = np.logaddexp(odds[:, :, 0], odds[:, :, 1]).T.ravel()
+    shares = _softmax(total)
+    informed = _softmax(total + np.array([_convention(each) for each in directions]))
+    best = int(informed.argmax())
+    same = directions @ directions[best] > np.cos(np.radians(_SAME))
+    geometry = float(shares[same].sum())
+    confidence = min(float(informed[same].sum()), np.sqrt(geometry))
+    which, way = best % len(axes), best // len(axes)
+    ground = bool(odds[which, way, 0] >= odds[which, way, 1])
+    if ground and found[which].contact < _LEAST_CONTACT:
+        confidence, geometry = min(confidence, _SHEET), min(geometry, _SHEET)
+    up = settle(sample, directions[best])
+    return Likely(up if ground else _snap(up), confidence, geometry, ground, found[which])
+
+
+def _best_apart(sample: Sample, axes: F64) -> tuple[F64, list[AxisEvidence], F64]:
+    """Return the best of candidates that are near each other, with evidence and odds (K, 2 ways, 2 readings)."""
+    found = [measure_axis(sample, axis) for axis in axes]
+    odds = np.array([_weigh(each) for each in found])
+    kept: list[int] = []
+    for k in np.argsort(-odds.max(axis=(1, 2)), kind="stable"):
+        if all(abs(axes[k] @ axes[other]) < np.cos(np.radians(_SAME)) for other in kept):
+            kept.append(int(k))
+    return axes[kept], [found[k] for k in kept], odds[kept]
+
+
+def _weigh(e: AxisEvidence) -> F64:
+    """Return (2, 2) log odds: of the axis and of its opposite, as ground and as object."""
+    ring = np.log(max(e.upright * e.around, 0.01) / 0.15)
+    wide = np.clip(-np.log(max(e.height, 1e-3)), -1.5, 1.5)
+    ground = (
+        1.5 * np.log(max(e.level, 0.04) / 0.08)
+        + np.log((e.slab + 0.02) / 0.05)
+        + 0.75 * max(ring, -2.0)
+        + 3.0 * max(e.flat - 0.25, 0.0)
+        + 0.8 * wide
+        + 0.8 * abs(e.low)
+    )
+    upward = 0.65 * (e.sided + 1.5 * e.low + e.clutter + 1.2 * e.bright)
+    thing = 1.0 + 1.2 * ring - 0.8 * wide
+    standing = 0.65 * (e.base + e.low)
+    return np.array([[ground + upward, thing + standing], [ground - upward, thing - standing]])
+
+
+def _convention(direction: F64) -> float:
+    """Return the log odds of a direction by the conventions of files."""
+    angles = {name: np.degrees(np.arccos(np.clip(axis_vector(name) @ direction, -1.0, 1.0))) for name in AXES}
+    near = max(odds * float(np.exp(-0.5 * (angles[name] / 2.0) ** 2)) for name, odds in _ON_AXIS.items())
+    tilted = _TILTED * float(np.clip(2.0 - angles["-y"] / _TILT, 0.0, 1.0))
+    return float(max(near, tilted))
+
+
+def _snap(up: F64) -> F64:
+    """Return the axis of the file within a few degrees of a direction, or the direction."""
+    axes = np.array([axis_vector(name) for name in AXES])
+    nearest = axes[int((axes @ up).argmax())]
+    return nearest if nearest @ up > np.cos(np.radians(_SNAP)) else up
+
+
+def _softmax(odds: F64) -> F64:
+    weights = np.exp(odds - odds.max())
+    return np.asarray(weights / weights.sum())
