@@ -152,7 +152,22 @@ def version() -> str:
 def _run(command: Command) -> None:
     name = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", type(command).__name__).lower()
     home = import_module(f"gsvis.cli.{_HOMES.get(name, name)}")
-    getattr(home, f"run_{name}")(command)
+    with _losses_on_stderr(), _dropping(command):
+        getattr(home, f"run_{name}")(command)
+
+
+def _losses_on_stderr() -> AbstractContextManager[None]:
+    """Return a context that prints what readers and writers lose, each line once."""
+    from gsvis.cli.losses import losses_on_stderr
+
+    return losses_on_stderr()
+
+
+def _dropping(command: Command) -> AbstractContextManager[None]:
+    """Return a context in which readers leave invalid rows out if the command says so."""
+    from gsvis.io.invalid import dropping_invalid
+
+    return dropping_invalid(getattr(command, "drop_invalid", False))
 
 
 def _explain(error: Exception) -> tuple[str, int]:

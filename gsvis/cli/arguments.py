@@ -94,6 +94,8 @@ class Inspect(Where):
     """Show how opacities, sizes, shapes, distances and SH are spread, too."""
     json: Flag = False
     """Print one JSON document instead of tables."""
+    drop_invalid: Flag = False
+    """Leave out rows whose values are no numbers, and say how many; else they are an error."""
     debug: Flag = False
     """Show the traceback of an error."""
 
@@ -129,6 +131,8 @@ class Analyze(Where):
     """Rays of that tracing over each of the 80 directions: 1, 4, 16 or 64; more find more."""
     json: Flag = False
     """Print report.json on standard output too."""
+    drop_invalid: Flag = False
+    """Leave out rows whose values are no numbers, and say how many; else they are an error."""
     debug: Flag = False
     """Show the traceback of an error."""
 
@@ -195,6 +199,8 @@ class Render(Where):
     """Replace pictures that something else wrote; those of gsvis render are replaced without it."""
     json: Flag = False
     """Print one JSON document instead of lines."""
+    drop_invalid: Flag = False
+    """Leave out rows whose values are no numbers, and say how many; else they are an error."""
     debug: Flag = False
     """Show the traceback of an error."""
 
@@ -237,6 +243,8 @@ class Pvs(Where):
     """Try a few cells, print time, memory and disk, and write nothing."""
     json: Flag = False
     """Print one JSON document instead of tables."""
+    drop_invalid: Flag = False
+    """Leave out rows whose values are no numbers, and say how many; else they are an error."""
     debug: Flag = False
     """Show the traceback of an error."""
 
@@ -275,6 +283,8 @@ class PvsReport:
     """Seed of everything random: the same seed gives the same report."""
     json: Flag = False
     """Print report.json on standard output instead of tables."""
+    drop_invalid: Flag = False
+    """Leave out rows whose values are no numbers, and say how many; else they are an error."""
     debug: Flag = False
     """Show the traceback of an error."""
 
@@ -325,6 +335,8 @@ class Color(Where):
     """Refuse a scene that needs more memory, such as 8GB, before it is read."""
     json: Flag = False
     """Print one JSON document instead of tables."""
+    drop_invalid: Flag = False
+    """Leave out rows whose values are no numbers, and say how many; else they are an error."""
     debug: Flag = False
     """Show the traceback of an error."""
 
@@ -409,6 +421,8 @@ class Levels(Where):
     """Refuse a scene that needs more memory, such as 8GB, before it is read."""
     json: Flag = False
     """Print one JSON document instead of tables."""
+    drop_invalid: Flag = False
+    """Leave out rows whose values are no numbers, and say how many; else they are an error."""
     debug: Flag = False
     """Show the traceback of an error."""
 

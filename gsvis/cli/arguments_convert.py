@@ -65,5 +65,7 @@ class Convert:
     """Replace OUT if it exists."""
     json: Flag = False
     """Print one JSON document instead of a line."""
+    drop_invalid: Flag = False
+    """Leave out rows whose values are no numbers, and say how many; else they are an error."""
     debug: Flag = False
     """Show the traceback of an error."""

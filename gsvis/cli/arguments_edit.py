@@ -69,6 +69,8 @@ class Clean(Where):
     """Replace OUT and the file of --select if they exist."""
     json: Flag = False
     """Print one JSON document instead of a table."""
+    drop_invalid: Flag = False
+    """Leave out rows whose values are no numbers, and say how many; else they are an error."""
     debug: Flag = False
     """Show the traceback of an error."""
 
@@ -108,6 +110,8 @@ class Cut(Where):
     """Replace files that exist."""
     json: Flag = False
     """Print one JSON document instead of lines."""
+    drop_invalid: Flag = False
+    """Leave out rows whose values are no numbers, and say how many; else they are an error."""
     debug: Flag = False
     """Show the traceback of an error."""
 
@@ -142,5 +146,7 @@ class Paint(Where):
     """Replace files that exist."""
     json: Flag = False
     """Print one JSON document instead of lines."""
+    drop_invalid: Flag = False
+    """Leave out rows whose values are no numbers, and say how many; else they are an error."""
     debug: Flag = False
     """Show the traceback of an error."""

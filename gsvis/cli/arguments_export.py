@@ -51,5 +51,7 @@ class Export:
     replaced without it."""
     json: Flag = False
     """Print one JSON document instead of lines."""
+    drop_invalid: Flag = False
+    """Leave out rows whose values are no numbers, and say how many; else they are an error."""
     debug: Flag = False
     """Show the traceback of an error."""

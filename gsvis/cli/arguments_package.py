@@ -96,6 +96,8 @@ class Prepare(Where):
     """Delete what is kept between runs when the package is complete."""
     json: Flag = False
     """Print one JSON document instead of tables."""
+    drop_invalid: Flag = False
+    """Leave out rows whose values are no numbers, and say how many; else they are an error."""
     debug: Flag = False
     """Show the traceback of an error."""
 

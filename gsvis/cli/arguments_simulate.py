@@ -66,5 +66,7 @@ class Simulate:
     """Refuse what needs more memory, such as 4GB: all records are read."""
     json: Flag = False
     """Print report.json on standard output instead of tables."""
+    drop_invalid: Flag = False
+    """Leave out rows whose values are no numbers, and say how many; else they are an error."""
     debug: Flag = False
     """Show the traceback of an error."""

@@ -36,5 +36,7 @@ class Space(Where):
     """Replace files that exist."""
     json: Flag = False
     """Print one JSON document instead of lines."""
+    drop_invalid: Flag = False
+    """Leave out rows whose values are no numbers, and say how many; else they are an error."""
     debug: Flag = False
     """Show the traceback of an error."""

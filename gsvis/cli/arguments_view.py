@@ -32,5 +32,7 @@ class View:
     """Print the address and open no browser."""
     json: Flag = False
     """Print one JSON document with the address once it listens."""
+    drop_invalid: Flag = False
+    """Leave out rows whose values are no numbers, and say how many; else they are an error."""
     debug: Flag = False
     """Show the traceback of an error."""

@@ -83,5 +83,7 @@ class World:
     """Delete city.gsworld.work when the world is complete; what lies in --store stays."""
     json: Flag = False
     """Print one JSON document instead of tables."""
+    drop_invalid: Flag = False
+    """Leave out rows whose values are no numbers, and say how many; else they are an error."""
     debug: Flag = False
     """Show the traceback of an error."""

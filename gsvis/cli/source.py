@@ -16,6 +16,7 @@ from gsvis.files.atomic import find_interrupted_moves
 from gsvis.files.limits import open_regular
 from gsvis.files.output import check_writable, output_errors
 from gsvis.scene.cameras import Cameras
+from gsvis.scene.facts import SceneFacts
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.inspection import AXES, axis_vector, guess_up, inspect_scene
 from gsvis.scene.levels import Levels
@@ -129,14 +130,14 @@ def load_source(scene: str, lod: int | None) -> Source:
         from gsvis.scene.procedural import builtin_scene
 
         made = builtin_scene(scene.removeprefix(BUILTIN))
-        return Source(scene, made.gaussians, navigable=made.navigable, known_up=made.navigable.up)
+        g = made.gaussians.with_facts(_builtin_facts(made.navigable))
+        return Source(scene, g, navigable=made.navigable, known_up=made.navigable.up)
     if is_levels(scene):
         from gsvis.io.levels import levels_info, load_levels
 
         levels, up = load_levels(scene), _unit_vector(levels_info(scene).extra.get("up"))
         return Source(title_of(scene), levels.level(len(levels) - 1), Path(scene), levels=levels, known_up=up)
     from gsvis.io import load_scene
-    from gsvis.io.scenes import is_gltf
     from gsvis.io.streamed_sog import list_lods
 
     path = Path(scene)
@@ -145,8 +146,17 @@ def load_source(scene: str, lod: int | None) -> Source:
     lods = list_lods(meta) if meta.name == "lod-meta.json" and meta.is_file() else ()
     if lods and lod is None:
         lod = lods[0]
-    known_up = axis_vector("+y") if is_gltf(path) else None
+    known_up = None if g.facts.up is None else np.asarray(g.facts.up, np.float64)
     return Source(title_of(scene, lod), g, path, lod, lods, known_up=known_up)
+
+
+def _builtin_facts(space: NavigableSpace) -> SceneFacts:
+    """Return what is known of a built-in scene: its up axis, and the box around its navigable space."""
+    free = np.argwhere(space.free)
+    corners = space.origin + space.voxel_size * np.stack([free.min(axis=0), free.max(axis=0) + 1])
+    (ax, ay, az), (bx, by, bz) = corners.tolist()
+    ux, uy, uz = np.asarray(space.up, np.float64).tolist()
+    return SceneFacts(up=(ux, uy, uz), up_source="built-in scene", box=((ax, ay, az), (bx, by, bz)))
 
 
 def _unit_vector(value: Any) -> NDArray[np.float64] | None:

@@ -13,6 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.errors import FormatError
+from gsvis.io.invalid import REMEDY, find_invalid, is_dropping
+from gsvis.io.losses import report_loss, report_note
+from gsvis.scene.facts import SceneFacts
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.sh import SH_C0
 
@@ -23,11 +26,14 @@ __all__ = [
     "gaussians_from",
     "largest_from_three",
     "logits",
+    "report_dropped",
     "sh0_from_rgb",
     "sigmoid",
 ]
 
 F32 = NDArray[np.float32]
+_NOTHING_KNOWN = SceneFacts()
+NOTHING_LEFT = "none; no row would be left"
 LEAST_SCALE = float(np.finfo(np.float32).tiny)
 
 
@@ -50,13 +56,10 @@ def logits(opacities: NDArray[np.floating[Any]]) -> F32:
 
 
 def exp_scales(log_scales: NDArray[np.floating[Any]], out: F32 | None = None) -> F32:
-    """Return exp in float32, kept above 0: a flat Gaussian's thickness may underflow. NaN and overflow remain."""
+    """Return exp in float32, kept above 0: a flat Gaussian has a log scale of -inf. NaN and overflow remain."""
     with np.errstate(all="ignore"):
-        minus_infinity = np.isneginf(log_scales)
         result: F32 = np.exp(log_scales, out=out, dtype=np.float32)
         np.maximum(result, LEAST_SCALE, out=result)
-    if minus_infinity.any():
-        result[minus_infinity] = -np.inf
     return result
 
 
@@ -99,18 +102,62 @@ def gaussians_from(
     opacities: F32,
     sh0: F32,
     shN: F32 | None = None,  # noqa: N803  the field's own name
+    facts: SceneFacts = _NOTHING_KNOWN,
 ) -> Gaussians:
     """Return a scene from the values in a file.
 
+    A quaternion of zeros is no rotation, as in the rasterizer of 3DGS. Rows with other values that no Gaussian can
+    have are left out inside `dropping_invalid`, and refused elsewhere.
+
     Raises:
-        FormatError: If there is no Gaussian, a value is not finite, a quaternion is zero or a scale is negative.
+        FormatError: If there is no Gaussian, a value is not finite or out of its range.
     """
     if len(means) == 0:
         raise FormatError(path, "", "at least one Gaussian", "none", "the file holds an empty scene")
     try:
-        return Gaussians(means, quats, scales, opacities, sh0, shN)
+        return Gaussians(means, quats, scales, opacities, sh0, shN, facts=facts)
+    except ValueError as error:
+        refused = error
+    arrays = {"means": means, "quats": quats, "scales": scales, "opacities": opacities, "sh0": sh0}
+    if shN is not None:
+        arrays["shN"] = shN
+    if len({len(values) for values in arrays.values()}) > 1:
+        raise format_error(path, refused) from refused
+    return _mended(path, arrays, facts, refused)
+
+
+def _mended(
+    path: str | os.PathLike[str], arrays: dict[str, NDArray[Any]], facts: SceneFacts, refused: ValueError
+) -> Gaussians:
+    """Return the scene without the rows that no Gaussian can have, if they may be dropped; raise otherwise."""
+    choice, bad = is_dropping(), find_invalid(arrays)
+    with np.errstate(all="ignore"):
+        unturned = ~bad & (np.einsum("ij,ij->i", arrays["quats"], arrays["quats"], dtype=np.float64) < 1e-24)
+    if unturned.any():
+        arrays["quats"] = np.where(unturned[:, None], np.array([1, 0, 0, 0], np.float32), arrays["quats"])
+        report_note(
+            path, f"quaternions of zeros, which {int(unturned.sum()):,} Gaussians have, are read as no rotation"
+        )
+    if bad.any():
+        if not choice.drops:
+            found = format_error(path, refused)
+            remedy = f"{int(bad.sum()):,} of {len(bad):,} rows have such values; {REMEDY}"
+            raise FormatError(path, found.where, found.expected, found.got, remedy) from refused
+        if bad.all():
+            raise FormatError(path, "", "at least one valid row", NOTHING_LEFT) from refused
+        arrays = {name: values[~bad] for name, values in arrays.items()}
+        if not choice.quiet:
+            report_dropped(path, int(bad.sum()), len(bad))
+    try:
+        return Gaussians(**arrays, facts=facts)
     except ValueError as error:
         raise format_error(path, error) from error
+
+
+def report_dropped(path: str | os.PathLike[str], count: int, total: int) -> None:
+    """Log how many rows were left out."""
+    text = f"{count:,} of {total:,} rows are dropped; their values are no numbers or out of range"
+    report_loss(path, "rows", text, count)
 
 
 def format_error(path: str | os.PathLike[str], error: ValueError) -> FormatError:

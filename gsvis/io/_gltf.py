@@ -1,13 +1,19 @@
-"""Names of KHR_gaussian_splatting, and the values of glTF accessors in a binary chunk."""
+"""Names of KHR_gaussian_splatting, and the values of glTF accessors: in a binary chunk, files beside it, or text."""
 
 from __future__ import annotations
+
+import base64
+import binascii
+from pathlib import Path
+from urllib.parse import unquote
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.errors import FormatError
 from gsvis.files.fields import Fields
-from gsvis.files.limits import Budget
+from gsvis.files.limits import Budget, inside, read_whole, safe_name
+from gsvis.io._wrapped import HEAD, check_pointer
 
 __all__ = ["LINEAR", "SPLATS", "SPZ", "SRGB", "Accessors", "sh_names"]
 
@@ -28,16 +34,18 @@ def sh_names(degree: int) -> tuple[str, ...]:
 
 
 class Accessors:
-    """The accessors of a glTF document, whose only buffer is a binary chunk.
+    """The accessors of a glTF document.
 
     Args:
-        root: The document.
-        binary: The chunk.
+        root: The document. Its buffers are the binary chunk, files in its folder, or data in the document itself.
+        binary: The chunk; None if the document is no GLB.
         budget: Memory that values may claim.
     """
 
-    def __init__(self, root: Fields, binary: memoryview, budget: Budget) -> None:
-        self._root, self._binary, self._budget = root, binary, budget
+    def __init__(self, root: Fields, binary: memoryview | None, budget: Budget) -> None:
+        self._root, self._budget = root, budget
+        self._buffers: dict[int, memoryview] = {} if binary is None else {0: binary}
+        self._chunk = binary is not None
 
     def read(self, attributes: Fields, name: str, kind: str) -> F32:
         """Return the (N, K) values of an attribute, float32; normalized integers become numbers up to 1.
@@ -79,17 +87,49 @@ class Accessors:
             remedy = "only the extensions that gsvis knows can bring its values"
             raise FormatError(fields.path, fields.where(key), "the number of a buffer view", "nothing", remedy)
         view = self._at("bufferViews", fields, key)
-        buffer = self._at("buffers", view, "buffer")
-        if view.integer("buffer", 0, _MOST) != 0 or "uri" in buffer:
-            remedy = "pack it into one .glb"
-            raise FormatError(view.path, buffer.trail, "the file's own binary chunk", "another file", remedy)
+        binary = self._buffer(view)
         start = view.integer("byteOffset", 0, _MOST) if "byteOffset" in view else 0
         size = view.integer("byteLength", 1, _MOST)
-        if start + size > len(self._binary):
-            expected = f"at most {len(self._binary):,} bytes"
+        if start + size > len(binary):
+            expected = f"at most {len(binary):,} bytes"
             raise FormatError(view.path, view.trail, expected, f"{size:,} from byte {start:,}", "is it truncated?")
         stride = view.integer("byteStride", 4, 252) if "byteStride" in view else 0
-        return self._binary[start : start + size], stride
+        return binary[start : start + size], stride
+
+    def _buffer(self, view: Fields) -> memoryview:
+        """Return the bytes of the buffer that a view names; read once."""
+        buffer = self._at("buffers", view, "buffer")
+        number = view.integer("buffer", 0, _MOST)
+        if "uri" not in buffer:
+            if number or not self._chunk:
+                raise FormatError(view.path, buffer.trail, "a uri, or the binary chunk of a .glb", "neither")
+            return self._buffers[0]
+        key = number + 1 if self._chunk else number
+        if key not in self._buffers:
+            self._buffers[key] = memoryview(self._read(buffer))
+        return self._buffers[key]
+
+    def _read(self, buffer: Fields) -> bytes:
+        """Return the content behind the uri of a buffer: base64 text, or a file in the folder of the document."""
+        uri = buffer.raw("uri")
+        if isinstance(uri, str) and uri.startswith("data:"):
+            head, _, text = uri.partition(",")
+            try:
+                if not head.endswith(";base64"):
+                    raise ValueError("data without base64")
+                return base64.b64decode(text, validate=True)
+            except (ValueError, binascii.Error) as error:
+                raise FormatError(buffer.path, buffer.where("uri"), "base64 data", str(error)) from error
+        place = Path(buffer.path)
+        name = safe_name(buffer.path, buffer.where("uri"), unquote(uri) if isinstance(uri, str) else uri)
+        file = inside(place, buffer.where("uri"), place.parent, name)
+        if not file.is_file():
+            remedy = "copy it beside the .gltf, or pack both into one .glb"
+            raise FormatError(place, buffer.where("uri"), f"the file {name}", "no such file", remedy)
+        data = read_whole(file)
+        check_pointer(place, data[:HEAD], name)
+        self._budget.file_bytes += len(data)
+        return data
 
     def _at(self, kind: str, fields: Fields, key: str) -> Fields:
         """Return the object of a list of the document whose number an object has at a key."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, field
-from io import BufferedReader
+from typing import BinaryIO
 
 import numpy as np
 
@@ -36,6 +36,7 @@ _TYPES = {
 }
 _ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}
 _MAX_HEADER = 1 << 20
+_MOST_COMMENTS = 256
 
 
 @dataclass(frozen=True)
@@ -71,6 +72,7 @@ class PlyHeader:
         elements: The elements, in file order.
         size: Bytes of the header.
         file_size: Bytes of the file.
+        comments: Text of its comments, in file order, the first ones if there are many.
     """
 
     path: str
@@ -78,6 +80,7 @@ class PlyHeader:
     elements: tuple[Element, ...]
     size: int
     file_size: int
+    comments: tuple[str, ...] = ()
 
     def element(self, name: str) -> Element | None:
         """Return the element with that name, or None."""
@@ -114,7 +117,7 @@ class PlyHeader:
         return element.row, element.offset
 
 
-def parse_header(path: str | os.PathLike[str], stream: BufferedReader, file_size: int) -> PlyHeader:
+def parse_header(path: str | os.PathLike[str], stream: BinaryIO, file_size: int) -> PlyHeader:
     """Read a PLY header from the start of a stream.
 
     Args:
@@ -132,6 +135,7 @@ def parse_header(path: str | os.PathLike[str], stream: BufferedReader, file_size
     encoding = ""
     elements: dict[str, _Parsed] = {}
     current: _Parsed | None = None
+    comments: list[str] = []
     while True:
         at = stream.tell()
         line = stream.readline(4096)
@@ -142,6 +146,8 @@ def parse_header(path: str | os.PathLike[str], stream: BufferedReader, file_size
         if words == ["end_header"]:
             break
         if not words or words[0] in ("comment", "obj_info"):
+            if words and len(comments) < _MOST_COMMENTS:
+                comments.append(" ".join(words[1:]))
             continue
         if words[0] == "format" and len(words) == 3 and words[1] in _ORDERS and not elements:
             encoding = words[1]
@@ -157,7 +163,8 @@ def parse_header(path: str | os.PathLike[str], stream: BufferedReader, file_size
             current.lists = True
         else:
             raise FormatError(path, where, "a PLY header line", repr(line[:60].rstrip())[1:])
-    return PlyHeader(path, encoding, _place(elements, encoding, stream.tell()), stream.tell(), file_size)
+    placed = _place(elements, encoding, stream.tell())
+    return PlyHeader(path, encoding, placed, stream.tell(), file_size, tuple(comments))
 
 
 @dataclass
@@ -174,7 +181,10 @@ def _place(parsed: dict[str, _Parsed], encoding: str, header_size: int) -> tuple
     placed = []
     offset: int | None = 0 if encoding == "ascii" else header_size
     for name, element in parsed.items():
-        row = None if element.lists else np.dtype(list(element.fields.items()))
+        fields = list(element.fields.items())
+        if encoding == "ascii":  # text has as many digits as it has, whatever type is declared
+            fields = [(each, "=f8" if kind == "=f4" else kind) for each, kind in fields]
+        row = None if element.lists else np.dtype(fields)
         placed.append(Element(name, element.count, row, offset))
         if row is None:
             offset = offset if element.count == 0 else None

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from io import BufferedReader
 from itertools import islice
-from typing import Any
+from typing import Any, BinaryIO, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from gsvis.errors import FormatError
 from gsvis.io._ply_header import Element, PlyHeader
 
-__all__ = ["CHUNK_BYTES", "row_chunks"]
+__all__ = ["CHUNK_BYTES", "read_rows", "row_chunks"]
 
 CHUNK_BYTES = 2 << 20
 """Bytes that are read, transposed and activated at a time; they fit into the cache."""
 
 
-def row_chunks(header: PlyHeader, element: Element, stream: BufferedReader) -> Iterator[NDArray[Any]]:
+def row_chunks(header: PlyHeader, element: Element, stream: BinaryIO) -> Iterator[NDArray[Any]]:
     """Yield the rows of an element, a few thousand at a time; each chunk overwrites the previous one.
 
     Args:
@@ -46,13 +46,37 @@ def row_chunks(header: PlyHeader, element: Element, stream: BufferedReader) -> I
     raw = buffer.view(np.uint8).data
     for start in range(0, element.count, per_chunk):
         rows = min(per_chunk, element.count - start)
-        if stream.readinto(raw[: rows * row.itemsize]) != rows * row.itemsize:
+        if cast(BufferedReader, stream).readinto(raw[: rows * row.itemsize]) != rows * row.itemsize:
             raise FormatError(header.path, f"row {start:,}", "a file that does not change while it is read", "its end")
         yield buffer[:rows]
 
 
+def read_rows(header: PlyHeader, element: Element, stream: BinaryIO, rows: NDArray[np.int64]) -> NDArray[Any]:
+    """Return some rows of an element, in the order of `rows`; of a text file all rows are read for them.
+
+    Raises:
+        FormatError: As `row_chunks`.
+    """
+    row, offset = header.rows_of(element)
+    found = np.empty(len(rows), row)
+    if header.encoding == "ascii":
+        start = 0
+        for chunk in row_chunks(header, element, stream):
+            inside = (rows >= start) & (rows < start + len(chunk))
+            found[inside] = chunk[rows[inside] - start]
+            start += len(chunk)
+        return found
+    for k, number in enumerate(rows.tolist()):
+        stream.seek(offset + number * row.itemsize)
+        data = stream.read(row.itemsize)
+        if len(data) != row.itemsize:
+            raise FormatError(header.path, f"row {number:,}", "a file that does not change while it is read", "its end")
+        found[k] = np.frombuffer(data, row)[0]
+    return found
+
+
 def _ascii_chunks(
-    header: PlyHeader, element: Element, stream: BufferedReader, row: np.dtype[np.void], per_chunk: int
+    header: PlyHeader, element: Element, stream: BinaryIO, row: np.dtype[np.void], per_chunk: int
 ) -> Iterator[NDArray[Any]]:
     stream.seek(header.size)
     lines = islice(stream, element.offset, None)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from gsvis.errors import FormatError
+from gsvis.io._wrapped import HEAD, check_pointer
 
 __all__ = ["MAX_PIXELS", "decode_plane", "encode_plane", "plane_size"]
 
@@ -40,6 +41,7 @@ def plane_size(path: str | os.PathLike[str], where: str, data: bytes) -> tuple[i
         WebP container specification; WebP lossless bitstream specification, section 3.
     """
     if len(data) < 25 or data[:4] != b"RIFF" or data[8:12] != b"WEBP":
+        check_pointer(path, data[:HEAD], where)
         raise FormatError(path, where, _LOSSLESS, f"{len(data):,} bytes in another format")
     at, canvas = 12, None
     while at + 8 <= len(data):

@@ -5,19 +5,23 @@ A batch is named by plain numbers, so that another process can read it. Memory h
 
 from __future__ import annotations
 
+import glob
 import hashlib
 import os
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.files.limits import open_regular
+from gsvis.io._build import NOTHING_LEFT, report_dropped
+from gsvis.io.invalid import dropping_invalid, is_dropping
 from gsvis.io.ply import load_ply, ply_rows
 from gsvis.io.scenes import check_scene, load_scene
 from gsvis.io.streamed_sog import load_streamed_file, streamed_files
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["ROWS", "Batch", "list_batches", "read_batch"]
+__all__ = ["ROWS", "Batch", "align_batches", "list_batches", "read_batch"]
 
 ROWS = 1 << 18
 """Most rows of a batch of a PLY."""
@@ -35,6 +39,9 @@ class Batch:
         count: Number of Gaussians; -1 where only reading tells.
         nbytes: Bytes on disk, about.
         stamp: Sizes and times of its files, so that a batch of a changed file is another one.
+        rows: Rows of a PLY that are read; -1 for as many as Gaussians.
+        drops_invalid: Whether rows that are no Gaussians are left out.
+        origin: Origin that centers are relative to; None leaves that of the file.
     """
 
     path: str
@@ -44,10 +51,15 @@ class Batch:
     count: int
     nbytes: int
     stamp: str
+    rows: int = -1
+    drops_invalid: bool = False
+    origin: tuple[float, float, float] | None = None
 
 
 def list_batches(path: str | os.PathLike[str], lod: int | None = None) -> list[Batch]:
-    """Return the batches of a scene, in the order of its Gaussians. Reads headers only.
+    """Return the batches of a scene, in the order of its Gaussians.
+
+    Reads headers only; inside `dropping_invalid` all rows of a PLY, to count those that stay.
 
     Args:
         path: As for `load_scene`.
@@ -71,11 +83,61 @@ def list_batches(path: str | os.PathLike[str], lod: int | None = None) -> list[B
     if os.path.isfile(where):
         with open_regular(where) as stream:
             rows = ply_rows(where, stream) if stream.peek(3)[:3] == b"ply" else None
+    drops = is_dropping().drops
     if rows is None:
-        return [Batch(where, None, "whole", 0, -1, nbytes, stamp)]
+        return [Batch(where, None, "whole", 0, -1, nbytes, stamp, drops_invalid=drops)]
     count, width = rows
     counts = [(start, min(ROWS, count - start)) for start in range(0, count, ROWS)]
-    return [Batch(where, None, "rows", start, some, some * width, stamp) for start, some in counts]
+    listed = [Batch(where, None, "rows", start, some, some * width, stamp) for start, some in counts]
+    return _counted(listed) if drops else listed
+
+
+def align_batches(scenes: Sequence[Sequence[Batch]]) -> list[list[Batch]]:
+    """Return the batches of several scenes with one origin for all: that of the scene with the most Gaussians.
+
+    Reads one row of each PLY. Scenes that need no origin stay as they are.
+    """
+    origins = [_origin_of(scene[0]) for scene in scenes]
+    if all(origin == origins[0] for origin in origins):
+        return [list(scene) for scene in scenes]
+    sizes = [sum(max(batch.count, 0) for batch in scene) for scene in scenes]
+    common = origins[max(range(len(sizes)), key=sizes.__getitem__)]
+    return [[replace(batch, origin=common) for batch in scene] for scene in scenes]
+
+
+def _origin_of(batch: Batch) -> tuple[float, float, float]:
+    """Return the origin of the scene of a batch; only of a PLY without reading it whole."""
+    if batch.kind == "file":
+        return (0.0, 0.0, 0.0)
+    with dropping_invalid(batch.drops_invalid, quiet=True):
+        first = replace(batch, count=1) if batch.kind == "rows" and batch.rows < 0 else batch
+        return read_batch(first).facts.origin
+
+
+def _counted(batches: list[Batch]) -> list[Batch]:
+    """Return batches of a PLY with the counts of valid rows; those without any are left out.
+
+    Raises:
+        FormatError: If no row is valid.
+    """
+    found, dropped = [], 0
+    for batch in batches:
+        with dropping_invalid(quiet=True):
+            try:
+                count = len(load_ply(batch.path, rows=(batch.start, batch.start + batch.count)))
+            except FormatError as error:
+                if error.got != NOTHING_LEFT:
+                    raise
+                count = 0
+        dropped += batch.count - count
+        if count:
+            found.append(replace(batch, count=count, rows=batch.count, drops_invalid=True))
+    total = sum(batch.count for batch in batches)
+    if not found:
+        raise FormatError(batches[0].path, "", "at least one valid row", NOTHING_LEFT)
+    if dropped and not is_dropping().quiet:
+        report_dropped(batches[0].path, dropped, total)
+    return found
 
 
 def read_batch(batch: Batch) -> Gaussians:
@@ -85,12 +147,19 @@ def read_batch(batch: Batch) -> Gaussians:
         FormatError: If the file is damaged, or is not the one that was listed.
         OSError: If it cannot be read.
     """
+    with dropping_invalid(batch.drops_invalid, quiet=batch.kind == "rows"):
+        found = _read(batch)
+    return found if batch.origin is None else found.with_origin(batch.origin)
+
+
+def _read(batch: Batch) -> Gaussians:
     if batch.kind == "file":
         return load_streamed_file(batch.path, batch.lod or 0, batch.start)
     if batch.kind == "whole":
         return load_scene(batch.path, batch.lod)
-    found = load_ply(batch.path, rows=(batch.start, batch.start + batch.count))
-    if len(found) != batch.count:
+    rows = batch.count if batch.rows < 0 else batch.rows
+    found = load_ply(batch.path, rows=(batch.start, batch.start + rows))
+    if len(found) != batch.count and batch.rows < 0:
         raise FormatError(batch.path, f"row {batch.start:,}", f"{batch.count:,} rows", f"{len(found):,}")
     return found
 
@@ -101,6 +170,8 @@ def _size_and_stamp(path: str | os.PathLike[str], *beside: str) -> tuple[int, st
     The images of a SOG lie beside its meta.json, so they count with it.
     """
     place = os.fspath(path)
+    if place.lower().endswith(".gltf"):
+        beside = (*beside, *sorted(glob.glob(os.path.join(glob.escape(os.path.dirname(place)), "*.bin"))))
     place = os.path.dirname(place) or os.curdir if place.lower().endswith(".json") else place
     files = sorted(entry.path for entry in os.scandir(place)) if os.path.isdir(place) else [place]
     found, others = [os.stat(file) for file in files], [os.stat(file) for file in beside]

@@ -31,6 +31,7 @@ import logging
 import os
 import pickle
 import pickletools
+import re
 import struct
 import zipfile
 from collections.abc import Mapping
@@ -43,9 +44,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.errors import FormatError
-from gsvis.files.limits import open_regular
-from gsvis.io._build import exp_scales, format_error, sh0_from_rgb, sigmoid
+from gsvis.files.limits import open_regular, read_whole
+from gsvis.io._build import exp_scales, format_error, gaussians_from, sh0_from_rgb, sigmoid
 from gsvis.io._table import join_names
+from gsvis.scene.facts import SceneFacts
 from gsvis.scene.gaussians import Gaussians
 
 __all__ = ["from_gsplat", "is_checkpoint", "load_checkpoint"]
@@ -56,6 +58,10 @@ _GEOMETRY = ("means", "scales", "quats", "opacities")
 _PREFIXES = ("module.", "_model.", "gauss_params.")
 _MOST_STRUCTURE = 512 << 10  # bytes of the pickle; checkpoints of both trainers have about 20 kB
 _KNOWN = "a checkpoint of gsplat ('splats') or of nerfstudio's splatfacto ('pipeline')"
+_CONFIGS, _MOST_CONFIG = ("cfg.yml", "cfg.yaml", "config.yml"), 1 << 20
+_ANTIALIASED = re.compile(
+    rb"^\s*(?:antialiased:\s*true|rasterize_mode:\s*(?:&\S+\s+)?['\"]?antialiased)\b", re.M | re.I
+)
 _DAMAGED = "is the file damaged, or still being written?"
 _STORAGES = {"FloatStorage": "f4", "DoubleStorage": "f8", "HalfStorage": "f2", "BFloat16Storage": "u2"}
 
@@ -86,6 +92,16 @@ def from_gsplat(splats: Mapping[str, ArrayLike]) -> Gaussians:
         ...              "sh0": [[[0, 0, 0]]]}).opacities
         array([0.5], dtype=float32)
     """
+    a = _activated(*_raw(splats))
+    return Gaussians(a["means"], a["quats"], a["scales"], a["opacities"], a["sh0"], a.get("shN"))
+
+
+def _raw(splats: Mapping[str, ArrayLike]) -> tuple[dict[str, Any], tuple[str, str]]:
+    """Return the raw arrays of the Gaussians, and the names of their colors.
+
+    Raises:
+        ValueError: If a key is missing.
+    """
     names = list(splats.keys())
     colors = ("features_dc", "features_rest") if "features_dc" in names else ("sh0", "shN")
     missing = [name for name in (*_GEOMETRY, colors[0]) if name not in names]
@@ -96,22 +112,25 @@ def from_gsplat(splats: Mapping[str, ArrayLike]) -> Gaussians:
     raw = {name: _check.plain(splats[name]) for name in (*_GEOMETRY, *colors) if name in names}
     if np.ndim(raw["opacities"]) == 2 and np.shape(raw["opacities"])[1] == 1:
         raw["opacities"] = np.reshape(raw["opacities"], -1)
-    log_scales = _check.floats("scales", raw["scales"], ("N", 3), finite=False)
-    logit_opacities = _check.floats("opacities", raw["opacities"], ("N",), finite=False)
-    higher = _check.floats(colors[1], raw[colors[1]], ("N", "K-1", 3)).copy() if colors[1] in raw else None
+    return raw, colors
+
+
+def _activated(raw: Mapping[str, Any], colors: tuple[str, str]) -> dict[str, F32]:
+    """Return the arrays of `Gaussians` of raw ones, copied; only shapes are checked."""
+    shapes: dict[str, tuple[str | int, ...]] = {
+        "means": ("N", 3), "quats": ("N", 4), "scales": ("N", 3), "opacities": ("N",)
+    }  # fmt: skip
+    found = {name: _check.floats(name, raw[name], shape, finite=False).copy() for name, shape in shapes.items()}
+    higher = None
+    if colors[1] in raw:
+        higher = _check.floats(colors[1], raw[colors[1]], ("N", "K-1", 3), finite=False).copy()
     if colors[0] == "sh0":
-        sh0 = _check.floats("sh0", raw["sh0"], ("N", 1, 3)).copy()
+        sh0 = _check.floats("sh0", raw["sh0"], ("N", 1, 3), finite=False).copy()
     else:
-        base = _check.floats("features_dc", raw["features_dc"], ("N", 3))
+        base = _check.floats("features_dc", raw["features_dc"], ("N", 3), finite=False)
         sh0 = base[:, None, :].copy() if higher is not None and higher.shape[1] else sh0_from_rgb(sigmoid(base))
-    return Gaussians(
-        _check.floats("means", raw["means"], ("N", 3)).copy(),
-        _check.floats("quats", raw["quats"], ("N", 4)).copy(),
-        exp_scales(log_scales),
-        sigmoid(logit_opacities),
-        sh0,
-        higher,
-    )
+    found |= {"scales": exp_scales(found["scales"]), "opacities": sigmoid(found["opacities"]), "sh0": sh0}
+    return found if higher is None else found | {"shN": higher}
 
 
 def is_checkpoint(path: str | os.PathLike[str]) -> bool:
@@ -142,7 +161,8 @@ def load_checkpoint(path: str | os.PathLike[str]) -> Gaussians:
             raw = _tensors(path, archive)
             if "means" in raw and np.shape(raw["means"])[:1] == (0,):
                 raise FormatError(path, "means", "at least one Gaussian", "none", "the file holds an empty scene")
-            return from_gsplat(raw)
+            facts = SceneFacts(antialiased=_is_antialiased(Path(path)))
+            return gaussians_from(path, **_activated(*_raw(raw)), facts=facts)
     except ValueError as error:
         raise format_error(path, error) from error
     except _BAD_ZIP as error:
@@ -151,6 +171,22 @@ def load_checkpoint(path: str | os.PathLike[str]) -> Gaussians:
         raise FormatError(
             path, "zip", "a complete checkpoint", str(error) or "the end of the file", _DAMAGED
         ) from error
+
+
+def _is_antialiased(path: Path) -> bool:
+    """Return whether the configuration beside says so: cfg.yml of gsplat, config.yml of nerfstudio.
+
+    It is searched as text: nothing in it is parsed or run.
+    """
+    for name in _CONFIGS:
+        for folder in (path.parent, path.parent.parent):
+            file = folder / name
+            try:
+                if file.is_file() and _ANTIALIASED.search(read_whole(file, _MOST_CONFIG)):
+                    return True
+            except (FormatError, OSError):
+                continue
+    return False
 
 
 def _warn_of_other_ranks(path: Path) -> None:

@@ -6,8 +6,7 @@ coefficient, channel by channel as in INRIA PLY). Older files have no color rang
 
 from __future__ import annotations
 
-from io import BufferedReader
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +15,7 @@ from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.io._build import exp_scales, gaussians_from, sh0_from_rgb
 from gsvis.io._kernels.spz import spread_8888, spread_111011, unpack_quats
+from gsvis.io._ply_comments import facts_of
 from gsvis.io._ply_header import Element, PlyHeader
 from gsvis.scene.gaussians import Gaussians
 
@@ -32,7 +32,7 @@ def is_compressed(header: PlyHeader) -> bool:
     return vertex is not None and any(name in vertex.properties for name in _VERTEX)
 
 
-def read_compressed(header: PlyHeader, stream: BufferedReader) -> Gaussians:
+def read_compressed(header: PlyHeader, stream: BinaryIO) -> Gaussians:
     """Decode a compressed PLY.
 
     Args:
@@ -68,9 +68,8 @@ def read_compressed(header: PlyHeader, stream: BufferedReader) -> Gaussians:
     table = (np.arange(1024, dtype=np.float32) / np.float32(1023.0) - 0.5) * np.float32(np.sqrt(2.0))
     unpack_quats(rotation, table, np.arange(4), np.ones(4, np.float32), quats)
     scales = exp_scales(log_scales, out=log_scales)
-    return gaussians_from(
-        header.path, means, quats, scales, opacities, sh0_from_rgb(rgb), _higher(header, vertex.count, stream)
-    )
+    higher, facts = _higher(header, vertex.count, stream), facts_of(header.comments)
+    return gaussians_from(header.path, means, quats, scales, opacities, sh0_from_rgb(rgb), higher, facts)
 
 
 def _ends(ranges: NDArray[Any], low: str, high: str, axes: str) -> tuple[F32, F32]:
@@ -91,7 +90,7 @@ def _require(header: PlyHeader, name: str, properties: tuple[str, ...], kind: st
     return element
 
 
-def _rows(header: PlyHeader, element: Element, stream: BufferedReader) -> NDArray[Any]:
+def _rows(header: PlyHeader, element: Element, stream: BinaryIO) -> NDArray[Any]:
     """Return all rows of an element."""
     row, offset = header.rows_of(element)
     stream.seek(offset)
@@ -103,7 +102,7 @@ def _rows(header: PlyHeader, element: Element, stream: BufferedReader) -> NDArra
     return rows.view(row)
 
 
-def _higher(header: PlyHeader, count: int, stream: BufferedReader) -> F32 | None:
+def _higher(header: PlyHeader, count: int, stream: BinaryIO) -> F32 | None:
     """Return (N, K-1, 3) coefficients of the optional `sh` element: bytes over [-4, 4], with exact ends."""
     sh = header.element("sh")
     if sh is None:

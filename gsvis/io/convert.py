@@ -1,20 +1,24 @@
 """Convert scenes as `gsvis convert` does: merge, crop, drop faint Gaussians, reduce the SH degree, place.
 
-Pure functions of scenes in their own frame; knows no file and no format.
+Functions of scenes in their own frame; they know no file and no format.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.errors import SceneError
+from gsvis.io._origin import place_scene
+from gsvis.io.losses import report_loss
+from gsvis.scene.facts import SceneFacts
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["AXES", "convert_scene", "merge_scenes", "rotation_about_axes", "rotation_between_axes"]
+__all__ = ["AXES", "convert_scene", "merge_scenes", "report_merge", "rotation_about_axes", "rotation_between_axes"]
 
 AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 """Names of the six directions along the axes."""
@@ -35,11 +39,12 @@ def convert_scene(
 
     The order is fixed: `crop`, `min_opacity` and `max_sh_degree` in the frame of `scene`, then `up`, `scale`, `rotate`
     and `translate`, each in the frame that the one before left. Shapes and view-dependent color follow the placement.
+    The placement is about the (0, 0, 0) of the scene's source and is composed in double precision.
 
     Args:
         scene: The scene; it is not modified.
-        crop: (2, 3) lowest and highest corner of a box in the frame of `scene`; keeps Gaussians whose center lies
-            in it, borders included. Infinite corners leave a side open.
+        crop: (2, 3) lowest and highest corner of a box in the coordinates of the scene's source; keeps Gaussians whose
+            center lies in it, borders included. Infinite corners leave a side open.
         min_opacity: Keep Gaussians of at least this opacity, in [0, 1].
         max_sh_degree: Drop higher degrees of the spherical harmonics, 0 to 3.
         up: The current up axis and the new one, such as `("-y", "+z")`. The scene rotates about the axis normal to
@@ -69,7 +74,8 @@ def convert_scene(
         box = _check.floats("crop", crop, (2, 3), np.float64, finite=False)
         if not (box[0] <= box[1]).all():  # also catches NaN
             raise ValueError(f"crop: expected a lowest corner below the highest, got {box.tolist()}")
-        kept &= ((scene.means >= box[0]) & (scene.means <= box[1])).all(axis=1)
+        places = scene.facts.to_source(scene.means) if any(scene.facts.origin) else scene.means
+        kept &= ((places >= box[0]) & (places <= box[1])).all(axis=1)
     if not kept.any():
         raise SceneError(
             f"convert: none of {len(scene):,} Gaussians is left by crop and min_opacity {min_opacity:g}; "
@@ -78,15 +84,25 @@ def convert_scene(
     result = scene if kept.all() else scene[kept]
     if result.sh_degree > max_sh_degree:
         higher = result.shN[:, : (max_sh_degree + 1) ** 2 - 1]
-        result = Gaussians(result.means, result.quats, result.scales, result.opacities, result.sh0, higher)
-    if scale == 1.0 and not shift.any() and np.array_equal(rotation, np.eye(3)):
-        return result
-    _check_reach(result, scale, shift)
-    return result.transform(rotation, shift, scale)
+        g = result
+        result = Gaussians(g.means, g.quats, g.scales, g.opacities, g.sh0, higher, facts=g.facts)
+    if scale != 1.0 or shift.any() or not np.array_equal(rotation, np.eye(3)):
+        _check_reach(result, scale, shift)
+        result = place_scene(result, rotation, shift, scale)
+    return result if up is None else result.with_facts(_with_up(result.facts, up[1], rotate))
+
+
+def _with_up(facts: SceneFacts, axis: str, rotate: ArrayLike) -> SceneFacts:
+    """Return facts that state the up axis that `up` of `convert_scene` made."""
+    x, y, z = (rotation_about_axes(rotate) @ _axis("up", axis) + 0.0).tolist()
+    return replace(facts, up=(x, y, z), up_source="convert --up")
 
 
 def merge_scenes(scenes: Sequence[Gaussians]) -> Gaussians:
     """Return one scene with the Gaussians of all, in their order, as they lie in one frame.
+
+    Scenes of different origins are brought to the origin of the largest one. Facts on which not all agree are dropped;
+    the log has a line for each that shows in images.
 
     Args:
         scenes: At least one. The highest SH degree wins; the coefficients of the others are padded with zeros.
@@ -96,7 +112,19 @@ def merge_scenes(scenes: Sequence[Gaussians]) -> Gaussians:
     """
     if len(scenes) == 0:
         raise ValueError("scenes: expected at least one, got none")
-    return scenes[0] if len(scenes) == 1 else Gaussians.concatenate(list(scenes))
+    if len(scenes) == 1:
+        return scenes[0]
+    report_merge([scene.facts for scene in scenes])
+    return Gaussians.concatenate(list(scenes))
+
+
+def report_merge(facts: Sequence[SceneFacts]) -> None:
+    """Log which facts of scenes a merged scene cannot state."""
+    if len({each.antialiased for each in facts}) > 1:
+        text = "some of the scenes are antialiased and some are not; the flag is lost"
+        report_loss("merged scene", "antialiased", text)
+    if len({each.up for each in facts}) > 1:
+        report_loss("merged scene", "up axis", "the scenes state different up axes, or some state none; it is lost")
 
 
 def rotation_about_axes(degrees: ArrayLike) -> NDArray[np.float64]:
@@ -178,5 +206,5 @@ def _extent(scene: Gaussians) -> str:
     """Return the extent of the centers and opacities of a scene, for an error message."""
     if len(scene) == 0:
         return "the scene was empty before"
-    low, high = (np.round(corner, 3).tolist() for corner in scene.bounds())
+    low, high = (np.round(scene.facts.to_source(corner), 3).tolist() for corner in scene.bounds())
     return f"98% of the centers lie in {low} to {high}, opacities reach {scene.opacities.max():.3g}"

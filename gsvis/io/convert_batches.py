@@ -8,13 +8,16 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
 from gsvis.errors import SceneError
-from gsvis.io.batches import Batch, read_batch
+from gsvis.io.batches import Batch, align_batches, read_batch
+from gsvis.io.convert import report_merge
 from gsvis.io.ply import save_ply_parts
 from gsvis.progress import Progress, silent
+from gsvis.scene.facts import SceneFacts
 from gsvis.scene.gaussians import Gaussians
 
 __all__ = ["Converted", "convert_batches"]
@@ -72,7 +75,9 @@ def convert_batches(
         )
     degree = max(survey.sh_degrees)
     written = min(degree, max_sh_degree)
-    save_ply_parts(_parts(scenes, degree, convert, progress), out, survey.gaussians, written)
+    parts = _parts(scenes, degree, convert, progress)
+    first = next(parts)  # there is one: the survey has counted it
+    save_ply_parts(chain([first], parts), out, survey.gaussians, written, first.facts)
     return replace(survey, sh_degree=written)
 
 
@@ -101,11 +106,24 @@ def _survey(scenes: Sequence[Sequence[Batch]], convert: Convert | None, progress
 
 def _parts(scenes: Sequence[Sequence[Batch]], degree: int, convert: Convert, progress: Progress) -> Iterator[Gaussians]:
     """Yield what is left of each batch."""
-    batches = [batch for scene in scenes for batch in scene]
+    aligned = align_batches(scenes)
+    batches = [batch for scene in aligned for batch in scene]
+    facts = _merged_facts(aligned) if len(scenes) > 1 else None
     progress("writing", 0, len(batches))
     for done, batch in enumerate(batches, 1):
-        yield from _converted(_padded(read_batch(batch), degree), convert)
+        part = _padded(read_batch(batch), degree)
+        yield from _converted(part if facts is None else part.with_facts(facts), convert)
         progress("writing", done, len(batches))
+
+
+def _merged_facts(scenes: Sequence[Sequence[Batch]]) -> SceneFacts:
+    """Return what the merged scene states, from the first batch of each scene."""
+    firsts = [
+        replace(scene[0], count=1) if scene[0].kind == "rows" and scene[0].rows < 0 else scene[0] for scene in scenes
+    ]
+    facts = [read_batch(batch).facts for batch in firsts]
+    report_merge(facts)
+    return SceneFacts.merge(facts)
 
 
 def _converted(part: Gaussians, convert: Convert) -> list[Gaussians]:
@@ -122,4 +140,5 @@ def _padded(part: Gaussians, degree: int) -> Gaussians:
     if not missing:
         return part
     higher = np.pad(part.shN, ((0, 0), (0, missing), (0, 0)))
-    return Gaussians(part.means, part.quats, part.scales, part.opacities, part.sh0, higher)
+    g = part
+    return Gaussians(g.means, g.quats, g.scales, g.opacities, g.sh0, higher, facts=g.facts)

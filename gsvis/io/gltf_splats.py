@@ -1,4 +1,4 @@
-"""Read Gaussians from binary glTF (`.glb`) with the extension KHR_gaussian_splatting, plain or SPZ-compressed.
+"""Read Gaussians from glTF (`.glb`, or `.gltf` with its buffers): KHR_gaussian_splatting, plain or SPZ-compressed.
 
 Scales and opacities in the file are activated and linear, quaternions xyzw, harmonics in the order of 3DGS. The
 transforms of nodes are applied, so the scene stands in glTF's frame: +y up, right-handed. Triangles, points without the
@@ -11,9 +11,9 @@ References:
 
 from __future__ import annotations
 
-import logging
 import os
 import struct
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,9 +23,13 @@ from gsvis.errors import FormatError
 from gsvis.files.fields import Fields, parse_object
 from gsvis.files.limits import Budget, read_whole
 from gsvis.io._build import LEAST_SCALE, bytes_of_scene, format_error, gaussians_from
+from gsvis.io._facts import KEY, facts_from_json
 from gsvis.io._gltf import LINEAR, SPLATS, SPZ, Accessors, sh_names
 from gsvis.io._gltf_nodes import Placed, place_meshes
+from gsvis.io._origin import place_scene, settle_origin
+from gsvis.io.losses import report_note
 from gsvis.io.spz import decode_spz
+from gsvis.scene.facts import SceneFacts
 from gsvis.scene.gaussians import Gaussians
 
 __all__ = ["MAGIC", "SPLATS", "SPZ", "load_gltf_splats"]
@@ -35,27 +39,31 @@ MAGIC = b"glTF"
 _HEAD, _CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
 _KNOWN = {SPLATS, SPZ, "KHR_mesh_quantization"}
 _TURN = np.diag([1.0, -1.0, -1.0])  # right-down-front, as SPZ is decoded, to what the stream holds
-_logger = logging.getLogger(__name__)
 
 
 def load_gltf_splats(path: str | os.PathLike[str]) -> Gaussians:
-    """Read the Gaussians of a binary glTF file, in the order of its nodes.
+    """Read the Gaussians of a glTF file, in the order of its nodes.
 
     Args:
-        path: The file. Its buffer is its own binary chunk.
+        path: A `.glb` whose buffer is its own binary chunk, or a `.gltf` whose buffers are files in its folder or text
+            in it.
 
     Returns:
-        The scene in the frame of glTF, +y up. A lower SH degree of a part is filled up with zeros.
+        The scene in the frame of glTF, +y up. A lower SH degree of a part is filled up with zeros. A node that stands
+        too far from (0, 0, 0) for float32 gives the scene its origin.
 
     Raises:
-        FormatError: If the file is no GLB of version 2, is damaged or truncated, holds no Gaussians, or needs an
+        FormatError: If the file is no glTF of version 2, is damaged or truncated, holds no Gaussians, or needs an
             extension, a kernel or a node transform that gsvis does not read.
         OSError: If it cannot be opened.
     """
     data = read_whole(path)
-    document, binary = _chunks(path, data)
+    packed = data[: len(MAGIC)] == MAGIC
+    document, binary = _chunks(path, data) if packed else (data, None)
     budget = Budget(path, len(data))
     root = parse_object(path, document, budget)
+    if not packed and "asset" not in root:
+        raise FormatError(path, "", "glTF, JSON with an asset", "JSON without one")
     required = root.items("extensionsRequired") if "extensionsRequired" in root else []
     strange = [str(name)[:60] for name in required if not isinstance(name, str) or name not in _KNOWN]
     if strange:
@@ -71,14 +79,28 @@ def load_gltf_splats(path: str | os.PathLike[str]) -> Gaussians:
     if not parts:
         remedy = "meshes and point clouds are no scene of Gaussians"
         raise FormatError(path, "", f"a mesh with the extension {SPLATS}", "none", remedy)
-    return parts[0] if len(parts) == 1 else Gaussians.concatenate(parts)
+    return _stated(root, parts[0] if len(parts) == 1 else Gaussians.concatenate(parts))
+
+
+def _stated(root: Fields, scene: Gaussians) -> Gaussians:
+    """Return the scene with what the file states of it: +y up, and the facts of gsvis in the extras of the asset."""
+    asset = root.raw("asset") if "asset" in root else None
+    extras = asset.get("extras") if isinstance(asset, dict) else None
+    stated = facts_from_json(extras.get(KEY) if isinstance(extras, dict) else None)
+    origin, own = scene.facts.origin, scene.facts
+    up = (stated.up, stated.up_source) if stated.up else ((0.0, 1.0, 0.0), "glTF")
+    flagged = own.antialiased or stated.antialiased
+    facts = replace(stated, origin=origin, up=up[0], up_source=up[1], antialiased=flagged)
+    if stated.box is not None:  # relative to the origin that the file states
+        facts = replace(replace(stated, box=stated.box).shift(origin), up=up[0], up_source=up[1], antialiased=flagged)
+    return settle_origin(scene.with_facts(facts), stated.origin if any(stated.origin) else None)
 
 
 def _put(path: str | os.PathLike[str], part: Gaussians, placed: Placed) -> Gaussians:
     """Return the Gaussians of a node where it stands."""
     try:
         with np.errstate(all="ignore"):  # what becomes infinite is refused
-            return part.transform(*placed)
+            return place_scene(part, *placed)
     except ValueError as error:
         raise format_error(path, error) from error
 
@@ -114,10 +136,12 @@ def _primitive(fields: Fields, accessors: Accessors, budget: Budget) -> Gaussian
     if "kernel" in splats:
         splats.text("kernel", ("ellipse",))
     if splats.raw("colorSpace") == LINEAR:
-        _logger.warning("%s: colors are linear, and are read as they are; they look darker", path)
+        report_note(path, "colors are linear, and are read as they are; they look darker")
     if "extensions" in splats and SPZ in splats.child("extensions"):
         where = splats.child("extensions").child(SPZ)
-        return decode_spz(path, bytes(accessors.view(where))).transform(_TURN)
+        decoded = decode_spz(path, bytes(accessors.view(where)))
+        flagged = SceneFacts(antialiased=decoded.facts.antialiased)  # the node says where the stream stands
+        return decoded.with_facts(flagged).transform(_TURN)
     attributes = fields.child("attributes")
     means = accessors.read(attributes, "POSITION", "VEC3")
     budget.claim(bytes_of_scene(len(means), 0), attributes.where("POSITION"))

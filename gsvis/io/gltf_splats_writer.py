@@ -15,6 +15,7 @@ import json
 import os
 import struct
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any, BinaryIO, Literal
 
 import numpy as np
@@ -23,8 +24,10 @@ from numpy.typing import NDArray
 from gsvis import _check
 from gsvis.files.atomic import atomic_path
 from gsvis.files.folders import GENERATOR
+from gsvis.io._facts import KEY, facts_to_json
 from gsvis.io._gltf import SPLATS, SPZ, SRGB, sh_names
 from gsvis.io.gltf_splats import MAGIC
+from gsvis.io.losses import report_loss
 from gsvis.io.spz import encode_old_spz
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.sh import SH_C0
@@ -78,23 +81,35 @@ def save_glb(
         OSError: If it cannot be written.
     """
     _check_scene(scene, compression)
+    if scene.facts.antialiased:
+        report_loss(path, "antialiased", "glTF has no flag for antialiased scenes; only gsvis reads its note")
     with atomic_path(path) as partial:
         with open(partial, "wb") as out:
-            _write(scene, out, upright, compression)
+            _write(scene, out, upright, compression, path)
         return partial.stat().st_size
 
 
 def encode_glb(
-    scene: Gaussians, *, upright: NDArray[np.float64] | None = None, compression: Compression = "none"
+    scene: Gaussians,
+    *,
+    upright: NDArray[np.float64] | None = None,
+    compression: Compression = "none",
+    path: str | os.PathLike[str] = "",
 ) -> bytes:
     """Return the bytes that `save_glb` writes.
+
+    Args:
+        scene: As for `save_glb`.
+        upright: As for `save_glb`.
+        compression: As for `save_glb`.
+        path: The file that will hold them, for the log.
 
     Raises:
         ValueError: As `save_glb`.
     """
     _check_scene(scene, compression)
     out = io.BytesIO()
-    _write(scene, out, upright, compression)
+    _write(scene, out, upright, compression, path)
     return out.getvalue()
 
 
@@ -106,17 +121,25 @@ def _check_scene(scene: Gaussians, compression: Compression) -> None:
         check_size(len(scene), scene.sh_degree)
 
 
-def _write(scene: Gaussians, out: BinaryIO, upright: NDArray[np.float64] | None, compression: Compression) -> None:
+def _write(
+    scene: Gaussians,
+    out: BinaryIO,
+    upright: NDArray[np.float64] | None,
+    compression: Compression,
+    path: str | os.PathLike[str],
+) -> None:
     matrix = np.eye(4) if upright is None else np.asarray(upright, np.float64)
-    document: dict[str, Any] = {"asset": {"version": "2.0", "generator": GENERATOR}}
+    document: dict[str, Any] = {"asset": {"version": "2.0", "generator": GENERATOR} | _extras(scene, matrix)}
     if compression == "spz":
-        packed = encode_old_spz(scene)
+        packed, scene = encode_old_spz(scene, path)
+        matrix = _with_origin(matrix, scene)
         chunks: Iterator[bytes] = iter((packed,))
         turned = matrix.copy()
         turned[:3, :3] = matrix[:3, :3] @ _TURN
         size = _describe_packed(document, scene, len(packed))
         _place(document, turned)
     else:
+        matrix = _with_origin(matrix, scene)
         chunks = (column.tobytes() for _, _, _, column in _columns(scene))
         size = _describe_plain(document, scene)
         _place(document, matrix)
@@ -128,6 +151,25 @@ def _write(scene: Gaussians, out: BinaryIO, upright: NDArray[np.float64] | None,
     for chunk in chunks:
         out.write(chunk)
     out.write(bytes(padding))
+
+
+def _with_origin(matrix: NDArray[np.float64], scene: Gaussians) -> NDArray[np.float64]:
+    """Return the matrix of a node that puts centers where they lie in the source: the node holds the origin."""
+    moved: NDArray[np.float64] = matrix.copy()
+    moved[:3, 3] += matrix[:3, :3] @ np.asarray(scene.facts.origin)
+    return moved
+
+
+def _extras(scene: Gaussians, matrix: NDArray[np.float64]) -> dict[str, Any]:
+    """Return the facts of the scene in the frame of glTF, for the asset; nothing if +y up says all."""
+    linear = matrix[:3, :3]
+    scale = float(np.cbrt(abs(np.linalg.det(linear))))
+    facts = scene.facts.transform(linear / scale, scale)
+    facts = facts.transform(np.eye(3), 1.0, matrix[:3, 3])
+    if facts.up is not None and np.allclose(facts.up, (0.0, 1.0, 0.0), atol=1e-6):
+        facts = replace(facts, up=None, up_source="")
+    found = facts_to_json(facts)
+    return {"extras": {KEY: found}} if found else {}
 
 
 def _columns(scene: Gaussians) -> Iterator[tuple[str, str, int, NDArray[np.generic]]]:

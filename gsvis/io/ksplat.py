@@ -11,10 +11,10 @@ References:
 
 from __future__ import annotations
 
-import logging
 import os
 import struct
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,6 +25,10 @@ from gsvis.errors import FormatError
 from gsvis.files.atomic import atomic_path
 from gsvis.files.limits import read_whole
 from gsvis.io._build import LEAST_SCALE, gaussians_from, sh0_from_rgb
+from gsvis.io._facts import parse_facts, spell_facts
+from gsvis.io._origin import settle_origin, size_of_gaussians
+from gsvis.io.losses import report_clipped, report_loss, report_note
+from gsvis.scene.facts import SceneFacts
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.sh import SH_C0
 
@@ -39,9 +43,11 @@ _COMPONENTS = (0, 9, 24)
 _RANGE = 32767  # steps from the center of a block to its side
 _HALF_RANGE = 1.5  # of SH in bytes, where the header has 0
 _BUCKET = 256
+_CORE, _STRETCHED = 0.9, 16.0  # share of the centers, and how much wider than them blocks may be laid out
 _BLOCKS = 8  # along the longest side of the middle 98%: a viewer searches buckets in turn, so they are few
+_COARSE = 0.25  # of a Gaussian's size: a step that may show
+_FACTS_AT, _FACTS = 256, b"gsvis facts "
 _LEAST_HALF, _MOST_HALF = 2.0**-24, 65504.0
-_logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -90,7 +96,9 @@ def load_ksplat(path: str | os.PathLike[str]) -> Gaussians:
     degree = max(section.degree for section in found if section.count)
     parts = [_decode(path, data, section, level, degree, limits) for section in found if section.count]
     means, quats, scales, opacities, sh0, higher = (_join(arrays) for arrays in zip(*parts, strict=True))
-    return gaussians_from(path, means, quats, scales, opacities, sh0, higher)
+    facts = _facts_in(data)
+    scene = gaussians_from(path, means, quats, scales, opacities, sh0, higher, facts)
+    return settle_origin(scene, facts.origin) if any(facts.origin) else scene
 
 
 def _parse_sections(path: str | os.PathLike[str], data: bytes, sections: int, level: int) -> list[_Section]:
@@ -201,10 +209,15 @@ def save_ksplat(scene: Gaussians, path: str | os.PathLike[str], *, compression: 
         raise ValueError("scene: expected at least one Gaussian, got none")
     target = _check.path("path", path)
     if scene.sh_degree > 2:
-        _logger.warning("%s: SH degree 3 is reduced to 2, the highest of .ksplat", target)
+        report_loss(target, "SH", "SH degree 3 is reduced to 2, the highest of .ksplat")
         lower = scene.shN[:, :8]
-        scene = Gaussians(scene.means, scene.quats, scene.scales, scene.opacities, scene.sh0, lower)
+        scene = Gaussians(scene.means, scene.quats, scene.scales, scene.opacities, scene.sh0, lower, facts=scene.facts)
+    _report(scene, target, compression)
     buckets = _sort_into_buckets(scene) if compression else None
+    step = 0.0 if buckets is None else buckets.block / 2.0 / _RANGE
+    size = size_of_gaussians(scene.scales)
+    if step > _COARSE * size:
+        report_loss(target, "centers", f"centers are rounded to steps of {step:.3g}; Gaussians have {size:.3g}")
     low, high = _sh_limits(scene.shN)
     records = _encode(scene if buckets is None else scene[buckets.order], compression, buckets, (low, high))
     n, head = len(scene), b""
@@ -216,10 +229,44 @@ def save_ksplat(scene: Gaussians, path: str | os.PathLike[str], *, compression: 
         fields = (n, n, _BUCKET, made, buckets.block, _CENTER_BYTES, _RANGE, stored & 0xFFFFFFFF, buckets.full,
                   made - buckets.full, scene.sh_degree)  # fmt: skip
     with atomic_path(target) as partial, open(partial, "wb") as out:
-        out.write(_HEADER.pack(0, 1, 1, 1, n, n, compression, 0.0, 0.0, 0.0, low, high).ljust(_HEADER_BYTES, b"\0"))
+        fixed = _HEADER.pack(0, 1, 1, 1, n, n, compression, 0.0, 0.0, 0.0, low, high)
+        out.write(_with_facts(fixed, scene.facts).ljust(_HEADER_BYTES, b"\0"))
         out.write(_SECTION.pack(*fields).ljust(_SECTION_BYTES, b"\0"))
         out.write(head)
         out.write(records.data)
+
+
+def _with_facts(header: bytes, facts: SceneFacts) -> bytes:
+    """Return the header with the facts in the part that the format leaves unused; as it is if nothing is known."""
+    found = spell_facts(facts).encode()
+    return header.ljust(_FACTS_AT, b"\0") + _FACTS + found + b"\0" if found else header
+
+
+def _facts_in(data: bytes) -> SceneFacts:
+    """Return the facts in the unused part of the header."""
+    room = data[_FACTS_AT:_HEADER_BYTES]
+    return parse_facts(room[len(_FACTS) :].split(b"\0", 1)[0]) if room.startswith(_FACTS) else SceneFacts()
+
+
+def _report(scene: Gaussians, path: Path, compression: int) -> None:
+    """Log what the format clips, and which facts other programs do not read."""
+    rgb = 0.5 + SH_C0 * scene.sh0[:, 0].astype(np.float64)
+    over = np.maximum(np.maximum(-rgb, rgb - 1.0), 0.0)
+    report_clipped(path, "colors", np.where(over > 0.5 / 255.0, over, 0.0), "0 to 1 of white", "of white")
+    if compression:
+        over = np.maximum(scene.scales.astype(np.float64) - _MOST_HALF, 0.0)
+        report_clipped(path, "scales", over, f"{_LEAST_HALF:.2g} to {_MOST_HALF:g}")
+        thin = int((scene.scales < 0.5 * _LEAST_HALF).any(axis=1).sum())
+        if thin:
+            text = f"scales below {_LEAST_HALF:.2g}, which {thin:,} Gaussians have, become {_LEAST_HALF:.2g}"
+            report_loss(path, "scales", text, thin)
+    if compression == 1:
+        over = np.maximum(np.abs(scene.shN.astype(np.float64)) - _MOST_HALF, 0.0)
+        report_clipped(path, "SH", over.reshape(len(scene), -1), f"{-_MOST_HALF:g} to {_MOST_HALF:g}")
+    if scene.facts.antialiased:
+        report_loss(path, "antialiased", "the format has no flag for antialiased scenes; only gsvis reads its note")
+    if any(scene.facts.origin):
+        report_note(path, "the origin is a note that gsvis reads; other programs see the scene at (0, 0, 0)")
 
 
 class _Buckets(NamedTuple):
@@ -237,6 +284,9 @@ class _Buckets(NamedTuple):
 
 def _sort_into_buckets(scene: Gaussians) -> _Buckets:
     low, high = scene.bounds()  # a grid from the corner of all centers would be as coarse as its floaters are far
+    core_low, core_high = scene.bounds(_CORE)
+    if (high - low).max() > _STRETCHED * (core_high - core_low).max() > 0.0:  # a few flyaways in a small scene
+        low, high = core_low, core_high
     side = float((high - low).max()) or _BLOCKS
     block = float(max(np.float32(side / _BLOCKS), np.finfo(np.float32).tiny))
     cells = np.floor((scene.means.astype(np.float64) - low) / block)

@@ -9,8 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from io import BufferedReader
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,23 +17,32 @@ from numpy.typing import NDArray
 from gsvis.errors import FormatError
 from gsvis.files.atomic import atomic_path
 from gsvis.files.limits import open_regular
-from gsvis.io._build import exp_scales, gaussians_from, logits, sigmoid
+from gsvis.io._build import LEAST_SCALE, exp_scales, gaussians_from, logits, sh0_from_rgb, sigmoid
+from gsvis.io._origin import choose_origin, sample_rows
+from gsvis.io._ply_columns import Columns, find_columns, refuse_other_kinds
+from gsvis.io._ply_comments import comments_of, facts_of
 from gsvis.io._ply_header import Element, PlyHeader, parse_header
-from gsvis.io._ply_rows import CHUNK_BYTES, row_chunks
+from gsvis.io._ply_rows import CHUNK_BYTES, read_rows, row_chunks
 from gsvis.io.compressed_ply import is_compressed, read_compressed
+from gsvis.io.losses import report_loss, report_note
+from gsvis.scene.facts import SceneFacts
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["load_ply", "ply_rows", "save_ply", "save_ply_parts"]
+__all__ = ["load_ply", "ply_rows", "read_ply", "save_ply", "save_ply_parts"]
 
+F32 = NDArray[np.float32]
 _MEANS = ("x", "y", "z")
 _SH0 = ("f_dc_0", "f_dc_1", "f_dc_2")
 _SCALES = ("scale_0", "scale_1", "scale_2")
 _QUATS = ("rot_0", "rot_1", "rot_2", "rot_3")
-_REQUIRED = (*_MEANS, *_SH0, "opacity", *_SCALES, *_QUATS)
+_SH_DEGREE = 3
 
 
 def load_ply(path: str | os.PathLike[str], *, rows: tuple[int, int] | None = None) -> Gaussians:
     """Read a PLY of Gaussians, plain or compressed (PlayCanvas).
+
+    Centers too far from (0, 0, 0) for float32 are kept relative to an origin, see `SceneFacts.origin`; the whole file
+    decides it, also where only some rows are read. The 3D filter of Mip-Splatting is fused.
 
     Args:
         path: The file.
@@ -48,13 +56,45 @@ def load_ply(path: str | os.PathLike[str], *, rows: tuple[int, int] | None = Non
         OSError: If it cannot be opened.
     """
     with open_regular(path) as stream:
-        header = parse_header(path, stream, os.fstat(stream.fileno()).st_size)
-        if is_compressed(header):
-            return read_compressed(header, stream)
-        return _read(header if rows is None else _cut(header, *rows), stream)
+        return read_ply(path, stream, os.fstat(stream.fileno()).st_size, rows=rows)
 
 
-def ply_rows(path: str | os.PathLike[str], stream: BufferedReader) -> tuple[int, int] | None:
+def read_ply(
+    path: str | os.PathLike[str], stream: BinaryIO, size: int, *, rows: tuple[int, int] | None = None
+) -> Gaussians:
+    """Read a PLY from a stream, as `load_ply`.
+
+    Args:
+        path: The file, for messages.
+        stream: Opened for bytes, at its start; it can seek.
+        size: Bytes in it.
+        rows: As for `load_ply`.
+
+    Raises:
+        FormatError: As `load_ply`.
+    """
+    header = parse_header(path, stream, size)
+    if is_compressed(header):
+        return read_compressed(header, stream)
+    vertex = header.element("vertex")
+    if vertex is None:
+        names = ", ".join(e.name for e in header.elements) or "none"
+        raise FormatError(header.path, "header", "an element named vertex", f"elements: {names}")
+    refuse_other_kinds(header, vertex)
+    header.rows_of(vertex)
+    columns = find_columns(header.path, vertex)
+    if vertex.count == 0:
+        raise FormatError(
+            header.path, "element vertex", "at least one Gaussian", "none", "the file holds an empty scene"
+        )
+    facts = _facts(header, vertex, columns, stream)
+    if rows is None or rows[0] == 0:
+        _report(header.path, columns, facts)
+    part = header if rows is None else _cut(header, *rows)
+    return _read(part, columns, facts, stream)
+
+
+def ply_rows(path: str | os.PathLike[str], stream: BinaryIO) -> tuple[int, int] | None:
     """Return the number of rows of a binary PLY of Gaussians and the bytes of each; None for other kinds of PLY.
 
     Args:
@@ -86,25 +126,56 @@ def _cut(header: PlyHeader, start: int, stop: int) -> PlyHeader:
     return replace(header, elements=tuple(some if each is vertex else each for each in header.elements))
 
 
-def _read(header: PlyHeader, stream: BufferedReader) -> Gaussians:
-    vertex = header.element("vertex")
-    if vertex is None:
-        names = ", ".join(e.name for e in header.elements) or "none"
-        raise FormatError(header.path, "header", "an element named vertex", f"elements: {names}")
-    _refuse_other_kinds(header, vertex)
-    header.rows_of(vertex)
-    higher = _higher_columns(header.path, vertex)
-    n = vertex.count
-    if n == 0:
-        raise FormatError(
-            header.path, "element vertex", "at least one Gaussian", "none", "the file holds an empty scene"
+def _facts(header: PlyHeader, vertex: Element, columns: Columns, stream: BinaryIO) -> SceneFacts:
+    """Return what the comments state, with the origin that the centers need."""
+    facts = facts_of(header.comments)
+    if columns.filter:  # Mip-Splatting always compensates opacities
+        facts = replace(facts, antialiased=True)
+    if any(facts.origin):
+        return facts
+    rows = read_rows(header, vertex, stream, sample_rows(vertex.count))
+    with np.errstate(all="ignore"):
+        means = np.stack([rows[name].astype(np.float64) for name in columns.means], axis=1)
+        scales = np.exp(np.stack([rows[name].astype(np.float64) for name in columns.scales], axis=1))
+    scales = np.pad(scales, ((0, 0), (0, 3 - scales.shape[1])))
+    return replace(facts, origin=choose_origin(means, scales, double=_is_double(vertex, columns)))
+
+
+def _is_double(vertex: Element, columns: Columns) -> bool:
+    """Return whether the file has more digits of the centers than float32."""
+    assert vertex.row is not None
+    return any(vertex.row[name].itemsize > 4 or vertex.row[name].kind in "iu" for name in columns.means)
+
+
+def _report(path: str, columns: Columns, facts: SceneFacts) -> None:
+    """Log what is not kept as the file has it."""
+    if columns.degree > _SH_DEGREE:
+        report_loss(path, "SH", f"SH degree {columns.degree} is reduced to {_SH_DEGREE}; gsvis keeps degrees 0 to 3")
+    if columns.filter:
+        report_note(
+            path, f"the 3D filter of Mip-Splatting ({columns.filter}) is fused into scales and opacities; antialiased"
         )
-    means, quats, scales = (np.empty((n, k), np.float32) for k in (3, 4, 3))
+    if any(facts.origin):
+        x, y, z = facts.origin
+        report_note(path, f"centers are kept relative to the origin ({x:.12g}, {y:.12g}, {z:.12g})")
+
+
+def _read(header: PlyHeader, columns: Columns, facts: SceneFacts, stream: BinaryIO) -> Gaussians:
+    vertex = header.element("vertex")
+    assert vertex is not None
+    n = vertex.count
+    means = np.empty((n, 3), np.float64 if any(facts.origin) else np.float32)
+    quats, scales = np.empty((n, 4), np.float32), np.empty((n, len(columns.scales)), np.float32)
     opacities = np.empty((n, 1), np.float32)
-    sh0, sh_rest = np.empty((n, 3), np.float32), np.empty((n, len(higher)), np.float32)
-    groups = [(means, _MEANS), (quats, _QUATS), (scales, _SCALES), (opacities, ("opacity",)), (sh0, _SH0)]
-    groups += [(sh_rest, higher)] if higher else []
-    gather = _Gather(vertex, [columns for _, columns in groups])
+    sh0, sh_rest = np.empty((n, 3), np.float32), np.empty((n, len(columns.higher)), np.float32)
+    filters = np.empty((n, 1 if columns.filter else 0), np.float32)
+    groups: list[tuple[NDArray[np.floating[Any]], tuple[str, ...]]] = [
+        (means, columns.means), (quats, columns.quats), (scales, columns.scales), (opacities, (columns.opacity,)),
+        (sh0, columns.sh0),
+    ]  # fmt: skip
+    groups += [(sh_rest, columns.higher)] if columns.higher else []
+    groups += [(filters, (columns.filter,))] if columns.filter else []
+    gather = _Gather(vertex, [names for _, names in groups])
     start = 0
     for rows in row_chunks(header, vertex, stream):
         stop = start + len(rows)
@@ -113,44 +184,42 @@ def _read(header: PlyHeader, stream: BufferedReader) -> Gaussians:
         exp_scales(scales[start:stop], out=scales[start:stop])
         sigmoid(opacities[start:stop], out=opacities[start:stop])
         start = stop
-    shN = sh_rest.reshape(n, -1, 3) if higher else None
-    return gaussians_from(header.path, means, quats, scales, opacities[:, 0], sh0[:, None, :], shN)
-
-
-def _refuse_other_kinds(header: PlyHeader, vertex: Element) -> None:
-    """Raise if the file is an ordinary PLY without Gaussians."""
-    have = set(vertex.properties)
-    if have & set(_REQUIRED) - set(_MEANS):
-        return
-    mesh = any(element.name in ("face", "tristrips") for element in header.elements)
-    if mesh or set(_MEANS) <= have:
-        kind = "a mesh" if mesh else "a point cloud"
-        expected = f"Gaussians ({', '.join(_REQUIRED)})"
-        remedy = f"this PLY is {kind}, not a trained scene"
-        raise FormatError(header.path, "element vertex", expected, f"{kind} ({', '.join(sorted(have))[:200]})", remedy)
-
-
-def _higher_columns(path: str, vertex: Element) -> tuple[str, ...]:
-    """Return the f_rest columns in the order of `shN`: coefficient by coefficient, red, green and blue together.
-
-    Raises:
-        FormatError: If a property is missing or the number of f_rest columns fits no SH degree.
-    """
-    have = set(vertex.properties)
-    missing = [name for name in _REQUIRED if name not in have]
-    if missing:
-        raise FormatError(path, "element vertex", f"properties {', '.join(_REQUIRED)}", f"no {', '.join(missing)}")
-    rest = sum(name.startswith("f_rest_") and name[7:].isdecimal() for name in have)
-    if rest not in (0, 9, 24, 45) or any(f"f_rest_{i}" not in have for i in range(rest)):
-        raise FormatError(
-            path, "element vertex", "0, 9, 24 or 45 properties f_rest_0, f_rest_1, ... (SH degree 0 to 3)", f"{rest}"
+    if any(facts.origin):
+        means -= np.asarray(facts.origin)
+    if columns.filter:
+        scales, opacities = _fuse(scales, opacities, filters)
+    if scales.shape[1] == 2:
+        scales = np.column_stack([scales, np.full(n, LEAST_SCALE, np.float32)])
+    color = sh0[:, None, :]
+    if columns.is_rgb:
+        color = sh0_from_rgb(sh0 / np.float32(255.0) if _is_bytes(vertex, columns) else sh0)
+    higher = sh_rest.reshape(n, -1, 3) if columns.higher else None
+    with np.errstate(all="ignore"):
+        return gaussians_from(
+            header.path, means.astype(np.float32, copy=False), quats, scales, opacities[:, 0], color, higher, facts
         )
-    per_channel = rest // 3
-    return tuple(f"f_rest_{channel * per_channel + k}" for k in range(per_channel) for channel in range(3))
+
+
+def _is_bytes(vertex: Element, columns: Columns) -> bool:
+    assert vertex.row is not None
+    return vertex.row[columns.sh0[0]].kind in "iu"
+
+
+def _fuse(scales: F32, opacities: F32, filters: F32) -> tuple[F32, F32]:
+    """Return scales and opacities with the 3D filter of Mip-Splatting in them.
+
+    References:
+        Yu et al., "Mip-Splatting: alias-free 3D Gaussian splatting", CVPR 2024, equation 9.
+    """
+    with np.errstate(all="ignore"):  # what is not finite is refused later
+        own = scales.astype(np.float64)
+        wide = np.sqrt(own * own + filters.astype(np.float64) ** 2)
+        share = np.prod(own / wide, axis=1, keepdims=True)
+        return wide.astype(np.float32), (opacities * share).astype(np.float32)
 
 
 class _Gather:
-    """Copy named columns of packed rows into a (rows, columns) float32 array.
+    """Copy named columns of packed rows into a (rows, columns) array of floats.
 
     Rows of float32 alone, as in nearly all files, need one indexed copy; others need one copy per column.
     """
@@ -162,8 +231,8 @@ class _Gather:
         place = {name: i for i, name in enumerate(vertex.properties)}
         self.indices = [np.array([place[name] for name in group]) for group in groups]
 
-    def __call__(self, rows: NDArray[Any], group: int, out: NDArray[np.float32]) -> None:
-        if self.uniform:
+    def __call__(self, rows: NDArray[Any], group: int, out: NDArray[np.floating[Any]]) -> None:
+        if self.uniform and out.dtype == np.float32:
             values = rows.view(np.float32).reshape(len(rows), -1)
             np.take(values, self.indices[group], axis=1, out=out, mode="clip")
             return
@@ -175,7 +244,8 @@ class _Gather:
 def save_ply(scene: Gaussians, path: str | os.PathLike[str]) -> None:
     """Write an INRIA PLY, binary little endian, in the property order of 3DGS, atomically.
 
-    Opacities 0 and 1 have no finite logit and are written as -120 and 40, which read back as 0 and 1.
+    Opacities 0 and 1 have no finite logit and are written as -120 and 40, which read back as 0 and 1. Facts of the
+    scene become comments. With an origin the centers are doubles in the coordinates of the source.
 
     Args:
         scene: The scene; its order and frame are kept.
@@ -184,10 +254,16 @@ def save_ply(scene: Gaussians, path: str | os.PathLike[str]) -> None:
     Raises:
         OSError: If it cannot be written.
     """
-    save_ply_parts([scene], path, len(scene), scene.sh_degree)
+    save_ply_parts([scene], path, len(scene), scene.sh_degree, scene.facts)
 
 
-def save_ply_parts(parts: Iterable[Gaussians], path: str | os.PathLike[str], count: int, sh_degree: int) -> None:
+def save_ply_parts(
+    parts: Iterable[Gaussians],
+    path: str | os.PathLike[str],
+    count: int,
+    sh_degree: int,
+    facts: SceneFacts | None = None,
+) -> None:
     """Write the parts of a scene one after the other, as `save_ply` writes the whole; memory holds one part.
 
     Args:
@@ -195,6 +271,7 @@ def save_ply_parts(parts: Iterable[Gaussians], path: str | os.PathLike[str], cou
         path: The file; its folder is created if missing.
         count: Gaussians of all parts.
         sh_degree: Highest SH degree of all parts.
+        facts: What the comments state; parts of another origin are brought to this one. None states nothing.
 
     Raises:
         ValueError: If the parts have other Gaussians than `count` says, or a higher degree.
@@ -203,8 +280,12 @@ def save_ply_parts(parts: Iterable[Gaussians], path: str | os.PathLike[str], cou
     k = (sh_degree + 1) ** 2 - 1
     rest = tuple(f"f_rest_{i}" for i in range(3 * k))
     names = (*_MEANS, "nx", "ny", "nz", *_SH0, *rest, "opacity", *_SCALES, *_QUATS)
+    stated = SceneFacts() if facts is None else facts
+    double = any(stated.origin)
     lines = [
-        "ply", "format binary_little_endian 1.0", f"element vertex {count}", *(f"property float {p}" for p in names)
+        "ply", "format binary_little_endian 1.0", *(f"comment {line}" for line in comments_of(stated)),
+        f"element vertex {count}",
+        *(f"property {'double' if double and p in _MEANS else 'float'} {p}" for p in names),
     ]  # fmt: skip
     left = count
     with atomic_path(path) as partial, open(partial, "wb") as stream:
@@ -214,10 +295,22 @@ def save_ply_parts(parts: Iterable[Gaussians], path: str | os.PathLike[str], cou
                 got = f"more, or SH degree {part.sh_degree}"
                 raise ValueError(f"parts: expected {count:,} Gaussians of SH degree {sh_degree}, got {got}")
             left -= len(part)
-            for table in _tables(part, names, k):
-                stream.write(table.data)
+            placed = part.with_origin(stated.origin)
+            start = 0
+            for table in _tables(placed, names, k):
+                some = slice(start, start + len(table))
+                stream.write(_with_doubles(placed, some, table) if double else table.data)
+                start = some.stop
         if left:
             raise ValueError(f"parts: expected {count:,} Gaussians, got {count - left:,}")
+
+
+def _with_doubles(scene: Gaussians, some: slice, table: F32) -> bytes:
+    """Return the bytes of rows whose centers are doubles in the coordinates of the source."""
+    rows = np.empty(len(table), np.dtype([("means", "<f8", (3,)), ("rest", "<f4", (table.shape[1] - 3,))]))
+    rows["means"] = scene.facts.to_source(scene.means[some])
+    rows["rest"] = table[:, 3:]
+    return rows.tobytes()
 
 
 def _tables(scene: Gaussians, names: tuple[str, ...], k: int) -> Iterator[NDArray[np.float32]]:

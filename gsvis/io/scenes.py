@@ -7,6 +7,7 @@ has its own module.
 from __future__ import annotations
 
 import errno
+import io
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -15,15 +16,18 @@ from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.files.fields import parse_object
 from gsvis.files.limits import open_regular, read_whole
+from gsvis.io._origin import settle_origin
 from gsvis.io._table import join_names
+from gsvis.io._wrapped import GZIP, HEAD, check_pointer, gunzip, peek_gzip
 from gsvis.io.checkpoint import is_checkpoint, load_checkpoint
 from gsvis.io.folders import scene_remedy
 from gsvis.io.gltf_splats import load_gltf_splats
+from gsvis.io.invalid import dropping_invalid, is_dropping
 from gsvis.io.ksplat import load_ksplat, save_ksplat
-from gsvis.io.ply import load_ply, save_ply
+from gsvis.io.ply import load_ply, read_ply, save_ply
 from gsvis.io.sog import load_sog
 from gsvis.io.sog_writer import save_sog
-from gsvis.io.splat import load_splat
+from gsvis.io.splat import decode_splat, load_splat
 from gsvis.io.spz import load_spz, save_spz
 from gsvis.io.streamed_sog import load_streamed_sog
 from gsvis.scene.gaussians import Gaussians
@@ -32,7 +36,7 @@ __all__ = ["WRITTEN", "check_scene", "is_gltf", "load_scene", "save_scene"]
 
 _KNOWN = (
     "a scene: PLY (.ply, .compressed.ply), .splat, .ksplat, SPZ (.spz), SOG (.sog or a folder with meta.json), "
-    "streamed SOG (lod-meta.json or its folder), glTF with Gaussians (.glb) "
+    "streamed SOG (lod-meta.json or its folder), glTF with Gaussians (.glb, .gltf) "
     "or a checkpoint of gsplat or nerfstudio (.pt, .ckpt)"
 )
 _READERS: dict[str, Callable[[str | os.PathLike[str]], Gaussians]] = {
@@ -42,7 +46,11 @@ _READERS: dict[str, Callable[[str | os.PathLike[str]], Gaussians]] = {
     ".spz": load_spz,
     ".sog": load_sog,
     ".glb": load_gltf_splats,
+    ".gltf": load_gltf_splats,
 }
+_PLACED = (load_splat, load_ksplat, load_gltf_splats, load_checkpoint)
+"""Readers of formats that hold centers as floats, which may lie too far from (0, 0, 0) for float32."""
+
 _WRITERS: dict[str, Callable[[Gaussians, str | os.PathLike[str]], None]] = {
     ".ply": save_ply,
     ".spz": save_spz,
@@ -52,7 +60,7 @@ _WRITERS: dict[str, Callable[[Gaussians, str | os.PathLike[str]], None]] = {
 WRITTEN = tuple(_WRITERS)
 """Suffixes of the formats that `save_scene` writes."""
 
-_MAGICS = {b"ply": ".ply", b"NGSP": ".spz", b"\x1f\x8b": ".spz", b"PK": ".sog", b"glTF": ".glb"}
+_MAGICS = {b"ply": ".ply", b"NGSP": ".spz", b"PK": ".sog", b"glTF": ".glb"}
 
 
 def check_scene(path: str | os.PathLike[str], lod: int | None = None) -> bool:
@@ -72,19 +80,23 @@ def check_scene(path: str | os.PathLike[str], lod: int | None = None) -> bool:
     return _find_reader(_check.path("path", path), lod) is None
 
 
-def load_scene(path: str | os.PathLike[str], lod: int | None = None) -> Gaussians:
+def load_scene(path: str | os.PathLike[str], lod: int | None = None, *, drop_invalid: bool | None = None) -> Gaussians:
     """Read a scene of 3D Gaussians in any known format.
 
     Args:
         path: An INRIA or compressed PLY, a `.splat`, a `.ksplat`, an SPZ (version 1 to 4), a SOG (`.sog`, `meta.json`
-            or its folder), a streamed SOG (`lod-meta.json` or its folder), binary glTF with Gaussians (`.glb`), or a
-            checkpoint of gsplat or of nerfstudio's splatfacto (`.pt`, `.ckpt`).
+            or its folder), a streamed SOG (`lod-meta.json` or its folder), glTF with Gaussians (`.glb`, or `.gltf` with
+            its `.bin`), or a checkpoint of gsplat or of nerfstudio's splatfacto (`.pt`, `.ckpt`). A PLY or a `.splat`
+            may be gzipped.
         lod: Level of detail of a streamed SOG, 0 the finest; None takes the finest present. Other formats have one
             level and need None.
+        drop_invalid: Leave out rows whose values are no numbers or out of range, with one line in the log; else they
+            are an error. None means an error, unless the call is inside `gsvis.io.invalid.dropping_invalid`.
 
     Returns:
         The scene, in the file's order and frame, activated. SPZ is rotated to the frame of the same scene's PLY; glTF
-        has +y up.
+        has +y up. What the file states besides is in `facts`; centers far from (0, 0, 0) are relative to
+        `facts.origin`.
 
     Raises:
         FileNotFoundError: If there is nothing at `path`.
@@ -92,8 +104,13 @@ def load_scene(path: str | os.PathLike[str], lod: int | None = None) -> Gaussian
         ValueError: If `lod` is not an integer >= 0, or is given for a format with one level.
     """
     where = _check.path("path", path)
-    reader = _find_reader(where, lod)
-    return load_streamed_sog(where, lod) if reader is None else reader(where)
+    choice = is_dropping()
+    with dropping_invalid(choice.drops if drop_invalid is None else drop_invalid, quiet=choice.quiet):
+        reader = _find_reader(where, lod)
+        if reader is None:
+            return load_streamed_sog(where, lod)
+        scene = reader(where)
+    return settle_origin(scene) if reader in _PLACED and not any(scene.facts.origin) else scene
 
 
 def is_gltf(path: str | os.PathLike[str]) -> bool:
@@ -108,6 +125,8 @@ def is_gltf(path: str | os.PathLike[str]) -> bool:
     where = _check.path("path", path)
     if not where.is_file():
         return False
+    if where.suffix.lower() == ".gltf":
+        return True
     with open_regular(where) as stream:
         return stream.read(4) == b"glTF"
 
@@ -116,6 +135,7 @@ def _find_reader(path: Path, lod: int | None) -> Callable[[str | os.PathLike[str
     """Return the reader for a path; None for a streamed SOG, which has LODs."""
     if not path.exists():
         raise FileNotFoundError(errno.ENOENT, "no scene file or folder here", str(path))
+    _check_content(path)
     if _is_streamed(path):
         return None
     reader = _reader(path)
@@ -151,6 +171,29 @@ def save_scene(scene: Gaussians, path: str | os.PathLike[str]) -> None:
     writer(scene, where)
 
 
+def _check_content(path: Path) -> None:
+    """Raise if a file, or the JSON of a folder, is a pointer of Git LFS or git-annex."""
+    files = [path] if path.is_file() else [path / name for name in ("lod-meta.json", "meta.json")]
+    for file in files:
+        if file.is_file():
+            with open_regular(file) as stream:
+                check_pointer(file, stream.read(HEAD))
+
+
+def _load_gzip(path: str | os.PathLike[str]) -> Gaussians:
+    """Read a gzipped scene: SPZ of version 1 to 3, PLY, or `.splat`."""
+    head, name = peek_gzip(path), os.fspath(path).lower()
+    if head.startswith(b"NGSP") or name.endswith(".spz"):
+        return load_spz(path)
+    if head.startswith(b"ply"):
+        data = gunzip(path)
+        return read_ply(path, io.BytesIO(data), len(data))
+    if name.removesuffix(".gz").endswith(".splat"):
+        return settle_origin(decode_splat(path, gunzip(path)))
+    got = f"a gzip of something that begins {head[:8]!r}"
+    raise FormatError(path, "", "a gzip of SPZ, PLY or .splat", got, "unpack it with gunzip, or tar -xzf")
+
+
 def _is_streamed(path: Path) -> bool:
     """Return whether this is a streamed SOG scene: by file name in a folder, by content otherwise."""
     if path.is_dir():
@@ -179,6 +222,8 @@ def _reader(path: Path) -> Callable[[str | os.PathLike[str]], Gaussians]:
         head = stream.read(8)
     if not head:
         raise FormatError(path, "", _KNOWN, "an empty file", "was the download or the export interrupted?")
+    if head.startswith(GZIP):
+        return _load_gzip
     for magic, suffix in _MAGICS.items():
         if head.startswith(magic):
             return load_checkpoint if magic == b"PK" and is_checkpoint(path) else _READERS[suffix]

@@ -7,6 +7,7 @@ components, the rest bytes into ranges (version 1) or codebooks (version 2); hig
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +17,18 @@ from gsvis.errors import FormatError
 from gsvis.files.fields import Fields, parse_object
 from gsvis.files.limits import Budget, inside, read_whole, safe_name
 from gsvis.io._build import bytes_of_scene, exp_scales, gaussians_from, largest_from_three, sigmoid
+from gsvis.io._facts import KEY, facts_from_json
+from gsvis.io._origin import settle_origin
 from gsvis.io._sog_files import FolderStore, Store, ZipStore
 from gsvis.io._webp import MAX_PIXELS, decode_plane, plane_size
+from gsvis.scene.facts import SceneFacts
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.symlog import from_symlog
 
-__all__ = ["SogMeta", "load_sog", "read_sog"]
+__all__ = ["ANTIALIASED", "SogMeta", "load_sog", "read_sog"]
+
+ANTIALIASED = "antialiased"
+"""Value of `model` in the metadata of an antialiased scene."""
 
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
@@ -88,6 +95,12 @@ class SogMeta:
         part = self.fields.child(key)
         return [safe_name(self.path, part.where("files"), name) for name in part.items("files", number)]
 
+    def facts(self) -> SceneFacts:
+        """Return what the file states of its scene: its model, as splat-transform writes it, and the facts of gsvis."""
+        stated = facts_from_json(self.fields.raw(KEY)) if KEY in self.fields else SceneFacts()
+        named = self.fields.raw("model") if "model" in self.fields else ""
+        return replace(stated, antialiased=True) if named == ANTIALIASED else stated
+
     def table(self, key: str, channels: int) -> F32:
         """Return the values of all bytes of a plane.
 
@@ -143,7 +156,9 @@ def read_sog(meta: SogMeta, store: Store, budget: Budget) -> Gaussians:
     else:
         sh0, opacities = _look_up(meta, "sh0", color[:, :3], 3), color[:, 3].astype(np.float32) / np.float32(255.0)
     higher = _higher(meta, store, budget) if "shN" in meta.files else None
-    return gaussians_from(store.path, means, quats, scales, opacities, sh0[:, None, :], higher)
+    facts = meta.facts()
+    scene = gaussians_from(store.path, means, quats, scales, opacities, sh0[:, None, :], higher, facts)
+    return settle_origin(scene, facts.origin) if any(facts.origin) else scene
 
 
 def _plane(meta: SogMeta, store: Store, budget: Budget, key: str, index: int = 0) -> U8:

@@ -16,17 +16,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.files.atomic import atomic_path
+from gsvis.io._facts import KEY, facts_to_json
+from gsvis.io._origin import size_of_gaussians
 from gsvis.io._quantize import codebook_of, nearest_entry, palette_of
 from gsvis.io._webp import MAX_PIXELS, encode_plane
+from gsvis.io.losses import report_loss, report_note
+from gsvis.io.sog import ANTIALIASED
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.symlog import symlog
 
-__all__ = ["encode_sog", "save_sog"]
+__all__ = ["encode_sog", "report_sog_losses", "save_sog"]
 
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
 _PALETTE_ROW = 64
 _MAX_PALETTE = 65536
+_COARSE = 0.25  # of a Gaussian's size: a step that may show
 
 
 def save_sog(scene: Gaussians, path: str | os.PathLike[str]) -> None:
@@ -41,6 +46,7 @@ def save_sog(scene: Gaussians, path: str | os.PathLike[str]) -> None:
         OSError: If it cannot be written.
     """
     files = encode_sog(scene)
+    report_sog_losses(scene, path)
     with atomic_path(path) as partial, zipfile.ZipFile(partial, "w", zipfile.ZIP_STORED) as archive:
         for name, data in files.items():
             archive.writestr(zipfile.ZipInfo(name), data)
@@ -61,6 +67,7 @@ def encode_sog(scene: Gaussians, *, palette: int = _MAX_PALETTE, digits: int | N
         raise ValueError(f"scene: expected 1 to {MAX_PIXELS:,} Gaussians for SOG, got {len(scene):,}")
     planes: dict[str, U8] = {}
     meta: dict[str, Any] = {"version": 2, "asset": {"generator": "gsvis"}, "count": len(scene)}
+    meta |= _facts(scene)
     meta["means"] = _means(scene, planes)
     planes["quats"] = _as_plane(_quats(scene.quats))
     meta["quats"] = {"files": ["quats.webp"]}
@@ -77,6 +84,25 @@ def encode_sog(scene: Gaussians, *, palette: int = _MAX_PALETTE, digits: int | N
         meta["shN"] = _higher(scene, planes, palette, digits)
     files = {f"{name}.webp": encode_plane(plane) for name, plane in planes.items()}
     return {**files, "meta.json": json.dumps(meta, separators=None if digits is None else (",", ":")).encode()}
+
+
+def _facts(scene: Gaussians) -> dict[str, Any]:
+    """Return what is known of the scene besides; empty if nothing is."""
+    found = facts_to_json(scene.facts)
+    if found.pop("antialiased", False):
+        return {"model": ANTIALIASED} | ({KEY: found} if found else {})
+    return {KEY: found} if found else {}
+
+
+def report_sog_losses(scene: Gaussians, path: str | os.PathLike[str]) -> None:
+    """Log what the format rounds visibly: centers far from (0, 0, 0), or spread too far; and a note of the origin."""
+    size = size_of_gaussians(scene.scales)
+    position = symlog(scene.means)
+    steps = (position.max(axis=0) - position.min(axis=0)) / 65535.0 * (1.0 + np.median(np.abs(scene.means), axis=0))
+    if float(steps.max()) > _COARSE * size:
+        report_loss(path, "centers", f"centers are rounded to steps of {steps.max():.3g}; Gaussians have {size:.3g}")
+    if any(scene.facts.origin):
+        report_note(path, "the origin is a note that gsvis reads; other programs see the scene at (0, 0, 0)")
 
 
 def _spelled(values: NDArray[np.floating[Any]], digits: int | None) -> list[float]:

@@ -15,7 +15,7 @@ from gsvis.files.limits import read_whole
 from gsvis.io._build import LEAST_SCALE, gaussians_from, sh0_from_rgb
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["load_splat"]
+__all__ = ["decode_splat", "load_splat"]
 
 _RECORD = np.dtype([("means", "<f4", 3), ("scales", "<f4", 3), ("rgba", "u1", 4), ("quats", "u1", 4)])
 
@@ -33,7 +33,19 @@ def load_splat(path: str | os.PathLike[str]) -> Gaussians:
         FormatError: If the size is no multiple of 32 bytes or a value is invalid.
         OSError: If it cannot be opened.
     """
-    data = read_whole(path)
+    return decode_splat(path, read_whole(path))
+
+
+def decode_splat(path: str | os.PathLike[str], data: bytes) -> Gaussians:
+    """Return the scene of the bytes of a `.splat` file.
+
+    Args:
+        path: The file that holds them, for error messages.
+        data: The bytes.
+
+    Raises:
+        FormatError: As `load_splat`.
+    """
     size = len(data)
     if size == 0 or size % _RECORD.itemsize:
         raise FormatError(

@@ -7,11 +7,10 @@ frame that the same scene has in a PLY, and back: half a turn about x.
 
 from __future__ import annotations
 
-import logging
 import os
 import struct
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import zstandard
@@ -22,7 +21,12 @@ from gsvis.errors import FormatError
 from gsvis.files.atomic import atomic_path
 from gsvis.files.limits import Budget, read_whole
 from gsvis.io._build import bytes_of_scene, exp_scales, gaussians_from, largest_from_three
+from gsvis.io._facts import parse_facts, spell_facts
 from gsvis.io._kernels.spz import look_up, unpack_fixed_points, unpack_higher, unpack_quats
+from gsvis.io._origin import settle_origin
+from gsvis.io._spz_range import COLOR_SCALE, fit_coordinates, report_spz_losses
+from gsvis.io.losses import report_loss, report_note
+from gsvis.scene.facts import SceneFacts
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.sh import rotation_of_sh
 
@@ -30,24 +34,26 @@ __all__ = ["decode_spz", "encode_old_spz", "load_spz", "save_spz"]
 
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
+_NOTHING_KNOWN = SceneFacts()
 _MAGIC = b"NGSP"
 _GZIP = b"\x1f\x8b"
 _HEADER = struct.Struct("<4sIIBBBB")
 _V4_REST = struct.Struct("<I12x")
 _COEFFICIENTS = (0, 3, 8, 15, 24)
-_HAS_EXTENSIONS = 0x2
-_COORDINATE_SYSTEM, _RUB = 0xADBE0003, 4
-_COLOR_SCALE = 0.15
+_ANTIALIASED, _HAS_EXTENSIONS = 0x1, 0x2
+_COORDINATE_SYSTEM, _FACTS = 0xADBE0003, 0x47530001
+_FRAMES = ("", "LDB", "RDB", "LUB", "RUB", "LDF", "RDF", "LUF", "RUF", "LBD", "RBD", "LBU", "RBU", "LFD", "RFD", "LFU",
+           "RFU")  # fmt: skip
+_MOST_EXTENSIONS = 1 << 16
 _COMPACT_FRACTION_BITS = 12
 _COMPACT_SH_BITS = (5, 4)  # of degree 1, and of all above; multiples of 8 and of 16 of the 256 codes, and 255
 _TURN = np.diag([1.0, -1.0, -1.0])  # right-up-back to right-down-front, its own inverse
 _SQRT_HALF = np.sqrt(0.5)
-_logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class _Header:
-    """Version, number of Gaussians, SH degree, fraction bits, and streams or table of contents."""
+    """Version, number of Gaussians, SH degree, fraction bits, flags, streams, and what extensions state."""
 
     version: int
     count: int
@@ -55,6 +61,8 @@ class _Header:
     fraction_bits: int
     flags: int
     streams: int
+    frame: str = ""
+    facts: SceneFacts = _NOTHING_KNOWN
 
     def sizes(self) -> dict[str, int]:
         """Return the bytes of each stream, in file order."""
@@ -78,7 +86,8 @@ def load_spz(path: str | os.PathLike[str]) -> Gaussians:
         path: The file.
 
     Returns:
-        The scene in the file's order, in the frame of a PLY (right-down-front).
+        The scene in the file's order, in the frame of a PLY (right-down-front). A file that states its frame states
+        its up axis; one that states another frame than right-up-back is turned or mirrored from it.
 
     Raises:
         FormatError: If the file is not SPZ, is truncated, or claims more than its size can hold.
@@ -138,7 +147,7 @@ def _read_gzip(path: str | os.PathLike[str], data: bytes, budget: Budget) -> tup
         needed = sum(header.sizes().values())
         body = inflate.decompress(inflate.unconsumed_tail, needed)
         if len(body) == needed and header.flags & _HAS_EXTENSIONS:
-            _check_extensions(path, inflate.decompress(inflate.unconsumed_tail, 1 << 16))
+            header = _extended(path, header, inflate.decompress(inflate.unconsumed_tail, _MOST_EXTENSIONS))
     except zlib.error as error:
         raise FormatError(path, "", "a gzip stream", str(error), "the file is damaged") from error
     if len(body) < needed:
@@ -164,7 +173,7 @@ def _read_zstd(path: str | os.PathLike[str], data: bytes, budget: Budget) -> tup
             f"{header.streams} streams from byte {contents:,}",
         )
     if header.flags & _HAS_EXTENSIONS:
-        _check_extensions(path, data[start:contents])
+        header = _extended(path, header, data[start : min(contents, start + _MOST_EXTENSIONS)])
     streams = {"sh": np.zeros(0, np.uint8)}
     for i, (name, size) in enumerate(sizes.items()):
         packed, unpacked = struct.unpack_from("<QQ", data, contents + 16 * i)
@@ -195,16 +204,50 @@ def _unzstd(path: str | os.PathLike[str], name: str, packed: bytes, size: int) -
     return np.frombuffer(data, np.uint8)
 
 
-def _check_extensions(path: str | os.PathLike[str], block: bytes) -> None:
-    """Raise on the one extension that changes the meaning of the data: a frame other than right-up-back."""
-    at = 0
+def _extended(path: str | os.PathLike[str], header: _Header, block: bytes) -> _Header:
+    """Return the header with what extensions state: the frame, and the facts that gsvis wrote; others are skipped."""
+    frame, facts, at = "", SceneFacts(), 0
     while at + 8 <= len(block):
         kind, length = struct.unpack_from("<II", block, at)
-        if kind == _COORDINATE_SYSTEM and length == 4 and at + 12 <= len(block):
-            (system,) = struct.unpack_from("<I", block, at + 8)
-            if system not in (0, _RUB):
-                raise FormatError(path, "extension", "the frame right-up-back", f"coordinate system {system}")
+        body = block[at + 8 : at + 8 + length]
+        if kind == _COORDINATE_SYSTEM and len(body) == length == 4:
+            (system,) = struct.unpack("<I", body)
+            if system >= len(_FRAMES):
+                expected = f"a coordinate system from 0 to {len(_FRAMES) - 1}"
+                raise FormatError(path, "extension", expected, f"coordinate system {system}")
+            frame = _FRAMES[system]
+        elif kind == _FACTS:
+            facts = parse_facts(body)
         at += 8 + length
+    return replace(header, frame=frame, facts=facts)
+
+
+def _stated(header: _Header) -> SceneFacts:
+    """Return what the file states of its scene; a stated frame, turned to that of a PLY, has -y up."""
+    facts = replace(header.facts, antialiased=bool(header.flags & _ANTIALIASED))
+    if facts.up is None and header.frame:
+        facts = replace(facts, up=(0.0, -1.0, 0.0), up_source=f"coordinate system {header.frame} of the SPZ")
+    return facts
+
+
+def _framed(scene: Gaussians, frame: str) -> Gaussians:
+    """Return a scene that was read as right-up-back, and that has another frame, in the frame of a PLY.
+
+    Letters name where x, y and z point. Half of the frames are mirror images of right-up-back.
+    """
+    axes = {"R": (1, 0, 0), "L": (-1, 0, 0), "D": (0, 1, 0), "U": (0, -1, 0), "F": (0, 0, 1), "B": (0, 0, -1)}
+    turn = np.array([axes[letter] for letter in frame], np.float64).T @ _TURN
+    if np.array_equal(turn, np.eye(3)):
+        return scene
+    facts, plain = scene.facts, scene.with_facts(SceneFacts())
+    if np.linalg.det(turn) > 0.0:
+        return plain.transform(turn).with_facts(facts)
+    flipped = plain.transform(-turn)  # and through (0, 0, 0): harmonics of odd degree change their sign
+    degrees = np.repeat(np.arange(1, scene.sh_degree + 1), [2 * d + 1 for d in range(1, scene.sh_degree + 1)])
+    odd = np.where(degrees % 2 == 1, -1.0, 1.0).astype(np.float32)[None, :, None]
+    return Gaussians(
+        -flipped.means, flipped.quats, flipped.scales, flipped.opacities, flipped.sh0, flipped.shN * odd, facts=facts
+    )
 
 
 def _decode(path: str | os.PathLike[str], header: _Header, streams: dict[str, U8]) -> Gaussians:
@@ -213,18 +256,21 @@ def _decode(path: str | os.PathLike[str], header: _Header, streams: dict[str, U8
     quats = _smallest_three(streams["rotations"]) if header.version >= 3 else _first_three(streams["rotations"])
     codes = np.arange(256, dtype=np.float32)
     scales = _look_up_bytes(streams["scales"], exp_scales(codes / 16.0 - 10.0), (n, 3))
-    sh0 = _look_up_bytes(streams["colors"], (codes / 255.0 - 0.5) / np.float32(_COLOR_SCALE), (n, 1, 3))
+    sh0 = _look_up_bytes(streams["colors"], (codes / 255.0 - 0.5) / np.float32(COLOR_SCALE), (n, 1, 3))
     opacities = _look_up_bytes(streams["alphas"], codes / np.float32(255.0), (n,))
     shN = None
     if degree:
         if degree == 4:
-            _logger.warning("%s: SH degree 4 is dropped; gsvis keeps degrees 0 to 3", path)
+            report_loss(path, "SH", "SH degree 4 is dropped; gsvis keeps degrees 0 to 3")
         signs = np.diag(rotation_of_sh(_TURN, min(degree, 3)))[1:].round().astype(np.float32)
         shN = np.empty((n, len(signs), 3), np.float32)
         unpack_higher(
             *_check.read_only(streams["sh"].reshape(n, -1)), np.repeat(signs / np.float32(128.0), 3), shN.reshape(n, -1)
         )
-    return gaussians_from(path, means, quats, scales, opacities, sh0, shN)
+    facts = _stated(header)
+    scene = gaussians_from(path, means, quats, scales, opacities, sh0, shN, facts)
+    scene = _framed(scene, header.frame) if header.frame else scene
+    return settle_origin(scene, facts.origin) if any(facts.origin) else scene
 
 
 def _positions(header: _Header, stream: U8) -> F32:
@@ -267,7 +313,10 @@ def save_spz(scene: Gaussians, path: str | os.PathLike[str], *, compact: bool = 
     """Write an SPZ file, version 4, atomically.
 
     Lossy: a byte per value, log-scales within [-10, 5.94] in steps of 1/16, SH within [-1, 1), constant color
-        within +-3.3. Coordinates have 24 bits, up to 16 of them fraction bits, as many as the extent allows.
+        within +-3.3. Coordinates have 24 bits, up to 16 of them fraction bits, more in a tiny scene, as many as the
+        extent allows. A few flyaways come closer, so that they do not cost the others their precision; a scene far
+        from (0, 0, 0) is written relative to an origin, which gsvis reads back. Each of these, and each property that
+        is clipped, is one line in the log (`gsvis.io.losses`).
 
     Args:
         scene: The scene, in the frame of a PLY (right-down-front); its order is kept.
@@ -279,43 +328,55 @@ def save_spz(scene: Gaussians, path: str | os.PathLike[str], *, compact: bool = 
         ValueError: If the scene is empty or extends beyond 2^23 units, which 24 bits cannot hold.
         OSError: If it cannot be written.
     """
-    fraction_bits = _fraction_bits(scene, _COMPACT_FRACTION_BITS if compact else 16)
-    streams = [_byte_stream(stream) for stream in _pack_streams(scene, fraction_bits, compact)]
+    fitted, fraction_bits = fit_coordinates(scene, _COMPACT_FRACTION_BITS if compact else 16, path)
+    report_spz_losses(fitted, path)
+    if any(scene.facts.origin):
+        report_note(path, "the origin is a note that gsvis reads; other programs see the scene at (0, 0, 0)")
+    streams = [_byte_stream(stream) for stream in _pack_streams(fitted, fraction_bits, compact)]
     packed = [zstandard.ZstdCompressor(level=12).compress(stream) for stream in streams]
-    contents = _HEADER.size + _V4_REST.size
+    extensions = _extensions(fitted.facts)
+    contents = _HEADER.size + _V4_REST.size + len(extensions)
+    flags = _flags(fitted.facts) | (_HAS_EXTENSIONS if extensions else 0)
     with atomic_path(path) as partial, open(partial, "wb") as out:
-        out.write(_HEADER.pack(_MAGIC, 4, len(scene), scene.sh_degree, fraction_bits, 0, len(streams)))
+        out.write(_HEADER.pack(_MAGIC, 4, len(scene), scene.sh_degree, fraction_bits, flags, len(streams)))
         out.write(_V4_REST.pack(contents))
+        out.write(extensions)
         for stream, data in zip(streams, packed, strict=True):
             out.write(struct.pack("<QQ", len(data), len(stream)))
         out.writelines(packed)
 
 
-def encode_old_spz(scene: Gaussians) -> bytes:
+def _flags(facts: SceneFacts) -> int:
+    return _ANTIALIASED if facts.antialiased else 0
+
+
+def _extensions(facts: SceneFacts) -> bytes:
+    """Return the extension with the facts that have no place in the header; empty if there are none."""
+    body = spell_facts(replace(facts, antialiased=False)).encode()
+    return struct.pack("<II", _FACTS, len(body)) + body if body else b""
+
+
+def encode_old_spz(scene: Gaussians, path: str | os.PathLike[str] = "") -> tuple[bytes, Gaussians]:
     """Return an SPZ file of version 3, one gzip stream, for readers that know no version 4. Rounds as `save_spz`.
 
     Args:
         scene: The scene, in the frame of a PLY (right-down-front); its order is kept.
+        path: The file that will hold it, for the log.
+
+    Returns:
+        The bytes, without facts but for the flag of antialiased scenes, and the scene as it was fitted into the range
+        of coordinates: its origin may be another one.
 
     Raises:
         ValueError: If the scene is empty or extends beyond 2^23 units.
     """
-    fraction_bits = _fraction_bits(scene, 16)
+    fitted, fraction_bits = fit_coordinates(scene, 16, path)
+    report_spz_losses(fitted, path)
     packer = zlib.compressobj(9, wbits=31)
-    head = _HEADER.pack(_MAGIC, 3, len(scene), scene.sh_degree, fraction_bits, 0, 0)
+    head = _HEADER.pack(_MAGIC, 3, len(scene), scene.sh_degree, fraction_bits, _flags(scene.facts), 0)
     parts = [packer.compress(head)]
-    parts += [packer.compress(_byte_stream(stream)) for stream in _pack_streams(scene, fraction_bits, compact=False)]
-    return b"".join([*parts, packer.flush()])
-
-
-def _fraction_bits(scene: Gaussians, most: int) -> int:
-    """Return how many of 24 bits of a coordinate lie behind the point; raise if the scene is empty or too large."""
-    if len(scene) == 0:
-        raise ValueError("scene: expected at least one Gaussian, got none")
-    reach = float(np.abs(scene.means).max())
-    if reach >= 2.0**23 - 1:
-        raise ValueError(f"scene: expected coordinates within 2^23 for SPZ, got {reach:g}; crop it or write a PLY")
-    return next(bits for bits in range(most, -1, -1) if reach * 2**bits < 2.0**23 - 1)
+    parts += [packer.compress(_byte_stream(stream)) for stream in _pack_streams(fitted, fraction_bits, compact=False)]
+    return b"".join([*parts, packer.flush()]), fitted
 
 
 def _pack_streams(scene: Gaussians, fraction_bits: int, compact: bool) -> list[NDArray[np.generic]]:
@@ -325,7 +386,7 @@ def _pack_streams(scene: Gaussians, fraction_bits: int, compact: bool) -> list[N
     streams: list[NDArray[np.generic]] = [
         fixed.reshape(-1, 1).view(np.uint8)[:, :3],
         _to_byte(scene.opacities * 255.0),
-        _to_byte(scene.sh0 * (_COLOR_SCALE * 255.0) + 127.5),
+        _to_byte(scene.sh0 * (COLOR_SCALE * 255.0) + 127.5),
         _to_byte((np.log(scene.scales.astype(np.float64)) + 10.0) * 16.0),
         _pack_smallest_three(xyzw),
     ]

@@ -106,6 +106,19 @@ class Gaussians:
         object.__setattr__(same, "facts", facts)
         return same
 
+    def with_origin(self, origin: ArrayLike) -> Gaussians:
+        """Return the same scene with centers relative to another origin, moved in double precision.
+
+        Args:
+            origin: (3,) the new origin, in the coordinates of the scene's source.
+        """
+        facts = self.facts.shift(origin)
+        if facts == self.facts:
+            return self
+        away = np.asarray(self.facts.origin) - np.asarray(facts.origin)
+        means = (self.means.astype(np.float64) + away).astype(np.float32)
+        return Gaussians(means, self.quats, self.scales, self.opacities, self.sh0, self.shN, facts=facts)
+
     @classmethod
     def empty(cls, sh_degree: int = 0) -> Gaussians:
         """Return a scene without Gaussians."""
@@ -116,18 +129,21 @@ class Gaussians:
     def concatenate(cls, parts: list[Gaussians]) -> Gaussians:
         """Return one scene with the Gaussians of several; lower SH degrees are padded with zeros.
 
-        Facts are kept where all agree on all of them.
+        Parts of different origins are brought to the origin of the largest one, and the facts on which all agree are
+        kept.
 
         Raises:
             ValueError: If `parts` is empty.
         """
         if not parts:
             raise ValueError("parts: expected at least one scene, got none")
+        origin = max(parts, key=len).facts.origin
+        parts = [part.with_origin(origin) for part in parts]
         width = max(part.shN.shape[1] for part in parts)
         higher = [np.pad(part.shN, ((0, 0), (0, width - part.shN.shape[1]), (0, 0))) for part in parts]
         joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _NAMES[:-1]}
-        agreed = parts[0].facts if all(part.facts == parts[0].facts for part in parts) else _NOTHING_KNOWN
-        return cls(**joined, shN=np.concatenate(higher), facts=agreed)
+        facts = SceneFacts.merge([part.facts for part in parts])
+        return cls(**joined, shN=np.concatenate(higher), facts=facts)
 
     def __len__(self) -> int:
         return len(self.means)
@@ -220,7 +236,7 @@ class Gaussians:
             self.opacities,
             self.sh0,
             np.einsum("ij,njc->nic", turn, self.shN) if turn.size else self.shN,
-            facts=self.facts.transform(r, scale),
+            facts=self.facts.transform(r, scale, t),
         )
 
 

@@ -148,7 +148,7 @@ def test_from_gsplat_takes_the_parameters_of_a_trainer_and_copies_them() -> None
         ({"sh0": None, "features": 1, "colors": 1}, "got no sh0 but .*; colors of an appearance module cannot be read"),
         ({"scales": np.zeros((7, 2))}, r"scales: expected shape \(N, 3\), got \(7, 2\)"),
         ({"scales": np.full((7, 3), np.nan)}, "scales: expected finite values"),
-        ({"quats": np.zeros((7, 4))}, "quats: expected non-zero quaternions"),
+        ({"quats": np.full((7, 4), np.inf)}, "quats: expected finite values"),
         ({"opacities": np.zeros((7, 2))}, r"opacities: expected shape \(N,\)"),
         ({"shN": np.zeros((7, 5, 3))}, "expected 1, 4, 9 or 16 coefficients"),
         ({"means": np.zeros((6, 3))}, "expected one length for all"),

@@ -198,7 +198,7 @@ SPLATS = (*MESH, "extensions", "KHR_gaussian_splatting")
         (_put(10**9, "accessors", 0, "count"), "bytes for 1,000,000,000 values"),
         (_put(3, "accessors", 2, "count"), "4 values"),
         (_put(5125, "accessors", 0, "componentType"), "8 or 16 bits"),
-        (_put("x.bin", "buffers", 0, "uri"), "pack it into one .glb"),
+        (_put("x.bin", "buffers", 0, "uri"), "pack both into one .glb"),
         (_put(10**9, "bufferViews", 0, "byteLength"), "from byte 0"),
         (_put(99, "accessors", 0, "bufferView"), "an integer from 0"),
         (_put([0, 0], "nodes", 0, "children"), "named twice"),

@@ -235,7 +235,7 @@ BAD = {
     "limits of SH": (changed(FILE, 36, "ff", 1.0, 1.0), "least SH coefficient below"),
     "limits without end": (changed(FILE, 40, "f", np.inf), "least SH coefficient below"),
     "center": (changed(FILE, SECTION + 1024 + 4, "f", np.nan), "means: expected finite"),
-    "rotation": (changed(FILE, len(FILE) - 10 * 33 + 12, "4e", 0, 0, 0, 0), "quats"),
+    "rotation": (changed(FILE, len(FILE) - 10 * 33 + 12, "4e", np.nan, 0, 0, 0), "quats"),
     "scale": (changed(FILE, len(FILE) - 10 * 33 + 6, "e", -1.0), "scales"),
     "end": (FILE[:-1], "section 0.*truncated"),
     "head": (FILE[:4000], "4,096 bytes, got 4,000"),

@@ -1,0 +1,88 @@
+"""Spell the facts of a scene as JSON, for the place that each format has for them, and read them back.
+
+Only facts that differ from the default are written, so files of ordinary scenes keep their bytes. What is damaged or
+unknown is left out, never an error: a note in a file must not keep anyone from its Gaussians.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from gsvis.scene.facts import SceneFacts
+
+__all__ = ["KEY", "facts_from_json", "facts_to_json", "parse_facts", "spell_facts"]
+
+KEY = "gsvis"
+"""Key of the facts in formats of JSON."""
+
+_MOST_TEXT = 2048
+_MOST_SOURCE = 120
+_DEFAULT = SceneFacts()
+
+
+def facts_to_json(facts: SceneFacts) -> dict[str, Any]:
+    """Return the facts that differ from the default, ready for JSON; empty if none does."""
+    names = [each.name for each in fields(SceneFacts)]
+    found = {name: getattr(facts, name) for name in names if getattr(facts, name) != getattr(_DEFAULT, name)}
+    if "up_source" in found:
+        found["up_source"] = found["up_source"][:_MOST_SOURCE]
+    return found
+
+
+def spell_facts(facts: SceneFacts) -> str:
+    """Return the facts as one line of ASCII JSON; empty if all are the default."""
+    found = facts_to_json(facts)
+    return json.dumps(found, separators=(",", ":"), allow_nan=False) if found else ""
+
+
+def parse_facts(text: str | bytes) -> SceneFacts:
+    """Return the facts of a text that `spell_facts` wrote; the default for any other text."""
+    if len(text) > _MOST_TEXT:
+        return _DEFAULT
+    try:
+        return facts_from_json(json.loads(text))
+    except (ValueError, RecursionError):
+        return _DEFAULT
+
+
+def facts_from_json(value: Any) -> SceneFacts:
+    """Return the facts of a JSON object; entries that are no valid facts are left out."""
+    if not isinstance(value, dict):
+        return _DEFAULT
+    origin, up, box, source = (value.get(name) for name in ("origin", "up", "box", "up_source"))
+    meters = _number(value.get("meters_per_unit"))
+    axis = _triple(up)
+    length = 0.0 if axis is None else float(np.linalg.norm(axis))
+    corners = [_triple(corner) for corner in box] if isinstance(box, list) and len(box) == 2 else [None, None]
+    low, high = corners
+    upright = axis is not None and abs(length - 1.0) < 1e-3
+    return SceneFacts(
+        origin=_triple(origin) or _DEFAULT.origin,
+        up=axis if upright else None,
+        up_source=source[:_MOST_SOURCE] if upright and isinstance(source, str) and source.isprintable() else "",
+        antialiased=value.get("antialiased") is True,
+        meters_per_unit=meters if meters is not None and meters > 0.0 else None,
+        box=(low, high) if low and high and all(a <= b for a, b in zip(low, high, strict=True)) else None,
+    )
+
+
+def _triple(value: Any) -> tuple[float, float, float] | None:
+    if not isinstance(value, list) or len(value) != 3:
+        return None
+    x, y, z = (_number(each) for each in value)
+    return None if x is None or y is None or z is None else (x, y, z)
+
+
+def _number(value: Any) -> float | None:
+    """Return a finite JSON number; None for anything else."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    try:
+        number = float(value)
+    except OverflowError:
+        return None
+    return number if abs(number) < 1e30 else None
