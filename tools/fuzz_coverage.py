@@ -13,7 +13,7 @@ from typing import Any
 
 APART = {
     "a writer": [
-        "gsvis.io.spz:_fraction_bits",
+        "gsvis.io._spz_range:_bits",
         "gsvis.stream.kept:_make",
         "gsvis.stream.wire:Token.to_bytes",
         "gsvis.files.mapped:ArrayFiles",

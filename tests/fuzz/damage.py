@@ -38,8 +38,8 @@ Damaged = dict[str, Case]
 def plys() -> Damaged:
     columns = raw_columns(scenes.SMALL)
     none = {name: values[:0] for name, values in columns.items()}
-    flat = {**columns, "scale_0": np.where(np.arange(12) == 3, -np.inf, columns["scale_0"])}
-    return {"no Gaussian": {"a.ply": ply_bytes(none)}, "a scale of 0": {"a.ply": ply_bytes(flat)}}
+    wide = {**columns, "scale_0": np.where(np.arange(12) == 3, np.inf, columns["scale_0"])}
+    return {"no Gaussian": {"a.ply": ply_bytes(none)}, "a scale without end": {"a.ply": ply_bytes(wide)}}
 
 
 def packed_plys() -> Damaged:
