@@ -13,7 +13,6 @@ from typing import Any
 
 APART = {
     "a writer": [
-        "gsvis.io._spz_range:_bits",
         "gsvis.stream.kept:_make",
         "gsvis.stream.wire:Token.to_bytes",
         "gsvis.files.mapped:ArrayFiles",
@@ -46,6 +45,11 @@ APART = {
         "gsvis.io.spz:_pack_smallest_three",
         "gsvis.io.spz:_pack_streams",
         "gsvis.io.spz:save_spz",
+        "gsvis.io.spz:_extensions",
+        "gsvis.io.spz:_flags",
+        "gsvis.io.ply:_with_doubles",
+        "gsvis.io.ksplat:_report",
+        "gsvis.io.ksplat:_with_facts",
         "gsvis.package.active_terms:_groups",
         "gsvis.package.active_terms:colors_hash",
         "gsvis.package.active_terms:sets_hash",
