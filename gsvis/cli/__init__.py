@@ -16,6 +16,8 @@ from importlib import import_module
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
+from gsvis.cli.help import overview
+
 if TYPE_CHECKING:
     from gsvis.cli.arguments import Command
 
@@ -23,34 +25,6 @@ __all__ = ["main"]
 
 _HOMES = {"unpack": "package", "verify": "package"}
 """Modules of commands that have none of their own name."""
-
-_ABOUT = """Ray-traced visibility for trained 3D Gaussian Splatting scenes, on the CPU.
-
-  gsvis inspect scene.ply                    what is in it, what looks wrong
-  gsvis analyze scene.ply -o report          visibility report with pictures
-  gsvis analyze builtin:two_rooms -o report  the same without a scene at hand
-  gsvis render scene.ply -o orbit.gif --orbit 36
-  gsvis pvs scene.ply -o scene.pvs           what can be seen from each cell
-  gsvis pvs-report scene.pvs scene.ply -o report
-  gsvis color scene.ply -o scene.arrow       color that can be sent in pieces
-  gsvis train photos -o scene.ply            photographs to a scene
-  gsvis levels scene.ply -o levels           smaller levels that share Gaussians
-  gsvis clean scene.ply -o clean.ply         without floaters and the unseen
-  gsvis convert scene.ply small.spz --min-opacity 0.02
-  gsvis convert house.ply garden.ply -o both.html
-  gsvis cut scene.ply -o walk.ply --path walk.csv   keep what a walk can see
-  gsvis paint scene.ply -o seen.ply --by visibility
-  gsvis prepare scene.ply -o scene.gsvis     a package that can be served
-  gsvis world a.ply b.ply -o city.gsworld    many packages, out of core
-  gsvis verify scene.gsvis                   is a package whole?
-  gsvis unpack scene.gsvis -o levels         a package back to PLYs
-  gsvis export scene.gsvis -o site           a site for any file server
-  gsvis space scene.ply -o walk.glb          where one can walk, as meshes
-  gsvis view scene.gsvis                     in the browser; any scene
-  gsvis serve scene.gsvis                    to viewers, over WebSockets
-  gsvis simulate scene.gsvis --path walk.csv --trace link.csv -o report
-
-gsvis COMMAND --help lists options; gsvis --version prints the version."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -70,9 +44,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         if arguments[:1] == ["--version"]:
             with _stdout():
                 sys.stdout.write(f"gsvis {version()}\n")
+        elif not arguments or arguments[0] in ("-h", "--help", "--help-all"):
+            with _stdout():
+                sys.stdout.write(overview())
         else:
             with _stdout():
-                command = parse(arguments or ["--help"])
+                command = parse(arguments)
             _run(command)
         with _stdout():
             sys.stdout.flush()
@@ -104,30 +81,44 @@ def parse(arguments: Sequence[str]) -> Command:
     import tyro
 
     from gsvis.cli.arguments import Command
+    from gsvis.cli.help import ALL
     from gsvis.cli.spelling import expand_home, misspelling, paths_first
 
     wrong = misspelling(arguments)
     if wrong is not None:
         raise SystemExit(_exit_with(f"error: {wrong}", 2))
+    if {"-h", "--help", ALL} & set(arguments[1:]):
+        _print_help(arguments[0], every=ALL in arguments)
     command: Command = tyro.cli(
-        _without_options(Command) if arguments[:1] in (["-h"], ["--help"]) else Command,
-        prog="gsvis",
-        description=_ABOUT,
-        args=_axes_as_values(paths_first(arguments)),
-        config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
+        Command, prog="gsvis", description="", args=_axes_as_values(paths_first(arguments)), config=_style()
     )
     return expand_home(command)
 
 
-def _without_options(commands: Any) -> Any:
-    """Return commands without their options. `gsvis --help` shows none, and tyro then takes half the time."""
-    from dataclasses import make_dataclass
-    from functools import reduce
-    from operator import or_
-    from typing import get_args
+def _style() -> tuple[Any, ...]:
+    from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes
 
-    bare = (make_dataclass(c.__name__, [], namespace={"__doc__": c.__doc__.split("\n")[0]}) for c in get_args(commands))
-    return reduce(or_, bare)
+    return FlagCreatePairsOff, OmitArgPrefixes
+
+
+def _print_help(name: str, *, every: bool) -> None:
+    """Print the options of a command, all or those that matter first, and how to see the others.
+
+    Raises:
+        SystemExit: Always, with the exit code 0.
+    """
+    import tyro
+
+    from gsvis.cli.help import ALL, find_command, short_help
+
+    kind = find_command(name)
+    assert kind is not None, "misspelling has refused unknown commands"
+    shown, others = (kind, 0) if every else short_help(kind)
+    try:
+        tyro.cli(shown, prog=f"gsvis {name}", args=["--help"], config=_style())
+    finally:
+        if others:
+            sys.stdout.write(f"{others} more {'option' if others == 1 else 'options'}: gsvis {name} {ALL}\n")
 
 
 def _axes_as_values(arguments: Sequence[str]) -> list[str]:

@@ -12,6 +12,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
+from gsvis.cli.help import command_name
+
 if TYPE_CHECKING:
     from gsvis.cli.arguments import Command
 
@@ -47,7 +49,7 @@ def misspelling(arguments: Sequence[str]) -> str | None:
     Args:
         arguments: Arguments of the command line, without the program's name.
     """
-    commands = {_kebab(kind.__name__): kind for kind in _kinds()}
+    commands = {command_name(kind): kind for kind in _kinds()}
     if not arguments or arguments[0] in ("-h", "--help"):
         return None
     name = arguments[0]
@@ -64,7 +66,7 @@ def misspelling(arguments: Sequence[str]) -> str | None:
         option = options.get(_hyphens(given))
         if option is None and f"-{_hyphens(given)}" in options:
             return f"gsvis {name} has no option {given}; did you mean -{_hyphens(given)}?"
-        if option is None and given.startswith("--") and given not in ("--help", "--debug"):
+        if option is None and given.startswith("--") and given not in ("--help", "--help-all", "--debug"):
             near = _suggestion(_hyphens(given), [each for each in options if each.startswith("--")])
             return f"gsvis {name} has no option {given[:80]}; {near or f'gsvis {name} --help lists its options'}"
         if option is not None and option.choices:
@@ -83,7 +85,7 @@ def paths_first(arguments: Sequence[str]) -> list[str]:
     """
     if arguments[:1] != ["convert"]:
         return list(arguments)
-    kind = next(kind for kind in _kinds() if _kebab(kind.__name__) == "convert")
+    kind = next(kind for kind in _kinds() if command_name(kind) == "convert")
     words = {name: option.words for option in _options(kind) for name in option.names}
     paths, options, rest = [], [], list(arguments[1:])
     while rest:
@@ -144,11 +146,6 @@ def _options(kind: type) -> Iterator[_Option]:
         counts = [extra.nargs for extra in extras if isinstance(getattr(extra, "nargs", None), int)]
         count = 0 if plain is bool else counts[0] if counts else 1
         yield _Option(each.name, names, choices, any(word.split()[0] in _PATHS for word in metavars), count)
-
-
-def _kebab(name: str) -> str:
-    """Return a class name as the name of a command: PvsReport -> pvs-report."""
-    return re.sub(r"(?<!^)(?=[A-Z])", "-", name).lower()
 
 
 def _hyphens(name: str) -> str:

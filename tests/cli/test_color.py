@@ -193,7 +193,7 @@ def test_wrong_arguments_exit_with_2_and_say_which(words: list[str], message: st
 
 
 def test_the_help_states_the_defaults_and_choices_of_the_library(capsys: Capture) -> None:
-    assert main(["color", "--help"]) == 0
+    assert main(["color", "--help-all"]) == 0
     text = " ".join(capsys.readouterr().out.split())
     assert "{" + ",".join(VARIANTS) + "}" in text
     assert "{" + ",".join(PRECISION_NAMES) + "}" in text

@@ -292,7 +292,7 @@ def test_nothing_held_out_is_nothing_measured(tmp_path: Path, capsys: Capture) -
 
 
 def test_the_help_states_the_defaults_of_the_library(capsys: Capture) -> None:
-    assert main(["levels", "--help"]) == 0
+    assert main(["levels", "--help-all"]) == 0
     text = " ".join(capsys.readouterr().out.replace("│", " ").split())
     usual = LevelsConfig()
     for values in (usual.shares, usual.reuse, usual.names):

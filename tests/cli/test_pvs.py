@@ -234,7 +234,7 @@ def test_scenes_that_cannot_serve_are_refused_with_a_remedy(
 
 
 def test_the_help_states_the_defaults_of_the_library(capsys: Capture) -> None:
-    assert main(["pvs", "--help"]) == 0
+    assert main(["pvs", "--help-all"]) == 0
     text = " ".join(capsys.readouterr().out.split())
     for value in (PvsConfig.size, f"{PvsConfig.limit:g}", PvsConfig.rays, PvsConfig.max_inner):
         assert f"(default: {value})" in text

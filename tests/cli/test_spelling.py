@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from gsvis.cli import main, parse
-from gsvis.cli.spelling import _kebab, _kinds, _options, expand_home, misspelling
+from gsvis.cli.help import command_name
+from gsvis.cli.spelling import _kinds, _options, expand_home, misspelling
 from gsvis.io import load_scene, save_scene
 from gsvis.io.poses import load_path, write_poses
 from gsvis.scene.paths import HeadPath
@@ -20,7 +21,7 @@ NOT_PATHS = {"up", "scheduler", "host", "hosts", "token", "name", "names", "clas
 
 
 def commands() -> list[tuple[str, type]]:
-    return [(_kebab(kind.__name__), kind) for kind in _kinds()]
+    return [(command_name(kind), kind) for kind in _kinds()]
 
 
 @pytest.mark.parametrize(

@@ -183,7 +183,7 @@ def test_wrong_arguments_exit_with_2_and_say_which(words: list[str], message: st
 
 
 def test_the_help_states_the_defaults_of_the_library(capsys: Capture) -> None:
-    assert main(["train", "--help"]) == 0
+    assert main(["train", "--help-all"]) == 0
     text = " ".join(capsys.readouterr().out.split())
     for value in (TrainConfig.iterations, TrainConfig.sh_degree, TrainConfig.evaluate_every, DensifyConfig.most_count):
         assert f"(default: {value})" in text

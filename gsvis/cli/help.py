@@ -1,0 +1,147 @@
+"""What `--help` shows: all commands in groups, and of one command the options that matter first.
+
+`gsvis COMMAND --help-all` shows every option. This module imports nothing heavy, so that help is quick.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import MISSING, field, fields, make_dataclass
+from typing import Any, get_args, get_type_hints
+
+__all__ = ["ALL", "FIRST", "GROUPS", "command_name", "find_command", "overview", "short_help"]
+
+ALL = "--help-all"
+"""The option that shows every option of a command."""
+
+GROUPS: dict[str, tuple[tuple[str, str], ...]] = {
+    "Look": (
+        ("view scene.ply", "in the browser; packages too"),
+        ("inspect scene.ply", "what is in it, what looks wrong"),
+        ("render scene.ply -o orbit.gif --orbit 36", "pictures"),
+    ),
+    "Edit": (
+        ("convert scene.ply small.spz", "formats; merge, crop, move"),
+        ("clean scene.ply -o clean.ply", "without floaters and the unseen"),
+        ("cut scene.ply -o walk.ply --path walk.csv", "keep what a walk can see"),
+        ("paint scene.ply -o seen.ply --by visibility", "color by visibility"),
+        ("train photos -o scene.ply", "photographs to a scene"),
+    ),
+    "Publish": (
+        ("prepare scene.ply -o scene.gsvis", "a package that can be streamed"),
+        ("serve scene.gsvis", "to viewers, over WebSockets"),
+        ("export scene.gsvis -o site", "a site for any file server"),
+        ("world a.ply b.ply -o city.gsworld", "many packages, out of core"),
+        ("space scene.ply -o walk.glb", "where one can walk, as meshes"),
+        ("verify scene.gsvis", "is a package whole?"),
+        ("unpack scene.gsvis -o levels", "a package back to PLYs"),
+    ),
+    "Study": (
+        ("analyze scene.ply -o report", "who sees what, from where"),
+        ("simulate scene.gsvis --path walk.csv -o out", "what a viewer sees on a link"),
+        ("pvs scene.ply -o scene.pvs", "what can be seen from each cell"),
+        ("pvs-report scene.pvs scene.ply -o report", "how good these sets are"),
+        ("levels scene.ply -o levels", "levels that share Gaussians"),
+        ("color scene.ply -o scene.arrow", "color that can be sent in pieces"),
+    ),
+}
+"""Examples of all commands, each with what it is for."""
+
+FIRST: dict[str, tuple[str, ...]] = {
+    "inspect": ("lod", "histograms", "box", "around", "path", "json"),
+    "analyze": ("out", "cameras", "views", "width", "lod", "box", "around", "path", "json"),
+    "render": ("out", "camera", "orbit", "eye", "target", "up", "width", "height", "fov", "lod"),
+    "pvs": ("out", "cells", "up", "box", "around", "path", "lod", "workers", "dry_run"),
+    "pvs-report": ("out", "cells", "viewpoints", "certify", "lod", "json"),
+    "color": ("out", "pvs", "variant", "mean_terms", "epsilon", "report", "active", "lod", "up", "json"),
+    "train": (
+        "out",
+        "images",
+        "size",
+        "downscale",
+        "iterations",
+        "sh_degree",
+        "max_gaussians",
+        "hold_out",
+        "overwrite",
+    ),
+    "levels": ("out", "shares", "iterations", "photos", "up", "box", "path", "lod", "json"),
+    "clean": ("out", "report", "select", "strength", "cameras", "up", "box", "path", "lod", "overwrite"),
+    "convert": (
+        "out",
+        "lod",
+        "crop",
+        "min_opacity",
+        "max_sh_degree",
+        "up",
+        "scale",
+        "rotate",
+        "translate",
+        "overwrite",
+    ),
+    "cut": ("out", "cameras", "path", "box", "around", "fov", "up", "lod", "min_psnr", "overwrite"),
+    "paint": ("out", "by", "pvs", "path", "box", "around", "up", "lod", "overwrite", "json"),
+    "prepare": ("out", "photos", "path", "box", "around", "up", "lod", "levels", "dry_run"),
+    "world": ("out", "lod", "tile", "far", "levels", "path", "up", "workers", "max_memory", "dry_run"),
+    "verify": ("scene", "lod", "json", "debug"),
+    "unpack": ("out", "sh_degree", "json", "debug"),
+    "export": ("out", "format", "leaf", "compression", "meters_per_unit", "name", "lod", "up", "overwrite", "json"),
+    "space": ("out", "box", "path", "up", "resolution", "frame", "meters_per_unit", "lod", "overwrite", "json"),
+    "view": ("lod", "up", "prepare", "port", "no_browser"),
+    "serve": ("host", "port", "token", "ssl_certfile", "ssl_keyfile", "origins", "clients", "processes", "cache"),
+    "simulate": ("out", "path", "trace", "mbit", "round_trip", "scene", "whole_file", "seconds", "policy", "json"),
+}
+"""Options of each command that its `--help` shows, at most ten, in this order of importance."""
+
+_WIDTH = 44  # columns of an example
+
+
+def overview() -> str:
+    """Return what `gsvis --help` prints: one sentence, all commands in groups, and where to read on."""
+    lines = [
+        "usage: gsvis COMMAND ...",
+        "",
+        "Stream trained 3D Gaussian Splatting scenes: what can be seen comes first.",
+    ]
+    for title, examples in GROUPS.items():
+        lines += ["", f"{title}:"]
+        lines += [f"  {example:<{_WIDTH}}{about}" for example, about in examples]
+    lines += [
+        "",
+        "builtin:two_rooms in place of scene.ply is a scene to try with.",
+        f"gsvis COMMAND --help lists the first options, {ALL} all of them.",
+        "gsvis --version prints the version.",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def short_help(kind: type) -> tuple[type, int]:
+    """Return a command with only the options that matter first, and the number of the others.
+
+    Args:
+        kind: The dataclass of a command. The result is for printing help alone.
+    """
+    from tyro import conf
+
+    hide: Any = conf.Suppress
+    shown = FIRST[command_name(kind)]
+    hints = get_type_hints(kind, include_extras=True)
+    hidden = [each for each in fields(kind) if each.name not in shown and each.default is not MISSING]
+    if not hidden:
+        return kind, 0
+    replaced = [(each.name, hide[hints[each.name]], field(default=each.default)) for each in hidden]
+    names = {"__doc__": kind.__doc__}
+    short = make_dataclass(kind.__name__, replaced, bases=(kind,), namespace=names, frozen=True, kw_only=True)
+    return short, len(hidden)
+
+
+def find_command(name: str) -> type | None:
+    """Return the dataclass of a command by its name; None if there is none."""
+    from gsvis.cli.arguments import Command
+
+    return next((kind for kind in get_args(Command) if command_name(kind) == name), None)
+
+
+def command_name(kind: type[Any]) -> str:
+    """Return the name of a command from that of its dataclass: PvsReport is pvs-report."""
+    return re.sub(r"(?<!^)(?=[A-Z])", "-", kind.__name__).lower()
