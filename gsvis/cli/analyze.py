@@ -12,14 +12,13 @@ import numpy as np
 from gsvis._extras import require
 from gsvis.cli import version
 from gsvis.cli.arguments import Analyze
+from gsvis.cli.shown import check_shown, load_shown
 from gsvis.cli.source import (
     check_report,
-    check_source,
     evenly,
     file_cameras,
     inspect_scene_of,
     is_builtin,
-    load_source,
 )
 from gsvis.cli.terminal import Status, facts, print_json, show
 from gsvis.cli.where import WORDS, check_where, find_place, space_document, spell, suspect_views
@@ -50,7 +49,7 @@ def run_analyze(command: Analyze) -> None:
         OSError: If the report cannot be written.
     """
     require("gsvis analyze", "matplotlib")
-    check_source(command.scene, command.lod)
+    check_shown(command.scene, command.lod)
     check_report(command.out)
     walk = check_where(command)
     given = _given_cameras(command)
@@ -75,7 +74,7 @@ def _write_report(
         tau=command.tau, traced_sample=command.traced_sample, rays_per_face=command.rays_per_face, seed=command.seed
     )
     status("reading", 0, 1)
-    source = load_source(command.scene, command.lod)
+    source = load_shown(command.scene, command.lod)
     g = source.gaussians
     if len(g) == 0:
         raise SceneError(f"{command.scene}: the scene has no Gaussian: there is nothing to see")

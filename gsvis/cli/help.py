@@ -18,7 +18,7 @@ GROUPS: dict[str, tuple[tuple[str, str], ...]] = {
     "Look": (
         ("view scene.ply", "in the browser; packages too"),
         ("inspect scene.ply", "what is in it, what looks wrong"),
-        ("render scene.ply -o orbit.gif --orbit 36", "pictures"),
+        ("render scene.ply -o orbit.gif --orbit 36", "pictures; packages too"),
     ),
     "Edit": (
         ("convert scene.ply small.spz", "formats; merge, crop, move"),

@@ -7,7 +7,8 @@ from typing import Any
 
 from gsvis.cli.arguments import Inspect
 from gsvis.cli.histograms import TITLES, band_lines, can_draw_blocks, histogram_lines, line_width
-from gsvis.cli.source import Source, inspect_scene_of, load_source
+from gsvis.cli.shown import load_shown
+from gsvis.cli.source import Source, inspect_scene_of
 from gsvis.cli.terminal import Status, facts, print_json, show, size_of
 from gsvis.cli.where import check_where, find_place, flyaway_remarks, space_document, suspect_views
 from gsvis.scene.histograms import Band, Histogram, measure_bands, measure_histograms
@@ -27,7 +28,7 @@ def run_inspect(command: Inspect) -> None:
     walk = check_where(command)
     with Status() as status:
         status("reading", 0, 1)
-        source = load_source(command.scene, command.lod)
+        source = load_shown(command.scene, command.lod)
         report = inspect_scene_of(source)
         status("reading", 1, 1)
         status("space", 0, 1)

@@ -13,7 +13,8 @@ from gsvis._check import plain
 from gsvis._extras import has, require
 from gsvis.cli.arguments import Render
 from gsvis.cli.pictures import Frame, Target, target_of, write_frames
-from gsvis.cli.source import Source, check_source, load_source
+from gsvis.cli.shown import check_shown, load_shown
+from gsvis.cli.source import Source
 from gsvis.cli.terminal import Status, facts, print_json, show
 from gsvis.cli.views import camera_count, check_buried, check_views, given_cameras, place_cameras
 from gsvis.cli.where import space_document
@@ -57,7 +58,7 @@ def run_render(command: Render) -> None:
     """
     if command.depth:
         require("gsvis render --depth", "matplotlib")
-    check_source(command.scene, command.lod)
+    check_shown(command.scene, command.lod)
     walk = check_views(command)
     backend = _backend(command.backend)
     given = given_cameras(command)
@@ -83,7 +84,7 @@ def _render(
 ) -> _Done:
     """Read the scene, render it and write the pictures; return the result."""
     status("reading", 0, 1)
-    source = load_source(command.scene, command.lod)
+    source = load_shown(command.scene, command.lod)
     if len(source.gaussians) == 0:
         raise SceneError(f"{command.scene}: the scene has no Gaussian: there is nothing to see")
     status("reading", 1, 1)

@@ -9,7 +9,7 @@ import gc
 import logging
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 __all__ = ["log_to_stderr", "run_serve"]
 
+_BARE = ("meta.json", "lod-meta.json", "levels.arrow")  # what folders of bare scenes hold
+
 
 def run_serve(command: Serve) -> None:
     """Open the packages and serve them.
@@ -36,6 +38,7 @@ def run_serve(command: Serve) -> None:
     from gsvis.serve import JsonLines, TextLines
     from gsvis.serve.processes import Child
 
+    _check_packages(command.package)
     child = Child.from_environment()
     number = None if child is None else child.number
     form = JsonLines(number) if command.log_format == "json" else TextLines(number)
@@ -44,6 +47,20 @@ def run_serve(command: Serve) -> None:
             _supervise(command)
         else:
             _serve(command, child)
+
+
+def _check_packages(paths: Sequence[str]) -> None:
+    """Raise if a path is a bare scene, which has to be prepared before it can be served.
+
+    Raises:
+        ValueError: If it is; the message names the commands for it.
+    """
+    for path in paths:
+        if Path(path).is_file() or any((Path(path) / name).is_file() for name in _BARE):
+            raise ValueError(
+                f"{path}: expected the folder of a package, got a scene; look at it with gsvis view {path},"
+                f" or make a package of it with gsvis prepare {path} -o {Path(path).stem.partition('.')[0]}.gsvis"
+            )
 
 
 def _serve(command: Serve, child: Child | None) -> None:
@@ -108,8 +125,11 @@ def _supervise(command: Serve) -> None:
 
 
 def _print_address(url: str, command: Serve) -> None:
+    from gsvis.serve.server import page_of
+
     names = [Path(path).resolve().name.partition(".")[0] or "scene" for path in command.package]
-    print_json({"format": "gsvis-serving", "version": 1, "url": url, "scenes": names})
+    pages = [page_of(url, name) for name in names]
+    print_json({"format": "gsvis-serving", "version": 1, "url": url, "scenes": names, "pages": pages})
     sys.stdout.flush()
 
 

@@ -35,7 +35,7 @@ from gsvis.serve.siblings import Siblings
 from gsvis.serve.turns import Readings
 from gsvis.serve.upkeep import LOOK_S, Upkeep
 
-__all__ = ["Address", "Server", "listen", "url_of"]
+__all__ = ["Address", "Server", "listen", "page_of", "url_of"]
 
 _LATE_S = 0.2
 _LOOKS = 4  # looks between two publications of what siblings read
@@ -139,15 +139,12 @@ class Server:
 
     def page(self, name: str) -> str:
         """Return the address of the viewer's page of a scene, for a browser on this machine."""
-        parts = urlsplit(self.url)
-        wild = {"0.0.0.0": "127.0.0.1", "[::]": "[::1]"}  # addresses to listen on that are none to go to
-        host = parts.netloc.rpartition(":")[0]
-        scheme = "https" if parts.scheme == "wss" else "http"
-        return f"{scheme}://{wild.get(host, host)}:{self.port}/view/{quote(name, safe='')}"
+        return page_of(self.url, name)
 
     def run(self) -> None:
         """Serve until SIGINT or SIGTERM, which it raises again at the end, or until `stop`."""
-        self._log("listening", url=self.url, token="needed" if self.config.token else "none")
+        page = self.page(next(iter(self._scenes)))
+        self._log("listening", url=self.url, page=page, token="needed" if self.config.token else "none")
         if self.config.token is None and not _is_loopback(self._socket.getsockname()[0]):
             self._log("open", logging.WARNING, why="everybody who reaches this address can stream: no token is set")
         try:
@@ -301,6 +298,20 @@ def _few_lines(clock: Clock) -> Iterator[None]:
     finally:
         for logger, few in filters:
             logger.removeFilter(few)
+
+
+def page_of(url: str, name: str) -> str:
+    """Return the address of the viewer's page of a scene, for a browser on this machine.
+
+    Args:
+        url: Address of the server for clients, as `url_of` returns it.
+        name: Name of the scene.
+    """
+    parts = urlsplit(url)
+    wild = {"0.0.0.0": "127.0.0.1", "[::]": "[::1]"}  # addresses to listen on that are none to go to
+    host = parts.netloc.rpartition(":")[0]
+    scheme = "https" if parts.scheme == "wss" else "http"
+    return f"{scheme}://{wild.get(host, host)}:{parts.port}/view/{quote(name, safe='')}"
 
 
 def url_of(address: Address, port: int) -> str:

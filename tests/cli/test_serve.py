@@ -80,6 +80,7 @@ def test_it_says_where_it_is_and_ends_well(package: Path) -> None:
         _, said = running.communicate(timeout=PATIENCE)
     assert running.returncode == 0
     assert "word-of-mouth" not in said
+    assert f"page=http://{url.removeprefix('ws://').partition('/')[0]}/view/room" in said
     for event in ("ready scene=room", "listening url=ws://127.0.0.1", "opened client=1", "closed client=1", "stopped"):
         assert event in said
     assert all(line[:4].isdecimal() and " INFO " in line for line in said.splitlines()), said
@@ -211,3 +212,16 @@ def test_the_garbage_collector_passes_over_what_stays(package: Path, monkeypatch
     assert main(["serve", str(package), "--port", "0"]) == 0
     assert frozen[0] > 10_000
     assert gc.get_freeze_count() == 0
+
+
+@pytest.mark.parametrize("name", ["scene.ply", "scan/meta.json", "scan/lod-meta.json", "levels/levels.arrow"])
+def test_a_bare_scene_is_answered_with_the_commands_for_it(
+    tmp_path: Path, failed: Callable[..., str], name: str
+) -> None:
+    file = tmp_path / name
+    file.parent.mkdir(exist_ok=True)
+    file.write_bytes(b"{}")
+    scene = file if file.parent == tmp_path else file.parent
+    said = failed(scene)
+    assert f"gsvis view {scene}" in said
+    assert f"gsvis prepare {scene}" in said

@@ -1,0 +1,52 @@
+"""Load what a command only shows: any scene, or a package as its levels with SH colors."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from gsvis.cli.source import Source, check_source, is_builtin, load_source, title_of
+
+__all__ = ["check_shown", "is_package", "load_shown"]
+
+
+def is_package(path: str) -> bool:
+    """Return whether a path is the folder of a package."""
+    from gsvis.package.manifest import MANIFEST
+
+    return not is_builtin(path) and (Path(path) / MANIFEST).is_file()
+
+
+def check_shown(scene: str, lod: int | None) -> None:
+    """Raise unless there is a scene or a package of that name and `lod` fits it.
+
+    Raises:
+        ValueError: If there is no built-in scene of that name, or `lod` is given for what has none.
+        FileNotFoundError: If there is no such file.
+    """
+    if lod is not None and is_package(scene):
+        raise ValueError(f"--lod: expected none for a package, got {lod}; its highest level is shown")
+    check_source(scene, lod)
+
+
+def load_shown(scene: str, lod: int | None) -> Source:
+    """Load a scene as `load_source` does, or a package.
+
+    A package gives its levels. Its colors are those that a viewer shows, fitted with SH.
+
+    Raises:
+        GsvisError: If the file cannot be read as a scene, or the package is damaged.
+        ValueError: If there is no built-in scene of that name, or `lod` is given for a package.
+        FileNotFoundError: If there is no such file.
+    """
+    check_shown(scene, lod)
+    if not is_package(scene):
+        return load_source(scene, lod)
+    from gsvis.package.package import Package
+    from gsvis.package.unpack import unpack_levels
+
+    with Package.open(scene) as package:
+        levels = unpack_levels(package)
+        up = np.array(package.manifest.info.up)
+    return Source(title_of(scene), levels.level(len(levels) - 1), Path(scene), levels=levels, known_up=up)

@@ -1,0 +1,51 @@
+"""Commands that only look take packages as they take scenes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsvis.cli import main
+from gsvis.cli.shown import is_package, load_shown
+from gsvis.package.package import Package
+from gsvis.package.unpack import unpack_levels
+from tests.stream.worlds import package_of
+
+Capture = pytest.CaptureFixture[str]
+
+
+@pytest.fixture(scope="module")
+def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("shown") / "room.gsvis"
+    package_of(folder, 2000, stores=False).close()
+    return folder
+
+
+def test_a_package_is_shown_as_what_unpack_writes_with_its_own_up(package: Path) -> None:
+    source = load_shown(str(package), None)
+    with Package.open(package) as opened:
+        levels = unpack_levels(opened)
+        up = opened.manifest.info.up
+    assert source.levels is not None
+    assert len(source.gaussians) == levels.counts[-1]
+    np.testing.assert_array_equal(source.union.means, levels.union.means)
+    assert source.known_up is not None
+    np.testing.assert_allclose(source.known_up, up)
+    assert is_package(str(package))
+    assert not is_package("builtin:two_rooms")
+
+
+def test_inspect_and_render_take_a_package(package: Path, tmp_path: Path, capsys: Capture) -> None:
+    assert main(["inspect", str(package), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["count"] == len(load_shown(str(package), None).gaussians)
+    picture = tmp_path / "room.png"
+    assert main(["render", str(package), "-o", str(picture), "--width", "32", "--height", "24"]) == 0
+    assert picture.stat().st_size > 0
+
+
+def test_a_package_has_no_lod(package: Path, capsys: Capture) -> None:
+    assert main(["inspect", str(package), "--lod", "1"]) == 2
+    assert "--lod: expected none for a package, got 1" in capsys.readouterr().err
