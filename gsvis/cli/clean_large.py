@@ -81,7 +81,7 @@ def clean_in_tiles(command: Clean, config: CleanConfig) -> None:
                 raise SceneError(f"{command.scene}: everything would go: nothing written; name fewer --classes")
             if command.out is not None:
                 status("writing", 0, 1)
-                save_ply_parts(found.parts(), command.out, found.kept, found.sh_degree)
+                save_ply_parts(found.parts(), command.out, found.kept, found.sh_degree, found.facts)
                 status("writing", 1, 1)
     if command.json:
         print_json(_document(command, found))

@@ -107,7 +107,7 @@ def _render(
     seconds = time.perf_counter() - start
     found = None
     if command.contributors is not None:
-        found = contributors(source.gaussians, cameras, command.contributors, antialiased=command.antialiased)
+        found = contributors(source.gaussians, cameras, command.contributors, antialiased=command.antialiased or None)
     return _Done(source, cameras, space, remarks, backend, seconds, depth_range, found)
 
 
@@ -126,7 +126,7 @@ def _frames(command: Render, g: Gaussians, cameras: Cameras, backend: str, statu
             backend=backend,
             background=command.background,
             sh_degree=command.sh_degree,
-            antialiased=command.antialiased,
+            antialiased=command.antialiased or g.facts.antialiased,
         )
         yield Frame(*(plain(part[0]) for part in (seen.images, seen.alphas, seen.depths)))
         status("rendering", i + 1, len(cameras))

@@ -84,7 +84,7 @@ class _Views:
         g = self.g
         lit = [*masks, *[np.zeros(len(g), bool)] * (3 - len(masks))]
         base = (np.stack(lit, axis=1)[:, None].astype(np.float32) - 0.5) / SH_C0
-        shown = Gaussians(g.means, g.quats, g.scales, g.opacities, base)
+        shown = Gaussians(g.means, g.quats, g.scales, g.opacities, base, facts=g.facts)
         return np.asarray(rasterize(shown, self.cameras, backend="cpu").images, np.float32)
 
 

@@ -20,9 +20,10 @@ from gsvis.edit.classes import CLASSES, HIDDEN, KEPT, CleanConfig, class_of
 from gsvis.edit.parcels import AROUND
 from gsvis.files.archive import load_arrays
 from gsvis.files.objects import ObjectStore
-from gsvis.io.batches import read_batch
+from gsvis.io.batches import facts_of_batches, read_batch
 from gsvis.progress import Progress, silent
 from gsvis.pvs.workers import Workers
+from gsvis.scene.facts import SceneFacts
 from gsvis.scene.gaussians import Gaussians
 from gsvis.world.build import WorldBuild
 from gsvis.world.config import WorldConfig
@@ -73,6 +74,11 @@ class LargeCleaning:
         """Yield the classes of the Gaussians of each batch, in the order of the scene; see `Cleaning.classes`."""
         for k in range(len(self.build.batches)):
             yield self._classes_of(k, read_batch(self.build.batches[k]))
+
+    @cached_property
+    def facts(self) -> SceneFacts:
+        """What is known of the scene besides its Gaussians."""
+        return facts_of_batches(self.build.batches)
 
     def parts(self) -> Iterator[Gaussians]:
         """Yield what stays of each batch, in the order of the scene."""

@@ -69,7 +69,7 @@ def paint(g: Gaussians, quantity: Quantity) -> Gaussians:
             f"quantity: expected {len(g):,} values, one for each Gaussian, got {len(quantity):,}; is it of this scene?"
         )
     sh0 = ((colors_of(quantity) - 0.5) / SH_C0).astype(np.float32)[:, None]
-    return Gaussians(g.means, g.quats, g.scales, g.opacities, sh0)
+    return Gaussians(g.means, g.quats, g.scales, g.opacities, sh0, facts=g.facts)
 
 
 def colors_of(quantity: Quantity) -> F64:

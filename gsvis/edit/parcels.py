@@ -109,7 +109,9 @@ def rows_near(parts: Iterable[Gaussians], square: Facts) -> Gaussians:
     near = Gaussians.concatenate([g[np.flatnonzero(near_tile(g.means, square, AROUND))[::every]] for g in parts])
     if every == 1:
         return near
-    return Gaussians(near.means, near.quats, near.scales * every**0.5, near.opacities, near.sh0, near.shN)
+    return Gaussians(
+        near.means, near.quats, near.scales * every**0.5, near.opacities, near.sh0, near.shN, facts=near.facts
+    )
 
 
 def indoors(space: NavigableSpace) -> Mask:

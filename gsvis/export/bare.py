@@ -109,7 +109,8 @@ def encode_scene(levels: Levels) -> BareScene:
     union = levels.union
     order = PackageOrder.from_levels(levels)
     ids = order.permutation
-    g = Gaussians(union.means[ids], union.quats[ids], union.scales[ids], union.opacities[ids], union.sh0[ids])
+    some = union[ids]
+    g = Gaussians(some.means, some.quats, some.scales, some.opacities, some.sh0, facts=union.facts)
     layout = RecordLayout.from_variant("rgb")
     table = build_chunks(g, layout, starts=order.chunks, lattices=order.lattices)
     heads = ids[table.starts[:-1]]

@@ -59,7 +59,7 @@ def in_order(contents: Contents, ids: I64) -> Contents:
     rows = np.repeat(contents.term_offsets[ids] - before, counts) + np.arange(len(contents.term_records))
     return Contents(
         contents.names, contents.table, contents.chunk_levels, contents.records[ids], counts,
-        contents.term_records[rows], contents.grids, contents.starts,
+        contents.term_records[rows], contents.grids, contents.starts, contents.facts,
     )  # fmt: skip
 
 

@@ -208,6 +208,7 @@ class _Parts:
     up: tuple[float, ...] = (0.0, 0.0, 1.0)
     meters_per_unit: float = 0.0
     poses: tuple[Start, ...] = ()
+    antialiased: bool = False
 
 
 def _package_parts(package: Package, options: StaticOptions, progress: Progress) -> _Parts:
@@ -238,6 +239,7 @@ def _package_parts(package: Package, options: StaticOptions, progress: Progress)
     return _Parts(
         blocks, cells, data, manifest.grids, levels, len(table), manifest.terms, None, spheres, coding, g.bounds(0.9),
         manifest.info.up, manifest.info.meters_per_unit, tuple(Start.from_dict(view) for view in manifest.views),
+        manifest.info.facts.antialiased,
     )  # fmt: skip
 
 
@@ -272,7 +274,10 @@ def _bare_parts(scene: Levels | Gaussians, progress: Progress) -> _Parts:
         data["harmonics"] = harmonics.encode(levels.union.shN, ids)
     counts = tuple(zip(levels.names, levels.counts, strict=True))
     said = None if harmonics is None else harmonics.as_dict()
-    return _Parts(blocks, cells, data, found.grids, counts, len(found.table), 0, said, spheres, None, g.bounds(0.9))
+    return _Parts(
+        blocks, cells, data, found.grids, counts, len(found.table), 0, said, spheres, None, g.bounds(0.9),
+        antialiased=g.facts.antialiased,
+    )  # fmt: skip
 
 
 def _keep(folder: Path, kind: str, data: Any) -> StaticFile:
@@ -304,9 +309,11 @@ def _document(parts: _Parts, files: dict[str, StaticFile], options: StaticOption
     named = [files[kind].sha256 for kind in sorted(files)]
     poses = parts.poses or start_poses(parts.bounds, grid, up) if options.poses is None else options.poses
     spelled = json.dumps([named, asdict(parts.grids), parts.levels, parts.harmonics], sort_keys=True)
+    drawn = {"antialiased": True} if parts.antialiased else {}
     return {
         "format": FORMAT,
         "version": VERSION,
+        **drawn,
         "name": options.name,
         "gaussians": int(parts.blocks.starts[-1]),
         "terms": parts.terms,

@@ -25,7 +25,8 @@ from gsvis.export.needs import LOST, find_needs
 from gsvis.export.tileset import DOCUMENT, Volumes, find_volumes, tileset_document
 from gsvis.files.atomic import atomic_folder
 from gsvis.files.folders import check_replaceable, remove_earlier
-from gsvis.io.gltf_splats_writer import Compression, check_size, encode_glb, save_glb
+from gsvis.io.gltf_splats_writer import Compression, check_size, encode_glb, report_antialiased, save_glb
+from gsvis.io.spz import report_spz_losses
 from gsvis.package.package import Package
 from gsvis.progress import Progress, silent
 from gsvis.pvs.store import VisibilityStore
@@ -214,6 +215,7 @@ def write_tiles(
         needs = find_needs(leaves, store, lost=said.lost, progress=progress)
         volumes = find_volumes(needs)
     upright = upright_matrix(np.asarray(_up(said, known, store), np.float64))
+    _report_losses(levels.union, target, said.compression)
     skipped = None if volumes is None else ~volumes.needed
     files = _TileFiles(leaves, upright, said.compression, skipped)
     with atomic_folder(target, last=(DOCUMENT,)) as partial:
@@ -241,6 +243,14 @@ def write_tiles(
         dropped=drop,
         nbytes=files.nbytes + len(text),
     )
+
+
+def _report_losses(g: Gaussians, target: Path, compression: Compression) -> None:
+    """Log what contents of all tiles together cannot say."""
+    if compression == "spz":
+        report_spz_losses(g, target)
+    if g.facts.antialiased:
+        report_antialiased(target)
 
 
 class _TileFiles:

@@ -102,6 +102,8 @@ def tileset_document(
 ) -> dict[str, Any]:
     """Return the content of `tileset.json`.
 
+    Boxes lie where the scene lies in its source, as contents do: their nodes hold the origin.
+
     Inner tiles have no content. A leaf is a chain of tiles, its coarsest level first, each replaced by the next.
 
     Args:
@@ -114,6 +116,7 @@ def tileset_document(
         packed: Whether contents are SPZ-compressed.
     """
     turn = _FROM_GLTF @ upright
+    origin = np.asarray(leaves.levels.union.facts.origin)
     boxes = leaves.boxes(DEVIATIONS)
     whole = np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
     widest = float(np.linalg.norm(whole[1] - whole[0]))
@@ -127,13 +130,13 @@ def tileset_document(
             if (lod, leaf) not in contents:
                 continue
             error = 0.0 if made is None else float(errors[lod, leaf])
-            tile = _tile(turn, boxes[leaf], error)
+            tile = _tile(turn, boxes[leaf] + origin, error)
             tile["content"] = {"uri": contents[lod, leaf]}
             if made is not None:
                 tile["children"] = [made]
             made = tile
         if made is not None and volumes is not None and volumes.bounded[leaf]:
-            made["viewerRequestVolume"] = {"box": _box(turn, volumes.boxes[leaf])}
+            made["viewerRequestVolume"] = {"box": _box(turn, volumes.boxes[leaf] + origin)}
         return made
 
     def node(tree: Tree) -> tuple[dict[str, Any] | None, F64]:
@@ -143,15 +146,15 @@ def tileset_document(
         if len(found) < 2:
             return found[0] if found else (None, whole)
         box = np.stack([np.min([b[0] for _, b in found], axis=0), np.max([b[1] for _, b in found], axis=0)])
-        return _tile(turn, box, widest) | {"children": [tile for tile, _ in found]}, box
+        return _tile(turn, box + origin, widest) | {"children": [tile for tile, _ in found]}, box
 
     top, box = node(leaves.tree)
     children = [] if top is None else [top]
     if environment is not None:
         far = leaves.environment_box(DEVIATIONS)
-        children.append(_tile(turn, far, 0.0) | {"content": {"uri": environment}})
+        children.append(_tile(turn, far + origin, 0.0) | {"content": {"uri": environment}})
         box = np.stack([np.minimum(box[0], far[0]), np.maximum(box[1], far[1])])
-    root = _tile(turn, box, widest) | {"refine": "REPLACE", "children": children}
+    root = _tile(turn, box + origin, widest) | {"refine": "REPLACE", "children": children}
     if meters != 1.0:
         root["transform"] = np.diag([meters, meters, meters, 1.0]).ravel().tolist()
     extensions = [SPLATS, SPZ] if packed else [SPLATS]
@@ -173,8 +176,11 @@ def _box(turn: F64, box: F64) -> list[float]:
     """Return the 12 numbers of a box of the scene, turned: its middle, then half of each side."""
     low, high = box
     half = np.maximum((high - low) / 2.0, 1e-9)
-    return [_rounded(v) for v in np.concatenate([turn @ ((low + high) / 2.0), (turn * half).T.ravel()]).tolist()]
+    middle = turn @ ((low + high) / 2.0)
+    away = float(np.abs(middle).max() / half.max())
+    digits = _DIGITS + max(0, int(np.log10(max(away, 1.0))) - 2)  # a place far from (0, 0, 0) needs more
+    return [*(_rounded(v, digits) for v in middle.tolist()), *(_rounded(v) for v in (turn * half).T.ravel().tolist())]
 
 
-def _rounded(value: float) -> float:
-    return float(f"{value:.{_DIGITS}g}") + 0.0
+def _rounded(value: float, digits: int = _DIGITS) -> float:
+    return float(f"{value:.{digits}g}") + 0.0

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gsvis.io._facts import parse_facts, spell_facts
+from gsvis.io.facts import parse_facts, spell_facts
 from gsvis.scene.facts import SceneFacts
 
 __all__ = ["comments_of", "facts_of"]

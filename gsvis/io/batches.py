@@ -19,9 +19,12 @@ from gsvis.io.invalid import dropping_invalid, is_dropping
 from gsvis.io.ply import load_ply, ply_rows
 from gsvis.io.scenes import check_scene, load_scene
 from gsvis.io.streamed_sog import load_streamed_file, streamed_files
+from gsvis.scene.facts import SceneFacts
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["ROWS", "Batch", "align_batches", "list_batches", "read_batch"]
+__all__ = ["ROWS", "Batch", "align_batches", "facts_of_batches", "list_batches", "read_batch"]
+
+_NO_ORIGIN = (0.0, 0.0, 0.0)
 
 ROWS = 1 << 18
 """Most rows of a batch of a PLY."""
@@ -97,7 +100,9 @@ def align_batches(scenes: Sequence[Sequence[Batch]]) -> list[list[Batch]]:
 
     Reads one row of each PLY. Scenes that need no origin stay as they are.
     """
-    origins = [_origin_of(scene[0]) for scene in scenes]
+    if len(scenes) < 2:
+        return [list(scene) for scene in scenes]
+    origins = [_NO_ORIGIN if scene[0].kind == "file" else facts_of_batches(scene).origin for scene in scenes]
     if all(origin == origins[0] for origin in origins):
         return [list(scene) for scene in scenes]
     sizes = [sum(max(batch.count, 0) for batch in scene) for scene in scenes]
@@ -105,13 +110,14 @@ def align_batches(scenes: Sequence[Sequence[Batch]]) -> list[list[Batch]]:
     return [[replace(batch, origin=common) for batch in scene] for scene in scenes]
 
 
-def _origin_of(batch: Batch) -> tuple[float, float, float]:
-    """Return the origin of the scene of a batch; only of a PLY without reading it whole."""
-    if batch.kind == "file":
-        return (0.0, 0.0, 0.0)
-    with dropping_invalid(batch.drops_invalid, quiet=True):
-        first = replace(batch, count=1) if batch.kind == "rows" and batch.rows < 0 else batch
-        return read_batch(first).facts.origin
+def facts_of_batches(batches: Sequence[Batch]) -> SceneFacts:
+    """Return what is known of a scene besides its Gaussians; reads one row of a PLY, else the first batch.
+
+    Args:
+        batches: At least one batch of one scene.
+    """
+    first = batches[0]
+    return read_batch(replace(first, count=1) if first.kind == "rows" and first.rows < 0 else first).facts
 
 
 def _counted(batches: list[Batch]) -> list[Batch]:

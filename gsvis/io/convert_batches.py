@@ -13,7 +13,7 @@ from itertools import chain
 import numpy as np
 
 from gsvis.errors import SceneError
-from gsvis.io.batches import Batch, align_batches, read_batch
+from gsvis.io.batches import Batch, align_batches, facts_of_batches, read_batch
 from gsvis.io.convert import report_merge
 from gsvis.io.ply import save_ply_parts
 from gsvis.progress import Progress, silent
@@ -118,10 +118,7 @@ def _parts(scenes: Sequence[Sequence[Batch]], degree: int, convert: Convert, pro
 
 def _merged_facts(scenes: Sequence[Sequence[Batch]]) -> SceneFacts:
     """Return what the merged scene states, from the first batch of each scene."""
-    firsts = [
-        replace(scene[0], count=1) if scene[0].kind == "rows" and scene[0].rows < 0 else scene[0] for scene in scenes
-    ]
-    facts = [read_batch(batch).facts for batch in firsts]
+    facts = [facts_of_batches(scene) for scene in scenes]
     report_merge(facts)
     return SceneFacts.merge(facts)
 

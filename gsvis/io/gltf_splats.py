@@ -23,10 +23,10 @@ from gsvis.errors import FormatError
 from gsvis.files.fields import Fields, parse_object
 from gsvis.files.limits import Budget, read_whole
 from gsvis.io._build import LEAST_SCALE, bytes_of_scene, format_error, gaussians_from
-from gsvis.io._facts import KEY, facts_from_json
 from gsvis.io._gltf import LINEAR, SPLATS, SPZ, Accessors, sh_names
 from gsvis.io._gltf_nodes import Placed, place_meshes
 from gsvis.io._origin import place_scene, settle_origin
+from gsvis.io.facts import KEY, facts_from_json
 from gsvis.io.losses import report_note
 from gsvis.io.spz import decode_spz
 from gsvis.scene.facts import SceneFacts

@@ -24,15 +24,15 @@ from numpy.typing import NDArray
 from gsvis import _check
 from gsvis.files.atomic import atomic_path
 from gsvis.files.folders import GENERATOR
-from gsvis.io._facts import KEY, facts_to_json
 from gsvis.io._gltf import SPLATS, SPZ, SRGB, sh_names
+from gsvis.io.facts import KEY, facts_to_json
 from gsvis.io.gltf_splats import MAGIC
 from gsvis.io.losses import report_loss
 from gsvis.io.spz import encode_old_spz
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.sh import SH_C0
 
-__all__ = ["MOST_BYTES", "Compression", "check_size", "encode_glb", "save_glb"]
+__all__ = ["MOST_BYTES", "Compression", "check_size", "encode_glb", "report_antialiased", "save_glb"]
 
 Compression = Literal["none", "spz"]
 
@@ -82,11 +82,16 @@ def save_glb(
     """
     _check_scene(scene, compression)
     if scene.facts.antialiased:
-        report_loss(path, "antialiased", "glTF has no flag for antialiased scenes; only gsvis reads its note")
+        report_antialiased(path)
     with atomic_path(path) as partial:
         with open(partial, "wb") as out:
             _write(scene, out, upright, compression, path)
         return partial.stat().st_size
+
+
+def report_antialiased(path: str | os.PathLike[str]) -> None:
+    """Log that glTF has no place for the flag of antialiased scenes."""
+    report_loss(path, "antialiased", "glTF has no flag for antialiased scenes; only gsvis reads its note")
 
 
 def encode_glb(
@@ -102,7 +107,7 @@ def encode_glb(
         scene: As for `save_glb`.
         upright: As for `save_glb`.
         compression: As for `save_glb`.
-        path: The file that will hold them, for the log.
+        path: The file that will hold them, for the log; empty logs nothing.
 
     Raises:
         ValueError: As `save_glb`.

@@ -25,8 +25,8 @@ from gsvis.errors import FormatError
 from gsvis.files.atomic import atomic_path
 from gsvis.files.limits import read_whole
 from gsvis.io._build import LEAST_SCALE, gaussians_from, sh0_from_rgb
-from gsvis.io._facts import parse_facts, spell_facts
 from gsvis.io._origin import settle_origin, size_of_gaussians
+from gsvis.io.facts import parse_facts, spell_facts
 from gsvis.io.losses import report_clipped, report_loss, report_note
 from gsvis.scene.facts import SceneFacts
 from gsvis.scene.gaussians import Gaussians

@@ -144,7 +144,7 @@ def load_levels(folder: str | os.PathLike[str]) -> Levels:
     order = np.argsort(np.concatenate(places), kind="stable")
     union = Gaussians.concatenate(parts)[order]
     try:
-        exact = Gaussians(union.means, union.quats, scales, opacities, union.sh0, union.shN)
+        exact = Gaussians(union.means, union.quats, scales, opacities, union.sh0, union.shN, facts=union.facts)
         return Levels(exact, first, last, info.names)
     except ValueError as error:
         raise FormatError(file.path, "rows", "valid values", str(error), _AGAIN) from error

@@ -45,12 +45,14 @@ def report_loss(path: str | os.PathLike[str], what: str, text: str, count: int =
     """Log what was lost as one line.
 
     Args:
-        path: The file that is read or written.
+        path: The file that is read or written; nothing is logged of an empty one, for which the caller reports.
         what: The property, as in `Loss`.
         text: What happened to it.
         count: Gaussians concerned.
     """
     loss = Loss(os.fspath(path), what, text, count)
+    if not loss.path:
+        return
     _logger.warning("%s: %s", loss.path, text, extra={"loss": loss})
 
 

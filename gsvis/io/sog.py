@@ -17,10 +17,10 @@ from gsvis.errors import FormatError
 from gsvis.files.fields import Fields, parse_object
 from gsvis.files.limits import Budget, inside, read_whole, safe_name
 from gsvis.io._build import bytes_of_scene, exp_scales, gaussians_from, largest_from_three, sigmoid
-from gsvis.io._facts import KEY, facts_from_json
 from gsvis.io._origin import settle_origin
 from gsvis.io._sog_files import FolderStore, Store, ZipStore
 from gsvis.io._webp import MAX_PIXELS, decode_plane, plane_size
+from gsvis.io.facts import KEY, facts_from_json
 from gsvis.scene.facts import SceneFacts
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.symlog import from_symlog

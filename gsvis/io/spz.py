@@ -21,16 +21,16 @@ from gsvis.errors import FormatError
 from gsvis.files.atomic import atomic_path
 from gsvis.files.limits import Budget, read_whole
 from gsvis.io._build import bytes_of_scene, exp_scales, gaussians_from, largest_from_three
-from gsvis.io._facts import parse_facts, spell_facts
 from gsvis.io._kernels.spz import look_up, unpack_fixed_points, unpack_higher, unpack_quats
 from gsvis.io._origin import settle_origin
 from gsvis.io._spz_range import COLOR_SCALE, fit_coordinates, report_spz_losses
+from gsvis.io.facts import parse_facts, spell_facts
 from gsvis.io.losses import report_loss, report_note
 from gsvis.scene.facts import SceneFacts
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.sh import rotation_of_sh
 
-__all__ = ["decode_spz", "encode_old_spz", "load_spz", "save_spz"]
+__all__ = ["decode_spz", "encode_old_spz", "load_spz", "report_spz_losses", "save_spz"]
 
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]

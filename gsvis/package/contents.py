@@ -19,6 +19,7 @@ from gsvis.package.codec import ChunkTable, base_colors, build_chunks, decode_re
 from gsvis.package.layout import RecordLayout, TermLayout
 from gsvis.package.order import PackageOrder
 from gsvis.package.terms import decode_terms, encode_terms
+from gsvis.scene.facts import SceneFacts
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from gsvis.scene.sh import SH_C0
@@ -28,6 +29,9 @@ __all__ = ["Contents", "base_places", "base_rgb"]
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
 I64 = NDArray[np.int64]
+
+
+_NOTHING_KNOWN = SceneFacts()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -43,6 +47,7 @@ class Contents:
         term_records: (T, B) uint8, record of each term, Gaussian by Gaussian, in the order in which they are sent.
         grids: The tables of base colors and terms.
         starts: (P + 1,) id of the first Gaussian of each part, and N.
+        facts: What is known of the scene besides.
     """
 
     names: tuple[str, ...]
@@ -53,6 +58,7 @@ class Contents:
     term_records: U8
     grids: Grids
     starts: I64
+    facts: SceneFacts = _NOTHING_KNOWN
 
     @classmethod
     def from_levels(cls, levels: Levels, colors: QuantizedColors) -> Contents:
@@ -85,7 +91,7 @@ class Contents:
         return cls(
             levels.names, table, np.stack([levels.first[heads], levels.last[heads]], axis=1),
             encode_records(g, base, table, layout), counts.astype(np.uint8), encode_terms(colors),
-            colors.grids, order.starts,
+            colors.grids, order.starts, g.facts,
         )  # fmt: skip
 
     def __len__(self) -> int:
@@ -133,7 +139,7 @@ class Contents:
             records, chunks = records[chosen], chunks[chosen]
         found = decode_records(records, self.table, self.layout, chunks=chunks)
         sh0 = ((base_rgb(records, self.grids).astype(np.float64) - 0.5) / SH_C0)[:, None]
-        return Gaussians(*found, sh0)
+        return Gaussians(*found, sh0, facts=self.facts)
 
     def levels(self) -> Levels:
         """Return all levels, decoded."""

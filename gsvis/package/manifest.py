@@ -21,9 +21,11 @@ from gsvis.color.storage import grids_of
 from gsvis.errors import FormatError
 from gsvis.files.fields import Fields, parse_object
 from gsvis.files.limits import DAMAGED, inside, read_whole
+from gsvis.io.facts import facts_from_json, facts_to_json
 from gsvis.package.fidelity import Fidelity
 from gsvis.package.layout import PACKED_VARIANTS, RecordLayout, TermLayout
 from gsvis.package.parts import Part
+from gsvis.scene.facts import SceneFacts
 
 __all__ = ["MANIFEST", "VERSION", "Blob", "Block", "Cost", "Manifest", "PackageInfo"]
 
@@ -64,6 +66,7 @@ class PackageInfo:
         provenance: Any JSON values.
         fidelity: How near what a client gets comes to the scene; None if it was not measured.
         epsilon: Contribution above which a term is active in a cell; None if cells do not choose terms.
+        facts: What is known of the scene besides, such as its origin and whether it is antialiased.
 
     Raises:
         ValueError: If a value is out of its range.
@@ -75,6 +78,7 @@ class PackageInfo:
     provenance: dict[str, Any] = field(default_factory=dict)
     fidelity: Fidelity | None = None
     epsilon: float | None = None
+    facts: SceneFacts = field(default_factory=SceneFacts)
 
     def __post_init__(self) -> None:
         up = _check.unit_vectors("up", np.reshape(np.asarray(self.up, np.float64), (1, -1)))[0]
@@ -226,6 +230,8 @@ class Manifest:
         }
         if self.info.fidelity is not None:
             value["fidelity"] = self.info.fidelity.as_dict()
+        if facts := facts_to_json(self.info.facts):
+            value["facts"] = facts
         return json.dumps({**value, "sha256": _digest(value)}, indent=1, sort_keys=True, allow_nan=False).encode()
 
     @classmethod
@@ -280,7 +286,8 @@ class Manifest:
         fidelity = Fidelity.from_fields(fields.child("fidelity")) if "fidelity" in fields else None
         meters, provenance = fields.number("meters_per_unit"), fields.child("provenance").value
         epsilon = fields.number("epsilon") if "epsilon" in fields else None
-        info = PackageInfo((up[0], up[1], up[2]), meters, measured, provenance, fidelity, epsilon)
+        facts = facts_from_json(fields.raw("facts")) if "facts" in fields else SceneFacts()
+        info = PackageInfo((up[0], up[1], up[2]), meters, measured, provenance, fidelity, epsilon, facts)
         found = cls(
             info, scene, names, tuple(level.integer("count", 1, _MOST) for level in levels), grids,
             tuple((Part.from_fields(row), row.integer("count", 1, _MOST)) for row in _objects(fields, "chunks")),

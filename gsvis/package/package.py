@@ -283,7 +283,7 @@ class Package:
         empty = [np.zeros((0, width), np.uint8) for width in self._widths]
         records, terms = (np.concatenate([empty[k], *(b[k] for b in blocks)]) for k in range(2))
         counts = np.concatenate([np.zeros(0, np.uint8), *(b[2] for b in blocks)])
-        return Contents(m.names, table, levels, records, counts, terms, m.grids, starts)
+        return Contents(m.names, table, levels, records, counts, terms, m.grids, starts, m.info.facts)
 
     def _budget(self) -> Budget:
         """Return the memory budget of all parts together, from their size on disk; a part named twice counts once."""

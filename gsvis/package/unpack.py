@@ -36,7 +36,7 @@ def unpack_levels(package: Package, *, sh_degree: int | None = None, progress: P
         return levels
     sh = to_sh(contents.colors().dequantize(), sh_degree=degree, progress=progress)
     g = levels.union
-    union = Gaussians(g.means, g.quats, g.scales, g.opacities, sh.sh0, sh.shN)
+    union = Gaussians(g.means, g.quats, g.scales, g.opacities, sh.sh0, sh.shN, facts=g.facts)
     return Levels(union, levels.first, levels.last, levels.names)
 
 

@@ -7,6 +7,7 @@ files. The store of visible sets is cut into parts without change.
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 
@@ -23,6 +24,7 @@ from gsvis.package.parts import MOST_BYTES, Part, PartFolder
 from gsvis.progress import Progress, silent
 from gsvis.pvs.store import VisibilityStore
 from gsvis.scene.content import scene_hash
+from gsvis.scene.facts import SceneFacts
 from gsvis.scene.levels import Levels
 
 __all__ = ["check_target", "write_package"]
@@ -72,8 +74,16 @@ def write_package(
         table, first_last = contents.table[rows], contents.chunk_levels[rows]
         tables.append((parts.write_columns("chunks", columns_of(table, first_last)), len(table)))
     sets = None if visibility is None else _blob(parts, _check.path("visibility", visibility))
+    known = info or PackageInfo()
     manifest = Manifest(
-        info or PackageInfo(), scene, levels.names, levels.counts, colors.grids, tuple(tables), blocks, sets
+        replace(known, facts=contents.facts) if known.facts == SceneFacts() else known,
+        scene,
+        levels.names,
+        levels.counts,
+        colors.grids,
+        tuple(tables),
+        blocks,
+        sets,
     )
     with atomic_path(target / MANIFEST) as partial:
         partial.write_bytes(manifest.to_json())

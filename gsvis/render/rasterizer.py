@@ -62,7 +62,7 @@ def rasterize(
     backend: str = "auto",
     background: ArrayLike = (0.0, 0.0, 0.0),
     sh_degree: int | None = None,
-    antialiased: bool = False,
+    antialiased: bool | None = None,
     colors: Colors | TensorColors = None,
     frozen: int = 0,
 ) -> RenderingTensors: ...
@@ -74,7 +74,7 @@ def rasterize(
     backend: str = "auto",
     background: ArrayLike = (0.0, 0.0, 0.0),
     sh_degree: int | None = None,
-    antialiased: bool = False,
+    antialiased: bool | None = None,
     colors: TensorColors,
     frozen: int = 0,
 ) -> RenderingTensors: ...
@@ -86,7 +86,7 @@ def rasterize(
     backend: str = "auto",
     background: ArrayLike = (0.0, 0.0, 0.0),
     sh_degree: int | None = None,
-    antialiased: bool = False,
+    antialiased: bool | None = None,
     colors: Colors = None,
     frozen: int = 0,
 ) -> Rendering: ...
@@ -97,7 +97,7 @@ def rasterize(
     backend: str = "auto",
     background: ArrayLike = (0.0, 0.0, 0.0),
     sh_degree: int | None = None,
-    antialiased: bool = False,
+    antialiased: bool | None = None,
     colors: Any = None,
     frozen: int = 0,
 ) -> Rendering | RenderingTensors:
@@ -110,7 +110,8 @@ def rasterize(
         backend: "cpu", "cuda", "reference", or "auto": cuda for tensors on a GPU, else cpu.
         background: (3,) RGB behind everything.
         sh_degree: Highest degree to evaluate; None means the degree of the scene.
-        antialiased: Lower opacities so that the blur of 0.3 square pixels keeps their integral.
+        antialiased: Lower opacities so that the blur of 0.3 square pixels keeps their integral. None follows the facts
+            of the scene; tensors have none.
         colors: Colors that replace SH: (N, 3) or (C, N, 3) RGB, or SRBF colors of the N Gaussians, evaluated from the
             viewpoint of each camera. SRBF colors are `SrbfColors`, an `Evaluator` to share work between calls, or
             `SrbfTensors`, which may require gradients.
@@ -134,6 +135,8 @@ def rasterize(
     behind: F32 = _check.floats("background", background, (3,))
     degree = gaussians.sh_degree if sh_degree is None else min(_sh_degree(sh_degree), gaussians.sh_degree)
     _check.positive_int("frozen", frozen, at_least=0)
+    if antialiased is None:
+        antialiased = isinstance(gaussians, Gaussians) and gaussians.facts.antialiased
     if isinstance(gaussians, Gaussians) and backend != "cuda" and not _are_tensors(colors):
         draw_one: _Draw = draw_reference if backend == "reference" else draw
         draw_one = partial(draw_one, background=behind, sh_degree=degree, antialiased=antialiased)

@@ -99,7 +99,7 @@ def removal_effects(
     progress("removal", 0, len(cameras))
     for c in range(len(cameras)):
         view = View.from_matrices(cameras.viewmats[c], cameras.Ks[c], cameras.width, cameras.height)
-        projected = project(gaussians, view, antialiased=False, pairs=True)
+        projected = project(gaussians, view, antialiased=gaussians.facts.antialiased, pairs=True)
         features = color_splats(gaussians, projected, view, gaussians.sh_degree, color_of(c))
         features[:, 3] = there[projected.ids]
         residual = np.zeros(shape[1:], np.float32)

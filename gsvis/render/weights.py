@@ -57,14 +57,15 @@ class PixelContributors:
 
 
 def view_weights(
-    g: Gaussians, cameras: Cameras, *, antialiased: bool = False, progress: Progress = silent
+    g: Gaussians, cameras: Cameras, *, antialiased: bool | None = None, progress: Progress = silent
 ) -> ViewWeights:
     """Return the largest and the summed blending weight of each Gaussian in each view.
 
     Args:
         g: N Gaussians.
         cameras: C cameras.
-        antialiased: Lower opacities so that the blur of 0.3 square pixels keeps their integral.
+        antialiased: Lower opacities so that the blur of 0.3 square pixels keeps their integral. None follows the facts
+            of the scene.
         progress: Called with stage "views".
     """
     largest = np.zeros((len(cameras), len(g)), np.float32)
@@ -86,7 +87,7 @@ def view_weights(
 
 
 def contributors(
-    g: Gaussians, camera: Cameras, pixel: tuple[int, int], *, antialiased: bool = False
+    g: Gaussians, camera: Cameras, pixel: tuple[int, int], *, antialiased: bool | None = None
 ) -> PixelContributors:
     """Return the Gaussians blended into one pixel, front to back.
 
@@ -94,7 +95,8 @@ def contributors(
         g: N Gaussians.
         camera: One camera.
         pixel: Column and row, from 0 at the top left.
-        antialiased: Lower opacities so that the blur of 0.3 square pixels keeps their integral.
+        antialiased: Lower opacities so that the blur of 0.3 square pixels keeps their integral. None follows the facts
+            of the scene.
 
     Raises:
         ValueError: If there is not exactly one camera, or the pixel lies outside its image.
@@ -124,7 +126,8 @@ def contributors(
     )
 
 
-def _project(g: Gaussians, camera: Cameras, antialiased: bool) -> tuple[View, Projected]:
+def _project(g: Gaussians, camera: Cameras, antialiased: bool | None) -> tuple[View, Projected]:
     view = View.from_matrices(camera.viewmats[0], camera.Ks[0], camera.width, camera.height)
     arrays = SimpleNamespace(**{name: getattr(g, name) for name in ("means", "quats", "scales", "opacities", "sh0")})
-    return view, project(arrays, view, antialiased=antialiased, pairs=True)
+    lowered = g.facts.antialiased if antialiased is None else antialiased
+    return view, project(arrays, view, antialiased=lowered, pairs=True)

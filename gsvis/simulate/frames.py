@@ -95,7 +95,7 @@ class Frame:
         g = stage.drawn
         self._stage = stage
         self._view = View.from_matrices(camera.viewmats[0], camera.Ks[0], camera.width, camera.height)
-        self._projected = project(g, self._view, antialiased=False, pairs=False)
+        self._projected = project(g, self._view, antialiased=g.facts.antialiased, pairs=False)
         self.ids = self._projected.ids
         self.highest: Mask = stage.highest[self.ids]
         self._features = np.empty((len(self.ids), 4), np.float32)

@@ -17,6 +17,7 @@ from gsvis.package.codec import ChunkTable, decode_records
 from gsvis.package.contents import base_places, base_rgb
 from gsvis.package.layout import RecordLayout
 from gsvis.package.terms import decode_terms
+from gsvis.scene.facts import SceneFacts
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.sh import SH_C0
 from gsvis.stream._kernels import ids as kernels
@@ -105,6 +106,7 @@ class Drawn:
         )  # fmt: skip
         # Slot of each Gaussian, from 1; 0 if it is not drawn. Zeros take no memory.
         self._slots = np.zeros(about.gaussians, np.int32)
+        self._facts = SceneFacts(antialiased=about.antialiased)
         self._made: tuple[Gaussians, SrbfColors] | None = None
 
     def __len__(self) -> int:
@@ -179,6 +181,7 @@ class Drawn:
                 Gaussians, shN=np.zeros((n, 0, 3), np.float32),
                 **{name: g[name] for name in ("means", "quats", "scales", "opacities", "sh0")},
             )  # fmt: skip
+            gaussians = gaussians.with_facts(self._facts)
             colors = _unchecked(
                 SrbfColors, base=g["base"], scales=g["color_scales"], axes=np.zeros((n, 0, 3), np.float32),
                 offsets=offsets,

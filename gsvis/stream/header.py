@@ -58,6 +58,7 @@ class SceneHeader:
             same identity.
         code: Tables of the coder of records, as `Tables.to_text` writes them.
         steps: Which bits records lack; None if they are those of the package.
+        antialiased: Whether opacities are lowered to make up for the blur of a pixel.
     """
 
     gaussians: int
@@ -71,6 +72,7 @@ class SceneHeader:
     identity: str
     code: str
     steps: Steps | None = None
+    antialiased: bool = False
 
     @classmethod
     def from_manifest(cls, manifest: Manifest, coding: Coding) -> SceneHeader:
@@ -90,6 +92,7 @@ class SceneHeader:
             manifest.gaussians, manifest.terms, sum(rows for _, rows in manifest.tables), manifest.names,
             manifest.counts, manifest.grids, manifest.info.up, manifest.info.meters_per_unit,
             identity_of(manifest, coding.steps), coding.tables.to_text(), coding.steps,
+            manifest.info.facts.antialiased,
         )  # fmt: skip
 
     @cached_property
@@ -128,6 +131,8 @@ class SceneHeader:
             "code": self.code,
             "steps": None if self.steps is None else asdict(self.steps),
         }
+        if self.antialiased:
+            said["antialiased"] = True
         text = json.dumps(said, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
         schema = SCHEMA.with_metadata({_KEY: text})
         return HEAD.pack(WELCOME, PROTOCOL, 0, 0) + bytes(schema.serialize())
@@ -170,6 +175,7 @@ class SceneHeader:
             tuple(level.text("name")[:100] for level in levels),
             tuple(level.integer("count", 0, n) for level in levels), grids_of(colors, name), (up[0], up[1], up[2]),
             info.meters_per_unit, identity, said.text("code"), _steps_of(said),
+            "antialiased" in said and said.raw("antialiased") is True,
         )  # fmt: skip
         sizes = RECORD_BYTES, found.term_bits
         if tuple(said.integer(key, 0, 64) for key in ("record_bytes", "term_bits")) != sizes:

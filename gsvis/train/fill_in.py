@@ -47,5 +47,6 @@ def fit_opacities(merged: Gaussians, stays: Gaussians, views: PosedImages) -> Ga
         factors = np.clip(1.0 + _DAMPING * step, _LEAST, _MOST)
         opacities = np.clip(merged.opacities * factors, *_RANGE).astype(np.float32)
         opacities = np.where(squared > 0.0, opacities, merged.opacities)
-        merged = Gaussians(merged.means, merged.quats, merged.scales, opacities, merged.sh0, merged.shN)
+        m = merged
+        merged = Gaussians(m.means, m.quats, m.scales, opacities, m.sh0, m.shN, facts=m.facts)
     return merged

@@ -108,8 +108,8 @@ def render_views(
 
 
 def display_image(
-    gaussians: Gaussians | GaussianTensors, camera: Cameras, backend: str = "auto"
+    gaussians: Gaussians | GaussianTensors, camera: Cameras, backend: str = "auto", antialiased: bool | None = None
 ) -> NDArray[np.float32]:
     """Return the (H, W, 3) image of one camera as a display shows it: clipped to [0, 1]."""
-    image = _check.plain(rasterize(gaussians, camera, backend=backend).images[0])
+    image = _check.plain(rasterize(gaussians, camera, backend=backend, antialiased=antialiased).images[0])
     return np.asarray(np.clip(image, 0.0, 1.0), np.float32)

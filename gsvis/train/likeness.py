@@ -77,8 +77,20 @@ def measure_views(
     return ViewLikeness(views.cameras.names, *found)
 
 
-def mean_psnr(gaussians: Gaussians | GaussianTensors, views: PosedImages, backend: str = "auto") -> float:
-    """Return the mean PSNR over views in dB, of images clipped to [0, 1] as on a display."""
-    drawn = (display_image(gaussians, views.cameras[index], backend) for index in range(len(views)))
+def mean_psnr(
+    gaussians: Gaussians | GaussianTensors,
+    views: PosedImages,
+    backend: str = "auto",
+    antialiased: bool | None = None,
+) -> float:
+    """Return the mean PSNR over views in dB, of images clipped to [0, 1] as on a display.
+
+    Args:
+        gaussians: The scene.
+        views: The views.
+        backend: Backend of the rasterizer.
+        antialiased: As for `rasterize`.
+    """
+    drawn = (display_image(gaussians, views.cameras[index], backend, antialiased) for index in range(len(views)))
     targets = (np.clip(views.image(index), 0.0, 1.0) for index in range(len(views)))
     return float(np.mean([psnr(image, target) for image, target in zip(drawn, targets, strict=True)]))

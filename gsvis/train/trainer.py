@@ -106,6 +106,7 @@ class Trainer:
         if frozen is not None and len(frozen):
             degree = max(degree, frozen.sh_degree)
             whole = Gaussians.concatenate([_set_degree(part, degree) for part in (frozen, start)])
+        self._facts = whole.facts
         self.parameters = Parameters.from_gaussians(whole, frozen=0 if frozen is None else len(frozen), device=device)
         rules = config.densify
         self.densifier = Densifier(rules, self.extent, self.parameters) if rules is not None else None
@@ -148,7 +149,9 @@ class Trainer:
         camera = self.views.cameras[index]
         near = self._frozen_in_sight(camera)
         stand = self.parameters.frozen if near is None else len(near)
-        drawn = rasterize(self.parameters.activate(near), camera, backend=c.backend, frozen=stand)
+        drawn = rasterize(
+            self.parameters.activate(near), camera, backend=c.backend, antialiased=self._facts.antialiased, frozen=stand
+        )
         target = torch.from_numpy(self.views.image(index)).to(drawn.images)
         loss = photometric_loss(drawn.images[0], target, c.ssim_weight)
         loss.backward()  # type: ignore[no-untyped-call]
@@ -173,7 +176,7 @@ class Trainer:
         if self.held_out is not None:
             device = self.parameters.values["means"].device  # a GPU needs tensors, not arrays
             scene = GaussianTensors.from_gaussians(self.gaussians(), device=device)
-            now = replace(now, psnr=mean_psnr(scene, self.held_out, self.config.backend))
+            now = replace(now, psnr=mean_psnr(scene, self.held_out, self.config.backend, self._facts.antialiased))
         self.history.append(now)
         _LOG.info("step %d: loss %.4f, %d Gaussians, %.2f dB", now.step, now.loss, now.count, now.psnr)
         return now
@@ -230,7 +233,7 @@ class Trainer:
 
     def gaussians(self) -> Gaussians:
         """Return the current scene; frozen rows are exactly as given."""
-        whole = self.parameters.gaussians()
+        whole = self.parameters.gaussians().with_facts(self._facts)
         if self._frozen is None or len(self._frozen) == 0:
             return whole
         degree = max(self._frozen.sh_degree, whole.sh_degree)
@@ -290,4 +293,5 @@ def _set_degree(gaussians: Gaussians, degree: int) -> Gaussians:
         return gaussians
     shN = np.zeros((len(gaussians), want, 3), np.float32)
     shN[:, : min(have, want)] = gaussians.shN[:, : min(have, want)]
-    return Gaussians(gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh0, shN)
+    g = gaussians
+    return Gaussians(g.means, g.quats, g.scales, g.opacities, g.sh0, shN, facts=g.facts)

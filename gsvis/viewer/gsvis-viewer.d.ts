@@ -38,6 +38,7 @@ export interface Header {
   harmonics: HarmonicTables | null;
   up: [number, number, number];
   metersPerUnit: number;
+  antialiased: boolean; // the scene was trained with the opacities of antialiased splatting
   identity: string;
   code: Code | null; // of a stream
 }
@@ -347,7 +348,7 @@ export interface ViewerOptions {
   source?: Source;
   camera?: Eye; // where the eye is at first
   background?: [number, number, number];
-  antialiased?: boolean;
+  antialiased?: boolean; // as the scene states by default
   precision?: Precision; // of the blended picture, or the finest there is; half by default, float with SwiftShader
   maxPixelRatio?: number;
   memory?: number; // bytes on the GPU

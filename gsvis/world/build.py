@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from gsvis.errors import SceneError
 from gsvis.files.objects import ObjectStore
-from gsvis.io.batches import Batch, list_batches
+from gsvis.io.batches import Batch, align_batches, list_batches
 from gsvis.progress import Progress
 from gsvis.pvs.workers import Workers
 from gsvis.scene.corridor import fill_in
@@ -108,8 +108,9 @@ class WorldBuild:
 
     @cached_property
     def batches(self) -> list[Batch]:
-        """All batches of all scenes."""
-        return [batch for path, lod in self.scenes for batch in list_batches(path, lod)]
+        """All batches of all scenes, with centers relative to one origin."""
+        scenes = align_batches([list_batches(path, lod) for path, lod in self.scenes])
+        return [batch for scene in scenes for batch in scene]
 
     @cached_property
     def every(self) -> int:

@@ -253,6 +253,7 @@ class WorldPackage(Package):
             np.concatenate([piece.term_counts for piece in pieces]),
             np.concatenate([piece.term_records for piece in pieces]), self.manifest.grids,
             np.unique(np.concatenate([piece.starts + at for piece, at in zip(pieces, counts[:-1], strict=True)])),
+            pieces[0].facts,
         )  # fmt: skip
 
     def own_arrays(self) -> dict[str, NDArray[Any]]:

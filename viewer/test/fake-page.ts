@@ -8,7 +8,7 @@ import { ViewPage } from "../src/page/view.ts";
 import type { PageCamera, Pick, Statistics, ViewerLike, ViewerOptions } from "../src/page/viewer-like.ts";
 
 const HEADER: Header = {
-  gaussians: 780_582, terms: 1_240_000, chunks: 3300, termBits: 44, harmonics: null, up: [0, 0, 1], metersPerUnit: 1,
+  gaussians: 780_582, terms: 1_240_000, chunks: 3300, termBits: 44, harmonics: null, up: [0, 0, 1], metersPerUnit: 1, antialiased: false,
   identity: "0".repeat(64), code: null,
   levels: [{ name: "low", count: 145_900 }, { name: "medium", count: 272_400 }, { name: "high", count: 780_582 }],
   colors: {

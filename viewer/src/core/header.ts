@@ -57,6 +57,7 @@ export function headerOf(said: unknown, where: string): Header {
     harmonics: null,
     up: [up[0] / length, up[1] / length, up[2] / length],
     metersPerUnit: number(o["meters_per_unit"], 0, Number.MAX_VALUE, `${where}, meters_per_unit`),
+    antialiased: o["antialiased"] === true,
     identity: identity as string,
     code: null,
   };

@@ -40,6 +40,7 @@ export interface Header {
   harmonics: HarmonicTables | null;
   up: [number, number, number];
   metersPerUnit: number;
+  antialiased: boolean; // the scene was trained with the opacities of antialiased splatting
   identity: string;
   code: Code | null; // of a stream
 }

@@ -13,7 +13,7 @@ export interface ViewerOptions {
   source?: Source;
   camera?: Eye; // where the eye is at first
   background?: [number, number, number];
-  antialiased?: boolean;
+  antialiased?: boolean; // as the scene states by default
   precision?: Precision; // of the blended picture, or the finest there is; half by default, float with SwiftShader
   maxPixelRatio?: number;
   memory?: number; // bytes on the GPU

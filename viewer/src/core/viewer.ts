@@ -306,6 +306,7 @@ export class Viewer extends EventTarget {
 
   #takeHeader(header: Header, fresh: boolean): void {
     this.#header = header;
+    this.#look.antialiased = this.#options.antialiased ?? header.antialiased;
     if (fresh || !this.#store) {
       this.#intake.clear();
       this.#marks = {};
