@@ -13,6 +13,7 @@ import sys
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from importlib import import_module
+from io import TextIOWrapper
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
@@ -39,6 +40,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if argv is None else argv)
     debug = "--debug" in arguments or os.environ.get("GSVIS_DEBUG", "") not in ("", "0")
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # threads that spin take cores from those that work
+    _escape_what_cannot_be_printed()
     before = _stop_politely()
     try:
         if arguments[:1] == ["--version"]:
@@ -70,6 +72,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         if before is not None:
             signal.signal(signal.SIGTERM, before)
     return 0
+
+
+def _escape_what_cannot_be_printed() -> None:
+    r"""Let both streams write a character that their encoding lacks as `\u65e5`, so that no name fails a command."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
 
 
 def parse(arguments: Sequence[str]) -> Command:

@@ -221,7 +221,8 @@ def check_stdout() -> Iterator[None]:
 
 def print_json(document: dict[str, Any]) -> None:
     """Print one JSON document on stdout; raise ValueError for NaN and infinity, which JSON does not have."""
-    text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
+    unicode = (sys.stdout.encoding or "").lower().replace("-", "").startswith("utf")
+    text = json.dumps(document, indent=2, ensure_ascii=not unicode, allow_nan=False)
     with check_stdout():
         sys.stdout.write(f"{text}\n")
 
