@@ -1,7 +1,7 @@
 """Read COLMAP sparse models, binary and text: the cameras, images and points of a folder.
 
 Poses are camera from world in OpenCV axes, quaternions wxyz, and pixel centers lie at +0.5, as everywhere in gsvis.
-Only undistorted models are read: PINHOLE and SIMPLE_PINHOLE. Tracks are skipped.
+Only undistorted cameras are read: PINHOLE, SIMPLE_PINHOLE, and models whose distortion is zero. Tracks are skipped.
 """
 
 from __future__ import annotations
@@ -45,6 +45,18 @@ _MODELS = (
     ("EUCM", 6),
     ("EQUIRECTANGULAR", 2),
 )
+# Number of focal lengths of the models that are pinholes where all parameters after the principal point are 0.
+_FOCALS = {
+    "SIMPLE_PINHOLE": 1,
+    "PINHOLE": 2,
+    "SIMPLE_RADIAL": 1,
+    "RADIAL": 1,
+    "SIMPLE_DIVISION": 1,
+    "OPENCV": 2,
+    "FULL_OPENCV": 2,
+    "DIVISION": 2,
+    "FOV": 2,
+}
 _UNDISTORT = "undistort the images with `colmap image_undistorter` and use the model that it writes"
 
 Camera = tuple[str, int, int, F64]  # model, width, height, parameters
@@ -120,9 +132,16 @@ def read_colmap_points(path: Path) -> tuple[F64, NDArray[np.uint8]]:
 def _intrinsics(path: Path, camera_id: int, camera: Camera) -> F64:
     model, width, height, p = camera
     where = f"camera {camera_id}"
-    if model not in ("PINHOLE", "SIMPLE_PINHOLE"):
-        raise FormatError(path, where, "model PINHOLE or SIMPLE_PINHOLE", model, _UNDISTORT)
-    return pinhole(path, where, p[[0, 0]] if model == "SIMPLE_PINHOLE" else p[:2], p[-2:], (width, height))
+    expected = "a camera without distortion, such as PINHOLE"
+    if model not in _FOCALS:
+        raise FormatError(path, where, expected, model, _UNDISTORT)
+    focals = _FOCALS[model]
+    distortion = p[focals + 2 :]
+    if distortion.any():
+        got = f"{model} with distortion {' '.join(f'{value:g}' for value in distortion)}"
+        raise FormatError(path, where, expected, got, _UNDISTORT)
+    focal = p[[0, 0]] if focals == 1 else p[:2]
+    return pinhole(path, where, focal, p[focals : focals + 2], (width, height))
 
 
 class _Bytes:
@@ -222,9 +241,13 @@ def _cameras_txt(path: Path) -> dict[int, Camera]:
 
 
 def _images_txt(path: Path) -> Iterator[Image]:
-    lines = _lines(path)
-    for number, line in lines:
+    """Yield the images of a text file; the line of points behind an image may be there, be empty, or be missing."""
+    may_be_points = False
+    for number, line in _lines(path):
         if not line or line.startswith("#"):
+            continue
+        if may_be_points and _are_points(line):
+            may_be_points = False
             continue
         fields = line.split(maxsplit=9)
         try:
@@ -233,8 +256,23 @@ def _images_txt(path: Path) -> Iterator[Image]:
         except (ValueError, IndexError) as error:
             expected = "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"
             raise FormatError(path, f"line {number}", expected, repr(line[:80])) from error
+        may_be_points = True
         yield name, camera_id, np.array(pose[:4]), np.array(pose[4:])
-        next(lines, None)  # the image's points, a line that may be empty
+
+
+def _are_points(line: str) -> bool:
+    """Return whether a line holds X Y POINT3D_ID for each point of an image; an id is a whole number."""
+    fields = line.split()
+    if len(fields) % 3:
+        return False
+    try:
+        for x, y, point in zip(fields[::3], fields[1::3], fields[2::3], strict=True):
+            float(x)
+            float(y)
+            int(point)
+    except ValueError:
+        return False
+    return True
 
 
 def _points_bin(path: Path) -> tuple[F64, NDArray[np.uint8]]:

@@ -1,7 +1,7 @@
 """Read `transforms.json` of NeRF tools (instant-ngp, nerfstudio): one JSON object with a list of frames.
 
 `transform_matrix` is world from camera in OpenGL axes (+x right, +y up, +z backward). The reader returns camera from
-world in OpenCV axes. Intrinsics are at the top or in a frame; the frame wins. Images are not opened.
+world in OpenCV axes. Intrinsics are at the top or in a frame; whatever a frame states wins. Images are not opened.
 """
 
 from __future__ import annotations
@@ -16,7 +16,11 @@ from gsvis.io.views import F64, Views, pinhole, pose_of_camera, to_numbers
 
 __all__ = ["read_transforms"]
 
-_DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
+_DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
+# Names of camera models that are pinholes where all distortion is 0.
+_PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "OPENCV", "FULL_OPENCV", "SIMPLE_RADIAL", "RADIAL")
+_ACROSS, _DOWN = ("fl_x", "camera_angle_x"), ("fl_y", "camera_angle_y")
+_UNDISTORT = "undistort the images, for example with `colmap image_undistorter`, and use the model that it writes"
 
 
 def read_transforms(path: Path, content: dict[str, Any], size: tuple[int, int] | None = None) -> Views:
@@ -46,11 +50,61 @@ def read_transforms(path: Path, content: dict[str, Any], size: tuple[int, int] |
         opengl = to_numbers(path, f"{where}.transform_matrix", matrix, (rows, 4))
         axes = opengl[:3, :3] * np.array([1.0, -1.0, -1.0])  # OpenGL's y and z are reversed
         views.viewmats.append(pose_of_camera(path, f"{where}.transform_matrix", axes, opengl[:3, 3]))
-        k, pixels = _intrinsics(path, where, {**content, **frame}, size)
+        k, pixels = _intrinsics(path, where, _merge(content, frame), size)
         views.names.append(name.removeprefix("./"))
         views.Ks.append(k)
         views.sizes.append(pixels)
     return views
+
+
+def _merge(content: dict[str, Any], frame: dict[str, Any]) -> dict[str, Any]:
+    """Return what is stated of one frame: its own values, and those at the top that do not contradict them.
+
+    A focal length and a field of view say the same thing in two ways: one in the frame replaces both at the top. Where
+    the frame gives one axis alone, the pixels keep the shape that the top gives them. A principal point at the top
+    belongs to the image size at the top.
+    """
+    top = dict(content)
+    if any(key in frame and frame[key] != content.get(key) for key in ("w", "h")):
+        for key in ("cx", "cy"):
+            top.pop(key, None)
+    across, down = (any(frame.get(key) is not None for key in keys) for keys in (_ACROSS, _DOWN))
+    shape = _pixel_shape(content)
+    stale = (*(_ACROSS if across else ()), *(_DOWN if down or (across and shape is not None) else ()))
+    for key in stale:
+        top.pop(key, None)
+    if across and not down and shape is not None:
+        top["pixel_shape"] = shape
+    return {**top, **frame}
+
+
+def _pixel_shape(values: dict[str, Any]) -> float | None:
+    """Return fl_y over fl_x; None where one is missing or no number above 0."""
+    across, down = values.get("fl_x"), values.get("fl_y")
+    if not isinstance(across, int | float) or not isinstance(down, int | float) or not (across > 0 and down > 0):
+        return None
+    return float(down) / float(across)
+
+
+def _check_pinhole(path: Path, where: str, values: dict[str, Any], distorted: list[str]) -> None:
+    """Raise unless a frame is of a pinhole camera.
+
+    Raises:
+        FormatError: If its model is another one, or it is distorted.
+    """
+    model = str(values.get("camera_model") or "PINHOLE")
+    parameters = values.get("distortion_params")
+    got = ""
+    if model.upper() not in _PINHOLES:
+        got = f"camera_model {model}"
+    elif values.get("is_fisheye"):
+        got = "is_fisheye"
+    elif distorted:
+        got = f"distortion {' '.join(distorted)}"
+    elif isinstance(parameters, list) and any(parameters):
+        got = f"distortion_params {parameters}"
+    if got:
+        raise FormatError(path, where, "a pinhole camera", got, _UNDISTORT)
 
 
 def _intrinsics(
@@ -61,11 +115,7 @@ def _intrinsics(
     def number(key: str) -> float | None:
         return None if values.get(key) is None else float(to_numbers(path, f"{where}: {key}", values[key], ()))
 
-    distorted = [key for key in _DISTORTION if number(key)]
-    if distorted or "FISHEYE" in str(values.get("camera_model", "")).upper():
-        got = f"distortion {' '.join(distorted)}" if distorted else str(values["camera_model"])
-        remedy = "undistort the images, for example with `colmap image_undistorter`, and use the model that it writes"
-        raise FormatError(path, where, "a pinhole camera", got, remedy)
+    _check_pinhole(path, where, values, [key for key in _DISTORTION if number(key)])
     width, height = number("w"), number("h")
     if width is None or height is None:
         if size is None:
@@ -76,7 +126,11 @@ def _intrinsics(
     if focal_x is None:
         focal_x = _focal(path, where, width, number("camera_angle_x"))
     if focal_y is None:
-        focal_y = _focal(path, where, height, number("camera_angle_y")) if "camera_angle_y" in values else focal_x
+        focal_y = _focal(path, where, height, number("camera_angle_y"))
+    if focal_y is None and focal_x is not None:
+        focal_y = focal_x * float(values.get("pixel_shape", 1.0))
+    if focal_x is None:
+        focal_x = focal_y
     if focal_x is None or focal_y is None:
         raise FormatError(path, where, "fl_x or camera_angle_x", "neither")
     center_x, center_y = number("cx"), number("cy")

@@ -113,7 +113,11 @@ def test_a_name_without_an_end_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("cameras", "images", "message"),
     [
-        ("1 OPENCV 64 48 1 1 1 1 0 0 0 0", "1 1 0 0 0 0 0 0 1 a", "got OPENCV; undistort .* image_undistorter"),
+        (
+            "1 OPENCV 64 48 1 1 1 1 0 0.1 0 0",
+            "1 1 0 0 0 0 0 0 1 a",
+            "got OPENCV with distortion 0 0.1 0 0; undistort .* image_undistorter",
+        ),
         ("1 PINHOLE 64 48 50 50 32", "1 1 0 0 0 0 0 0 1 a", "line 1: expected 4 parameters of PINHOLE, got 3"),
         ("1 PINHOLE 64 48 50 50 32 x", "1 1 0 0 0 0 0 0 1 a", "line 1: expected CAMERA_ID MODEL"),
         ("1 PINHOLE 0 48 50 50 32 24", "1 1 0 0 0 0 0 0 1 a", "expected an image size"),
@@ -131,6 +135,50 @@ def test_what_is_wrong_in_text_is_reported(tmp_path: Path, cameras: str, images:
     (tmp_path / "cameras.txt").write_text(cameras + "\n")
     (tmp_path / "images.txt").write_text(images + "\n\n")
     with pytest.raises(FormatError, match=message):
+        load_cameras(tmp_path)
+
+
+@pytest.mark.parametrize("ending", ["\n", "\r\n"])
+@pytest.mark.parametrize("points", ["10 20 7 11 21.5 -1", "", None])
+def test_lines_of_points_may_be_there_or_empty_or_missing(tmp_path: Path, points: str | None, ending: str) -> None:
+    (tmp_path / "cameras.txt").write_text("1 PINHOLE 64 48 50 50 32 24\n")
+    lines = ["# images", ""]
+    for number in range(6):
+        lines.append(f"{number + 1} 1 0 0 0 {number} 0 0 1 {number}.jpg")
+        if points is not None:
+            lines.append(points)
+    for last in ("", ending):
+        (tmp_path / "images.txt").write_bytes((ending.join(lines) + last).encode())
+        cameras = load_cameras(tmp_path)
+        assert cameras.names == tuple(f"{number}.jpg" for number in range(6))
+        np.testing.assert_allclose(-cameras.viewpoints[:, 0], range(6))
+
+
+@pytest.mark.parametrize(
+    ("lens", "K"),
+    [
+        ("SIMPLE_RADIAL 64 48 50 32 24 0", (50, 50, 32, 24)),
+        ("RADIAL 64 48 50 32 24 0 0", (50, 50, 32, 24)),
+        ("OPENCV 64 48 50 51 32 24 0 0 0 0", (50, 51, 32, 24)),
+        ("FULL_OPENCV 64 48 50 51 32 24 0 0 0 0 0 0 0 0", (50, 51, 32, 24)),
+        ("FOV 64 48 50 51 32 24 0", (50, 51, 32, 24)),
+        ("DIVISION 64 48 50 51 32 24 0", (50, 51, 32, 24)),
+    ],
+)
+def test_a_model_without_distortion_is_a_pinhole(tmp_path: Path, lens: str, K: tuple[float, ...]) -> None:
+    (tmp_path / "cameras.txt").write_text(f"1 {lens}\n")
+    (tmp_path / "images.txt").write_text("1 1 0 0 0 0 0 0 1 a\n")
+    found = load_cameras(tmp_path).Ks[0]
+    assert (found[0, 0], found[1, 1], found[0, 2], found[1, 2]) == K
+
+
+@pytest.mark.parametrize(
+    "lens", ["OPENCV_FISHEYE 64 48 50 50 32 24 0 0 0 0", "SIMPLE_FISHEYE 64 48 50 32 24", "EQUIRECTANGULAR 64 48 64 48"]
+)
+def test_a_fisheye_is_no_pinhole_whatever_its_distortion(tmp_path: Path, lens: str) -> None:
+    (tmp_path / "cameras.txt").write_text(f"1 {lens}\n")
+    (tmp_path / "images.txt").write_text("1 1 0 0 0 0 0 0 1 a\n")
+    with pytest.raises(FormatError, match=f"got {lens.split()[0]}; undistort"):
         load_cameras(tmp_path)
 
 

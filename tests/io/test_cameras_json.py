@@ -127,7 +127,11 @@ MIRROR = np.diag([1.0, 1.0, -1.0, 1.0]).tolist()
         ({"frames": [{"transform_matrix": MIRROR}]}, "got a mirrored one"),
         ({"frames": [{"transform_matrix": EYE, "file_path": 3}]}, r"file_path: expected a string, got int"),
         ({"k1": 0.1}, "expected a pinhole camera, got distortion k1; undistort"),
-        ({"camera_model": "OPENCV_FISHEYE"}, "got OPENCV_FISHEYE; undistort"),
+        ({"camera_model": "EQUIRECTANGULAR"}, "got camera_model EQUIRECTANGULAR; undistort"),
+        ({"is_fisheye": True}, "got is_fisheye; undistort"),
+        ({"k6": 0.1}, "got distortion k6"),
+        ({"distortion_params": [0, 0, 0.2]}, "got distortion_params"),
+        ({"camera_model": "OPENCV_FISHEYE"}, "got camera_model OPENCV_FISHEYE; undistort"),
         ({"fl_x": None}, "expected fl_x or camera_angle_x, got neither"),
         ({"fl_x": None, "camera_angle_x": 4.0}, r"field of view in \(0, pi\)"),
         ({"fl_x": -1.0}, "expected focal lengths > 0"),
@@ -178,3 +182,31 @@ def test_any_json_is_refused_or_read(tmp_path_factory: pytest.TempPathFactory, j
             assert len(load(folder, content)) >= 1
         except FormatError as error:
             assert len(str(error)) < 1000
+
+
+@pytest.mark.parametrize(
+    ("top", "of_frame", "focal"),
+    [
+        ({"fl_x": 100.0}, {"camera_angle_x": 2 * np.arctan(0.64)}, (50.0, 50.0)),
+        ({"fl_x": 100.0, "fl_y": 100.0}, {"camera_angle_x": 2 * np.arctan(0.64)}, (50.0, 50.0)),
+        ({"fl_x": 100.0, "fl_y": 110.0}, {"fl_x": 50.0}, (50.0, 55.0)),
+        ({"camera_angle_x": 0.5}, {"fl_x": 50.0}, (50.0, 50.0)),
+        ({"fl_x": 50.0}, {"fl_y": 45.0}, (50.0, 45.0)),
+        ({"fl_x": 100.0, "camera_angle_y": 0.5}, {"fl_x": 50.0, "fl_y": 45.0}, (50.0, 45.0)),
+    ],
+)
+def test_what_a_frame_states_wins(
+    tmp_path: Path, top: dict[str, float], of_frame: dict[str, float], focal: tuple[float, float]
+) -> None:
+    frames = [{"file_path": "a", "transform_matrix": EYE, **of_frame}]
+    path = tmp_path / "transforms.json"
+    path.write_text(json.dumps({"w": 64, "h": 48, **top, "frames": frames}))
+    found = load_cameras(path).Ks[0]
+    np.testing.assert_allclose((found[0, 0], found[1, 1]), focal)
+
+
+def test_the_principal_point_at_the_top_belongs_to_the_size_at_the_top(tmp_path: Path) -> None:
+    frames = [{"file_path": "a", "transform_matrix": EYE, "w": 32, "h": 24, "fl_x": 50.0}]
+    path = tmp_path / "transforms.json"
+    path.write_text(json.dumps({"w": 64, "h": 48, "cx": 30.0, "cy": 20.0, "frames": frames}))
+    np.testing.assert_allclose(load_cameras(path).Ks[0][:2, 2], (16.0, 12.0))
