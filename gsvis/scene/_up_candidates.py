@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gsvis.scene._up_sample import Sample
 
-__all__ = ["cross_frame", "find_candidates", "settle"]
+__all__ = ["cross_frame", "find_candidates", "find_plumb", "settle"]
 
 F64 = NDArray[np.float64]
 
@@ -22,6 +22,12 @@ _APART = 20.0  # degrees between peaks
 _DIFFERENT = 4.0  # degrees between candidates
 _SLABS = (0.15, 0.08, 0.05, 0.04)  # standard deviations of heights about a plane, over the footprint's side
 _TOLERANCES = (12.0, 8.0, 6.0, 5.0)  # degrees within which surface counts as level or upright
+_LEANS = (18.0, 14.0, 10.0, 7.0, 5.0, 4.0, 4.0)  # degrees within which steep surface counts as plumb
+_STEEP = np.cos(np.radians(45.0))
+_FARTHEST = np.cos(np.radians(30.0))
+_TWO_WAYS = 0.08  # least mean square across the second way that plumb surface faces
+_CLEARER = 1.7  # times as much plumb surface as along the normal of the ground
+_ENOUGH = 0.2  # of the steep surface
 
 
 def find_candidates(sample: Sample) -> F64:
@@ -64,6 +70,32 @@ def settle(sample: Sample, axis: F64) -> F64:
             return axis
         found = best
     return np.asarray(found)
+
+
+def find_plumb(sample: Sample, up: F64) -> F64:
+    """Return the direction along which walls and trunks stand, where they clearly lean from an up axis by ground.
+
+    Ground slopes, and what stands on it is plumb. Without clear walls or trunks, the axis is returned.
+
+    Args:
+        sample: The surface of the core.
+        up: (3,) unit vector, the normal of the ground.
+    """
+    steep = np.flatnonzero(np.abs(sample.normals @ up) < _STEEP)
+    normals, weights = sample.normals[steep], (sample.standing)[steep]
+    found = up
+    for tolerance in _LEANS:
+        near = np.exp(-0.5 * ((normals @ found) / np.sin(np.radians(tolerance))) ** 2) * weights
+        if not near.sum() > 0.0:
+            return up
+        sizes, axes = np.linalg.eigh((normals.T * near) @ normals / near.sum())
+        found = axes[:, 0] if axes[:, 0] @ up >= 0.0 else -axes[:, 0]
+        if sizes[1] < _TWO_WAYS or found @ up < _FARTHEST:
+            return up
+    sharp = np.sin(np.radians(_LEANS[-1]))
+    plumb, level = (float(weights[np.abs(normals @ axis) < sharp].sum()) for axis in (found, up))
+    clear = plumb > _CLEARER * level and plumb > _ENOUGH * float(weights.sum())
+    return np.asarray(found) if clear else up
 
 
 def cross_frame(axis: F64) -> tuple[F64, F64]:

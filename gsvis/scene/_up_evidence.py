@@ -43,6 +43,7 @@ class AxisEvidence:
         level: Share of the surface within 10 degrees of level.
         upright: Share of the surface within 10 degrees of upright.
         around: How evenly upright surface faces all ways around, in (0, 1].
+        other: Share of the upright surface that does not face the way that most of it faces.
         slab: Share of the surface that is level and in the two fullest thin slabs.
         pair: Surface of the second slab over that of the first, in [0, 1]: floor and ceiling.
         flat: Largest share of columns that begin, or end, at one height.
@@ -58,6 +59,7 @@ class AxisEvidence:
     level: float
     upright: float
     around: float
+    other: float
     slab: float
     pair: float
     flat: float
@@ -96,11 +98,13 @@ def measure_axis(sample: Sample, axis: F64) -> AxisEvidence:
     side = max(float(np.sqrt(narrow * wide)), 1e-9)
     slabs = _find_slabs(heights, along, sample.surface, _THIN * min(side, max(height, 0.3 * side)), height)
     ring = along < _LEANING
+    around, other = _spread(sample.normals[ring] @ np.stack(cross_frame(axis), axis=1), sample.surface[ring])
     pair = slabs.less / slabs.most if slabs.most > 0.0 else 0.0
     return AxisEvidence(
         level=float(sample.surface[along > _LEVEL].sum()),
         upright=float(sample.surface[along < _UPRIGHT].sum()),
-        around=_evenness(sample.normals[ring] @ np.stack(cross_frame(axis), axis=1), sample.surface[ring]),
+        around=around,
+        other=other,
         slab=slabs.most + slabs.less,
         pair=pair,
         flat=_flatness(heights, across),
@@ -127,17 +131,18 @@ def _extents(across: F64, weights: F64) -> tuple[float, float]:
     return min(spans), max(spans)
 
 
-def _evenness(flat: F64, weights: F64) -> float:
-    """Return how evenly directions (R, 2), their signs aside, are spread over the half turn: 1 if evenly."""
+def _spread(flat: F64, weights: F64) -> tuple[float, float]:
+    """Return how evenly directions (R, 2) without signs are spread, 1 at the most, and their share off the fullest."""
     if not weights.sum() > 0.0:
-        return 0.01
+        return 0.01, 0.0
     turns = np.arctan2(flat[:, 1], flat[:, 0]) / np.pi % 1.0
-    found = []
+    evenness, fullest = 0.0, 0.0
     for shift in (0.0, 0.5):
         bins = (turns * _BINS + shift).astype(np.int64) % _BINS
         share = np.bincount(bins, weights=weights, minlength=_BINS) / weights.sum()
-        found.append(np.exp(-float(np.sum(share * np.log(share + 1e-12)))) / _BINS)
-    return float(np.mean(found))
+        evenness += 0.5 * float(np.exp(-np.sum(share * np.log(share + 1e-12)))) / _BINS
+        fullest = max(fullest, float((share + np.roll(share, 1) + np.roll(share, -1)).max()))
+    return evenness, 1.0 - fullest
 
 
 def _find_slabs(heights: F64, along: F64, surface: F64, thickness: float, height: float) -> _Slabs:
@@ -149,7 +154,7 @@ def _find_slabs(heights: F64, along: F64, surface: F64, thickness: float, height
     bottoms, filled = heights[level], np.append(0.0, np.cumsum(surface[level]))
     shares = filled[np.searchsorted(bottoms, bottoms + thickness, "right")] - filled[:-1]
     first = int(shares.argmax())
-    apart = np.where(np.abs(bottoms - bottoms[first]) > 0.25 * height, shares, 0.0)
+    apart = np.where(np.abs(bottoms - bottoms[first]) > max(0.25 * height, 2.0 * thickness), shares, 0.0)
     second = int(apart.argmax())
     centers = bottoms + 0.5 * thickness
     return _Slabs(float(centers[first]), float(centers[second]), shares[first], apart[second], thickness)

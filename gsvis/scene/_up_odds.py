@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gsvis.scene._up_candidates import find_candidates, settle
+from gsvis.scene._up_candidates import find_candidates, find_plumb, settle
 from gsvis.scene._up_evidence import AxisEvidence, measure_axis
 from gsvis.scene._up_sample import Sample
 from gsvis.scene.axes import AXES, axis_vector
@@ -23,7 +23,12 @@ F64 = NDArray[np.float64]
 
 _SAME = 15.0  # degrees within which candidates are one answer
 _LEAST_CONTACT = 0.01
-_SHEET = 0.6  # most confidence where nothing stands on the slab: a sheet has no up
+_SHEET = 0.6  # most confidence in a sheet on which nothing stands, or which may as well be a wall
+_TEMPER = 0.7  # of the odds of axes: the figures behind them are not independent
+_THIN = (0.05, 0.12)  # height over width of a sheet, and of what is surely none
+_FULL = (0.08, 0.18)  # opacity on a slab that is bare, and on one with much on it
+_OBJECT = 0.7  # most confidence in an object by its shape alone: some lie down
+_ONE_WAY = (0.15, 0.35)  # share of the upright surface off its main way: below, ground and wall can be exchanged
 _SNAP = 6.0  # degrees within which an object stands along an axis of its file
 # Log odds of directions by convention: COLMAP gives -y, tilted by up to 40 degrees; viewers +y; scanners and CAD +z.
 _ON_AXIS = {"-y": 1.6, "+y": 1.0, "+z": 1.2}
@@ -59,7 +64,7 @@ def find_likely(sample: Sample) -> Likely:
     """
     axes, found, odds = _best_apart(sample, find_candidates(sample))
     directions = np.concatenate([axes, -axes])
-    total = np.logaddexp(odds[:, :, 0], odds[:, :, 1]).T.ravel()
+    total = _signed_odds(odds)
     shares = _softmax(total)
     informed = _softmax(total + np.array([_convention(each) for each in directions]))
     best = int(informed.argmax())
@@ -68,10 +73,15 @@ def find_likely(sample: Sample) -> Likely:
     confidence = min(float(informed[same].sum()), np.sqrt(geometry))
     which, way = best % len(axes), best // len(axes)
     ground = bool(odds[which, way, 0] >= odds[which, way, 1])
-    if ground and found[which].contact < _LEAST_CONTACT:
-        confidence, geometry = min(confidence, _SHEET), min(geometry, _SHEET)
+    if ground:
+        most = _most_confidence(found[which])
+        confidence, geometry = min(confidence, most), min(geometry, most)
+    else:
+        geometry = min(geometry, _OBJECT)
+        confidence = min(confidence, np.sqrt(geometry))
     up = settle(sample, directions[best])
-    return Likely(up if ground else _snap(up), confidence, geometry, ground, found[which])
+    up = find_plumb(sample, up) if ground else _snap(up)
+    return Likely(up, confidence, geometry, ground, found[which])
 
 
 def _best_apart(sample: Sample, axes: F64) -> tuple[F64, list[AxisEvidence], F64]:
@@ -83,6 +93,25 @@ def _best_apart(sample: Sample, axes: F64) -> tuple[F64, list[AxisEvidence], F64
         if all(abs(axes[k] @ axes[other]) < np.cos(np.radians(_SAME)) for other in kept):
             kept.append(int(k))
     return axes[kept], [found[k] for k in kept], odds[kept]
+
+
+def _signed_odds(odds: F64) -> F64:
+    """Return (2K,) log odds of all directions: K axes, then their opposites."""
+    each = np.logaddexp(odds[:, :, 0], odds[:, :, 1])
+    both = np.logaddexp(each[:, 0], each[:, 1])
+    return np.asarray((each + (_TEMPER - 1.0) * both[:, None]).T.ravel())
+
+
+def _most_confidence(e: AxisEvidence) -> float:
+    """Return the most confidence in ground or floors: less for sheets, and where it may as well be a wall."""
+    if e.contact < _LEAST_CONTACT:
+        return _SHEET
+    thick = max(_between(e.height, _THIN), _between(e.contact, _FULL))
+    return _SHEET + (1.0 - _SHEET) * min(thick, _between(e.other, _ONE_WAY))
+
+
+def _between(value: float, ends: tuple[float, float]) -> float:
+    return float(np.clip((value - ends[0]) / (ends[1] - ends[0]), 0.0, 1.0))
 
 
 def _weigh(e: AxisEvidence) -> F64:
@@ -98,7 +127,7 @@ def _weigh(e: AxisEvidence) -> F64:
         + 0.8 * abs(e.low)
     )
     upward = 0.65 * (e.sided + 1.5 * e.low + e.clutter + 1.2 * e.bright)
-    thing = 1.0 + 1.2 * ring - 0.8 * wide
+    thing = 0.6 + 2.0 * ring - 0.8 * wide
     standing = 0.65 * (e.base + e.low)
     return np.array([[ground + upward, thing + standing], [ground - upward, thing - standing]])
 

@@ -19,7 +19,7 @@ __all__ = ["FEWEST", "Sample", "sample_surface"]
 F64 = NDArray[np.float64]
 
 FEWEST = 64  # Gaussians below which nothing is estimated
-_MOST = 30_000  # points of the sample
+_MOST = 20_000  # points of the sample
 _SOME = 20_000  # points that the middle is found from
 _REACH = 3.0  # radius of the core, in median distances from its middle
 _NEIGHBORS = 16
@@ -38,6 +38,7 @@ class Sample:
         places: (M, 3) about the middle, radii of the core.
         normals: (M, 3) unit, of the surface around each point; the sign means nothing.
         surface: (M,) share of the surface, weighted by how flat it is there; sums to 1.
+        standing: (M,) share of the opacity, weighted by how flat it is there; for what is thin but stands.
         detail: (M,) share of the opacity; sums to 1.
         mixed: (M,) mean of `detail` and of the share of the surface, flat or not; sums to 1.
         luminance: (M,) brightness of the base color.
@@ -46,6 +47,7 @@ class Sample:
     places: F64
     normals: F64
     surface: F64
+    standing: F64
     detail: F64
     mixed: F64
     luminance: F64
@@ -75,7 +77,7 @@ def sample_surface(g: Gaussians) -> Sample | None:
         return None
     base = np.clip(0.5 + _SH_C0 * chosen.sh0[:, 0].astype(np.float64), 0.0, 1.5)
     mixed = 0.5 * (detail + area / area.sum())
-    return Sample(places, normals, surface / surface.sum(), detail, mixed, base @ _LUMA)
+    return Sample(places, normals, surface / surface.sum(), detail * flatness**2, detail, mixed, base @ _LUMA)
 
 
 def _shuffle(g: Gaussians, index: NDArray[np.int64]) -> NDArray[np.int64]:
