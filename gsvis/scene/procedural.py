@@ -1,4 +1,4 @@
-"""Generate scenes: occluder scenes with visibility known in closed form, and random scenes for tests.
+"""Generate scenes: a furnished flat, occluder scenes with visibility known in closed form, and random scenes for tests.
 
 Occluder scenes consist of opaque surfaces (`_surfaces.py`) in meters, z up. Each comes with viewpoints and, for each
 viewpoint, the Gaussians that are certainly visible and certainly hidden (docs/conventions.md: largest weight at least,
@@ -23,9 +23,12 @@ from gsvis.scene.sh import SH_C0
 
 __all__ = [
     "BUILTIN_SCENES",
+    "OCCLUDER_SCENES",
+    "BuiltinScene",
     "OccluderScene",
     "box_in_room",
     "builtin_scene",
+    "furnished_flat",
     "nested_shells",
     "random_scene",
     "two_rooms",
@@ -50,13 +53,12 @@ _WARM, _COOL, _CLAY, _MOSS, _SAND, _SLATE, _PLUM = (
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class OccluderScene:
-    """A scene with known visibility from some viewpoints.
+class BuiltinScene:
+    """A scene that gsvis makes itself.
 
     Args:
         gaussians: The N Gaussians.
         viewpoints: (V, 3) eyes.
-        surfaces: What it consists of, in the order of the Gaussians.
         navigable: Allowed viewpoints.
         up: (3,) up axis.
         name: Name in `BUILTIN_SCENES`.
@@ -64,10 +66,28 @@ class OccluderScene:
 
     gaussians: Gaussians
     viewpoints: F64
-    surfaces: tuple[Surface, ...]
     navigable: NavigableSpace
     up: F64
     name: str
+
+    def __repr__(self) -> str:
+        return f"BuiltinScene({self.name}: {len(self.gaussians):,} Gaussians, {len(self.viewpoints)} eyes)"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class OccluderScene(BuiltinScene):
+    """A scene with known visibility from some viewpoints.
+
+    Args:
+        gaussians: The N Gaussians.
+        viewpoints: (V, 3) eyes.
+        navigable: Allowed viewpoints.
+        up: (3,) up axis.
+        name: Name in `BUILTIN_SCENES`.
+        surfaces: What it consists of, in the order of the Gaussians.
+    """
+
+    surfaces: tuple[Surface, ...]
 
     @property
     def visible(self) -> Mask:
@@ -177,17 +197,37 @@ def nested_shells(count: int = 20_000, *, sh_degree: int = 3) -> OccluderScene:
     return _scene("nested_shells", count, sh_degree, surfaces, eyes, ((-3.0, -3.0, -3.0), (3.0, 3.0, 3.0)))
 
 
-BUILTIN_SCENES: dict[str, Callable[..., OccluderScene]] = {
+def furnished_flat(count: int = 240_000, *, sh_degree: int = 3, seed: int = 1) -> BuiltinScene:
+    """Build a furnished flat of five rooms and a hall, 10 x 8.6 meters, that looks like a trained capture.
+
+    Its colors depend on the direction of view where something is polished. Some Gaussians float in the air, and a
+    layer lies behind the visible one, as training leaves them. What is visible is not known in closed form.
+
+    Args:
+        count: Approximate number of Gaussians, at least 1000. Fewer are made faster, with coarser shadows.
+        sh_degree: 0 to 3.
+        seed: Of all that is random.
+    """
+    from gsvis.scene import flat  # here: it takes long to import, and few need it
+
+    g = flat.furnished_flat(count, sh_degree, seed)
+    return BuiltinScene(g, np.array(flat.EYES), flat.navigable_space(g), np.array(flat.UP), "flat")
+
+
+OCCLUDER_SCENES: dict[str, Callable[..., OccluderScene]] = {
     "wall_with_hole": wall_with_hole,
     "box_in_room": box_in_room,
     "two_rooms": two_rooms,
     "nested_shells": nested_shells,
 }
-"""Occluder scenes by name; on the command line `builtin:two_rooms` and so on."""
+"""Scenes whose visibility is known, by name."""
+
+BUILTIN_SCENES: dict[str, Callable[..., BuiltinScene]] = {"flat": furnished_flat, **OCCLUDER_SCENES}
+"""All scenes by name; on the command line `builtin:flat` and so on."""
 
 
-def builtin_scene(name: str) -> OccluderScene:
-    """Return the occluder scene with that name, at its default size.
+def builtin_scene(name: str) -> BuiltinScene:
+    """Return the scene with that name, at its default size.
 
     Raises:
         ValueError: If no scene has that name.
@@ -266,7 +306,7 @@ def _scene(
     g = _dress([surface.patch() for surface in parts], colors, sh_degree)
     viewpoints = np.array(eyes, np.float64)
     space = _space(g, parts, box, viewpoints[0])
-    return OccluderScene(g, viewpoints, parts, space, np.array(UP), name)
+    return OccluderScene(g, viewpoints, space, np.array(UP), name, parts)
 
 
 def _dress(patches: list[Patch], colors: Sequence[Triple], sh_degree: int) -> Gaussians:

@@ -19,7 +19,7 @@ from gsvis.io import load_scene, save_scene
 from gsvis.io.report_cameras import describe_cameras
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
-from gsvis.scene.procedural import BUILTIN_SCENES, two_rooms
+from gsvis.scene.procedural import OCCLUDER_SCENES, two_rooms
 
 Capture = pytest.CaptureFixture[str]
 FAR = ["90", "90", "90", "91", "91", "91"]
@@ -74,7 +74,9 @@ def test_inspect_json_is_one_document(ply: Path, capsys: Capture) -> None:
     assert document["count"] == len(load_scene(ply))
 
 
-@pytest.mark.parametrize("name", sorted(BUILTIN_SCENES))
+@pytest.mark.parametrize(
+    "name", sorted(OCCLUDER_SCENES)
+)  # the flat takes seconds; tests/scene/test_flat.py has a small one
 def test_builtin_scenes_are_scenes(name: str, capsys: Capture) -> None:
     assert main(["inspect", f"builtin:{name}", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["count"] > 1000

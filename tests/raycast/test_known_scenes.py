@@ -11,12 +11,12 @@ from gsvis.io import load_scene
 from gsvis.raycast import TAU, EllipsoidProxies, GaussianRays, Tracer, visible_from
 from gsvis.raycast.reference import brute_force_contributions
 from gsvis.scene.navigable import NavigableSpace
-from gsvis.scene.procedural import BUILTIN_SCENES, builtin_scene
+from gsvis.scene.procedural import OCCLUDER_SCENES
 
 
-@pytest.mark.parametrize("name", sorted(BUILTIN_SCENES))
+@pytest.mark.parametrize("name", sorted(OCCLUDER_SCENES))
 def test_what_must_be_seen_is_seen_and_what_is_hidden_is_not(name: str) -> None:
-    known = builtin_scene(name)
+    known = OCCLUDER_SCENES[name]()
     tracer = Tracer(EllipsoidProxies.from_scene(known.gaussians))
     by_gaussians = visible_from(tracer, known.viewpoints, sampling="gaussians", rays=GaussianRays(ring=0))
     by_ring = visible_from(tracer, known.viewpoints, sampling="gaussians", rays=GaussianRays(ring=4))

@@ -1,0 +1,203 @@
+"""Cut painted charts into pieces, each of about one color: small ones where there is detail, large ones elsewhere.
+
+All pieces are cut at once, in rounds. A cut lies where it takes away most of the variance of color, as in a regression
+tree; its candidates are random, so that no lattice appears. Sums over pieces come from summed-area tables.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Canvas", "Pieces", "cut"]
+
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+
+CANDIDATES = (0.2, 0.42, 0.58, 0.8)
+SPREAD = 0.004  # worth of a cut by its size alone, so that plain walls are cut too
+BENT = 0.06  # the same, for curvature
+HOLE = 0.05  # worth of a clean edge of a hole
+RIM = 0.001  # worth of a narrow border, a square meter, so that objects end sharply
+FALL = 0.72  # how much less a cut has to be worth in the next round
+WIDEST = 0.22  # meters; wider pieces would be drawn before what hangs in front of them
+LONGEST = 4.0  # longest side over the shorter one beyond which only the longer is cut
+
+
+@dataclass(frozen=True)
+class Canvas:
+    """The finished colors of a chart.
+
+    Args:
+        colors: (H, W, 3) in [0, 1]; rows along v.
+        solid: (H, W) whether there is surface.
+        size: Meters along u and v.
+        detail: Weight of its detail.
+        bend: How curved it is.
+        rim: How much a sharp border counts.
+    """
+
+    colors: F64
+    solid: NDArray[np.bool_]
+    size: tuple[float, float]
+    detail: float
+    bend: float
+    rim: float
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """P pieces of charts.
+
+    Args:
+        charts: (P,) which chart.
+        low: (P, 2) lower corner (u, v) in [0, 1].
+        high: (P, 2) upper corner.
+        colors: (P, 3) mean colors.
+        cover: (P,) share that is surface.
+        spread: (P,) standard deviation of the color inside.
+    """
+
+    charts: I64
+    low: F64
+    high: F64
+    colors: F64
+    cover: F64
+    spread: F64
+
+
+class _Tables:
+    """Summed-area tables of all canvases in one array: weight, weighted colors, weighted squares."""
+
+    def __init__(self, canvases: Sequence[Canvas]) -> None:
+        shapes = np.array([canvas.solid.shape for canvas in canvases], np.int64)
+        self.rows, self.columns = shapes.T
+        self.starts = np.cumsum([0, *((shapes + 1).prod(axis=1))[:-1]])
+        self.sums = np.zeros((int((shapes + 1).prod(axis=1).sum()), 5))
+        for start, canvas in zip(self.starts, canvases, strict=True):
+            rows, columns = canvas.solid.shape
+            table = self.sums[start : start + (rows + 1) * (columns + 1)].reshape(rows + 1, columns + 1, 5)
+            table[1:, 1:, 0] = canvas.solid
+            table[1:, 1:, 1:4] = canvas.colors * canvas.solid[..., None]
+            table[1:, 1:, 4] = (canvas.colors**2).sum(axis=2) * canvas.solid
+            np.cumsum(table, axis=0, out=table)
+            np.cumsum(table, axis=1, out=table)
+        self.texel = np.array([canvas.size for canvas in canvases]) / shapes[:, ::-1]
+        self.detail = np.array([canvas.detail for canvas in canvases])
+        self.rim = np.array([canvas.rim for canvas in canvases])
+        self.bend = np.array([canvas.bend for canvas in canvases])
+
+    def total(self, charts: I64, box: I64) -> F64:
+        """Return (n, 5) sums over (n, 4) boxes: first column, first row, end column, end row."""
+        wide, start = self.columns[charts] + 1, self.starts[charts]
+        top, bottom = start + box[:, 1] * wide, start + box[:, 3] * wide
+        return np.asarray(
+            self.sums[bottom + box[:, 2]]
+            - self.sums[bottom + box[:, 0]]
+            - self.sums[top + box[:, 2]]
+            + self.sums[top + box[:, 0]]
+        )
+
+
+def cut(canvases: Sequence[Canvas], count: int, rng: np.random.Generator) -> Pieces:
+    """Return about `count` pieces of all canvases.
+
+    Args:
+        canvases: What to cut.
+        count: How many pieces, at least.
+        rng: Source of randomness.
+    """
+    tables = _Tables(canvases)
+    charts = np.arange(len(canvases))
+    zeros = np.zeros(len(charts), np.int64)
+    boxes = np.stack([zeros, zeros, tables.columns, tables.rows], axis=1)
+    worth, where = _best_cuts(tables, charts, boxes, rng)
+    bar = float(worth.max())
+    while len(boxes) < count and bar > 1e-12:
+        chosen = worth > bar
+        if not chosen.any():
+            bar *= FALL
+            continue
+        most = count - len(boxes)
+        if chosen.sum() > most:
+            chosen = worth >= np.partition(worth, -most)[-most]
+        first, second = boxes[chosen].copy(), boxes[chosen].copy()
+        rows, axis = np.arange(int(chosen.sum())), where[chosen, 0]
+        first[rows, 2 + axis] = where[chosen, 1]
+        second[rows, axis] = where[chosen, 1]
+        new, owners = np.concatenate([first, second]), np.tile(charts[chosen], 2)
+        new_worth, new_where = _best_cuts(tables, owners, new, rng)
+        kept = ~chosen
+        charts, boxes = np.concatenate([charts[kept], owners]), np.concatenate([boxes[kept], new])
+        worth, where = np.concatenate([worth[kept], new_worth]), np.concatenate([where[kept], new_where])
+    return _pieces(tables, charts, boxes)
+
+
+def _best_cuts(tables: _Tables, charts: I64, boxes: I64, rng: np.random.Generator) -> tuple[F64, I64]:
+    """Return (n,) what the best cut of each box is worth, and (n, 2) its axis and its place; -1 for no cut."""
+    whole = tables.total(charts, boxes)
+    best, where = np.full(len(boxes), -1.0), np.zeros((len(boxes), 2), np.int64)
+    extent = boxes[:, 2:] - boxes[:, :2]
+    sides = extent * tables.texel[charts]
+    area = tables.texel[charts].prod(axis=1)
+    sharp = area * tables.detail[charts]
+    before, edge = _scatter(whole), _holes(whole, boxes)
+    for axis in range(2):
+        by_size = sides.prod(axis=1) * sides[:, axis] ** 2 / 16.0
+        plain = by_size * (SPREAD + BENT * tables.bend[charts])
+        allowed = (extent[:, axis] > 1) & (sides[:, axis] * LONGEST > sides[:, 1 - axis]) & (whole[:, 0] > 0.0)
+        for share in CANDIDATES:
+            at = np.rint(extent[:, axis] * (share + rng.uniform(-0.08, 0.08, len(boxes)))).astype(np.int64)
+            at = boxes[:, axis] + np.clip(at, 1, np.maximum(extent[:, axis] - 1, 1))
+            first, second = boxes.copy(), boxes.copy()
+            first[:, 2 + axis] = at
+            second[:, axis] = at
+            part = tables.total(charts, first)
+            rest = whole - part
+            gain = sharp * (before - _scatter(part) - _scatter(rest))
+            clean = area * (edge - _holes(part, first) - _holes(rest, second))
+            narrow = RIM * _rims(tables, charts, boxes, axis, at) * tables.rim[charts] * sides[:, 1 - axis]
+            balance = 4.0 * (at - boxes[:, axis]) * (boxes[:, 2 + axis] - at) / np.maximum(extent[:, axis], 1) ** 2
+            worth = np.where(
+                allowed,
+                np.maximum(0.0, sides[:, axis] - WIDEST) * balance + gain + HOLE * clean + plain * balance + narrow,
+                -1.0,
+            )
+            better = worth > best
+            best = np.where(better, worth, best)
+            where[better] = np.stack([np.full(len(boxes), axis), at], axis=1)[better]
+    return best, where
+
+
+def _scatter(sums: F64) -> F64:
+    """Return (n,) squared deviations from the mean color, summed."""
+    weight = np.maximum(sums[:, 0], 1e-9)
+    return np.asarray(sums[:, 4] - (sums[:, 1:4] ** 2).sum(axis=1) / weight)
+
+
+def _holes(sums: F64, boxes: I64) -> F64:
+    """Return (n,) how mixed boxes are of surface and hole: 0 for all of either."""
+    area = (boxes[:, 2:] - boxes[:, :2]).prod(axis=1)
+    return np.asarray(sums[:, 0] * (1.0 - sums[:, 0] / np.maximum(area, 1)))
+
+
+def _rims(tables: _Tables, charts: I64, boxes: I64, axis: int, at: I64) -> F64:
+    """Return (n,) by how much a cut makes what touches the border of the chart narrower, meters."""
+    ends = (tables.columns, tables.rows)[axis][charts]
+    low = np.where(boxes[:, axis] == 0, boxes[:, 2 + axis] - at, 0)
+    high = np.where(boxes[:, 2 + axis] == ends, at - boxes[:, axis], 0)
+    return np.asarray((low + high) * tables.texel[charts, axis])
+
+
+def _pieces(tables: _Tables, charts: I64, boxes: I64) -> Pieces:
+    sums = tables.total(charts, boxes)
+    area = (boxes[:, 2:] - boxes[:, :2]).prod(axis=1)
+    cover = sums[:, 0] / np.maximum(area, 1)
+    kept = cover > 0.35
+    charts, boxes, sums, cover = charts[kept], boxes[kept], sums[kept], cover[kept]
+    size = np.stack([tables.columns[charts], tables.rows[charts]], axis=1)
+    spread = np.sqrt(np.maximum(_scatter(sums), 0.0) / sums[:, 0])
+    return Pieces(charts, boxes[:, :2] / size, boxes[:, 2:] / size, sums[:, 1:4] / sums[:, :1], cover, spread)
