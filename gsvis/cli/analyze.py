@@ -17,6 +17,7 @@ from gsvis.cli.source import (
     check_report,
     evenly,
     file_cameras,
+    framed_cameras,
     inspect_scene_of,
     is_builtin,
 )
@@ -81,11 +82,18 @@ def _write_report(
     facts_found = inspect_scene_of(source)
     status("reading", 1, 1)
     status("space", 0, 1)
+    framed: list[str] = []
+    if given is not None and command.cameras is not None:
+        given, framed = framed_cameras(source, given, command.cameras)
+    for each in framed:
+        status.line(each.strip())
     place = find_place(source, command, None, walk, None if given is None else given.viewpoints)
     navigable, no_space = place.space, place.why_not
     cameras = given if given is not None else _sample_cameras(command, navigable, no_space)
     status("space", 1, 1)
-    remarks = place.remarks + _buried_cameras(g, given) + ([] if navigable is None else suspect_views(g, navigable))
+    remarks = (
+        framed + place.remarks + _buried_cameras(g, given) + ([] if navigable is None else suspect_views(g, navigable))
+    )
     status("kernels", 0, 1)
     _warm_up()
     status("kernels", 1, 1)

@@ -18,6 +18,7 @@ from gsvis.cli.source import (
     check_source,
     evenly,
     file_cameras,
+    framed_cameras,
     load_source,
     parse_up,
 )
@@ -63,7 +64,11 @@ def run_clean(command: Clean) -> None:
         if command.apply is not None:
             _apply(command, config, source, status)
             return
+        framed: list[str] = []
+        if cameras is not None and command.cameras is not None:
+            cameras, framed = framed_cameras(source, cameras, command.cameras)
         found, remarks = _find(command, config, source, walk, cameras, status)
+        remarks = [*framed, *remarks]
         _check_left(command, found.kept)
         document = _write(command, config, source, found, remarks, status)
     if command.json:

@@ -11,7 +11,7 @@ import numpy as np
 from gsvis.cli.arguments import Cut
 from gsvis.cli.kernels import warm_sets
 from gsvis.cli.scene_out import check_one_level, check_outputs, check_scene_out, write_array
-from gsvis.cli.source import Source, check_source, file_cameras, load_source, parse_up
+from gsvis.cli.source import Source, check_source, file_cameras, framed_cameras, load_source, parse_up
 from gsvis.cli.terminal import Status, print_json, show, size_of
 from gsvis.cli.where import check_where, find_place, given, space_document
 from gsvis.errors import SceneError
@@ -116,10 +116,11 @@ def _place_eyes(command: Cut, source: Source, walk: HeadPath | None) -> _Eyes:
 
     if command.cameras is not None:
         cameras = file_cameras(command.cameras, None, None, at_most=_WIDEST)
+        cameras, framed = framed_cameras(source, cameras, command.cameras)
         words = f"{len(cameras):,} cameras"
         if command.margin is not None:
             words += f", or up to {command.margin:g} beside them"
-        return _Eyes(EyesOfCameras(cameras, command.margin or 0.0), words, None, [])
+        return _Eyes(EyesOfCameras(cameras, command.margin or 0.0), words, None, framed)
     found = find_place(source, command, command.up, walk)
     space = found.required("say where the eyes are with --cameras or --box")
     if command.path is None:

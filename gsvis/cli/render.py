@@ -14,7 +14,7 @@ from gsvis._extras import has, require
 from gsvis.cli.arguments import Render
 from gsvis.cli.pictures import Frame, Target, target_of, write_frames
 from gsvis.cli.shown import check_shown, load_shown
-from gsvis.cli.source import Source
+from gsvis.cli.source import Source, framed_cameras
 from gsvis.cli.terminal import Status, facts, print_json, show
 from gsvis.cli.views import camera_count, check_buried, check_views, given_cameras, place_cameras
 from gsvis.cli.where import space_document
@@ -92,8 +92,12 @@ def _render(
     if given is None:
         cameras, space, remarks = place_cameras(command, source, walk)
     else:
-        cameras, space = given, None
-        remarks = check_buried(source.gaussians, given.viewpoints, "the cameras of --camera")
+        assert command.camera is not None
+        cameras, framed = framed_cameras(source, given, command.camera)
+        space = None
+        remarks = framed + check_buried(source.gaussians, cameras.viewpoints, "the cameras of --camera")
+        for each in framed:
+            status.line(each.strip())
     status("space", 1, 1)
     if command.contributors is not None:
         _check_pixel(command.contributors, cameras)

@@ -31,6 +31,7 @@ __all__ = [
     "check_source",
     "evenly",
     "file_cameras",
+    "framed_cameras",
     "inputs_of",
     "inspect_scene_of",
     "is_builtin",
@@ -258,6 +259,22 @@ def file_cameras(path: str, width: int | None, height: int | None, *, at_most: i
         if across != cameras.width or height:
             cameras = cameras.resize(max(1, across), max(1, height or round(across / aspect)))
     return cameras
+
+
+def framed_cameras(source: Source, cameras: Cameras, path: str) -> tuple[Cameras, list[str]]:
+    """Return cameras of a file in the frame of a scene, and remarks for the user: moved, or most see nothing.
+
+    Every command that takes cameras calls this once the scene is read.
+
+    Args:
+        source: The scene.
+        cameras: Of `file_cameras`.
+        path: The file or folder that they are of.
+    """
+    from gsvis.io.frames import fit_cameras
+
+    found = fit_cameras(source.gaussians, cameras, path, source.path)
+    return found.cameras, [f" {each}" for each in found.remarks]
 
 
 def is_builtin(scene: str) -> bool:

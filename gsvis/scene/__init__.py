@@ -22,6 +22,7 @@ _MODULES = (
     "procedural",
     "retarget",
     "sh",
+    "sight",
     "similarity",
     "solid",
     "symlog",

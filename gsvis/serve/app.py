@@ -24,6 +24,7 @@ import re
 from collections.abc import Awaitable, Callable, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
+from typing import Any
 from urllib.parse import quote, urlencode
 
 from starlette.applications import Starlette
@@ -124,7 +125,8 @@ class _App:
         if served.fault:
             return await self.turn_away(socket, number, "damaged", "the scene is damaged on the server")
         if not served.is_streamed:
-            return await self.turn_away(socket, number, "static", f"not streamed; read scenes/{served.name}/{SCENE}")
+            line = f"not streamed; read {_row(served)['static']}"
+            return await self.turn_away(socket, number, "static", line)
         if why := self.seats.why_not(owner):
             return await self.turn_away(socket, number, why, "too many clients; try again later", "too-many")
         self.log("accepted", client=number, peer=self.place(socket), scene=name, clients=self.seats.taken)
@@ -186,19 +188,7 @@ class _App:
             return self.unauthorized(request)
         if wants_page(request):
             return self.enter(request) if "token" in request.query_params else self.pages.page(request, _LIST)
-        rows = [
-            {
-                "name": served.name,
-                "state": "refused" if served.fault else "ready",
-                "gaussians": served.gaussians,
-                "view": f"view/{served.name}",
-                "stream": None if served.site else f"stream/{served.name}",
-                "manifest": None if served.site or served.is_world else f"packages/{served.name}/manifest.json",
-                "static": f"scenes/{served.name}/{SCENE}" if served.site else None,
-                "preparing": served.preparing,
-            }
-            for served in self.scenes.values()
-        ]
+        rows = [_row(served) for served in self.scenes.values()]
         answer = {"format": "gsvis-server", "version": 1, "scenes": rows}
         return JSONResponse(answer, headers={"vary": "Accept", "cache-control": "no-cache"})
 
@@ -347,6 +337,22 @@ class _App:
         if wants_page(request):
             return self.pages.ask_token(request.query_params.multi_items())
         return PlainTextResponse("a token is needed\n", 401, {"www-authenticate": "Bearer"})
+
+
+def _row(served: ServedScene) -> dict[str, Any]:
+    """Return what `/` says of a scene; its addresses are relative to `/` and percent-encoded."""
+    name = quote(served.name, safe="")
+    streamed = not served.site
+    return {
+        "name": served.name,
+        "state": "refused" if served.fault else "ready",
+        "gaussians": served.gaussians,
+        "view": f"view/{name}",
+        "stream": f"stream/{name}" if streamed else None,
+        "manifest": f"packages/{name}/manifest.json" if streamed and not served.is_world else None,
+        "static": None if streamed else f"scenes/{name}/{SCENE}",
+        "preparing": served.preparing,
+    }
 
 
 def _why_not_origin(socket: WebSocket) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import json
 import re
+import shutil
 from pathlib import Path
 from urllib.parse import urljoin
 
@@ -98,6 +99,17 @@ def test_only_files_of_the_viewer_are_sent(plain: Path, viewer: Path) -> None:
         assert "content-encoding" not in ask(server, "/viewer/page.js", Accept_Encoding="gzip;q=0")[1]
         status, fields, body = ask(server, "/viewer/page.js", method="HEAD")
         assert (status, int(fields["content-length"]), body) == (200, len(SCRIPT), b"")
+
+
+@pytest.mark.parametrize("name", ["scan #1 100%", "a?b&c", "日本 café", "%41+b"])
+def test_addresses_of_any_name_are_encoded(plain: Path, tmp_path: Path, name: str) -> None:
+    shutil.copytree(plain, tmp_path / name)
+    with serving(tmp_path / name) as server:
+        (row,) = json.loads(ask(server, "/")[2])["scenes"]
+        assert row["name"] == name
+        for key in ("view", "stream", "manifest"):
+            assert re.fullmatch(r"[A-Za-z0-9._~%/-]+", row[key]), row[key]
+        assert ask(server, urljoin("/", row["manifest"]))[0] == 200
 
 
 def test_a_viewer_that_is_not_built_says_how(plain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
