@@ -1,4 +1,4 @@
-# make demo    set up, then analyze a built-in scene (or SCENE=path) into demo-out/
+# make demo    set up, then draw and analyze a furnished flat (or SCENE=path) into demo-out/
 # make test    set up, then run all tests
 # make check   what CI runs: format, lint, types, doctests, examples, docs, tests
 # make viewer  build the viewer's page into gsvis/viewer; needs Node 20 and npm
@@ -12,7 +12,7 @@
 # make pins    rewrite constraints.txt and requirements.txt from .venv            make clean   remove .venv and all that was built
 
 PYTHON ?= python3
-SCENE ?= builtin:two_rooms
+SCENE ?= builtin:flat
 OUT ?= demo-out
 INPUTS ?= 100000
 SEED ?= 1
@@ -47,7 +47,7 @@ SETUP := pyproject.toml constraints.txt tools/setup.sh
 	@touch .venv/.gsvis $@
 
 demo: .venv/.gsvis
-	@$(BIN)/gsvis analyze $(SCENE) -o $(OUT)
+	@$(BIN)/gsvis analyze $(SCENE) -o $(OUT) --views 12
 	@echo "The report with its pictures: $(OUT)/report.html"
 	@echo "Look at the scene in a browser: $(BIN)/gsvis view $(SCENE)"
 

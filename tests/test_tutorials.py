@@ -62,7 +62,8 @@ def quicker(words: list[str]) -> list[str]:
 def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, blank_plots: None) -> Iterator[None]:
     """A small scene under the name that the pages use, no kernels in advance, few views, coarse grids, blank plots."""
     made = two_rooms(1000, sh_degree=1)
-    monkeypatch.setitem(BUILTIN_SCENES, "two_rooms", lambda: made)
+    for name in ("two_rooms", "flat"):
+        monkeypatch.setitem(BUILTIN_SCENES, name, lambda: made)
     for name in ("warm_sets", "warm_levels", "warm_colors"):
         monkeypatch.setattr(f"gsvis.cli.prepare.{name}", lambda config, status: None, raising=False)
     monkeypatch.setattr("gsvis.edit.shape._VOXELS", 1 << 18)

@@ -1,0 +1,138 @@
+"""Draw how a scene arrives over a slow link: gsvis beside the smallest whole file. It heads the README.
+
+    gsvis convert builtin:flat scene.ply
+    gsvis convert scene.ply scene.sog
+    gsvis prepare scene.ply -o scene.gsvis
+    python tools/arriving.py scene.gsvis scene.ply scene.sog
+
+Both ways are simulated over the same link with the same walk. Every image stands beside its PSNR against the scene.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from gsvis.abr import BandwidthTrace
+from gsvis.io import load_scene
+from gsvis.package.package import Package
+from gsvis.scene.cameras import Cameras
+from gsvis.scene.gaussians import quats_from_rotations
+from gsvis.scene.paths import HeadPath
+from gsvis.simulate import Link, ViewingConfig
+from gsvis.simulate.baselines import WholeFile
+from gsvis.simulate.delivery import Adaptive
+from gsvis.simulate.frames import Stage, psnr_of
+from gsvis.simulate.playback import Playback, play
+from gsvis.simulate.viewing import show_at
+from gsvis.simulate.visits import Place
+
+ROOT = Path(__file__).resolve().parents[1]
+MBIT, ROUND_TRIP = 5.0, 0.05
+TIMES = (0.5, 1.0, 2.0, 4.0)
+EYE, TARGET = (5.2, 3.75, 1.6), (1.3, 0.9, 0.95)
+SIZE, GAP, LABEL = (440, 275), 6, 30
+
+Image3 = NDArray[np.float32]
+
+
+def standing(seconds: float) -> HeadPath:
+    """Return a viewer who stands and turns by two degrees a second."""
+    times = np.linspace(0.0, seconds, 41)
+    eyes = np.tile(EYE, (len(times), 1))
+    cameras = Cameras.look_at(eyes, np.array(TARGET))
+    turn = np.radians(2.0) * (times - times[-1])
+    quats = quats_from_rotations(np.swapaxes(cameras.viewmats[:, :3, :3], 1, 2))
+    about_up = np.stack([np.cos(turn / 2), 0.0 * turn, 0.0 * turn, np.sin(turn / 2)], axis=1)
+    return HeadPath(times, eyes, multiplied(about_up, quats))
+
+
+def multiplied(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (n, 4) products of quaternions wxyz."""
+    w = a[:, 0] * b[:, 0] - (a[:, 1:] * b[:, 1:]).sum(axis=1)
+    xyz = a[:, :1] * b[:, 1:] + b[:, :1] * a[:, 1:] + np.cross(a[:, 1:], b[:, 1:])
+    return np.concatenate([w[:, None], xyz], axis=1)
+
+
+def simulate(package: Path, scene: Path, whole: Path) -> tuple[list[list[Image3]], dict[str, Any]]:
+    """Return rows of images, of gsvis and of the whole file, and what the labels say."""
+    path = standing(max(TIMES) + 1.0)
+    config = ViewingConfig(seconds=max(TIMES), width=SIZE[0], height=SIZE[1], fov=80.0)
+    with Package.open(package) as opened:
+        place = Place.open(opened, reference=load_scene(scene), whole_file=whole, as_is=True)
+        contents = place.contents
+        stage = Stage(contents, place.reference, place.highest)
+        link = Link(BandwidthTrace.constant(MBIT), ROUND_TRIP)
+        ways = (
+            Adaptive(place.scene, config.view),
+            WholeFile(contents, *place.whole_file, ids=np.flatnonzero(place.highest)),
+        )
+        played = [play(way, link, path, stage.size, seconds=40.0) for way in ways]
+        shown = [show_at(stage, played, path, t, config) for t in TIMES]
+    black = np.zeros((SIZE[1], SIZE[0], 3), np.float32)
+    rows = [[black if images[k] is None else images[k] for _, images in shown] for k in range(2)]
+    quality = [[psnr_of(image, full) for image, (full, _) in zip(row, shown, strict=True)] for row in rows]
+    return rows, summarize(played, quality, place)
+
+
+def summarize(played: list[Playback], quality: list[list[float]], place: Place) -> dict[str, Any]:
+    """Return the facts of the picture, ready for JSON."""
+    return {
+        "question": "What does a viewer of the built-in flat see over a slow link, and what with one whole file?",
+        "mbit": MBIT,
+        "round_trip_s": ROUND_TRIP,
+        "gaussians": len(place.contents),
+        "whole_file_bytes": place.whole_file[0],
+        "whole_file_complete_s": round(played[1].first, 2),
+        "times_s": list(TIMES),
+        "gsvis_db": [round(value, 1) for value in quality[0]],
+        "whole_file_db": [round(value, 1) for value in quality[1]],
+        "gsvis_bytes": [int(value) for value in played[0].bytes_at(np.array(TIMES))],
+        "gsvis_first_image_s": round(played[0].first, 2),
+    }
+
+
+def compose(rows: list[list[Image3]], facts: dict[str, Any]) -> Image.Image:
+    """Return the picture: a row for each way, a column for each time."""
+    wide = len(TIMES) * (SIZE[0] + GAP) - GAP
+    tall = 2 * (SIZE[1] + LABEL) + GAP
+    sheet = Image.new("RGB", (wide, tall), "white")
+    pen, font = ImageDraw.Draw(sheet), ImageFont.load_default(17)
+    whole = f"whole file (SOG, {facts['whole_file_bytes'] / 1e6:.1f} MB)"
+    for k, row in enumerate(rows):
+        top = k * (SIZE[1] + LABEL + GAP)
+        for i, image in enumerate(row):
+            left = i * (SIZE[0] + GAP)
+            sheet.paste(Image.fromarray((image * 255).round().astype(np.uint8)), (left, top + LABEL))
+            text = f"{TIMES[i]:g} s   gsvis: {facts['gsvis_bytes'][i] / 1e6:.2f} MB, {facts['gsvis_db'][i]:.0f} dB"
+            if k == 1:
+                text = f"{TIMES[i]:g} s   {whole}"
+                waiting = f"nothing until {facts['whole_file_complete_s']:.1f} s"
+                if not image.any():
+                    pen.text((left + 20, top + LABEL + SIZE[1] // 2), waiting, "#bbbbbb", font)
+            pen.text((left + 4, top + 6), text, "#222222", font)
+    return sheet
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("package", type=Path)
+    parser.add_argument("scene", type=Path)
+    parser.add_argument("whole", type=Path)
+    parser.add_argument("--picture", type=Path, default=ROOT / "docs" / "images" / "arriving.jpg")
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "results" / "arriving.json")
+    given = parser.parse_args()
+    rows, facts = simulate(given.package, given.scene, given.whole)
+    compose(rows, facts).save(given.picture, quality=88, optimize=True)
+    given.out.write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
+    print(json.dumps(facts, indent=1))
+
+
+if __name__ == "__main__":
+    main()
