@@ -5,6 +5,7 @@ Both trace the same float32 triangles. Distances are in scene units along unit d
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Protocol
 
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from gsvis._extras import has, require
 from gsvis.errors import BackendError
+from gsvis.scene.repeats import hash_columns
 
 __all__ = ["ENGINES", "EmbreexEngine", "Engine", "Open3dEngine", "fastest_engine"]
 
@@ -37,12 +39,48 @@ class Engine(Protocol):
         ...
 
 
+@dataclass(frozen=True, eq=False)
+class _Repeats:
+    """Bodies with the same vertices.
+
+    Attributes:
+        first: (U,) the first body of each kind, ascending.
+        kinds: (M,) int64 the kind of each of M bodies.
+        order: (M,) the bodies, kind by kind.
+        starts: (U + 1,) where each kind begins in `order`.
+    """
+
+    first: I64
+    kinds: I64
+    order: I64
+    starts: I64
+
+    @classmethod
+    def from_bodies(cls, corners: F32) -> _Repeats:
+        """Find the bodies that repeat others bit for bit, by a 64-bit hash of their vertices (M, V, 3)."""
+        columns = tuple(corners.reshape(len(corners), -1).T)
+        _, first, numbers = np.unique(hash_columns(columns), return_index=True, return_inverse=True)
+        rank = np.argsort(np.argsort(first))  # kinds in the order of their first body
+        kinds = np.asarray(rank[numbers], np.int64)
+        starts = np.concatenate([[0], np.cumsum(np.bincount(kinds, minlength=len(first)))])
+        return cls(np.sort(first), kinds, np.argsort(kinds, kind="stable"), starts)
+
+    def expand(self, bodies: I64) -> tuple[I64, I64]:
+        """Return for H bodies, each the first of its kind, the index of the hit and every body of the kind."""
+        kinds = self.kinds[bodies]
+        counts = np.diff(self.starts)[kinds]
+        hits = np.repeat(np.arange(len(bodies)), counts)
+        within = np.arange(len(hits)) - np.repeat(np.cumsum(counts) - counts, counts)
+        return hits, self.order[self.starts[kinds][hits] + within]
+
+
 class Open3dEngine:
     """Use Embree through Open3D's RaycastingScene, on all cores.
 
-    Open3D 0.20 lists no hit that has the distance of the hit before it in the same geometry. So bodies that touch, such
-    as discs of one wall, are dealt out to many geometries. Two that touch share one by chance, once in 1,024: on
-    `two_rooms` 1 of 20,000 rays still loses a hit, of weight 0.0005.
+    Open3D 0.20 lists no hit that has the distance of the hit before it in the same geometry. So bodies that repeat
+    another are traced as one, whose hits count for all; and bodies that touch, such as discs of one wall, are dealt out
+    to many geometries. Two that touch share one by chance, once in 1,024: on `two_rooms` 1 of 20,000 rays still loses a
+    hit, of weight 0.0005.
 
     Args:
         vertices: (M * V, 3) vertices of M bodies.
@@ -65,8 +103,10 @@ class Open3dEngine:
             return
         self._faces_per_body = len(faces) // bodies
         corners, triangles = vertices.reshape(bodies, -1, 3), faces.reshape(bodies, -1, 3)
-        dealt = np.random.default_rng(0).integers(_GEOMETRIES, size=bodies)
-        self._bodies = np.argsort(dealt, kind="stable")  # by geometry
+        self._repeats = _Repeats.from_bodies(corners)
+        traced = self._repeats.first
+        dealt = np.random.default_rng(0).integers(_GEOMETRIES, size=len(traced))
+        self._bodies = traced[np.argsort(dealt, kind="stable")]  # by geometry
         counts = np.bincount(dealt, minlength=_GEOMETRIES)
         counts = counts[counts > 0]
         self._starts = np.concatenate([[0], np.cumsum(counts)])
@@ -87,7 +127,11 @@ class Open3dEngine:
     def all_faces(self, rays_o: F64, rays_d: F64) -> tuple[I64, I64]:
         """Return all hits; see `Engine`."""
         answer = self._scene.list_intersections(_rays32(rays_o, rays_d))
-        return answer["ray_ids"].numpy().astype(np.int64), self._faces(answer)
+        ray_ids, faces = answer["ray_ids"].numpy().astype(np.int64), self._faces(answer)
+        if len(faces) == 0:
+            return ray_ids, faces
+        hits, bodies = self._repeats.expand(faces // self._faces_per_body)
+        return ray_ids[hits], bodies * self._faces_per_body + faces[hits] % self._faces_per_body
 
     def _faces(self, answer: Any) -> I64:
         """Return the face of each hit, as numbered by the caller; -1 for a miss."""

@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from gsvis.errors import BackendError
 from gsvis.raycast.tracer import Contributions, Tracer
+from gsvis.scene.repeats import first_equal
 
 __all__ = ["CrossCheck", "compare", "cross_check", "describe_check"]
 
@@ -21,7 +22,8 @@ class CrossCheck:
 
     Attributes:
         rays: Number of rays compared.
-        agreeing: Rays on which both tracers list the same Gaussians in the same order, with equal weights.
+        agreeing: Rays on which both tracers list the same Gaussians in the same order, with equal weights. Exact
+            repeats count as one.
         largest_difference: Largest difference of the weight of one Gaussian on one ray.
     """
 
@@ -49,26 +51,37 @@ def cross_check(tracer: Tracer, rays_o: ArrayLike, rays_d: ArrayLike) -> CrossCh
         twin = tracer.contributions_by_parts(rays_o, rays_d)
     except BackendError:
         return None
-    return compare(tracer.contributions(rays_o, rays_d), twin, len(tracer.proxies.gaussians))
+    return compare(tracer.contributions(rays_o, rays_d), twin, first_equal(tracer.proxies.gaussians))
 
 
-def compare(one: Contributions, other: Contributions, gaussians: int) -> CrossCheck:
-    """Compare what two tracers found on the same R rays of a scene of N Gaussians."""
-    keys = [each.ray_ids * gaussians + each.gaussian_ids for each in (one, other)]
+def compare(one: Contributions, other: Contributions, ties: NDArray[np.int64]) -> CrossCheck:
+    """Compare what two tracers found on the same R rays of a scene of N Gaussians.
+
+    Exact repeats are a tie: their weights on a ray are summed, and their order does not count.
+
+    Args:
+        one: What one tracer found.
+        other: What the other one found.
+        ties: (N,) the first Gaussian that equals each; `gsvis.scene.repeats.first_equal` finds it.
+    """
+    gaussians = len(ties)
+    keys = [each.ray_ids * gaussians + ties[each.gaussian_ids] for each in (one, other)]
     together, place = np.unique(np.concatenate(keys), return_inverse=True)
     values = np.zeros((2, len(together)))
-    values[0, place[: len(keys[0])]] = one.weights
-    values[1, place[len(keys[0]) :]] = other.weights
+    np.add.at(values[0], place[: len(keys[0])], one.weights)
+    np.add.at(values[1], place[len(keys[0]) :], other.weights)
     apart = np.abs(values[0] - values[1])
     differs = np.zeros(len(one), bool)
     differs[together[apart > _SAME] // gaussians] = True
-    counts = np.diff(one.ray_offsets), np.diff(other.ray_offsets)
+    # A tie may end where light is spent, so it counts once in the order along a ray.
+    runs = [key[np.flatnonzero(np.diff(key, prepend=-1))] for key in keys]
+    counts = [np.bincount(run // gaussians, minlength=len(one)) for run in runs]
     differs |= counts[0] != counts[1]
     # Where all counts are equal up to a ray, the rows line up; compare the order of those rays alone.
     same = ~differs
     rows = [np.repeat(same, count) for count in counts]
-    unequal = keys[0][rows[0]] != keys[1][rows[1]]
-    differs[keys[0][rows[0]][unequal] // gaussians] = True
+    unequal = runs[0][rows[0]] != runs[1][rows[1]]
+    differs[runs[0][rows[0]][unequal] // gaussians] = True
     return CrossCheck(len(one), int(np.count_nonzero(~differs)), float(apart.max(initial=0.0)))
 
 

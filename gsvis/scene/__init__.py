@@ -20,6 +20,7 @@ _MODULES = (
     "points",
     "poses",
     "procedural",
+    "repeats",
     "retarget",
     "sh",
     "sight",

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from gsvis import _check
 from gsvis.scene.axes import AXES, axis_vector, describe_direction, nearest_axis, tilt_of
 from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.repeats import first_equal
 from gsvis.scene.upright import SURE, Upright, doubt_up, find_up
 
 __all__ = ["AXES", "SceneReport", "axis_vector", "guess_up", "inspect_scene"]
@@ -142,13 +143,8 @@ def _quantiles(values: NDArray[np.float32]) -> dict[str, float]:
 
 
 def _count_duplicates(g: Gaussians) -> int:
-    """Count the Gaussians that repeat an earlier one bit for bit, by a 64-bit hash of place, shape and opacity."""
-    mixed = np.zeros(len(g), np.uint64)
-    for column in (*g.means.T, *g.scales.T, *g.quats.T, g.opacities):
-        mixed ^= np.ascontiguousarray(column).view(np.uint32)
-        mixed *= np.uint64(0x9E3779B97F4A7C15)
-        mixed ^= mixed >> np.uint64(29)
-    return len(g) - len(np.unique(mixed))
+    """Count the Gaussians that repeat an earlier one bit for bit in place, shape and opacity."""
+    return int(np.count_nonzero(first_equal(g) != np.arange(len(g))))
 
 
 def _problems(r: SceneReport, g: Gaussians) -> Iterator[str]:
