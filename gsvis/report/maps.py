@@ -201,7 +201,23 @@ def _raster(ground: Ground, visible: NDArray[np.bool_]) -> tuple[tuple[float, fl
         for weights in (np.ones(len(flat)), visible[inside].astype(np.float64))
     )
     end = low + cells * cell
-    return (float(low[0]), float(end[0]), float(low[1]), float(end[1])), count, seen
+    gaps = _find_gaps(count > 0)
+    return (float(low[0]), float(end[0]), float(low[1]), float(end[1])), _bridge(count, gaps), _bridge(seen, gaps)
+
+
+def _find_gaps(filled: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return (H, W) empty cells between two filled neighbors: where rows of Gaussians lie wider apart than cells."""
+    padded = np.pad(filled, 1)
+    upright = padded[:-2, 1:-1] & padded[2:, 1:-1]
+    level = padded[1:-1, :-2] & padded[1:-1, 2:]
+    return ~filled & (upright | level)
+
+
+def _bridge(values: F64, gaps: NDArray[np.bool_]) -> F64:
+    """Return the values with the mean of the four neighbors in gaps."""
+    padded = np.pad(values, 1)
+    around = (padded[:-2, 1:-1] + padded[2:, 1:-1] + padded[1:-1, :-2] + padded[1:-1, 2:]) / 4.0
+    return np.where(gaps, around, values)
 
 
 def _draw_camera(axes: Axes, theme: Theme, ground: Ground, camera: Cameras) -> None:
