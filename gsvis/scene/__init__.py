@@ -4,6 +4,7 @@ _MODULES = (
     "axes",
     "cameras",
     "content",
+    "core",
     "corridor",
     "density",
     "facts",

@@ -20,6 +20,7 @@ __all__ = [
     "gather",
     "level_directions",
     "ray_lengths",
+    "shares_seen",
     "some_voxels",
     "sphere_directions",
     "stopped_share",
@@ -67,21 +68,20 @@ def gather(space: Occupancy, within: Mask, seen: Gaussians, up: F64) -> Evidence
     )
 
 
-def with_ground(found: Evidence, space: Occupancy, standing: Mask, seen: Gaussians, up: F64) -> Evidence:
+def with_ground(found: Evidence, space: Occupancy, standing: Mask, up: F64) -> Evidence:
     """Return the evidence with what is around eyes that stand on the ground.
 
     Args:
         found: The evidence so far.
         space: The grid over the scene.
         standing: (X, Y, Z) where a visitor's eye could be; may be empty.
-        seen: The Gaussians that can be seen.
         up: (3,) unit up axis.
     """
     eyes = some_voxels(standing)
     if len(eyes) == 0:
         return found
     level = level_directions(up)
-    surrounded = float(stopped_share(space, eyes, level, _backdrop(space, seen, level)).mean())
+    surrounded = float(stopped_share(space, eyes, level).mean())
     return replace(found, surrounded=surrounded, walkable=footprint(standing, up))
 
 
@@ -100,21 +100,19 @@ def ray_lengths(space: Occupancy, starts: F64, directions: F64, lengths: F64) ->
     return found
 
 
-def stopped_share(space: Occupancy, eyes: F64, directions: F64, beyond: Mask | None = None) -> F64:
+def stopped_share(space: Occupancy, eyes: F64, directions: F64) -> F64:
     """Return (E,) the share of the directions (D, 3) that are stopped at each of the eyes (E, 3).
 
     Args:
         space: The grid.
         eyes: Eyes in voxels.
         directions: Unit vectors.
-        beyond: (D,) directions in which something outside of the grid stops the rest.
     """
     count = len(directions)
     starts = np.repeat(eyes, count, axis=0)
     lengths = np.full(len(starts), 4.0 * float(max(space.depth.shape)))
     stopped = np.isfinite(ray_lengths(space, starts, np.tile(directions, (len(eyes), 1)), lengths))
-    stopped = stopped.reshape(len(eyes), count)
-    return np.asarray((stopped if beyond is None else stopped | beyond).mean(axis=1))
+    return np.asarray(stopped.reshape(len(eyes), count).mean(axis=1))
 
 
 def sphere_directions(count: int) -> F64:
@@ -152,40 +150,32 @@ def some_voxels(mask: Mask, count: int = EYES) -> F64:
 
 
 def _spread_out(points: F64, count: int) -> F64:
-    return points[np.linspace(0, len(points) - 1, min(count, len(points))).astype(np.int64)]
+    """Return some of the points (P, 3), spread along x: the order of the Gaussians does not count."""
+    order = np.argsort(points[:, 0], kind="stable")
+    return points[order[np.linspace(0, len(points) - 1, min(count, len(points))).astype(np.int64)]]
+
+
+def shares_seen(space: Occupancy, eyes: F64, seen: Gaussians) -> F64:
+    """Return (E,) the share of the Gaussians on the grid that each of the eyes (E, 3) sees, in voxels."""
+    targets = _spread_out(space.voxels_of(seen.means), EYES)
+    return np.asarray(_sees(space, eyes, targets).mean(axis=1)) if len(targets) else np.zeros(len(eyes))
 
 
 def _seen_by_any(space: Occupancy, eyes: F64, targets: F64) -> float:
     """Return the share of the targets (T, 3) with a free line to at least one of the eyes (E, 3)."""
     if len(eyes) == 0 or len(targets) == 0:
         return 0.0
+    return float(_sees(space, eyes, targets).any(axis=0).mean())
+
+
+def _sees(space: Occupancy, eyes: F64, targets: F64) -> Mask:
+    """Return (E, T) from which of the eyes (E, 3) there is a free line to which of the targets (T, 3)."""
     ways = targets[None] - eyes[:, None]
     lengths = np.maximum(np.linalg.norm(ways, axis=2), 1e-9)
     ways /= lengths[:, :, None]
     starts = np.repeat(eyes, len(targets), axis=0)
     stops = ray_lengths(space, starts, ways.reshape(-1, 3), lengths.ravel() - _SHEET)
-    return float(np.isinf(stops).reshape(len(eyes), -1).any(axis=0).mean())
-
-
-def _backdrop(space: Occupancy, seen: Gaussians, directions: F64) -> Mask:
-    """Return (D,) directions from the middle of the grid in which Gaussians beyond the grid stop half the light."""
-    shape = np.array(space.depth.shape)
-    places = (seen.means.astype(np.float64) - space.origin) / space.voxel_size
-    far = np.flatnonzero(np.any((places < 0.0) | (places >= shape), axis=1))
-    ways = places[far] - 0.5 * shape
-    distances = np.linalg.norm(ways, axis=1)
-    ways /= distances[:, None]
-    wide = np.sort(seen.scales[far].astype(np.float64), axis=1)[:, 1] / space.voxel_size / distances  # radians
-    alphas = np.minimum(seen.opacities[far].astype(np.float64), 0.999)
-    spacing = np.pi / _AZIMUTHS  # blurred by what lies between two directions
-    blurred = wide**2 + spacing**2
-    depth = np.zeros(len(directions))
-    for start in range(0, len(far), 1 << 15):
-        part = slice(start, start + (1 << 15))
-        angles = np.maximum(2.0 - 2.0 * (ways[part] @ directions.T), 0.0)  # squared chords
-        strength = alphas[part] * wide[part] ** 2 / blurred[part]
-        depth -= np.log1p(-strength[:, None] * np.exp(-0.5 * angles / blurred[part, None])).sum(axis=0)
-    return depth >= SOLID
+    return np.asarray(np.isinf(stops).reshape(len(eyes), -1), bool)
 
 
 def _sides(shape: NDArray[np.int64], up: F64) -> tuple[float, float]:

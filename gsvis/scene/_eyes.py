@@ -1,13 +1,14 @@
 """Find where eyes belong: around an object, in rooms, or near the ground of an open place, at a person's height.
 
-Arrays are voxel grids of `_occupancy.py`; boxes are in the scene's frame. The rules are in docs/design,
-033-kinds-of-space.md.
+Where a scene may be two of these, eyes are where either has them. Arrays are voxel grids of `_occupancy.py`; boxes are
+in the frame of the scene, or in that in which it stands upright. The rules are in docs/design, 033-kinds-of-space.md
+and 101-where-people-stand.md.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,92 +24,178 @@ from gsvis.scene._evidence import (
     with_ground,
 )
 from gsvis.scene._occupancy import MIN_SHARE, Occupancy
+from gsvis.scene._seeds import box_with_seeds, doubt_far, doubt_seeds, hold_seeds
+from gsvis.scene._turned import is_level, level_frame, on_lattice
+from gsvis.scene.core import Core
 from gsvis.scene.gaussians import Gaussians
-from gsvis.scene.kinds import WALKABLE, SpaceKind, find_kind, is_rooms
+from gsvis.scene.kinds import SURE, WALKABLE, SpaceKind, find_kind, is_rooms, with_surroundings
 
-__all__ = ["above_ground", "eye_heights", "find_eyes", "find_mixed", "stand_around", "where_people_stand"]
+__all__ = [
+    "Around",
+    "Look",
+    "above_ground",
+    "eye_heights",
+    "find_eyes",
+    "find_mixed",
+    "stand_around",
+    "where_people_stand",
+]
 
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Found = tuple[Occupancy, Mask, str, SpaceKind]
 
 NEAR, AROUND = 0.1, 0.5
-"""Distance of eyes from the box of an object, in its longest side."""
+"""Distance of eyes from the box of an object that is given by hand, in its longest side."""
 
-_FOOT = 0.05  # the grid reaches below an object, in its longest side
+REACH = 1.5
+"""Greatest distance of eyes from the middle of a scene that is looked at from around, in its longest side."""
 
 STEEPEST = 45.0
 """Degrees above the middle of an object."""
 
 PERSON = 3.0
-"""Scene units above the ground, at most: twice what a person needs if a unit is a meter, as it is most often."""
+"""Meters above the ground, at most: twice what a person needs. For scenes whose unit is known."""
 
+_FOOT = 0.05  # the grid reaches below an object, in its longest side
 _HELD = "in the parts that hold the cameras"
-_SMALL = 4.0  # scene units; the sides of a smaller scene are not in meters
 _OF_SIDE = 0.3  # greatest height of eyes in narrower sides of the scene
 _LOWEST = 0.1  # least height, in greatest ones
 _STANDING = 0.4, 0.65  # heights of the eyes of people who stand, in greatest ones: 1.2 to 2 m
 _HEMMED = 0.7  # share of level directions that are stopped from which a place counts as hemmed in
 _SKY = 0.25  # least share of directions above that lead out of an open place
 _SKY_DIRECTIONS = 64  # over the sphere
+_WIDE = 4.0  # greatest heights of eyes from which on a side is that of a place
+_SOLID_ALPHA = 0.99  # share of lost light that counts as occupied where else nothing is free
 _BLOCK = 4  # voxels along a side of the blocks that are tested together
 
 
-def find_eyes(
-    build: Callable[[F64, F64], Occupancy], low: F64, high: F64, seen: Gaussians, up: F64, seeds: F64
-) -> tuple[Occupancy, Mask, str, SpaceKind]:
+@dataclass(frozen=True, eq=False)
+class Look:
+    """Store what the search for eyes looks at.
+
+    Attributes:
+        build: Makes a grid over a box.
+        seen: The Gaussians that can be seen.
+        core: Where they are, without outliers.
+        up: (3,) unit up axis.
+        up_sure: Whether that is certain; else nothing is left out because of it.
+        seeds: (S, 3) positions known to be navigable; if there are any, the parts that hold them are taken.
+        person: Greatest height of eyes above the ground, scene units; None if the size of a unit is not known.
+    """
+
+    build: Callable[..., Occupancy]
+    seen: Gaussians
+    core: Core
+    up: F64
+    up_sure: bool
+    seeds: F64
+    person: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Around:
+    """Say what eyes are around.
+
+    Attributes:
+        low: (3,) lowest corner of the box.
+        high: (3,) highest corner.
+        up: (3,) unit up axis; None if it is not certain, and eyes are above and below too.
+        inside: Whether eyes are in the box as well.
+        given: Whether the box was given by hand, as of a thing in a room: then eyes stay near.
+    """
+
+    low: F64
+    high: F64
+    up: F64 | None
+    inside: bool = False
+    given: bool = False
+
+    @property
+    def longest(self) -> float:
+        """Longest side of the box."""
+        return float((self.high - self.low).max())
+
+    @property
+    def middle(self) -> F64:
+        """(3,) middle of the box."""
+        return np.asarray(0.5 * (self.low + self.high))
+
+    def grid_box(self) -> tuple[F64, F64]:
+        """Return the corners of the box that holds all eyes."""
+        if self.given:
+            low, high = self.low - AROUND * self.longest, self.high + AROUND * self.longest
+        else:
+            low, high = self.middle - REACH * self.longest, self.middle + REACH * self.longest
+        if self.up is None:
+            return low, high
+        foot, below = (self.low, self.high), _FOOT * self.longest
+        axis = int(np.abs(self.up).argmax())
+        if self.up[axis] > 0.0:
+            low[axis] = foot[0][axis] - below
+        else:
+            high[axis] = foot[1][axis] + below
+        return low, high
+
+    def __str__(self) -> str:
+        if self.given:
+            return f"around it, {NEAR * self.longest:.2g} to {AROUND * self.longest:.2g} units away"
+        where = "around it and in it" if self.inside else "around it"
+        return f"{where}, up to {REACH * self.longest:.2g} units from its middle"
+
+
+def find_eyes(look: Look) -> Found:
     """Find the voxels where eyes belong.
 
     Args:
-        build: Makes a grid over a box.
-        low: (3,) lowest corner of the scene without outliers.
-        high: (3,) highest corner.
-        seen: The Gaussians that can be seen.
-        up: (3,) unit up axis.
-        seeds: (S, 3) positions known to be navigable; if there are any, the parts that hold them are taken.
+        look: What is looked at.
 
     Returns:
         The grid, (X, Y, Z) the voxels, the name of the rule that chose them, and what the scene is.
 
     Raises:
-        SceneError: If no voxel is free, or most seeds lie away from free voxels.
+        SceneError: If no voxel is free.
     """
+    if len(look.seeds):
+        return _hold_seeds(look)
+    core, up = look.core, look.up
     try:
-        space = build(low, high)
+        space = look.build(core.low, core.high)
     except SceneError as full:
-        if len(seeds):
-            raise
-        return _solid(build, low, high, up, full)
-    free, rule, _ = space.choose(up, seeds)
-    large = free if len(seeds) or free.mean() >= MIN_SHARE else np.zeros_like(free)
-    evidence = gather(space, large, seen, up)
+        return _solid(look, full)
+    free, rule, _ = space.choose(up)
+    large = free if free.mean() >= MIN_SHARE else np.zeros_like(free)
+    evidence = gather(space, large, look.seen, up)
     if is_rooms(evidence):
-        return space, free, rule, replace(find_kind(evidence), eyes=_HELD if len(seeds) else "inside")
-    standing = above_ground(space, up)
+        kind = find_kind(evidence)
+        if kind.sure:
+            return space, free, rule, replace(kind, eyes="inside")
+        return _either(look, kind, space, free)
+    if core.has_surroundings:
+        return _either(look, with_surroundings(evidence, core.beyond), None, None)
+    standing = above_ground(space, up, look.person)
     walked = footprint(standing, up) >= WALKABLE
-    evidence = with_ground(evidence, space, standing if walked else large, seen, up)
-    kind = find_kind(evidence)
-    if len(seeds):
-        return space, free, rule, replace(kind, eyes=_HELD)
-    if kind.kind == "object":
-        space, free, eyes = stand_around(build, low, high, up)
-        return space, free, "free, around an object", replace(kind, eyes=eyes)
-    if not walked:
-        return space, free, rule, replace(kind, eyes="in the largest free space, for its ground is not known")
-    least, greatest = eye_heights(space, up)
-    eyes = f"{least:.2g} to {greatest:.2g} units above the ground"
-    return space, standing, "free, ground below at the height of an eye", replace(kind, eyes=eyes)
+    kind = find_kind(with_ground(evidence, space, standing if walked else large, up))
+    kind = _with_size(look, kind)
+    if not look.up_sure:
+        other = kind.other or ("object" if kind.kind == "open place" else "open place")
+        kind = replace(kind, confidence=min(kind.confidence, 0.75 * SURE), other=other)
+    if kind.sure and kind.kind == "object":
+        around = Around(core.low, core.high, up)
+        space, free = stand_around(look.build, around)
+        return space, free, "free, around an object", replace(kind, eyes=str(around))
+    if kind.sure and walked:
+        least, greatest = eye_heights(space, up, look.person)
+        eyes = f"{least:.2g} to {greatest:.2g} units above the ground"
+        return space, standing, "free, ground below at the height of an eye", replace(kind, eyes=eyes)
+    return _either(look, kind, space if walked else None, standing)
 
 
-def find_mixed(
-    build: Callable[[F64, F64], Occupancy], low: F64, high: F64, up: F64
-) -> tuple[Occupancy, Mask, str, SpaceKind]:
+def find_mixed(look: Look) -> Found:
     """Find the voxels where eyes belong in a piece of something larger: in rooms, and on open ground.
 
     Args:
-        build: Makes a grid over a box.
-        low: (3,) lowest corner of the scene without outliers.
-        high: (3,) highest corner.
-        up: (3,) unit up axis.
+        look: What is looked at; its seeds are not.
 
     Returns:
         As `find_eyes`.
@@ -116,8 +203,9 @@ def find_mixed(
     Raises:
         SceneError: If it has neither.
     """
-    space = build(low, high)
-    inside, standing = space.enclosed_parts(up), above_ground(space, up)
+    up = look.up
+    space = look.build(look.core.low, look.core.high)
+    inside, standing = space.enclosed_parts(up), above_ground(space, up, look.person)
     has_rooms, has_ground = inside.any(), footprint(standing, up) >= WALKABLE
     if has_rooms and has_ground:
         kind = SpaceKind("rooms", "enclosed space, and ground under the sky", None, "inside, and above the ground")
@@ -130,88 +218,169 @@ def find_mixed(
     raise SceneError("no navigable space: no room and no open ground", "look at the scene as a whole")
 
 
-def stand_around(build: Callable[[F64, F64], Occupancy], low: F64, high: F64, up: F64) -> tuple[Occupancy, Mask, str]:
-    """Return a grid around the box of an object, the voxels where eyes belong, and a text that says where.
+def stand_around(build: Callable[..., Occupancy], around: Around) -> tuple[Occupancy, Mask]:
+    """Return a grid around a box, and the voxels where eyes belong.
 
     Raises:
         SceneError: If none is free.
     """
-    longest = float((high - low).max())
-    below = (AROUND - _FOOT) * longest
-    space = build(
-        low - AROUND * longest + below * np.maximum(up, 0.0), high + AROUND * longest - below * np.maximum(-up, 0.0)
-    )
-    free = _around_object(space, low, high, up)
+    space = build(*around.grid_box())
+    free = space.largest_part(_region(space, around))
     if not free.any():
         raise SceneError(
-            f"no navigable space: nothing is free between {NEAR * longest:.3g} and {AROUND * longest:.3g} units around"
-            " the object",
+            f"no navigable space: nothing is free {around}",
             "give another center or radius",
         )
-    return space, free, f"around it, {NEAR * longest:.2g} to {AROUND * longest:.2g} units away"
+    return space, free
 
 
-def _solid(
-    build: Callable[[F64, F64], Occupancy], low: F64, high: F64, up: F64, full: SceneError
-) -> tuple[Occupancy, Mask, str, SpaceKind]:
-    """Return eyes around a scene whose box has no free voxel; raise `full`, the error of the box, if there are none."""
-    try:
-        space, free, eyes = stand_around(build, low, high, up)
-    except SceneError:
-        raise full from None
-    return space, free, "free, around an object", SpaceKind("object", "nothing in its box is free", None, eyes)
-
-
-def _around_object(space: Occupancy, low: F64, high: F64, up: F64) -> Mask:
-    """Return the clear voxels around the box of an object: not below it, not too near, and not right above.
+def _either(look: Look, kind: SpaceKind, space: Occupancy | None, free: Mask | None) -> Found:
+    """Return eyes around the detail of a scene and in it: what it is, is not certain.
 
     Args:
-        space: The grid, larger than the box.
-        low: (3,) lowest corner of the box, scene frame.
-        high: (3,) highest corner.
-        up: (3,) unit up axis.
+        look: What is looked at.
+        kind: What it most likely is.
+        space: A grid on which eyes were found that are kept; None if there are none.
+        free: (X, Y, Z) these eyes; None if there are none.
     """
-    longest = float((high - low).max())
-    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    around = Around(look.core.detail_low, look.core.detail_high, look.up if look.up_sure else None, inside=True)
+    wide = look.build(*around.grid_box(), widest=look.core.widest)
+    region = _region(wide, around)
+    kept = np.zeros((0, 3))
+    if space is not None and free is not None:
+        kept = (np.argwhere(free) + 0.5) * space.voxel_size + space.origin
+    found = wide.parts_with(region, wide.voxels_of(kept))
+    if not found.any():
+        raise SceneError(f"no navigable space: nothing is free {around}", "give a box")
+    doubt = f"it is not certain what this scene is: {kind.kind}, or {kind.other}; eyes are where either has them"
+    if not look.up_sure:
+        doubt += ", and on all sides, for up is not certain either"
+    return wide, found, "free, around and inside", replace(kind, eyes=str(around), doubt=doubt)
+
+
+def _with_size(look: Look, kind: SpaceKind) -> SpaceKind:
+    """Return the kind with what the known size of a unit says: a wide place is no relief."""
+    if kind.kind != "open place" or look.person is None:
+        return kind
+    sides = np.delete(look.core.high - look.core.low, int(np.abs(look.up).argmax()))
+    if sides.min() < _WIDE * look.person:
+        return kind
+    return replace(kind, confidence=1.0, other=None)
+
+
+def _hold_seeds(look: Look) -> Found:
+    """Return eyes near the positions that are known to be navigable, and in the free parts that hold them."""
+    up, seeds = look.up, look.seeds
+    low, high, near = box_with_seeds(look.core, seeds)
+    if not near.any():  # they say nothing
+        doubt = doubt_far(len(seeds), len(seeds))
+        space, free, rule, kind = find_eyes(replace(look, seeds=seeds[near]))
+        return space, free, rule, replace(kind, confidence=min(kind.confidence, 0.5), doubt=doubt)
+    space = _build_somehow(look, low, high)
+    doubt = doubt_seeds(space, seeds, near, look.seen)
+    try:
+        free, rule, _ = space.choose(up, seeds[near])
+    except SceneError:
+        free, rule = np.zeros(space.clear.shape, bool), "free, near the seeds"
+    if not near.any():
+        return _either(
+            replace(look, seeds=seeds[near]), SpaceKind("open place", doubt, None, "", 0.5, "object", doubt), None, None
+        )
+    space, free = hold_seeds(space, free, seeds[near])
+    evidence = gather(space, free, look.seen, up)
+    if not is_rooms(evidence):
+        standing = above_ground(space, up, look.person)
+        walked = footprint(standing, up) >= WALKABLE
+        evidence = with_ground(evidence, space, standing if walked else free, up)
+    kind = replace(find_kind(evidence), eyes=_HELD, confidence=0.5 if doubt else 1.0, other=None, doubt=doubt)
+    return space, free, rule, kind
+
+
+def _build_somehow(look: Look, low: F64, high: F64) -> Occupancy:
+    """Return a grid over a box, if need be one where only what is solid counts as occupied."""
+    try:
+        return look.build(low, high)
+    except SceneError:
+        return look.build(low, high, max_alpha=_SOLID_ALPHA, clearance=0.0)
+
+
+def _solid(look: Look, full: SceneError) -> Found:
+    """Return eyes around a scene whose box has no free voxel; raise `full`, the error of the box, if there are none."""
+    around = Around(look.core.low, look.core.high, look.up if look.up_sure else None)
+    try:
+        space, free = stand_around(look.build, around)
+    except SceneError:
+        raise full from None
+    kind = SpaceKind("object", "nothing in its box is free", None, str(around))
+    return space, free, "free, around an object", kind
+
+
+def _region(space: Occupancy, around: Around) -> Mask:
+    """Return the voxels (X, Y, Z) around a box: not below it, not too near, and not right above; or in it as well."""
+    middle, half = around.middle, 0.5 * (around.high - around.low)
     places = np.ogrid[tuple(slice(0.5, n) for n in space.clear.shape)]
     away = [space.origin[i] + space.voxel_size * at - middle[i] for i, at in enumerate(places)]  # broadcast together
     beside = np.sqrt(sum(np.maximum(np.abs(x) - half[i], 0.0) ** 2 for i, x in enumerate(away)))
-    heights = sum(up[i] * x for i, x in enumerate(away))
-    level = np.sqrt(np.maximum(sum(x**2 for x in away) - heights**2, 0.0))
-    foot = -0.5 * float(np.abs(up) @ (high - low))
-    there = (beside >= NEAR * longest) & (beside <= AROUND * longest) & (heights >= foot)
-    return space.largest_part(there & (heights <= np.tan(np.radians(STEEPEST)) * level))
+    distances = np.sqrt(sum(x**2 for x in away))
+    longest = around.longest
+    there = beside <= AROUND * longest if around.given else distances <= REACH * longest
+    if not around.inside:
+        there &= beside >= NEAR * longest
+    if around.up is None:
+        return np.asarray(there, bool)
+    heights = sum(around.up[i] * x for i, x in enumerate(away))
+    level = np.sqrt(np.maximum(distances**2 - heights**2, 0.0))
+    foot = -float(np.abs(around.up) @ half)
+    beside_it = heights <= np.tan(np.radians(STEEPEST)) * level
+    return np.asarray(there & (heights >= foot) & (around.inside | beside_it), bool)
 
 
 def where_people_stand(free: Mask, occupied: Mask, voxel_size: float, up: F64) -> Mask:
     """Return the free voxels (X, Y, Z) at the height of a standing person above what lies below; may be empty."""
-    greatest = _greatest_height(free.shape, voxel_size, up)
+    greatest = _room_height(free, occupied, voxel_size, up)
     heights = voxel_size * _heights(occupied, up).astype(np.float64)
     low, high = (share * greatest for share in _STANDING)
     return np.asarray(free & (heights >= low) & (heights <= max(high, low + 2.0 * voxel_size)))
 
 
-def eye_heights(space: Occupancy, up: F64) -> tuple[float, float]:
-    """Return the least and the greatest height of an eye above the ground, scene units."""
-    greatest = _greatest_height(space.depth.shape, space.voxel_size, up)
+def eye_heights(space: Occupancy, up: F64, person: float | None = None) -> tuple[float, float]:
+    """Return the least and the greatest height of an eye above the ground, scene units.
+
+    Args:
+        space: The grid over the scene.
+        up: (3,) unit up axis, near one of the grid.
+        person: Greatest height of eyes, scene units; None if the size of a unit is not known.
+    """
+    sides = np.array(space.depth.shape) * space.voxel_size
+    greatest = _OF_SIDE * float(np.delete(sides, int(np.abs(up).argmax())).min())
+    if person is not None:
+        greatest = min(greatest, person)
+    greatest = max(greatest, 3.0 * space.voxel_size)
     return _LOWEST * greatest, greatest
 
 
-def _greatest_height(shape: tuple[int, ...], voxel_size: float, up: F64) -> float:
-    sides = np.array(shape) * voxel_size
-    greatest = _OF_SIDE * float(np.delete(sides, int(np.abs(up).argmax())).min())
-    if sides.max() >= _SMALL:
-        greatest = min(greatest, PERSON)
+def _room_height(free: Mask, occupied: Mask, voxel_size: float, up: F64) -> float:
+    """Return the greatest height of eyes in rooms: that of most rooms, unless they are narrower than high."""
+    columns = _heights(occupied, up)[free] + _heights(occupied, -up)[free]
+    columns = columns[np.isfinite(columns)]
+    if is_level(up):
+        sides = np.delete(np.array(free.shape) * voxel_size, int(np.abs(up).argmax()))
+    else:
+        places = voxel_size * (np.argwhere(free) @ level_frame(up)[:2].T)
+        sides = np.ptp(places, axis=0) + 2.0 * voxel_size
+    greatest = _OF_SIDE * float(sides.min())
+    if len(columns):
+        greatest = min(greatest, voxel_size * float(np.median(columns)))
     return max(greatest, 3.0 * voxel_size)
 
 
-def above_ground(space: Occupancy, up: F64) -> Mask:
+def above_ground(space: Occupancy, up: F64, person: float | None = None) -> Mask:
     """Return the clear voxels under the sky with ground below, at the height of an eye; may be empty.
 
     Where eyes are hemmed in, as between facades, only places that are: behind a facade half of the directions lead into
     the void.
     """
-    least, greatest = (height / space.voxel_size for height in eye_heights(space, up))
+    least, greatest = (height / space.voxel_size for height in eye_heights(space, up, person))
     heights = _heights(space.occupied, up)
     part = space.largest_part(_under_the_sky(space, (heights >= least) & (heights <= greatest), up))
     level = level_directions(up)
@@ -225,7 +394,9 @@ def above_ground(space: Occupancy, up: F64) -> Mask:
 
 
 def _heights(occupied: Mask, up: F64) -> NDArray[np.float32]:
-    """Return (X, Y, Z) voxels from each voxel down to the next occupied one, along the axis nearest to `up`."""
+    """Return (X, Y, Z) voxels from each voxel down to the next occupied one; infinite if there is none."""
+    if not is_level(up):
+        return _oblique_heights(occupied, up)
     axis = int(np.abs(up).argmax())
     layers = np.moveaxis(occupied, axis, 0)[:: 1 if up[axis] > 0 else -1]
     index = np.arange(len(layers), dtype=np.float32)[:, None, None]
@@ -233,6 +404,17 @@ def _heights(occupied: Mask, up: F64) -> NDArray[np.float32]:
     np.maximum.accumulate(ground, axis=0, out=ground)
     np.subtract(index, ground, out=ground)
     return np.moveaxis(ground[:: 1 if up[axis] > 0 else -1], 0, axis)
+
+
+def _oblique_heights(occupied: Mask, up: F64) -> NDArray[np.float32]:
+    """Return `_heights` along any direction: found on a grid that is upright, and brought back."""
+    frame, shape = level_frame(up), np.array(occupied.shape)
+    middle = 0.5 * (shape - 1.0)
+    counts = np.ceil(np.abs(frame) @ shape).astype(np.int64)
+    first = middle - frame.T @ (0.5 * (counts - 1.0))
+    upright = on_lattice(occupied, frame.T, first, counts)
+    heights = _heights(upright, np.array([0.0, 0.0, 1.0]))
+    return on_lattice(heights, frame, -frame @ first, shape, beyond=np.inf)
 
 
 def _under_the_sky(space: Occupancy, among: Mask, up: F64) -> Mask:

@@ -24,9 +24,10 @@ from numpy.typing import NDArray
 
 from gsvis.errors import SceneError
 from gsvis.scene._kernels.voxels import splat_depth, sum_beyond
+from gsvis.scene.core import middle_scales
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["MIN_ALPHA", "MIN_SHARE", "SOLID", "Occupancy", "optical_depth", "robust_box"]
+__all__ = ["MIN_ALPHA", "MIN_SHARE", "SOLID", "Occupancy", "optical_depth"]
 
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -43,6 +44,7 @@ ROOM = 0.1  # of the largest enclosed part, for another one to be taken for room
 SMOOTHING = 5  # voxels: 26 directions see in stripes
 NUM_TARGETS = 4096
 _CHUNK = 1 << 17
+_NO_SEEDS = np.zeros((0, 3))
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,9 +67,26 @@ class Occupancy:
 
     @classmethod
     def from_gaussians(
-        cls, parts: Iterable[Gaussians], low: F64, high: F64, resolution: int, max_alpha: float, clearance: float
+        cls,
+        parts: Iterable[Gaussians],
+        low: F64,
+        high: F64,
+        *,
+        resolution: int,
+        max_alpha: float,
+        clearance: float,
+        widest: float = np.inf,
     ) -> Occupancy:
         """Build the grid of a scene in parts over a box, with `resolution` voxels along its longest side.
+
+        Args:
+            parts: The scene, part by part.
+            low: (3,) lowest corner.
+            high: (3,) highest corner.
+            resolution: Voxels along the longest side.
+            max_alpha: Share of lost light above which a voxel counts as occupied.
+            clearance: Required distance from occupied voxels, in voxels.
+            widest: Gaussians whose middle standard deviation is larger are haze, and do not count.
 
         Raises:
             SceneError: If no voxel is clear.
@@ -78,7 +97,8 @@ class Occupancy:
         shape = int(counts[0]), int(counts[1]), int(counts[2])
         depth = np.zeros(shape, np.float32)
         for part in parts:
-            depth += optical_depth(part, origin, voxel_size, shape)
+            counted = part if np.isinf(widest) else part[middle_scales(part) <= widest]
+            depth += optical_depth(counted, origin, voxel_size, shape)
         occupied = np.asarray(depth >= -np.log1p(-max_alpha), bool)
         clear = ~_dilate(occupied, clearance)
         if not clear.any():
@@ -89,7 +109,7 @@ class Occupancy:
             )
         return cls(origin, voxel_size, depth, occupied, clear)
 
-    def choose(self, up: F64, seeds: F64) -> tuple[Mask, str, bool]:
+    def choose(self, up: F64, seeds: F64 = _NO_SEEDS) -> tuple[Mask, str, bool]:
         """Return the connected part or parts of the clear voxels, by the first rule that leaves enough.
 
         Args:
@@ -152,6 +172,27 @@ class Occupancy:
         labels, count = ndimage.label(self.clear if among is None else self.clear & among)
         return _largest(labels) if count else np.zeros(self.clear.shape, bool)
 
+    def parts_with(self, among: Mask, places: F64) -> Mask:
+        """Return the largest connected part of the clear voxels in a mask, and those that hold places, in voxels.
+
+        Args:
+            among: (X, Y, Z) the mask.
+            places: (P, 3) places on the grid; parts with few of them do not count.
+        """
+        from scipy import ndimage
+
+        labels, count = ndimage.label(self.clear & among)
+        if not count:
+            return np.zeros(self.clear.shape, bool)
+        held = (
+            np.bincount(labels[tuple(places.astype(np.int64).T)], minlength=count + 1) if len(places) else np.zeros(1)
+        )
+        chosen = np.zeros(count + 1, bool)
+        chosen[: len(held)] = held >= max(1.0, ROOM * held[1:].max(initial=0))
+        chosen[_sizes(labels).argmax()] = True
+        chosen[0] = False
+        return np.asarray(chosen[labels], bool)
+
     def voxels_of(self, points: NDArray[np.floating[Any]]) -> F64:
         """Return (M, 3) the points (P, 3) that lie on the grid, in voxels."""
         places = (points.astype(np.float64) - self.origin) / self.voxel_size
@@ -169,17 +210,6 @@ class Occupancy:
         total = np.cumsum(seen.opacities[inside] * scales[:, 1] * scales[:, 2])
         places = (np.arange(NUM_TARGETS) + 0.5) / NUM_TARGETS * total[-1]
         return np.asarray(seen.means[inside[np.searchsorted(total, places).clip(0, len(inside) - 1)]], np.float64)
-
-
-def robust_box(seen: Gaussians, coverage: float, seeds: F64) -> tuple[F64, F64]:
-    """Return the corners of a box with the middle `coverage` of the centers on each axis and the seeds; never empty."""
-    low, high = seen.bounds(coverage)
-    if len(seeds):
-        low, high = np.minimum(low, seeds.min(axis=0)), np.maximum(high, seeds.max(axis=0))
-    if not (high - low).max() > 0.0:  # a single point
-        spread = 3.0 * float(seen.scales.max())
-        low, high = low - spread, high + spread
-    return low, high
 
 
 def optical_depth(seen: Gaussians, origin: F64, voxel_size: float, shape: tuple[int, int, int]) -> Depth:

@@ -9,13 +9,22 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-__all__ = ["Evidence", "Kind", "SpaceKind", "find_kind", "is_rooms"]
+__all__ = ["SURE", "Evidence", "Kind", "SpaceKind", "find_kind", "is_rooms", "with_surroundings"]
 
 Kind = Literal["object", "rooms", "open place", "given"]
+
+SURE = 0.8
+"""Least confidence at which a kind is acted on without a word."""
 
 ROOFED = 0.5  # least share of directions above that are stopped in rooms
 SURROUNDED = 0.4  # least share of level directions that are stopped in an open place
 WALKABLE = 0.05  # least footprint with ground that an eye can be above
+CLOSED = 0.85  # least share of directions above that are stopped in what can be nothing but rooms
+HEMMED = 0.5  # least share of level directions that are stopped in what can be nothing but an open place
+TALL = 1.0  # least height in sides of what nobody stands in
+TALLER = 2.0  # height in sides from which that is certain, unless more is seen from within
+MORE = 0.15  # how much more of such a thing is seen from outside, at least
+_CLEAR, _UNCLEAR = 0.95, 0.6  # confidences
 FLAT = 0.15  # most height of ground without surroundings, in sides
 
 
@@ -50,7 +59,9 @@ class SpaceKind:
         reason: Why, in a line.
         evidence: The figures behind it; None if the space was given.
         eyes: Where eyes are, in a line.
-        confidence: Of the kind, in (0, 1]; 1 if it was given.
+        confidence: Of the kind, in (0, 1]; 1 if it was given. Below `SURE` eyes are where either kind has them.
+        other: What it may be as well; None if that is clear.
+        doubt: Why one should look before one goes on, in a line; empty if nothing is doubtful.
     """
 
     kind: Kind
@@ -58,13 +69,21 @@ class SpaceKind:
     evidence: Evidence | None = None
     eyes: str = ""
     confidence: float = 1.0
+    other: Kind | None = None
+    doubt: str = ""
+
+    @property
+    def sure(self) -> bool:
+        """Whether the confidence is high enough to act on it without a word."""
+        return self.confidence >= SURE
 
     def as_dict(self) -> dict[str, Any]:
         """Return the kind as plain numbers and strings, ready for JSON; `text` says it in a line."""
         return {**asdict(self), "text": str(self)}
 
     def __str__(self) -> str:
-        return f"{self.kind}: {self.reason}" + (f"; eyes {self.eyes}" if self.eyes else "")
+        also = f" (or {self.other})" if self.other else ""
+        return f"{self.kind}: {self.reason}{also}" + (f"; eyes {self.eyes}" if self.eyes else "")
 
 
 def is_rooms(found: Evidence) -> bool:
@@ -73,7 +92,7 @@ def is_rooms(found: Evidence) -> bool:
 
 
 def find_kind(found: Evidence) -> SpaceKind:
-    """Return what a scene is, by the evidence.
+    """Return what a scene is, by the evidence, with a confidence and what it may be as well.
 
     Rooms have something above, and more of them is seen from within than from outside. An open place has surroundings
     at eye height, or is ground alone. Anything else is an object: nothing is around, and little is seen from inside.
@@ -85,13 +104,34 @@ def find_kind(found: Evidence) -> SpaceKind:
     level = f"{found.surrounded:.0%} of level views"
     if is_rooms(found):
         reason = f"{within} of the Gaussians are seen from within, {outside} from outside"
-        return SpaceKind("rooms", f"{reason}, and {found.roofed:.0%} of views up end at a roof", found)
+        reason = f"{reason}, and {found.roofed:.0%} of views up end at a roof"
+        return _told("rooms", reason, found, found.roofed >= CLOSED, "object")
     if found.walkable > 0.0 and found.surrounded >= SURROUNDED:
-        return SpaceKind("open place", f"{level} from the ground end at something, under an open sky", found)
+        clear = found.surrounded >= HEMMED and found.walkable >= WALKABLE
+        clear = clear and found.seen_within >= found.seen_outside - MORE
+        reason = f"{level} from the ground end at something, under an open sky"
+        return _told("open place", reason, found, clear, "object")
     if found.walkable >= WALKABLE and found.flatness <= FLAT:
         reason = f"ground {1.0 / found.flatness:.0f} times as wide as what stands on it is high"
-        return SpaceKind("open place", reason, found)
+        return _told("open place", reason, found, False, "object")  # a plate that lies on its back looks the same
     reason = f"{outside} of the Gaussians are seen from outside, {within} from within"
     if found.walkable > 0.0:
         reason += f", and {1.0 - found.surrounded:.0%} of level views from its ground meet nothing"
-    return SpaceKind("object", reason, found)
+    more = 0.0 if found.flatness >= TALLER else MORE
+    clear = found.flatness >= TALL and found.seen_outside >= found.seen_within + more
+    return _told("object", reason, found, clear, "open place")
+
+
+def with_surroundings(found: Evidence, beyond: float) -> SpaceKind:
+    """Return what a scene is whose Gaussians get larger away from its detail: people stood in it, or around a thing.
+
+    Args:
+        found: What was measured.
+        beyond: Share of the Gaussians that lie around the detail.
+    """
+    reason = f"{beyond:.0%} of the Gaussians lie around its detail, larger the farther they are"
+    return _told("open place", reason, found, False, "object")
+
+
+def _told(kind: Kind, reason: str, found: Evidence, clear: bool, other: Kind) -> SpaceKind:
+    return SpaceKind(kind, reason, found, "", _CLEAR if clear else _UNCLEAR, None if clear else other)

@@ -9,7 +9,7 @@ lines state the rules.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -18,12 +18,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.errors import SceneError
-from gsvis.scene._eyes import find_eyes, find_mixed, stand_around, where_people_stand
-from gsvis.scene._occupancy import MIN_ALPHA, Occupancy, robust_box
+from gsvis.scene._eyes import PERSON, Around, Found, Look, find_eyes, find_mixed, stand_around, where_people_stand
+from gsvis.scene._occupancy import MIN_ALPHA, Occupancy
+from gsvis.scene._turned import Pose, TurnedParts, bring_back, is_level, turn
+from gsvis.scene.axes import axis_vector
 from gsvis.scene.cameras import Cameras
+from gsvis.scene.core import find_core
 from gsvis.scene.gaussians import Gaussians
-from gsvis.scene.inspection import axis_vector, guess_up
 from gsvis.scene.kinds import SpaceKind
+from gsvis.scene.upright import Upright, find_up
 
 __all__ = ["NavigableSpace"]
 
@@ -33,6 +36,7 @@ Mask = NDArray[np.bool_]
 MAX_RESOLUTION = 384
 _LEAST_STANDING = 0.01  # share of the space below which places to stand are taken for chance
 _TRIES = 16  # targets tried for a camera
+_NO_SEEDS = np.zeros((0, 3))
 _GIVEN = SpaceKind("given", "navigable space given by hand")
 
 
@@ -133,13 +137,10 @@ class NavigableSpace:
             if not least <= value <= most:
                 raise ValueError(f"{name}: expected a value in [{least:g}, {most:g}], got {value!r}")
         points = np.zeros((0, 3)) if seeds is None else _check.floats("seeds", seeds, ("S", 3), np.float64)
-        seen, axis = _visible(g), _up_axis(g, up)
-        low, high = robust_box(seen, coverage, points)
-        grid = partial(Occupancy.from_gaussians, [seen], resolution=resolution)
-        build = partial(grid, max_alpha=max_alpha, clearance=clearance)
-        if mixed:
-            return cls._over(*find_mixed(build, low, high, axis), axis, seen)
-        return cls._over(*find_eyes(build, low, high, seen, axis, points), axis, seen)
+        seen, upright = _visible(g), _upright(g, up)
+        grid = partial(Occupancy.from_gaussians, resolution=resolution, max_alpha=max_alpha, clearance=clearance)
+        look, pose = _look(seen, upright, None, grid, coverage=coverage, seeds=points)
+        return cls._over(look, pose, find_mixed(look) if mixed else find_eyes(look))
 
     @classmethod
     def from_parts(
@@ -158,10 +159,10 @@ class NavigableSpace:
             SceneError: If the scene has no free space.
         """
         _check_resolution(resolution)
-        seen, axis, none = _visible(sample), _up_axis(sample, up), np.zeros((0, 3))
-        low, high = robust_box(seen, 0.98, none)
-        build = partial(Occupancy.from_gaussians, parts, resolution=resolution, max_alpha=0.25, clearance=1.0)
-        return cls._over(*find_eyes(build, low, high, seen, axis, none), axis, seen)
+        seen, upright = _visible(sample), _upright(sample, up)
+        grid = partial(Occupancy.from_gaussians, resolution=resolution, max_alpha=0.25, clearance=1.0)
+        look, pose = _look(seen, upright, parts, grid)
+        return cls._over(look, pose, find_eyes(look))
 
     @classmethod
     def around(
@@ -189,25 +190,30 @@ class NavigableSpace:
         if (center is None) != (radius is None):
             raise ValueError("radius: expected center and radius together, got one; give both, or none")
         _check_resolution(resolution)
-        seen, axis = _visible(g), _up_axis(g, up)
-        if center is None:
-            low, high = robust_box(seen, 0.98, np.zeros((0, 3)))
-        else:
-            assert radius is not None
-            if not (np.isfinite(radius) and radius > 0.0):
-                raise ValueError(f"radius: expected a finite number > 0, got {radius!r}")
-            middle = _check.floats("center", center, (3,), np.float64)
-            low, high = middle - radius, middle + radius
-        build = partial(Occupancy.from_gaussians, [seen], resolution=resolution, max_alpha=0.25, clearance=1.0)
-        space, free, eyes = stand_around(build, low, high, axis)
-        kind = SpaceKind("given", "an object given by hand", None, eyes)
-        return cls._over(space, free, "free, around an object", kind, axis, seen)
+        middle = None if center is None else _check.floats("center", center, (3,), np.float64)
+        if radius is not None and not (np.isfinite(radius) and radius > 0.0):
+            raise ValueError(f"radius: expected a finite number > 0, got {radius!r}")
+        seen, upright = _visible(g), _upright(g, up)
+        grid = partial(Occupancy.from_gaussians, resolution=resolution, max_alpha=0.25, clearance=1.0)
+        look, pose = _look(seen, upright, None, grid)
+        around = Around(look.core.low, look.core.high, look.up)
+        if middle is not None and radius is not None:
+            middle = middle if pose is None else pose.points(middle[None])[0]
+            around = Around(middle - radius, middle + radius, look.up, given=True)
+        space, free = stand_around(look.build, around)
+        kind = SpaceKind("given", "an object given by hand", None, str(around))
+        return cls._over(look, pose, (space, free, "free, around an object", kind))
 
     @classmethod
-    def _over(
-        cls, space: Occupancy, free: Mask, rule: str, kind: SpaceKind, up: F64, seen: Gaussians
-    ) -> NavigableSpace:
-        return cls(space.origin, space.voxel_size, free, up, space.occupied, space.targets(seen), rule, kind)
+    def _over(cls, look: Look, pose: Pose | None, found: Found) -> NavigableSpace:
+        """Return what was found, in the frame of the scene."""
+        space, free, rule, kind = found
+        targets = space.targets(look.seen)
+        if pose is None:
+            return cls(space.origin, space.voxel_size, free, look.up, space.occupied, targets, rule, kind)
+        masks = [free, space.occupied]
+        origin, size, (turned, occupied) = bring_back(space.origin, space.voxel_size, masks, pose)
+        return cls(origin, size, turned, pose.rotation[2], occupied & ~turned, pose.back(targets), rule, kind)
 
     @classmethod
     def from_box(
@@ -409,6 +415,41 @@ def _visible(g: Gaussians) -> Gaussians:
     return seen
 
 
-def _up_axis(g: Gaussians, up: ArrayLike | str | None) -> F64:
-    axis = axis_vector(guess_up(g)[0]) if up is None else axis_vector(up) if isinstance(up, str) else up
-    return np.asarray(_check.unit_vectors("up", np.reshape(np.asarray(axis, np.float64), (1, -1)))[0], np.float64)
+def _upright(g: Gaussians, up: ArrayLike | str | None) -> Upright:
+    """Return the given up axis, an axis by its name or a direction (3,); the likely one if there is none."""
+    if up is None:
+        return find_up(g)
+    axis = np.asarray(axis_vector(up) if isinstance(up, str) else up, np.float64)
+    return Upright(_check.unit_vectors("up", np.reshape(axis, (1, -1)))[0].astype(np.float64), 1.0, "given")
+
+
+def _look(
+    seen: Gaussians,
+    upright: Upright,
+    parts: Iterable[Gaussians] | None,
+    grid: Callable[..., Occupancy],
+    *,
+    coverage: float = 0.98,
+    seeds: F64 = _NO_SEEDS,
+) -> tuple[Look, Pose | None]:
+    """Return what the search for eyes looks at, upright, and how the scene was turned; None if it stands upright.
+
+    Args:
+        seen: The Gaussians that count.
+        upright: The up axis.
+        parts: What grids are made of; `seen` if None.
+        grid: Makes a grid of parts over a box.
+        coverage: Share of the centers inside the box on each axis.
+        seeds: (S, 3) positions known to be navigable.
+    """
+    meters = seen.facts.meters_per_unit
+    person = None if meters is None else PERSON / meters
+    if is_level(upright.up):
+        core = find_core(seen, coverage)
+        parts = [seen] if parts is None else parts
+        return Look(partial(grid, parts), seen, core, upright.up, upright.sure, seeds, person), None
+    pose = turn(upright.up, seen, np.median(seen.means.astype(np.float64), axis=0))
+    turned = pose.gaussians(seen)
+    build = partial(grid, [turned] if parts is None else TurnedParts(parts, pose))
+    up = np.array([0.0, 0.0, 1.0])
+    return Look(build, turned, find_core(turned, coverage), up, upright.sure, pose.points(seeds), person), pose

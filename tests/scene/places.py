@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis.scene.facts import SceneFacts
 from gsvis.scene.gaussians import Gaussians
 
 Triple = tuple[float, float, float]
@@ -15,7 +16,8 @@ def discs(means: NDArray[np.float64], scales: Triple, opacity: float = 0.95) -> 
     """Axis-aligned Gaussians of one shape."""
     n = len(means)
     quats = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
-    return Gaussians(means, quats, np.tile(scales, (n, 1)), np.full(n, opacity), np.zeros((n, 1, 3)))
+    opacities, black = np.full(n, opacity), np.zeros((n, 1, 3))
+    return Gaussians(means, quats, np.tile(scales, (n, 1)), opacities, black, facts=SceneFacts(meters_per_unit=1.0))
 
 
 def sheet(axis: int, at: float, low: Pair, high: Pair, step: float) -> Gaussians:

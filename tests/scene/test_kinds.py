@@ -64,12 +64,16 @@ class TestKinds:
         assert space.kind.kind == found(place).kind.kind
         assert space.voxel_size == pytest.approx(found(place).voxel_size, rel=0.1)
 
-    def test_a_sky_far_away_surrounds(self) -> None:
-        lawn = KINDS["object"][3]()
-        dome = ball((0.0, 0.0, 0.0), 200.0, 150)  # under 2% of the Gaussians: beyond the grid
-        space = NavigableSpace.from_scene(Gaussians.concatenate([lawn] * 3 + [dome]), resolution=96, up="+z")
-        assert space.kind.kind == "open place"
-        assert np.abs(eyes_of(space)).max() < 4.0
+    def test_a_sky_far_away_changes_nothing(self) -> None:
+        lawn = Gaussians.concatenate([KINDS["object"][3]()] * 3)
+        dome = ball((0.0, 0.0, 0.0), 200.0, 150)
+        bare, under_sky = (
+            NavigableSpace.from_scene(g, resolution=96, up="+z") for g in (lawn, Gaussians.concatenate([lawn, dome]))
+        )
+        assert bare.kind.kind == under_sky.kind.kind
+        assert bare.kind.confidence == under_sky.kind.confidence
+        assert np.abs(eyes_of(under_sky)).max() < 10.0
+        assert under_sky.voxel_size == pytest.approx(bare.voxel_size, rel=0.02)
 
     def test_every_rule_by_its_figures(self) -> None:
         object_ = {
