@@ -271,9 +271,10 @@ def framed_cameras(source: Source, cameras: Cameras, path: str) -> tuple[Cameras
         cameras: Of `file_cameras`.
         path: The file or folder that they are of.
     """
+    from gsvis.cli.frames import cameras_in_scene
     from gsvis.io.frames import fit_cameras
 
-    found = fit_cameras(source.gaussians, cameras, path, source.path)
+    found = fit_cameras(source.gaussians, cameras_in_scene(cameras, path, source.gaussians), path, source.path)
     return found.cameras, [f" {each}" for each in found.remarks]
 
 

@@ -232,6 +232,16 @@ class Cameras:
         """(C, 3) unit view directions, world frame."""
         return np.asarray(self.viewmats[:, 2, :3])
 
+    def with_origin(self, origin: ArrayLike) -> Cameras:
+        """Return the same cameras in a frame whose (0, 0, 0) lies at `origin` of this one; axes stay.
+
+        Args:
+            origin: (3,) such as the `origin` of the facts of a scene, if the cameras are in coordinates of its source.
+        """
+        moved = self.viewmats.copy()
+        moved[:, :3, 3] += self.viewmats[:, :3, :3] @ _check.floats("origin", origin, (3,), np.float64)
+        return Cameras(moved, self.Ks, self.width, self.height, self.names)
+
     def resize(self, width: int, height: int) -> Cameras:
         """Return the same views at another resolution."""
         _check.positive_int("width", width)

@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from gsvis.cli import main
+from gsvis.cli.frames import cameras_in_scene
 from gsvis.color.sh import sh_colors
 from gsvis.errors import FormatError
 from gsvis.io.batches import align_batches, list_batches, read_batch
@@ -24,6 +26,7 @@ from gsvis.io.losses import watch_losses
 from gsvis.io.ply import load_ply, save_ply
 from gsvis.io.scenes import check_scene, load_scene
 from gsvis.io.spz import load_spz
+from gsvis.scene.cameras import Cameras
 from gsvis.scene.facts import SceneFacts
 from gsvis.scene.gaussians import Gaussians
 from tests.io.scene_files import glb_parts, ply_bytes, random_scene, raw_columns, spz_bytes
@@ -406,3 +409,42 @@ def test_facts_follow_the_scene() -> None:
     assert turned.origin == (0.0, 20.0, 0.0)
     joined = Gaussians.concatenate([scene, scene.with_facts(replace(facts, up=None, antialiased=False))])
     assert joined.facts == replace(facts, up=None, antialiased=False)
+
+
+# --- commands
+
+
+def test_commands_say_each_loss_once_and_drop_rows_on_request(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bright = Gaussians.concatenate([random_scene(), random_scene(seed=2)])
+    bright = Gaussians(bright.means, bright.quats, bright.scales, bright.opacities, bright.sh0 + 9.0)
+    columns = raw_columns(bright)
+    columns["y"][4] = np.nan
+    path, out = str(put(tmp_path, "a.ply", ply_bytes(columns))), str(tmp_path / "b.spz")
+    assert main(["convert", path, out]) == 2
+    assert "--drop-invalid" in capsys.readouterr().err
+    assert main(["convert", path, out, "--drop-invalid"]) == 0
+    lines = capsys.readouterr().err.splitlines()
+    assert sum("1 of 140 rows are dropped" in line for line in lines) == 1
+    assert sum("colors of 139 Gaussians are clipped" in line for line in lines) == 1
+    assert all(line.startswith("gsvis: ") for line in lines)
+    assert len(load_scene(out)) == 139
+
+
+def test_a_built_in_scene_keeps_its_up_axis_and_box(tmp_path: Path) -> None:
+    assert main(["convert", "builtin:two_rooms", str(tmp_path / "a.ply")]) == 0
+    facts = load_scene(tmp_path / "a.ply").facts
+    assert facts.up == (0.0, 0.0, 1.0)
+    assert facts.box is not None
+
+
+def test_cameras_of_a_file_stand_in_a_scene_with_an_origin(tmp_path: Path) -> None:
+    here = Cameras.look_at([[1.0, 2.0, 3.0]], (0.0, 0.0, 0.0), width=8, height=6)
+    there = here.with_origin(-UTM)
+    np.testing.assert_allclose(there.viewpoints, here.viewpoints + UTM, atol=1e-6)
+    write = {"w": 8, "h": 6, "fl_x": 8.0, "frames": [{"file_path": "a.png", "transform_matrix": np.eye(4).tolist()}]}
+    file = str(put(tmp_path, "transforms.json", json.dumps(write).encode()))
+    scene = random_scene().with_facts(SceneFacts(origin=(float(UTM[0]), float(UTM[1]), float(UTM[2]))))
+    np.testing.assert_allclose(cameras_in_scene(there, file, scene).viewpoints, here.viewpoints, atol=1e-6)
+    assert cameras_in_scene(there, file, random_scene()) is there
