@@ -131,15 +131,30 @@ def _print_help(name: str, *, every: bool) -> None:
 
 
 def _axes_as_values(arguments: Sequence[str]) -> list[str]:
-    """Return the arguments with a space before the value of --up, so that tyro does not read -y as an option."""
-    words: list[str] = []
-    for word in arguments:
+    """Return the arguments with the value of --up as one word that tyro does not read as an option.
+
+    A space goes before -y, and the three numbers of a direction become one word.
+    """
+    words, rest = list[str](), list(arguments)
+    while rest:
+        word = rest.pop(0)
         option, equals, value = word.partition("=")
-        if option == "--up" and equals:
-            words += [option, f" {value}"]
-        else:
-            words.append(f" {word}" if words[-1:] == ["--up"] else word)
+        if option != "--up" or not (equals or rest):
+            words.append(word)
+            continue
+        given = [value if equals else rest.pop(0)]
+        while len(given) < 3 and rest and _is_number(rest[0]) and _is_number(given[0]):
+            given.append(rest.pop(0))
+        words += ["--up", " " + " ".join(given)]
     return words
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
 
 
 def version() -> str:

@@ -87,7 +87,7 @@ def _write_report(
         given, framed = framed_cameras(source, given, command.cameras)
     for each in framed:
         status.line(each.strip())
-    place = find_place(source, command, None, walk, None if given is None else given.viewpoints)
+    place = find_place(source, command, None, walk, given)
     navigable, no_space = place.space, place.why_not
     cameras = given if given is not None else _sample_cameras(command, navigable, no_space)
     status("space", 1, 1)

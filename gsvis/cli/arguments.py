@@ -18,7 +18,7 @@ from gsvis.cli.arguments_serve import Serve
 from gsvis.cli.arguments_simulate import Simulate
 from gsvis.cli.arguments_space import Space
 from gsvis.cli.arguments_view import View
-from gsvis.cli.arguments_where import Where
+from gsvis.cli.arguments_where import Where, WhereSeen
 from gsvis.cli.arguments_world import World
 from gsvis.cli.readers import (
     BYTES,
@@ -83,7 +83,7 @@ __all__ = [
 
 
 @dataclass(frozen=True)
-class Inspect(Where):
+class Inspect(WhereSeen):
     """Report what a scene holds and what looks wrong with it."""
 
     scene: Scene
@@ -171,8 +171,8 @@ class Render(Where):
     """One camera at this point."""
     target: Annotated[tuple[float, ...] | None, POINT, hint("the middle of the scene")] = None
     """What --eye looks at, or --orbit goes around."""
-    up: Annotated[str | None, arg(metavar="AXIS", help_behavior_hint="(default: the likely one)")] = None
-    """Axis that points upwards in the image, such as -y; not with --camera."""
+    up: Annotated[str | None, arg(metavar="UP", help_behavior_hint="(default: the likely one)")] = None
+    """Up in the image: an axis such as -y, or three numbers; not with --camera."""
     seed: Annotated[int, WHOLE] = 0
     """Seed of the sampled camera: the same seed gives the same view."""
     width: Annotated[int | None, PIXELS, hint("640; with --camera that of FILE")] = None
@@ -206,7 +206,7 @@ class Render(Where):
 
 
 @dataclass(frozen=True)
-class Pvs(Where):
+class Pvs(WhereSeen):
     """Find what is visible from each cell of a scene; write it as a store."""
 
     scene: Scene
@@ -219,8 +219,8 @@ class Pvs(Where):
     """Largest number of cells. They are as small as it allows."""
     cell_size: Annotated[float | None, DISTANCE, hint("the smallest that --cells allows")] = None
     """Side of a cell, scene units."""
-    up: Annotated[str | None, arg(metavar="AXIS", help_behavior_hint="(default: the likely one)")] = None
-    """Axis that points upwards in the scene, such as -y."""
+    up: Annotated[str | None, arg(metavar="UP", help_behavior_hint="(default: the likely one)")] = None
+    """Up in the scene: an axis such as -y, or three numbers."""
     method: Annotated[Literal["hybrid", "raster", "raycast"], PLAIN] = "hybrid"
     """z-buffer and hidden points, cubemap images, or rays. (default: hybrid)"""
     size: Annotated[int | None, FACE_PIXELS, hint("512")] = None
@@ -290,7 +290,7 @@ class PvsReport:
 
 
 @dataclass(frozen=True)
-class Color(Where):
+class Color(WhereSeen):
     """Replace SH colors with a base color and a few terms that can be sent in pieces."""
 
     scene: Scene
@@ -317,8 +317,8 @@ class Color(Where):
     """Pixels across these, and across those of --epsilon auto and --staircase."""
     height: Annotated[int, PIXELS] = 360
     """Pixels down."""
-    up: Annotated[str | None, arg(metavar="AXIS", help_behavior_hint="(default: the likely one)")] = None
-    """Axis that points upwards in the scene, such as -y; not with --pvs."""
+    up: Annotated[str | None, arg(metavar="UP", help_behavior_hint="(default: the likely one)")] = None
+    """Up in the scene: an axis such as -y, or three numbers; not with --pvs."""
     seed: Annotated[int, WHOLE] = 0
     """Seed of everything random: the same seed gives the same file."""
     precision: Annotated[Literal["coarse", "wire", "fine", "exact"], PLAIN] = "wire"
@@ -386,7 +386,7 @@ class Train:
 
 
 @dataclass(frozen=True)
-class Levels(Where):
+class Levels(WhereSeen):
     """Make lower levels of a scene that share most of their Gaussians with it."""
 
     scene: Scene
@@ -413,8 +413,8 @@ class Levels(Where):
     """Further cameras, to measure on; 0 for none. With --photos it is every 8th."""
     size: Annotated[tuple[int, int] | None, SIZE, hint("480x360; with --photos theirs")] = None
     """Pixels of the views to measure on; those to train on are wider and smaller. Photographs are shrunk to it."""
-    up: Annotated[str | None, arg(metavar="AXIS", help_behavior_hint="(default: the likely one)")] = None
-    """Axis that points upwards in the scene, such as -y; not with --photos."""
+    up: Annotated[str | None, arg(metavar="UP", help_behavior_hint="(default: the likely one)")] = None
+    """Up in the scene: an axis such as -y, or three numbers; not with --photos."""
     seed: Annotated[int, WHOLE] = 0
     """Seed of everything random: the same seed gives the same levels."""
     max_memory: Annotated[int | None, BYTES, hint("no bound")] = None

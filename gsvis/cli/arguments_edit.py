@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import arg
 
-from gsvis.cli.arguments_where import Where
+from gsvis.cli.arguments_where import Where, WhereSeen
 from gsvis.cli.readers import (
     BYTES,
     COUNTED,
@@ -59,8 +59,8 @@ class Clean(Where):
     """PSNR that each of them keeps when flyaways, interior and unseen go; else a class is given back."""
     most_changed: Annotated[float, SHARE] = 0.1
     """Share of their pixels that fog or floaters that go may mostly make; else the class is given back."""
-    up: Annotated[str | None, arg(metavar="AXIS", help_behavior_hint="(default: the likely one)")] = None
-    """Axis that points upwards in the scene, such as -y."""
+    up: Annotated[str | None, arg(metavar="UP", help_behavior_hint="(default: the likely one)")] = None
+    """Up in the scene: an axis such as -y, or three numbers."""
     seed: Annotated[int, WHOLE] = 0
     """Seed of eyes and views: the same seed gives the same result."""
     max_memory: Annotated[int | None, BYTES, hint("no bound")] = None
@@ -90,8 +90,8 @@ class Cut(Where):
     With --margin eyes may lie so far beside them."""
     fov: Annotated[float | None, DEGREES, hint("eyes look all around")] = None
     """With --path: keep only what the frames of the walk show, at this horizontal field of view."""
-    up: Annotated[str | None, arg(metavar="AXIS", help_behavior_hint="(default: the likely one)")] = None
-    """Axis that points upwards in the scene, such as -y."""
+    up: Annotated[str | None, arg(metavar="UP", help_behavior_hint="(default: the likely one)")] = None
+    """Up in the scene: an axis such as -y, or three numbers."""
     tau: Annotated[float, TAU, hint("1/255")] = 1.0 / 255.0
     """Weight from which a Gaussian is kept."""
     limit: Annotated[float, SHARE, hint("0.0015")] = 0.0015
@@ -117,7 +117,7 @@ class Cut(Where):
 
 
 @dataclass(frozen=True)
-class Paint(Where):
+class Paint(WhereSeen):
     """Color a scene by how its Gaussians are seen, for any viewer."""
 
     scene: Scene
@@ -136,8 +136,8 @@ class Paint(Where):
     """Number of eyes that are drawn: places, cells or views."""
     size: Annotated[int | None, FACE_PIXELS, hint("512")] = None
     """Pixels along a side of the six faces around an eye."""
-    up: Annotated[str | None, arg(metavar="AXIS", help_behavior_hint="(default: the likely one)")] = None
-    """Axis that points upwards in the scene, such as -y; not with --pvs."""
+    up: Annotated[str | None, arg(metavar="UP", help_behavior_hint="(default: the likely one)")] = None
+    """Up in the scene: an axis such as -y, or three numbers; not with --pvs."""
     values: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Write the quantity as a NumPy file too: one number for each Gaussian."""
     seed: Annotated[int, WHOLE] = 0

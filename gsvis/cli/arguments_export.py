@@ -42,10 +42,10 @@ class Export:
     """Name of the scene in the page."""
     lod: Lod = None
     """Level of detail of a streamed scene; 0 is the finest."""
-    up: Annotated[str | None, arg(metavar="AXIS", help_behavior_hint="(default: the package's, or the likely one)")] = (
+    up: Annotated[str | None, arg(metavar="UP", help_behavior_hint="(default: the package's, or the likely one)")] = (
         None
     )
-    """Axis that points upwards in the scene, such as -y."""
+    """Up in the scene: an axis such as -y, or three numbers."""
     overwrite: Flag = False
     """Replace a file that exists, an earlier streamed SOG or tileset, or a page of something else; an earlier site is
     replaced without it."""

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from gsvis.cli.arguments_where import Where
+from gsvis.cli.arguments_where import WhereSeen
 from gsvis.cli.readers import (
     BYTES,
     CELLS,
@@ -37,7 +37,7 @@ __all__ = ["Prepare", "Unpack", "Verify"]
 
 
 @dataclass(frozen=True)
-class Prepare(Where):
+class Prepare(WhereSeen):
     """Make a package of a scene that can be served: levels, visible sets, colors."""
 
     scene: Scene
@@ -80,8 +80,8 @@ class Prepare(Where):
     """Terms a Gaussian on average; they go where they lower errors most. all: all that help (slow)."""
     epsilon: Annotated[float | None, CHANGE, hint("0.02")] = None
     """Smallest change of a color for which a term is sent; gsvis color --epsilon auto finds it for a scene."""
-    up: Annotated[str | None, arg(metavar="AXIS", help_behavior_hint="(default: the likely one)")] = None
-    """Axis that points upwards in the scene, such as -y."""
+    up: Annotated[str | None, arg(metavar="UP", help_behavior_hint="(default: the likely one)")] = None
+    """Up in the scene: an axis such as -y, or three numbers."""
     meters_per_unit: Annotated[float | None, DISTANCE, hint("not known")] = None
     """Size of a scene unit, kept in the package."""
     seed: Annotated[int, WHOLE] = 0

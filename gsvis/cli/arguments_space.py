@@ -7,14 +7,14 @@ from typing import Annotated, Literal
 
 from tyro.conf import arg
 
-from gsvis.cli.arguments_where import Where
+from gsvis.cli.arguments_where import WhereSeen
 from gsvis.cli.readers import COUNTED, DISTANCE, PLAIN, Flag, Lod, Scene, hint
 
 __all__ = ["Space"]
 
 
 @dataclass(frozen=True)
-class Space(Where):
+class Space(WhereSeen):
     """Write where a visitor can be, and what stops one, for other programs."""
 
     scene: Scene
@@ -24,8 +24,8 @@ class Space(Where):
     PlayCanvas read them, in their frame."""
     lod: Lod = None
     """Level of detail of a streamed scene; 0 is the finest."""
-    up: Annotated[str | None, arg(metavar="AXIS", help_behavior_hint="(default: the likely one)")] = None
-    """Axis that points upwards in the scene, such as -y."""
+    up: Annotated[str | None, arg(metavar="UP", help_behavior_hint="(default: the likely one)")] = None
+    """Up in the scene: an axis such as -y, or three numbers."""
     resolution: Annotated[int | None, COUNTED, hint("160")] = None
     """Voxels along the longest side of the scene, 8 to 384; not with --box, --around, --path."""
     frame: Annotated[Literal["upright", "scene"], PLAIN] = "upright"

@@ -20,8 +20,8 @@ class View:
     """A package or a static scene, or a scene as it is: a file or folder, or builtin:NAME."""
     lod: Lod = None
     """Level of detail of a streamed scene; 0 is the finest."""
-    up: Annotated[str | None, arg(metavar="AXIS", help_behavior_hint="(default: the likely one)")] = None
-    """Up axis of a scene as it is: +x, -x, +y, -y, +z or -z."""
+    up: Annotated[str | None, arg(metavar="UP", help_behavior_hint="(default: the likely one)")] = None
+    """Up in a scene as it is: an axis such as -y, or three numbers."""
     prepare: Annotated[str | None, arg(metavar="PACKAGE", help_behavior_hint="(default: show it as it is)")] = None
     """Also prepare the scene as this package meanwhile; it is served under the same name as soon as it is ready."""
     host: Annotated[str, arg(metavar="HOST", help_behavior_hint="(default: 127.0.0.1)")] = "127.0.0.1"

@@ -9,7 +9,7 @@ from tyro.conf import arg
 
 from gsvis.cli.readers import AROUND, BOX, DISTANCE, Flag, hint
 
-__all__ = ["Where"]
+__all__ = ["Where", "WhereSeen"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,3 +27,12 @@ class Where:
     """Distance of viewpoints from --path, at most, in scene units."""
     retarget: Flag = False
     """Move --path into the scene by a similarity transform, if it was recorded in another frame."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class WhereSeen(Where):
+    """Where eyes may be, by the cameras that took the photos of the scene too."""
+
+    cameras: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: no cameras)")] = None
+    """Cameras of the capture, in the frame of SCENE: a COLMAP model, transforms.json or cameras.json. They say where
+    people stand and which way is up."""

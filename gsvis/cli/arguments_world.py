@@ -61,8 +61,8 @@ class World:
     recording. Tiles that it does not come near have no cells."""
     margin: Annotated[float | None, DISTANCE, hint("1")] = None
     """Distance of viewpoints from --path, at most, in scene units."""
-    up: Annotated[str | None, arg(metavar="AXIS", help_behavior_hint="(default: the likely one)")] = None
-    """Axis that points upwards, such as -y."""
+    up: Annotated[str | None, arg(metavar="UP", help_behavior_hint="(default: the likely one)")] = None
+    """Up in the scene: an axis such as -y, or three numbers, of which a world takes the nearest axis."""
     meters_per_unit: Annotated[float | None, DISTANCE, hint("not known")] = None
     """Size of a scene unit, kept in the world."""
     seed: Annotated[int, WHOLE] = 0

@@ -133,10 +133,9 @@ def _find(
 
     status("space", 0, 1)
     surfaces = replace(source, gaussians=core_of(source.gaussians))
-    seeds = None if cameras is None else cameras.viewpoints
-    place = find_place(surfaces, command, command.up, walk, seeds)
+    place = find_place(surfaces, command, command.up, walk, cameras)
     space = place.required("say where eyes may be with --box, --around or --path")
-    if not given(command) and seeds is None and source.navigable is None:
+    if not given(command) and cameras is None and source.navigable is None:
         space = find_in_parcels(surfaces.gaussians, space, progress=status)
     status("space", 1, 1)
     found = clean(source.gaussians, navigable=space, cameras=cameras, config=config, progress=status)

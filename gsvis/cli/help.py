@@ -51,7 +51,7 @@ FIRST: dict[str, tuple[str, ...]] = {
     "inspect": ("lod", "histograms", "box", "around", "path", "json"),
     "analyze": ("out", "cameras", "views", "width", "lod", "box", "around", "path", "json"),
     "render": ("out", "camera", "orbit", "eye", "target", "up", "width", "height", "fov", "lod"),
-    "pvs": ("out", "cells", "up", "box", "around", "path", "lod", "workers", "dry_run"),
+    "pvs": ("out", "cells", "cameras", "up", "box", "around", "path", "lod", "workers", "dry_run"),
     "pvs-report": ("out", "cells", "viewpoints", "certify", "lod", "json"),
     "color": ("out", "pvs", "variant", "mean_terms", "epsilon", "report", "active", "lod", "up", "json"),
     "train": (
@@ -65,7 +65,7 @@ FIRST: dict[str, tuple[str, ...]] = {
         "hold_out",
         "overwrite",
     ),
-    "levels": ("out", "shares", "iterations", "photos", "up", "box", "path", "lod", "json"),
+    "levels": ("out", "shares", "iterations", "photos", "cameras", "up", "box", "path", "lod", "json"),
     "clean": ("out", "report", "select", "strength", "cameras", "up", "box", "path", "lod", "overwrite"),
     "convert": (
         "out",
@@ -81,7 +81,7 @@ FIRST: dict[str, tuple[str, ...]] = {
     ),
     "cut": ("out", "cameras", "path", "box", "around", "fov", "up", "lod", "min_psnr", "overwrite"),
     "paint": ("out", "by", "pvs", "path", "box", "around", "up", "lod", "overwrite", "json"),
-    "prepare": ("out", "photos", "path", "box", "around", "up", "lod", "levels", "dry_run"),
+    "prepare": ("out", "photos", "cameras", "path", "box", "around", "up", "lod", "levels", "dry_run"),
     "world": ("out", "lod", "tile", "far", "levels", "path", "up", "workers", "max_memory", "dry_run"),
     "verify": ("scene", "lod", "json", "debug"),
     "unpack": ("out", "sh_degree", "json", "debug"),

@@ -25,6 +25,7 @@ from gsvis.errors import ArgumentError, SceneError
 
 if TYPE_CHECKING:
     from gsvis.prepare import PrepareConfig
+    from gsvis.scene.cameras import Cameras
 
 __all__ = ["run_prepare"]
 
@@ -54,12 +55,7 @@ def run_prepare(command: Prepare) -> None:
             raise SceneError(f"{command.scene}: the scene has no Gaussian: there is nothing to see")
         status("reading", 1, 1)
         status("space", 0, 1)
-        seeds = None
-        if command.photos is not None:
-            from gsvis.train.photos import load_viewpoints
-
-            seeds = load_viewpoints(command.photos)
-        place = find_place(source, command, command.up, walk, seeds)
+        place = find_place(source, command, command.up, walk, _photo_cameras(command))
         space = place.required("say where eyes may be with --box or --around")
         remarks = [*place.remarks, *suspect_views(source.gaussians, space)]
         status("space", 1, 1)
@@ -92,6 +88,15 @@ def run_prepare(command: Prepare) -> None:
         print_estimate(command, source, space, estimate, remarks)
     else:
         print_result(command, source, space, prepared, remarks)
+
+
+def _photo_cameras(command: Prepare) -> Cameras | None:
+    """Return the cameras of --photos, unless --cameras says others; None without photos."""
+    if command.photos is None or command.cameras is not None:
+        return None
+    from gsvis.train.photos import load_photo_cameras
+
+    return load_photo_cameras(command.photos)
 
 
 def _check_arguments(command: Prepare) -> PrepareConfig:

@@ -15,12 +15,14 @@ from gsvis.errors import FormatError, SceneError
 from gsvis.files.atomic import find_interrupted_moves
 from gsvis.files.limits import open_regular
 from gsvis.files.output import check_writable, output_errors
+from gsvis.scene.axes import AXES, axis_vector
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.facts import SceneFacts
 from gsvis.scene.gaussians import Gaussians
-from gsvis.scene.inspection import AXES, axis_vector, guess_up, inspect_scene
+from gsvis.scene.inspection import inspect_scene
 from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.upright import find_up
 
 __all__ = [
     "Source",
@@ -200,7 +202,7 @@ def title_of(scene: str, lod: int | None = None) -> str:
 def up_of(source: Source) -> NDArray[np.float64]:
     """Return the (3,) up axis of a scene: the known one, else the likely one."""
     known = source.known_up
-    return axis_vector(guess_up(source.union)[0]) if known is None else known
+    return find_up(source.union, check=False).up if known is None else known
 
 
 def navigable_space(
@@ -223,14 +225,28 @@ def navigable_space(
 
 
 def parse_up(axis: str | None) -> NDArray[np.float64] | None:
-    """Return the (3,) up axis of --up; None without --up.
+    """Return the (3,) unit up axis of --up; None without --up.
+
+    Args:
+        axis: The name of an axis, such as "+z", or three numbers of any length but zero, such as "0.1 -0.98 0.17".
 
     Raises:
-        ValueError: If the value is not the name of an axis.
+        ValueError: If the value is neither.
     """
-    if axis is not None and axis.strip() not in AXES:
-        raise ValueError(f"--up: expected one of {', '.join(AXES)}, got {axis.strip()!r}")
-    return None if axis is None else axis_vector(axis.strip())
+    if axis is None:
+        return None
+    text = axis.strip()
+    if text in AXES:
+        return axis_vector(text)
+    try:
+        vector = np.array([float(word) for word in text.replace(",", " ").split()])
+    except ValueError:
+        vector = np.zeros(0)
+    largest = float(np.abs(vector).max()) if vector.shape == (3,) else 0.0
+    if not (np.isfinite(largest) and largest > 0.0):
+        known = ", ".join(AXES)
+        raise ValueError(f"--up: expected one of {known}, or three numbers such as '0.1 -0.98 0.17', got {text!r}")
+    return np.asarray(vector / largest / np.linalg.norm(vector / largest))
 
 
 def file_cameras(path: str, width: int | None, height: int | None, *, at_most: int | None = None) -> Cameras:

@@ -8,14 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.cli.arguments import Render
-from gsvis.cli.source import Source, file_cameras
+from gsvis.cli.source import Source, file_cameras, parse_up
 from gsvis.cli.where import check_where, find_place
+from gsvis.scene.axes import describe_direction
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
-from gsvis.scene.inspection import AXES, axis_vector, guess_up
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
 from gsvis.scene.solid import buried
+from gsvis.scene.upright import SURE, find_up
 
 __all__ = ["camera_count", "check_buried", "check_views", "given_cameras", "place_cameras"]
 
@@ -23,7 +24,6 @@ F64 = NDArray[np.float64]
 
 _WIDTH, _HEIGHT, _FOV, _ELEVATION = 640, 480, 60.0, 20.0
 _SHOWN = 0.9  # share of the centers that an orbit shows
-_SURE = 0.6  # least confidence of an up axis without a remark, as in inspection
 
 
 def check_views(command: Render) -> HeadPath | None:
@@ -43,8 +43,7 @@ def check_views(command: Render) -> HeadPath | None:
     for name in ("fov", "up"):
         if getattr(command, name) is not None and way == "camera":
             raise ValueError(f"--{name}: expected none with --camera, whose file states it; leave it out")
-    if command.up is not None and command.up.strip() not in AXES:
-        raise ValueError(f"--up: expected one of {', '.join(AXES)}, got {command.up.strip()!r}")
+    parse_up(command.up)
     if command.eye is not None and command.eye == command.target:
         raise ValueError("--target: expected another point than --eye, got the same")
     return check_where(command, f"--{way}" if way else "")
@@ -122,14 +121,13 @@ def check_buried(g: Gaussians, eyes: F64, name: str) -> list[str]:
 
 def _up(command: Render, source: Source) -> tuple[F64, list[str]]:
     """Return the up axis, and remarks: the user's, the known one, or a guess, with a remark if uncertain."""
-    if command.up is not None:
-        return axis_vector(command.up.strip()), []
-    known = source.known_up
+    given = parse_up(command.up)
+    known = source.known_up if given is None else given
     if known is not None:
         return known, []
-    axis, confidence = guess_up(source.gaussians)
-    doubt = f" The up axis is uncertain ({axis} with a confidence of {confidence:.0%}); --up AXIS sets it."
-    return axis_vector(axis), [doubt] if confidence < _SURE else []
+    found = find_up(source.gaussians)
+    doubt = f" The up axis is uncertain ({describe_direction(found.up)} with a confidence of {found.confidence:.0%});"
+    return found.up, [f"{doubt} --up AXIS sets it."] if found.confidence < SURE else []
 
 
 def _extent(g: Gaussians) -> tuple[F64, float]:

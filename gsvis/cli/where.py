@@ -2,27 +2,32 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from gsvis.cli.arguments_where import Where
-from gsvis.cli.source import Source, navigable_space, parse_up
-from gsvis.errors import SceneError
+from gsvis.cli.source import Source, file_cameras, navigable_space, parse_up
+from gsvis.errors import FormatError, SceneError
 from gsvis.io.poses import load_path
-from gsvis.scene.corridor import corridor, share_in_solid
+from gsvis.scene.axes import describe_direction
+from gsvis.scene.cameras import Cameras
+from gsvis.scene.corridor import corridor, share_in_solid, space_walked
 from gsvis.scene.flyaways import find_flyaways
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
 from gsvis.scene.solid import buried
+from gsvis.scene.upright import SURE, Upright, doubt_up, find_up
 
 __all__ = [
     "WORDS",
+    "Evidence",
     "Place",
     "check_where",
+    "evidence_cameras",
     "find_place",
     "flyaway_remarks",
     "given",
@@ -42,7 +47,26 @@ _LOOKS, _WIDTH, _HEIGHT = 8, 96, 72
 _LEAST_SEEN = 0.01  # share of the Gaussians
 _LEAST_LIGHT = 0.05  # mean alpha of a view that does not look into the void
 _VISIBLE = 1.0 / 255.0
+_NOMINAL = (640, 480)  # pixels of cameras whose sizes differ
 _CLOSE = 0.01  # of the scene's diagonal: views that end within it look into one surface
+
+
+_DECIDE = "--cameras, --up, --box, --around or --path decides"
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What says where people stand: the strongest that there is.
+
+    Attributes:
+        source: Where it comes from, the strongest first: cameras, a walk, a box or a center given, the scene itself.
+        confidence: In (0, 1]; 1 for what is given.
+        text: What was taken for what, in a line.
+    """
+
+    source: Literal["cameras", "walk", "box", "around", "scene"]
+    confidence: float
+    text: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,12 +78,23 @@ class Place:
         why_not: Why there is none; else empty.
         remarks: Remarks for the user.
         path: The walk of --path, brought into the scene if --retarget is given; None without.
+        cameras: The cameras given, which are eyes for checks too; None without.
+        upright: Which way is up, and why.
+        evidence: What says where people stand; None without a space.
     """
 
     space: NavigableSpace | None
     why_not: str
     remarks: list[str]
     path: HeadPath | None = None
+    cameras: Cameras | None = None
+    upright: Upright | None = None
+    evidence: Evidence | None = None
+
+    @property
+    def doubt(self) -> str:
+        """One line where the kind or the up axis is uncertain, with what decides it; empty if both are sure."""
+        return "" if self.evidence is None else _doubt(self.evidence, self.upright)
 
     def required(self, remedy: str) -> NavigableSpace:
         """Return the navigable space.
@@ -97,44 +132,150 @@ def check_where(where: Where, other: str = "") -> HeadPath | None:
     if len(names) > 1:
         value = getattr(where, names[1])
         raise ValueError(f"--{names[1]}: expected none with --{names[0]}, got {' '.join(spell(value))}; leave one out")
+    cameras = getattr(where, "cameras", None)
+    if cameras is not None and not Path(cameras).exists():
+        raise FileNotFoundError(2, "no such file or folder", cameras)
     return None if where.path is None else load_path(where.path)
 
 
 def find_place(
-    source: Source, where: Where, up: str | None = None, walk: HeadPath | None = None, seeds: ArrayLike | None = None
+    source: Source,
+    where: Where,
+    up: str | None = None,
+    walk: HeadPath | None = None,
+    cameras: Cameras | None = None,
 ) -> Place:
-    """Find where eyes may be.
+    """Find where eyes may be, by the strongest evidence: cameras, a walk, a box, then the scene itself.
+
+    A place given by --box, --around or --path restricts eyes; cameras then say which way is up, and are eyes of checks.
 
     Args:
         source: The scene.
         where: What the user said.
-        up: Value of --up; None means the known one, else +z for a box, else a guess.
+        up: Value of --up; None means the known one, else that of cameras, else the likely one.
         walk: The walk of --path.
-        seeds: (S, 3) positions known to be navigable.
+        cameras: Cameras that took photos of the scene; those of --cameras by default.
 
     Raises:
         SceneError: If eyes given by hand lie inside something solid.
         ValueError: If the walk lies elsewhere.
     """
-    axis = source.known_up if up is None else parse_up(up)
-    outside = flyaway_remarks(source.gaussians)
+    cameras = evidence_cameras(where) if cameras is None else cameras
+    upright, doubts = _upright(source, up, cameras)
+    remarks = [*flyaway_remarks(source.gaussians), *doubts, *_blind(source.gaussians, cameras)]
+    found = _find(source, where, upright, walk, cameras, remarks)
+    if found.space is None:
+        return found
+    evidence = found.evidence or _weigh(found.space, where, cameras)
+    found = replace(found, upright=upright, cameras=cameras, evidence=evidence)
+    return replace(found, remarks=[*found.remarks, *([f" {found.doubt}"] if found.doubt else [])])
+
+
+def evidence_cameras(where: Where) -> Cameras | None:
+    """Return the cameras of --cameras; None without.
+
+    Raises:
+        FormatError: If the file cannot be read.
+        FileNotFoundError: If there is no file.
+        ValueError: If it holds no camera.
+    """
+    path = getattr(where, "cameras", None)
+    if path is None:
+        return None
+    try:
+        return file_cameras(path, None, None)
+    except FormatError:
+        return file_cameras(path, *_NOMINAL)  # of several sizes, which do not matter here; else it fails again
+
+
+def _find(
+    source: Source, where: Where, upright: Upright, walk: HeadPath | None, cameras: Cameras | None, remarks: list[str]
+) -> Place:
+    """Return the place that the strongest evidence gives."""
     if where.box is not None:
-        upward = (0.0, 0.0, 1.0) if axis is None else axis
-        space = NavigableSpace.from_box(where.box[:3], where.box[3:], _BOX_VOXELS, up=upward)
-        return Place(space, "", _check_buried(source, space, "box"))
+        space = NavigableSpace.from_box(where.box[:3], where.box[3:], _BOX_VOXELS, up=upright.up)
+        doubts = [each for each in remarks if "Gaussians" not in each]
+        return Place(space, "", [*doubts, *_check_buried(source, space, "box")])
     if where.around is not None:
         center, radius = (where.around[:3], where.around[3]) if where.around else (None, None)
         try:
-            space = NavigableSpace.around(source.gaussians, center, radius, up=axis)
+            space = NavigableSpace.around(source.gaussians, center, radius, up=upright.up)
         except SceneError as error:
             raise SceneError(f"--around: {error.problem}; give another center or radius") from None
-        return Place(space, "", outside)
-    found, why_not = navigable_space(source, up=axis, seeds=seeds)
+        return Place(space, "", remarks)
+    in_frame = walk is not None and not where.retarget
+    if walk is not None and in_frame:
+        _check_frame(source, where, walk)
+    seeds = walk.positions if walk is not None and in_frame else None if cameras is None else cameras.viewpoints
+    found, why_not = navigable_space(source, up=upright.up, seeds=seeds)
+    if found is None and seeds is not None:
+        found, without = navigable_space(source, up=upright.up)
+        if found is not None and walk is None:
+            more = f" The cameras contradict the scene ({why_not}); eyes are where the scene has them."
+            return Place(found, "", [*remarks, more], evidence=_weigh(found, where, None))
+        why_not = without
     if found is None:
-        return Place(None, f"{source.path or source.name}: {why_not}", outside)
+        return Place(None, f"{source.path or source.name}: {why_not}", remarks)
     if walk is None:
-        return Place(found, "", outside)
-    return _along(found, where, walk, outside)
+        return Place(found, "", remarks)
+    return _along(found, where, walk, remarks)
+
+
+def _upright(source: Source, up: str | None, cameras: Cameras | None) -> tuple[Upright, list[str]]:
+    """Return which way is up, and a remark if something clearly contradicts what is stated."""
+    given = parse_up(up)
+    known = source.known_up if given is None else given
+    if known is None:
+        return find_up(source.union, cameras=cameras, check=False), []
+    found = Upright(known, 1.0, "given by --up" if given is not None else "known")
+    if given is None and source.path is None:
+        return found, []
+    doubt = doubt_up(source.gaussians, known, cameras=cameras)
+    return found, [f" Check the up axis: {doubt}"] if doubt else []
+
+
+def _weigh(space: NavigableSpace, where: Where, cameras: Cameras | None) -> Evidence:
+    """Return what decided where eyes are."""
+    if where.path is not None:
+        return Evidence("walk", 1.0, f"along the walk {where.path}")
+    if where.box is not None:
+        return Evidence("box", 1.0, "a box given by hand")
+    if where.around is not None:
+        return Evidence("around", 1.0, "around an object given by hand")
+    if cameras is not None:
+        return Evidence("cameras", max(space.kind.confidence, SURE), f"around {len(cameras):,} cameras")
+    if space.kind.kind == "given":
+        return Evidence("box", 1.0, space.kind.reason)
+    return Evidence("scene", space.kind.confidence, f"{space.kind.kind}: {space.kind.reason}")
+
+
+def _doubt(evidence: Evidence, upright: Upright | None) -> str:
+    parts = []
+    if evidence.confidence < SURE:
+        parts.append(
+            f"the scene was taken for {evidence.text.split(':')[0]} with a confidence of {evidence.confidence:.0%}"
+        )
+    if upright is not None and not upright.sure:
+        parts.append(f"up was taken for {describe_direction(upright.up)} with a confidence of {upright.confidence:.0%}")
+    return f"Not sure: {', and '.join(parts)}; {_DECIDE}." if parts else ""
+
+
+def _blind(g: Gaussians, cameras: Cameras | None) -> list[str]:
+    """Return a remark if most cameras see nothing of the scene: they are of another frame."""
+    return []
+
+
+def _check_frame(source: Source, where: Where, walk: HeadPath) -> None:
+    """Raise if most of a walk lies far from the scene: then it is in another frame, and says nothing of this one."""
+    g = source.gaussians
+    low, high = g.bounds(0.98)
+    reach = float(np.linalg.norm(high - low)) + 3.0 * float(np.quantile(g.scales.max(axis=1), 0.98))
+    near = np.all((walk.positions >= low - reach) & (walk.positions <= high + reach), axis=1)
+    if near.mean() < 0.5:
+        raise ValueError(
+            f"--path {where.path}: expected a walk in the scene, got {near.mean():.0%} of its positions near it;"
+            " --retarget brings it there"
+        )
 
 
 def flyaway_remarks(g: Gaussians) -> list[str]:
@@ -149,20 +290,33 @@ def flyaway_remarks(g: Gaussians) -> list[str]:
 
 
 def _along(space: NavigableSpace, where: Where, walk: HeadPath, remarks: list[str]) -> Place:
-    """Return the space near a walk, with more remarks."""
+    """Return the space near a walk, with more remarks. A walk in the scene's frame is evidence that its eyes are free.
+
+    Raises:
+        ValueError: If the walk lies elsewhere.
+    """
     remarks = [*remarks]
     if where.retarget:
         from gsvis.scene.retarget import retarget
 
         moved = retarget(walk, space)
-        walk = moved.path
-        remarks.append(f" The path was brought into the scene: {moved.rule}; {moved.inside:.0%} of it inside.")
+        remarks.append(
+            f" The path was brought into the scene: {moved.rule}; scaled by {moved.similarity.scale:.3g};"
+            f" {moved.inside:.0%} of it inside."
+        )
+        try:
+            return Place(corridor(space, moved.path.positions, where.margin), "", remarks, moved.path)
+        except ValueError as error:
+            raise ValueError(f"--path {where.path}: {error}") from None
+    solid = share_in_solid(space, walk.positions)
+    if solid > 0.0:
+        remarks.append(
+            f" {solid:.0%} of the walk {where.path} leads through something solid; its eyes count as free all the same."
+        )
     try:
-        return Place(corridor(space, walk.positions, where.margin), "", remarks, walk)
+        return Place(space_walked(space, walk.positions, where.margin), "", remarks, walk)
     except ValueError as error:
-        lost = where.retarget or share_in_solid(space, walk.positions) >= 0.5
-        hint = "" if lost else "; --retarget brings it there"
-        raise ValueError(f"--path {where.path}: {error}{hint}") from None
+        raise ValueError(f"--path {where.path}: {error}; --retarget brings it there") from None
 
 
 def _check_buried(source: Source, space: NavigableSpace, option: str) -> list[str]:

@@ -20,6 +20,7 @@ from gsvis.errors import ArgumentError
 from gsvis.io.poses import load_path
 from gsvis.io.scenes import check_scene
 from gsvis.pvs.workers import Workers
+from gsvis.scene.axes import nearest_axis
 
 if TYPE_CHECKING:
     from gsvis.world.config import WorldConfig
@@ -141,8 +142,10 @@ def _check_arguments(command: World) -> WorldConfig:
         sets=sets_config(size=command.face_size, limit=command.limit),
         meters_per_unit=command.meters_per_unit or 0.0,
     )
-    up = None if command.up is None else command.up.strip()
-    config = WorldConfig(TilingConfig(command.tile, up=up), package, command.far, command.angle)
+    up = parse_up(command.up)
+    config = WorldConfig(
+        TilingConfig(command.tile, up=None if up is None else nearest_axis(up)), package, command.far, command.angle
+    )
     if command.path is None:
         return config
     margin = WorldConfig.margin if command.margin is None else command.margin

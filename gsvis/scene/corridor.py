@@ -15,7 +15,7 @@ from gsvis.errors import SceneError
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 
-__all__ = ["corridor", "fill_in", "share_in_solid", "space_along"]
+__all__ = ["corridor", "fill_in", "share_in_solid", "space_along", "space_walked"]
 
 F64 = NDArray[np.float64]
 
@@ -112,6 +112,42 @@ def space_along(
     if not free.any():
         raise SceneError(f"no navigable space: nothing within {margin:.3g} of the walk is clear", "raise the margin")
     return replace(space, free=free, rule="clear, along a walk")
+
+
+def space_walked(space: NavigableSpace, positions: ArrayLike, margin: float | None = None) -> NavigableSpace:
+    """Return the free voxels of a space along a walk, and those of the walk itself: where somebody walked, it is free.
+
+    Args:
+        space: Allowed viewpoints in the scene; its grid has to hold the walk.
+        positions: (T, 3) the walk, in the space's frame; straight between two positions.
+        margin: Distance from the walk, scene units, within which free voxels are kept; None means 3 voxels.
+
+    Raises:
+        ValueError: If the margin is not a finite number > 0, or fewer than half of the positions lie on the grid: the
+            walk is in another frame, or belongs to another scene.
+    """
+    from scipy import ndimage  # here: it takes long to import, and few need it
+
+    points = _check.floats("positions", positions, ("T", 3), np.float64)
+    if len(points) == 0:
+        raise ValueError("positions: expected at least one, got none")
+    margin = 3.0 * space.voxel_size if margin is None else float(margin)
+    if not (np.isfinite(margin) and margin > 0.0):
+        raise ValueError(f"margin: expected a finite number > 0, got {margin!r}")
+    own, held = _voxels(space, points)
+    if held.mean() < _INSIDE:
+        raise ValueError(
+            f"path: expected positions in the scene, got {held.mean():.0%} of them there; bring the path into the"
+            " scene's frame (retarget it)"
+        )
+    walked = np.zeros(space.free.shape, bool)
+    walked[tuple(own[held].T)] = True
+    way, on_grid = _voxels(space, fill_in(points, 0.5 * space.voxel_size))
+    on_way = walked.copy()
+    on_way[tuple(way[on_grid].T)] = True
+    near = np.asarray(ndimage.distance_transform_edt(~on_way)) <= margin / space.voxel_size + 0.5
+    free = walked | (space.free & near)
+    return replace(space, free=free, occupied=space.occupied & ~walked, rule=f"{space.rule}, along a path")
 
 
 def share_in_solid(space: NavigableSpace, positions: ArrayLike) -> float:

@@ -23,11 +23,12 @@ from gsvis.files.limits import read_whole
 from gsvis.io.points import find_points, load_points
 from gsvis.io.views import Views
 from gsvis.progress import Progress, silent
+from gsvis.scene.cameras import Cameras, intrinsics
 from gsvis.scene.points import PointCloud
 from gsvis.train._photo_files import FAULTS, find_files, find_views, join_names, quiet_pillow, read_sizes, whole_factor
 from gsvis.train.images import PosedImages
 
-__all__ = ["FEWEST_VIEWS", "Photos", "load_photos", "load_viewpoints", "photo_bytes"]
+__all__ = ["FEWEST_VIEWS", "Photos", "load_photo_cameras", "load_photos", "load_viewpoints", "photo_bytes"]
 
 Size = tuple[int, int]
 
@@ -73,8 +74,23 @@ def load_viewpoints(folder: str | PathLike[str]) -> NDArray[np.float64]:
         FileNotFoundError: If there is no such folder.
         FormatError: If there is no model, or it is malformed or distorted.
     """
+    return load_photo_cameras(folder).viewpoints
+
+
+def load_photo_cameras(folder: str | PathLike[str]) -> Cameras:
+    """Return where the photos of a folder were taken, as upright pictures of one nominal size; reads no photo.
+
+    Their poses are those of the model. Their sizes, which may differ, are not: all are 640 x 480 with 60 degrees.
+
+    Args:
+        folder: As in `load_photos`.
+
+    Raises:
+        FileNotFoundError: If there is no such folder.
+        FormatError: If there is no model, or it is malformed or distorted.
+    """
     poses = np.reshape(find_views(_check.path("folder", folder), None)[0].viewmats, (-1, 4, 4))
-    return np.asarray(-np.einsum("nij,ni->nj", poses[:, :3, :3], poses[:, :3, 3]))
+    return Cameras(poses, np.tile(intrinsics(640, 480, 60.0), (len(poses), 1, 1)), 640, 480)
 
 
 def photo_bytes(folder: str | PathLike[str], size: Size | None = None) -> int:

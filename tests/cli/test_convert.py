@@ -15,6 +15,7 @@ from gsvis.errors import BackendError
 from gsvis.export import page
 from gsvis.io import convert_scene, load_scene, merge_scenes, save_scene
 from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.upright import Upright
 from tests.cli.test_commands import refused
 from tests.export.viewers import viewer_of
 from tests.io.scene_files import random_scene, streamed_files, write_files
@@ -158,7 +159,8 @@ def test_a_page_holds_the_converted_scene_upright(monkeypatch: pytest.MonkeyPatc
     assert capsys.readouterr().out.startswith("c.html: ")
     assert main(["convert", "builtin:two_rooms", "d.html", "--rotate", "0", "90", "0", "--max-sh-degree", "0"]) == 0
     assert found["up"] == (1.0, 0.0, 0.0)  # the rooms have a known up axis, +z
-    monkeypatch.setattr("gsvis.cli.source.guess_up", lambda g: ("+y", 1.0) if len(g) > 30_000 else ("-y", 1.0))
+    plus_y = Upright(np.array([0.0, 1.0, 0.0]), 1.0, "")
+    monkeypatch.setattr("gsvis.cli.source.find_up", lambda g, **more: plus_y if len(g) > 30_000 else None)
     assert main(["convert", "builtin:two_rooms", "a.ply", "-o", "e.html", "--rotate", "0", "0", "90"]) == 0
     assert found["up"] == (-1.0, 0.0, 0.0)  # guessed of all together
 

@@ -218,9 +218,14 @@ class TestBadInput:
         walk = HeadPath(times, places, np.tile([1.0, 0, 0, 0], (3, 1)), up=np.array([0, 0, 1.0]))
         write_poses(walk, tmp_path / "walk.csv")
         where = Where(path=str(tmp_path / "walk.csv"))
-        with pytest.raises(ValueError, match=r"got 100% of them inside something solid; give a walk") as error:
-            find_place(Source("solid", make()), where, "+z", check_where(where))
-        assert "--retarget" not in str(error.value)
+        place = find_place(Source("solid", make()), where, "+z", check_where(where))
+        assert place.space is not None
+        assert place.space.contains(places).all()  # somebody walked there
+        assert place.evidence is not None
+        assert (place.evidence.source, place.evidence.confidence) == ("walk", 1.0)
+        (line,) = [each for each in place.remarks if "of the walk" in each]
+        assert line.startswith(" 100% of the walk")
+        assert not any("scaled" in each for each in place.remarks)
 
 
 class TestFlyaways:
