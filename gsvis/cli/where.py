@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from gsvis.cli.arguments_where import Where
-from gsvis.cli.source import Source, file_cameras, navigable_space, parse_up
+from gsvis.cli.source import Source, file_cameras, framed_cameras, navigable_space, parse_up
 from gsvis.errors import FormatError, SceneError
 from gsvis.io.poses import load_path
 from gsvis.scene.axes import describe_direction
@@ -160,9 +160,11 @@ def find_place(
         SceneError: If eyes given by hand lie inside something solid.
         ValueError: If the walk lies elsewhere.
     """
-    cameras = evidence_cameras(where) if cameras is None else cameras
+    framed: list[str] = []
+    if cameras is None and (cameras := evidence_cameras(where)) is not None:
+        cameras, framed = framed_cameras(source, cameras, getattr(where, "cameras"))  # noqa: B009
     upright, doubts = _upright(source, up, cameras)
-    remarks = [*flyaway_remarks(source.gaussians), *doubts, *_blind(source.gaussians, cameras)]
+    remarks = [*flyaway_remarks(source.gaussians), *framed, *doubts]
     found = _find(source, where, upright, walk, cameras, remarks)
     if found.space is None:
         return found
@@ -258,11 +260,6 @@ def _doubt(evidence: Evidence, upright: Upright | None) -> str:
     if upright is not None and not upright.sure:
         parts.append(f"up was taken for {describe_direction(upright.up)} with a confidence of {upright.confidence:.0%}")
     return f"Not sure: {', and '.join(parts)}; {_DECIDE}." if parts else ""
-
-
-def _blind(g: Gaussians, cameras: Cameras | None) -> list[str]:
-    """Return a remark if most cameras see nothing of the scene: they are of another frame."""
-    return []
 
 
 def _check_frame(source: Source, where: Where, walk: HeadPath) -> None:
