@@ -14,7 +14,7 @@ from gsvis.errors import FormatError, SceneError
 from gsvis.io.poses import load_path
 from gsvis.scene.axes import describe_direction
 from gsvis.scene.cameras import Cameras
-from gsvis.scene.corridor import corridor, share_in_solid, space_walked
+from gsvis.scene.corridor import corridor, space_walked
 from gsvis.scene.flyaways import find_flyaways
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
@@ -209,9 +209,10 @@ def _find(
     if walk is not None and in_frame:
         _check_frame(source, where, walk)
     seeds = walk.positions if walk is not None and in_frame else None if cameras is None else cameras.viewpoints
-    found, why_not = navigable_space(source, up=upright.up, seeds=seeds)
+    axis = upright.up if upright.sure else None  # of an uncertain axis the space makes its own, wary choice
+    found, why_not = navigable_space(source, up=axis, seeds=seeds)
     if found is None and seeds is not None:
-        found, without = navigable_space(source, up=upright.up)
+        found, without = navigable_space(source, up=axis)
         if found is not None and walk is None:
             more = f" The cameras contradict the scene ({why_not}); eyes are where the scene has them."
             return Place(found, "", [*remarks, more], evidence=_weigh(found, where, None))
@@ -220,7 +221,7 @@ def _find(
         return Place(None, f"{source.path or source.name}: {why_not}", remarks)
     if walk is None:
         return Place(found, "", remarks)
-    return _along(found, where, walk, remarks)
+    return _along(source, found, where, walk, remarks)
 
 
 def _upright(source: Source, up: str | None, cameras: Cameras | None) -> tuple[Upright, list[str]]:
@@ -286,7 +287,7 @@ def flyaway_remarks(g: Gaussians) -> list[str]:
     ]
 
 
-def _along(space: NavigableSpace, where: Where, walk: HeadPath, remarks: list[str]) -> Place:
+def _along(source: Source, space: NavigableSpace, where: Where, walk: HeadPath, remarks: list[str]) -> Place:
     """Return the space near a walk, with more remarks. A walk in the scene's frame is evidence that its eyes are free.
 
     Raises:
@@ -305,7 +306,8 @@ def _along(space: NavigableSpace, where: Where, walk: HeadPath, remarks: list[st
             return Place(corridor(space, moved.path.positions, where.margin), "", remarks, moved.path)
         except ValueError as error:
             raise ValueError(f"--path {where.path}: {error}") from None
-    solid = share_in_solid(space, walk.positions)
+    some = walk.positions[:: max(1, len(walk) // _TRIED)]
+    solid = float(buried(source.union, some).mean())
     if solid > 0.0:
         remarks.append(
             f" {solid:.0%} of the walk {where.path} leads through something solid; its eyes count as free all the same."
