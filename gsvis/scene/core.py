@@ -21,7 +21,7 @@ F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _STEPS = 32  # of the search for the middle, at most
-_CLOSE = 1e-4  # step that ends it, in median distances
+_CLOSE = 1e-3  # step that ends it, in median distances
 _ADDED = 0.04  # least share that a doubling of the distance adds within the scene
 _TAIL = 0.05  # of the weight, left out at each end of each axis of the detail
 _GROWN = 2.0  # how many times as large Gaussians beyond the detail are if people stood inside of it
@@ -133,7 +133,7 @@ def _middle(places: F64, weights: F64) -> F64:
 
 def _edge(distances: F64, weights: F64) -> float:
     """Return the greatest distance at which a doubling still adds a share to the weight within."""
-    order = np.argsort(distances, kind="stable")
+    order = np.argsort(distances)
     ordered, total = distances[order], np.cumsum(weights[order])
     inner = np.searchsorted(ordered, 0.5 * ordered, side="right") - 1
     within = np.where(inner >= 0, total[inner], 0.0)
@@ -184,7 +184,7 @@ def _growth(away: F64, sizes: F64) -> float:
 
 
 def _weighted_quantiles(values: F64, weights: F64, at: tuple[float, ...]) -> F64:
-    order = np.argsort(values, kind="stable")
+    order = np.argsort(values)
     total = np.cumsum(weights[order])
     found: F64 = values[order][np.searchsorted(total, np.array(at) * total[-1]).clip(0, len(values) - 1)]
     return found

@@ -83,7 +83,7 @@ class TestKindIsSaid:
     def test_in_json(self, command: str, tmp_path: Path, capsys: Capture) -> None:
         space = document(capsys, command, saved(statue(), tmp_path))["space"]
         assert space["kind"]["kind"] == "object"
-        assert space["rule"] == "free, around an object"
+        assert space["rule"].startswith("free, around ")  # and inside as well where up is not certain
         assert space["kind"]["text"].startswith("object: ")
 
     def test_in_the_terminal(self, tmp_path: Path, capsys: Capture) -> None:
@@ -133,7 +133,7 @@ class TestByHand:
 
 class TestBadInput:
     def test_no_free_space(self, tmp_path: Path, capsys: Capture) -> None:
-        fog = discs(np.random.default_rng(0).uniform(0, 1, (8, 3)), (0.5, 0.5, 0.5), 0.9)
+        fog = discs(np.random.default_rng(0).uniform(0, 1, (8, 3)), (5.0, 5.0, 5.0), 0.9)
         scene = saved(fog, tmp_path)
         line = refused(capsys, "pvs", scene, "-o", tmp_path / "s.pvs")
         assert "no navigable space: all" in line
