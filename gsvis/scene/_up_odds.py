@@ -21,6 +21,7 @@ __all__ = ["Likely", "find_likely"]
 
 F64 = NDArray[np.float64]
 
+_LIFT = 0.65  # power of the geometry's confidence up to which conventions of files can lift it
 _SAME = 15.0  # degrees within which candidates are one answer
 _LEAST_CONTACT = 0.01
 _SHEET = 0.6  # most confidence in a sheet on which nothing stands, or which may as well be a wall
@@ -57,7 +58,7 @@ class Likely(NamedTuple):
 def find_likely(sample: Sample) -> Likely:
     """Return the likely up axis.
 
-    What the conventions of files add can raise a confidence only up to the square root of what the Gaussians give.
+    What the conventions of files add can lift a confidence only up to a power of what the Gaussians give alone.
 
     Args:
         sample: The surface of the core.
@@ -70,7 +71,7 @@ def find_likely(sample: Sample) -> Likely:
     best = int(informed.argmax())
     same = directions @ directions[best] > np.cos(np.radians(_SAME))
     geometry = float(shares[same].sum())
-    confidence = min(float(informed[same].sum()), np.sqrt(geometry))
+    confidence = min(float(informed[same].sum()), geometry**_LIFT)
     which, way = best % len(axes), best // len(axes)
     ground = bool(odds[which, way, 0] >= odds[which, way, 1])
     if ground:
@@ -78,7 +79,7 @@ def find_likely(sample: Sample) -> Likely:
         confidence, geometry = min(confidence, most), min(geometry, most)
     else:
         geometry = min(geometry, _OBJECT)
-        confidence = min(confidence, np.sqrt(geometry))
+        confidence = min(confidence, geometry**_LIFT)
     up = settle(sample, directions[best])
     up = find_plumb(sample, up) if ground else _snap(up)
     return Likely(up, confidence, geometry, ground, found[which])
