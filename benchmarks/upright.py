@@ -6,8 +6,8 @@ outliers out to 5,000 times its core. Only the Gaussians are looked at: no camer
 Given: 13 real scenes and four built-in ones; which way is up in each, by a person who looked at renders.
 Measured: the angle between what is found and the truth, the confidence, and processor time. "Wrong" is said with a
 confidence of at least 0.8 and more than 10 degrees off.
-Defaults chosen on: the same scenes moved by seeds 0 to 4, and 34 made or cropped scenes; this run moves by another
-seed.
+Defaults chosen on: the same scenes moved by seeds 0 to 4 and 42, and 34 made or cropped scenes; this run moves by
+another seed.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ TRUTH: tuple[tuple[str, str, int | None, tuple[float, float, float] | None], ...
 
 def main() -> None:
     parser = add_arguments(argparse.ArgumentParser(description=__doc__))
-    parser.add_argument("--seed", type=int, default=42)
+    parser.add_argument("--seed", type=int, default=43)
     parser.add_argument("--moves", type=int, default=3, help="random moves of each scene")
     options = parser.parse_args()
     folder = realdata()

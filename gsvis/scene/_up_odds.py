@@ -26,7 +26,7 @@ _SAME = 15.0  # degrees within which candidates are one answer
 _LEAST_CONTACT = 0.01
 _SHEET = 0.6  # most confidence in a sheet on which nothing stands, or which may as well be a wall
 _TEMPER = 0.7  # of the odds of axes: the figures behind them are not independent
-_THIN = (0.05, 0.12)  # height over width of a sheet, and of what is surely none
+_THIN = (0.06, 0.14)  # height over width of a sheet, and of what is surely none
 _FULL = (0.08, 0.18)  # opacity on a slab that is bare, and on one with much on it
 _OBJECT = 0.7  # most confidence in an object by its shape alone: some lie down
 _ONE_WAY = (0.15, 0.35)  # share of the upright surface off its main way: below, ground and wall can be exchanged
@@ -63,7 +63,7 @@ def find_likely(sample: Sample) -> Likely:
     Args:
         sample: The surface of the core.
     """
-    axes, found, odds = _best_apart(sample, find_candidates(sample))
+    axes, odds = _best_apart(sample, find_candidates(sample))
     directions = np.concatenate([axes, -axes])
     total = _signed_odds(odds)
     shares = _softmax(total)
@@ -74,26 +74,23 @@ def find_likely(sample: Sample) -> Likely:
     confidence = min(float(informed[same].sum()), geometry**_LIFT)
     which, way = best % len(axes), best // len(axes)
     ground = bool(odds[which, way, 0] >= odds[which, way, 1])
-    if ground:
-        most = _most_confidence(found[which])
-        confidence, geometry = min(confidence, most), min(geometry, most)
-    else:
-        geometry = min(geometry, _OBJECT)
-        confidence = min(confidence, geometry**_LIFT)
     up = settle(sample, directions[best])
+    evidence = measure_axis(sample, up)
+    most = _most_confidence(evidence) if ground else _OBJECT
+    geometry = min(geometry, most)
+    confidence = min(confidence, most if ground else geometry**_LIFT)
     up = find_plumb(sample, up) if ground else _snap(up)
-    return Likely(up, confidence, geometry, ground, found[which])
+    return Likely(up, confidence, geometry, ground, evidence)
 
 
-def _best_apart(sample: Sample, axes: F64) -> tuple[F64, list[AxisEvidence], F64]:
-    """Return the best of candidates that are near each other, with evidence and odds (K, 2 ways, 2 readings)."""
-    found = [measure_axis(sample, axis) for axis in axes]
-    odds = np.array([_weigh(each) for each in found])
+def _best_apart(sample: Sample, axes: F64) -> tuple[F64, F64]:
+    """Return the best of candidates that are near each other, and their odds (K, 2 ways, 2 readings)."""
+    odds = np.array([_weigh(measure_axis(sample, axis)) for axis in axes])
     kept: list[int] = []
     for k in np.argsort(-odds.max(axis=(1, 2)), kind="stable"):
         if all(abs(axes[k] @ axes[other]) < np.cos(np.radians(_SAME)) for other in kept):
             kept.append(int(k))
-    return axes[kept], [found[k] for k in kept], odds[kept]
+    return axes[kept], odds[kept]
 
 
 def _signed_odds(odds: F64) -> F64:
