@@ -25,18 +25,18 @@ const shaders = {
 
 // Names of properties in the own classes of a script alone: no browser, JSON, other script or program sees them.
 const OWN = {
-  page: "actions answered antialiased appendMilliseconds available busy calm canStandAt cellsKnown changed choose chosen climb " +
+  page: "actions answered antialiased appendMilliseconds available bare busy calm canStandAt cellsKnown changed choose chosen climb " +
     "corners degrees detailed dispose doubleClick drag dropped east element enterXr fast firstImageSeconds flyTo flying focused fovY " +
     "frameMilliseconds goHome goTo gpuBytes harmonicBytes inspecting isBusy known layout levelsShown listen " +
-    "makeSource makeViewer maxPixelRatio meter mostIntensity mostScale moved navigator nearest nextMode " +
+    "joystick makeSource makeViewer marked maxPixelRatio meter mostIntensity mostScale moved navigator nearest nextMode " +
     "nextPaint north offered onComplete onContent onFailure onOrder onRenumbered optionsShown " +
-    "pickCenter pixelRatio placeOf problem program recycle redraw refocus reframe refresh reserve rested " +
+    "pickCenter pixelRatio placeOf plays pressed problem program recycle redraw refocus reframe refresh release reserve rested " +
     "savePicture screenshot served setFov setMode setOrder settled shown shows sortMilliseconds sortWorker sorting " +
-    "spent stale standOn statisticsShown stepView surroundings tableTexture targets termCount termsShown texels " +
-    "toggleBare toggleCells toggleFull toggleInspecting toggleOptions toggleStatistics toggleTheme toggleVr " +
+    "speak spent stale still standOn statisticsShown stepView surroundings tableTexture targets termCount termsShown texels " +
+    "toggleBare toggleCells toggleFull toggleInspecting toggleOptions togglePlaying toggleStatistics toggleTheme toggleVr " +
     "viewDependent viewer vrOffered vrOn",
   static: "addRecords addTerms arrivals beside blocks chunk events firstId firstSlot gainTop gains harmonicBytes isAtEnd " +
-    "isPastEnd items layers lowest meanRadius needs ranges recordStart regime resumed roundTrip setTerms sleep spheres sums " +
+    "isPastEnd items layers link lowest meanRadius medium needs ranges recordStart regime report resumed roundTrip setPose setTerms setView sleep spheres sums " +
     "sweep symbol termStart throughput",
   sort: "batches harmonicBytes idAt rowCount slotAt splat widest",
 };

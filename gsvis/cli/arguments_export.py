@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from gsvis.cli.readers import DISTANCE, LEAF, PLAIN, Flag, Lod, hint
+from gsvis.cli.readers import DISTANCE, LEAF, ORIGINS, PLAIN, Flag, Lod, hint
 
 __all__ = ["Export"]
 
@@ -40,6 +40,8 @@ class Export:
     """Length of a scene unit, for 3dtiles and glb."""
     name: Annotated[str | None, arg(metavar="NAME", help_behavior_hint="(default: that of SCENE)")] = None
     """Name of the scene in the page."""
+    page_origins: Annotated[tuple[str, ...], ORIGINS, hint("its own address")] = ()
+    """Other origins that a site may open scenes of, by ?content=, such as https://cdn.example.org; for static."""
     lod: Lod = None
     """Level of detail of a streamed scene; 0 is the finest."""
     up: Annotated[str | None, arg(metavar="UP", help_behavior_hint="(default: the package's, or the likely one)")] = (

@@ -33,6 +33,9 @@ class Serve:
     """Its key (PEM)."""
     origins: Annotated[tuple[str, ...], ORIGINS, hint("its own address")] = ()
     """Allow web pages of these origins, such as https://example.org; * allows every page."""
+    page_origins: Annotated[tuple[str, ...], ORIGINS, hint("its own address")] = ()
+    """Other origins that the page may open scenes of, by ?content=, such as https://cdn.example.org; no token goes
+    there."""
     hosts: Annotated[tuple[str, ...], HOSTS, hint("--host")] = ()
     """Names under which the server is reached, such as stream.example.org; .example.org is all below, * every name."""
     proxies: Annotated[tuple[str, ...], ADDRESSES, hint("none")] = ()

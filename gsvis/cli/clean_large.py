@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +15,7 @@ from gsvis.cli.source import is_builtin
 from gsvis.cli.terminal import Status, facts, least_size_of, print_json, show, size_of
 from gsvis.cli.where import WORDS
 from gsvis.errors import SceneError
+from gsvis.files.temporary import temporary_folder
 
 if TYPE_CHECKING:
     from gsvis.edit import CleanConfig, LargeCleaning
@@ -116,7 +116,7 @@ def _store(command: Clean) -> Iterator[ObjectStore]:
     from gsvis.prepare.work_folder import WorkFolder
 
     if command.out is None:
-        with tempfile.TemporaryDirectory(prefix="gsvis-") as folder:
+        with temporary_folder() as folder:
             yield open_store(folder)
         return
     work = WorkFolder(command.out)

@@ -21,6 +21,7 @@ from gsvis.cli.source import (
 )
 from gsvis.cli.starts import find_starts
 from gsvis.cli.terminal import Status, print_json, show, size_of
+from gsvis.files.origins import parse_origins
 from gsvis.package.manifest import MANIFEST
 
 if TYPE_CHECKING:
@@ -47,6 +48,7 @@ def run_export(command: Export) -> None:
         OSError: If the result cannot be written.
     """
     _check_options(command)
+    opens = parse_origins("--page-origins", command.page_origins)
     _check_target(command)
     _check_apart(command)
     if command.format == "streamed-sog":
@@ -61,11 +63,14 @@ def run_export(command: Export) -> None:
         return
     from gsvis.export import StaticOptions, write_html, write_site
 
-    writers = {"static": write_site, "html": write_html}
     with ExitStack() as stack, Status() as status:
         scene, name, up, source = open_scene(command, stack, status)
         poses = None if source is None or up is None else _starts(source, up, status)
-        found = writers[command.format](command.out, scene, StaticOptions(name, up, poses=poses), progress=status)
+        options = StaticOptions(name, up, poses=poses)
+        if command.format == "static":
+            found = write_site(command.out, scene, options, opens=opens, progress=status)
+        else:
+            found = write_html(command.out, scene, options, progress=status)
     made = found.scene
     if command.json:
         facts: dict[str, Any] = {
@@ -99,6 +104,7 @@ def _check_options(command: Export) -> None:
         "--meters-per-unit": (command.meters_per_unit, gltf),
         "--request-volumes": (command.request_volumes or None, ("3dtiles",)),
         "--name": (command.name, pages),
+        "--page-origins": (command.page_origins or None, ("static",)),
     }
     for option, (value, formats) in given.items():
         if value is not None and command.format not in formats:

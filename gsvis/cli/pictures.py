@@ -6,7 +6,6 @@ Colors of trained scenes are display-referred already: clipped to [0, 1] and wri
 from __future__ import annotations
 
 import io
-import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -23,6 +22,7 @@ from gsvis.errors import FormatError
 from gsvis.files.atomic import atomic_folder, atomic_path
 from gsvis.files.limits import open_regular
 from gsvis.files.output import TEMPORARY, output_errors
+from gsvis.files.temporary import temporary_folder
 
 __all__ = ["Frame", "Target", "eight_bit", "target_of", "write_frames"]
 
@@ -128,7 +128,7 @@ def write_frames(target: Target, frames: Iterable[Frame], *, depth: bool, fps: f
     animation: list[Image.Image] = []
     with ExitStack() as stack:
         place = stack.enter_context(_partial_paths(target, depth))
-        kept = Path(stack.enter_context(tempfile.TemporaryDirectory())) if depth else Path()
+        kept = Path(stack.enter_context(temporary_folder())) if depth else Path()
         near, far = np.inf, -np.inf
         for i, frame in enumerate(frames):
             picture = Image.fromarray(eight_bit(frame.image))

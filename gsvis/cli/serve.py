@@ -18,6 +18,7 @@ from gsvis.cli.arguments_serve import Serve
 from gsvis.cli.terminal import print_json
 from gsvis.errors import BackendError
 from gsvis.files.limits import open_regular
+from gsvis.files.origins import parse_origins
 
 if TYPE_CHECKING:
     from gsvis.serve.processes import Child
@@ -78,7 +79,8 @@ def _serve(command: Serve, child: Child | None) -> None:
     )  # fmt: skip
     token = command.token if command.token is not None else os.environ.get("GSVIS_TOKEN") or None
     abr = AbrConfig(policy=command.policy, fill=not command.no_fill)
-    config = AppConfig(token, command.origins, limits, abr, command.hosts, command.proxies)
+    opens = parse_origins("--page-origins", command.page_origins)
+    config = AppConfig(token, command.origins, limits, abr, command.hosts, command.proxies, opens)
     address = Address(command.host, command.port, command.ssl_certfile, command.ssl_keyfile)
     for path in (command.ssl_certfile, command.ssl_keyfile):
         if path is not None:

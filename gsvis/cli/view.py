@@ -6,7 +6,6 @@ import logging
 import os
 import subprocess
 import sys
-import tempfile
 import threading
 import webbrowser
 from collections.abc import Iterator
@@ -19,6 +18,7 @@ from gsvis.cli.arguments_view import View
 from gsvis.cli.serve import log_to_stderr
 from gsvis.cli.terminal import Status, print_json
 from gsvis.errors import GsvisError
+from gsvis.files.temporary import temporary_folder
 from gsvis.package.manifest import MANIFEST
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ def _folder_of(command: View, stack: ExitStack) -> tuple[Path, str]:
         status("reading", 0, 1)
         source = load_source(command.scene, command.lod)
         status("reading", 1, 1)
-        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="gsvis-view-")))
+        folder = Path(stack.enter_context(temporary_folder()))
         x, y, z = (float(value) for value in (up_of(thin(source)) if up is None else up))
         status("start", 0, 1)
         poses = find_starts(source, (x, y, z))

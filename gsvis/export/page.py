@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import json
 import re
-import tempfile
 from base64 import b64encode
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from hashlib import sha256
@@ -26,7 +25,9 @@ from gsvis.errors import BackendError, FormatError
 from gsvis.export.static import SCENE, StaticOptions, StaticScene, is_static, write_static
 from gsvis.files.atomic import atomic_path
 from gsvis.files.limits import open_regular, read_whole
+from gsvis.files.origins import connect_sources, parse_origins
 from gsvis.files.output import TEMPORARY, output_errors
+from gsvis.files.temporary import temporary_folder
 from gsvis.package.package import Package
 from gsvis.progress import Progress, silent
 from gsvis.scene.gaussians import Gaussians, rotations_from_quats
@@ -45,7 +46,7 @@ _PIECE = 3 << 20  # bytes of a file that are written at once as base64
 _DISTANCE = 3.0  # from an eye to what it looks at, in settings
 
 _POLICY = (
-    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self';"
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:;"
     " worker-src 'self'; base-uri 'none'; form-action 'none'"
 )
 
@@ -90,6 +91,7 @@ def write_site(
     options: StaticOptions | None = None,
     *,
     viewer: str | PathLike[str] | None = None,
+    opens: Sequence[str] = (),
     progress: Progress = silent,
 ) -> SiteReport:
     """Write a site: the page, and the static scene that it shows, in the folder `scene`.
@@ -100,15 +102,17 @@ def write_site(
         scene: A package, or a bare scene; see `write_static`.
         options: See `write_static`.
         viewer: Folder of the built files of the viewer; None takes those of this package.
+        opens: Other origins that the page may open scenes of, such as "https://cdn.example.org"; none by default.
         progress: See `write_static`.
 
     Raises:
-        ValueError: If the scene is empty.
+        ValueError: If the scene is empty, or one of `opens` is no origin.
         FormatError: If `scene` in the folder holds something else, or the package is damaged.
         BackendError: If the viewer is not built.
         OSError: If the folder cannot be written.
     """
     target, files = _check.path("folder", folder), _viewer_files(VIEWER if viewer is None else Path(viewer))
+    origins = parse_origins("opens", opens)
     is_ours = _has_own_settings(target)
     found = write_static(target / FOLDER, scene, options, progress=progress)
     document = json.loads(read_whole(found.path / SCENE))
@@ -120,7 +124,11 @@ def write_site(
     if is_ours or not (target / SETTINGS).exists():
         with atomic_path(target / SETTINGS) as partial:
             partial.write_bytes(_settings(document))
-    page = _page(files["view.html"].decode(), document, content=f"{FOLDER}/", settings=SETTINGS, policy=_POLICY)
+    policy = f"{_POLICY}; connect-src {connect_sources(origins)}"
+    metas = {"gsvis-content": f"{FOLDER}/", "gsvis-settings": SETTINGS}
+    if origins:
+        metas["gsvis-origins"] = " ".join(origins)
+    page = _page(files["view.html"].decode(), document, metas, policy)
     with atomic_path(target / PAGE) as partial:
         partial.write_text(page.replace("../viewer/", "viewer/"), encoding="utf-8")
     names = [PAGE, SETTINGS, f"{FOLDER}/{SCENE}", *(f"viewer/{name}" for name in ("page.css", *_SCRIPTS))]
@@ -165,7 +173,7 @@ def write_html(
         OSError: If the file cannot be written.
     """
     target, files = _check.path("path", path), _viewer_files(VIEWER if viewer is None else Path(viewer))
-    with tempfile.TemporaryDirectory(prefix="gsvis-") as made_in:
+    with temporary_folder() as made_in:
         with output_errors(made_in, remedy=TEMPORARY):
             found = write_static(Path(made_in) / FOLDER, scene, options, progress=progress)
         document = json.loads(read_whole(found.path / SCENE))
@@ -175,7 +183,8 @@ def write_html(
             " img-src data: blob:; connect-src data:; worker-src blob:; base-uri 'none'; form-action 'none'"
         )
         settings = "data:application/json;base64," + b64encode(_settings(document)).decode()
-        page = _page(files["view.html"].decode(), document, content="inline:", settings=settings, policy=policy)
+        metas = {"gsvis-content": "inline:", "gsvis-settings": settings}
+        page = _page(files["view.html"].decode(), document, metas, policy)
         head, tail = _split(page, style)
         with atomic_path(target) as partial, partial.open("wb") as out:
             out.write(head.encode())
@@ -218,9 +227,9 @@ def _viewer_files(folder: Path) -> dict[str, bytes]:
     return {name: read_whole(folder / name) for name in names}
 
 
-def _page(page: str, document: dict[str, Any], *, content: str, settings: str, policy: str) -> str:
+def _page(page: str, document: dict[str, Any], where: Mapping[str, str], policy: str) -> str:
     """Return the page with its title, its policy, and where its scene and settings are."""
-    metas = {"gsvis-content": content, "gsvis-scene": document["name"], "gsvis-settings": settings}
+    metas = {"gsvis-scene": document["name"], **where}
     lines = [f'<meta http-equiv="Content-Security-Policy" content="{escape(policy)}">']
     lines += [f'<meta name="{name}" content="{escape(text)}">' for name, text in metas.items()]
     title = f"<title>{escape(document['name'])} · gsvis</title>"

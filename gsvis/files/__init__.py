@@ -12,11 +12,13 @@ _MODULES = (
     "limits",
     "locks",
     "objects",
+    "origins",
     "mapped",
     "output",
     "resume",
     "sections",
     "shelf",
+    "temporary",
 )
 
 

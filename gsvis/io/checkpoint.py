@@ -16,7 +16,9 @@ a COLMAP model or `transforms.json` of the input does not.
 A checkpoint is a zip with a pickle of the structure and the raw bytes of each tensor. The pickle is read with weights
 only, more strictly than by `torch.load(weights_only=True)`: it can create dicts, lists, numbers, texts and descriptions
 of tensors. Any class or function that it names becomes an inert placeholder and is neither imported nor called. Numpy
-scalars, which make torch 2.6 reject nerfstudio's files, are therefore harmless, and the size of the file bounds memory.
+scalars, which make torch 2.6 reject nerfstudio's files, are therefore harmless, and the size of the file bounds memory
+and time: keys are texts and small numbers (hashing tuples that hold one another takes forever), calls take few
+arguments.
 
 References:
     gsplat, `examples/simple_trainer.py`; nerfstudio, `nerfstudio/engine/trainer.py` and `models/splatfacto.py`.
@@ -37,7 +39,7 @@ import zipfile
 from collections.abc import Mapping
 from math import prod
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -57,6 +59,7 @@ SUFFIXES = (".pt", ".pth", ".ckpt")
 _GEOMETRY = ("means", "scales", "quats", "opacities")
 _PREFIXES = ("module.", "_model.", "gauss_params.")
 _MOST_STRUCTURE = 512 << 10  # bytes of the pickle; checkpoints of both trainers have about 20 kB
+_MOST_ARGUMENTS = 64  # of a call; a tensor has eight
 _KNOWN = "a checkpoint of gsplat ('splats') or of nerfstudio's splatfacto ('pipeline')"
 _CONFIGS, _MOST_CONFIG = ("cfg.yml", "cfg.yaml", "config.yml"), 1 << 20
 _ANTIALIASED = re.compile(
@@ -224,13 +227,18 @@ def _gaussians_of(path: str | os.PathLike[str], content: Any) -> dict[str, _Tens
     wanted = {*_GEOMETRY, "sh0", "shN", "features_dc", "features_rest"}
     found = {}
     for key, value in content.items():
-        name = str(key)
+        name = key if isinstance(key, str) else ""
         for prefix in _PREFIXES:
             name = name.removeprefix(prefix)
         if name in wanted and isinstance(value, _Tensor):
             found[name] = value
     if "means" not in found:
-        raise FormatError(path, "data.pkl", _KNOWN, f"keys {join_names([str(key) for key in content])}")
+        raise FormatError(
+            path,
+            "data.pkl",
+            _KNOWN,
+            f"keys {join_names([str(key)[:40] for key in content if isinstance(key, str | int)])}",
+        )
     return found
 
 
@@ -282,9 +290,10 @@ class _StorageKind(str):
 
 
 def _tensor(storage: Any = None, offset: Any = 0, shape: Any = (), strides: Any = (), *_: object) -> Any:
-    numbers = (offset, *shape, *strides) if isinstance(shape, tuple) and isinstance(strides, tuple) else (-1,)
+    are_short = all(isinstance(each, tuple) and len(each) <= 8 for each in (shape, strides))
+    numbers = (offset, *shape, *strides) if are_short else (-1,)
     good = isinstance(storage, _Storage) and all(type(n) is int and 0 <= n < 1 << 48 for n in numbers)
-    return _Tensor(storage, offset, shape, strides) if good and len(shape) == len(strides) <= 8 else _Ignored()
+    return _Tensor(storage, offset, shape, strides) if good and len(shape) == len(strides) else _Ignored()
 
 
 def _parameter(data: Any = None, *_: object) -> Any:
@@ -299,8 +308,89 @@ _MAKERS = {
 }
 
 
-class _Unpickler(pickle.Unpickler):
-    """Create plain values and descriptions of tensors; import nothing."""
+def _is_key(value: object) -> bool:
+    """Return whether a value may be a key: hashing it costs no more than reading it."""
+    is_short = type(value) is int and value.bit_length() <= 64
+    return is_short or value is None or isinstance(value, str | bytes | float | bool | _Ignored)
+
+
+class _Unpickler(pickle._Unpickler):
+    """Create plain values and descriptions of tensors; import nothing, and do a bounded amount of work for each byte.
+
+    This is Python's unpickler, not the one in C: its steps can be replaced. Nothing that a checkpoint is read for has
+    keys of tuples, sets, states of objects or calls of many arguments, so these become placeholders.
+    """
+
+    dispatch: ClassVar[dict[int, Any]] = dict(pickle._Unpickler.dispatch)
+    stack: list[Any]
+    readline: Any
+
+    def _pop_since_mark(self) -> list[Any]:
+        return self.pop_mark()  # type: ignore[attr-defined,no-any-return]
+
+    def _set_item(self) -> None:
+        value, key = self.stack.pop(), self.stack.pop()
+        self._keep([key, value])
+
+    def _set_items(self) -> None:
+        self._keep(self._pop_since_mark())
+
+    def _keep(self, items: list[Any]) -> None:
+        target = self.stack[-1]
+        if isinstance(target, dict):
+            target.update((k, v) for k, v in zip(items[::2], items[1::2], strict=True) if _is_key(k))
+        elif not isinstance(target, _Ignored):
+            raise pickle.UnpicklingError(f"items of a {type(target).__name__}")
+
+    def _make_dict(self) -> None:
+        items = self._pop_since_mark()
+        self.stack.append({})
+        self._keep(items)
+
+    def _make_set(self) -> None:
+        self.stack.append(_Ignored())
+
+    def _add_items(self) -> None:
+        self._pop_since_mark()
+
+    def _make_frozen_set(self) -> None:
+        self._pop_since_mark()
+        self.stack.append(_Ignored())
+
+    def _build(self) -> None:
+        self.stack.pop()  # the state of an object that is no tensor
+
+    def _call(self) -> None:
+        arguments, maker = self.stack.pop(), self.stack.pop()
+        few = isinstance(arguments, tuple) and len(arguments) <= _MOST_ARGUMENTS
+        self.stack.append(maker(*arguments) if few and callable(maker) else _Ignored())
+
+    def _call_with_names(self) -> None:
+        self.stack.pop()
+        self._call()
+
+    def _call_since_mark(self) -> None:
+        self._pop_since_mark()
+        self.stack.append(_Ignored())
+
+    def _call_named(self) -> None:
+        self.readline(), self.readline()
+        self._call_since_mark()
+
+    dispatch |= {
+        pickle.SETITEM[0]: _set_item,
+        pickle.SETITEMS[0]: _set_items,
+        pickle.DICT[0]: _make_dict,
+        pickle.EMPTY_SET[0]: _make_set,
+        pickle.ADDITEMS[0]: _add_items,
+        pickle.FROZENSET[0]: _make_frozen_set,
+        pickle.BUILD[0]: _build,
+        pickle.REDUCE[0]: _call,
+        pickle.NEWOBJ[0]: _call,
+        pickle.NEWOBJ_EX[0]: _call_with_names,
+        pickle.OBJ[0]: _call_since_mark,
+        pickle.INST[0]: _call_named,
+    }
 
     def find_class(self, module: str, name: str) -> Any:
         if module in ("torch", "torch.storage") and name.endswith("Storage"):

@@ -6,7 +6,6 @@ are places in the order of the package. Scene frame and units.
 
 from __future__ import annotations
 
-import tempfile
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -23,6 +22,7 @@ from gsvis.errors import FormatError, SceneError
 from gsvis.files.atomic import atomic_path
 from gsvis.files.limits import Budget
 from gsvis.files.output import TEMPORARY, output_errors
+from gsvis.files.temporary import temporary_folder
 from gsvis.package.active_terms import ActiveTerms
 from gsvis.package.blocks import read_blocks
 from gsvis.package.cell_terms import CellTerms
@@ -307,7 +307,7 @@ class Package:
 
     def _join(self, blob: Blob | None, name: str) -> Path:
         """Write a store as one file in a temporary folder and return its path; `close` removes the folder."""
-        folder = Path(self._opened.enter_context(tempfile.TemporaryDirectory(prefix="gsvis-")))
+        folder = Path(self._opened.enter_context(temporary_folder()))
         with output_errors(folder, remedy=TEMPORARY):
             self._write_joined(blob, folder / name)
         return folder / name

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import tempfile
 from pathlib import Path
 
 import numpy as np
 
 from gsvis.color import quantize
+from gsvis.files.temporary import temporary_folder
 from gsvis.package import in_package_order, write_package
 from gsvis.package.manifest import MANIFEST
 from gsvis.prepare.colors import prepare_colors
@@ -36,7 +36,7 @@ def bytes_of_record(levels: Levels, most: int) -> float:
     ordered = in_package_order(cut)
     colors = quantize(prepare_colors(ordered, None).fit.colors, "wire")
     with (
-        tempfile.TemporaryDirectory(prefix="gsvis-") as folder,
+        temporary_folder() as folder,
         write_package(Path(folder) / "package", ordered, colors) as package,
     ):
         nbytes = sum(each.nbytes for each in package.manifest.parts()) + (package.path / MANIFEST).stat().st_size

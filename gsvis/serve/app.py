@@ -36,6 +36,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from gsvis.abr.config import AbrConfig
 from gsvis.errors import FormatError, ProtocolError
+from gsvis.files.origins import parse_origins
 from gsvis.serve._addresses import Proxies, owner_of
 from gsvis.serve._entry import Cors, Entry
 from gsvis.serve._front import HEALTH, Front
@@ -75,9 +76,12 @@ class AppConfig:
         hosts: Accepted names in the Host header, without port; ".example.org" means every name below example.org, "*"
             every name. Addresses and localhost are always accepted; `Server` adds the name that it listens on.
         proxies: Addresses or networks of proxies whose X-Forwarded-For is trusted, such as "127.0.0.1".
+        opens: Other origins that the viewer's pages may read scenes from, such as "https://cdn.example.org"; the token
+            is never sent there.
 
     Raises:
-        ValueError: If the token is empty or not ASCII, or a proxy is neither an address nor a network.
+        ValueError: If the token is empty or not ASCII, one of `opens` is no origin, or a proxy is
+            neither an address nor a network.
     """
 
     token: str | None = field(default=None, repr=False)
@@ -86,9 +90,11 @@ class AppConfig:
     abr: AbrConfig = field(default_factory=AbrConfig)
     hosts: tuple[str, ...] = ()
     proxies: tuple[str, ...] = ()
+    opens: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         Proxies(self.proxies)
+        parse_origins("opens", self.opens)
         if self.token is not None and not (self.token and self.token.isascii() and self.token.isprintable()):
             raise ValueError("token: expected printable ASCII characters, got none or others")
 
@@ -107,7 +113,7 @@ class _App:
         self.scenes, self.config, self.metrics, self.log, self.setting = scenes, config, metrics, log, setting
         self.numbers, self.questions = itertools.count(1), Questions(setting.clock.now)
         self.seats, self.proxies = Seats(config.limits, **others), Proxies(config.proxies)
-        self.entry, self.pages = Entry(config.token, config.origins), Pages(origins=config.origins)
+        self.entry, self.pages = Entry(config.token, config.origins), Pages(origins=config.origins, opens=config.opens)
 
     async def stream(self, socket: WebSocket) -> None:
         """Serve one client, from its request to its end."""

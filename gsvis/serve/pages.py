@@ -1,7 +1,9 @@
 """The viewer's page and its files, as they lie in `gsvis/viewer`: read once, sent with strict headers.
 
 Clients can request only the files that were found there at the start; no text of a client becomes a path. A page may
-load and ask nothing but this server (Content-Security-Policy), and nothing in it runs that is not a file of ours.
+load and ask nothing but this server and the origins that its operator names (Content-Security-Policy), and nothing in
+it runs that is not a file of ours. Workers have a policy of their own: browsers take it from the answer with their
+script, not from the page.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response
 
 from gsvis.files.limits import read_whole
+from gsvis.files.origins import connect_sources
 from gsvis.serve.parts import is_known
 
 __all__ = ["VIEWER", "Pages", "wants_page"]
@@ -77,22 +80,27 @@ class Pages:
     Args:
         folder: Folder of the files, None for `VIEWER`; a missing one serves no page.
         origins: Origins whose pages may show the viewer in a frame.
+        opens: Other origins that the viewer may read scenes from.
     """
 
-    def __init__(self, folder: Path | None = None, origins: Sequence[str] = ()) -> None:
+    def __init__(self, folder: Path | None = None, origins: Sequence[str] = (), opens: Sequence[str] = ()) -> None:
         self._files: dict[str, _File] = {}
         at = VIEWER if folder is None else folder
         for path in sorted(at.iterdir()) if at.is_dir() else ():
             if path.suffix in _KINDS and not path.is_symlink() and path.is_file():
                 self._files[path.name] = _file(read_whole(path), _KINDS[path.suffix])
         view = self._files.get(_VIEW)
+        if view is not None and opens:
+            view = self._files[_VIEW] = _file(view.data.replace(b"<title>", _name_origins(opens), 1), view.kind)
         self._streamed = None if view is None else _file(view.data.replace(b"<title>", _STREAMED, 1), view.kind)
+        asks = f"connect-src {connect_sources(opens)}"
         frames = " ".join(["'self'", *(("*",) if "*" in origins else origins)])
         self._policy = "; ".join([
             "default-src 'none'", "script-src 'self'", "worker-src 'self'", "style-src 'self'",
-            "img-src 'self' data: blob:", "connect-src 'self'", "manifest-src 'self'", "base-uri 'none'",
+            "img-src 'self' data: blob:", asks, "manifest-src 'self'", "base-uri 'none'",
             "form-action 'none'", f"frame-ancestors {frames}",
         ])  # fmt: skip
+        self._script_policy = f"default-src 'none'; script-src 'self'; {asks}; base-uri 'none'; form-action 'none'"
         self._frames = frames
 
     def __contains__(self, name: str) -> bool:
@@ -123,7 +131,10 @@ class Pages:
         found = self._files.get(name)
         if found is None:
             return PlainTextResponse("no such file\n", 404)
-        return self._send(request, found)
+        response = self._send(request, found)
+        if name.endswith(".js"):
+            response.headers["content-security-policy"] = self._script_policy
+        return response
 
     def _send(self, request: Request, found: _File) -> Response:
         packed = found.packed if "gzip" in _codings(request) else None
@@ -190,6 +201,11 @@ class Pages:
         response.headers["referrer-policy"] = "no-referrer"
         response.headers["cross-origin-opener-policy"] = "same-origin"
         response.headers["permissions-policy"] = "camera=(), microphone=(), geolocation=(), payment=(), usb=()"
+
+
+def _name_origins(opens: Sequence[str]) -> bytes:
+    """Return the element that tells the page which other origins it may open, and the start of its title."""
+    return f'<meta name="gsvis-origins" content="{escape(" ".join(opens))}">\n    <title>'.encode()
 
 
 def _file(data: bytes, kind: str) -> _File:

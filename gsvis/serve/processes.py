@@ -14,13 +14,13 @@ import os
 import signal
 import socket
 import subprocess
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
+from gsvis.files.temporary import temporary_folder
 from gsvis.serve._log import EventLog
 
 __all__ = ["Child", "Supervisor"]
@@ -136,7 +136,7 @@ class Supervisor:
         """
         before = {which: signal.signal(which, self.stop) for which in (signal.SIGTERM, signal.SIGINT)}
         reading, writing = os.pipe()
-        with tempfile.TemporaryDirectory(prefix="gsvis-serve-") as folder:
+        with temporary_folder() as folder:
             try:
                 status = self._wait_for_first(Path(folder), reading)
                 if status is None and not self._stopped.is_set():

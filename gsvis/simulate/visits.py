@@ -7,7 +7,6 @@ visits = simulate_visits(places, load_path("walk.csv"), link, config)
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -21,6 +20,7 @@ from gsvis import _check
 from gsvis.abr import AbrConfig
 from gsvis.errors import ArgumentError, SceneError
 from gsvis.files.output import TEMPORARY, output_errors
+from gsvis.files.temporary import temporary_folder
 from gsvis.io.sog_writer import save_sog
 from gsvis.package.contents import Contents
 from gsvis.package.package import Package
@@ -220,7 +220,7 @@ def _file_size(path: Path) -> tuple[int, str]:
 
 def _sog_size(g: Gaussians) -> int:
     """Return the bytes of a scene as SOG."""
-    with tempfile.TemporaryDirectory(prefix="gsvis-") as folder:
+    with temporary_folder() as folder:
         with output_errors(folder, remedy=TEMPORARY):
             save_sog(g[morton_order(g.means)], Path(folder) / "scene.sog")
         return (Path(folder) / "scene.sog").stat().st_size

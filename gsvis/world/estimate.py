@@ -8,7 +8,6 @@ machine compiles kernels as well, which takes about a minute.
 from __future__ import annotations
 
 import math
-import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -17,6 +16,7 @@ import numpy as np
 
 from gsvis import _check
 from gsvis.files.objects import open_store
+from gsvis.files.temporary import temporary_folder
 from gsvis.progress import Progress, silent
 from gsvis.pvs.cell_count import MOST_CELLS
 from gsvis.pvs.coded_size import BESIDE
@@ -161,7 +161,7 @@ def estimate_world(
     """
     config, load, began = config or WorldConfig(), machine_load(), _clock()
     _check.positive_int("workers", workers)
-    with tempfile.TemporaryDirectory(prefix="gsvis-") as folder:
+    with temporary_folder() as folder:
         build = WorldBuild(list(scenes), config, open_store(folder), Workers(), progress)
         facts = [result.facts for name, result in build.survey.items() if name != "grid"]
         expected = np.array(build.grid["expected"])

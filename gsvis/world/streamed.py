@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import hashlib
 import logging
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -25,6 +24,7 @@ from gsvis.abr.index import SceneIndex, extents, nearest_replacements
 from gsvis.color.records import Grids, quantize
 from gsvis.errors import FormatError, GsvisError, SceneError
 from gsvis.files.cache import Cache
+from gsvis.files.temporary import temporary_folder
 from gsvis.package import Package
 from gsvis.package.codec import ChunkTable
 from gsvis.package.contents import Contents
@@ -77,7 +77,7 @@ def open_world(
         package = WorldPackage(world, without, strict=strict)
         try:
             if tables is None:
-                with tempfile.TemporaryDirectory(prefix="gsvis-") as folder:  # a mapped file outlives its name
+                with temporary_folder() as folder:  # a mapped file outlives its name
                     return open_kept(package, folder, max_cache_bytes=max_cache_bytes, quality=quality)[0], None
             return open_kept(package, tables, max_cache_bytes=max_cache_bytes, quality=quality)
         except _DamagedNodeError as error:

@@ -6,7 +6,6 @@ for the rows of these tiles. Scene frame and units.
 
 from __future__ import annotations
 
-import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -18,6 +17,7 @@ import numpy as np
 from numba import get_num_threads, set_num_threads
 
 from gsvis.errors import SceneError
+from gsvis.files.temporary import temporary_folder
 from gsvis.io.batches import read_batch
 from gsvis.prepare.coded_size import bytes_of_record
 from gsvis.prepare.config import PrepareConfig
@@ -244,7 +244,7 @@ def _sample(build: WorldBuild, number: int) -> Gaussians | None:
     result = build.survey[f"sample {number}"]
     if not result.facts["sampled"]:
         return None
-    with tempfile.TemporaryDirectory(prefix="gsvis-") as cache:
+    with temporary_folder() as cache:
         return load_gaussians(build.store.path_of(result.files["sample"], Path(cache)))
 
 
@@ -304,7 +304,7 @@ def _try_cell(tile: _Tile, others: Gaussians, space: NavigableSpace, config: Pre
     size = config.cell_size
     most = (config.cells or MOST_CELLS) if size is None else MAX_CELLS
     grid = CellGrid.over(space, max_cells=most, cell_size=size)
-    with tempfile.TemporaryDirectory(prefix="gsvis-") as folder:
+    with temporary_folder() as folder:
         work = plan_work(around.joined(own), grid, space, Path(folder) / "sets.pvs", config.sets)
         finder, shared = work.scene.finder(), work.shared
     finder.warm()

@@ -16,6 +16,7 @@ from pathlib import Path
 from gsvis.files.locks import try_lock
 from gsvis.files.objects import FolderStore, ObjectStore
 from gsvis.files.output import output_errors
+from gsvis.files.temporary import private_folder
 
 __all__ = ["forget_work", "work_folder"]
 
@@ -52,9 +53,9 @@ def forget_work(store: ObjectStore, key: str) -> None:
 
 
 def _temporary() -> Path:
-    """Return the folder of this user among temporary files."""
+    """Return the folder of this user among temporary files; nobody else can enter it."""
     user = os.getuid() if hasattr(os, "getuid") else "user"
-    return Path(tempfile.gettempdir()) / f"gsvis-work-{user}"
+    return private_folder(Path(tempfile.gettempdir()) / f"gsvis-work-{user}")
 
 
 def _lock(folder: Path) -> int | None:

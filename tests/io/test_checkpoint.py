@@ -343,3 +343,46 @@ def test_what_a_reader_gets_is_bounded_by_the_file(tmp_path: Path) -> None:
         load_scene(tmp_path / "a.pt")
     with zipfile.ZipFile(tmp_path / "a.pt") as archive:
         assert max(archive.getinfo(name).file_size for name in opened) < 2000  # not the optimizer's 400 kB
+
+
+def doubled(times: int, close: bytes = pickle.TUPLE2) -> bytes:
+    """A tuple that holds the same tuple twice, and so on: 2 ** times leaves in a few bytes each."""
+    steps = b"".join(close + pickle.BINPUT + bytes([k]) + (pickle.BINGET + bytes([k])) for k in range(times))
+    return pickle.EMPTY_TUPLE + pickle.EMPTY_TUPLE + steps + close
+
+
+DEEP = pickle.EMPTY_TUPLE + 400_000 * pickle.TUPLE1
+LONG = pickle.MARK + 60_000 * pickle.NONE + pickle.TUPLE
+IGNORED = b"cposix\nsystem\n"
+TENSOR = b"ctorch._utils\n_rebuild_tensor_v2\n"
+DEMANDING = {
+    "a key that doubles": pickle.EMPTY_DICT + doubled(90) + pickle.NONE + pickle.SETITEM,
+    "keys that double": pickle.EMPTY_DICT + pickle.MARK + doubled(90) + pickle.NONE + pickle.SETITEMS,
+    "a dict of keys that double": pickle.MARK + doubled(90) + pickle.NONE + pickle.DICT,
+    "a set of doubles": pickle.EMPTY_SET + pickle.MARK + doubled(90) + pickle.ADDITEMS,
+    "a frozen set of doubles": pickle.MARK + doubled(90) + pickle.FROZENSET,
+    "a deep key": pickle.EMPTY_DICT + DEEP + pickle.NONE + pickle.SETITEM,
+    "a deep member of a set": pickle.MARK + DEEP + pickle.FROZENSET,
+    "a reference that doubles": doubled(90) + pickle.BINPERSID,
+    "doubles alone": doubled(90),
+    "a dict in doubles": pickle.EMPTY_DICT + pickle.BINUNICODE + b"\x06\0\0\0splats" + doubled(90) + pickle.SETITEM,
+    "one tuple in many places": LONG + b"q\0" + 100_000 * b"h\0",
+    "tensors of many sides": LONG + b"q\0" + TENSOR + b"q\1"
+    + 20_000 * (b"h\1" + b"NK\0h\0h\0" + b"\x86\x86\x86" + pickle.REDUCE + pickle.POP),
+    "many calls of one long tuple": LONG + b"q\0" + IGNORED + b"q\1" + 60_000 * (b"h\1h\0" + pickle.REDUCE + b"0"),
+    "states of functions": TENSOR + pickle.NONE + b"}" + b"X\x0c\0\0\0__defaults__)s" + pickle.TUPLE2 + pickle.BUILD,
+    "a long number as a key, again and again": b"\x8b" + (200_000).to_bytes(4, "little") + b"\1" * 200_000 + b"q\0"
+    + b"}q\1" + 30_000 * b"h\0Ns",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", DEMANDING)
+def test_reading_takes_no_more_than_the_bytes_of_a_file(tmp_path: Path, kind: str) -> None:
+    from gsvis.io import checkpoint
+
+    before = checkpoint._tensor.__defaults__
+    file = with_structure(gsplat_file(tmp_path / "good.pt"), pickle.PROTO + b"\4" + DEMANDING[kind] + pickle.STOP)
+    with pytest.raises(FormatError) as caught:
+        load_scene(file)
+    assert len(str(caught.value)) < 1000
+    assert checkpoint._tensor.__defaults__ == before  # no state of a file enters what reads it

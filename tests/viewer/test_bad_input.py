@@ -59,6 +59,10 @@ def page_of(url: str, name: str = "scene") -> str:
     return url.replace("ws", "http", 1).replace("/stream", "") + f"/view/{name}"
 
 
+def origin_of(stream: str) -> str:
+    return "/".join(stream.split("/")[:3]).replace("ws", "http", 1)
+
+
 @contextmanager
 def talker(answer: Callable[[ServerConnection], None]) -> Iterator[str]:
     """A stream that says to each client what it likes."""
@@ -91,9 +95,9 @@ def test_another_version_of_the_wire_is_said_and_a_later_try_can_help(browser: A
         client.send(ServerFault(2, "this server speaks version 9").to_bytes())
         client.close(1002)
 
-    with serving(package) as server, talker(old) as stream:
+    with talker(old) as stream, serving(package, opens=(origin_of(stream),)) as server:
         address = f"{page_of(server.url)}?content={stream}"
-        with page_in(browser, address, **SMALL, bypass_csp=True) as (page, _):
+        with page_in(browser, address, **SMALL) as (page, _):
             say(page, "Viewer and server differ in version")
             assert "version 9" in page.locator(".card code").text_content()
             assert page.get_by_role("button", name="Try again").is_visible()
@@ -104,9 +108,9 @@ def test_noise_instead_of_a_stream_is_given_up_in_words(browser: Any, package: P
         client.recv(timeout=PATIENCE)
         client.send(struct.pack("<BI", 77, 5))
 
-    with serving(package) as server, talker(noisy) as stream:
+    with talker(noisy) as stream, serving(package, opens=(origin_of(stream),)) as server:
         address = f"{page_of(server.url)}?content={stream}"
-        with page_in(browser, address, **SMALL, bypass_csp=True) as (page, _):
+        with page_in(browser, address, **SMALL) as (page, _):
             say(page, "Viewer and server do not understand each other.")
             assert "does not understand" in page.locator(".card code").text_content()
             assert page.inner_text(".toast") == ""  # nothing is connected again

@@ -156,7 +156,7 @@ function dots(): { at: [number, number, number]; color: string; size: number }[]
 }
 
 const page = readAddress(
-  location.href, { scene: meta("scene"), content: meta("content"), settings: meta("settings") },
+  location.href, { scene: meta("scene"), content: meta("content"), settings: meta("settings"), origins: meta("origins") },
 );
 if (page.scene) {
   const source = { start: () => undefined, pose: () => undefined, view: () => undefined, close: () => undefined };

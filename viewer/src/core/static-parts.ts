@@ -40,6 +40,7 @@ export class HttpParts implements Parts {
   #known = false; // whether a range has been asked for
   #probe: Promise<unknown> = Promise.resolve();
   readonly #whole = new Map<string, Promise<Uint8Array>>();
+  readonly #redirect: RequestRedirect;
   readonly #fetch: typeof fetch;
   readonly #sleep: (seconds: number) => Promise<void>;
   readonly #random: () => number;
@@ -49,6 +50,8 @@ export class HttpParts implements Parts {
     private readonly base: string, private readonly events: PartEvents, private readonly stop: AbortSignal,
     options: HttpOptions = {},
   ) {
+    // A link names addresses of this origin alone, so this origin leads nowhere else.
+    this.#redirect = base.startsWith(`${globalThis.location?.origin}/`) ? "manual" : "follow";
     this.#fetch = options.fetch ?? ((input, init) => fetch(input, init));
     this.#sleep = options.sleep ?? ((seconds) => new Promise((done) => { setTimeout(done, 1000 * seconds); }));
     this.#random = options.random ?? Math.random;
@@ -119,11 +122,11 @@ export class HttpParts implements Parts {
 
   async #ask(name: string, headers: Record<string, string>, cache: RequestCache = "default"): Promise<Response> {
     const answer = await this.#fetch(
-      new URL(name, this.base).href, { headers, cache, signal: this.stop, credentials: "same-origin" },
+      new URL(name, this.base).href, { headers, cache, signal: this.stop, credentials: "same-origin", redirect: this.#redirect },
     );
     if (answer.ok) return answer;
     await answer.body?.cancel();
-    const message = `${name}: the server answers ${answer.status}`;
+    const message = `${name}: the server answers ${answer.status || "a redirect"}`;
     const again = answer.status >= 500 || answer.status === 408 || answer.status === 429;
     if (!again) throw new PartError(answer.status === 416 ? "cut" : "missing", message);
     throw new Retry(message, Number(answer.headers.get("retry-after")) || 0);

@@ -1,4 +1,5 @@
 // Which scene a page shows: from its meta elements, the query, or the path. All addresses are relative to the page's.
+// A page opens its own origin alone, and those that whoever wrote the page names: no link can add one.
 
 /** A scene: streamed, or read from files. `root` is its server's first address, null where there is none to ask. */
 export interface SceneAddress {
@@ -11,7 +12,7 @@ export interface SceneAddress {
 export interface PageAddress {
   scene: SceneAddress | null;
   settings: string | null;
-  token: string | null;
+  token: string | null; // for streams of the page's own origin alone
   bare: boolean; // no interface
   still: boolean; // an animation waits until it is asked for
 }
@@ -20,57 +21,70 @@ interface Metas {
   scene: string | null; // name of a scene of this server
   content: string | null; // address of a static scene
   settings: string | null;
+  origins?: string | null; // other origins that the page may open, with spaces between
 }
+
+/** Whether a page may open an absolute address. */
+export type Permit = (url: string) => boolean;
 
 /**
  * Read the address of a page: `?content=` names a folder of a static scene or a stream, `?settings=` a settings.json.
  */
 export function readAddress(href: string, metas: Metas): PageAddress {
-  const page = new URL(href);
-  const query = page.searchParams;
-  const given = query.get("settings") ?? metas.settings, asked = query.get("content");
-  // A page with an own scene, as exports are, opens others of its site alone: Workers do not heed its policy.
-  const other = asked && metas.content ? resolve(asked, page) : null, isAway = other && new URL(other).host !== page.host;
+  const page = new URL(href), query = page.searchParams, permits = permitOf(href, metas.origins);
+  const pick = (key: "content" | "settings"): string | null => {
+    const asked = query.get(key), text = asked ?? metas[key];
+    return text && resolve(text, href, asked === null ? () => true : permits);
+  };
   return {
-    scene: isAway ? null : findScene(page, asked ?? metas.content, metas.scene),
-    settings: given ? resolve(given, page) : null,
+    scene: query.has("content") || metas.content ? sceneAt(pick("content"), metas.scene) : findScene(page, metas.scene),
+    settings: pick("settings"),
     token: query.get("token"),
     bare: query.has("noui"),
     still: query.has("noanim"),
   };
 }
 
-function findScene(page: URL, content: string | null, named: string | null): SceneAddress | null {
-  if (content) {
-    const url = resolve(content, page);
-    if (!url) return null;
-    if (/^wss?:/.test(url)) return { kind: "stream", name: nameOf(url), url, root: null };
-    return { kind: "static", name: named ?? nameOf(url), url, root: null };
-  }
-  const name = named ?? /\/view\/([^/]+)\/?$/.exec(page.pathname)?.[1] ?? null;
-  if (!name) return null;
-  const plain = named ?? decode(name);
-  const root = new URL(page.pathname.replace(/[^/]*\/?$/, "") + "../", page);
-  const stream = new URL(`stream/${encodeURIComponent(plain)}`, root);
-  stream.protocol = stream.protocol === "https:" ? "wss:" : "ws:";
-  return { kind: "stream", name: plain, url: stream.href, root: root.href };
+/** Return which addresses a page may open: those of its own origin and of `origins`, none with a name or a password. */
+export function permitOf(href: string, origins?: string | null): Permit {
+  const all = [href, ...origins?.split(" ") ?? []].map(originOf);
+  return (url) => all.includes(originOf(url) || "none");
 }
 
-/** Return an absolute address, or null for one that no page should open. */
-function resolve(text: string, page: URL): string | null {
-  if (text === "inline:") return text; // held by the page itself
+/** Return the http: or https: origin of an address, also of a stream; nothing for any other address. */
+function originOf(text: string): string | false {
+  const { protocol, host, username, password } = new URL(text), kind = protocol.replace("ws", "http");
+  return /^https?:$/.test(kind) && !username && !password && kind + host;
+}
+
+/** Return the absolute address of a text, or null where it is none or may not be opened. */
+export function resolve(text: string, base: string, permits: Permit): string | null {
   try {
-    const url = new URL(text, page);
-    return /^(https?|wss?|file|blob|data):$/.test(url.protocol) ? url.href : null;
+    const { href } = new URL(text, base);
+    return permits(href) ? href : null;
   } catch {
     return null;
   }
 }
 
+function sceneAt(url: string | null, named: string | null): SceneAddress | null {
+  if (!url) return null;
+  if (/^ws/.test(url)) return { kind: "stream", name: nameOf(url), url, root: null };
+  return { kind: "static", name: named ?? nameOf(url), url, root: null };
+}
+
+/** Return the scene whose page this is; no path of a page becomes a host. */
+function findScene(page: URL, named: string | null): SceneAddress | null {
+  const name = named ?? decode(/\/view\/([^/]+)\/?$/.exec(page.pathname)?.[1] ?? "");
+  if (!name) return null;
+  const root = page.origin + page.pathname.replace(/[^/]*\/[^/]*\/?$/, "");
+  return { kind: "stream", name, url: `${root.replace("http", "ws")}stream/${encodeURIComponent(name)}`, root };
+}
+
 function nameOf(url: string): string {
   if (url === "inline:") return document.title.replace(/ · gsvis$/, "") || "Scene";
-  const parts = new URL(url).pathname.split("/").filter((part) => part && !/^(scene\.json|index\.html)$/.test(part));
-  return decode(parts.at(-1) ?? "Scene").replace(/\.(gsvis|json)$/, "").slice(0, 80);
+  const parts = new URL(url).pathname.replace(/\/?(scene\.json|index\.html)?$/, "").split("/");
+  return decode(parts.pop() || "Scene").replace(/\.(gsvis|json)$/, "").slice(0, 80);
 }
 
 function decode(text: string): string {

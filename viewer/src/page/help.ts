@@ -40,7 +40,7 @@ export class Help {
       .map((action): [string, string] => [keyName(action.key ?? ""), action.label]);
     this.element.replaceChildren(
       make("header", {}, make("h2", { id: "help-title" }, "Help"), close),
-      make("div", { class: "columns", tabindex: 0, role: "group", "aria-label": "What mouse, fingers and keys do" },
+      make("div", { class: "columns", tabindex: 0, role: "group", "aria-label": "Controls" },
         table("Mouse and keys", MOVING), table("Touch and gamepad", TOUCHING), table("Shortcuts", keys)),
     );
     this.element.showModal();

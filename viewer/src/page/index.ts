@@ -1,7 +1,7 @@
 // Starts the page of one scene.
 
 import * as gsvis from "../core/index.ts";
-import { readAddress } from "./address.ts";
+import { permitOf, readAddress } from "./address.ts";
 import { make, meta } from "./dom.ts";
 import { NO_SCENE } from "./messages.ts";
 import { Notices } from "./notice.ts";
@@ -10,8 +10,9 @@ import { ThemeChoice } from "./theme.ts";
 import { ViewPage } from "./view.ts";
 import type { Core } from "./view.ts";
 
+const origins = meta("origins"), permits = permitOf(location.href, origins), isOwn = permitOf(location.href);
 const page = readAddress(
-  location.href, { scene: meta("scene"), content: meta("content"), settings: meta("settings") },
+  location.href, { scene: meta("scene"), content: meta("content"), settings: meta("settings"), origins },
 );
 if (page.scene) {
   const room = gsvis.memoryOfDevice(); // a large one never fills
@@ -19,13 +20,13 @@ if (page.scene) {
   const core: Core = {
     makeViewer: (canvas, options) => new gsvis.Viewer(canvas, options),
     makeSource: (scene, token) => (scene.kind === "stream" ? gsvis.streamSource(
-      scene.url, token ? { token, memory } : { memory },
+      scene.url, token && isOwn(scene.url) ? { token, memory } : { memory }, // no other origin learns the token
     ) : gsvis.staticSource(scene.url)),
   };
   const { scene } = page, known = meta("streamed") && scene.kind === "stream"; // then there is nothing to ask
-  void (known ? Promise.resolve({ scene, preparing: false }) : locate(scene)).then(({ scene, preparing }) => {
+  void (known ? Promise.resolve({ scene, preparing: false }) : locate(scene, permits)).then(({ scene, preparing }) => {
     const shown = new ViewPage(scene, page, core);
-    if (preparing) void awaitStream(scene).then((stream) => stream && shown.change(stream));
+    if (preparing) void awaitStream(scene, permits).then((stream) => stream && shown.change(stream));
   });
 } else {
   const notices = new Notices({ retry: () => location.reload(), token: () => undefined });

@@ -37,7 +37,7 @@ export async function showList(): Promise<void> {
   const state = document.querySelector("#state");
   if (!list || !state) return;
   try {
-    const response = await fetch(location.pathname, { headers: { accept: "application/json" } });
+    const response = await fetch(location.href, { headers: { accept: "application/json" } });
     if (!response.ok) throw new Error(`the server answered ${response.status}`);
     const scenes = readScenes(await response.json());
     list.replaceChildren(...scenes.map(row));

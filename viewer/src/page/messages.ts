@@ -13,12 +13,12 @@ export interface Message {
 
 export const NO_WEBGL: Message = {
   title: "This browser cannot draw the scene",
-  text: "It does not offer WebGL2. Switch that on, or use another browser.",
+  text: "It offers no WebGL2. Switch that on, or use another browser.",
 };
 
 export const NO_SCENE: Message = {
   title: "No scene is named",
-  text: "Open one from the list of scenes.",
+  text: "Open one from the list.",
 };
 
 export const LOST_CONTEXT = "The graphics card has taken the picture back. It is drawn again as soon as it returns.";
@@ -33,7 +33,7 @@ export function explainFailure(message: string, code?: number): Message {
   if (code === 4) {
     return {
       title: "The server did not let this page in",
-      text: "If it needs a token, enter the one that you got from whoever runs it.", detail, token: true,
+      text: "If it needs a token, enter it.", detail, token: true,
     };
   }
   const known: Record<number, [string, string]> = {
@@ -43,17 +43,17 @@ export function explainFailure(message: string, code?: number): Message {
     ],
     2: [
       "Viewer and server differ in version",
-      "Load the page again without the cache: it may come from an older server.",
+      "Load the page again without the cache.",
     ],
-    3: ["The server has ended the connection", "A limit of the server was exceeded."],
-    5: ["The server is full", "All places are taken. Try again soon."],
-    6: ["The server has ended the connection", "A limit of the server was exceeded."],
-    7: ["The connection was too slow", "The server waited too long for an answer."],
-    8: ["The server has a problem", "It reported an internal error."],
-    9: ["The server has shut down", "Try again when it is back."],
+    3: ["The server has ended the connection", "A limit was exceeded."],
+    5: ["The server is full", "Try again soon."],
+    6: ["The server has ended the connection", "A limit was exceeded."],
+    7: ["The connection was too slow", "It waited too long."],
+    8: ["The server has a problem", "It reported an error."],
+    9: ["The server has shut down", "Try again later."],
   };
   const [title, text] = known[code ?? 0] ??
-    ["The scene cannot be loaded", "It may have been moved, or the server may be unreachable."];
+    ["The scene cannot be loaded", "Its server may be down."];
   return { title, text, detail, retry: true };
 }
 

@@ -1,7 +1,8 @@
 // Asks the server what a scene is, and reads what static scenes say beside their Gaussians.
 
 import type { Header, Pose, Source, SourceEvents } from "../core/types.ts";
-import type { SceneAddress } from "./address.ts";
+import { resolve } from "./address.ts";
+import type { Permit, SceneAddress } from "./address.ts";
 import { Facts } from "./facts.ts";
 import { fields, list } from "./json.ts";
 
@@ -18,27 +19,29 @@ interface Located {
 const LOOK_MS = 3000; // between two questions whether a scene is prepared
 const LONGEST_LOOK_MS = 60_000; // the same, of a server that does not answer
 
-/** Return the address to read a scene from: a server has some scenes as streams and some as files. */
-export async function locate(scene: SceneAddress): Promise<Located> {
+/**
+ * Return the address to read a scene from: a server has some scenes as streams and some as files. What it says counts
+ * only where the page may open it.
+ */
+export async function locate(scene: SceneAddress, permits: Permit): Promise<Located> {
   if (!scene.root) return { scene, preparing: false, answered: false };
   const listed = await ask(scene.root);
   const rows = fields(listed)?.scenes, said = { preparing: false, answered: Array.isArray(rows) };
   const row = list(rows).map(fields).find((each) => each?.name === scene.name);
-  if (typeof row?.stream === "string") {
-    return { ...said, scene: { ...scene, kind: "stream", url: streamUrl(row.stream, scene.root) } };
-  }
-  if (typeof row?.static !== "string") return { ...said, scene };
-  const url = new URL(row.static, scene.root).href;
-  return { ...said, scene: { ...scene, kind: "static", url }, preparing: row.preparing === true };
+  const kind = typeof row?.stream === "string" ? "stream" : "static", path = row?.[kind];
+  const url = typeof path === "string" ? resolve(path, scene.root, permits) : null;
+  if (url === null) return { ...said, scene };
+  if (kind === "stream") return { ...said, scene: { ...scene, kind, url: url.replace(/^http/, "ws") } };
+  return { ...said, scene: { ...scene, kind, url }, preparing: row?.preparing === true };
 }
 
 /** Ask until the server has prepared a scene; return its stream, or null where none will come. */
 export async function awaitStream(
-  scene: SceneAddress, sleep: (milliseconds: number) => Promise<void> = rest,
+  scene: SceneAddress, permits: Permit, sleep: (milliseconds: number) => Promise<void> = rest,
 ): Promise<SceneAddress | null> {
   for (let wait = LOOK_MS; ; ) {
     await sleep(wait);
-    const now = await locate(scene);
+    const now = await locate(scene, permits);
     wait = now.answered ? LOOK_MS : Math.min(2 * wait, LONGEST_LOOK_MS); // a question without an answer settles nothing
     if (!now.answered || now.preparing) continue;
     return now.scene.kind === "stream" ? now.scene : null;
@@ -46,12 +49,6 @@ export async function awaitStream(
 }
 
 export const rest = (milliseconds: number): Promise<void> => new Promise((done) => { setTimeout(done, milliseconds); });
-
-function streamUrl(path: string, root: string): string {
-  const url = new URL(path, root);
-  url.protocol = url.protocol === "https:" ? "wss:" : "ws:";
-  return url.href;
-}
 
 /** Return what is known of a scene: a server is asked, a static scene has views, and where it has cells those, in files. */
 export function factsOf(scene: SceneAddress): Facts {

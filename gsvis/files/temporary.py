@@ -1,0 +1,105 @@
+"""Folders among temporary files: only their owner can enter them, links are not followed, none is left by a kill.
+
+A folder of a block holds a lock while its process lives. Whoever makes the next one removes those without a live owner.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+import shutil
+import stat
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from gsvis.files.locks import try_lock
+
+__all__ = ["private_folder", "temporary_folder"]
+
+_PREFIX, _LOCK = "gsvis-tmp-", ".gsvis-lock"
+_OURS = re.compile(rf"{_PREFIX}[a-z0-9_]+")
+_LOG = logging.getLogger(__name__)
+
+
+@contextmanager
+def temporary_folder() -> Iterator[Path]:
+    """Yield an empty folder for this block, and remove it after that; first remove those of killed processes.
+
+    Raises:
+        OSError: If there is no place for temporary files.
+    """
+    root = Path(tempfile.gettempdir())
+    _remove_abandoned(root)
+    while True:
+        folder = Path(tempfile.mkdtemp(prefix=_PREFIX, dir=root))
+        with suppress(FileNotFoundError):  # another process has taken it for abandoned
+            descriptor = os.open(folder / _LOCK, os.O_CREAT | os.O_RDWR, 0o600)
+            state = try_lock(descriptor)
+            if state != "none" and _is_there(folder, descriptor):
+                break
+            if state == "none":  # a file system without locks: nobody removes it but us
+                (folder / _LOCK).unlink()
+                break
+            os.close(descriptor)
+    inner = folder / "files"
+    try:
+        inner.mkdir()
+        yield inner
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        os.close(descriptor)
+
+
+def private_folder(path: Path) -> Path:
+    """Return a folder among temporary files that only this user can enter; another one where that is not to be had.
+
+    It is made with mode 700. A link, a file, or a folder of another user is never used, since its owner could put links
+    in it.
+
+    Raises:
+        OSError: If no folder can be made.
+    """
+    with suppress(FileExistsError):
+        path.mkdir(mode=0o700)
+    found = path.lstat()
+    is_own = stat.S_ISDIR(found.st_mode) and (not hasattr(os, "getuid") or found.st_uid == os.getuid())
+    if not is_own:
+        other = Path(tempfile.mkdtemp(prefix=f"{path.name}-", dir=path.parent))
+        _LOG.warning("%s is no folder of this user; %s takes its place", path, other)
+        return other
+    if hasattr(os, "getuid") and stat.S_IMODE(found.st_mode) != 0o700:
+        path.chmod(0o700)
+    return path
+
+
+def _remove_abandoned(root: Path) -> None:
+    """Remove the folders of this user whose processes were killed."""
+    for name in _names(root):
+        folder = root / name
+        if not _OURS.fullmatch(name):
+            continue
+        with suppress(OSError):
+            state = folder.lstat()
+            if not stat.S_ISDIR(state.st_mode) or (hasattr(os, "getuid") and state.st_uid != os.getuid()):
+                continue
+            descriptor = os.open(folder / _LOCK, os.O_RDWR | getattr(os, "O_NOFOLLOW", 0))
+            try:
+                if try_lock(descriptor) == "held":
+                    shutil.rmtree(folder, ignore_errors=True)
+            finally:
+                os.close(descriptor)
+
+
+def _names(root: Path) -> list[str]:
+    try:
+        return os.listdir(root)
+    except OSError:
+        return []
+
+
+def _is_there(folder: Path, descriptor: int) -> bool:
+    """Return whether the locked file is still that of the folder."""
+    return os.path.samestat(os.fstat(descriptor), os.stat(folder / _LOCK))
