@@ -12,7 +12,8 @@ from typing import Any
 import pytest
 
 from gsvis.cli import main, parse
-from gsvis.scene.procedural import BUILTIN_SCENES, two_rooms
+from gsvis.raycast import TAU, EllipsoidProxies, Tracer, visible_from
+from gsvis.scene.procedural import BUILTIN_SCENES, furnished_flat, two_rooms
 from tests.few_views import take_few_views
 from tests.known_spaces import remember_spaces
 
@@ -94,6 +95,28 @@ def test_the_page_runs_from_top_to_bottom(page: Path, capsys: pytest.CaptureFixt
                 assert code == 0, f"{page.name}: {shlex.join(line)}\n{capsys.readouterr().err}"
             else:
                 assert line[0] in {"make", "pip"}, f"{page.name}: {shlex.join(line)} is not tested"
+
+
+def printed(page: Path, pattern: str) -> list[float]:
+    found = re.search(pattern, page.read_text(encoding="utf-8"))
+    assert found is not None, f"{page.name}: {pattern}"
+    return [float(each.replace(",", "")) for each in found.groups()]
+
+
+def test_numbers_that_pages_print_of_the_flat_are_those_of_the_flat() -> None:
+    """The full flat, once. Within 2% of counts and bytes, within 3 points of a share: tracers differ a little."""
+    flat = furnished_flat()
+    count = len(flat.gaussians)
+    share, stated = printed(DOCS.parent / "README.md", r"This eye needs (\d+)% of ([\d,]+) Gaussians, in all")
+    assert count == pytest.approx(stated, rel=0.02)
+    gaussians, megabytes = printed(
+        DOCS / "tutorials/view-needs.md", r"has ([\d,]+) Gaussians of SH degree 3 and ([\d.]+) MB"
+    )
+    assert count == pytest.approx(gaussians, rel=0.02)
+    assert count * 62 * 4 / 1e6 == pytest.approx(megabytes, rel=0.02)  # 62 floats a row of the PLY
+    tracer = Tracer(EllipsoidProxies.from_scene(flat.gaussians))
+    weights = visible_from(tracer, flat.viewpoints[:1], sampling="gaussians")
+    assert 100.0 * (weights >= TAU).mean() == pytest.approx(share, abs=3.0)
 
 
 def test_every_page_of_the_tutorials_has_commands() -> None:

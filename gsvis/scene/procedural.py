@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from gsvis import _check
 from gsvis.scene._surfaces import OFFSETS, OPACITY, SPENT, Patch, Sheet, Shell, Surface
+from gsvis.scene.facts import SceneFacts
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.sh import SH_C0
@@ -211,7 +212,12 @@ def furnished_flat(count: int = 240_000, *, sh_degree: int = 3, seed: int = 1) -
     from gsvis.scene import flat  # here: it takes long to import, and few need it
 
     g = flat.furnished_flat(count, sh_degree, seed)
-    return BuiltinScene(g, np.array(flat.EYES), flat.navigable_space(g), np.array(flat.UP), "flat")
+    space = flat.navigable_space(g)
+    index = np.argwhere(space.free)
+    low, high = space.origin + space.voxel_size * np.stack([index.min(axis=0), index.max(axis=0) + 1])
+    box = ((float(low[0]), float(low[1]), float(low[2])), (float(high[0]), float(high[1]), float(high[2])))
+    facts = SceneFacts(up=flat.UP, up_source="the plan of the flat", meters_per_unit=1.0, box=box)
+    return BuiltinScene(g.with_facts(facts), np.array(flat.EYES), space, np.array(flat.UP), "flat")
 
 
 OCCLUDER_SCENES: dict[str, Callable[..., OccluderScene]] = {

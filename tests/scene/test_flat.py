@@ -45,6 +45,15 @@ def test_eyes_can_be_in_every_room_and_nowhere_else(flat: BuiltinScene) -> None:
     assert (centers.max(axis=0) < (9.76, 8.36, 2.1)).all()
 
 
+def test_what_is_known_of_it_goes_with_its_gaussians(flat: BuiltinScene) -> None:
+    facts = flat.gaussians.facts
+    assert (facts.up, facts.meters_per_unit) == ((0.0, 0.0, 1.0), 1.0)
+    assert facts.box is not None
+    low, high = np.array(facts.box)
+    assert (low < flat.viewpoints).all()
+    assert (flat.viewpoints < high).all()
+
+
 def test_no_view_looks_out_through_a_wall(flat: BuiltinScene) -> None:
     seen = rasterize(flat.gaussians, Cameras.cubemap(flat.viewpoints, 32))
     assert seen.alphas.mean() > 0.97
