@@ -56,6 +56,8 @@ def print_result(
         rows.append(("cost of rounding", text))
     if prepared.certificates is not None:
         rows += spell_certificates(prepared.certificates, prepared.traced_twice)
+    if prepared.judged is not None:
+        rows.append(("checked by other eyes", str(prepared.judged["line"])))
     rows.append(("package", f"{command.out}, {size_of(prepared.nbytes)} in {prepared.parts:,} parts"))
     rows += size_rows(m)
     if prepared.parts_kept:
@@ -95,6 +97,7 @@ def _document(command: Prepare, prepared: Prepared, levels: list[dict[str, Any]]
         "fidelity": None if m.info.fidelity is None else m.info.fidelity.summary(),
         "certificates": None if prepared.certificates is None else prepared.certificates.as_dict(),
         "traced_twice": prepared.traced_twice,
+        "judged": prepared.judged,
         "parts": prepared.parts,
         "parts_kept": prepared.parts_kept,
         "sizes": m.sizes(),

@@ -72,6 +72,7 @@ _SAID = {
     "order": "putting the scene in order",
     "cost": "measuring what rounding costs",
     "fidelity": "measuring what a client gets",
+    "judge": "checking the sets by other eyes",
     "package": "writing the package",
     "sets": "writing what cells see",
     "export": "writing the export",

@@ -56,6 +56,7 @@ class Prepared:
         around: The store of what cells see around the scene; None without surroundings.
         certificates: What the visible sets are proven to miss.
         traced_twice: What two tracers found on a sample of these rays; None if there was one.
+        judged: How good the sets are at eyes of two rules, see `gsvis.prepare.judged.Judged`.
     """
 
     manifest: Manifest
@@ -71,6 +72,7 @@ class Prepared:
     around: Path | None = None
     certificates: StoredCertificates | None = None
     traced_twice: dict[str, Any] | None = None
+    judged: dict[str, Any] | None = None
 
 
 def prepare_package(
@@ -99,8 +101,8 @@ def prepare_package(
         about: JSON values to store in the provenance of the package.
         workers: The workers that build visible sets; None means this process.
         progress: Called with the stages "order", or "views" or "photos", "prune", "train NAME" and "measure"; then with
-            "cells", "store", "importance", "price", "fit", "cost", "fidelity" and
-            "package".
+            "cells", "store", "importance", "price", "fit", "cost", "fidelity",
+            "judge" and "package".
 
     Returns:
         The manifest of the package, and what each stage did.
@@ -148,12 +150,13 @@ def finish_package(
             packed = quantize(exact, "wire", reach=stages.reach)
             cost = stages.cost(levels, exact, packed)
             fidelity = stages.fidelity(levels, exact, packed, store)
+            judged = stages.judged(levels, store)
             certificates, twice = store.certificates, store.info.config.get("traced_twice")
         began = time.perf_counter()
         views = choose_start_views(levels.level(len(levels) - 1), space, seed=config.level_views.seed)
         provenance = {
             **(about or {}), "config": config.as_dict(), "levels": quality, "directions": directions,
-            "views": describe_poses(views),
+            "views": describe_poses(views), "judged": judged,
         }  # fmt: skip
         info = PackageInfo(_axis(space), config.meters_per_unit, cost, provenance, fidelity, config.epsilon)
         with write_package(target, levels, packed, info=info, visibility=sets, progress=stages.progress) as package:
@@ -176,6 +179,7 @@ def finish_package(
         None if stages.around is None else work.folder / around_of(sets.name),
         certificates,
         twice,
+        judged,
     )
 
 

@@ -33,6 +33,7 @@ from gsvis.package.active_terms import colors_hash
 from gsvis.package.cell_terms import CellTerms
 from gsvis.prepare.colors import find_kept, prepare_colors
 from gsvis.prepare.config import PrepareConfig
+from gsvis.prepare.judged import judge_sets
 from gsvis.prepare.levels import make_levels
 from gsvis.prepare.memory import left_for_sets
 from gsvis.prepare.surroundings import Surroundings
@@ -51,8 +52,11 @@ from gsvis.train.level_views import LevelViews, draw_views, load_photograph_view
 
 __all__ = ["VERSIONS", "StageRecord", "Stages", "around_of"]
 
-VERSIONS = {"levels": 4, "sets": 3, "colors": 2, "cost": 2, "fidelity": 3}
+VERSIONS = {"levels": 4, "sets": 3, "colors": 2, "cost": 2, "fidelity": 3, "judged": 1}
 """Version of the results of each stage; increase it when they change."""
+
+_JUDGES = 50  # views by each rule, at least a hundred together
+_JUDGE_FROM = 12  # views of what a client gets from which there are so many
 
 
 @dataclass(frozen=True)
@@ -271,6 +275,29 @@ class Stages:
                     partial.write_text(json.dumps(found.as_dict()), encoding="ascii")
                 self.work.seal_file(name)
             return Fidelity.from_fields(parse_object(self.work.at(name), read_whole(self.work.at(name))))
+
+    def judged(self, levels: Levels, store: VisibilityStore) -> dict[str, Any] | None:
+        """Return how good the sets are at eyes that navigable space did not choose; None for a tile of a world."""
+        if self.around is not None or self.one_level:
+            return None
+        views = self.config.fidelity_views
+        few = views.count < _JUDGE_FROM  # such as in tests
+        half = replace(views, count=views.count if few else _JUDGES, width=views.width // 2, height=views.height // 2)
+        half = replace(half, stream=views.stream + 2)
+        key = self._key(
+            "judged", levels=_content(levels), sets=digest_of_folder(store.path).split()[0], views=asdict(half),
+            space=space_hash(self.space),
+        )  # fmt: skip
+        name = f"judged-{key}.json"
+        if not self.work.whole(name):
+            found = judge_sets(levels, self.space, store, half, progress=self.progress)
+            with atomic_path(self.work.at(name)) as partial:
+                partial.write_text(json.dumps({**found.as_dict(), "line": found.line}), encoding="utf-8")
+            self.work.seal_file(name)
+        record: dict[str, Any] = json.loads(read_whole(self.work.at(name)))
+        if record["warning"]:
+            self.remarks.append(record["warning"])
+        return record
 
     @property
     def highest(self) -> Gaussians:

@@ -1,0 +1,154 @@
+"""Draw judge's eyes: views around the densest detail of a scene, by a rule that knows no navigable space.
+
+Builder's eyes make visible sets; judge's eyes check them. Frame and units are the scene's own. A function that draws
+small images says what an eye sees, so no voxel grid takes part. Known limit: an eye may lie behind a wall where its
+detail is seen through a gap.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.scene.cameras import Cameras
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.solid import buried
+
+__all__ = ["draw_judges"]
+
+F64 = NDArray[np.float64]
+Look = Callable[[Cameras], tuple[NDArray[np.float32], NDArray[np.float32]]]
+
+_MIN_OPACITY = 0.1
+_SAMPLE = 20_000  # Gaussians from which density is measured
+_NEIGHBORS = 8
+_CORE = 0.8  # share of the detail that lies in the core
+_STEPS = (0.15, 0.3, 0.6, 1.0)  # distances of eyes from the detail, radii of the core
+_SHARE_OUTSIDE = 0.25  # share of the eyes outside of the core that look in at it, or at its middle that look out
+_FILLED = 0.5  # alpha at the middle of an image from which something is there
+_NEAREST = 0.75  # share of the distance to the detail that has to be free
+_TRIES = 6
+_SMALL = (24, 18)
+
+
+def draw_judges(
+    g: Gaussians,
+    count: int,
+    look: Look,
+    *,
+    seed: int = 0,
+    width: int = 160,
+    height: int = 120,
+    fov: float = 60.0,
+    up: NDArray[np.float64] | None = None,
+) -> Cameras:
+    """Return up to `count` views of the densest detail, none inside something solid, all with a free line of sight.
+
+    The result follows the scene under rotation, translation and scale, and does not depend on navigable space.
+
+    Args:
+        g: The scene.
+        count: Number of views.
+        look: Returns (C, H, W) alphas and (C, H, W) depths of what cameras see.
+        seed: Seed of the random numbers.
+        width: Pixels.
+        height: Pixels.
+        fov: Horizontal field of view, degrees.
+        up: (3,) upward in the images; None takes the axis along which the core is thinnest.
+
+    Returns:
+        The views; fewer where too few eyes are free, none in a scene without detail.
+    """
+    rng = np.random.default_rng([seed, 8191])
+    detail = _sample_detail(g, rng)
+    if len(detail) <= _NEIGHBORS or count == 0:
+        return _no_cameras(width, height, fov)
+    middle, radius, axes, points = _find_core(detail)
+    if not radius > 0.0:
+        return _no_cameras(width, height, fov)
+    above = axes[2] if up is None else np.asarray(up, np.float64)
+    eyes, targets = np.zeros((0, 3)), np.zeros((0, 3))
+    for _ in range(_TRIES):
+        if len(eyes) >= count:
+            break
+        some, aims = _propose(points, middle, radius, axes, count, rng)
+        free = ~buried(g, some)
+        some, aims = some[free], aims[free]
+        good = _are_free(some, aims, above, radius, look)
+        eyes, targets = np.concatenate([eyes, some[good]]), np.concatenate([targets, aims[good]])
+    if len(eyes) == 0:
+        return _no_cameras(width, height, fov)
+    return Cameras.look_at(eyes[:count], targets[:count], up=above, width=width, height=height, fov=fov)
+
+
+def _sample_detail(g: Gaussians, rng: np.random.Generator) -> F64:
+    """Return (M, 3) centers of Gaussians that are not faint, small ones more often than large ones."""
+    ids = np.flatnonzero(g.opacities >= _MIN_OPACITY)
+    if len(ids) == 0:
+        return np.zeros((0, 3))
+    ids = rng.permutation(ids)[: 4 * _SAMPLE]
+    size = np.maximum(g.scales[ids].astype(np.float64).max(axis=1), 1e-300)
+    chance = np.minimum(np.median(size) / size, 1.0)
+    kept = ids[rng.random(len(ids)) < chance][:_SAMPLE]
+    return g.means[kept].astype(np.float64)
+
+
+def _find_core(detail: F64) -> tuple[F64, float, F64, F64]:
+    """Return the middle (3,), radius and axes (3, 3) of the core, the longest axis first, and the densest points."""
+    from scipy.spatial import cKDTree  # slow to import, and seldom needed
+
+    near = cKDTree(detail).query(detail, k=_NEIGHBORS + 1)[0][:, -1]
+    dense = detail[near <= np.median(near)]
+    middle = dense.mean(axis=0)
+    for _ in range(32):  # the geometric median turns with the scene
+        apart = np.linalg.norm(dense - middle, axis=1)
+        weights = 1.0 / np.maximum(apart, 1e-9 * max(float(np.median(apart)), 1e-300))
+        middle = weights @ dense / weights.sum()
+    apart = np.linalg.norm(dense - middle, axis=1)
+    radius = float(np.quantile(apart, _CORE))
+    points = dense[apart <= radius]
+    _, _, axes = np.linalg.svd(points - middle, full_matrices=False)
+    skew = ((points - middle) @ axes.T) ** 3
+    signs = np.where(skew.sum(axis=0) < 0.0, -1.0, 1.0)
+    return middle, radius, axes * signs[:, None], points
+
+
+def _propose(
+    points: F64, middle: F64, radius: float, axes: F64, count: int, rng: np.random.Generator
+) -> tuple[F64, F64]:
+    """Return eyes and what they look at: around detail, and along the principal axes of the core, in and out."""
+    chosen = points[rng.integers(len(points), size=count)]
+    local = rng.normal(size=(count, 3)) * np.array([1.0, 1.0, 0.5])  # few look straight along the thinnest axis
+    ahead = local @ axes / np.linalg.norm(local, axis=1, keepdims=True)
+    eyes = chosen + radius * np.array(_STEPS)[rng.integers(len(_STEPS), size=count)][:, None] * ahead
+    along = rng.random(count) < _SHARE_OUTSIDE
+    inward = along & (rng.random(count) < 0.5)
+    sides = np.sign(rng.normal(size=count))[:, None] * axes[rng.integers(2, size=count)]
+    eyes[along] = middle + 0.05 * radius * ahead[along]
+    eyes[inward] = (middle + radius * (1.2 * sides + 0.1 * ahead))[inward]
+    chosen[inward] = middle
+    return eyes, chosen
+
+
+def _are_free(eyes: F64, aims: F64, up: F64, radius: float, look: Look) -> NDArray[np.bool_]:
+    """Return which eyes see what they look at: something is there, and nothing stands close in front of it."""
+    apart = np.linalg.norm(aims - eyes, axis=1)
+    good = apart > 1e-6 * radius
+    if not good.any():
+        return good
+    views = Cameras.look_at(eyes[good], aims[good], up=up, width=_SMALL[0], height=_SMALL[1])
+    alphas, depths = look(views)
+    rows, columns = slice(_SMALL[1] // 2 - 2, _SMALL[1] // 2 + 2), slice(_SMALL[0] // 2 - 2, _SMALL[0] // 2 + 2)
+    there = alphas[:, rows, columns].mean(axis=(1, 2)) >= _FILLED
+    sight = np.median(depths[:, rows, columns], axis=(1, 2))
+    free = sight >= _NEAREST * apart[good]
+    close = ((depths < 0.02 * radius) & (alphas >= _FILLED)).mean(axis=(1, 2))
+    good[good] = there & free & (close < 0.25)
+    return good
+
+
+def _no_cameras(width: int, height: int, fov: float) -> Cameras:
+    one = Cameras.look_at([[0.0, 0.0, -1.0]], [0.0, 0.0, 0.0], up=(0.0, 1.0, 0.0), width=width, height=height, fov=fov)
+    return one[:0]
