@@ -4,7 +4,7 @@ Candidates are computed once for a cell and shared by all clients in it. They do
 looks at. Rings are 0 for the cell itself and 1, 2, 3 for neighbors by face, edge and corner. A Gaussian is in the first
 ring that sees it, so the ring orders by distance to the nearest cell from which it is visible (section 6.3). Shells go
 on from there to the end of the scene, for links with nothing better to do: shell 0 is the cell and its neighbors, each
-further shell the next nearest cells.
+further shell the next nearest cells. The last shells of a package are what no cell sees: it is sent last, not never.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from gsvis.abr.rings import RINGS, Shells, ring_cells
 from gsvis.abr.scratch import Scratch
 from gsvis.abr.seen import SeenSets
 from gsvis.files.cache import Cache
+from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.codec import pack, pack_some, word_count
 
 __all__ = ["CandidateIndex", "Candidates"]
@@ -41,6 +42,7 @@ I32 = NDArray[np.int32]
 Words = NDArray[np.uint64]
 
 _DENSE = 1 << 16  # words of a scene up to which all of them are looked at in place of those of a shell
+_REST = 1 << 13  # words of a shell of what no cell sees, in a larger scene
 _WHOLE = ("words", "places", "owing", "union", "active", "level_bytes")  # arrays of `CandidateIndex.everything`
 _Tuple = TypeVar("_Tuple")
 
@@ -280,14 +282,25 @@ class CandidateIndex:
         """Whether passes over all words of the scene take less time than lists of some."""
         return len(self.everything.words) <= _DENSE
 
+    def count_shells(self, cell: int) -> int:
+        """Return the number of shells around a cell; with those of what no cell sees, all records are in one of them.
+
+        A world has none of the latter: what its cells do not see has coarser nodes that stand for it.
+        """
+        words = len(self.everything.words)
+        rest = 0 if not isinstance(self.index.grid, CellGrid) else 1 if self.is_small else -(-words // _REST)
+        return self.shells.count(cell) + rest
+
     def shell(self, here: Candidates, number: int) -> Shell:
-        """Return what the cells of a shell around a cell see; cache it.
+        """Return what the cells of a shell around a cell see, or part of the whole scene in the last; cache it.
 
         Args:
             here: Candidates of the cell.
             number: Number of the shell.
         """
         made, key, is_small = self.everything, (here.cell, number), self.is_small
+        if number >= (count := self.shells.count(here.cell)):
+            return self._rest(number - count)
         if is_small and number == 0:
             return Shell(Seen(made.words, here.union[: len(made.words)]), made)
         found: Shell | None = self.shells.recent.find(key)
@@ -301,6 +314,24 @@ class CandidateIndex:
             units = self._units_of(1, Seen(seen.words, seen.masks & self.highest[seen.words]))
             owing = self._every_term[1][seen.words]
             own = self._assemble(-1, [units], seen, self._every_term[0], owing, 0.0, has_union=False)
+            found = Shell(seen, replace(own, term_bytes=made.term_bytes))
+            self.shells.recent.keep(key, found, own.nbytes + seen.masks.nbytes)
+        return found
+
+    def _rest(self, part: int) -> Shell:
+        """Return a part of the whole scene as a shell; the whole of it if the scene is small."""
+        made = self.everything
+        if self.is_small:
+            return Shell(made.seen, made)
+        key = "rest", part
+        found: Shell | None = self.shells.recent.find(key)
+        if found is None:
+            words = np.arange(_REST * part, min(_REST * (part + 1), len(made.words)), dtype=np.int32)
+            seen = Seen(words, made.union[words])
+            units = self._units_of(1, Seen(words, seen.masks & self.highest[words]))
+            own = self._assemble(
+                -1, [units], seen, self._every_term[0], self._every_term[1][words], 0.0, has_union=False
+            )
             found = Shell(seen, replace(own, term_bytes=made.term_bytes))
             self.shells.recent.keep(key, found, own.nbytes + seen.masks.nbytes)
         return found

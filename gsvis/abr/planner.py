@@ -123,7 +123,7 @@ class Planner:
 
     @property
     def done(self) -> bool:
-        """Whether nothing is left to send: all that the view needs, and with `fill` all that any cell sees.
+        """Whether nothing is left to send: all that the view needs, and with `fill` every record.
 
         Also if the memory of the client is full of what is worth as much.
         """
@@ -328,7 +328,7 @@ class Planner:
         elif self._enter_shell(self._near[0]):
             self._table, self._keys = filling_table(config.policy, levels, config.utility, kinds=self._kinds)
         else:
-            self._complete = self._given_up is None  # all that any cell sees is held
+            self._complete = self._given_up is None  # every record is held
             return False
         self._plan, self._place, self._least, self._whole, self._wanted = _NOTHING, 0, 0, False, 0.0
         return True
@@ -436,7 +436,7 @@ class Planner:
             self._filled, self._is_wide = _SHELLS, False
             self._looks, self._sure, self._bounds = clear(self._looks), clear(self._sure), None  # other candidates
         self._bound(here, make=not is_new)
-        shells = 0 if self._complete else self.candidates.shells.count(here.cell)
+        shells = 0 if self._complete else self.candidates.count_shells(here.cell)
         self._stages = _SHELLS + shells if self.config.fill else _AROUND
         if before is not None and before[0] is here and before[1] == cell_ahead:
             self._cell, self._stage = before[2], _NEEDS

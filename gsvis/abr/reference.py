@@ -180,9 +180,11 @@ def _shells(
     """Yield what fills an idle link: the entries of each shell, all terms, and what it sees."""
     index, weight = shared.index, np.float32(np.mean(shared.index.class_weights))
     terms = set(range(index.num_terms)) if index.cones is not None or index.active is not None else set()
-    for number in range(shared.shells.count(view.cell)):
-        cells = shared.shells.cells(view.cell, number)
+    shells = shared.shells.count(view.cell)
+    for shell in range(shared.count_shells(view.cell)):
+        cells = shared.shells.cells(view.cell, shell) if shell < shells else []
         visible = {g for cell in cells for g in index.sets.classes(cell)[0].tolist()}
+        visible = visible if shell < shells else set(range(len(index)))  # what no cell sees
         found: dict[tuple[int, int, int], list[int]] = {}
         for g in sorted(visible):
             if index.last[g] == index.num_levels - 1:

@@ -14,6 +14,7 @@ _MODULES = (
     "icosphere",
     "in_sight",
     "inspection",
+    "judging",
     "kinds",
     "levels",
     "navigable",

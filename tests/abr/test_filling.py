@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from unittest.mock import patch
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gsvis.abr import candidates
 from gsvis.abr.candidates import CandidateIndex
 from gsvis.abr.classes import FOV, FieldOfView, classify
 from gsvis.abr.cones import TermCones
@@ -54,6 +57,29 @@ def test_an_idle_link_brings_all_that_any_cell_sees(seed, policy, cones) -> None
     assert np.isin(terms[np.isin(owners, wanted)], planner.holdings.received_terms).all()
     flags = [batch.filling for batch in batches if len(batch)]
     assert flags == sorted(flags)  # what the view needs goes first
+
+
+@FEW
+@given(st.integers(0, 10_000), st.booleans())
+def test_what_no_cell_sees_comes_last_and_an_idle_link_ends_with_every_record(seed, dense) -> None:
+    index = scenes.random_index(seed, count=700, shape=(3, 2, 1), share=0.03, cones=True)
+    store = CandidateIndex(index)
+    with patch.object(candidates, "_DENSE", 1 << 16 if dense else 0), patch.object(candidates, "_REST", 4):
+        planner = Planner(store, VIEW)
+        look_at(planner, 0, [0.0, 0.0, 0.0])
+        batches = drained(planner)
+    sent = np.concatenate([batch.gaussians for batch in batches])
+    terms = np.concatenate([batch.terms for batch in batches])
+    assert len(np.unique(sent)) == len(sent)
+    assert len(np.unique(terms)) == len(terms)
+    wanted = np.flatnonzero(index.last == index.num_levels - 1)
+    assert np.isin(wanted, sent).all()
+    owners = np.repeat(np.arange(len(index)), np.diff(index.term_offsets))
+    assert np.isin(np.flatnonzero(np.isin(owners, wanted)), terms).all()
+    seen = np.unique(np.concatenate([index.sets.classes(cell)[0] for cell in range(len(index.grid))]))
+    flags = ~np.isin(sent, seen)
+    assert flags.any()
+    assert (np.diff(flags.astype(int)) >= 0).all()
 
 
 @FEW
