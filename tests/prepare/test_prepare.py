@@ -131,7 +131,7 @@ def test_an_option_changes_only_what_depends_on_it(again: Path, rooms: OccluderS
     assert found.manifest.terms == 0
     assert new(prepare(rooms, again, replace(flat, cells=1)))[0] == "sets"
     kept = {path.name.partition("-")[0] for path in found.work.iterdir() if not path.name.endswith(".sha256")}
-    pieces = {"levels", "sets", "colors", "cost", "fidelity"}
+    pieces = {"levels", "sets", "colors", "cost", "fidelity", "judged"}
     assert kept == {"gsvis", "plan.json", "directions.partial", *pieces}
     assert len([path for path in found.work.iterdir() if path.name.endswith(".pvs")]) == 1  # old pieces have gone
 
