@@ -68,7 +68,7 @@ def start_poses(bounds: F64, grid: CellGrid | None, up: ArrayLike) -> tuple[Star
     above = np.asarray(up, np.float64) / np.linalg.norm(up)
     if grid is None:
         middle, size = bounds.mean(axis=0), float(np.linalg.norm(bounds[1] - bounds[0]))
-        size = max(size, 1e-6 * float(np.linalg.norm(middle)), 1e-3)  # of a single point, too
+        size = max(size, 1e-6 * float(np.linalg.norm(middle))) or 1e-3  # of a single point, too
         first = _across(above)
         corner = (first - np.cross(above, first)) / np.sqrt(2.0)
         return (Start.looking(middle + (0.9 * corner + 0.3 * above) * size, middle, above),)
@@ -77,7 +77,7 @@ def start_poses(bounds: F64, grid: CellGrid | None, up: ArrayLike) -> tuple[Star
     away = centers - eye
     away = away - np.outer(away @ above, above)
     far = away[np.linalg.norm(away, axis=1).argmax()]
-    if np.linalg.norm(far) < 1e-9:
+    if not np.linalg.norm(far) > 1e-9 * grid.cell_size:
         far = _across(above)
     return (Start.looking(eye, eye + far, above), Start.looking(eye, eye - far, above))
 

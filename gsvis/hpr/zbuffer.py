@@ -19,6 +19,7 @@ from gsvis.hpr._kernels.reach import CLUSTER
 from gsvis.hpr._kernels.sphere import hidden_behind
 from gsvis.raycast.proxies import MIN_ALPHA
 from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.lengths import length_factor
 
 __all__ = ["Seen", "Splats", "ZBuffer", "look_around"]
 
@@ -41,6 +42,7 @@ class Splats:
             and reach, largest reach.
         columns: (B, 5, 64) float32: of the rows of each cluster, x, y and z of the mean, scale times reach, reach.
         total: N, all Gaussians of the scene.
+        factor: Units of the rows per scene unit, a power of two; see `length_factor`.
     """
 
     ids: I64
@@ -49,6 +51,7 @@ class Splats:
     bounds: F32
     columns: F32
     total: int
+    factor: float = 1.0
 
     @classmethod
     def from_gaussians(cls, g: Gaussians) -> Splats:
@@ -56,17 +59,19 @@ class Splats:
         ids = _in_order(g, np.flatnonzero(g.opacities >= MIN_ALPHA))
         near = np.zeros((len(ids), 8), np.float32)
         near[:, :3], near[:, 3], near[:, 5] = g.means[ids], g.scales[ids].max(axis=1, initial=0.0), g.opacities[ids]
+        factor = length_factor(g.means)
+        near[:, :4] *= np.float32(factor)
         near[:, 4] = np.sqrt(2.0 * np.log(np.maximum(near[:, 5].astype(np.float64) / MIN_ALPHA, 1.0)))
         near[:, 6] = np.log2(near[:, 5])
         covars = np.empty((len(ids), 6), np.float32)
         step = 1 << 16
         for start in range(0, len(ids), step):
             full = g[ids[start : start + step]].covars()
-            covars[start : start + step] = full[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
+            covars[start : start + step] = full[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]] * np.float32(factor**2)
         count = -(-len(ids) // CLUSTER)
         bounds, columns = np.empty((count, 8), np.float32), np.empty((count, 5, CLUSTER), np.float32)
         clusters.bound_clusters(near, bounds, columns)
-        return cls(ids, near, covars, bounds, columns, len(g))
+        return cls(ids, near, covars, bounds, columns, len(g), factor)
 
     @property
     def nbytes(self) -> int:
@@ -131,7 +136,8 @@ class ZBuffer:
         for start, level in zip(first, levels, strict=False):
             stacked[:, start : start + level.shape[1], : level.shape[2]] = level
         hidden = np.zeros(len(splats.near), bool)
-        hidden_behind(splats.near, self.viewpoint, stacked, first[:-1], self.size, hidden)
+        eye, depths = self.viewpoint * splats.factor, stacked * np.float32(splats.factor)
+        hidden_behind(splats.near, eye, depths, first[:-1], self.size, hidden)
         return hidden
 
 
@@ -175,7 +181,7 @@ def look_around(
         raise ValueError(f"size: expected 4 to {_MAX_SIZE} pixels, got {size}")
     if not 0.0 < spent < 1.0:
         raise ValueError(f"spent: expected a transmittance in (0, 1), got {spent!r}")
-    at = eye.astype(np.float32)
+    at = (eye * splats.factor).astype(np.float32)
     nearest, rectangles = np.empty(len(splats.bounds), np.float32), np.empty((6, len(splats.bounds), 4), np.int16)
     clusters.place_clusters(splats.bounds, at, size, nearest, rectangles)
     lists, counts = np.empty((6, len(nearest)), np.int64), np.empty(6, np.int64)
@@ -188,6 +194,8 @@ def look_around(
         lists, counts, best, light, depths,
     )  # fmt: skip
     ids, (weights, clear) = kernels.take_found(best)
+    if splats.factor != 1.0:
+        depths /= np.float32(splats.factor)
     return Seen(ids, weights, clear, ZBuffer(eye, spent, depths, light))
 
 

@@ -18,7 +18,8 @@ from gsvis import _check
 from gsvis.color.sh import write_sh_gradients
 from gsvis.render._kernels import project as _kernels_project
 from gsvis.render._kernels import tiles as _kernels_tiles
-from gsvis.render.splats import View, blend, color_splats, project
+from gsvis.render.splats import View, blend, color_splats, in_usual_units, project
+from gsvis.scene.lengths import length_factor
 
 __all__ = ["rasterize_cpu"]
 
@@ -79,11 +80,18 @@ class _Rasterize(torch.autograd.Function):
         stand = int(np.searchsorted(projected.ids, frozen))  # ids ascend
         ids, moved = projected.ids[stand:], sums[stand:]
         v_means2d[:stand] = _by_centers(projected.splats[:stand], sums[:stand])
+        factor = length_factor(scene.means)
+        means, scales, viewmat = in_usual_units(scene, view, factor)
+        if factor != 1.0:
+            moved = moved * np.where(np.arange(10) == 3, 1.0 / factor, 1.0)  # the gradient by depth, of scene units
         _kernels_project.project_backward(
-            *_check.read_only(scene.means, scene.quats, scene.scales, scene.opacities), view.viewmat, view.intrinsics,
+            *_check.read_only(means, scene.quats, scales, scene.opacities), viewmat, view.intrinsics,
             (view.width, view.height), antialiased, ids, moved, v_means2d[stand:], v_opacities,
             (v_means, v_quats, v_scales),
         )  # fmt: skip
+        if factor != 1.0:
+            v_means *= np.float32(factor)
+            v_scales *= np.float32(factor)
         v_colors = None
         if colors is None:
             coefficients = (scene.means, scene.sh0, scene.shN)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from gsvis._extras import remedy_of
 from gsvis.scene.cameras import Cameras
+from gsvis.scene.lengths import length_factor
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -59,12 +60,14 @@ def rasterize_cuda(
     def there(array: NDArray[Any]) -> Tensor:
         return torch.tensor(array, dtype=torch.float32, device=device)  # a copy: arrays of cameras are read-only
 
+    some = tensors.means.detach()[:: max(1, len(tensors.means) // 4096)]  # few: a copy waits for the GPU
+    near = 0.01 / length_factor(some.cpu().numpy())
     coefficients = torch.cat([tensors.sh0, tensors.shN], dim=1)[:, : (sh_degree + 1) ** 2]
     images, alphas, info = gsplat.rasterization(
         tensors.means, tensors.quats, tensors.scales, tensors.opacities,
         coefficients if colors is None else colors,
         there(camera.viewmats), there(camera.Ks), camera.width, camera.height,
-        near_plane=0.01, eps2d=0.3, sh_degree=sh_degree if colors is None else None, packed=False,
+        near_plane=near, eps2d=0.3, sh_degree=sh_degree if colors is None else None, packed=False,
         backgrounds=there(background[None]), render_mode="RGB+ED",
         rasterize_mode="antialiased" if antialiased else "classic",
     )  # fmt: skip

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis.render.splats import View
 from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.lengths import length_factor
 from gsvis.scene.sh import sh_basis
 
 __all__ = [
@@ -96,7 +97,7 @@ def project_reference(
     fx, fy, cx, cy = view.intrinsics
     rotation, translation = view.viewmat[:3, :3], view.viewmat[:3, 3]
     centers = g.means.astype(np.float64) @ rotation.T + translation
-    ids = np.flatnonzero(centers[:, 2] > NEAR)
+    ids = np.flatnonzero(centers[:, 2] > NEAR / length_factor(g.means))
     x, y, z = centers[ids].T
     # The Jacobian of the projection; its point is clamped to 0.3 half images outside the view.
     beyond_x, beyond_y = 0.15 * view.width / fx, 0.15 * view.height / fy

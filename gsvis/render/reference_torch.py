@@ -19,6 +19,7 @@ from gsvis import _check
 from gsvis.color.sh_torch import sh_colors_torch
 from gsvis.render.reference import BLUR, MAX_ALPHA, MIN_ALPHA, MIN_TRANSMITTANCE, NEAR
 from gsvis.render.tensors import GaussianTensors, rotations_from_quats
+from gsvis.scene.lengths import length_factor
 
 __all__ = ["Projection", "ReferenceImage", "contributors_reference", "project_reference", "rasterize_reference"]
 
@@ -113,7 +114,7 @@ def project_reference(
     rotation, translation = view[:3, :3], view[:3, 3]
 
     x, y, z = ((tensors.means[:, None, :] * rotation).sum(dim=2) + translation).unbind(dim=1)
-    valid = z.detach() > NEAR
+    valid = z.detach() > NEAR / length_factor(tensors.means.detach().cpu().numpy())
     z = torch.where(valid, z, torch.ones_like(z))  # so that culled Gaussians do not divide by zero
     means2d = torch.stack([fx * x / z + cx, fy * y / z + cy], dim=1)
 

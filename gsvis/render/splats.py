@@ -18,8 +18,9 @@ from gsvis.color.sh import write_sh_colors
 from gsvis.render._kernels import order as _kernels_order
 from gsvis.render._kernels import project as _kernels_project
 from gsvis.render._kernels import tiles as _kernels_tiles
+from gsvis.scene.lengths import length_factor
 
-__all__ = ["Projected", "View", "blend", "color_splats", "draw", "project"]
+__all__ = ["Projected", "View", "blend", "color_splats", "draw", "in_usual_units", "project"]
 
 _BLOCK = 2048
 _CHUNKS = 4  # of the depth order, for each thread
@@ -102,11 +103,15 @@ def project(scene: Any, view: View, *, antialiased: bool, pairs: bool) -> Projec
     counts = np.zeros(blocks, np.int64)
     ids, splats, depths = np.empty(n, np.int32), np.empty((n, 8)), np.empty(n, np.float32)
     size = (view.width, view.height)
-    shapes = _check.read_only(scene.means, scene.quats, scene.scales, scene.opacities)
+    factor = length_factor(scene.means)
+    means, scales, viewmat = in_usual_units(scene, view, factor)
+    shapes = _check.read_only(means, scene.quats, scales, scene.opacities)
     _kernels_project.project(
-        *shapes, view.viewmat, view.intrinsics, *size, antialiased,
+        *shapes, viewmat, view.intrinsics, *size, antialiased,
         ids, splats, depths, counts,
     )  # fmt: skip
+    if factor != 1.0:
+        depths /= np.float32(factor)
     starts = np.concatenate([[0], np.cumsum(counts)])
     m = int(starts[-1])
     packed = np.empty(m, np.int32), np.empty((m, 8)), np.empty(m, np.float32)
@@ -114,6 +119,15 @@ def project(scene: Any, view: View, *, antialiased: bool, pairs: bool) -> Projec
     ids, splats, depths = packed
     order = _sort_splats(scene, ids, depths)
     return Projected(ids, splats, depths, order, *_list_tiles(splats, order, view, pairs=pairs))
+
+
+def in_usual_units(scene: Any, view: View, factor: float) -> tuple[Any, Any, F64]:
+    """Return means (N, 3), scales (N, 3) and the (4, 4) pose of a scene that is scaled by a power of two."""
+    if factor == 1.0:
+        return scene.means, scene.scales, view.viewmat
+    pose = view.viewmat.copy()
+    pose[:3, 3] *= factor
+    return scene.means * np.float32(factor), scene.scales * np.float32(factor), pose
 
 
 def _sort_splats(scene: Any, ids: I32, depths: F32) -> I32:

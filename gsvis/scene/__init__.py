@@ -16,6 +16,7 @@ _MODULES = (
     "inspection",
     "judging",
     "kinds",
+    "lengths",
     "levels",
     "navigable",
     "paths",

@@ -1,0 +1,43 @@
+"""Choose the unit in which lengths that no scene states, such as the near plane, are meant.
+
+Rasterizers of this field put the near plane at 0.01 units, which fits scenes in meters. A scene in kilometers or
+millimeters is drawn as if scaled to a few units, by a power of two, so that every digit stays.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+__all__ = ["length_factor"]
+
+_SAMPLE = 4096  # centers looked at, at even steps
+_CORE = (0.1, 0.9)  # quantiles of the centers along each axis
+_USUAL = (0.25, 256.0)  # diagonals of the core, in units, that are taken as they are
+_WANTED = 8.0
+
+
+def length_factor(means: ArrayLike) -> float:
+    """Return the power of two by which a scene is to be scaled so that its core has the size of a usual scene.
+
+    Args:
+        means: (N, 3) centers, scene units. Outliers do not count.
+
+    Returns:
+        1 for a core of 0.25 to 256 units across, for none, and for a single place; else the factor that makes it about
+        8 units.
+
+    Examples:
+        >>> length_factor([[0, 0, 0], [3, 4, 0]]), length_factor([[0, 0, 0], [3e-3, 4e-3, 0]])
+        (1.0, 2048.0)
+    """
+    centers = np.asarray(means)
+    some = centers[:: max(1, len(centers) // _SAMPLE)].astype(np.float64)
+    if len(some) < 2:
+        return 1.0
+    with np.errstate(all="ignore"):  # tensors in training may hold NaN and infinity
+        low, high = np.quantile(some, _CORE, axis=0)
+        size = float(np.linalg.norm(high - low))
+    if not np.isfinite(size) or size == 0.0 or _USUAL[0] <= size <= _USUAL[1]:
+        return 1.0
+    return float(2.0 ** np.clip(np.rint(np.log2(_WANTED / size)), -60, 60))
