@@ -154,10 +154,8 @@ def finish_package(
             certificates, twice = store.certificates, store.info.config.get("traced_twice")
         began = time.perf_counter()
         views = choose_start_views(levels.level(len(levels) - 1), space, seed=config.level_views.seed)
-        provenance = {
-            **(about or {}), "config": config.as_dict(), "levels": quality, "directions": directions,
-            "views": describe_poses(views), "judged": judged,
-        }  # fmt: skip
+        found = {"levels": quality, "directions": directions, "views": describe_poses(views), "judged": judged}
+        provenance = {**(about or {}), "config": config.as_dict(), **found}
         info = PackageInfo(_axis(space), config.meters_per_unit, cost, provenance, fidelity, config.epsilon)
         with write_package(target, levels, packed, info=info, visibility=sets, progress=stages.progress) as package:
             manifest = package.manifest

@@ -92,7 +92,7 @@ def _sample_detail(g: Gaussians, rng: np.random.Generator) -> F64:
     size = np.maximum(g.scales[ids].astype(np.float64).max(axis=1), 1e-300)
     chance = np.minimum(np.median(size) / size, 1.0)
     kept = ids[rng.random(len(ids)) < chance][:_SAMPLE]
-    return g.means[kept].astype(np.float64)
+    return np.asarray(g.means[kept], np.float64)
 
 
 def _find_core(detail: F64) -> tuple[F64, float, F64, F64]:
@@ -135,7 +135,7 @@ def _propose(
 def _are_free(eyes: F64, aims: F64, up: F64, radius: float, look: Look) -> NDArray[np.bool_]:
     """Return which eyes see what they look at: something is there, and nothing stands close in front of it."""
     apart = np.linalg.norm(aims - eyes, axis=1)
-    good = apart > 1e-6 * radius
+    good: NDArray[np.bool_] = np.asarray(apart > 1e-6 * radius)
     if not good.any():
         return good
     views = Cameras.look_at(eyes[good], aims[good], up=up, width=_SMALL[0], height=_SMALL[1])

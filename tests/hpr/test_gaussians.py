@@ -12,7 +12,7 @@ from gsvis.io import load_scene
 from gsvis.raycast import EllipsoidProxies, Tracer, visible_from
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
-from gsvis.scene.procedural import BUILTIN_SCENES, builtin_scene, random_scene
+from gsvis.scene.procedural import OCCLUDER_SCENES, builtin_scene, random_scene
 
 
 def row(*balls: tuple[float, float, float]) -> Gaussians:
@@ -24,7 +24,7 @@ def row(*balls: tuple[float, float, float]) -> Gaussians:
     return Gaussians(means, quats, np.repeat(scales[:, None], 3, axis=1), opacities, np.zeros((n, 1, 3)))
 
 
-@pytest.mark.parametrize("name", sorted(BUILTIN_SCENES))
+@pytest.mark.parametrize("name", sorted(OCCLUDER_SCENES))
 def test_scenes_with_a_known_answer(name: str) -> None:
     known = builtin_scene(name)
     seen = np.zeros_like(known.visible)

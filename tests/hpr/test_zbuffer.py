@@ -13,7 +13,7 @@ from gsvis.hpr.reference import look_around_reference
 from gsvis.hpr.zbuffer import ZBuffer
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
-from gsvis.scene.procedural import BUILTIN_SCENES, builtin_scene, random_scene
+from gsvis.scene.procedural import OCCLUDER_SCENES, builtin_scene, random_scene
 
 TAU = 1.0 / 255.0
 
@@ -53,7 +53,7 @@ def test_it_finds_what_splatting_everything_finds(seed: int, size: int) -> None:
     assert same.mean() > 0.999  # a pixel whose light ends within rounding of the bound may end one Gaussian later
 
 
-@pytest.mark.parametrize("name", sorted(BUILTIN_SCENES))
+@pytest.mark.parametrize("name", sorted(OCCLUDER_SCENES))
 def test_nothing_visible_is_missing_and_nothing_behind_a_solid_wall_is_kept(name: str) -> None:
     scene = builtin_scene(name)
     splats = Splats.from_gaussians(scene.gaussians)
