@@ -7,7 +7,6 @@ import os
 import re
 from pathlib import Path
 
-import numpy as np
 import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
@@ -38,24 +37,16 @@ def test_every_make_command_exists(path: Path) -> None:
 def test_the_example_of_the_readme_runs_as_it_stands(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    import gsvis
+    from gsvis.scene import procedural
 
     (example,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), flags=re.DOTALL)
     assert len(example.strip().splitlines()) <= 15
     monkeypatch.chdir(tmp_path)
-    means = np.random.default_rng(0).uniform(-1, 1, (50, 3))
-    gsvis.save_scene(
-        gsvis.Gaussians(means, np.tile([1, 0, 0, 0], (50, 1)), np.full((50, 3), 0.1), np.full(50, 0.9), means[:, None]),
-        "scene.ply",
-    )
-    model = tmp_path / "sparse" / "0"
-    model.mkdir(parents=True)
-    (model / "cameras.txt").write_text("1 PINHOLE 640 480 500 500 320 240\n")
-    (model / "images.txt").write_text("1 1 0 0 0 0 0 4 1 a.jpg\n\n2 0 0 1 0 0 0 4 1 b.jpg\n\n")
+    small = procedural.two_rooms(2000)  # the flat takes long to make; its figure is checked with those of the tutorials
+    monkeypatch.setitem(procedural.BUILTIN_SCENES, "flat", lambda: small)
     exec(compile(example, "README.md", "exec"), {})
-    needs, seen = (float(n) for n in re.findall(r"([\d.]+)%", capsys.readouterr().out))
-    assert 50 < needs <= 100
-    assert 0 < seen <= 2 / 80 * 100 + 0.1  # two eyes, two directions of 80
+    (needs,) = (float(n) for n in re.findall(r"([\d.]+)%", capsys.readouterr().out))
+    assert 0 < needs < 100
 
 
 def test_what_gsvis_depends_on_is_pinned_within_its_range() -> None:
