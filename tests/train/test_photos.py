@@ -223,7 +223,8 @@ def test_models_that_cannot_serve(tmp_path: Path) -> None:
         file.unlink()
     (tmp_path / "bent" / "sparse" / "0" / "cameras.txt").write_text("1 OPENCV 48 32 40 40 24 16 0.1 0 0 0\n")
     (tmp_path / "bent" / "sparse" / "0" / "images.txt").write_text("1 1 0 0 0 0 0 0 1 photo_000.png\n\n")
-    with pytest.raises(FormatError, match="got OPENCV with distortion 0.1 0 0 0; undistort the images with `colmap image_undistorter`"):
+    message = "got OPENCV with distortion 0.1 0 0 0; undistort the images with `colmap image_undistorter`"
+    with pytest.raises(FormatError, match=message):
         load_photos(tmp_path / "bent")
 
 
