@@ -68,7 +68,8 @@ def start_poses(bounds: F64, grid: CellGrid | None, up: ArrayLike) -> tuple[Star
     above = np.asarray(up, np.float64) / np.linalg.norm(up)
     if grid is None:
         middle, size = bounds.mean(axis=0), float(np.linalg.norm(bounds[1] - bounds[0]))
-        size = max(size, 1e-6 * float(np.linalg.norm(middle))) or 1e-3  # of a single point, too
+        if size == 0.0:  # a single point
+            size = 1e-3 * float(np.linalg.norm(middle)) or 1e-3
         first = _across(above)
         corner = (first - np.cross(above, first)) / np.sqrt(2.0)
         return (Start.looking(middle + (0.9 * corner + 0.3 * above) * size, middle, above),)

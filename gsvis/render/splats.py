@@ -110,13 +110,13 @@ def project(scene: Any, view: View, *, antialiased: bool, pairs: bool) -> Projec
         *shapes, viewmat, view.intrinsics, *size, antialiased,
         ids, splats, depths, counts,
     )  # fmt: skip
-    if factor != 1.0:
-        depths /= np.float32(factor)
     starts = np.concatenate([[0], np.cumsum(counts)])
     m = int(starts[-1])
     packed = np.empty(m, np.int32), np.empty((m, 8)), np.empty(m, np.float32)
     _kernels_project.gather_blocks(counts, starts, ids, splats, depths, *packed)
     ids, splats, depths = packed
+    if factor != 1.0:
+        depths /= np.float32(factor)
     order = _sort_splats(scene, ids, depths)
     return Projected(ids, splats, depths, order, *_list_tiles(splats, order, view, pairs=pairs))
 
