@@ -79,7 +79,9 @@ def test_a_space_limits_looks_and_asks_for_more_of_them() -> None:
     half = scene("blobs", n=40)
     shift = np.array([6.0, 0.0, 0.0])
     means = np.concatenate([half.means - shift, half.means + shift])
-    g = Gaussians(means, *(np.concatenate([getattr(half, name)] * 2) for name in vars(half) if name != "means"))
+    g = Gaussians(
+        means, *(np.concatenate([getattr(half, name)] * 2) for name in vars(half) if name not in ("means", "facts"))
+    )
     sides = [Cameras.orbit(side, 3.0, 60, width=40, height=30) for side in (-shift, shift)]
     both = (np.stack([getattr(c, name) for c in sides], axis=1) for name in ("viewmats", "Ks"))  # in turns
     cameras = Cameras(*(each.reshape(-1, *each.shape[2:]) for each in both), 40, 30)
@@ -101,7 +103,9 @@ def test_in_rooms_what_few_cameras_see_counts_more() -> None:
     half = scene("blobs", n=40)
     shift = np.array([6.0, 0.0, 0.0])
     means = np.concatenate([half.means - shift, half.means + shift])
-    g = Gaussians(means, *(np.concatenate([getattr(half, name)] * 2) for name in vars(half) if name != "means"))
+    g = Gaussians(
+        means, *(np.concatenate([getattr(half, name)] * 2) for name in vars(half) if name not in ("means", "facts"))
+    )
     sides = [Cameras.orbit(side, 3.0, count, width=40, height=30) for side, count in ((-shift, 64), (shift, 8))]
     order = np.random.default_rng(0).permutation(72)
     both = (np.concatenate([getattr(c, name) for c in sides])[order] for name in ("viewmats", "Ks"))
