@@ -17,7 +17,19 @@ from gsvis.scene.procedural import two_rooms
 
 Capture = pytest.CaptureFixture[str]
 
-NOT_PATHS = {"up", "scheduler", "host", "hosts", "token", "name", "names", "classes", "origins", "proxies"}
+NOT_PATHS = {
+    "up",
+    "page_origins",
+    "scheduler",
+    "host",
+    "hosts",
+    "token",
+    "name",
+    "names",
+    "classes",
+    "origins",
+    "proxies",
+}
 
 
 def commands() -> list[tuple[str, type]]:
