@@ -73,7 +73,7 @@ def test_wrong_arguments_are_one_line(
 
 
 def test_a_scene_without_room_for_an_eye_is_one_line(tmp_path: Path, capsys: Capture) -> None:
-    fog = discs(np.random.default_rng(0).uniform(0, 1, (8, 3)), (0.5, 0.5, 0.5), 0.9)
+    fog = discs(np.random.default_rng(0).uniform(0, 1, (8, 3)), (3.0, 3.0, 3.0), 0.9)
     save_scene(fog, tmp_path / "fog.ply")
     assert main(["space", str(tmp_path / "fog.ply"), "-o", str(tmp_path / "a.glb")]) == 2
     assert "no navigable space" in capsys.readouterr().err
