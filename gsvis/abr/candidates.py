@@ -30,7 +30,6 @@ from gsvis.abr.rings import RINGS, Shells, ring_cells
 from gsvis.abr.scratch import Scratch
 from gsvis.abr.seen import SeenSets
 from gsvis.files.cache import Cache
-from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.codec import pack, pack_some, word_count
 
 __all__ = ["CandidateIndex", "Candidates"]
@@ -285,11 +284,12 @@ class CandidateIndex:
     def count_shells(self, cell: int) -> int:
         """Return the number of shells around a cell; with those of what no cell sees, all records are in one of them.
 
-        A world has none of the latter: what its cells do not see has coarser nodes that stand for it.
+        There are none of the latter where `SceneIndex.sends_unseen` is false.
         """
-        words = len(self.everything.words)
-        rest = 0 if not isinstance(self.index.grid, CellGrid) else 1 if self.is_small else -(-words // _REST)
-        return self.shells.count(cell) + rest
+        count = self.shells.count(cell)
+        if not self.index.sends_unseen:
+            return count
+        return count + (1 if self.is_small else -(-len(self.everything.words) // _REST))
 
     def shell(self, here: Candidates, number: int) -> Shell:
         """Return what the cells of a shell around a cell see, or part of the whole scene in the last; cache it.

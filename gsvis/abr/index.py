@@ -123,6 +123,8 @@ class SceneIndex:
         sets: Visible sets of the cells.
         active: Active terms of the cells; None means no terms are sent.
         cones: When each term is active, to choose terms by the pose; None means that all active terms of a cell count.
+        sends_unseen: Whether an idle link ends with what no cell sees. Not so where others stand for it, as coarser
+            nodes of a world do.
 
     Raises:
         ValueError: If lengths differ or a value is out of range.
@@ -145,6 +147,7 @@ class SceneIndex:
     sets: CellSets
     active: ActiveSets | None = None
     cones: TermCones | None = None
+    sends_unseen: bool = True
 
     def __post_init__(self) -> None:
         means = _check.floats("means", self.means, ("N", 3))
