@@ -30,7 +30,7 @@ def simulation(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Simulation]
     with scene.package:
         for k in range(2):
             deliveries = (
-                Adaptive(scene, QUICK.view, AbrConfig(start_rate=5e3)),
+                Adaptive(scene, QUICK.view, AbrConfig(start_rate=5e3, fill=False)),
                 WholeFile(scene.contents, 100_000),  # never arrives
                 MortonProgressive(scene.contents),
             )
