@@ -79,14 +79,14 @@ def main() -> None:
 def summarize(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return the figures."""
     verdicts = Counter(row["verdict"] for row in rows)
-    told = [row for row in rows if row["degrees_off"] is not None]
-    near = sum(row["degrees_off"] <= RIGHT for row in told)
+    judged = [row for row in rows if row["degrees_off"] is not None]
+    near = sum(row["degrees_off"] <= RIGHT for row in judged)
     seconds = max(row["processor_s"] for row in rows)
     return [
         _figure("share right or not sure", TARGET, 1.0 - verdicts["wrong"] / len(rows), "share", "higher"),
         _figure("confidently wrong", 0, verdicts["wrong"], "scenes", "lower"),
         _figure("share right and sure", None, verdicts["right"] / len(rows), "share", "higher"),
-        _figure("share within 10 degrees, sure or not", None, near / len(told), "share", "higher"),
+        _figure("share within 10 degrees, sure or not", None, near / len(judged), "share", "higher"),
         _figure("longest processor time", 1.0, seconds, "s", "lower"),
     ]
 

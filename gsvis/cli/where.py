@@ -164,13 +164,19 @@ def find_place(
     if cameras is None and (cameras := evidence_cameras(where)) is not None:
         cameras, framed = framed_cameras(source, cameras, getattr(where, "cameras"))  # noqa: B009
     upright, doubts = _upright(source, up, cameras)
-    remarks = [*flyaway_remarks(source.gaussians), *framed, *doubts]
+    far = flyaway_remarks(source.gaussians) if where.box is None else []  # nothing outside of a box counts
+    remarks = [*far, *framed, *doubts]
     found = _find(source, where, upright, walk, cameras, remarks)
     if found.space is None:
         return found
     evidence = found.evidence or _weigh(found.space, where, cameras)
     found = replace(found, upright=upright, cameras=cameras, evidence=evidence)
-    return replace(found, remarks=[*found.remarks, *([f" {found.doubt}"] if found.doubt else [])])
+    assert found.space is not None
+    more = [f" {found.doubt}"] if found.doubt else []
+    contradiction = found.space.kind.doubt
+    if contradiction and evidence.confidence >= SURE:  # of cameras or a walk, which are evidence all the same
+        more.append(f" {contradiction[:1].upper()}{contradiction[1:]}.")
+    return replace(found, remarks=[*found.remarks, *more])
 
 
 def evidence_cameras(where: Where) -> Cameras | None:
@@ -196,8 +202,7 @@ def _find(
     """Return the place that the strongest evidence gives."""
     if where.box is not None:
         space = NavigableSpace.from_box(where.box[:3], where.box[3:], _BOX_VOXELS, up=upright.up)
-        doubts = [each for each in remarks if "Gaussians" not in each]
-        return Place(space, "", [*doubts, *_check_buried(source, space, "box")])
+        return Place(space, "", [*remarks, *_check_buried(source, space, "box")])
     if where.around is not None:
         center, radius = (where.around[:3], where.around[3]) if where.around else (None, None)
         try:

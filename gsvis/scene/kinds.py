@@ -105,21 +105,21 @@ def find_kind(found: Evidence) -> SpaceKind:
     if is_rooms(found):
         reason = f"{within} of the Gaussians are seen from within, {outside} from outside"
         reason = f"{reason}, and {found.roofed:.0%} of views up end at a roof"
-        return _told("rooms", reason, found, found.roofed >= CLOSED, "object")
+        return _weigh("rooms", reason, found, found.roofed >= CLOSED, "object")
     if found.walkable > 0.0 and found.surrounded >= SURROUNDED:
         clear = found.surrounded >= HEMMED and found.walkable >= WALKABLE
         clear = clear and found.seen_within >= found.seen_outside - MORE
         reason = f"{level} from the ground end at something, under an open sky"
-        return _told("open place", reason, found, clear, "object")
+        return _weigh("open place", reason, found, clear, "object")
     if found.walkable >= WALKABLE and found.flatness <= FLAT:
         reason = f"ground {1.0 / found.flatness:.0f} times as wide as what stands on it is high"
-        return _told("open place", reason, found, False, "object")  # a plate that lies on its back looks the same
+        return _weigh("open place", reason, found, False, "object")  # a plate that lies on its back looks the same
     reason = f"{outside} of the Gaussians are seen from outside, {within} from within"
     if found.walkable > 0.0:
         reason += f", and {1.0 - found.surrounded:.0%} of level views from its ground meet nothing"
     more = 0.0 if found.flatness >= TALLER else MORE
     clear = found.flatness >= TALL and found.seen_outside >= found.seen_within + more
-    return _told("object", reason, found, clear, "open place")
+    return _weigh("object", reason, found, clear, "open place")
 
 
 def with_surroundings(found: Evidence, beyond: float) -> SpaceKind:
@@ -130,8 +130,9 @@ def with_surroundings(found: Evidence, beyond: float) -> SpaceKind:
         beyond: Share of the Gaussians that lie around the detail.
     """
     reason = f"{beyond:.0%} of the Gaussians lie around its detail, larger the farther they are"
-    return _told("open place", reason, found, False, "object")
+    return _weigh("open place", reason, found, False, "object")
 
 
-def _told(kind: Kind, reason: str, found: Evidence, clear: bool, other: Kind) -> SpaceKind:
+def _weigh(kind: Kind, reason: str, found: Evidence, clear: bool, other: Kind) -> SpaceKind:
+    """Return a kind, sure where the figures are clear; else with what the scene may be as well."""
     return SpaceKind(kind, reason, found, "", _CLEAR if clear else _UNCLEAR, None if clear else other)
