@@ -25,12 +25,12 @@ const shaders = {
 
 // Names of properties in the own classes of a script alone: no browser, JSON, other script or program sees them.
 const OWN = {
-  page: "actions answered antialiased appendMilliseconds available bare busy calm canStandAt cellsKnown changed choose chosen climb " +
+  page: "actions answered antialiased appendMilliseconds available busy calm canStandAt cellsKnown changed choose chosen climb " +
     "corners degrees detailed dispose doubleClick drag dropped east element enterXr fast firstImageSeconds flyTo flying focused fovY " +
     "frameMilliseconds goHome goTo gpuBytes harmonicBytes inspecting isBusy known layout levelsShown listen " +
     "joystick makeSource makeViewer marked maxPixelRatio meter mostIntensity mostScale moved navigator nearest nextMode " +
     "nextPaint north offered onComplete onContent onFailure onOrder onRenumbered optionsShown " +
-    "pickCenter pixelRatio placeOf plays pressed problem program recycle redraw refocus reframe refresh release reserve rested " +
+    "pickCenter pixelRatio placeOf plays problem program recycle redraw refocus reframe refresh release reserve rested " +
     "savePicture screenshot served setFov setMode setOrder settled shown shows sortMilliseconds sortWorker sorting " +
     "speak spent stale still standOn statisticsShown stepView surroundings tableTexture targets termCount termsShown texels " +
     "toggleBare toggleCells toggleFull toggleInspecting toggleOptions togglePlaying toggleStatistics toggleTheme toggleVr " +

@@ -76,7 +76,7 @@ export class Viewer extends EventTarget {
     const gl = canvas.getContext(
       "webgl2", { alpha: false, antialias: false, depth: false, stencil: false, powerPreference: "high-performance" },
     );
-    if (!gl) throw new UnsupportedError("This browser does not offer WebGL2, or graphics are switched off in it.");
+    if (!gl) throw new UnsupportedError("This browser offers no WebGL2, or graphics are off.");
     this.#gl = gl;
     this.#renderer = new Renderer(gl, options.precision);
     this.#look = {
@@ -260,7 +260,7 @@ export class Viewer extends EventTarget {
     canvas.getContext("2d")?.putImageData(image, 0, 0);
     return new Promise((resolve, reject) => {
       canvas.toBlob(
-        (blob) => (blob ? resolve(blob) : reject(new Error("The browser could not make a PNG of the picture."))),
+        (blob) => (blob ? resolve(blob) : reject(new Error("The browser could not make a PNG."))),
         "image/png",
       );
     });

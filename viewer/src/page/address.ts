@@ -34,7 +34,9 @@ export function readAddress(href: string, metas: Metas): PageAddress {
   const page = new URL(href), query = page.searchParams, permits = permitOf(href, metas.origins);
   const pick = (key: "content" | "settings"): string | null => {
     const asked = query.get(key), text = asked ?? metas[key];
-    return text && resolve(text, href, asked === null ? () => true : permits);
+    // A file has no server and no token, so settings may lie in its link.
+    const lies = (url: string) => permits(url) || (key === "settings" && !originOf(href) && url.startsWith("data:"));
+    return text && resolve(text, href, asked === null ? () => true : lies);
   };
   return {
     scene: query.has("content") || metas.content ? sceneAt(pick("content"), metas.scene) : findScene(page, metas.scene),
