@@ -260,7 +260,7 @@ export class Viewer extends EventTarget {
     canvas.getContext("2d")?.putImageData(image, 0, 0);
     return new Promise((resolve, reject) => {
       canvas.toBlob(
-        (blob) => (blob ? resolve(blob) : reject(new Error("The browser could not make a PNG."))),
+        (blob) => (blob ? resolve(blob) : reject(new Error("No PNG could be made."))),
         "image/png",
       );
     });
