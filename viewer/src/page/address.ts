@@ -34,9 +34,7 @@ export function readAddress(href: string, metas: Metas): PageAddress {
   const page = new URL(href), query = page.searchParams, permits = permitOf(href, metas.origins);
   const pick = (key: "content" | "settings"): string | null => {
     const asked = query.get(key), text = asked ?? metas[key];
-    // A file has no server and no token, so settings may lie in its link.
-    const lies = (url: string) => permits(url) || (key === "settings" && !originOf(href) && url.startsWith("data:"));
-    return text && resolve(text, href, asked === null ? () => true : lies);
+    return text && resolve(text, href, asked === null ? () => true : permits);
   };
   return {
     scene: query.has("content") || metas.content ? sceneAt(pick("content"), metas.scene) : findScene(page, metas.scene),
@@ -47,10 +45,13 @@ export function readAddress(href: string, metas: Metas): PageAddress {
   };
 }
 
-/** Return which addresses a page may open: those of its own origin and of `origins`, none with a name or a password. */
+/**
+ * Return which addresses a page may open: those of its own origin and of `origins`, none with a name or a password. A
+ * file has no origin, no server and no token: it takes what lies in its link itself.
+ */
 export function permitOf(href: string, origins?: string | null): Permit {
   const all = [href, ...origins?.split(" ") ?? []].map(originOf);
-  return (url) => all.includes(originOf(url) || "none");
+  return (url) => all.includes(originOf(url) || "none") || (!all[0] && url.startsWith("data:"));
 }
 
 /** Return the http: or https: origin of an address, also of a stream; nothing for any other address. */
