@@ -26,8 +26,8 @@ from gsvis.cli.source import (
     inspect_scene_of,
     load_source,
     parse_up,
+    spaces_of_build,
 )
-from gsvis.cli.source import navigable_space as found_space
 from gsvis.cli.terminal import Status
 from gsvis.cli.where import WORDS, check_where, find_place, spell, suspect_views
 from gsvis.color.epsilon import DEFAULT_EPSILON
@@ -197,10 +197,11 @@ def _plan(
 
 def _space_of(store: VisibilityStore, source: Source) -> NavigableSpace:
     """Return the navigable space that visible sets were built in, or the closest one that their cells allow."""
-    space, _ = found_space(source, up=store.grid.up)
-    if space is not None:
+    spaces = list(spaces_of_build(source, store.grid.up))
+    for space in spaces:
         if store.info.config.get("space") == space_hash(space):
             return space
+    for space in spaces:
         voxels = np.argwhere(space.free)
         held = voxels[store.grid.cell_at(space.origin + space.voxel_size * (voxels + 0.5)) >= 0]
         if np.array_equal(space.origin, store.grid.origin) and len(held):

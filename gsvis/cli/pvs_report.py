@@ -11,7 +11,7 @@ import numpy as np
 from gsvis._extras import require
 from gsvis.cli import version
 from gsvis.cli.arguments import PvsReport
-from gsvis.cli.source import Source, check_report, check_source, inspect_scene_of, load_source, navigable_space
+from gsvis.cli.source import Source, check_report, check_source, inspect_scene_of, load_source, spaces_of_build
 from gsvis.cli.terminal import Status, facts, print_json, show, size_of
 from gsvis.pvs.store import VisibilityStore
 from gsvis.pvs.viewpoints import CellViewpoints
@@ -91,17 +91,17 @@ def _viewpoints(store: VisibilityStore, source: Source) -> tuple[CellViewpoints,
     """Return where to sample fresh viewpoints, and its description: in the space of the build if it is found again."""
     from gsvis.pvs.quality import box_space
 
-    space, _ = navigable_space(source, up=store.grid.up)
-    if space is not None:
-        same = store.info.config.get("space") == space_hash(space)
-        if same or np.array_equal(space.origin, store.grid.origin):
-            text = "in the navigable space that the store was built in"
-            if not same:
-                text = "in the navigable space of the scene, of which the store covers a part"
-            try:
-                return CellViewpoints(store.grid, space), text
-            except ValueError:  # a cell has no free voxel: the cells are of another space
-                pass
+    spaces = list(spaces_of_build(source, store.grid.up))
+    same = [space for space in spaces if store.info.config.get("space") == space_hash(space)]
+    like = [space for space in spaces if np.array_equal(space.origin, store.grid.origin)]
+    for space in (same or like)[:1]:
+        text = "in the navigable space that the store was built in"
+        if not same:
+            text = "in the navigable space of the scene, of which the store covers a part"
+        try:
+            return CellViewpoints(store.grid, space), text
+        except ValueError:  # a cell has no free voxel: the cells are of another space
+            pass
     text = "anywhere in the boxes of the cells, since the space they were cut from is not known"
     return CellViewpoints(store.grid, box_space(store.grid, source.gaussians)), text
 

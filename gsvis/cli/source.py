@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -42,6 +43,7 @@ __all__ = [
     "load_source",
     "navigable_space",
     "parse_up",
+    "spaces_of_build",
     "summarize_levels",
     "title_of",
     "up_of",
@@ -222,6 +224,21 @@ def navigable_space(
         return NavigableSpace.from_scene(source.gaussians, up=axis, seeds=seeds), ""
     except SceneError as error:
         return None, error.problem
+
+
+def spaces_of_build(source: Source, up: ArrayLike) -> Iterator[NavigableSpace]:
+    """Yield the navigable spaces that sets of a scene may have been built in, for an up axis that was stored with them.
+
+    Where up was certain, the space was found with it; where it was a guess, with eyes on all sides.
+
+    Args:
+        source: The scene.
+        up: (3,) the up axis of the sets.
+    """
+    for axis in (up, None):
+        space, _ = navigable_space(source, up=axis)
+        if space is not None:
+            yield space
 
 
 def parse_up(axis: str | None) -> NDArray[np.float64] | None:

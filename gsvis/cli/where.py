@@ -12,7 +12,7 @@ from gsvis.cli.arguments_where import Where
 from gsvis.cli.source import Source, file_cameras, framed_cameras, navigable_space, parse_up
 from gsvis.errors import FormatError, SceneError
 from gsvis.io.poses import load_path
-from gsvis.scene.axes import describe_direction
+from gsvis.scene.axes import describe_direction, snap_to_axis
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.corridor import corridor, space_walked
 from gsvis.scene.flyaways import find_flyaways
@@ -234,7 +234,8 @@ def _upright(source: Source, up: str | None, cameras: Cameras | None) -> tuple[U
     given = parse_up(up)
     known = source.known_up if given is None else given
     if known is None:
-        return find_up(source.union, cameras=cameras, check=False), []
+        likely = find_up(source.union, cameras=cameras, check=False)
+        return replace(likely, up=snap_to_axis(likely.up)), []
     found = Upright(known, 1.0, "given by --up" if given is not None else "known")
     if given is None and source.path is None:
         return found, []

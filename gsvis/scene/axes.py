@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 
-__all__ = ["AXES", "axis_vector", "describe_direction", "nearest_axis", "tilt_of"]
+__all__ = ["AXES", "axis_vector", "describe_direction", "nearest_axis", "snap_to_axis", "tilt_of"]
 
 F64 = NDArray[np.float64]
 
@@ -46,6 +46,18 @@ def nearest_axis(direction: ArrayLike) -> str:
     """
     unit = _unit(direction)
     return max(AXES, key=lambda name: float(axis_vector(name) @ unit))
+
+
+def snap_to_axis(direction: ArrayLike) -> F64:
+    """Return the (3,) axis within a degree of a direction, or the direction as a unit vector if there is none.
+
+    A guess is no better than a degree, and files are made along their axes.
+
+    Args:
+        direction: (3,) any length but zero.
+    """
+    axis = axis_vector(nearest_axis(direction))
+    return axis if tilt_of(direction, axis) <= _ON_AXIS else _unit(direction)
 
 
 def tilt_of(direction: ArrayLike, other: ArrayLike) -> float:

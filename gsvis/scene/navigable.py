@@ -21,7 +21,7 @@ from gsvis.errors import SceneError
 from gsvis.scene._eyes import PERSON, Around, Found, Look, find_eyes, find_mixed, stand_around, where_people_stand
 from gsvis.scene._occupancy import MIN_ALPHA, Occupancy
 from gsvis.scene._turned import Pose, TurnedParts, bring_back, is_level, turn
-from gsvis.scene.axes import axis_vector
+from gsvis.scene.axes import axis_vector, snap_to_axis
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.core import find_core
 from gsvis.scene.gaussians import Gaussians
@@ -418,7 +418,8 @@ def _visible(g: Gaussians) -> Gaussians:
 def _upright(g: Gaussians, up: ArrayLike | str | None) -> Upright:
     """Return the given up axis, an axis by its name or a direction (3,); the likely one if there is none."""
     if up is None:
-        return find_up(g)
+        found = find_up(g)
+        return replace(found, up=snap_to_axis(found.up))
     axis = np.asarray(axis_vector(up) if isinstance(up, str) else up, np.float64)
     return Upright(_check.unit_vectors("up", np.reshape(axis, (1, -1)))[0].astype(np.float64), 1.0, "given")
 

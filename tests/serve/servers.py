@@ -133,12 +133,12 @@ def phases(server: Server) -> list[str]:
     return sorted(guard.phase.value for guard in list(server._server._door.guards))
 
 
-def wanted(package: Path) -> tuple[np.ndarray, int]:
-    """Ids of the highest level, and the number of their terms: what a patient client of a plain package shows."""
+def wanted(package: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Ids of the highest level, and of their terms: what a patient client of a plain package shows."""
     with Package.open(package) as opened:
         contents = opened.contents
-    high = np.flatnonzero(contents.last == len(contents.names) - 1)
-    return high, int(np.diff(contents.term_offsets)[high].sum())
+    highest = contents.last == len(contents.names) - 1
+    return np.flatnonzero(highest), np.flatnonzero(np.repeat(highest, np.diff(contents.term_offsets)))
 
 
 def has_all(receiver: Receiver | None, package: Path) -> bool:
@@ -146,7 +146,8 @@ def has_all(receiver: Receiver | None, package: Path) -> bool:
     if receiver is None:
         return False
     high, terms = wanted(package)
-    return np.array_equal(np.sort(receiver.shown()), high) and len(receiver.holdings.received_terms) >= terms
+    held = receiver.holdings.received_terms
+    return np.array_equal(np.sort(receiver.shown()), high) and bool(np.isin(terms, held).all())
 
 
 def patient(
@@ -166,7 +167,8 @@ def patient(
                 moved(client)
             held = client.receiver
             assert held is not None
-            if np.array_equal(np.sort(held.shown()), high) and len(held.holdings.received_terms) >= terms:
+            has_terms = np.isin(terms, held.holdings.received_terms).all()
+            if np.array_equal(np.sort(held.shown()), high) and has_terms:
                 client.stop()
 
         await asyncio.wait_for(client.run(still, on_batch=look), seconds)
