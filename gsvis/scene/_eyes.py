@@ -172,7 +172,7 @@ def find_eyes(look: Look) -> Found:
             return space, free, rule, replace(kind, eyes="inside")
         return _either(look, kind, space, free)
     if core.has_surroundings:
-        return _either(look, with_surroundings(evidence, core.beyond), None, None)
+        return _amid_surroundings(look, with_surroundings(evidence, core.beyond))
     standing = above_ground(space, up, look.person)
     walked = footprint(standing, up) >= WALKABLE
     kind = find_kind(with_ground(evidence, space, standing if walked else large, up))
@@ -256,6 +256,32 @@ def _either(look: Look, kind: SpaceKind, space: Occupancy | None, free: Mask | N
     if not look.up_sure:
         doubt += ", and on all sides, for up is not certain either"
     return wide, found, "free, around and inside", replace(kind, eyes=str(around), doubt=doubt)
+
+
+def _amid_surroundings(look: Look, kind: SpaceKind) -> Found:
+    """Return eyes in rooms whose windows show what is outside; else around the detail and in it.
+
+    A grid over all that is seen through windows is too coarse for rooms. One over the detail shows them.
+
+    Args:
+        look: What is looked at.
+        kind: What it is if there are no rooms.
+    """
+    low, high = look.core.detail_low, look.core.detail_high
+    try:
+        space = look.build(low, high)
+    except SceneError:
+        return _either(look, kind, None, None)
+    free, rule, _ = space.choose(look.up)
+    enclosed = free if free.mean() >= MIN_SHARE else np.zeros_like(free)
+    within = np.all((look.seen.means >= low) & (look.seen.means <= high), axis=1)
+    evidence = gather(space, enclosed, look.seen[within], look.up)
+    if not is_rooms(evidence):
+        return _either(look, kind, None, None)
+    kind = find_kind(evidence)
+    if not kind.sure:
+        return _either(look, kind, space, free)
+    return space, free, rule, replace(kind, eyes="inside")
 
 
 def _with_size(look: Look, kind: SpaceKind) -> SpaceKind:

@@ -12,20 +12,24 @@ from gsvis.scene.navigable import NavigableSpace
 from tests.scene.places import apartment, ball, box, discs, sheet, statue
 
 
-def platform() -> Gaussians:
-    """A platform with railings, seen by people who stood on it: a meadow far below gets coarser with the distance."""
+def outside(count: int) -> Gaussians:
+    """What is seen far below a place where people stood: it gets coarser with the distance."""
     rng = np.random.default_rng(4)
+    away = np.exp(rng.uniform(np.log(6.0), np.log(80.0), count))
+    turns = rng.uniform(0.0, 2.0 * np.pi, count)
+    heights = -4.0 + rng.normal(0.0, 0.3, count) + 0.2 * away * rng.random(count)
+    means = np.column_stack([away * np.cos(turns), away * np.sin(turns), heights])
+    scales = 0.02 * away[:, None] * np.exp(rng.normal(0.0, 0.3, (count, 3)))
+    plain = discs(means, (1.0, 1.0, 1.0), 0.7)
+    return Gaussians(means, plain.quats, scales, plain.opacities, plain.sh0, facts=plain.facts)
+
+
+def platform() -> Gaussians:
+    """A platform with railings above a meadow."""
     fences = [sheet(1, y, (-3.0, 0.0), (3.0, 1.0), 0.06) for y in (-1.5, 1.5)]
     parts = [sheet(2, 0.0, (-3.0, -1.5), (3.0, 1.5), 0.05), box((1.0, -0.4, 0.0), (1.8, 0.4, 0.8), 0.05), *fences]
     fine = Gaussians.concatenate(parts)
-    away = np.exp(rng.uniform(np.log(6.0), np.log(80.0), len(fine) // 2))
-    turns = rng.uniform(0.0, 2.0 * np.pi, len(away))
-    heights = -4.0 + rng.normal(0.0, 0.3, len(away)) + 0.2 * away * rng.random(len(away))
-    means = np.column_stack([away * np.cos(turns), away * np.sin(turns), heights])
-    scales = 0.02 * away[:, None] * np.exp(rng.normal(0.0, 0.3, (len(away), 3)))
-    plain = discs(means, (1.0, 1.0, 1.0), 0.7)
-    meadow = Gaussians(means, plain.quats, scales, plain.opacities, plain.sh0, facts=plain.facts)
-    return Gaussians.concatenate([fine, meadow])
+    return Gaussians.concatenate([fine, outside(len(fine) // 2)])
 
 
 def shelled(g: Gaussians, share: float, farthest: float = 5000.0) -> Gaussians:
@@ -86,6 +90,21 @@ def test_the_detail_of_a_capture_is_where_people_stood() -> None:
     assert core.has_surroundings
     assert core.size < 10.0
     assert not find_core(apartment()).has_surroundings
+
+
+def test_rooms_are_found_in_what_their_windows_show() -> None:
+    rooms = apartment()
+    middle = (4.0, 2.5, 0.0)
+    around = outside(len(rooms) // 2).transform(np.eye(3), middle)
+    g = Gaussians.concatenate([rooms, around])
+    assert find_core(g).has_surroundings
+    space = NavigableSpace.from_scene(g, up=(0.0, 0.0, 1.0), resolution=96)
+    assert space.kind is not None
+    assert space.kind.kind == "rooms"
+    assert space.kind.sure
+    eyes = space.sample_viewpoints(200, np.random.default_rng(0))
+    assert (eyes > (0.0, 0.0, 0.0)).all()
+    assert (eyes < (8.0, 5.0, 2.7)).all()
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
