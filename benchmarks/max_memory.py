@@ -46,12 +46,12 @@ class Case(NamedTuple):
     @property
     def name(self) -> str:
         of = self.scene if self.lod is None else f"{self.scene} LOD {self.lod}"
-        more = f" to {self.out}" if self.command == "convert" else ", large shares" if "--shares" in self.words else ""
+        more = f" to {self.out}" if self.command == "convert" else ", large shares" if "--levels" in self.words else ""
         return f"{self.command} of {of}{more}"
 
 
-_TRAIN = ("--views", "16", "--size", "480x360")
-_LEVELS = ("--iterations", "12", "--held-out", "2", *_TRAIN)
+_TRAIN = ("--views", "16", "--width", "480", "--height", "360")
+_LEVELS = ("--steps", "12", "--held-out", "2", *_TRAIN)
 _COLOR = ("--views", "32", "--held-out", "2")
 _SETS = ("--cells", "2", "--workers", "1")
 _STEPS = ("--steps", "12")
@@ -64,7 +64,7 @@ CASES = (
     Case("clean", "biker", None, ".ply"),
     Case("levels", "flowers", 2, "", _LEVELS),
     Case("levels", "biker", None, "", _LEVELS),
-    Case("levels", "flowers", 3, "", (*_LEVELS, "--shares", "0.5", "0.9")),
+    Case("levels", "flowers", 3, "", (*_LEVELS, "--levels", "0.5", "0.9")),
     Case("color", "nika", 2, ".arrow", _COLOR),
     Case("color", "biker", None, ".arrow", _COLOR),
     Case("pvs", "biker", None, ".pvs", _SETS),

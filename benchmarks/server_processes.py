@@ -37,7 +37,7 @@ def children_of(pid: int) -> list[int]:
 def measured(package: Path, processes: int, viewers: int, seconds: float, warm: float) -> dict[str, Any]:
     """One crowd against a fresh server."""
     command = [sys.executable, "-m", "gsvis", "serve", str(package), "--port", "0", "--json", "--log-format", "json",
-               "--processes", str(processes), "--clients", "400", "--per-address", "400"]  # fmt: skip
+               "--workers", str(processes), "--clients", "400", "--per-address", "400"]  # fmt: skip
     log = Path(f"/tmp/{os.getpid()}-{processes}.log")
     with log.open("w", encoding="utf-8") as errors:
         server = subprocess.Popen(

@@ -57,8 +57,8 @@ SETTLE_S = 300.0  # memory and descriptors have to be flat from then on
 LATE_S = 0.02  # sleep by which the lateness of the viewers' own process is found
 BACKLOG = 2  # visits of each viewer that may wait to be checked
 QUICK = (
-    "--steps", "10", "--views", "6", "--size", "96x72", "--cells", "24", "--limit", "0.01", "--max-inner", "1",
-    "--face-size", "96", "--max-terms", "4",
+    "--steps", "10", "--views", "6", "--width", "96", "--height", "72", "--cells", "24", "--limit", "0.01",
+    "--max-inner", "1", "--face-size", "96", "--max-terms", "4",
 )  # fmt: skip
 
 

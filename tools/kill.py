@@ -50,16 +50,17 @@ HANG = 900.0
 
 VIEWS = ["--views", "4", "--width", "48", "--height", "36"]
 COMMANDS: dict[str, list[str]] = {
-    "pvs": ["pvs", "{scene}", "-o", "out.pvs", "--cells", "8", "--size", "32", "--rays", "512", "--max-inner", "2",
-            "--workers", "2"],
-    "levels": ["levels", "{scene}", "-o", "out", "--iterations", "24", "--views", "6", "--held-out", "2",
-               "--size", "48x36"],
+    "pvs": ["pvs", "{scene}", "-o", "out.pvs", "--cells", "8", "--face-size", "32", "--certify", "512", "--max-inner",
+            "2", "--workers", "2"],
+    "levels": ["levels", "{scene}", "-o", "out", "--steps", "24", "--views", "6", "--held-out", "2",
+               "--width", "48", "--height", "36"],
     "color": ["color", "{scene}", "-o", "out.arrow", *VIEWS, "--held-out", "2", "--max-terms", "2",
               "--report", "report"],
-    "train": ["train", "../photos", "-o", "out.ply", "--iterations", "120", "--evaluate-every", "40",
+    "train": ["train", "../photos", "-o", "out.ply", "--steps", "120", "--evaluate-every", "40",
               "--random-points", "1000", "--checkpoint-seconds", "1"],
-    "prepare": ["prepare", "{scene}", "-o", "out.gsvis", "--steps", "6", "--views", "4", "--size", "48x36", "--cells",
-                "4", "--face-size", "32", "--limit", "0.01", "--max-inner", "2", "--workers", "2", "--max-terms", "1"],
+    "prepare": ["prepare", "{scene}", "-o", "out.gsvis", "--steps", "6", "--views", "4", "--width", "48", "--height",
+                "36", "--cells", "4", "--face-size", "32", "--limit", "0.01", "--max-inner", "2", "--workers", "2",
+                "--max-terms", "1"],
     "convert": ["convert", "{scene}", "out.sog"],
     "analyze": ["analyze", "{scene}", "-o", "out", *VIEWS, "--traced-sample", "200", "--rays-per-face", "1"],
 }  # fmt: skip

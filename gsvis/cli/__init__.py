@@ -118,11 +118,11 @@ def _print_help(name: str, *, every: bool) -> None:
     """
     import tyro
 
-    from gsvis.cli.help import ALL, find_command, short_help
+    from gsvis.cli.help import ALL, find_command, long_help, short_help
 
     kind = find_command(name)
     assert kind is not None, "misspelling has refused unknown commands"
-    shown, others = (kind, 0) if every else short_help(kind)
+    shown, others = (long_help(kind), 0) if every else short_help(kind)
     try:
         tyro.cli(shown, prog=f"gsvis {name}", args=["--help"], config=_style())
     finally:
@@ -131,7 +131,7 @@ def _print_help(name: str, *, every: bool) -> None:
 
 
 def _axes_as_values(arguments: Sequence[str]) -> list[str]:
-    """Return the arguments with the value of --up as one word that tyro does not read as an option.
+    """Return the arguments with the value of --up or --change-up as one word that tyro does not read as an option.
 
     A space goes before -y, and the three numbers of a direction become one word.
     """
@@ -139,13 +139,13 @@ def _axes_as_values(arguments: Sequence[str]) -> list[str]:
     while rest:
         word = rest.pop(0)
         option, equals, value = word.partition("=")
-        if option != "--up" or not (equals or rest):
+        if option.replace("_", "-") not in ("--up", "--change-up") or not (equals or rest):
             words.append(word)
             continue
         given = [value if equals else rest.pop(0)]
         while len(given) < 3 and rest and _is_number(rest[0]) and _is_number(given[0]):
             given.append(rest.pop(0))
-        words += ["--up", " " + " ".join(given)]
+        words += [option, " " + " ".join(given)]
     return words
 
 

@@ -44,7 +44,6 @@ from gsvis.cli.readers import (
     SH_DEGREE,
     SHARE,
     SHARES,
-    SIZE,
     STEPS,
     TAU,
     TERMS,
@@ -111,14 +110,14 @@ class Analyze(Where):
     lod: Lod = None
     """Level of detail of a streamed scene; 0 is the finest."""
     cameras: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: sampled)")] = None
-    """COLMAP model, transforms.json, cameras.json, or report.json of an earlier run, whose views are repeated exactly.
-    Without it cameras are sampled in navigable space."""
+    """Cameras to analyze: a COLMAP model, transforms.json, cameras.json, or report.json of an earlier run, whose views
+    are repeated exactly. Without it cameras are sampled in navigable space."""
     views: Annotated[int | None, COUNTED, hint("16; with --cameras all")] = None
-    """Number of cameras to sample, or to take from FILE at even steps."""
+    """Number of views: cameras to sample, or to take from FILE at even steps."""
     width: Annotated[int | None, PIXELS, hint("256")] = None
-    """Pixel rays across a view."""
+    """Pixels across a view; one ray each."""
     height: Annotated[int | None, PIXELS, hint("192; with --cameras by its aspect")] = None
-    """Pixel rays down a view."""
+    """Pixels down a view."""
     fov: Annotated[float | None, DEGREES, hint("60; with --cameras its own")] = None
     """Horizontal field of view of sampled cameras."""
     seed: Annotated[int, WHOLE] = 0
@@ -130,7 +129,7 @@ class Analyze(Where):
     rays_per_face: Annotated[int, FACE_RAYS] = 16
     """Rays of that tracing over each of the 80 directions: 1, 4, 16 or 64; more find more."""
     json: Flag = False
-    """Print report.json on standard output too."""
+    """Print one JSON document, report.json, instead of tables."""
     drop_invalid: Flag = False
     """Leave out rows whose values are no numbers, and say how many; else they are an error."""
     debug: Flag = False
@@ -149,16 +148,11 @@ class Render(Where):
     """A .png for one camera, a .gif for an animation, or a folder for 0000.png, 0001.png and on; made if missing."""
     lod: Lod = None
     """Level of detail of a streamed scene; 0 is the finest."""
-    camera: Annotated[
-        str | None,
-        arg(
-            aliases=["--cameras"],
-            metavar="FILE",
-            help_behavior_hint="(default: one camera, sampled in navigable space)",
-        ),
+    cameras: Annotated[
+        str | None, arg(metavar="FILE", help_behavior_hint="(default: one camera, sampled in navigable space)")
     ] = None
-    """COLMAP model, transforms.json, cameras.json, or report.json of gsvis analyze; all its cameras, or those of
-    --index."""
+    """Cameras to draw: a COLMAP model, transforms.json, cameras.json, or report.json of gsvis analyze; all of them, or
+    those of --index."""
     index: Annotated[tuple[int, ...] | None, INDICES, hint("all")] = None
     """Which cameras of FILE, counted from 0."""
     orbit: Annotated[int | None, COUNTED, hint("no orbit")] = None
@@ -172,19 +166,19 @@ class Render(Where):
     target: Annotated[tuple[float, ...] | None, POINT, hint("the middle of the scene")] = None
     """What --eye looks at, or --orbit goes around."""
     up: Annotated[str | None, arg(metavar="UP", help_behavior_hint="(default: the likely one)")] = None
-    """Up in the image: an axis such as -y, or three numbers; not with --camera."""
+    """Up in the image: an axis such as -y, or three numbers; not with --cameras."""
     seed: Annotated[int, WHOLE] = 0
-    """Seed of the sampled camera: the same seed gives the same view."""
-    width: Annotated[int | None, PIXELS, hint("640; with --camera that of FILE")] = None
-    """Pixels across."""
-    height: Annotated[int | None, PIXELS, hint("480; with --camera by its aspect")] = None
-    """Pixels down."""
-    fov: Annotated[float | None, DEGREES, hint("60; with --camera its own")] = None
+    """Seed of everything random: the same seed gives the same view."""
+    width: Annotated[int | None, PIXELS, hint("640; with --cameras that of FILE")] = None
+    """Pixels across the pictures."""
+    height: Annotated[int | None, PIXELS, hint("480; with --cameras by its aspect")] = None
+    """Pixels down the pictures."""
+    fov: Annotated[float | None, DEGREES, hint("60; with --cameras its own")] = None
     """Horizontal field of view."""
     background: Annotated[tuple[float, ...], COLOR, hint("0 0 0")] = (0.0, 0.0, 0.0)
     """Color behind everything, each channel in [0, 1]."""
     sh_degree: Annotated[int | None, SH_DEGREE, hint("all there is")] = None
-    """Highest degree of spherical harmonics to evaluate."""
+    """Highest degree of spherical harmonics that is drawn."""
     antialiased: Flag = False
     """Lower opacities so that small Gaussians keep their light; for scenes trained that way."""
     depth: Flag = False
@@ -196,7 +190,7 @@ class Render(Where):
     backend: Annotated[Literal["auto", "cpu", "cuda", "reference"], PLAIN] = "auto"
     """Renderer; auto uses a GPU if there is one that can draw. (default: auto)"""
     overwrite: Flag = False
-    """Replace pictures that something else wrote; those of gsvis render are replaced without it."""
+    """Replace pictures that exist and that something else wrote; those of gsvis render are replaced without it."""
     json: Flag = False
     """Print one JSON document instead of lines."""
     drop_invalid: Flag = False
@@ -223,24 +217,24 @@ class Pvs(WhereSeen):
     """Up in the scene: an axis such as -y, or three numbers."""
     method: Annotated[Literal["hybrid", "raster", "raycast"], PLAIN] = "hybrid"
     """z-buffer and hidden points, cubemap images, or rays. (default: hybrid)"""
-    size: Annotated[int | None, FACE_PIXELS, hint("512")] = None
-    """Pixels or rays along a side of the six faces around a viewpoint."""
+    face_size: Annotated[int | None, FACE_PIXELS, hint("512")] = None
+    """Pixels along a side of the six faces around a viewpoint of a cell."""
     tau: Annotated[float, TAU, hint("1/255")] = 1.0 / 255.0
     """Weight from which a Gaussian counts as visible."""
     limit: Annotated[float | None, SHARE, hint("0.0015")] = None
-    """A cell is finished when rays prove that its set misses at most this share of the light."""
-    rays: Annotated[int | None, COUNTED, hint("8192")] = None
-    """Largest number of rays in one certificate of a cell."""
+    """The set of a cell is finished when rays prove that it misses at most this share of the light."""
+    certify: Annotated[int | None, COUNTED, hint("8192")] = None
+    """Largest number of random rays in each cell that bound the light its set misses."""
     max_inner: Annotated[int | None, WHOLE, hint("16")] = None
     """Largest number of times that a set is mended and certified again."""
     workers: Annotated[int | None, COUNTED, hint("one for each core")] = None
-    """Number of processes; fewer if --max-memory requires it."""
+    """Number of processes; fewer if --max-memory requires it. The sets are the same for any number."""
     max_memory: Annotated[int | None, BYTES, hint("no bound")] = None
     """Memory limit of all processes together, such as 4GB or 2GiB."""
     scheduler: Annotated[str | None, arg(metavar="ADDRESS", help_behavior_hint="(default: this machine)")] = None
-    """Work on the Dask cluster of this scheduler, such as tcp://10.0.0.5:8786; extra 'cluster'."""
+    """Dask scheduler whose workers do the work, such as tcp://10.0.0.5:8786; needs the extra 'cluster'."""
     dry_run: Flag = False
-    """Try a few cells, print time, memory and disk, and write nothing."""
+    """Print time, memory and disk after a few cells were tried, and write nothing."""
     json: Flag = False
     """Print one JSON document instead of tables."""
     drop_invalid: Flag = False
@@ -262,27 +256,27 @@ class PvsReport:
     lod: Lod = None
     """Level of detail of a streamed scene; 0 is the finest."""
     cells: Annotated[int, COUNTED] = 10
-    """Cells to measure, drawn at random; all if there are not more."""
-    viewpoints: Annotated[int, COUNTED] = 4
-    """Fresh viewpoints in each of them."""
+    """Largest number of cells to measure; drawn at random where there are more."""
+    eyes: Annotated[int, COUNTED] = 4
+    """Number of eyes in each of these cells, which no set was made from."""
     dense: Annotated[int, WHOLE] = 27
-    """Further viewpoints whose union the set is compared with in size; 0 for none."""
+    """Number of further eyes in each cell: the set is compared in size with what they see together; 0 for none."""
     width: Annotated[int, PIXELS] = 480
     """Pixels across the images."""
     height: Annotated[int, PIXELS] = 360
     """Pixels down the images."""
     fov: Annotated[float, DEGREES, hint("70")] = 70.0
     """Horizontal field of view of the images."""
-    rays: Flag = False
-    """Trace rays at the fresh viewpoints, too."""
+    raycast: Flag = False
+    """Also trace rays from these eyes."""
     certify: Annotated[int, WHOLE] = 8192
-    """Random rays in each cell that bound the light its set misses; 0 for none."""
+    """Largest number of random rays in each cell that bound the light its set misses; 0 for none."""
     bytes_per_gaussian: Annotated[int | None, COUNTED, hint("32 bits for each attribute")] = None
-    """What sending one Gaussian costs."""
+    """Bytes that sending one Gaussian costs."""
     seed: Annotated[int, WHOLE] = 0
     """Seed of everything random: the same seed gives the same report."""
     json: Flag = False
-    """Print report.json on standard output instead of tables."""
+    """Print one JSON document, report.json, instead of tables."""
     drop_invalid: Flag = False
     """Leave out rows whose values are no numbers, and say how many; else they are an error."""
     debug: Flag = False
@@ -300,7 +294,7 @@ class Color(WhereSeen):
     lod: Lod = None
     """Level of detail of a streamed scene; 0 is the finest."""
     pvs: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: directions are traced)")] = None
-    """Visible sets of this scene (gsvis pvs): they hold from where each Gaussian is seen."""
+    """Visible sets of SCENE (gsvis pvs): they hold from where each Gaussian is seen."""
     variant: Annotated[Literal["hsl", "hsl-l", "hsv", "yuv", "axis", "axes", "axes-split", "rgb"], PLAIN] = "rgb"
     """How colors are split; the first four are the paper's. (default: rgb)"""
     max_terms: Annotated[int | None, TERMS, hint("24")] = None
@@ -310,13 +304,13 @@ class Color(WhereSeen):
     no_refine: Flag = False
     """Leave terms on the grid that they are chosen from: quicker, and worse."""
     views: Annotated[int, COUNTED] = 256
-    """Views that measure how much each Gaussian counts."""
+    """Number of views that measure how much each Gaussian counts."""
     held_out: Annotated[int, WHOLE] = 8
-    """Further views, for the comparison with SH; 0 for none."""
+    """Number of further views to measure on, for the comparison with SH; 0 for none."""
     width: Annotated[int, PIXELS] = 480
-    """Pixels across these, and across those of --epsilon auto and --staircase."""
+    """Pixels across these views, and across those of --epsilon auto and --staircase."""
     height: Annotated[int, PIXELS] = 360
-    """Pixels down."""
+    """Pixels down these views."""
     up: Annotated[str | None, arg(metavar="UP", help_behavior_hint="(default: the likely one)")] = None
     """Up in the scene: an axis such as -y, or three numbers; not with --pvs."""
     seed: Annotated[int, WHOLE] = 0
@@ -324,15 +318,15 @@ class Color(WhereSeen):
     precision: Annotated[Literal["coarse", "wire", "fine", "exact"], PLAIN] = "wire"
     """Bits of what is written; exact keeps 32 bits a number. (default: wire)"""
     epsilon: Annotated[float | None, EPSILON, hint("auto where it is needed")] = None
-    """Change of color from which a term is active; auto asks the metric FLIP what an eye would see."""
+    """Smallest change of a color for which a term is sent; auto asks the metric FLIP what an eye would see."""
     active: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Write the terms that each cell of --pvs needs, such as scene.terms.arrow."""
     report: Annotated[str | None, arg(metavar="DIR", help_behavior_hint="(default: none)")] = None
-    """Folder for report.html (all in one file), report.json and the pictures; made if missing."""
+    """Report to write: a folder for report.html (all in one file), report.json and the pictures; made if missing."""
     staircase: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Write a web page on which a person finds their own epsilon, such as test.html."""
     max_memory: Annotated[int | None, BYTES, hint("no bound")] = None
-    """Refuse a scene that needs more memory, such as 8GB, before it is read."""
+    """Memory limit, such as 8GB: a scene that needs more is refused before it is read."""
     json: Flag = False
     """Print one JSON document instead of tables."""
     drop_invalid: Flag = False
@@ -345,42 +339,44 @@ class Color(WhereSeen):
 class Train:
     """Train a scene on photographs with a reconstruction."""
 
-    source: Annotated[Positional[str], arg(metavar="IMAGES", help_behavior_hint="")]
-    """Folder with a COLMAP model (undistorted) and its images, or with a transforms.json."""
+    source: Annotated[Positional[str], arg(metavar="PHOTOS", help_behavior_hint="")]
+    """Folder of photographs with a COLMAP model (undistorted), or with a transforms.json."""
     out: Annotated[str, arg(aliases=["-o"], metavar="FILE", help_behavior_hint="(required)")]
     """The scene to write, .ply, .spz, .sog or .ksplat. Its record goes beside it: scene.train.json."""
     images: Annotated[str | None, arg(metavar="DIR", help_behavior_hint="(default: images, beside the model)")] = None
-    """Folder of the photographs."""
-    size: Annotated[tuple[int, int] | None, SIZE, hint("that of the images")] = None
-    """Shrink the photographs to this, such as 400x266."""
+    """Folder of the photographs alone, where it lies elsewhere."""
+    width: Annotated[int | None, PIXELS, hint("theirs")] = None
+    """Pixels across the photographs, which are shrunk to it; with --height."""
+    height: Annotated[int | None, PIXELS, hint("theirs")] = None
+    """Pixels down the photographs; with --width."""
     downscale: Annotated[float | None, FACTOR, hint("1")] = None
-    """Or by this factor."""
-    iterations: Annotated[int, STEPS] = 7000
-    """Steps, one photograph each. The schedule of 3DGS is shortened with them."""
+    """Shrink the photographs by this factor instead."""
+    steps: Annotated[int, STEPS] = 7000
+    """Steps of training, one photograph each. The schedule of 3DGS is shortened with them."""
     sh_degree: Annotated[int, SH_DEGREE] = 3
-    """Degree of spherical harmonics that colors grow to."""
+    """Highest degree of spherical harmonics, which colors grow to."""
     max_gaussians: Annotated[int | None, COUNTED, hint("5000000")] = None
-    """Add no more once there are so many."""
-    hold_out: Annotated[int, WHOLE] = 8
+    """Largest number of Gaussians."""
+    test_every: Annotated[int, WHOLE] = 8
     """Keep every N-th photograph, by name, from training and measure on it; 0 for none."""
     evaluate_every: Annotated[int, WHOLE] = 1000
     """Steps from one measurement to the next; 0 for one at the end."""
     random_points: Annotated[int | None, COUNTED, hint("50000 where there are none")] = None
-    """Begin with so many random points instead of those of the reconstruction."""
+    """Number of random points to begin with, instead of those of the reconstruction."""
     seed: Annotated[int, WHOLE] = 0
     """Seed of everything random: the same seed gives the same scene."""
     backend: Annotated[Literal["auto", "cpu", "cuda"], PLAIN] = "auto"
     """Renderer; auto uses a GPU if there is one that can draw. (default: auto)"""
     checkpoint: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: OUT.checkpoint)")] = None
-    """Keeps an unfinished run, and is removed at its end. The same command resumes from it."""
+    """File that keeps an unfinished run. The same command resumes from it; it is removed at the end."""
     checkpoint_seconds: Annotated[int, COUNTED] = 120
-    """Seconds from one write of it to the next: what a kill may cost."""
+    """Seconds between two writes of the checkpoint: what a kill may cost."""
     restart: Flag = False
     """Ignore a checkpoint and begin again."""
     overwrite: Flag = False
-    """Replace a scene that exists. To resume from a checkpoint needs no --overwrite."""
+    """Replace OUT if it exists. To resume from a checkpoint needs no --overwrite."""
     json: Flag = False
-    """Print the record on standard output instead of a table."""
+    """Print one JSON document, the record, instead of a table."""
     debug: Flag = False
     """Show the traceback of an error."""
 
@@ -397,7 +393,7 @@ class Levels(WhereSeen):
     """Level of detail of a streamed scene to start from; 0 is the finest."""
     photos: Annotated[str | None, arg(metavar="DIR", help_behavior_hint="(default: renders of the scene)")] = None
     """Photographs to train on, with the COLMAP model or transforms.json that SCENE was trained from."""
-    shares: Annotated[tuple[float, ...], SHARES, hint("0.25 0.5")] = (0.25, 0.5)
+    levels: Annotated[tuple[float, ...], SHARES, hint("0.25 0.5")] = (0.25, 0.5)
     """Size of each lower level as a share of the scene's, lowest first."""
     reuse: Annotated[tuple[float, ...] | None, SHARES, hint("0.9 0.96")] = None
     """Least share of each lower level that stands unchanged in the next."""
@@ -405,20 +401,22 @@ class Levels(WhereSeen):
     """Names of these levels and their files, that of the scene itself last."""
     preview: Annotated[float | None, PREVIEW_SHARE, hint("0.02; 0 below 50,000 Gaussians")] = None
     """Size of the first picture, merged Gaussians below all other levels, as a share of the scene's; 0 for none."""
-    iterations: Annotated[int, STEPS] = 400
+    steps: Annotated[int, STEPS] = 400
     """Steps of training for each lower level, one view each."""
     views: Annotated[int | None, COUNTED, hint("400")] = None
-    """Cameras to train on, sampled where viewers may stand; not with --photos, which trains on 7 of 8."""
+    """Number of views to train on, sampled where viewers may stand; not with --photos, which trains on 7 of 8."""
     held_out: Annotated[int | None, WHOLE, hint("12")] = None
-    """Further cameras, to measure on; 0 for none. With --photos it is every 8th."""
-    size: Annotated[tuple[int, int] | None, SIZE, hint("480x360; with --photos theirs")] = None
-    """Pixels of the views to measure on; those to train on are wider and smaller. Photographs are shrunk to it."""
+    """Number of further views to measure on; 0 for none. With --photos it is every 8th."""
+    width: Annotated[int | None, PIXELS, hint("480; with --photos theirs")] = None
+    """Pixels across the views to measure on; those to train on are wider and smaller. Photographs are shrunk to it."""
+    height: Annotated[int | None, PIXELS, hint("360; with --photos theirs")] = None
+    """Pixels down these views."""
     up: Annotated[str | None, arg(metavar="UP", help_behavior_hint="(default: the likely one)")] = None
     """Up in the scene: an axis such as -y, or three numbers; not with --photos."""
     seed: Annotated[int, WHOLE] = 0
     """Seed of everything random: the same seed gives the same levels."""
     max_memory: Annotated[int | None, BYTES, hint("no bound")] = None
-    """Refuse a scene that needs more memory, such as 8GB, before it is read."""
+    """Memory limit, such as 8GB: a scene that needs more is refused before it is read."""
     json: Flag = False
     """Print one JSON document instead of tables."""
     drop_invalid: Flag = False

@@ -45,9 +45,9 @@ class Convert:
     """Keep the Gaussians whose center lies in this box, in the frame of the scenes as they are."""
     min_opacity: Annotated[float, OPACITY] = 0.0
     """Drop Gaussians fainter than this."""
-    max_sh_degree: Annotated[int, SH_DEGREE] = 3
-    """Drop spherical harmonics above this degree."""
-    up: Annotated[str | None, arg(metavar="FROM:TO", help_behavior_hint="(default: left as it is)")] = None
+    sh_degree: Annotated[int, SH_DEGREE] = 3
+    """Highest degree of spherical harmonics that is kept."""
+    change_up: Annotated[str | None, arg(metavar="FROM:TO", help_behavior_hint="(default: left as it is)")] = None
     """Turn the scene so that axis FROM becomes TO, as in -y:+z."""
     scale: Annotated[float, SCALE] = 1.0
     """Enlarge the scene by this factor, about the origin."""
@@ -57,12 +57,12 @@ class Convert:
     """Move the scene, all of it. To place one scene beside another, convert it alone first."""
     compact: Flag = False
     """Round an SPZ as other encoders do: a quarter to two fifths smaller, several dB worse."""
-    compression: Annotated[int | None, COMPRESSION, hint("1")] = None
-    """Of a .ksplat: 0 whole floats, 1 half floats, 2 also a byte for each SH coefficient."""
+    ksplat_compression: Annotated[int | None, COMPRESSION, hint("1")] = None
+    """Compression of a .ksplat: 0 whole floats, 1 half floats, 2 also a byte for each SH coefficient."""
     max_memory: Annotated[int | None, BYTES, hint("no bound")] = None
-    """Refuse work that needs more memory, such as 4GB. A .ply is written batch by batch and fits."""
+    """Memory limit, such as 4GB: work that needs more is refused. A .ply is written batch by batch and fits."""
     overwrite: Flag = False
-    """Replace OUT if it exists."""
+    """Replace files that exist."""
     json: Flag = False
     """Print one JSON document instead of a line."""
     drop_invalid: Flag = False

@@ -40,7 +40,7 @@ class Clean(Where):
     lod: Lod = None
     """Level of detail of a streamed scene; 0 is the finest."""
     report: Annotated[str | None, arg(metavar="DIR", help_behavior_hint="(default: no report)")] = None
-    """Folder for report.html (all in one file), report.json and pictures of what goes, by class; made if missing."""
+    """Report to write: a folder for report.html (all in one file), report.json and pictures of what goes, by class."""
     select: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: no file)")] = None
     """Write the class of each Gaussian: 0 stays, 1 flyaways, 2 interior, 3 unseen, 4 fog, 5 floaters."""
     apply: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: look for what can go)")] = None
@@ -50,23 +50,24 @@ class Clean(Where):
     strength: Annotated[float, STRENGTH] = 1.0
     """How readily fog and floaters are found, above 0 to 2."""
     cameras: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
-    """COLMAP model, transforms.json or cameras.json of photographs, which are eyes too."""
+    """Cameras of the capture, in the frame of SCENE: a COLMAP model, transforms.json or cameras.json. They are eyes,
+    too."""
     eyes: Annotated[int, COUNTED] = 40
-    """Viewpoints in navigable space that look around."""
+    """Number of eyes in navigable space that look all around."""
     held_out: Annotated[int, WHOLE] = 8
-    """Views that the guard draws before and after; 0 for no guard."""
-    least_db: Annotated[float, DECIBELS] = 45.0
-    """PSNR that each of them keeps when flyaways, interior and unseen go; else a class is given back."""
-    most_changed: Annotated[float, SHARE] = 0.1
-    """Share of their pixels that fog or floaters that go may mostly make; else the class is given back."""
+    """Number of further views to measure on: the guard draws them before and after; 0 for none."""
+    min_psnr: Annotated[float, DECIBELS] = 45.0
+    """Least PSNR of such a view when flyaways, interior and unseen go; else a class is given back."""
+    max_changed: Annotated[float, SHARE] = 0.1
+    """Largest share of the pixels of these views that fog or floaters may have made; else the class is given back."""
     up: Annotated[str | None, arg(metavar="UP", help_behavior_hint="(default: the likely one)")] = None
     """Up in the scene: an axis such as -y, or three numbers."""
     seed: Annotated[int, WHOLE] = 0
-    """Seed of eyes and views: the same seed gives the same result."""
+    """Seed of everything random: the same seed gives the same file."""
     max_memory: Annotated[int | None, BYTES, hint("no bound")] = None
     """Memory limit, such as 2GB. A scene that needs more is cleaned in tiles, to a .ply; a killed run resumes."""
     overwrite: Flag = False
-    """Replace OUT and the file of --select if they exist."""
+    """Replace files that exist."""
     json: Flag = False
     """Print one JSON document instead of a table."""
     drop_invalid: Flag = False
@@ -86,22 +87,22 @@ class Cut(Where):
     lod: Lod = None
     """Level of detail of a streamed scene; 0 is the finest."""
     cameras: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: no cameras)")] = None
-    """Keep what these cameras show: a COLMAP model, transforms.json, cameras.json, or report.json of gsvis analyze.
+    """Cameras whose views are kept: a COLMAP model, transforms.json, cameras.json, or report.json of gsvis analyze.
     With --margin eyes may lie so far beside them."""
     fov: Annotated[float | None, DEGREES, hint("eyes look all around")] = None
-    """With --path: keep only what the frames of the walk show, at this horizontal field of view."""
+    """Horizontal field of view of the frames of --path: only what they show is kept."""
     up: Annotated[str | None, arg(metavar="UP", help_behavior_hint="(default: the likely one)")] = None
     """Up in the scene: an axis such as -y, or three numbers."""
     tau: Annotated[float, TAU, hint("1/255")] = 1.0 / 255.0
-    """Weight from which a Gaussian is kept."""
+    """Weight from which a Gaussian counts as visible."""
     limit: Annotated[float, SHARE, hint("0.0015")] = 0.0015
-    """Rays go on until they prove that at most this share of the light is missing."""
-    size: Annotated[int | None, FACE_PIXELS, hint("512")] = None
+    """The set that is kept is finished when rays prove that it misses at most this share of the light."""
+    face_size: Annotated[int | None, FACE_PIXELS, hint("512")] = None
     """Pixels along a side of the six faces around an eye."""
-    views: Annotated[int, WHOLE] = 16
-    """Views in one round that are drawn before and after; 0 for none."""
+    held_out: Annotated[int, WHOLE] = 16
+    """Number of further views to measure on in one round; 0 for none."""
     min_psnr: Annotated[float, DECIBELS, hint("45")] = 45.0
-    """A drawn view below this gets what it lacks, and others are drawn."""
+    """Least PSNR of such a view; one below it gets what it lacks, and others are drawn."""
     select: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Write what is kept as a NumPy file too: one true or false for each Gaussian of SCENE."""
     seed: Annotated[int, WHOLE] = 0
@@ -131,10 +132,10 @@ class Paint(WhereSeen):
     lod: Lod = None
     """Level of detail of a streamed scene; 0 is the finest."""
     pvs: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: eyes are drawn)")] = None
-    """Take the quantity from visible sets of this scene (gsvis pvs); not for importance."""
+    """Visible sets of SCENE (gsvis pvs), to take the quantity from; not for importance."""
     eyes: Annotated[int | None, COUNTED, hint("64; for importance 96")] = None
-    """Number of eyes that are drawn: places, cells or views."""
-    size: Annotated[int | None, FACE_PIXELS, hint("512")] = None
+    """Number of eyes that look all around; for importance, of views."""
+    face_size: Annotated[int | None, FACE_PIXELS, hint("512")] = None
     """Pixels along a side of the six faces around an eye."""
     up: Annotated[str | None, arg(metavar="UP", help_behavior_hint="(default: the likely one)")] = None
     """Up in the scene: an axis such as -y, or three numbers; not with --pvs."""

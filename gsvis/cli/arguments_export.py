@@ -25,7 +25,7 @@ class Export:
     PlayCanvas' engine, and which of them each cell needs; 3dtiles: a tileset for CesiumJS; glb: one file of glTF.
     (default: static)"""
     pvs: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: those of a package)")] = None
-    """Visible sets of a scene that is no package (gsvis pvs); for streamed-sog and 3dtiles."""
+    """Visible sets of SCENE (gsvis pvs), where it is no package; for streamed-sog and 3dtiles."""
     never_seen: Annotated[Literal["keep", "drop"], PLAIN] = "keep"
     """What streamed-sog and 3dtiles do with Gaussians that no cell sees; from outside, holes show. (default: keep)"""
     leaf: Annotated[int | None, LEAF, hint("8192")] = None
@@ -37,7 +37,7 @@ class Export:
     """Have viewers of 3dtiles request a tile only in the box of the cells that need it. From outside of all cells
     little is drawn then. Needs visible sets."""
     meters_per_unit: Annotated[float | None, DISTANCE, hint("the package's, or 1")] = None
-    """Length of a scene unit, for 3dtiles and glb."""
+    """Length of a scene unit in meters, for 3dtiles and glb."""
     name: Annotated[str | None, arg(metavar="NAME", help_behavior_hint="(default: that of SCENE)")] = None
     """Name of the scene in the page."""
     page_origins: Annotated[tuple[str, ...], ORIGINS, hint("its own address")] = ()
@@ -49,8 +49,8 @@ class Export:
     )
     """Up in the scene: an axis such as -y, or three numbers."""
     overwrite: Flag = False
-    """Replace a file that exists, an earlier streamed SOG or tileset, or a page of something else; an earlier site is
-    replaced without it."""
+    """Replace files that exist: a file, an earlier streamed SOG or tileset, or a page of something else. An earlier
+    site is replaced without it."""
     json: Flag = False
     """Print one JSON document instead of lines."""
     drop_invalid: Flag = False

@@ -17,13 +17,13 @@ from gsvis.cli.readers import (
     FACE_PIXELS,
     MEAN_TERMS,
     NAMES,
+    PIXELS,
     PLAIN,
     PREVIEW_SHARE,
     SH_DEGREE,
     SHARE,
     SHARES,
     SHARES_OR_NONE,
-    SIZE,
     STEPS,
     TERMS,
     WHOLE,
@@ -59,9 +59,11 @@ class Prepare(WhereSeen):
     steps: Annotated[int, STEPS] = 400
     """Steps of training for each lower level, one view each."""
     views: Annotated[int | None, COUNTED, hint("400")] = None
-    """Cameras to train levels from, sampled where viewers may stand; not with --photos."""
-    size: Annotated[tuple[int, int] | None, SIZE, hint("480x360; with --photos theirs")] = None
-    """Pixels of these views; photographs are shrunk to it."""
+    """Number of views to train on, sampled where viewers may stand; not with --photos, which trains on 7 of 8."""
+    width: Annotated[int | None, PIXELS, hint("480; with --photos theirs")] = None
+    """Pixels across views to measure on; those to train on are wider and smaller. Photographs are shrunk to it."""
+    height: Annotated[int | None, PIXELS, hint("360; with --photos theirs")] = None
+    """Pixels down these views."""
     cells: Annotated[int | None, CELLS, hint("256, or 64 around an object whose sets hardly grow then")] = None
     """Largest number of cells. They are as small as it allows."""
     cell_size: Annotated[float | None, DISTANCE, hint("the smallest that --cells allows")] = None
@@ -83,17 +85,17 @@ class Prepare(WhereSeen):
     up: Annotated[str | None, arg(metavar="UP", help_behavior_hint="(default: the likely one)")] = None
     """Up in the scene: an axis such as -y, or three numbers."""
     meters_per_unit: Annotated[float | None, DISTANCE, hint("not known")] = None
-    """Size of a scene unit, kept in the package."""
+    """Length of a scene unit in meters, kept in the package."""
     seed: Annotated[int, WHOLE] = 0
     """Seed of everything random: the same seed gives the same package."""
     workers: Annotated[int | None, COUNTED, hint("one for each core")] = None
-    """Processes that find visible sets. The package is the same for any number."""
+    """Number of processes that find visible sets. The package is the same for any number."""
     max_memory: Annotated[int | None, BYTES, hint("no bound")] = None
     """Memory limit of all processes together, such as 4GB or 2GiB."""
     dry_run: Flag = False
-    """Print the stages, time, memory and disk, and write nothing."""
+    """Print time, memory and disk of each stage, and write nothing."""
     discard: Flag = False
-    """Delete what is kept between runs when the package is complete."""
+    """Delete what is kept for the next run, scene.gsvis.work, when the package is complete."""
     json: Flag = False
     """Print one JSON document instead of tables."""
     drop_invalid: Flag = False
@@ -127,7 +129,7 @@ class Unpack:
     out: Annotated[str, arg(aliases=["-o"], metavar="DIR", help_behavior_hint="(required)")]
     """Folder for low.ply, ... and levels.arrow, the map of reuse; made if missing."""
     sh_degree: Annotated[int | None, SH_DEGREE, hint("3, 0 where colors have no terms")] = None
-    """Degree of the spherical harmonics that terms are fitted with; 0 keeps base colors alone."""
+    """Highest degree of spherical harmonics, which terms are fitted with; 0 keeps base colors alone."""
     json: Flag = False
     """Print one JSON document instead of lines."""
     debug: Flag = False

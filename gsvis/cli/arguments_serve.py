@@ -74,8 +74,8 @@ class Serve:
     """Memory limit for mapped tables, for each process."""
     close: Annotated[float, SECONDS] = 600.0
     """Close a scene that nobody looks at for so many seconds; the next viewer opens it again."""
-    processes: Annotated[int, COUNTED] = 1
-    """Processes that serve on the one port, one for each core."""
+    workers: Annotated[int, COUNTED] = 1
+    """Number of processes that serve on the one port; as many as cores serve most viewers."""
     planners: Annotated[int, WHOLE] = 0
     """Threads that plan what to send; 0 plans in the event loop."""
     log_format: Annotated[Literal["text", "json"], PLAIN] = "text"

@@ -27,7 +27,8 @@ class Simulate:
     package: Annotated[Positional[tuple[str, ...]], PACKAGES, arg(help_behavior_hint="")]
     """Folders of packages or worlds, such as scene.gsvis; several are visited one after the other."""
     path: Annotated[str, arg(metavar="FILE", help_behavior_hint="(required)")]
-    """Recorded head poses: EyeNavGS, or columns t,x,y,z,qw,qx,qy,qz. Moved into the scene if they lie outside."""
+    """Walk of the viewer: a CSV of poses (t,x,y,z,qw,qx,qy,qz) or an EyeNavGS recording. Moved into the
+    scene if it lies outside."""
     out: Annotated[str, arg(aliases=["-o"], metavar="DIR", help_behavior_hint="(required)")]
     """Folder for report.html (all in one file), report.json and the pictures; made if missing."""
     trace: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: --mbit)")] = None
@@ -51,21 +52,21 @@ class Simulate:
     whole_file: Annotated[tuple[str, ...], _FILES, hint("written as SOG and measured")] = ()
     """A file or folder of each scene; its size is used for the whole file."""
     width: Annotated[int, PIXELS] = 320
-    """Pixels of the images that are compared."""
+    """Pixels across the views that are compared."""
     height: Annotated[int, PIXELS] = 240
-    """Pixels."""
+    """Pixels down these views."""
     fov: Annotated[float, DEGREES] = 90.0
-    """Horizontal field of view."""
+    """Horizontal field of view of the viewer."""
     every: Annotated[float, SECONDS] = 0.5
     """Seconds between comparisons after the first three seconds; 0.1 before."""
     as_is: Flag = False
     """Leave the path where it is, even outside of the scene."""
     seed: Annotated[int, WHOLE] = 0
-    """Of the place to which a path is brought."""
+    """Seed of everything random: the same seed gives the same report."""
     max_memory: Annotated[int | None, BYTES, hint("no bound; worlds must fit this machine")] = None
-    """Refuse what needs more memory, such as 4GB: all records are read."""
+    """Memory limit, such as 4GB: what needs more is refused. All records are read."""
     json: Flag = False
-    """Print report.json on standard output instead of tables."""
+    """Print one JSON document, report.json, instead of tables."""
     drop_invalid: Flag = False
     """Leave out rows whose values are no numbers, and say how many; else they are an error."""
     debug: Flag = False

@@ -31,7 +31,7 @@ class Space(WhereSeen):
     frame: Annotated[Literal["upright", "scene"], PLAIN] = "upright"
     """Frame of the meshes. upright: +y points upwards; scene: the frame of SCENE. (default: upright)"""
     meters_per_unit: Annotated[float | None, DISTANCE, hint("scene units stay")] = None
-    """Length of a scene unit: upright meshes are in meters then."""
+    """Length of a scene unit in meters: upright meshes are in meters then."""
     overwrite: Flag = False
     """Replace files that exist."""
     json: Flag = False

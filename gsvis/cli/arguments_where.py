@@ -21,8 +21,8 @@ class Where:
     around: Annotated[tuple[float, ...] | None, AROUND, hint("where the scene is an object")] = None
     """Put viewpoints around an object, auto for the whole scene, or its center and radius, in the frame of SCENE."""
     path: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: no path)")] = None
-    """Restrict viewpoints to this walk, in the frame of SCENE: a CSV of poses (t,x,y,z,qw,qx,qy,qz) or an EyeNavGS
-    recording."""
+    """Walk that viewpoints are restricted to, in the frame of SCENE: a CSV of poses (t,x,y,z,qw,qx,qy,qz) or an
+    EyeNavGS recording."""
     margin: Annotated[float | None, DISTANCE, hint("3 voxels of the navigable space")] = None
     """Distance of viewpoints from --path, at most, in scene units."""
     retarget: Flag = False

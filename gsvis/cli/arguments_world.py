@@ -57,30 +57,31 @@ class World:
     limit: Annotated[float | None, SHARE, hint("0.0015")] = None
     """The set of a cell is finished when rays prove that it misses at most this share of the light."""
     path: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: no path)")] = None
-    """Restrict viewpoints to this walk, in the frame of the scenes: a CSV of poses (t,x,y,z,qw,qx,qy,qz) or an EyeNavGS
-    recording. Tiles that it does not come near have no cells."""
+    """Walk that viewpoints are restricted to, in the frame of the scenes: a CSV of poses (t,x,y,z,qw,qx,qy,qz) or an
+    EyeNavGS recording. Tiles that it does not come near have no cells."""
     margin: Annotated[float | None, DISTANCE, hint("1")] = None
     """Distance of viewpoints from --path, at most, in scene units."""
     up: Annotated[str | None, arg(metavar="UP", help_behavior_hint="(default: the likely one)")] = None
     """Up in the scene: an axis such as -y, or three numbers, of which a world takes the nearest axis."""
     meters_per_unit: Annotated[float | None, DISTANCE, hint("not known")] = None
-    """Size of a scene unit, kept in the world."""
+    """Length of a scene unit in meters, kept in the world."""
     seed: Annotated[int, WHOLE] = 0
     """Seed of everything random: the same seed gives the same world."""
     workers: Annotated[int | None, COUNTED, hint("one for each core")] = None
-    """Processes of this machine. The world is the same for any number."""
+    """Number of processes of this machine. The world is the same for any number."""
     max_memory: Annotated[int | None, BYTES, hint("no bound")] = None
     """Memory limit of all processes together, such as 4GB or 2GiB."""
     scheduler: Annotated[str | None, arg(metavar="ADDRESS", help_behavior_hint="(default: this machine)")] = None
-    """Dask scheduler whose workers do the work, such as tcp://10.0.0.5:8786. They must reach the scenes and --store."""
-    store: Annotated[str | None, arg(metavar="DIR or URL", help_behavior_hint="(default: beside DIR)")] = None
+    """Dask scheduler whose workers do the work, such as tcp://10.0.0.5:8786. They must reach the scenes and --work."""
+    work: Annotated[str | None, arg(metavar="DIR or URL", help_behavior_hint="(default: beside DIR)")] = None
     """Where results of tasks lie: a shared folder or a URL of fsspec, such as s3://bucket/city."""
     until: Annotated[Literal["tiles", "levels", "world"], PLAIN] = "world"
     """Stop early: tiles writes a PLY for each into DIR, levels a folder of levels, with tiles.json. (default: world)"""
     dry_run: Flag = False
-    """Print tiles, time, memory, disk and core hours, and write nothing."""
+    """Print time, memory and disk, tiles and core hours, and write nothing."""
     discard: Flag = False
-    """Delete city.gsworld.work when the world is complete; what lies in --store stays."""
+    """Delete what is kept for the next run, city.gsworld.work, when the world is complete, but not what lies in
+    --work."""
     json: Flag = False
     """Print one JSON document instead of tables."""
     drop_invalid: Flag = False

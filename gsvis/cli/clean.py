@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 __all__ = ["run_clean"]
 
 _CAMERAS = 200  # most photographs whose viewpoints are eyes
-_SEARCH = ("report", "select", "cameras", "strength", "eyes", "held_out", "least_db", "most_changed", "up", "seed")
+_SEARCH = ("report", "select", "cameras", "strength", "eyes", "held_out", "min_psnr", "max_changed", "up", "seed")
 
 
 def run_clean(command: Clean) -> None:
@@ -87,7 +87,7 @@ def _check_arguments(command: Clean) -> CleanConfig:
     try:
         config = CleanConfig(
             classes=command.classes or CLASSES, strength=command.strength, eyes=command.eyes,
-            held_out=command.held_out, least_db=command.least_db, most_changed=command.most_changed, seed=command.seed,
+            held_out=command.held_out, least_db=command.min_psnr, most_changed=command.max_changed, seed=command.seed,
         )  # fmt: skip
     except ValueError as error:
         raise ValueError(f"--{str(error).replace('_', '-', 1)}") from None
@@ -252,8 +252,8 @@ def _lines(command: Clean, document: dict[str, Any]) -> list[str]:
 def _command_line(command: Clean) -> str:
     """Return the command line that gives the same result."""
     words = ["gsvis", "clean", command.scene]
-    names = ("out", "lod", *WORDS, "report", "select", "strength", "cameras", "eyes", "held_out", "least_db",
-             "most_changed", "up", "seed")  # fmt: skip
+    names = ("out", "lod", *WORDS, "report", "select", "strength", "cameras", "eyes", "held_out", "min_psnr",
+             "max_changed", "up", "seed")  # fmt: skip
     for name in names:
         value = getattr(command, name)
         if value is not None and value != getattr(Clean, name):

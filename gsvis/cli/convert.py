@@ -42,7 +42,7 @@ def run_convert(command: Convert) -> None:
     """
     scenes, out = _split_paths(command)
     lods = _check_inputs(scenes, command.lod)
-    up = _axes(command.up)
+    up = _axes(command.change_up)
     given = scenes[0] if len(scenes) == 1 else scenes
     target = check_scene_out(out, given, command.overwrite, name="OUT", source="IN", others=(_PAGE,))
     _check_options(command, target)
@@ -112,8 +112,8 @@ def _convert_batches(
 ) -> tuple[list[_Input], int, int]:
     """Write the PLY batch by batch; return what was read, and Gaussians and SH degree of what was written."""
     drops = command.crop is not None or command.min_opacity > 0.0
-    convert = partial(convert, max_sh_degree=command.max_sh_degree)
-    made = convert_batches(batches, target, convert, drops=drops, max_sh_degree=command.max_sh_degree, progress=status)
+    convert = partial(convert, max_sh_degree=command.sh_degree)
+    made = convert_batches(batches, target, convert, drops=drops, max_sh_degree=command.sh_degree, progress=status)
     inputs = [
         _Input(scene[0].path, title_of(scene[0].path, scene[0].lod), scene[0].lod, count, degree)
         for scene, count, degree in zip(batches, made.counts, made.sh_degrees, strict=True)
@@ -189,9 +189,9 @@ def _check_options(command: Convert, target: Path) -> None:
     suffix = target.suffix.lower()
     if command.compact and suffix != ".spz":
         raise ValueError(f"--compact: expected an OUT that ends in .spz with it, got {str(target)!r}; leave it out")
-    if command.compression is not None and suffix != ".ksplat":
+    if command.ksplat_compression is not None and suffix != ".ksplat":
         raise ValueError(
-            f"--compression: expected an OUT that ends in .ksplat with it, got {str(target)!r}; leave it out"
+            f"--ksplat-compression: expected an OUT that ends in .ksplat with it, got {str(target)!r}; leave it out"
         )
     if suffix == _PAGE:
         from gsvis.export.page import check_viewer
@@ -220,7 +220,7 @@ def _read(
 
 def _degree(command: Convert, target: Path, scene: Gaussians, status: Status) -> int:
     """Return the highest SH degree to write; say so where the format of OUT lowers it."""
-    degree = command.max_sh_degree
+    degree = command.sh_degree
     if target.suffix.lower() != ".ksplat" or min(degree, scene.sh_degree) <= _KSPLAT_DEGREE:
         return degree
     status.line(f"{target}: SH degree {scene.sh_degree} is reduced to {_KSPLAT_DEGREE}, the highest of .ksplat")
@@ -230,8 +230,8 @@ def _degree(command: Convert, target: Path, scene: Gaussians, status: Status) ->
 def _write(command: Convert, target: Path, scene: Gaussians) -> None:
     if command.compact:
         save_spz(scene, target, compact=True)
-    elif command.compression is not None:
-        save_ksplat(scene, target, compression=command.compression)
+    elif command.ksplat_compression is not None:
+        save_ksplat(scene, target, compression=command.ksplat_compression)
     else:
         save_scene(scene, target)
 
@@ -264,7 +264,7 @@ def _document(command: Convert, out: str, inputs: list[_Input], gaussians: int, 
         "sh_degree_in": max(each.sh_degree for each in inputs),
         "sh_degree_out": sh_degree,
         "placement": {
-            "up": None if command.up is None else command.up.strip(),
+            "up": None if command.change_up is None else command.change_up.strip(),
             "scale": command.scale,
             "rotate": list(command.rotate or (0.0, 0.0, 0.0)),
             "translate": list(command.translate or (0.0, 0.0, 0.0)),
@@ -273,10 +273,12 @@ def _document(command: Convert, out: str, inputs: list[_Input], gaussians: int, 
 
 
 def _axes(up: str | None) -> tuple[str, str] | None:
-    """Return the two axes of --up: ('-y', '+z') for '-y:+z'; None without it."""
+    """Return the two axes of --change-up: ('-y', '+z') for '-y:+z'; None without it."""
     if up is None:
         return None
     old, _, new = up.strip().partition(":")
     if old not in AXES or new not in AXES:
-        raise ValueError(f"--up: expected FROM:TO with axes of {', '.join(AXES)}, such as -y:+z, got {up.strip()!r}")
+        raise ValueError(
+            f"--change-up: expected FROM:TO with axes of {', '.join(AXES)}, such as -y:+z, got {up.strip()!r}"
+        )
     return old, new

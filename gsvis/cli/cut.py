@@ -97,9 +97,9 @@ def _config(command: Cut) -> CutConfig:
     return replace(
         usual,
         tau=command.tau,
-        size=command.size or usual.size,
+        size=command.face_size or usual.size,
         limit=max(command.limit, 1e-6),
-        views=replace(usual.views, count=command.views),
+        views=replace(usual.views, count=command.held_out),
         min_psnr=command.min_psnr,
         seed=command.seed,
     )

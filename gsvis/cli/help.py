@@ -5,11 +5,26 @@
 
 from __future__ import annotations
 
+import ast
+import inspect
 import re
-from dataclasses import MISSING, field, fields, make_dataclass
-from typing import Any, get_args, get_type_hints
+import textwrap
+from dataclasses import MISSING, Field, field, fields, make_dataclass
+from functools import partial
+from itertools import pairwise
+from typing import Annotated, Any, get_args, get_type_hints
 
-__all__ = ["ALL", "FIRST", "GROUPS", "command_name", "find_command", "overview", "short_help"]
+__all__ = [
+    "ALL",
+    "FIRST",
+    "GROUPS",
+    "command_name",
+    "find_command",
+    "long_help",
+    "option_texts",
+    "overview",
+    "short_help",
+]
 
 ALL = "--help-all"
 """The option that shows every option of a command."""
@@ -48,32 +63,33 @@ GROUPS: dict[str, tuple[tuple[str, str], ...]] = {
 """Examples of all commands, each with what it is for."""
 
 FIRST: dict[str, tuple[str, ...]] = {
-    "inspect": ("lod", "histograms", "box", "around", "path", "json"),
-    "analyze": ("out", "cameras", "views", "width", "lod", "box", "around", "path", "json"),
-    "render": ("out", "camera", "orbit", "eye", "target", "up", "width", "height", "fov", "lod"),
+    "inspect": ("lod", "histograms", "cameras", "box", "around", "path", "json", "drop_invalid"),
+    "analyze": ("out", "cameras", "views", "width", "height", "lod", "box", "around", "path", "json"),
+    "render": ("out", "cameras", "orbit", "eye", "target", "up", "width", "height", "fov", "lod"),
     "pvs": ("out", "cells", "cameras", "up", "box", "around", "path", "lod", "workers", "dry_run"),
-    "pvs-report": ("out", "cells", "viewpoints", "certify", "lod", "json"),
+    "pvs-report": ("out", "cells", "eyes", "dense", "certify", "raycast", "width", "height", "lod", "json"),
     "color": ("out", "pvs", "variant", "mean_terms", "epsilon", "report", "active", "lod", "up", "json"),
     "train": (
         "out",
         "images",
-        "size",
+        "width",
+        "height",
         "downscale",
-        "iterations",
+        "steps",
         "sh_degree",
         "max_gaussians",
-        "hold_out",
+        "test_every",
         "overwrite",
     ),
-    "levels": ("out", "shares", "iterations", "photos", "cameras", "up", "box", "path", "lod", "json"),
+    "levels": ("out", "levels", "steps", "photos", "cameras", "up", "box", "path", "lod", "json"),
     "clean": ("out", "report", "select", "strength", "cameras", "up", "box", "path", "lod", "overwrite"),
     "convert": (
         "out",
         "lod",
         "crop",
         "min_opacity",
-        "max_sh_degree",
-        "up",
+        "sh_degree",
+        "change_up",
         "scale",
         "rotate",
         "translate",
@@ -87,8 +103,8 @@ FIRST: dict[str, tuple[str, ...]] = {
     "unpack": ("out", "sh_degree", "json", "debug"),
     "export": ("out", "format", "leaf", "compression", "meters_per_unit", "name", "lod", "up", "overwrite", "json"),
     "space": ("out", "box", "path", "up", "resolution", "frame", "meters_per_unit", "lod", "overwrite", "json"),
-    "view": ("lod", "up", "prepare", "port", "no_browser"),
-    "serve": ("host", "port", "token", "ssl_certfile", "ssl_keyfile", "origins", "clients", "processes", "cache"),
+    "view": ("lod", "up", "prepare", "host", "port", "no_browser", "json", "drop_invalid", "debug"),
+    "serve": ("host", "port", "token", "ssl_certfile", "ssl_keyfile", "origins", "clients", "workers", "cache"),
     "simulate": ("out", "path", "trace", "mbit", "round_trip", "scene", "whole_file", "seconds", "policy", "json"),
 }
 """Options of each command that its `--help` shows, at most ten, in this order of importance."""
@@ -121,18 +137,54 @@ def short_help(kind: type) -> tuple[type, int]:
     Args:
         kind: The dataclass of a command. The result is for printing help alone.
     """
+    shown = FIRST[command_name(kind)]
+    hidden = {each.name for each in fields(kind) if each.name not in shown and each.default is not MISSING}
+    return _for_print(kind, hidden), len(hidden)
+
+
+def long_help(kind: type) -> type:
+    """Return a command with all its options, for printing help alone."""
+    return _for_print(kind, set())
+
+
+def _for_print(kind: type, hidden: set[str]) -> type:
+    """Return a command without the hidden options, whose texts `tyro` wraps to the width of the terminal.
+
+    `tyro` keeps the line breaks of the strings below the fields, so that their lines would end early.
+    """
     from tyro import conf
 
     hide: Any = conf.Suppress
-    shown = FIRST[command_name(kind)]
-    hints = get_type_hints(kind, include_extras=True)
-    hidden = [each for each in fields(kind) if each.name not in shown and each.default is not MISSING]
-    if not hidden:
-        return kind, 0
-    replaced = [(each.name, hide[hints[each.name]], field(default=each.default)) for each in hidden]
+    hints, replaced = get_type_hints(kind, include_extras=True), []
+    texts = option_texts(kind)
+    for each in sorted(fields(kind), key=partial(_importance, command_name(kind))):
+        hint = hints[each.name]
+        kept = field() if each.default is MISSING else field(default=each.default)
+        described: Any = Annotated[hint, conf.arg(help=texts[each.name])]
+        replaced.append((each.name, hide[hint] if each.name in hidden else described, kept))
     names = {"__doc__": kind.__doc__}
-    short = make_dataclass(kind.__name__, replaced, bases=(kind,), namespace=names, frozen=True, kw_only=True)
-    return short, len(hidden)
+    return make_dataclass(kind.__name__, replaced, namespace=names, frozen=True, kw_only=True)
+
+
+def _importance(command: str, argument: Field[Any]) -> int:
+    """Return the place of an argument in the help: positional ones, the first options, then the others."""
+    first = FIRST[command]
+    if argument.name in first:
+        return first.index(argument.name)
+    return -1 if argument.default is MISSING else len(first)
+
+
+def option_texts(kind: type) -> dict[str, str]:
+    """Return the text of each argument of a command, one line each, from the strings below the fields."""
+    found: dict[str, str] = {}
+    for base in reversed(kind.__mro__[:-1]):
+        tree = ast.parse(textwrap.dedent(inspect.getsource(base)))
+        assert isinstance(tree.body[0], ast.ClassDef)
+        for one, below in pairwise(tree.body[0].body):
+            match one, below:
+                case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
+                    found[name] = " ".join(text.split())
+    return found
 
 
 def find_command(name: str) -> type | None:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from gsvis._extras import require
 from gsvis.cli.arguments import Levels
+from gsvis.cli.image_size import image_size
 from gsvis.cli.kernels import warm_levels
 from gsvis.cli.levels_result import print_result, record_of
 from gsvis.cli.memory import check_memory, machine_memory, training_grows
@@ -18,7 +19,7 @@ from gsvis.cli.source import Source, check_folder, check_source, load_source, pa
 from gsvis.cli.stopping import between_steps
 from gsvis.cli.terminal import Status
 from gsvis.cli.where import check_where, find_place, suspect_views
-from gsvis.errors import FormatError, OutputError, SceneError
+from gsvis.errors import ArgumentError, FormatError, OutputError, SceneError
 from gsvis.files.atomic import find_interrupted_moves
 from gsvis.io.levels import MAP, check_names, levels_info, load_levels, save_levels
 from gsvis.scene.content import scene_hash
@@ -27,11 +28,20 @@ from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
 
 if TYPE_CHECKING:
+    from gsvis.cli.arguments import Prepare
     from gsvis.scene.view_sampling import ViewSampling
     from gsvis.train.level_views import LevelViews
     from gsvis.train.levels import LevelsConfig, TrainedLevels
 
-__all__ = ["check_views", "image_bytes", "levels_config", "run_levels", "view_sampling"]
+__all__ = [
+    "check_views",
+    "image_bytes",
+    "level_image_size",
+    "levels_config",
+    "named_option",
+    "run_levels",
+    "view_sampling",
+]
 
 _VIEWS, _HELD_OUT, _WIDTH, _HEIGHT, _FOV = 400, 12, 480, 360, 2.0 * math.degrees(math.atan(240.0 / 300.0))
 _NAMES = {1: ("low", "high"), 2: ("low", "medium", "high")}
@@ -105,31 +115,35 @@ def _check_arguments(command: Levels) -> LevelsConfig:
                 spelled, value = name.replace("_", "-"), str(getattr(command, name)).strip()
                 raise ValueError(f"--{spelled}: expected none with --photos, got {value}; leave it out")
     parse_up(command.up)
-    if command.size is not None and min(command.size) < _LEAST_SIDE:
-        got = f"{command.size[0]}x{command.size[1]}"
-        raise ValueError(f"--size: expected at least {_LEAST_SIDE} pixels a side, got {got}")
+    size = level_image_size(command)
+    if size is not None and min(size) < _LEAST_SIDE:
+        name, got = ("--width", size[0]) if size[0] < _LEAST_SIDE else ("--height", size[1])
+        raise ValueError(f"{name}: expected at least {_LEAST_SIDE} pixels, got {got}")
     try:
-        sizes = command.shares, command.reuse, command.names, command.preview
-        config = levels_config(*sizes, command.iterations, command.seed)
+        sizes = command.levels, command.reuse, command.names, command.preview
+        config = levels_config(*sizes, command.steps, command.seed)
     except ValueError as error:
-        raise ValueError(f"--{error}") from None
+        raise named_option(error) from None
     check_folder(command.out)
     check_folder(_target(command.out).parent)  # unfinished work is kept there
     _check_target(command, config.level_names)
     images = 0
     if command.photos is None:
-        sampling = view_sampling(command.views, command.size, command.seed)
+        sampling = view_sampling(command.views, level_image_size(command), command.seed)
         held_out = _HELD_OUT if command.held_out is None else command.held_out
         check_views(sampling, held_out)
         images = image_bytes(sampling, held_out)
     elif command.max_memory is not None:
         from gsvis.train.photos import photo_bytes
 
-        images = photo_bytes(command.photos, command.size)
-    remedy = "raise it, take fewer --views or a smaller --size, or make levels of tiles with gsvis world --until levels"
+        images = photo_bytes(command.photos, size)
+    remedy = (
+        "raise it, take fewer --views or a smaller --width and --height, or make levels of tiles with gsvis world"
+        " --until levels"
+    )
     check_memory(
         "levels", [(command.scene, command.lod)], command.max_memory, remedy, more=images,
-        grows=training_grows(command.shares),
+        grows=training_grows(command.levels),
     )  # fmt: skip
     return config
 
@@ -171,7 +185,7 @@ def check_views(sampling: ViewSampling, held_out: int) -> None:
         raise ValueError(
             f"--views: expected images that fit into half of the memory ({memory / 1e9:.1f} GB), got"
             f" {sampling.count + held_out:,} of {sampling.width} x {sampling.height}, {needed / 1e9:.1f} GB; take"
-            " fewer, or smaller ones with --size"
+            " fewer, or smaller ones with --width and --height"
         )
 
 
@@ -191,7 +205,7 @@ def _plan(command: Levels, config: LevelsConfig, walk: HeadPath | None, status: 
     try:
         config.sizes(len(g))
     except ValueError as error:
-        raise ValueError(f"--{error}; larger --shares, or a finer --lod") from None
+        raise named_option(error) from None
     _check_replaced(command, g)
     status("reading", 1, 1)
     space: NavigableSpace | None = None
@@ -199,7 +213,7 @@ def _plan(command: Levels, config: LevelsConfig, walk: HeadPath | None, status: 
     if command.photos is not None:
         from gsvis.train.level_views import load_photograph_views
 
-        drawn = load_photograph_views(g, command.photos, command.size, progress=status)
+        drawn = load_photograph_views(g, command.photos, level_image_size(command), progress=status)
     else:
         drawn, space, remarks = _draw_views(command, source, walk, status)
     remarks += [f" {remark}" for remark in drawn.remarks]
@@ -265,8 +279,26 @@ def _draw_views(
     remarks = [*place.remarks, *suspect_views(source.gaussians, space)]
     status("space", 1, 1)
     held_out = _HELD_OUT if command.held_out is None else command.held_out
-    sampling = view_sampling(command.views, command.size, command.seed)
+    sampling = view_sampling(command.views, level_image_size(command), command.seed)
     return draw_views(source.gaussians, space, sampling, held_out, progress=status), space, remarks
+
+
+def named_option(error: ValueError) -> ValueError:
+    """Return an error of the settings of levels as one of the option that states them."""
+    if not isinstance(error, ArgumentError):
+        return ValueError(f"--{error}")
+    if error.name != "shares":
+        return error.renamed(f"--{error.name.replace('_', '-')}")
+    return error.renamed("--levels", error.remedy or "larger shares, or a finer --lod")
+
+
+def level_image_size(command: Levels | Prepare) -> tuple[int, int] | None:
+    """Return (width, height) of the views that levels are measured on; None for the usual ones.
+
+    Raises:
+        ValueError: If only one of both is given, for photographs.
+    """
+    return image_size(command, (_WIDTH, _HEIGHT) if command.photos is None else None)
 
 
 def view_sampling(views: int | None, size: tuple[int, int] | None, seed: int) -> ViewSampling:

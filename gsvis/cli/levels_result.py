@@ -155,7 +155,7 @@ def _explain(record: Mapping[str, Any]) -> list[str]:
     else:
         lines.append(" No view was held out, so nothing was measured.")
     if record["overhead"] > _MOST_OVERHEAD:
-        lines.append(" Going up sends more than 5% more than the scene alone: a higher --reuse, or lower --shares.")
+        lines.append(" Going up sends more than 5% more than the scene alone: a higher --reuse, or lower --levels.")
     return lines
 
 

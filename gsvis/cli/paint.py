@@ -80,10 +80,10 @@ def _check_arguments(command: Paint) -> HeadPath | None:
     if command.pvs is not None:
         if not Path(command.pvs).exists():
             raise FileNotFoundError(2, "no such file or folder", command.pvs)
-        for name in ("eyes", "size", "up"):
+        for name in ("eyes", "face_size", "up"):
             if getattr(command, name) is not None:
                 value = str(getattr(command, name)).strip()
-                raise ValueError(f"--{name}: expected none with --pvs, got {value}; leave it out")
+                raise ValueError(f"--{name.replace('_', '-')}: expected none with --pvs, got {value}; leave it out")
         if command.by == "importance":
             raise ValueError("--by: expected no importance with --pvs, whose sets do not know it; leave --pvs out")
     return check_where(command, "" if command.pvs is None else "--pvs")
@@ -117,7 +117,7 @@ def _measure(
     if command.by != "importance":
         warm_sets(PvsConfig(), status)
     config = QuantityConfig(seed=command.seed)
-    config = replace(config, size=command.size or config.size, views=replace(config.views, seed=command.seed))
+    config = replace(config, size=command.face_size or config.size, views=replace(config.views, seed=command.seed))
     if command.eyes is not None:
         config = replace(config, eyes=command.eyes, views=replace(config.views, count=command.eyes))
     return measure_quantity(source.gaussians, command.by, space, config, progress=status), place.remarks

@@ -13,7 +13,14 @@ from gsvis.cli import version
 from gsvis.cli.arguments import Prepare
 from gsvis.cli.color import fit_config
 from gsvis.cli.kernels import warm_colors, warm_levels, warm_sets
-from gsvis.cli.levels import check_views, image_bytes, levels_config, view_sampling
+from gsvis.cli.levels import (
+    check_views,
+    image_bytes,
+    level_image_size,
+    levels_config,
+    named_option,
+    view_sampling,
+)
 from gsvis.cli.memory import check_preparation
 from gsvis.cli.prepare_result import print_estimate, print_result
 from gsvis.cli.pvs import local_workers, named_memory, sets_config
@@ -29,7 +36,7 @@ if TYPE_CHECKING:
 
 __all__ = ["run_prepare"]
 
-_OF_TRAINING = ("levels", "reuse", "names", "preview", "steps", "views", "size", "photos")
+_OF_TRAINING = ("levels", "reuse", "names", "preview", "steps", "views", "width", "height", "photos")
 
 
 def run_prepare(command: Prepare) -> None:
@@ -114,22 +121,21 @@ def _check_arguments(command: Prepare) -> PrepareConfig:
     check_folder(Path(command.out).absolute().parent)
     check_target(Path(command.out))  # before reading a large scene; `prepare_package` checks again
     WorkFolder(command.out).check()
-    sampling = view_sampling(command.views, command.size, command.seed)
+    size = level_image_size(command)
+    sampling = view_sampling(command.views, size, command.seed)
     levels = None
     if command.levels and not is_levels(command.scene):
         try:
             sizes = command.levels, command.reuse, command.names, command.preview
             levels = levels_config(*sizes, command.steps, command.seed)
-        except ArgumentError as error:
-            raise error.renamed("--levels" if error.name == "shares" else f"--{error.name}") from None
         except ValueError as error:
-            raise ValueError(f"--{error}") from None
+            raise named_option(error) from None
         if command.photos is None:
             check_views(sampling, PrepareConfig.level_held_out)
     config = PrepareConfig(
         levels=levels,
         level_views=sampling,
-        level_size=command.size,
+        level_size=size,
         cells=command.cells,
         cell_size=command.cell_size,
         sets=sets_config(size=command.face_size, limit=command.limit, max_inner=command.max_inner),
@@ -142,7 +148,7 @@ def _check_arguments(command: Prepare) -> PrepareConfig:
     if command.photos is not None and command.max_memory is not None and levels is not None:
         from gsvis.train.photos import photo_bytes
 
-        images = photo_bytes(command.photos, command.size)
+        images = photo_bytes(command.photos, size)
     try:
         check_preparation(command.scene, command.lod, config, command.max_memory, images)
     except ArgumentError as error:

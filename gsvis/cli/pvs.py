@@ -103,8 +103,10 @@ def _check_arguments(command: Pvs) -> PvsConfig:
         from gsvis.pvs.cluster import check_address
 
         check_address(command.scheduler)
-    names = ("method", "tau", "size", "limit", "rays", "max_inner")
-    config = sets_config(**{name: getattr(command, name) for name in names})
+    config = sets_config(
+        method=command.method, tau=command.tau, size=command.face_size, limit=command.limit, rays=command.certify,
+        max_inner=command.max_inner,
+    )  # fmt: skip
     check_sets(command.scene, command.lod, config, command.max_memory)
     return config
 
@@ -316,7 +318,7 @@ def _print_result(command: Pvs, plan: _Plan, store: VisibilityStore, seconds: fl
     if above:
         remarks.append(
             f" {above:,} of {cells:,} cells are not proven to miss at most {plan.config.limit:.2%} of the light: a"
-            " larger --max-inner, --rays or --size finds more."
+            " larger --max-inner, --certify or --face-size finds more."
         )
     if blind:
         remarks.append(f" {blind:,} cells have no viewpoint outside something solid; their sets are empty.")

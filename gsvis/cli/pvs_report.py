@@ -22,12 +22,12 @@ __all__ = ["run_pvs_report"]
 _OPTIONS = (
     "lod",
     "cells",
-    "viewpoints",
+    "eyes",
     "dense",
     "width",
     "height",
     "fov",
-    "rays",
+    "raycast",
     "certify",
     "bytes_per_gaussian",
     "seed",
@@ -70,8 +70,9 @@ def _write_report(command: PvsReport, store: VisibilityStore, status: Status) ->
     from gsvis.report import Subject  # imports matplotlib
     from gsvis.report.pvs_document import write_pvs_report
 
-    names = ("cells", "viewpoints", "dense", "width", "height", "fov", "rays", "certify", "bytes_per_gaussian", "seed")
-    config = QualityConfig(**{name: getattr(command, name) for name in names})
+    names = ("cells", "dense", "width", "height", "fov", "certify", "bytes_per_gaussian", "seed")
+    same = {name: getattr(command, name) for name in names}
+    config = QualityConfig(viewpoints=command.eyes, rays=command.raycast, **same)
     found = measure_quality(store, source.whole, viewpoints, config, progress=status)
     subject = Subject(
         title=source.name,

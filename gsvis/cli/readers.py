@@ -56,7 +56,6 @@ __all__ = [
     "SHARES",
     "SHARES_OR_NONE",
     "SH_DEGREE",
-    "SIZE",
     "STEPS",
     "STRENGTH",
     "TAU",
@@ -171,13 +170,6 @@ def _read_pixel(words: list[str]) -> tuple[int, int]:
     return int(column), int(row)
 
 
-def _read_size(words: list[str]) -> tuple[int, int]:
-    width, _, height = words[0].lower().partition("x")
-    if not (width.isdecimal() and height.isdecimal()):
-        raise ValueError(f"expected a width and a height, such as 400x266, got {words[0]!r}")
-    return int(width), int(height)
-
-
 def _read_face_rays(words: list[str]) -> int:
     if words[0] not in ("1", "4", "16", "64"):
         raise ValueError(f"expected 1, 4, 16 or 64 rays, got {words[0]!r}")
@@ -251,7 +243,7 @@ NAMES = _spec("*", "NAME [NAME ...]", _read_names)
 LODS = _spec(1, "N[,N...]", _read_lods)
 PATHS = _spec("*", "IN [IN ...] [OUT]", tuple)
 SCENES = _spec("*", "SCENE [SCENE ...]", tuple)
-RADIANS = _number("R", float, 1e-5, 1.0, "radians in [1e-5, 1]")
+RADIANS = _number("RAD", float, 1e-5, 1.0, "radians in [1e-5, 1]")
 PACKAGES = _spec("*", "PACKAGE [PACKAGE ...]", _read_packages)
 ORIGINS = _spec("*", "ORIGIN [ORIGIN ...]", tuple)
 HOSTS = _spec("*", "NAME [NAME ...]", tuple)
@@ -264,7 +256,6 @@ TERMS = _number("N", int, 0, 32, "a whole number of 0 to 32")
 CHANGE = _number("E", float, 1e-4, 1.0, "a change of color in [0.0001, 1]")
 MEAN_TERMS = _spec(1, "X|all", _read_mean_terms)
 EPSILON = _spec(1, "E|auto", _read_epsilon)
-SIZE = _spec(1, "WxH", _read_size)
 FACTOR = _number("F", float, 1.0, 64.0, "a factor of 1 to 64")
 STEPS = _number("N", int, 1, 10_000_000, "a whole number of 1 to 10000000")
 STRENGTH = _number("S", float, 0.01, 2.0, "a strength of 0.01 to 2")

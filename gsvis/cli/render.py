@@ -92,10 +92,10 @@ def _render(
     if given is None:
         cameras, space, remarks = place_cameras(command, source, walk)
     else:
-        assert command.camera is not None
-        cameras, framed = framed_cameras(source, given, command.camera)
+        assert command.cameras is not None
+        cameras, framed = framed_cameras(source, given, command.cameras)
         space = None
-        remarks = framed + check_buried(source.gaussians, cameras.viewpoints, "the cameras of --camera")
+        remarks = framed + check_buried(source.gaussians, cameras.viewpoints, "the cameras of --cameras")
         for each in framed:
             status.line(each.strip())
     status("space", 1, 1)

@@ -1,6 +1,6 @@
 """`gsvis serve`: serve packages to viewers until stopped. Logs go to stderr; with --json the address goes to stdout.
 
-With --processes this process supervises: it runs the same command again for each process, on its listening socket.
+With --workers this process supervises: it runs the same command again for each process, on its listening socket.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def run_serve(command: Serve) -> None:
     number = None if child is None else child.number
     form = JsonLines(number) if command.log_format == "json" else TextLines(number)
     with log_to_stderr(form, logging.DEBUG if command.debug else logging.INFO):
-        if child is None and command.processes > 1:
+        if child is None and command.workers > 1:
             _supervise(command)
         else:
             _serve(command, child)
@@ -119,10 +119,10 @@ def _supervise(command: Serve) -> None:
 
     address = Address(command.host, command.port, command.ssl_certfile, command.ssl_keyfile)
     with listen(address) as listener:
-        supervisor = Supervisor([sys.executable, "-m", "gsvis", *sys.argv[1:]], command.processes, listener)
+        supervisor = Supervisor([sys.executable, "-m", "gsvis", *sys.argv[1:]], command.workers, listener)
         url = url_of(address, int(listener.getsockname()[1]))
         status = supervisor.run(lambda: _print_address(url, command) if command.json else None)
-    if status > 0:  # a signal ends a server as it should: with 0, as without --processes
+    if status > 0:  # a signal ends a server as it should: with 0, as without --workers
         raise SystemExit(status)
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 from gsvis.cli.help import command_name
+from gsvis.cli.renamed import current_name
 
 if TYPE_CHECKING:
     from gsvis.cli.arguments import Command
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["expand_home", "misspelling", "paths_first"]
 
 _PATHS = frozenset(
-    {"DIR", "FILE", "IMAGES", "IN", "OUT", "PACKAGE", "SCENE", "STORE"}
+    {"DIR", "FILE", "IMAGES", "IN", "OUT", "PACKAGE", "PHOTOS", "SCENE", "STORE"}
 )  # metavars of paths, by their first word
 
 
@@ -66,6 +67,8 @@ def misspelling(arguments: Sequence[str]) -> str | None:
         option = options.get(_hyphens(given))
         if option is None and f"-{_hyphens(given)}" in options:
             return f"gsvis {name} has no option {given}; did you mean -{_hyphens(given)}?"
+        if option is None and (renamed := current_name(name, _hyphens(given), options)) is not None:
+            return renamed
         if option is None and given.startswith("--") and given not in ("--help", "--help-all", "--debug"):
             near = _suggestion(_hyphens(given), [each for each in options if each.startswith("--")])
             return f"gsvis {name} has no option {given[:80]}; {near or f'gsvis {name} --help lists its options'}"

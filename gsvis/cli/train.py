@@ -14,6 +14,7 @@ import numpy as np
 from gsvis._extras import require
 from gsvis.cli import version
 from gsvis.cli.arguments import Train
+from gsvis.cli.image_size import image_size
 from gsvis.cli.source import check_file, check_new
 from gsvis.cli.stopping import between_steps
 from gsvis.cli.terminal import Status, clock, facts, print_json, show, size_of
@@ -105,10 +106,10 @@ def _check_arguments(command: Train) -> TrainConfig:
     if command.restart or not checkpoint_of(command).exists():  # else an earlier run has passed this check
         check_new(out, command.overwrite)
         check_new(record_of(command), command.overwrite)
-    if command.size is not None and command.downscale is not None:
-        raise ValueError("--downscale: expected none with --size, got both; leave one out")
-    if command.hold_out == 1:
-        raise ValueError("--hold-out: expected 0 or at least 2, got 1; it would leave nothing to train on")
+    if image_size(command, None) is not None and command.downscale is not None:
+        raise ValueError("--downscale: expected none with --width and --height, got both; leave one out")
+    if command.test_every == 1:
+        raise ValueError("--test-every: expected 0 or at least 2, got 1; it would leave nothing to train on")
     return _config(command)
 
 
@@ -124,7 +125,7 @@ def _config(command: Train) -> TrainConfig:
     from gsvis.train.densify import DensifyConfig
     from gsvis.train.trainer import TrainConfig
 
-    steps, usual = command.iterations, DensifyConfig()
+    steps, usual = command.steps, DensifyConfig()
     densify = replace(
         usual,
         start=min(usual.start, steps // 14),
@@ -149,11 +150,12 @@ def _plan(command: Train, config: TrainConfig, status: Status) -> _Plan:
 
     device = _device(command.backend)
     photos = load_photos(
-        command.source, images=command.images, downscale=command.downscale, size=command.size, progress=status
-    )
+        command.source, images=command.images, downscale=command.downscale, size=image_size(command, None),
+        progress=status,
+    )  # fmt: skip
     views, held_out = photos.views, None
-    if command.hold_out:
-        views, held_out = photos.views.split(command.hold_out)
+    if command.test_every:
+        views, held_out = photos.views.split(command.test_every)
     points, text = photos.points, ""
     if points is not None:
         text = f"{len(points):,} points of the reconstruction"

@@ -32,17 +32,17 @@ def check_views(command: Render) -> HeadPath | None:
     Raises:
         ValueError: If they do; the message names them.
     """
-    ways = [way for way in ("camera", "orbit", "eye") if getattr(command, way) is not None]
+    ways = [way for way in ("cameras", "orbit", "eye") if getattr(command, way) is not None]
     if len(ways) > 1:
         raise ValueError(f"--{ways[1]}: expected none with --{ways[0]}, got both; leave one out")
     way = ways[0] if ways else ""
-    needs = {"index": ("camera",), "radius": ("orbit",), "elevation": ("orbit",), "target": ("orbit", "eye")}
+    needs = {"index": ("cameras",), "radius": ("orbit",), "elevation": ("orbit",), "target": ("orbit", "eye")}
     for name, wanted in needs.items():
         if getattr(command, name) is not None and way not in wanted:
             raise ValueError(f"--{name}: expected {' or '.join('--' + each for each in wanted)} with it, got it alone")
     for name in ("fov", "up"):
-        if getattr(command, name) is not None and way == "camera":
-            raise ValueError(f"--{name}: expected none with --camera, whose file states it; leave it out")
+        if getattr(command, name) is not None and way == "cameras":
+            raise ValueError(f"--{name}: expected none with --cameras, whose file states it; leave it out")
     parse_up(command.up)
     if command.eye is not None and command.eye == command.target:
         raise ValueError("--target: expected another point than --eye, got the same")
@@ -50,21 +50,21 @@ def check_views(command: Render) -> HeadPath | None:
 
 
 def given_cameras(command: Render) -> Cameras | None:
-    """Return the cameras of --camera, at the given size, only those of --index if given; None without --camera.
+    """Return the cameras of --camerass, at the given size, only those of --index if given; None without --cameras.
 
     Raises:
         GsvisError: If the file cannot be read.
         FileNotFoundError: If there is no file.
         ValueError: If an index is too large.
     """
-    if command.camera is None:
+    if command.cameras is None:
         return None
-    cameras = file_cameras(command.camera, command.width, command.height)
+    cameras = file_cameras(command.cameras, command.width, command.height)
     if command.index is None:
         return cameras
     if max(command.index) >= len(cameras):
         raise ValueError(
-            f"--index: expected 0 to {len(cameras) - 1}, as {command.camera} holds {len(cameras)} cameras,"
+            f"--index: expected 0 to {len(cameras) - 1}, as {command.cameras} holds {len(cameras)} cameras,"
             f" got {max(command.index)}"
         )
     return cameras[np.array(command.index)]

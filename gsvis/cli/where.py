@@ -117,7 +117,7 @@ def check_where(where: Where, other: str = "") -> HeadPath | None:
 
     Args:
         where: The options.
-        other: An option that was given and says itself where eyes are, such as "--camera".
+        other: An option that was given and says itself where eyes are, such as "--cameras".
 
     Raises:
         ValueError: If they contradict each other.

@@ -61,13 +61,13 @@ def run_world(command: World) -> None:
             work = Path(f"{os.path.abspath(command.out)}.work")
             try:
                 with _workers(command) as workers, named_memory(TOO_LARGE):
-                    common: dict[str, Any] = {"store": command.store, "workers": workers, "progress": status}
+                    common: dict[str, Any] = {"store": command.work, "workers": workers, "progress": status}
                     if command.until == "world":
                         made = prepare_world(scenes, command.out, config, about=about, **common)
                     else:
                         tiles = write_tiles(scenes, command.out, command.until, config, **common)
             except KeyboardInterrupt:
-                kept = f"what was finished is kept in {command.store or work.name}; run the same command to resume"
+                kept = f"what was finished is kept in {command.work or work.name}; run the same command to resume"
                 raise KeyboardInterrupt(kept) from None
             if command.discard:
                 shutil.rmtree(work, ignore_errors=True)

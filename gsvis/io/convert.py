@@ -95,7 +95,7 @@ def convert_scene(
 def _with_up(facts: SceneFacts, axis: str, rotate: ArrayLike) -> SceneFacts:
     """Return facts that state the up axis that `up` of `convert_scene` made."""
     x, y, z = (rotation_about_axes(rotate) @ _axis("up", axis) + 0.0).tolist()
-    return replace(facts, up=(x, y, z), up_source="convert --up")
+    return replace(facts, up=(x, y, z), up_source="convert --change-up")
 
 
 def merge_scenes(scenes: Sequence[Gaussians]) -> Gaussians:

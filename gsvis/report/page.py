@@ -14,7 +14,7 @@ __all__ = ["page"]
 
 _AGAIN = (
     "<p>All cameras are in <code>report.json</code>. To render the first of them again, identical in every pixel:"
-    " <code>gsvis render SCENE --camera report.json --index 0 -o view.png</code>. To compute all figures of all views"
+    " <code>gsvis render SCENE --cameras report.json --index 0 -o view.png</code>. To compute all figures of all views"
     " again: <code>gsvis analyze SCENE --cameras report.json -o again</code>.</p>"
 )
 _ROLES = {"most": "most", "median": "the median share", "least": "least"}

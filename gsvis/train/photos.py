@@ -206,7 +206,7 @@ def _target(views: Views, downscale: float | None, size: Size | None) -> Size:
     if size is None:
         if len(found) > 1:
             got = ", ".join(f"{w} x {h}" for w, h in found[:4]) + (", ..." if len(found) > 4 else "")
-            remedy = f"give one to shrink all to, such as --size {least[0]}x{least[1]}"
+            remedy = f"give one to shrink all to, such as --width {least[0]} --height {least[1]}"
             raise FormatError(views.path, "", "images of one size", f"{len(found)} sizes: {got}", remedy)
         size = max(1, round(least[0] / (downscale or 1.0))), max(1, round(least[1] / (downscale or 1.0)))
         if min(size) < _LEAST_SIDE:
@@ -233,7 +233,7 @@ def _check_memory(count: int, width: int, height: int) -> None:
     if needed > _MEMORY_SHARE * memory:
         raise ValueError(
             f"size: expected images that fit into half of the memory ({memory / 1e9:.1f} GB), got {count:,} of"
-            f" {width} x {height}, {needed / 1e9:.1f} GB; shrink them with --downscale or --size"
+            f" {width} x {height}, {needed / 1e9:.1f} GB; shrink them with --downscale, or --width and --height"
         )
 
 

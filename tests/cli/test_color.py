@@ -37,7 +37,7 @@ def ply(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def pvs(ply: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("pvs") / "rooms.pvs"
-    quick = ["--cells", "4", "--size", "16", "--workers", "1", "--rays", "256", "--max-inner", "1"]
+    quick = ["--cells", "4", "--face-size", "16", "--workers", "1", "--certify", "256", "--max-inner", "1"]
     box = ["--box", "0.5", "0.5", "0.5", "3.5", "3.5", "2.5"]
     assert main(["pvs", str(ply), "-o", str(path), *quick, *box]) == 0
     return path

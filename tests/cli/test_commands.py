@@ -141,9 +141,9 @@ def test_a_report_repeats_its_views(ply: Path, tmp_path: Path, capsys: Capture) 
     eye = ["--eye", "1", "1", "1.5", "--target", "3", "2", "1", "--width", "24", "--height", "18"]
     assert main(["render", str(ply), "-o", str(tmp_path / "a.png"), *eye, "--json"]) == 0
     (tmp_path / "view.json").write_text(capsys.readouterr().out)
-    assert main(["render", str(ply), "-o", str(tmp_path / "b.png"), "--camera", str(tmp_path / "view.json")]) == 0
+    assert main(["render", str(ply), "-o", str(tmp_path / "b.png"), "--cameras", str(tmp_path / "view.json")]) == 0
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
-    words = ["render", str(ply), "-o", str(tmp_path / "c.png"), "--camera", str(out / "report.json"), "--index", "1"]
+    words = ["render", str(ply), "-o", str(tmp_path / "c.png"), "--cameras", str(out / "report.json"), "--index", "1"]
     assert main([*words, "--json"]) == 0
     capsys.readouterr()
 
@@ -221,8 +221,8 @@ def test_convert_asks_before_it_replaces(ply: Path, tmp_path: Path, capsys: Capt
 
 def test_convert_cuts_thins_turns_and_writes(ply: Path, tmp_path: Path, capsys: Capture) -> None:
     out = tmp_path / "deep" / "small.ply"
-    command = ["convert", str(ply), str(out), "--crop", "-1", "-1", "-1", "3.5", "9", "9", "--max-sh-degree", "0"]
-    assert main([*command, "--up", "-y:+z", "--min-opacity", "0.1", "--json"]) == 0
+    command = ["convert", str(ply), str(out), "--crop", "-1", "-1", "-1", "3.5", "9", "9", "--sh-degree", "0"]
+    assert main([*command, "--change-up", "-y:+z", "--min-opacity", "0.1", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     before, after = load_scene(ply), load_scene(out)
     kept = before.means[before.means[:, 0] <= 3.5]
@@ -238,7 +238,7 @@ def test_convert_says_what_it_did(ply: Path, capsys: Capture) -> None:
 
 
 def test_the_up_axis_may_begin_with_a_minus() -> None:
-    for words in (["--up", "-y:+z"], ["--up=-y:+z"]):
+    for words in (["--change-up", "-y:+z"], ["--change-up=-y:+z"]):
         command = parse(["convert", "a", "b", *words])
         assert isinstance(command, Convert)
         assert command.up is not None
@@ -282,7 +282,7 @@ def test_output_that_cannot_be_written_is_refused_before_the_work(ply: Path, tmp
     assert "OUT" in refused(capsys, "convert", ply, tmp_path / "x.compressed.ply")
     (tmp_path / "folder.ply").mkdir()
     assert "folder.ply" in refused(capsys, "convert", ply, tmp_path / "folder.ply")
-    assert "--up" in refused(capsys, "convert", ply, tmp_path / "x.ply", "--up", "y")
+    assert "--change-up" in refused(capsys, "convert", ply, tmp_path / "x.ply", "--change-up", "y")
     if os.geteuid() != 0:
         (tmp_path / "locked").mkdir(mode=0o500)
         assert "locked" in refused(capsys, "analyze", ply, "-o", tmp_path / "locked" / "out")
@@ -314,7 +314,7 @@ def test_an_empty_scene_cannot_be_analyzed(tmp_path: Path, capsys: Capture, monk
         (["convert", "x", "y.ply", "--crop", "1", "1", "1", "0", "2", "2"], "X0 < X1"),
         (["convert", "x", "y.ply", "--crop", "1", "1", "1", "2", "2"], "6 values"),
         (["analyze", "x", "-o", "d", "--rays-per-face", "2"], "1, 4, 16 or 64"),
-        (["convert", "x", "y.ply", "--max-sh-degree", "4"], "0 to 3"),
+        (["convert", "x", "y.ply", "--sh-degree", "4"], "0 to 3"),
     ],
 )
 def test_wrong_arguments_exit_with_2_and_say_which(words: list[str], message: str, capsys: Capture) -> None:

@@ -95,8 +95,21 @@ def test_names_that_begin_with_a_minus_stand_behind_two(here: Path) -> None:
 
 def test_crop_and_thinning_come_before_the_placement_of_the_whole() -> None:
     box = [-1.0, -1, -1, 2, 2, 2]
-    words = ["convert", "a.ply", "b.ply", "-o", "c.ply", "--translate", "50", "0", "0", "--up", "-y:+z", "--crop"]
-    assert main([*words, *map(str, box), "--min-opacity", "0.3", "--max-sh-degree", "2"]) == 0
+    words = [
+        "convert",
+        "a.ply",
+        "b.ply",
+        "-o",
+        "c.ply",
+        "--translate",
+        "50",
+        "0",
+        "0",
+        "--change-up",
+        "-y:+z",
+        "--crop",
+    ]
+    assert main([*words, *map(str, box), "--min-opacity", "0.3", "--sh-degree", "2"]) == 0
     merged = merge_scenes([FIRST, SECOND])
     crop = (box[:3], box[3:])
     same(
@@ -125,19 +138,19 @@ def test_the_document_names_what_was_done(capsys: Capture) -> None:
 
 
 def test_a_ksplat_says_in_one_line_that_degree_3_is_reduced(capsys: Capture) -> None:
-    assert main(["convert", "b.ply", "c.ksplat", "--compression", "0"]) == 0
+    assert main(["convert", "b.ply", "c.ksplat", "--ksplat-compression", "0"]) == 0
     out, err = capsys.readouterr()
     assert out.startswith("c.ksplat: 20 Gaussians, SH degree 2")
     assert err == "gsvis: c.ksplat: SH degree 3 is reduced to 2, the highest of .ksplat\n"
     np.testing.assert_array_equal(load_scene("c.ksplat").shN, SECOND.shN[:, :8])
-    for words in (["a.ply"], ["b.ply", "--max-sh-degree", "2"]):
+    for words in (["a.ply"], ["b.ply", "--sh-degree", "2"]):
         assert main(["convert", *words, "-o", "c.ksplat", "--overwrite"]) == 0
         assert capsys.readouterr().err == ""
 
 
 @pytest.mark.parametrize("compression", ["0", "1", "2"])
 def test_the_compression_of_a_ksplat_is_that_which_is_asked(compression: str) -> None:
-    assert main(["convert", "a.ply", "c.ksplat", "--compression", compression]) == 0
+    assert main(["convert", "a.ply", "c.ksplat", "--ksplat-compression", compression]) == 0
     assert Path("c.ksplat").read_bytes()[20] == int(compression)
 
 
@@ -151,13 +164,13 @@ def test_a_page_holds_the_converted_scene_upright(monkeypatch: pytest.MonkeyPatc
 
     monkeypatch.setattr("gsvis.export.write_html", record)
     monkeypatch.setattr(convert, "find_starts", lambda source, up: None)
-    words = ["convert", "a.ply", "b.ply", "-o", "c.html", "--up", "-y:+z", "--rotate", "90", "0", "0"]
+    words = ["convert", "a.ply", "b.ply", "-o", "c.html", "--change-up", "-y:+z", "--rotate", "90", "0", "0"]
     assert main([*words, "--min-opacity", "0.5"]) == 0
     merged = merge_scenes([FIRST, SECOND])
     same(found["scene"], convert_scene(merged, min_opacity=0.5, up=("-y", "+z"), rotate=(90, 0, 0)))
     assert (found["name"], found["up"]) == ("a + b", (0.0, -1.0, 0.0))
     assert capsys.readouterr().out.startswith("c.html: ")
-    assert main(["convert", "builtin:two_rooms", "d.html", "--rotate", "0", "90", "0", "--max-sh-degree", "0"]) == 0
+    assert main(["convert", "builtin:two_rooms", "d.html", "--rotate", "0", "90", "0", "--sh-degree", "0"]) == 0
     assert found["up"] == (1.0, 0.0, 0.0)  # the rooms have a known up axis, +z
     plus_y = Upright(np.array([0.0, 1.0, 0.0]), 1.0, "")
     monkeypatch.setattr("gsvis.cli.source.find_up", lambda g, **more: plus_y if len(g) > 30_000 else None)
@@ -195,8 +208,8 @@ def test_a_page_is_the_one_of_export(monkeypatch: pytest.MonkeyPatch, here: Path
         (["a.ply", "c.ply", "--lod", "1"], "--lod: expected none for a scene with one level of detail, got 1"),
         (["a.ply", "streamed", "-o", "c.ply", "--lod", "1,0"], "--lod: expected one number, or one for each streamed"),
         (["a.ply", "c.html", "--compact"], "--compact: expected an OUT that ends in .spz"),
-        (["a.ply", "c.ply", "--compression", "1"], "--compression: expected an OUT that ends in .ksplat"),
-        (["a.ply", "c.ply", "--up", "y"], "--up: expected FROM:TO"),
+        (["a.ply", "c.ply", "--ksplat-compression", "1"], "--ksplat-compression: expected an OUT that ends in .ksplat"),
+        (["a.ply", "c.ply", "--change-up", "y"], "--change-up: expected FROM:TO"),
     ],
 )
 def test_bad_input_is_refused_in_one_line_before_any_scene_is_read(

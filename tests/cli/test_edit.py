@@ -18,8 +18,8 @@ from gsvis.scene.procedural import BUILTIN_SCENES, two_rooms
 
 Capture = pytest.CaptureFixture[str]
 BOX = ["--box", "0.6", "1.6", "1.2", "0.9", "1.9", "1.5"]
-CUT = [*BOX, "--size", "24", "--views", "2", "--limit", "0.05"]
-PAINT = [*BOX, "--size", "24", "--eyes", "2"]
+CUT = [*BOX, "--face-size", "24", "--held-out", "2", "--limit", "0.05"]
+PAINT = [*BOX, "--face-size", "24", "--eyes", "2"]
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +71,7 @@ def test_cut_keeps_what_cameras_or_frames_of_a_walk_show(
     folder: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(BUILTIN_SCENES, "two_rooms", lambda: two_rooms(1200, sh_degree=0))
-    quick = ["--size", "24", "--views", "0", "--limit", "0.05", "--json"]
+    quick = ["--face-size", "24", "--held-out", "0", "--limit", "0.05", "--json"]
     ways = {
         "cameras": ["--cameras", str(folder / "cameras.json")],
         "beside": ["--cameras", str(folder / "cameras.json"), "--margin", "0.2"],
@@ -99,7 +99,7 @@ def test_cut_keeps_what_cameras_or_frames_of_a_walk_show(
         (["SCENE", "-o", "OUT.glb", *BOX], ".ply, .spz, .sog"),
         (["SCENE", "-o", "OUT", *BOX, "--select", "OUT"], "a file of its own"),
         (["SCENE", "-o", "OUT", "--path", "FAR"], "expected a walk in the scene"),
-        (["SCENE", "-o", "OUT", "--cameras", "AWAY", "--views", "0"], "everything would go"),
+        (["SCENE", "-o", "OUT", "--cameras", "AWAY", "--held-out", "0"], "everything would go"),
         (["SCENE", "-o", "OUT", "--cameras", "AWAY", *BOX], "--box: expected none with --cameras"),
         (["SCENE", "-o", "OUT", *BOX, "--fov", "60"], "--fov: expected --path"),
         (["SCENE", "-o", "OUT", *BOX, "--margin", "1"], "--margin: expected --path"),

@@ -40,19 +40,20 @@ COMMANDS = {
     "render gif": "render {ply} -o {out}/a.gif --width 64 --height 48 --orbit 2",
     "render folder": "render {ply} -o {out}/ --width 64 --height 48 --orbit 2",
     "analyze": f"analyze {{ply}} -o {{out}} {LOOK}",
-    "pvs": f"pvs {{ply}} -o {{out}}/a.pvs --cells 4 --size 16 --workers 1 --rays 256 --max-inner 1 {BOX}",
-    "pvs-report": "pvs-report {pvs} {ply} -o {out} --cells 2 --viewpoints 1 --dense 1 --width 24 --height 18",
+    "pvs": f"pvs {{ply}} -o {{out}}/a.pvs --cells 4 --face-size 16 --workers 1 --certify 256 --max-inner 1 {BOX}",
+    "pvs-report": "pvs-report {pvs} {ply} -o {out} --cells 2 --eyes 1 --dense 1 --width 24 --height 18",
     "color": "color {ply} -o {out}/a.arrow --views 2 --held-out 0 --width 24 --height 18 --max-terms 1",
-    "train": "train {photos} -o {out}/a.ply --iterations 4 --evaluate-every 4 --sh-degree 0 --overwrite",
-    "levels": "levels {ply} -o {out} --iterations 2 --size 24x20 --views 2 --held-out 1",
+    "train": "train {photos} -o {out}/a.ply --steps 4 --evaluate-every 4 --sh-degree 0 --overwrite",
+    "levels": "levels {ply} -o {out} --steps 2 --width 24 --height 20 --views 2 --held-out 1",
     "prepare": "prepare {ply} -o {out}/a.gsvis --levels none --cells 2 --face-size 16 --limit 0.05 --max-inner 1"
     " --workers 1 --max-terms 0",
     "world": "world {ply} -o {out}/a.gsworld --levels none --cells 1 --face-size 16 --limit 0.05 --workers 1"
     " --tile 5000",
     "unpack": "unpack {package} -o {out}",
     "clean": f"clean {{ply}} -o {{out}}/a.ply --select {{out}}/a.npy --eyes 1 --held-out 0 --overwrite {BOX}",
-    "cut": f"cut {{ply}} -o {{out}}/a.ply --select {{out}}/a.npy --size 16 --views 0 --limit 0.1 --overwrite {BOX}",
-    "paint": f"paint {{ply}} -o {{out}}/a.ply --values {{out}}/a.npy --size 16 --eyes 1 --overwrite {BOX}",
+    "cut": f"cut {{ply}} -o {{out}}/a.ply --select {{out}}/a.npy --face-size 16 --held-out 0 --limit 0.1 --overwrite"
+    f" {BOX}",
+    "paint": f"paint {{ply}} -o {{out}}/a.ply --values {{out}}/a.npy --face-size 16 --eyes 1 --overwrite {BOX}",
     "space": "space {ply} -o {out}/a.voxel.json --overwrite",
     "export": "export {package} -o {out}/site",
     "simulate": "simulate {package} --path {walk} -o {out} --as-is --seconds 1 --every 0.5 --width 32 --height 24"
@@ -69,8 +70,9 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     scene = two_rooms(1000, sh_degree=1).gaussians
     save_scene(scene, folder / "rooms.ply")
     words = (
-        f"pvs {folder}/rooms.ply -o {folder}/rooms.pvs --cells 4 --size 16 --workers 1 --rays 256 --max-inner 1 {BOX}"
+        f"pvs {folder}/rooms.ply -o {folder}/rooms.pvs --cells 4 --face-size 16 --workers 1 --certify 256 --max-inner 1"
     )
+    words += f" {BOX}"
     assert main(words.split()) == 0
     levels = in_package_order(Levels.single(two_rooms(1000).gaussians))
     write_package(folder / "rooms.gsvis", levels, colors_of(len(levels.union))[1]).close()

@@ -27,7 +27,7 @@ from tests.cli.halted import Halted
 
 Capture = pytest.CaptureFixture[str]
 BUILTIN = "builtin:wall_with_hole"  # the smallest
-TINY = ["--iterations", "3", "--size", "24x20"]
+TINY = ["--steps", "3", "--width", "24", "--height", "20"]
 QUICK = [*TINY, "--views", "3", "--held-out", "2"]
 PLYS = ["high.ply", "low.ply", "medium.ply"]
 WRITTEN = [*PLYS[:1], "levels.arrow", *PLYS[1:]]
@@ -137,8 +137,8 @@ def test_photographs_names_and_another_number_of_levels(
     ply: Path, photos: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     out = tmp_path / "levels"
-    words = [ply, "-o", out, "--photos", photos, "--shares", "0.05", "--reuse", "0.8", "--names", "small", "whole"]
-    found = document(capsys, *words, "--iterations", "3")
+    words = [ply, "-o", out, "--photos", photos, "--levels", "0.05", "--reuse", "0.8", "--names", "small", "whole"]
+    found = document(capsys, *words, "--steps", "3")
     assert found["views"] == {
         "from": "photographs", "photographs": True, "trained_on": 7, "held_out": 2, "width": 24, "height": 20,
     }  # fmt: skip
@@ -148,7 +148,7 @@ def test_photographs_names_and_another_number_of_levels(
     assert whole["psnr_photographs"]["mean"] > 45.0  # the same, but for 8 bits
     assert small["psnr_photographs"]["mean"] < whole["psnr_photographs"]["mean"]
     assert names(out) == ["levels.arrow", "small.ply", "whole.ply"]
-    assert main(["levels", *map(str, words), "--iterations", "2"]) == 0
+    assert main(["levels", *map(str, words), "--steps", "2"]) == 0
     text = capsys.readouterr().out
     assert "photos" in text
     assert max(map(len, text.replace(str(tmp_path), "").splitlines())) <= 80
@@ -158,17 +158,17 @@ def test_photographs_of_something_else_are_reported(ply: Path, photos: Path, tmp
     g = load_scene(ply)
     away = Gaussians(g.means + 100.0, g.quats, g.scales, g.opacities, g.sh0, g.shN)
     save_scene(away, tmp_path / "away.ply")
-    output = refused(capsys, tmp_path / "away.ply", "-o", tmp_path / "out", "--photos", photos, "--iterations", "2")
+    output = refused(capsys, tmp_path / "away.ply", "-o", tmp_path / "out", "--photos", photos, "--steps", "2")
     assert "shows any of" in output
     assert "in its frame" in output
     glaring = Gaussians(g.means, g.quats, g.scales, g.opacities, np.full_like(g.sh0, 5.0), g.shN)
     save_scene(glaring, tmp_path / "glaring.ply")
-    words = [tmp_path / "glaring.ply", "-o", tmp_path / "out", "--photos", photos, "--iterations", "1"]
+    words = [tmp_path / "glaring.ply", "-o", tmp_path / "out", "--photos", photos, "--steps", "1"]
     assert "unlike the photographs" in document(capsys, *words)["remarks"][0]
 
 
 def test_nothing_of_the_users_is_replaced(ply: Path, photos: Path, tmp_path: Path, capsys: Capture) -> None:
-    base = ["--photos", photos, "--iterations", "1"]
+    base = ["--photos", photos, "--steps", "1"]
     out = tmp_path / "out"
     out.mkdir()
     (out / "low.ply").write_text("mine")
@@ -194,23 +194,23 @@ def test_nothing_of_the_users_is_replaced(ply: Path, photos: Path, tmp_path: Pat
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--shares", "0", "0.5"], "expected shares in (0, 1]"),
-        (["--shares", "0.5", "1.5"], "expected shares in (0, 1]"),
-        (["--shares", "few"], "expected shares in (0, 1]"),
-        (["--shares", "0.5", "0.25"], "--shares: expected each below the next"),
-        (["--shares", "0.5", "1"], "the last below 1"),
-        (["--shares", "0.00001", "0.5"], "expected at least 2 Gaussians in each level"),
-        (["--shares", "0.1", "0.2", "0.3", "--reuse", "0.9", "0.9"], "--reuse: expected one for each of 3 shares"),
+        (["--levels", "0", "0.5"], "expected shares in (0, 1]"),
+        (["--levels", "0.5", "1.5"], "expected shares in (0, 1]"),
+        (["--levels", "few"], "expected shares in (0, 1]"),
+        (["--levels", "0.5", "0.25"], "--levels: expected each below the next"),
+        (["--levels", "0.5", "1"], "the last below 1"),
+        (["--levels", "0.00001", "0.5"], "expected at least 2 Gaussians in each level"),
+        (["--levels", "0.1", "0.2", "0.3", "--reuse", "0.9", "0.9"], "--reuse: expected one for each of 3 shares"),
         (["--reuse", "0.9", "1.1"], "expected shares in (0, 1]"),
         (["--reuse", "1", "0.2"], "--reuse: expected each level to keep more"),
         (["--names", "low", "high"], "--names: expected 3 different ones"),
         (["--names", "a", "b", "c/d"], "--names: expected letters"),
         (["--names", "a", "A", "b"], "--names: expected names that differ in more than case"),
-        (["--iterations", "0"], "1 to 10000000"),
+        (["--steps", "0"], "1 to 10000000"),
         (["--views", "0"], "at least 1"),
         (["--views", "1000000000"], "fit into half of the memory"),
-        (["--size", "8x8"], "--size: expected at least 16 pixels a side"),
-        (["--size", "large"], "such as 400x266"),
+        (["--width", "8", "--height", "8"], "--width: expected at least 16 pixels"),
+        (["--width", "large"], "1 to 16384 pixels"),
         (["--up", "up"], "+z"),
         (["--lod", "1"], "--lod: expected none for a built-in scene"),
         (["--photos", "nowhere"], "nowhere: no such file or folder"),
@@ -278,7 +278,7 @@ def test_scenes_that_cannot_serve_are_refused_with_a_remedy(
     monkeypatch.setattr("gsvis.io.load_scene", lambda path, lod=None: faint)
     assert "--photos" in refused(capsys, *base)
     monkeypatch.setattr("gsvis.io.load_scene", lambda path, lod=None: faint[:5])
-    assert "expected at least 2 Gaussians in each level, got 0.25 of 5; larger --shares" in refused(capsys, *base)
+    assert "expected at least 2 Gaussians in each level, got 0.25 of 5; larger shares" in refused(capsys, *base)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -311,7 +311,7 @@ def test_a_first_picture_is_a_level_of_its_own(tmp_path: Path, capsys: Capture) 
 
 
 def test_a_run_that_is_stopped_is_resumed(ply: Path, photos: Path, tmp_path: Path, capsys: Capture) -> None:
-    words = [str(ply), "-o", str(tmp_path / "out"), "--photos", str(photos), "--iterations", "16"]
+    words = [str(ply), "-o", str(tmp_path / "out"), "--photos", str(photos), "--steps", "16"]
     stopped = Halted("train", 1, "levels", *words)
     stopped.wait()
     code, said, text = stopped.end(signal.SIGINT)

@@ -17,7 +17,7 @@ from gsvis.scene.levels import Levels
 from gsvis.scene.procedural import two_rooms
 
 Capture = pytest.CaptureFixture[str]
-CELLS = ["--cells", "4", "--size", "16", "--workers", "1", "--rays", "256", "--max-inner", "1"]
+CELLS = ["--cells", "4", "--face-size", "16", "--workers", "1", "--certify", "256", "--max-inner", "1"]
 BOX = ["--box", "0.5", "0.5", "0.5", "3.5", "3.5", "2.5"]
 TERMS = ["--views", "2", "--held-out", "1", "--width", "32", "--height", "24", "--max-terms", "1", "--mean-terms", "1"]
 
@@ -74,7 +74,7 @@ def test_sets_and_colors_of_a_folder_of_levels(folder: Path, tmp_path: Path, cap
     assert srbf_info(out).provenance["levels"] == expected
     assert (tmp_path / "report" / "report.html").exists()
     report = ["pvs-report", tmp_path / "rooms.pvs", folder, "-o", tmp_path / "sets", "--cells", "1"]
-    measured = run(capsys, *report, "--viewpoints", "1", "--dense", "0", "--width", "32", "--height", "24")
+    measured = run(capsys, *report, "--eyes", "1", "--dense", "0", "--width", "32", "--height", "24")
     assert measured["quality"]["figures"]["weighted_recall"]["mean"] > 0.8
 
 

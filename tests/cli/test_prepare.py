@@ -27,7 +27,7 @@ from tests.scene.places import box
 Capture = pytest.CaptureFixture[str]
 SCENE = "builtin:wall_with_hole"
 TINY = ["--cells", "2", "--face-size", "16", "--limit", "0.05", "--max-inner", "1", "--workers", "1"]
-QUICK = [*TINY, "--max-terms", "0", "--steps", "2", "--views", "2", "--size", "24x20"]
+QUICK = [*TINY, "--max-terms", "0", "--steps", "2", "--views", "2", "--width", "24", "--height", "20"]
 BOX = ["--box", "1", "1", "1", "7", "3", "2"]
 FLAT = ["--levels", "none", "--max-terms", "0"]
 

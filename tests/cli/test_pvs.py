@@ -24,7 +24,7 @@ from gsvis.scene.procedural import two_rooms
 from tests.cli.halted import Halted
 
 Capture = pytest.CaptureFixture[str]
-QUICK = ["--cells", "8", "--size", "16", "--workers", "1", "--rays", "256", "--max-inner", "1"]
+QUICK = ["--cells", "8", "--face-size", "16", "--workers", "1", "--certify", "256", "--max-inner", "1"]
 BOX = ["--box", "0.5", "0.5", "0.5", "3.5", "3.5", "2.5"]
 GSVIS = [sys.executable, "-m", "gsvis"]
 
@@ -74,7 +74,7 @@ def test_a_store_is_written_and_summarized(ply: Path, tmp_path: Path, capsys: Ca
 
 
 def test_a_looser_limit_is_met_and_nothing_is_remarked(ply: Path, tmp_path: Path, capsys: Capture) -> None:
-    out, words = tmp_path / "rooms.pvs", [*QUICK, *BOX, "--limit", "0.1", "--rays", "512", "--max-inner", "8"]
+    out, words = tmp_path / "rooms.pvs", [*QUICK, *BOX, "--limit", "0.1", "--certify", "512", "--max-inner", "8"]
     assert main(["pvs", str(ply), "-o", str(out), *words]) == 0
     text = " ".join(capsys.readouterr().out.split())
     assert "not proven" not in text
@@ -86,7 +86,7 @@ def test_a_looser_limit_is_met_and_nothing_is_remarked(ply: Path, tmp_path: Path
 def test_a_limit_of_one_in_two_thousand_is_reached_and_holds_for_fresh_rays(tmp_path: Path, capsys: Capture) -> None:
     out, made = tmp_path / "rooms.pvs", two_rooms(1000, sh_degree=0)
     save_scene(made.gaussians, tmp_path / "rooms.ply")
-    words = ["--cells", "2", "--size", "128", "--workers", "1", "--limit", "0.0005", *BOX]
+    words = ["--cells", "2", "--face-size", "128", "--workers", "1", "--limit", "0.0005", *BOX]
     found = document(capsys, tmp_path / "rooms.ply", "-o", out, *words)
     assert found["cells_above_limit"] == 0
     assert 0.0 < found["certificates"]["bound"]["max"] <= 0.0005
@@ -180,10 +180,10 @@ def test_contradictions_and_impossible_wishes_are_refused_before_the_work(
         (["--max-memory", "lots"], "4GB"),
         (["--max-memory", "0GB"], "4GB"),
         (["--cells", "0"], "1 to 100000"),
-        (["--size", "3"], "4 to 4096"),
+        (["--face-size", "3"], "4 to 4096"),
         (["--tau", "0.6"], "0.5"),
         (["--limit", "2"], "share"),
-        (["--rays", "0"], "at least 1"),
+        (["--certify", "0"], "at least 1"),
         (["--max-inner", "0.5"], "at least 0"),
         (["--growth", "0.1"], "--growth"),
         (["--max-viewpoints", "4"], "--max-viewpoints"),
@@ -252,7 +252,10 @@ def test_the_time_left_does_not_count_what_was_done_before(monkeypatch: pytest.M
 
 
 def test_killed_interrupted_and_finished(ply: Path, tmp_path: Path, capsys: Capture) -> None:
-    out, long = tmp_path / "rooms.pvs", [str(ply), "--cells", "16", "--size", "24", "--rays", "256", "--max-inner", "1"]
+    out, long = (
+        tmp_path / "rooms.pvs",
+        [str(ply), "--cells", "16", "--face-size", "24", "--certify", "256", "--max-inner", "1"],
+    )
     killed = Halted("cells", 2, "pvs", *long, "-o", out, "--workers", "2")
     killed.wait()
     assert len(killed.members()) > 1

@@ -23,7 +23,7 @@ from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.procedural import two_rooms
 
 Capture = pytest.CaptureFixture[str]
-QUICK = ["--cells", "2", "--viewpoints", "1", "--dense", "2", "--width", "24", "--height", "18", "--certify", "200"]
+QUICK = ["--cells", "2", "--eyes", "1", "--dense", "2", "--width", "24", "--height", "18", "--certify", "200"]
 FEW = PvsConfig(method="raster", size=16, rays=256, max_inner=1)
 
 
@@ -78,7 +78,7 @@ def test_it_writes_a_report_and_prints_tables(
 def test_json_is_the_document_and_its_command_makes_it_again(
     built: tuple[Path, Path], tmp_path: Path, capsys: Capture
 ) -> None:
-    words = ["pvs-report", *map(str, built), "-o", str(tmp_path), *QUICK, "--seed", "3", "--rays"]
+    words = ["pvs-report", *map(str, built), "-o", str(tmp_path), *QUICK, "--seed", "3", "--raycast"]
     assert main([*words, "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document == json.loads((tmp_path / "report.json").read_text())

@@ -223,16 +223,16 @@ def cameras_json(path: Path, count: int) -> Path:
 
 def test_cameras_of_a_file_keep_their_size_and_can_be_chosen(ply: Path, tmp_path: Path, capsys: Capture) -> None:
     file = cameras_json(tmp_path / "transforms.json", 4)
-    document = documented(capsys, ply, "--camera", file, "-o", tmp_path / "all")
+    document = documented(capsys, ply, "--cameras", file, "-o", tmp_path / "all")
     assert (len(document["files"]), document["width"], document["height"]) == (4, 32, 16)
-    document = documented(capsys, ply, "--camera", file, "--index", 3, 1, "-o", tmp_path / "two", "--width", 16)
+    document = documented(capsys, ply, "--cameras", file, "--index", 3, 1, "-o", tmp_path / "two", "--width", 16)
     assert [camera["name"] for camera in document["cameras"]] == ["3.png", "1.png"]
     assert pixels(tmp_path / "two" / "0001.png").shape == (8, 16, 3)
     camera = Cameras.look_at([[2.0, 2.0, 1.5]], (3.0, 2.0, 1.5), width=16, height=8, fov=90.0)
     seen = rasterize(load_scene(ply), camera, backend="cpu").images[0].clip(0, 1)
     assert np.abs(pixels(tmp_path / "two" / "0000.png") / 255.0 - seen).max() <= 1.0 / 255.0
-    assert "0 to 3" in refused(capsys, ply, "--camera", file, "--index", 4, "-o", tmp_path / "no")
-    assert "one camera, got 4" in refused(capsys, ply, "--camera", file, "--contributors", "1,1")
+    assert "0 to 3" in refused(capsys, ply, "--cameras", file, "--index", 4, "-o", tmp_path / "no")
+    assert "one camera, got 4" in refused(capsys, ply, "--cameras", file, "--contributors", "1,1")
     assert not (tmp_path / "no").exists()
 
 
@@ -295,7 +295,6 @@ def test_frames_beyond_four_digits_still_sort(tmp_path: Path) -> None:
 
 def test_defaults_are_those_the_help_states() -> None:
     assert parse(["render", "x", "-o", "d"]) == Render("x", "d")
-    assert parse(["render", "x", "--cameras", "c"]) == parse(["render", "x", "--camera", "c"])
     command = parse(["render", "x", "--index", "3", "5", "--up", "-y", "--eye", "-1", "-.5", "2", "-o", "y"])
     assert isinstance(command, Render)
     assert (command.index, command.eye, command.out) == ((3, 5), (-1.0, -0.5, 2.0), "y")
@@ -309,10 +308,10 @@ def test_defaults_are_those_the_help_states() -> None:
         (["-o", "a.jpg"], "OUT"),
         (["-o", "a.png", "--orbit", "2"], "for 2 cameras"),
         (["-o", "a/", "--orbit", "2", "--eye", "1", "2", "3"], "--eye: expected none with --orbit"),
-        (["-o", "a/", "--camera", "c", "--orbit", "2"], "--orbit: expected none with --camera"),
-        (["-o", "a.png", "--camera", "none.json"], "none.json"),
-        (["-o", "a.png", "--camera", "c", "--fov", "50"], "--fov"),
-        (["-o", "a.png", "--camera", "c", "--up", "+z"], "--up"),
+        (["-o", "a/", "--cameras", "c", "--orbit", "2"], "--orbit: expected none with --cameras"),
+        (["-o", "a.png", "--cameras", "none.json"], "none.json"),
+        (["-o", "a.png", "--cameras", "c", "--fov", "50"], "--fov"),
+        (["-o", "a.png", "--cameras", "c", "--up", "+z"], "--up"),
         (["-o", "a.png", "--up", "north"], "--up"),
         (["-o", "a.png", "--index", "1"], "--index"),
         (["-o", "a.png", "--radius", "1"], "--radius"),

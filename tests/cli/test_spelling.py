@@ -18,6 +18,7 @@ from gsvis.scene.procedural import two_rooms
 Capture = pytest.CaptureFixture[str]
 
 NOT_PATHS = {
+    "change_up",
     "up",
     "page_origins",
     "scheduler",
@@ -89,7 +90,7 @@ def test_names_are_those_of_the_documentation() -> None:
 
 def test_values_that_look_like_options_are_left_alone() -> None:
     crop = ["--crop", "-1", "-2", "-3.5", "1e3", "2", "3"]
-    assert misspelling(["convert", "a.ply", "b.ply", *crop, "--up", "-y:+z"]) is None
+    assert misspelling(["convert", "a.ply", "b.ply", *crop, "--change-up", "-y:+z"]) is None
     assert misspelling(["render", "a.ply", "--up", "-y", "--target", "-.5", "0", "0"]) is None
 
 

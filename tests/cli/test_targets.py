@@ -68,7 +68,7 @@ INPUTS = {
     "pvs, no path": ("pvs {ply} -o {out} --path {ply}", "ply"),
     "color, no store": ("color {ply} -o {out} --pvs {ply}", "ply"),
     "analyze, no cameras": ("analyze {ply} -o {out} --cameras {walk}", "walk.csv"),
-    "render, no cameras": ("render {ply} -o {out}.png --camera {walk}", "walk.csv"),
+    "render, no cameras": ("render {ply} -o {out}.png --cameras {walk}", "walk.csv"),
 }
 
 
@@ -78,7 +78,7 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("world")
     scene = two_rooms(1000, sh_degree=1).gaussians
     save_scene(scene, folder / "rooms.ply")
-    few = "--cells 2 --size 16 --workers 1 --rays 256 --max-inner 1 --box 0.5 0.5 0.5 3.5 3.5 2.5"
+    few = "--cells 2 --face-size 16 --workers 1 --certify 256 --max-inner 1 --box 0.5 0.5 0.5 3.5 3.5 2.5"
     assert main(["pvs", f"{folder}/rooms.ply", "-o", f"{folder}/rooms.pvs", *few.split()]) == 0
     levels = in_package_order(Levels.single(scene))
     write_package(folder / "rooms.gsvis", levels, colors_of(len(levels.union))[1]).close()

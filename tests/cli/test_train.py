@@ -23,7 +23,7 @@ from tests.io.scene_files import ply_bytes
 from tests.train.photo_files import cloud, write_photos
 
 Capture = pytest.CaptureFixture[str]
-STEPS = ["--iterations", "20", "--evaluate-every", "10", "--sh-degree", "1"]
+STEPS = ["--steps", "20", "--evaluate-every", "10", "--sh-degree", "1"]
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +69,20 @@ def test_a_scene_and_its_record_are_written_and_summarized(photos: Path, tmp_pat
 
 
 def test_all_photographs_smaller_and_from_random_points(photos: Path, tmp_path: Path, capsys: Capture) -> None:
-    words = [photos, "-o", tmp_path / "a.spz", *STEPS, "--hold-out", "0", "--size", "24x16", "--random-points", "30"]
+    words = [
+        photos,
+        "-o",
+        tmp_path / "a.spz",
+        *STEPS,
+        "--test-every",
+        "0",
+        "--width",
+        "24",
+        "--height",
+        "16",
+        "--random-points",
+        "30",
+    ]
     record = document(capsys, *words, "--max-gaussians", "30", "--seed", "3")
     assert (record["width"], record["height"], record["gaussians"]) == (24, 16, 30)
     assert record["photographs"] == {"all": 10, "trained_on": 10}
@@ -125,7 +138,7 @@ def test_a_run_that_is_stopped_is_resumed(
 def test_a_model_without_points_begins_at_random(photos: Path, tmp_path: Path, capsys: Capture) -> None:
     shutil.copytree(photos, tmp_path / "photos")
     (tmp_path / "photos" / "sparse" / "0" / "points3D.bin").unlink()
-    few = ["--iterations", "1", "--evaluate-every", "0"]
+    few = ["--steps", "1", "--evaluate-every", "0"]
     assert main(["train", str(tmp_path / "photos"), "-o", str(tmp_path / "a.ply"), *few]) == 0
     text = " ".join(capsys.readouterr().out.split())
     assert "50,000 random points" in text
@@ -141,9 +154,11 @@ def test_what_cannot_be_is_refused_before_the_work(
     assert "nowhere: no such file" in refused(capsys, tmp_path / "nowhere", "-o", out)
     assert "expected a COLMAP model" in refused(capsys, tmp_path, "-o", out)
     assert "--out: expected a name that ends in" in refused(capsys, photos, "-o", tmp_path / "scene.xyz")
-    assert "--downscale: expected none" in refused(capsys, photos, "-o", out, "--size", "24x16", "--downscale", "2")
-    assert "--hold-out: expected 0 or at least 2" in refused(capsys, photos, "-o", out, "--hold-out", "1")
-    assert "size: expected at most 48 x 32" in refused(capsys, photos, "-o", out, "--size", "96x64")
+    assert "--downscale: expected none" in refused(
+        capsys, photos, "-o", out, "--width", "24", "--height", "16", "--downscale", "2"
+    )
+    assert "--test-every: expected 0 or at least 2" in refused(capsys, photos, "-o", out, "--test-every", "1")
+    assert "size: expected at most 48 x 32" in refused(capsys, photos, "-o", out, "--width", "96", "--height", "64")
     assert "nowhere: no such file or folder" in refused(capsys, photos, "-o", out, "--images", "nowhere")
     (tmp_path / "points.ply").write_bytes(ply_bytes({name: [0.0] for name in "xyz"}))
     assert "which is something else" in refused(capsys, photos, "-o", tmp_path / "points.ply")
@@ -170,9 +185,9 @@ def test_a_folder_that_may_not_be_written_to_is_refused_at_once(photos: Path, tm
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--size", "400"], "such as 400x266"),
+        (["--width", "400"], "--width: expected --height with it"),
         (["--downscale", "0.5"], "a factor of 1 to 64"),
-        (["--iterations", "0"], "1 to 10000000"),
+        (["--steps", "0"], "1 to 10000000"),
         (["--sh-degree", "4"], "an SH degree of 0 to 3"),
         (["--backend", "gpu"], "cuda"),
     ],

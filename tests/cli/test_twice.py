@@ -24,7 +24,7 @@ from tests.simulate.streets import walk
 from tests.train.photo_files import write_transforms
 
 VIEW = ["--width", "32", "--height", "24"]
-SETS = ["--cells", "4", "--size", "16", "--rays", "256", "--max-inner", "1"]
+SETS = ["--cells", "4", "--face-size", "16", "--certify", "256", "--max-inner", "1"]
 BOX = ["--box", "0.5", "0.5", "0.5", "3.5", "3.5", "2.5"]
 COMMANDS = {
     "convert to ply": ["convert", "../rooms.ply", "out.ply", "--min-opacity", "0.1"],
@@ -32,22 +32,22 @@ COMMANDS = {
     "convert to compact spz": ["convert", "../rooms.ply", "out.spz", "--compact"],
     "convert to ksplat": ["convert", "../rooms.ply", "../rooms.ply", "-o", "out.ksplat", "--rotate", "1", "2", "3"],
     "convert to sog": ["convert", "../rooms.ply", "out.sog"],
-    "cut": ["cut", "../rooms.ply", "-o", "out.ply", "--box", "1", "1", "1", "2", "2", "2", "--size", "16", "--views",
-            "1", "--limit", "0.05", "--select", "out.npy"],
-    "paint": ["paint", "../rooms.ply", "-o", "out.ply", "--by", "directions", "--eyes", "2", "--size", "16",
+    "cut": ["cut", "../rooms.ply", "-o", "out.ply", "--box", "1", "1", "1", "2", "2", "2", "--face-size", "16",
+            "--held-out", "1", "--limit", "0.05", "--select", "out.npy"],
+    "paint": ["paint", "../rooms.ply", "-o", "out.ply", "--by", "directions", "--eyes", "2", "--face-size", "16",
               "--box", "1", "1", "1", "2", "2", "2"],
     "render": ["render", "../rooms.ply", "-o", "out/", "--orbit", "2", "--depth", *VIEW],
     "render gif": ["render", "../rooms.ply", "-o", "out.gif", "--orbit", "2", *VIEW],
     "analyze": ["analyze", "../rooms.ply", "-o", "out", "--views", "2", *VIEW, "--traced-sample", "50",
                 "--rays-per-face", "1"],
     "pvs": ["pvs", "../rooms.ply", "-o", "out.pvs", *SETS, "--workers", "1"],
-    "pvs-report": ["pvs-report", "../rooms.pvs", "../rooms.ply", "-o", "out", "--cells", "1", "--viewpoints", "1",
+    "pvs-report": ["pvs-report", "../rooms.pvs", "../rooms.ply", "-o", "out", "--cells", "1", "--eyes", "1",
                    "--dense", "0", *VIEW],
     "color": ["color", "../rooms.ply", "-o", "out.arrow", "--views", "2", "--held-out", "1", *VIEW, "--max-terms", "1",
               "--report", "report"],
-    "levels": ["levels", "../rooms.ply", "-o", "out", "--iterations", "3", "--views", "2", "--held-out", "1",
-               "--size", "32x24"],
-    "train": ["train", "../photos", "-o", "out.ply", "--iterations", "6", "--random-points", "50",
+    "levels": ["levels", "../rooms.ply", "-o", "out", "--steps", "3", "--views", "2", "--held-out", "1",
+               "--width", "32", "--height", "24"],
+    "train": ["train", "../photos", "-o", "out.ply", "--steps", "6", "--random-points", "50",
               "--evaluate-every", "3"],
     "prepare": ["prepare", "builtin:wall_with_hole", "-o", "out.gsvis", "--cells", "2", "--face-size", "16",
                 "--limit", "0.05", "--max-inner", "1", "--workers", "1", "--max-terms", "1", "--levels", "none"],

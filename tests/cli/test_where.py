@@ -35,11 +35,11 @@ SMALL = {
         "--dry-run",
         "--cells",
         "8",
-        "--size",
+        "--face-size",
         "16",
         "--workers",
         "1",
-        "--rays",
+        "--certify",
         "256",
         "--limit",
         "0.05",
@@ -177,11 +177,11 @@ class TestBadInput:
             poses = [np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, z], [0, 0, 0, 1]]) for z in heights]
             frames = [{"file_path": f"{k}.png", "transform_matrix": pose.tolist()} for k, pose in enumerate(poses)]
             (tmp_path / "transforms.json").write_text(json.dumps({**views, "frames": frames}))
-            words = ["--camera", tmp_path / "transforms.json"]
+            words = ["--cameras", tmp_path / "transforms.json"]
             out = tmp_path / (f"{heights[0]}.png" if len(poses) == 1 else "eyes")
             assert main([str(word) for word in ("render", scene, "-o", out, *words, "--json")]) == 0
             remarks = [each for each in json.loads(capsys.readouterr().out)["remarks"] if "solid" in each]
-            wanted = f"Expected the cameras of --camera in free space, got {expected} inside something solid"
+            wanted = f"Expected the cameras of --cameras in free space, got {expected} inside something solid"
             assert [each.startswith(wanted) for each in remarks] == ([True] if expected else [])
 
     @pytest.mark.parametrize("words", [["1", "2", "3"], ["1", "2", "3", "0"], ["1", "2", "3", "nan"], ["all"], []])

@@ -24,7 +24,7 @@ from tests.serve.servers import PATIENCE, VIEW, has_all, still, until
 
 
 class Many:
-    """A `gsvis serve --processes` that runs."""
+    """A `gsvis serve --workers` that runs."""
 
     def __init__(self, process: subprocess.Popen[str], url: str, log: Path) -> None:
         self.process, self.url, self.log = process, url, log
@@ -52,7 +52,7 @@ class Many:
 def many(*packages: Path, count: int = 2, options: tuple[str, ...] = ()) -> Iterator[Many]:
     log = packages[0].parent / f"{os.getpid()}-{time.monotonic_ns()}.log"
     command = [sys.executable, "-m", "gsvis", "serve", *map(str, packages), "--port", "0", "--json",
-               "--processes", str(count), *options]  # fmt: skip
+               "--workers", str(count), *options]  # fmt: skip
     with log.open("w") as errors:
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True)
     try:
@@ -137,7 +137,7 @@ def test_one_process_ends_with_the_same_status(plain: Path) -> None:
 
 
 def test_what_is_wrong_shows_once(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "gsvis", "serve", str(tmp_path / "none.gsvis"), "--port", "0", "--processes", "3"]
+    command = [sys.executable, "-m", "gsvis", "serve", str(tmp_path / "none.gsvis"), "--port", "0", "--workers", "3"]
     found = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
     single = subprocess.run([*command[:-2]], capture_output=True, text=True, timeout=PATIENCE)
     assert found.returncode == single.returncode != 0

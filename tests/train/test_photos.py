@@ -148,7 +148,7 @@ def test_sizes_that_differ_need_one_to_shrink_to(tmp_path: Path) -> None:
     sizes = [(WIDTH, HEIGHT)] * 9 + [(40, 32)]
     write_mixed(tmp_path / "sparse" / "0", cameras(), sizes)
     Image.fromarray(pictures()[9, :, :40]).save(tmp_path / "images" / "photo_009.png")
-    with pytest.raises(FormatError, match=r"2 sizes: 40 x 32, 48 x 32; .*--size 40x32"):
+    with pytest.raises(FormatError, match=r"2 sizes: 40 x 32, 48 x 32; .*--width 40 --height 32"):
         load_photos(tmp_path)
     photos = load_photos(tmp_path, size=(40, 32))
     assert len(photos.views) == 10
@@ -261,7 +261,7 @@ def test_sizes_out_of_range_are_refused(tmp_path: Path, asked: dict, message: st
 def test_what_would_not_fit_into_memory_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_photos(tmp_path)
     monkeypatch.setattr("os.sysconf", lambda name: 1 if name == "SC_PAGE_SIZE" else 60_000)
-    with pytest.raises(ValueError, match=r"fit into half of the memory .*--downscale or --size"):
+    with pytest.raises(ValueError, match=r"fit into half of the memory .*--downscale, or --width and --height"):
         load_photos(tmp_path)
     assert len(load_photos(tmp_path, downscale=2).views) == 10
 

@@ -1,0 +1,185 @@
+"""One thing has one name in all commands, and one name means one thing."""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Literal, get_args, get_origin, get_type_hints
+
+import pytest
+
+from gsvis.cli import main
+from gsvis.cli.arguments import Command
+from gsvis.cli.help import command_name, option_texts
+from gsvis.cli.renamed import RENAMED, SYNONYMS
+
+KINDS = {command_name(kind): kind for kind in get_args(Command)}
+PATHS = {"DIR", "FILE", "OUT", "DIR or URL"}
+LISTS = {"N[,N...]": "N", "S [S ...]|none": "S [S ...]", "E|auto": "E", "FILE [FILE ...]": "SCENE"}
+"""Metavars of the same thing, where a command takes several of it or a word more."""
+
+KERNELS = {
+    "--backend": "Renderer",
+    "--box": "Restrict viewpoints to this box",
+    "--cameras": "Cameras ",
+    "--cell-size": "Side of a cell",
+    "--cells": "Largest number of cells",
+    "--certify": "Largest number of random rays in each cell",
+    "--drop-invalid": "Leave out rows",
+    "--dry-run": "Print time, memory and disk",
+    "--epsilon": "Smallest change of a color",
+    "--eyes": "Number of eyes",
+    "--face-size": "Pixels along a side of the six faces",
+    "--fov": "Horizontal field of view",
+    "--height": "Pixels down ",
+    "--held-out": "Number of further views to measure on",
+    "--json": "Print one JSON document",
+    "--levels": "Size of each lower level as a share",
+    "--discard": "Delete what is kept for the next run",
+    "--limit": "The set ",
+    "--lod": "Level of detail of a streamed",
+    "--max-memory": "Memory limit",
+    "--max-terms": "Most terms",
+    "--mean-terms": "Terms a Gaussian on average",
+    "--meters-per-unit": "Length of a scene unit in meters",
+    "--min-psnr": "Least PSNR",
+    "--names": "Names of these levels",
+    "--out": "",
+    "--overwrite": "Replace ",
+    "--page-origins": "Other origins",
+    "--path": "Walk ",
+    "--photos": "Photographs to train ",
+    "--port": "Port",
+    "--pvs": "Visible sets of SCENE",
+    "--report": "Report to write: a folder for report.html",
+    "--scene": "The scene",
+    "--scheduler": "Dask scheduler",
+    "--seed": "Seed of everything random",
+    "--select": "Write ",
+    "--sh-degree": "Highest degree of spherical harmonics",
+    "--steps": "Steps of training",
+    "--tau": "Weight from which a Gaussian counts as visible",
+    "--up": "Up in ",
+    "--variant": "How colors are split",
+    "--views": "Number of views",
+    "--width": "Pixels across ",
+    "--workers": "Number of processes",
+}
+"""How the help of an option begins in each command that has it; others say the same, word by word."""
+
+
+@dataclass(frozen=True)
+class Option:
+    """One option of one command, as its help states it."""
+
+    command: str
+    name: str
+    metavar: str
+    type: object
+    choices: frozenset[str]
+    text: str
+
+
+def options() -> Iterator[Option]:
+    for command, kind in KINDS.items():
+        texts, hints = option_texts(kind), get_type_hints(kind, include_extras=True)
+        for each in fields(kind):
+            hint = hints[each.name]
+            extras = hint.__metadata__ if get_origin(hint) is Annotated else ()
+            if any("POSITIONAL" in str(extra).upper() for extra in extras):
+                continue
+            metavar = " ".join(str(extra.metavar) for extra in extras if getattr(extra, "metavar", None))
+            plain = get_args(hint)[0] if extras else hint
+            choices = frozenset(get_args(plain)) if get_origin(plain) is Literal else frozenset[str]()
+            yield Option(command, f"--{each.name.replace('_', '-')}", metavar, plain, choices, texts[each.name])
+
+
+OPTIONS = tuple(options())
+BY_NAME: dict[str, list[Option]] = defaultdict(list)
+for option in OPTIONS:
+    BY_NAME[option.name].append(option)
+SHARED = sorted(name for name, found in BY_NAME.items() if len(found) > 1)
+
+
+def kind_of(option: Option) -> str:
+    """Return what an option takes: a path, choices, or its metavar without the word that only some commands take."""
+    if option.choices:
+        return "choices"
+    if option.metavar in PATHS:
+        return "path"
+    return LISTS.get(option.metavar, option.metavar)
+
+
+@pytest.mark.parametrize("name", SHARED)
+def test_a_name_takes_the_same_in_all_commands(name: str) -> None:
+    assert len({kind_of(each) for each in BY_NAME[name]}) == 1, [(each.command, each.metavar) for each in BY_NAME[name]]
+    choices = sorted((each.choices for each in BY_NAME[name]), key=len)
+    assert all(few <= more for few, more in pairwise(choices))
+
+
+@pytest.mark.parametrize("name", SHARED)
+def test_a_name_means_the_same_in_all_commands(name: str) -> None:
+    if name in KERNELS:
+        assert [each for each in BY_NAME[name] if not each.text.startswith(KERNELS[name])] == []
+    else:
+        assert len({each.text for each in BY_NAME[name]}) == 1
+
+
+def test_no_two_names_say_the_same() -> None:
+    names: dict[str, set[str]] = defaultdict(set)
+    for each in OPTIONS:
+        names[each.text].add(each.name)
+    assert [sorted(found) for found in names.values() if len(found) > 1] == []
+
+
+def test_synonyms_do_not_exist() -> None:
+    for ours, theirs in SYNONYMS.items():
+        assert ours in BY_NAME
+        assert not set(theirs) & set(BY_NAME)
+
+
+@pytest.mark.parametrize(("old", "command"), [(old, command) for old, found in RENAMED.items() for command in found])
+def test_an_old_name_is_answered_with_the_new_one(capsys: pytest.CaptureFixture[str], old: str, command: str) -> None:
+    assert main([command, "x", old, "1"]) == 2
+    line = capsys.readouterr().err
+    assert line.count("\n") == 1
+    assert old in line
+    new = re.findall(r"--[a-z-]+", RENAMED[old][command])
+    assert new
+    known = {each.name for each in OPTIONS if each.command == command}
+    assert set(new) <= known
+    assert old not in known
+    assert all(each in line for each in new)
+
+
+def test_a_name_of_other_programs_is_answered_with_ours(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["convert", "a.ply", "b.ply", "--force"]) == 2
+    assert "its name here is --overwrite" in capsys.readouterr().err
+    assert main(["inspect", "a.ply", "--force"]) == 2
+    assert "--overwrite" not in capsys.readouterr().err
+
+
+def documented_commands() -> Iterator[tuple[str, str]]:
+    """Yield each line of the documentation that calls gsvis, and where it is."""
+    root = Path(__file__).parents[2]
+    for page in (root / "README.md", *sorted((root / "docs").rglob("*.md"))):
+        text = page.read_text(encoding="utf-8").replace("\\\n", " ")
+        for found in re.finditer(r"(?:^|`)(?:\$ )?(gsvis [a-z][a-z-]* [^`\n]*)", text, re.M):
+            yield found[1].partition(" # ")[0], f"{page.relative_to(root)}: {found[1]}"
+
+
+def test_the_documentation_uses_names_that_exist() -> None:
+    wrong, seen = [], 0
+    for line, place in documented_commands():
+        words = line.split()[1:]
+        if words[0] not in KINDS:
+            continue
+        seen += 1
+        known = {name for each in OPTIONS if each.command == words[0] for name in (each.name, "-o")}
+        wrong += [place for word in words[1:] if re.match(r"--[a-z]", word) and word.partition("=")[0] not in known]
+    assert seen > 100
+    assert wrong == []
