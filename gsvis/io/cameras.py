@@ -15,6 +15,7 @@ from gsvis.errors import FormatError
 from gsvis.files.limits import open_regular
 from gsvis.io.colmap import find_colmap, read_colmap
 from gsvis.io.folders import cameras_remedy
+from gsvis.io.foreign_cameras import foreign_cameras, foreign_cameras_in, foreign_json
 from gsvis.io.inria_cameras import read_inria_cameras
 from gsvis.io.report_cameras import holds_own_cameras, read_own_cameras
 from gsvis.io.transforms_json import read_transforms
@@ -73,13 +74,18 @@ def _file_of(path: Path) -> Path:
         for name in ("transforms.json", "cameras.json"):
             if (path / name).is_file():
                 return _file_of(path / name)
-        raise FormatError(path, "", _KNOWN, "a folder without any of them", cameras_remedy(path))
+        near = cameras_remedy(path)
+        kind, remedy = (None if near else foreign_cameras_in(path)) or ("a folder without any of them", near)
+        raise FormatError(path, "", _KNOWN, kind, remedy)
     if not path.exists():
         raise FileNotFoundError(errno.ENOENT, "no camera file or folder here", str(path))
+    with open_regular(path) as stream:
+        start = stream.read(2048).removeprefix(b"\xef\xbb\xbf").lstrip()
+    other = foreign_cameras(path, start)
+    if other is not None:
+        raise FormatError(path, "", _KNOWN, *other)
     if path.suffix in (".bin", ".txt"):
         return path.parent
-    with open_regular(path) as stream:
-        start = stream.read(64).removeprefix(b"\xef\xbb\xbf").lstrip()
     if path.suffix.lower() != ".json" and start[:1] not in (b"{", b"["):
         raise FormatError(path, "", _KNOWN, f"a file beginning {start[:8]!r} named {path.name!r}")
     return path
@@ -90,6 +96,9 @@ def _views(path: Path, size: tuple[int, int] | None) -> Views:
     if path.is_dir():
         return read_colmap(path)
     content = read_json(path)
+    other = foreign_json(content)
+    if other is not None:
+        raise FormatError(path, "", _KNOWN, *other)
     if holds_own_cameras(content):
         return read_own_cameras(path, content)
     if isinstance(content, dict):

@@ -158,6 +158,7 @@ def test_what_cannot_be_is_refused_before_the_work(
         capsys, photos, "-o", out, "--width", "24", "--height", "16", "--downscale", "2"
     )
     assert "--test-every: expected 0 or at least 2" in refused(capsys, photos, "-o", out, "--test-every", "1")
+    assert "--width: expected --height with it" in refused(capsys, photos, "-o", out, "--width", "24")
     assert "size: expected at most 48 x 32" in refused(capsys, photos, "-o", out, "--width", "96", "--height", "64")
     assert "nowhere: no such file or folder" in refused(capsys, photos, "-o", out, "--images", "nowhere")
     (tmp_path / "points.ply").write_bytes(ply_bytes({name: [0.0] for name in "xyz"}))
@@ -185,7 +186,7 @@ def test_a_folder_that_may_not_be_written_to_is_refused_at_once(photos: Path, tm
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--width", "400"], "--width: expected --height with it"),
+        (["--width", "0"], "1 to 16384 pixels"),
         (["--downscale", "0.5"], "a factor of 1 to 64"),
         (["--steps", "0"], "1 to 10000000"),
         (["--sh-degree", "4"], "an SH degree of 0 to 3"),

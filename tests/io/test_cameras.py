@@ -131,3 +131,35 @@ def read_keypoints(path: Path) -> list[tuple[str, np.ndarray, np.ndarray]]:
         images.append((name, keypoints["xy"], keypoints["id"]))
         at = end + 9 + 24 * number
     return images
+
+
+FOREIGN = {
+    "metashape.xml": ('<?xml version="1.0"?>\n<document version="2.0.0">\n  <chunk label="a"/>', "Metashape"),
+    "blocks.xml": ('<?xml version="1.0"?>\n<BlocksExchange version="3.2">', "BlocksExchange"),
+    "bundle.out": ("# Bundle file v0.3\n2 0\n", "Bundler"),
+    "cameras.nvm": ("NVM_V3\n\n2\n", "VisualSFM"),
+    "registration.csv": ("#cameras 24\n#name,x,y,alt,heading,pitch,roll\na.jpg,1,2,3,4,5,6\n", "RealityCapture"),
+    "named.csv": ("#name,x,y,z,heading,pitch,roll\n", "RealityCapture"),
+    "a.xmp": ('<x:xmpmeta><rdf:Description xcr:Version="3"/></x:xmpmeta>', "RealityCapture"),
+    "scene.rcalign": ("\0\1", "RealityCapture"),
+    "scene.psx": ("<document/>", "Metashape"),
+    "sfm_data.json": ('{"sfm_data_version": "0.3", "views": []}', "OpenMVG"),
+    "cameras.sfm": ('{"version": ["1"], "views": [], "intrinsics": [], "poses": []}', "Meshroom"),
+    "reconstruction.json": ('[{"cameras": {}, "shots": {}, "points": {}}]', "OpenSfM"),
+}
+
+
+@pytest.mark.parametrize("name", FOREIGN)
+def test_cameras_of_other_programs_are_named_with_the_way_to_a_colmap_model(tmp_path: Path, name: str) -> None:
+    text, program = FOREIGN[name]
+    (tmp_path / name).write_text(text)
+    with pytest.raises(FormatError, match=program) as refused:
+        load_cameras(tmp_path / name)
+    assert "COLMAP" in str(refused.value).partition(program)[2]
+    assert "\n" not in str(refused.value)
+
+
+def test_a_folder_of_other_cameras_names_the_file(tmp_path: Path) -> None:
+    (tmp_path / "cameras.xml").write_text(FOREIGN["metashape.xml"][0])
+    with pytest.raises(FormatError, match=r"Metashape \(XML\): cameras.xml; export them as a COLMAP model"):
+        load_cameras(tmp_path)
