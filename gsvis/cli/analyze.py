@@ -84,7 +84,7 @@ def _write_report(
     status("space", 0, 1)
     framed: list[str] = []
     if given is not None and command.cameras is not None:
-        given, framed = framed_cameras(source, given, command.cameras)
+        given, framed = framed_cameras(source, given, command.cameras, command.cameras_frame)
     for each in framed:
         status.line(each.strip())
     place = find_place(source, command, None, walk, given)
@@ -187,6 +187,7 @@ def _parameters(command: Analyze, cameras: Cameras) -> dict[str, Any]:
         "scene": command.scene,
         "lod": command.lod,
         "cameras": command.cameras,
+        "cameras_frame": command.cameras_frame,
         **{name: getattr(command, name) for name in WORDS},
         "views": len(cameras),
         "width": cameras.width,
@@ -203,7 +204,7 @@ def _command_line(command: Analyze) -> str:
     """Return the command line that makes the report again."""
     words = ["gsvis", "analyze", command.scene, "-o", command.out]
     more = ("views", "width", "height", "fov", "seed", "tau", "traced_sample", "rays_per_face")
-    for name in ("lod", "cameras", *WORDS, *more):
+    for name in ("lod", "cameras", "cameras_frame", *WORDS, *more):
         value = getattr(command, name)
         if value is not None and value != getattr(Analyze, name):
             words += ["--" + name.replace("_", "-"), *spell(value)]

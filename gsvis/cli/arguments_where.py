@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
 from tyro.conf import arg
 
-from gsvis.cli.readers import AROUND, BOX, DISTANCE, Flag, hint
+from gsvis.cli.readers import AROUND, BOX, DISTANCE, PLAIN, Flag, hint
 
 __all__ = ["Where", "WhereSeen"]
 
@@ -27,6 +27,9 @@ class Where:
     """Distance of viewpoints from --path, at most, in scene units."""
     retarget: Flag = False
     """Move --path into the scene by a similarity transform, if it was recorded in another frame."""
+    cameras_frame: Annotated[Literal["auto", "scene", "capture"], PLAIN] = "auto"
+    """Frame of --cameras. scene: that of SCENE, as they are; capture: that of the photographs, moved by nerfstudio's
+    dataparser_transforms.json; auto: moved where more of them see the scene then. (default: auto)"""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -66,7 +66,7 @@ def run_clean(command: Clean) -> None:
             return
         framed: list[str] = []
         if cameras is not None and command.cameras is not None:
-            cameras, framed = framed_cameras(source, cameras, command.cameras)
+            cameras, framed = framed_cameras(source, cameras, command.cameras, command.cameras_frame)
         found, remarks = _find(command, config, source, walk, cameras, status)
         remarks = [*framed, *remarks]
         _check_left(command, found.kept)
@@ -252,8 +252,8 @@ def _lines(command: Clean, document: dict[str, Any]) -> list[str]:
 def _command_line(command: Clean) -> str:
     """Return the command line that gives the same result."""
     words = ["gsvis", "clean", command.scene]
-    names = ("out", "lod", *WORDS, "report", "select", "strength", "cameras", "eyes", "held_out", "min_psnr",
-             "max_changed", "up", "seed")  # fmt: skip
+    names = ("out", "lod", *WORDS, "report", "select", "strength", "cameras", "cameras_frame", "eyes",
+             "held_out", "min_psnr", "max_changed", "up", "seed")  # fmt: skip
     for name in names:
         value = getattr(command, name)
         if value is not None and value != getattr(Clean, name):

@@ -55,6 +55,8 @@ _PATHS = ("scene", "out", "lod", "pvs", "active", "report", "staircase")
 _SPELLED = {("epsilon", 0.0): "auto", ("mean_terms", math.inf): "all"}
 _NUMBERS = (
     *WORDS,
+    "cameras",
+    "cameras_frame",
     "variant",
     "max_terms",
     "mean_terms",

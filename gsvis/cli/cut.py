@@ -116,7 +116,7 @@ def _place_eyes(command: Cut, source: Source, walk: HeadPath | None) -> _Eyes:
 
     if command.cameras is not None:
         cameras = file_cameras(command.cameras, None, None, at_most=_WIDEST)
-        cameras, framed = framed_cameras(source, cameras, command.cameras)
+        cameras, framed = framed_cameras(source, cameras, command.cameras, command.cameras_frame)
         words = f"{len(cameras):,} cameras"
         if command.margin is not None:
             words += f", or up to {command.margin:g} beside them"

@@ -93,7 +93,7 @@ def _render(
         cameras, space, remarks = place_cameras(command, source, walk)
     else:
         assert command.cameras is not None
-        cameras, framed = framed_cameras(source, given, command.cameras)
+        cameras, framed = framed_cameras(source, given, command.cameras, command.cameras_frame)
         space = None
         remarks = framed + check_buried(source.gaussians, cameras.viewpoints, "the cameras of --cameras")
         for each in framed:

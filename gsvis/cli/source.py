@@ -6,13 +6,13 @@ import os
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
-from gsvis.errors import FormatError, SceneError
+from gsvis.errors import ArgumentError, FormatError, SceneError
 from gsvis.files.atomic import find_interrupted_moves
 from gsvis.files.limits import open_regular
 from gsvis.files.output import check_writable, output_errors
@@ -294,7 +294,9 @@ def file_cameras(path: str, width: int | None, height: int | None, *, at_most: i
     return cameras
 
 
-def framed_cameras(source: Source, cameras: Cameras, path: str) -> tuple[Cameras, list[str]]:
+def framed_cameras(
+    source: Source, cameras: Cameras, path: str, frame: Literal["auto", "scene", "capture"] = "auto"
+) -> tuple[Cameras, list[str]]:
     """Return cameras of a file in the frame of a scene, and remarks for the user: moved, or most see nothing.
 
     Every command that takes cameras calls this once the scene is read.
@@ -303,11 +305,19 @@ def framed_cameras(source: Source, cameras: Cameras, path: str) -> tuple[Cameras
         source: The scene.
         cameras: Of `file_cameras`.
         path: The file or folder that they are of.
+        frame: Value of --cameras-frame.
+
+    Raises:
+        ValueError: If they are to be moved, and no file says how.
     """
     from gsvis.cli.frames import cameras_in_scene
     from gsvis.io.frames import fit_cameras
 
-    found = fit_cameras(source.gaussians, cameras_in_scene(cameras, path, source.gaussians), path, source.path)
+    placed = cameras_in_scene(cameras, path, source.gaussians)
+    try:
+        found = fit_cameras(source.gaussians, placed, path, source.path, frame=frame)
+    except ArgumentError as error:
+        raise error.renamed("--cameras-frame") from None
     return found.cameras, [f" {each}" for each in found.remarks]
 
 

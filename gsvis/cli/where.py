@@ -133,6 +133,8 @@ def check_where(where: Where, other: str = "") -> HeadPath | None:
         value = getattr(where, names[1])
         raise ValueError(f"--{names[1]}: expected none with --{names[0]}, got {' '.join(spell(value))}; leave one out")
     cameras = getattr(where, "cameras", None)
+    if cameras is None and where.cameras_frame != "auto":
+        raise ValueError(f"--cameras-frame: expected --cameras with it, got {where.cameras_frame} alone; leave it out")
     if cameras is not None and not Path(cameras).exists():
         raise FileNotFoundError(2, "no such file or folder", cameras)
     return None if where.path is None else load_path(where.path)
@@ -162,7 +164,7 @@ def find_place(
     """
     framed: list[str] = []
     if cameras is None and (cameras := evidence_cameras(where)) is not None:
-        cameras, framed = framed_cameras(source, cameras, getattr(where, "cameras"))  # noqa: B009
+        cameras, framed = framed_cameras(source, cameras, getattr(where, "cameras"), where.cameras_frame)  # noqa: B009
     upright, doubts = _upright(source, up, cameras)
     far = flyaway_remarks(source.gaussians) if where.box is None else []  # nothing outside of a box counts
     remarks = [*far, *framed, *doubts]

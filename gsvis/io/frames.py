@@ -9,11 +9,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
-from gsvis.errors import FormatError
-from gsvis.io.dataparser import find_dataparser, read_applied, read_dataparser
+from gsvis import _check
+from gsvis.errors import ArgumentError, FormatError
+from gsvis.io.dataparser import NAME, find_dataparser, read_applied, read_dataparser
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.sight import blind
@@ -44,7 +46,12 @@ class Framed:
 
 
 def fit_cameras(
-    g: Gaussians, cameras: Cameras, path: str | Path | None = None, scene: str | Path | None = None
+    g: Gaussians,
+    cameras: Cameras,
+    path: str | Path | None = None,
+    scene: str | Path | None = None,
+    *,
+    frame: Literal["auto", "scene", "capture"] = "auto",
 ) -> Framed:
     """Return cameras in the frame of a scene, with a line where they were moved or where most see nothing.
 
@@ -53,22 +60,32 @@ def fit_cameras(
         cameras: C cameras as their file states them.
         path: Their file or folder; `dataparser_transforms.json` is looked for beside and above it.
         scene: The scene's file or folder; the same is looked for there if it is not beside the cameras.
+        frame: Frame of the cameras: "scene" leaves them as they are, "capture" moves them as the file says, "auto"
+            moves them only if clearly fewer of them see nothing then.
 
     Returns:
-        The cameras. They are moved only if clearly fewer of them see nothing then.
+        The cameras, moved or as they were.
 
     Raises:
+        ArgumentError: If the frame is "capture" and there is no `dataparser_transforms.json`.
         FormatError: If there is a `dataparser_transforms.json` that is malformed and the cameras need it.
     """
-    lost = _share(g, cameras)
-    found = None if lost == 0.0 else find_dataparser(path, scene)
-    best, moved = lost, None
+    _check.one_of("frame", frame, ("auto", "scene", "capture"))
+    lost, forced = _share(g, cameras), frame == "capture"
+    looked = forced or (frame == "auto" and lost > 0.0)
+    found = find_dataparser(path, scene) if looked else None
+    if found is None and forced:
+        where = " or ".join(str(each) for each in (path, scene) if each) or "the cameras"
+        raise ArgumentError(
+            "frame", f"expected a {NAME} beside {where} for capture, got none", "copy it there, or leave this out"
+        )
+    best, moved = 2.0 if forced else lost, None
     if found is not None:
-        for each in _candidates(found, path):
+        for each in _candidates(found, path, inverted=not forced):
             share = _share(g, move_cameras(cameras, each))
             if share < best:
                 best, moved = share, each
-    if moved is not None and lost - best >= _GAIN:
+    if moved is not None and (forced or lost - best >= _GAIN):
         count = len(cameras)
         line = (
             f"The cameras were brought into the frame of the scene by {found}: {_seeing(best, count)} of {count:,} see"
@@ -100,7 +117,7 @@ def _share(g: Gaussians, cameras: Cameras) -> float:
     return float(blind(g, cameras[some]).mean()) if count else 0.0
 
 
-def _candidates(found: Path, path: str | Path | None) -> Iterator[Similarity]:
+def _candidates(found: Path, path: str | Path | None, *, inverted: bool) -> Iterator[Similarity]:
     """Yield what may bring the cameras into the scene: what the file says, also after what was applied before."""
     moved = read_dataparser(found)
     yield moved
@@ -113,7 +130,8 @@ def _candidates(found: Path, path: str | Path | None) -> Iterator[Similarity]:
             applied = None
         if applied is not None:
             yield _after(moved, applied.inverse())
-    yield moved.inverse()
+    if inverted:
+        yield moved.inverse()
 
 
 def _after(second: Similarity, first: Similarity) -> Similarity:

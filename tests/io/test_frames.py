@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gsvis import Cameras, Gaussians
-from gsvis.errors import FormatError
+from gsvis.errors import ArgumentError, FormatError
 from gsvis.io.dataparser import read_dataparser
 from gsvis.io.frames import fit_cameras, move_cameras
 from gsvis.scene.sight import blind
@@ -108,3 +108,20 @@ def test_a_malformed_file_is_named(tmp_path, change):
     path = write(tmp_path, MOVE, **change)
     with pytest.raises(FormatError, match="dataparser_transforms"):
         read_dataparser(path)
+
+
+def test_a_stated_frame_is_obeyed(tmp_path):
+    write(tmp_path, MOVE)
+    path = tmp_path / "transforms.json"
+    far = room().transform(MOVE.rotation, MOVE.translation, MOVE.scale)
+    kept = fit_cameras(far, inside(), path, frame="scene")
+    assert kept.transform is None
+    np.testing.assert_array_equal(kept.cameras.viewpoints, inside().viewpoints)
+    moved = fit_cameras(room(), inside(), path, frame="capture")  # even where they see the scene as they are
+    np.testing.assert_allclose(moved.cameras.viewpoints, MOVE.apply(inside().viewpoints), atol=1e-12)
+    assert "dataparser_transforms.json" in moved.remarks[0]
+
+
+def test_a_stated_capture_needs_the_file(tmp_path):
+    with pytest.raises(ArgumentError, match=r"dataparser_transforms.json beside .*cams for capture"):
+        fit_cameras(room(), inside(), tmp_path / "cams", frame="capture")
