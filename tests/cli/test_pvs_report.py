@@ -93,8 +93,9 @@ def test_defaults_are_those_of_the_library() -> None:
     command = parse(["pvs-report", "a.pvs", "b.ply", "-o", "c"])
     assert isinstance(command, PvsReport)
     config = QualityConfig()
-    for name in ("cells", "viewpoints", "dense", "width", "height", "fov", "rays", "bytes_per_gaussian", "seed"):
+    for name in ("cells", "dense", "width", "height", "fov", "bytes_per_gaussian", "seed"):
         assert getattr(command, name) == getattr(config, name)
+    assert (command.eyes, command.raycast) == (config.viewpoints, config.rays)
 
 
 def test_another_scene_a_damaged_store_and_missing_files_are_refused_in_one_line(
