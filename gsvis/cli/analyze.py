@@ -234,14 +234,16 @@ def _tables(document: dict[str, Any]) -> list[Any]:
         ("                   largest", f"{visible['max']:.2%}", "33.58%*"),
         ("seen by at least one camera", f"{found['gathered']['seen_at_least_once'] / document['gaussians']:.2%}", ""),
     ]
-    ways = {"gathered": f"{len(visible['cameras']):,} views", "traced": "traced", "solid_angle": "by solid angle"}
+    ways = {"solid_angle": "by solid angle", "traced": "80 faces, by rays"}
+    if found["has_settled"]:  # else it says how many cameras there were
+        ways["gathered"] = f"80 faces, {len(visible['cameras']):,} views"
     for way, named in ways.items():
         if found[way]:
             for each, limit, paper in zip(
                 found[way]["share_below"], ("41.25%", "60%"), ("39.4%", "80.4%"), strict=True
             ):
                 text = f"seen from < {limit} of directions, {named}"
-                shares.append((text, f"{each['of_all']:.2%}", paper if way == "gathered" else ""))
+                shares.append((text, f"{each['of_all']:.2%}", paper if way == list(ways)[-1] else ""))
     if found["agreement"]:
         shares.append(("agreement of the two: mean Jaccard index", f"{found['agreement']['mean_jaccard']:.3f}", ""))
     shown = 3 if document["paper"]["comparable"] else 2  # columns; the last is the paper's
@@ -257,9 +259,8 @@ def _remarks(document: dict[str, Any]) -> list[str]:
         remarks = [f" The paper's 20.21% visible in a view does not compare with these: {differs}."]
     if not found["has_settled"]:
         count = len(document["visible_fraction"]["cameras"])
-        remarks.append(
-            f" {count:,} cameras are too few for what they saw of directions to have settled: see the report."
-        )
+        instead = "shares are by rays" if found["traced"] else "no share is printed"
+        remarks.append(f" {count:,} cameras are too few to count directions from them; {instead}.")
     if found["untraced_because"]:
         remarks.append(f" Directions were not traced outward: {found['untraced_because']}.")
     return remarks

@@ -32,7 +32,7 @@ class Simulate:
     out: Annotated[str, arg(aliases=["-o"], metavar="DIR", help_behavior_hint="(required)")]
     """Folder for report.html (all in one file), report.json and the pictures; made if missing."""
     trace: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: --mbit)")] = None
-    """Recorded bandwidth: a 5G log (.csv), or lines of seconds and Mbit/s."""
+    """Bandwidth over time: a recorded 5G log (.csv), or lines of seconds and Mbit/s."""
     mbit: Annotated[float | None, _MBIT, hint("10, without --trace")] = None
     """A link of one rate instead, Mbit/s."""
     round_trip: Annotated[float, _MILLISECONDS, hint("40")] = 40.0
@@ -45,11 +45,11 @@ class Simulate:
     """What is sent first. (default: utility)"""
     no_fill: Flag = False
     """Send only what a view needs: an idle link does not bring the rest of the scene."""
-    scene: Annotated[tuple[str, ...], _FILES, hint("the packages themselves")] = ()
-    """The scene of each package, or all scenes of one world, to compare with instead of the rounded records."""
+    scene: Annotated[tuple[str, ...], _FILES, hint("found beside each package")] = ()
+    """The scene that each package was made from, or all scenes of one world, to compare with."""
     lod: Annotated[int | None, WHOLE, hint("the finest that is there")] = None
     """Level of detail of a streamed --scene; 0 is the finest."""
-    whole_file: Annotated[tuple[str, ...], _FILES, hint("written as SOG and measured")] = ()
+    whole_file: Annotated[tuple[str, ...], _FILES, hint("the best of SOG and SPZ")] = ()
     """A file or folder of each scene; its size is used for the whole file."""
     width: Annotated[int, PIXELS] = 320
     """Pixels across the views that are compared."""

@@ -21,14 +21,16 @@ from gsvis.cli.levels import (
     named_option,
     view_sampling,
 )
+from gsvis.cli.made_from import about_source
 from gsvis.cli.memory import check_preparation
 from gsvis.cli.prepare_result import print_estimate, print_result
 from gsvis.cli.pvs import local_workers, named_memory, sets_config
-from gsvis.cli.source import check_folder, check_source, is_levels, load_source, parse_up
+from gsvis.cli.source import check_folder, check_source, is_builtin, is_levels, load_source, parse_up
 from gsvis.cli.stopping import between_steps
 from gsvis.cli.terminal import Status
 from gsvis.cli.where import check_where, find_place, suspect_views
 from gsvis.errors import ArgumentError, SceneError
+from gsvis.package.made_from import note_paths
 
 if TYPE_CHECKING:
     from gsvis.prepare import PrepareConfig
@@ -70,6 +72,8 @@ def run_prepare(command: Prepare) -> None:
         if work.exists():
             status.line(f"reusing the results in {work.name} that fit")
         about = {"made_by": f"gsvis {version()}", "scene": source.name, "lod": source.lod}
+        if not command.dry_run:
+            about |= about_source(command.scene, source, command.out)
         try:
             if command.dry_run:
                 estimate = estimate_preparation(
@@ -91,6 +95,8 @@ def run_prepare(command: Prepare) -> None:
             ) from None
         if not command.dry_run and command.discard:
             shutil.rmtree(prepared.work, ignore_errors=True)
+        elif not command.dry_run:
+            note_paths(command.out, [None if is_builtin(command.scene) else command.scene])
     if command.dry_run:
         print_estimate(command, source, space, estimate, remarks)
     else:

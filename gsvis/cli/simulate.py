@@ -1,21 +1,23 @@
-"""`gsvis simulate`: simulate what a viewer sees while scenes arrive over a recorded link; compare two baselines."""
+"""`gsvis simulate`: simulate what a viewer sees while scenes arrive over a link; compare two baselines."""
 
 from __future__ import annotations
 
 import shlex
 import sys
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gsvis._extras import has, remedy_of
 from gsvis.cli import version
 from gsvis.cli.arguments_simulate import Simulate
+from gsvis.cli.made_from import Original, find_original, load_original, own_file
 from gsvis.cli.memory import check_simulation
-from gsvis.cli.source import check_report, check_source, load_source
+from gsvis.cli.source import check_report, check_source
 from gsvis.cli.terminal import Status, facts, print_json, show
 from gsvis.errors import ArgumentError
-from gsvis.io.poses import load_path
+from gsvis.io.poses import is_recording, load_path
 from gsvis.package.manifest import MANIFEST
 from gsvis.package.package import Package
 from gsvis.scene.gaussians import Gaussians
@@ -43,9 +45,9 @@ def run_simulate(command: Simulate) -> None:
     """
     _check(command)
     check_report(command.out)
-    walk, trace = load_path(command.path), _trace(command)
+    walk, trace, originals = load_path(command.path), _trace(command), _originals(command)
     with Status() as status:
-        document = _write_report(command, walk, trace, status)
+        document = _write_report(command, walk, trace, originals, status)
     from gsvis.report.session_page import content_remarks
 
     if command.json:
@@ -79,18 +81,34 @@ def _check(command: Simulate) -> None:
             raise FileNotFoundError(2, "no such file or folder", file)
     for scene in command.scene:
         check_source(scene, command.lod)
-    sizes = [_size_of(package) for package in command.package]
+
+
+def _originals(command: Simulate) -> list[Original]:
+    """Return the scene that each package or world was made from, before any is read; check the memory for all."""
+    found, sizes = [], []
+    for k, package in enumerate(command.package):
+        size, provenance = _manifest_of(package)
+        sizes.append(size)
+        found.append(find_original(package, provenance, _given(command, k)))
+    scenes = [scene for original in found for scene in original.scenes]
     any_world = any(is_world(package) for package in command.package)
-    check_simulation(sizes, [(scene, command.lod) for scene in command.scene], command.max_memory, any_world)
+    check_simulation(sizes, scenes, command.max_memory, any_world)
+    return found
 
 
-def _size_of(path: str) -> int:
-    """Return the Gaussians of a package or of a world, by its manifest."""
+def _given(command: Simulate, place: int) -> list[tuple[str, int | None]]:
+    """Return the scenes of a package, or all of a world, that --scene names."""
+    scenes = command.scene if len(command.package) == 1 else command.scene[place : place + 1]
+    return [(scene, command.lod) for scene in scenes]
+
+
+def _manifest_of(path: str) -> tuple[int, dict[str, Any]]:
+    """Return the number of Gaussians and the provenance of a package or of a world, by its manifest."""
     if is_world(path) or (Path(path).is_dir() and not (Path(path) / MANIFEST).is_file()):
         m = World.open(path).manifest
-        return sum(m.node(k).gaussians for k in range(len(m)))
+        return sum(m.node(k).gaussians for k in range(len(m))), m.provenance
     with Package.open(path) as package:
-        return len(package)
+        return len(package), package.manifest.info.provenance
 
 
 def _trace(command: Simulate) -> BandwidthTrace:
@@ -100,7 +118,22 @@ def _trace(command: Simulate) -> BandwidthTrace:
     return load_trace(command.trace) if command.trace else BandwidthTrace.constant(command.mbit or _MBIT)
 
 
-def _write_report(command: Simulate, walk: HeadPath, trace: BandwidthTrace, status: Status) -> dict[str, Any]:
+def _kind_of_link(command: Simulate) -> str:
+    """Return what the link is; "recorded" only of a log of a device, because any text can be written by a program."""
+    if command.trace is None:
+        return "a constant link"
+    logged = Path(command.trace).suffix.lower() in (".csv", ".gz")
+    return "a recorded link" if logged else f"the link of {Path(command.trace).name}"
+
+
+def _kind_of_walk(command: Simulate) -> str:
+    """Return what the path is; "recorded" only of a recording of a person."""
+    return "a recorded path" if is_recording(command.path) else f"the path of {Path(command.path).name}"
+
+
+def _write_report(
+    command: Simulate, walk: HeadPath, trace: BandwidthTrace, originals: list[Original], status: Status
+) -> dict[str, Any]:
     """Simulate all visits and write the report; return its document."""
     from gsvis.abr import AbrConfig
     from gsvis.report.session_document import Simulation, write_session_report
@@ -114,30 +147,42 @@ def _write_report(command: Simulate, walk: HeadPath, trace: BandwidthTrace, stat
     )  # fmt: skip
     with ExitStack() as opened:
         visits = simulate_visits(
-            _places(command, walk, opened, status), walk, link, config,
+            _places(command, walk, originals, opened, status), walk, link, config,
             count=command.visits, abr=AbrConfig(policy=command.policy, fill=not command.no_fill), seed=command.seed,
             progress=status,
         )  # fmt: skip
     simulation = Simulation(
         visits, link, _command_line(command), version(),
         {name: _plain(value) for name, value in vars(command).items() if name not in ("json", "debug")},
-        dict(status.seconds),
+        dict(status.seconds), _kind_of_walk(command), _kind_of_link(command),
     )  # fmt: skip
     return write_session_report(command.out, simulation, progress=status)
 
 
-def _places(command: Simulate, walk: HeadPath, opened: ExitStack, status: Status) -> list[Place]:
+def _places(
+    command: Simulate, walk: HeadPath, originals: list[Original], opened: ExitStack, status: Status
+) -> list[Place]:
     """Open all packages and worlds; return them as places to simulate visits in."""
     status("reading", 0, len(command.package))
     places = []
     for k, folder in enumerate(command.package):
         whole = command.whole_file[k] if command.whole_file else None
+        reference, remark = load_original(originals[k], bool(command.scene))
+        own = own_file(originals[k]) if reference is not None else None
         try:
-            places.append(_open_place(folder, walk, opened, command, _reference(command, k), whole))
+            place = _open_place(folder, walk, opened, command, reference, whole)
         except ArgumentError as error:
             raise error.renamed("--" + error.name.replace("_", "-")) from None
+        places.append(replace(place, remark=_spell_remark(place, remark), own_file=own))
         status("reading", k + 1, len(command.package))
     return places
+
+
+def _spell_remark(place: Place, remark: str) -> str:
+    """Return a remark on the reference, with what to do where the package is compared with itself."""
+    if not place.against:
+        return remark
+    return f"{remark}; compared with {place.against}: name the scene with --scene" if remark else remark
 
 
 def _open_place(
@@ -152,14 +197,6 @@ def _open_place(
 
     package = opened.enter_context(Package.open(folder))
     return Place.open(package, reference=reference, whole_file=whole, as_is=command.as_is)
-
-
-def _reference(command: Simulate, place: int) -> Gaussians | None:
-    """Return the scene from which a package was made, or all of a world together; None if none is given."""
-    if not command.scene:
-        return None
-    scenes = command.scene if len(command.package) == 1 else command.scene[place : place + 1]
-    return Gaussians.concatenate([load_source(scene, command.lod).gaussians for scene in scenes])
 
 
 def _command_line(command: Simulate) -> str:
@@ -192,8 +229,8 @@ def _tables(document: dict[str, Any]) -> list[Any]:
 
     link = document["link"]
     text = f"{link['trace']}, {link['mean_mbit_per_s']:.2f} Mbit/s, {1000 * link['round_trip']:g} ms"
-    parts: list[Any] = [f" Link: {text} there and back."]
+    parts: list[Any] = [f" {document['title']}", f" Link: {text} there and back."]
     for visit in document["visits"]:
         header, rows = format_figures(visit["systems"])
-        parts.append(facts(visit["scene"]["name"], rows, header))
+        parts.append(facts(visit["title"], rows, header))
     return parts

@@ -13,12 +13,14 @@ from typing import TYPE_CHECKING, Any
 from gsvis._extras import require
 from gsvis.cli import version
 from gsvis.cli.arguments import World
+from gsvis.cli.made_from import about_files
 from gsvis.cli.pvs import local_workers, named_memory, sets_config
 from gsvis.cli.source import check_folder, is_builtin, is_levels, parse_up, title_of
 from gsvis.cli.terminal import Status, busy_note, clock, facts, least_size_of, print_json, show, size_of
 from gsvis.errors import ArgumentError
 from gsvis.io.poses import load_path
 from gsvis.io.scenes import check_scene
+from gsvis.package.made_from import note_paths
 from gsvis.pvs.workers import Workers
 from gsvis.scene.axes import nearest_axis
 
@@ -57,7 +59,11 @@ def run_world(command: World) -> None:
                 count = workers.count
             estimate = estimate_world(scenes, config, workers=count, progress=status)
         else:
-            about = {"made_by": f"gsvis {version()}", "scenes": [title_of(path) for path, _ in scenes]}
+            about: dict[str, Any] = {
+                "made_by": f"gsvis {version()}",
+                "scenes": [title_of(path) for path, _ in scenes],
+                **(about_files(scenes, command.out) if command.until == "world" else {}),
+            }
             work = Path(f"{os.path.abspath(command.out)}.work")
             try:
                 with _workers(command) as workers, named_memory(TOO_LARGE):
@@ -71,6 +77,8 @@ def run_world(command: World) -> None:
                 raise KeyboardInterrupt(kept) from None
             if command.discard:
                 shutil.rmtree(work, ignore_errors=True)
+            elif command.until == "world":
+                note_paths(command.out, [path for path, _ in scenes])
     if command.dry_run:
         _print_estimate(command, estimate)
     elif command.until == "world":

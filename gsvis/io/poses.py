@@ -22,7 +22,7 @@ from gsvis.io.eyenav import COLUMNS as EYENAV_COLUMNS
 from gsvis.io.eyenav import is_eyenav, path_of_recording
 from gsvis.scene.paths import HeadPath
 
-__all__ = ["load_path", "read_poses", "write_poses"]
+__all__ = ["is_recording", "load_path", "read_poses", "write_poses"]
 
 COLUMNS = ("t", "x", "y", "z", "qw", "qx", "qy", "qz")
 
@@ -49,6 +49,16 @@ def load_path(path: str | os.PathLike[str]) -> HeadPath:
         known = f"columns {','.join(COLUMNS)} or those of EyeNavGS ({', '.join(EYENAV_COLUMNS)}, Timestamp or timestep)"
         raise FormatError(path, f"line {table.lines[0]}", known, join_names(table.header))
     return _path_of(table)
+
+
+def is_recording(path: str | os.PathLike[str]) -> bool:
+    """Return whether a file says that a person was recorded: an EyeNavGS recording does, a plain pose file does not.
+
+    Raises:
+        FileNotFoundError: If there is no file.
+        FormatError: If the file is no table.
+    """
+    return is_eyenav(_open(path))
 
 
 def read_poses(path: str | os.PathLike[str]) -> HeadPath:

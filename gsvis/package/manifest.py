@@ -1,7 +1,7 @@
 """The manifest of a package: its scene, frame, what was measured of it, and the name of every part.
 
 The manifest is JSON and contains its own hash. It is written last, so a folder with a manifest is complete. It holds no
-paths.
+path of the machine that made it, see `made_from.py`.
 """
 
 from __future__ import annotations

@@ -31,10 +31,10 @@ class Why:
     Attributes:
         gaussian: Id of the Gaussian, scene order.
         cell: Number of the cell.
-        verdict: "visible"; "hidden" behind others; "missed": not in the set, but a ray of `why` reaches it with a
-            weight of at least tau; "faint": its opacity is too low to be visible from anywhere.
-        interval: (least, most) weight from the cell, by its weight class; (0, tau) if it is not in the set, and
-            (0, least visible opacity) if it is "faint".
+        verdict: "visible"; "hidden" behind others; "missed": visible but not in the set, because a ray of `why` reaches
+            it with a weight of at least tau; "faint": its opacity is too low to be visible from anywhere.
+        interval: (least, most) weight from the cell: by its weight class if it is "visible"; (0, tau) if "hidden";
+            (`weight`, 1) if "missed"; (0, least visible opacity) if "faint".
         weight: Largest weight over the rays of `why`; NaN if no ray was cast.
         rays: Number of rays cast.
         blockers: (B,) int64, Gaussians in front of it on these rays; the one that takes most light comes first.
@@ -60,15 +60,24 @@ class Why:
             return f"{name} is visible from cell {self.cell}: its largest weight there is {_span(self.interval)}."
         if self.verdict == "faint":
             return f"{name} is too faint to be seen from anywhere: its opacity is below {self.interval[1]:.4g}."
-        lines = [f"{name} is not visible from cell {self.cell}: its largest weight there is {_span(self.interval)}."]
         if self.verdict == "missed":
-            lines.append(f"Yet a ray to its center finds weight {self.weight:.4g}: views of the cell stepped over it.")
+            lines = [
+                f"{name} is visible from cell {self.cell} and missing in its set: a ray to its center finds weight"
+                f" {self.weight:.4g}, and the views that made the set stepped over it."
+            ]
+            none, nearest = "No set holds it", "Nearest cell whose set holds it"
+        else:
+            lines = [
+                f"{name} is not visible from cell {self.cell}: its largest weight there is {_span(self.interval)}."
+            ]
+            none, nearest = "No cell sees it", "Nearest cell that sees it"
         if self.rays:
             lines.append(self._in_front())
-        if self.nearest_cell < 0:
-            lines.append("No cell sees it: it lies outside the view of all of them.")
-        else:
-            lines.append(f"Nearest cell that sees it: {self.nearest_cell}, {self.nearest_distance:.4g} away.")
+        lines.append(
+            f"{none}."
+            if self.nearest_cell < 0
+            else f"{nearest}: {self.nearest_cell}, {self.nearest_distance:.4g} away."
+        )
         return "\n".join(lines)
 
     def _in_front(self) -> str:
@@ -124,9 +133,9 @@ def why(
     points = _viewpoints(store, cell) if viewpoints is None else viewpoints
     eyes = _check.floats("viewpoints", points, ("V", 3), np.float64)
     blockers, shares, weight = _in_front_of(tracer, gaussian, eyes)
-    verdict = "missed" if weight >= store.tau else "hidden"
+    verdict, interval = ("missed", (weight, 1.0)) if weight >= store.tau else ("hidden", unseen)
     seer = store.nearest_seer(gaussian, cell)
-    return Why(gaussian, cell, verdict, unseen, weight, len(eyes), blockers, shares, *seer)
+    return Why(gaussian, cell, verdict, interval, weight, len(eyes), blockers, shares, *seer)
 
 
 def _viewpoints(store: VisibilityStore, cell: int) -> NDArray[np.float64]:

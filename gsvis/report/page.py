@@ -65,14 +65,17 @@ def _tiles(analysis: Analysis, differs: str) -> str:
         (f"{fractions.mean():.1%}", "visible in a view, on average", beside),
         (f"{analysis.gathered.seen / analysis.gaussians:.1%}", "seen by at least one of the cameras", ""),
     ]
-    way = analysis.traced or analysis.gathered
-    named = "traced outward" if analysis.traced else f"gathered from {len(analysis.cameras):,} cameras"
     for faces, limit, published in ((33, "41.25%", "below_33_faces"), (48, "60%", "below_48_faces")):
-        text = f"seen from less than {limit} of the 80 directions, {named}"
         more = [] if differs else [f"paper: {PAPER[published]:.1%}"]
-        if analysis.solid_angles is not None:
-            more.insert(0, f"by solid angle: {analysis.below_solid_angle(faces / 80.0):.1%}")
-        tiles.append((f"{way.below(faces):.1%}", text, "; ".join(more)))
+        if analysis.traced is not None:
+            value, text = analysis.below_solid_angle(faces / 80.0), f"seen from less than {limit} of the sphere"
+            more.insert(0, f"by faces that a ray sees: {analysis.traced.below(faces):.1%}")
+        elif analysis.has_settled:
+            value = analysis.gathered.below(faces)
+            text = f"seen from less than {limit} of the 80 directions, by {len(analysis.cameras):,} cameras"
+        else:
+            continue  # the number would be one of cameras
+        tiles.append((f"{value:.1%}", text, "; ".join(more)))
     return listed(tiles)
 
 
@@ -137,14 +140,16 @@ def _views(analysis: Analysis, figures: dict[str, Figure]) -> str:
 def _directions(analysis: Analysis, figures: dict[str, Figure], differs: str) -> str:
     gathered, traced = analysis.gathered, analysis.traced
     count = f"{len(analysis.cameras):,} cameras"
-    header = ["Gaussians seen from less than", count, f"{count}, of seen"]
-    header += ["traced", "traced, of seen", "traced, by solid angle"] if traced else []
+    header = ["Gaussians seen from less than"]
+    header += ["by solid angle", "faces that a ray sees", "the same, of seen"] if traced else []
+    header += [f"faces that {count} saw", "the same, of seen"] if analysis.has_settled else []
     header += [] if differs else ["paper"]
     rows = []
     for faces, limit, published in ((33, "41.25%", "below_33_faces"), (48, "60%", "below_48_faces")):
-        row = [f"{limit} of directions (fewer than {faces} of 80 faces)", *_both(gathered, faces)]
+        row = [f"{limit} of directions (fewer than {faces} of 80 faces)"]
         if traced:
-            row += [*_both(traced, faces), f"{analysis.below_solid_angle(faces / 80.0):.1%}"]
+            row += [f"{analysis.below_solid_angle(faces / 80.0):.1%}", *_both(traced, faces)]
+        row += _both(gathered, faces) if analysis.has_settled else []
         rows.append(row if differs else [*row, f"{PAPER[published]:.1%}"])
     caption = (
         "For every share of the 80 directions, how many Gaussians are seen from less than that. Solid lines count all"
@@ -158,7 +163,9 @@ def _directions(analysis: Analysis, figures: dict[str, Figure], differs: str) ->
     if not differs:
         caption += " Diamonds are the two points that the paper states."
     text = figure(figures["cdf"], "Cumulative distribution of the directions from which Gaussians are seen", caption)
-    text += table(header, rows) + _explain_settling(analysis, figures)
+    if traced or analysis.has_settled:
+        text += table(header, rows)
+    text += _explain_settling(analysis, figures)
     if traced is None:
         return text + f"<p>Directions were not traced outward: {escape(analysis.untraced_because)}.</p>"
     caption = (

@@ -60,7 +60,9 @@ def draw_cdf(axes: Axes, theme: Theme, analysis: Analysis, *, published: bool) -
     gathered, traced = analysis.gathered, analysis.traced
     if traced is not None:
         _curve(axes, traced, theme.traced, "traced outward")
-    _curve(axes, gathered, theme.gathered, f"from {len(analysis.cameras):,} cameras")
+    if traced is None or analysis.has_settled:  # else it shows how many cameras there were
+        unsettled = "" if analysis.has_settled else ", not settled"
+        _curve(axes, gathered, theme.gathered, f"from {len(analysis.cameras):,} cameras{unsettled}")
     axes.plot([], [], color=theme.muted, linestyle=(0, (3, 2)), linewidth=1.4, label="of those seen at all")
     if analysis.solid_angles is not None:
         below = np.sort(analysis.solid_angles)

@@ -85,9 +85,11 @@ def format_figures(systems: list[dict[str, Any]]) -> tuple[tuple[str, ...], Rows
 
 
 def content_remarks(document: dict[str, Any]) -> list[str]:
-    """Return a sentence for each visit with views that show nothing; text."""
+    """Return a sentence for each visit that has another reference than its scene, or views that show nothing; text."""
     remarks = []
     for visit in document["visits"]:
+        if visit["remark"]:
+            remarks.append(f"{visit['scene']['name']}: {visit['remark']}.")
         count, some, name = visit["views"]["compared"], visit["views"]["with_content"], visit["scene"]["name"]
         if some == 0:
             remarks.append(
@@ -108,10 +110,20 @@ def _lead(document: dict[str, Any]) -> str:
     seconds = f"{config['seconds']:g} s"
     many = f" for {seconds}," if len(visits) == 1 else f" through {len(visits)} scenes, {seconds} in each,"
     return (
-        f"<p class='lead'>A viewer walks along a recorded path{many} while {escape(first[0]['system'])} sends the scene"
-        f" over a recorded link of {link['mean_mbit_per_s']:.1f} Mbit/s on average{versus}. What each client holds is"
-        f" drawn and compared with the full scene.</p>{remarks}"
+        f"<p class='lead'>A viewer follows {escape(document['walk'])}{many} while {escape(first[0]['system'])} sends"
+        f" the scene over {escape(link['kind'])} of {link['mean_mbit_per_s']:.1f} Mbit/s on average{versus}. What each"
+        f" client holds is drawn and compared with {_reference_of(visits)}.</p>{remarks}"
     )
+
+
+def _reference_of(visits: list[dict[str, Any]]) -> str:
+    """Return what clients are compared with, in a few words."""
+    itself = [visit["against_itself"] for visit in visits]
+    if not any(itself):
+        return "the scene from which the package was made"
+    if all(itself):
+        return "<strong>the package itself</strong>, which hides what its making cost"
+    return "the scene, or <strong>with the package itself</strong> where the title says so"
 
 
 def _tiles(document: dict[str, Any]) -> str:
@@ -221,7 +233,7 @@ def _tables(document: dict[str, Any]) -> str:
     text = ""
     for visit in document["visits"]:
         header, rows = format_figures(visit["systems"])
-        text += f"<h3>{escape(visit['scene']['name'])}</h3>"
+        text += f"<h3>{escape(visit['title'])}</h3>"
         text += table([escape(cell) for cell in header], [[escape(cell) for cell in row] for row in rows])
     return text
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +19,6 @@ from numpy.typing import NDArray
 from gsvis import _check
 from gsvis.abr import AbrConfig
 from gsvis.errors import ArgumentError, SceneError
-from gsvis.files.output import TEMPORARY, output_errors
-from gsvis.files.temporary import temporary_folder
-from gsvis.io.sog_writer import save_sog
 from gsvis.package.contents import Contents
 from gsvis.package.package import Package
 from gsvis.progress import Progress, silent
@@ -29,12 +26,13 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
 from gsvis.scene.retarget import RetargetConfig, retarget
-from gsvis.simulate.baselines import MortonProgressive, WholeFile, morton_order
+from gsvis.simulate.baselines import MortonProgressive, WholeFile
 from gsvis.simulate.delivery import Adaptive, Delivery
 from gsvis.simulate.frames import Stage
 from gsvis.simulate.link import Link
 from gsvis.simulate.playback import play
 from gsvis.simulate.viewing import Viewing, ViewingConfig, show_at, watch
+from gsvis.simulate.whole_files import choose_whole_file, describe_whole_file, measure_whole_files, scene_with_sh
 from gsvis.stream import StreamedScene
 
 __all__ = ["AS_IS", "Place", "Visit", "simulate_visits"]
@@ -45,6 +43,7 @@ AS_IS = "if the path lies in the scene, ask for it as it is (--as-is)"
 Picture = tuple[float, str, NDArray[np.float32]]
 
 _SHOWN_AT = (0.5, 2.0)  # seconds of the pictures
+_COMPARED = 6  # views in which whole files are compared
 _AFTER = 1.0  # seconds of the walk beyond a visit, for prediction
 
 
@@ -58,10 +57,12 @@ class Place:
         contents: Its records.
         highest: (N,) which Gaussians belong to the full scene.
         reference: The scene before it was packaged, to compare with; None compares with the package.
-        whole_file: Bytes of the scene as one file, and how they were measured.
+        whole_file: Bytes of the scene as one file, and how they were measured; None measures it in each visit.
         space: Navigable space to move the walk into; None leaves the walk unchanged.
         whole: What the scene is, for reports.
         facts: More facts on the scene, ready for JSON.
+        remark: A sentence on the scene that is compared with, for reports; empty if there is nothing to say.
+        own_file: Name and bytes of the file that `reference` came from; None if it is not one file.
     """
 
     title: str
@@ -69,10 +70,19 @@ class Place:
     contents: Contents
     highest: NDArray[np.bool_]
     reference: Gaussians | None
-    whole_file: tuple[int, str]
+    whole_file: tuple[int, str] | None
     space: NavigableSpace | None
     whole: str = "the package"
     facts: Mapping[str, Any] = field(default_factory=dict)
+    remark: str = ""
+    own_file: tuple[str, int] | None = None
+
+    @property
+    def against(self) -> str:
+        """What clients are compared with where it is not the scene: "the package itself"; empty otherwise."""
+        if self.reference is not None:
+            return ""
+        return "the world itself" if "tiles" in self.facts else "the package itself"
 
     @classmethod
     def open(
@@ -88,7 +98,7 @@ class Place:
         Args:
             package: The package.
             reference: The scene before it was packaged.
-            whole_file: A file or folder of the scene, to take its size; None measures the scene as SOG.
+            whole_file: A file or folder of the scene, to take its size; None measures the best format.
             as_is: Whether to leave walks unchanged, because they lie in the scene.
 
         Raises:
@@ -122,7 +132,7 @@ class Place:
             highest: (N,) which Gaussians belong to the full scene.
             space: Returns the space to move walks into, from the full scene; None leaves walks unchanged.
             reference: The scene before it was packaged.
-            whole_file: A file or folder of the scene, to take its size; None measures the scene as SOG.
+            whole_file: A file or folder of the scene, to take its size; None measures the best format.
             whole: What the scene is, for reports.
             facts: More facts on the scene, ready for JSON.
 
@@ -135,15 +145,44 @@ class Place:
             raise SceneError(f"{path}: {whole} has no Gaussian in its highest level: there is nothing to see")
         full = contents.gaussians(np.flatnonzero(highest))
         found = None if space is None else space(full)
-        if whole_file is not None:
-            measured = _file_size(_check.path("whole_file", whole_file))
-        elif reference is not None:
-            measured = _sog_size(reference), "SOG as gsvis writes it, of the scene: before it was packaged"
-        else:
-            how = f"SOG as gsvis writes it, of the scene: the highest level of {whole}, base colors alone"
-            measured = _sog_size(full), how
+        measured = None if whole_file is None else _file_size(_check.path("whole_file", whole_file))
         title = path.resolve().name.removesuffix(".gsvis").removesuffix(".gsworld")
         return cls(title, scene, contents, highest, reference, measured, found, whole, facts or {})
+
+    def measure_whole_file(self, walk: HeadPath, config: ViewingConfig, progress: Progress = silent) -> WholeFileFound:
+        """Return the best whole file of the scene, its size, and how it was chosen.
+
+        Args:
+            walk: Where viewers are; quality is measured in views along it.
+            config: Size and field of view of these views.
+            progress: Called with stage "whole files".
+        """
+        if self.whole_file is not None:
+            return WholeFileFound(*self.whole_file, ())
+        if self.reference is not None:
+            scene, of = self.reference, "the scene that the package was made from"
+        else:
+            scene, of = scene_with_sh(self.contents, np.flatnonzero(self.highest)), f"the highest level of {self.whole}"
+        times = np.unique(np.linspace(0.0, min(walk.duration, config.seconds), _COMPARED))
+        views = walk.resample(times=times).cameras(config.width, config.height, config.fov)
+        sizes = measure_whole_files(scene, views, self.own_file, progress=progress)
+        chosen = choose_whole_file(sizes)
+        rows = tuple(each.as_dict() for each in sizes)
+        return WholeFileFound(chosen.nbytes, describe_whole_file(sizes, chosen, of), rows)
+
+
+class WholeFileFound(NamedTuple):
+    """The whole file that gsvis is compared with.
+
+    Attributes:
+        nbytes: Its bytes.
+        measured: How they were measured, for reports.
+        files: All files that were measured, ready for JSON; empty if the user named one.
+    """
+
+    nbytes: int
+    measured: str
+    files: tuple[dict[str, Any], ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,6 +196,8 @@ class Visit:
         path: Facts on the path, ready for JSON.
         scene: Facts on the scene, ready for JSON.
         pictures: (seconds, system, (H, W, 3) image) of what was shown; the full scene has the name "".
+        against: What clients are compared with where it is not the scene, as `Place.against`.
+        remark: A sentence on the scene that is compared with; empty if there is nothing to say.
     """
 
     title: str
@@ -165,6 +206,8 @@ class Visit:
     path: dict[str, Any] = field(default_factory=dict)
     scene: dict[str, Any] = field(default_factory=dict)
     pictures: tuple[Picture, ...] = ()
+    against: str = ""
+    remark: str = ""
 
 
 def simulate_visits(
@@ -182,7 +225,7 @@ def simulate_visits(
 
     Args:
         places: Places to visit.
-        walk: The recording; each visit replays its next part while it lasts, else the first part.
+        walk: The path; each visit replays its next part while it lasts, else the first part.
         link: The link at the start of the first visit.
         config: Length of a visit, pictures and measurements.
         count: Number of visits; None means one of each place.
@@ -193,12 +236,15 @@ def simulate_visits(
     Raises:
         SceneError: If the walk fits nowhere.
     """
-    visits = []
+    visits, files = [], dict[int, WholeFileFound]()
     for k in range(len(places) if count is None else count):
-        place = places[k % len(places)]
+        which = k % len(places)
+        place = places[which]
         path, facts = _cut_walk(place, walk, config.seconds, k, seed)
         later = link if k == 0 else link.from_time(k * config.seconds)
-        visits.append(_simulate_visit(place, (path, facts), later, config, abr or AbrConfig(), progress))
+        if which not in files:
+            files[which] = place.measure_whole_file(path, config, progress)
+        visits.append(_simulate_visit(place, files[which], (path, facts), later, config, abr or AbrConfig(), progress))
     return tuple(visits)
 
 
@@ -218,20 +264,12 @@ def _file_size(path: Path) -> tuple[int, str]:
     return size, f"size of {path.name}"
 
 
-def _sog_size(g: Gaussians) -> int:
-    """Return the bytes of a scene as SOG."""
-    with temporary_folder() as folder:
-        with output_errors(folder, remedy=TEMPORARY):
-            save_sog(g[morton_order(g.means)], Path(folder) / "scene.sog")
-        return (Path(folder) / "scene.sog").stat().st_size
-
-
 def _cut_walk(place: Place, walk: HeadPath, seconds: float, visit: int, seed: int) -> tuple[HeadPath, dict[str, Any]]:
-    """Return the part of the recording that a visit replays, in its scene, and facts on it."""
+    """Return the part of the path that a visit replays, in its scene, and facts on it."""
     start = visit * seconds
     start = start if start + 0.5 * seconds <= walk.duration else 0.0
     part = walk.cut(start, start + seconds + _AFTER) if walk.duration > 0 else walk
-    facts: dict[str, Any] = {"from_s": start, "recorded_s": part.duration}
+    facts: dict[str, Any] = {"from_s": start, "seconds": part.duration}
     if place.space is None:
         return part, {**facts, "rule": "left as it is"}
     meters = place.scene.package.manifest.info.meters_per_unit
@@ -242,6 +280,7 @@ def _cut_walk(place: Place, walk: HeadPath, seconds: float, visit: int, seed: in
 
 def _simulate_visit(
     place: Place,
+    file: WholeFileFound,
     walk: tuple[HeadPath, dict[str, Any]],
     link: Link,
     config: ViewingConfig,
@@ -253,7 +292,7 @@ def _simulate_visit(
     stage, ids = Stage(contents, place.reference, place.highest, place.whole), np.flatnonzero(place.highest)
     deliveries: tuple[Delivery, ...] = (
         Adaptive(place.scene, config.view, abr),
-        WholeFile(contents, *place.whole_file, ids=ids),
+        WholeFile(contents, file.nbytes, file.measured, ids=ids),
         MortonProgressive(contents, measured=f"records of {place.whole}", ids=ids),
     )
     progress("playing", 0, len(deliveries))
@@ -267,8 +306,16 @@ def _simulate_visit(
         sessions,
         stage.compared_with,
         facts,
-        {"gaussians": stage.size[0], "terms": stage.size[1], "levels": list(contents.names), **place.facts},
+        {
+            "gaussians": stage.size[0],
+            "terms": stage.size[1],
+            "levels": list(contents.names),
+            "whole_files": list(file.files),
+            **place.facts,
+        },
         _pictures(stage, sessions, path, config),
+        place.against,
+        place.remark,
     )
 
 

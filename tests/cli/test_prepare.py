@@ -18,6 +18,7 @@ from gsvis.cli.memory import check_memory
 from gsvis.io import save_scene
 from gsvis.io.levels import load_levels
 from gsvis.package import Package
+from gsvis.package.made_from import made_from_of
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.procedural import BUILTIN_SCENES, random_scene, two_rooms
@@ -71,6 +72,7 @@ def test_a_scene_becomes_a_package_with_levels_and_tables(tmp_path: Path, capsys
         about = package.manifest.info.provenance
     assert (about["scene"], about["config"]["levels"]["iterations"]) == (SCENE, 2)
     assert str(tmp_path) not in json.dumps(about)
+    assert [each.name for each in made_from_of(about)] == [SCENE]
     assert main(["verify", str(target)]) == 0
     assert "0.5" in capsys.readouterr().out
     again, _ = run(capsys, SCENE, "-o", target, *QUICK, "--meters-per-unit", "0.5")
@@ -83,6 +85,9 @@ def test_a_scene_becomes_a_package_with_levels_and_tables(tmp_path: Path, capsys
         run(capsys, tmp_path / "levels", "-o", out, *TINY, *BOX, "--max-terms", "0", "--json", "--discard")[0]
     )
     assert [row["gaussians"] for row in found["levels"]] == list(whole.counts)
+    with Package.open(out) as package:
+        made = made_from_of(package.manifest.info.provenance)
+    assert [(each.name, each.path) for each in made] == [("levels", "../levels")]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["again.gsvis", "levels", "new"]
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from gsvis.cli import main
+from gsvis.package.made_from import candidates_of, made_from_of
 from gsvis.world import World
 from tests.few_views import take_few_views
 from tests.world import cities
@@ -44,6 +45,9 @@ def test_a_scene_becomes_a_world_that_is_whole(scene: str, tmp_path: Path, capfd
     found = json.loads(capfd.readouterr().out)
     assert found["tiles"] == made["tiles"]
     assert found["cells"] == made["cells"] > 0
+    named = made_from_of(World.open(out).manifest.provenance)
+    assert [(each.name, each.path) for each in named] == [("street.ply", None)]
+    assert candidates_of(named, out) == [[Path(scene)]]
     assert main(["verify", out]) == 0
     assert "Every part is whole." in capfd.readouterr().out
     assert main(["world", scene, "-o", out, *SMALL, "--discard"]) == 0

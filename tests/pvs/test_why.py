@@ -85,7 +85,7 @@ def test_the_light_taken_and_the_weight_add_up_where_nothing_is_opaque(tmp_path:
         answer = why(store, rays, BALL, 0, viewpoints=[[0.0, 0.0, 0.0]])
         assert answer.verdict == "missed"
         assert answer.weight == pytest.approx(0.5 * (1.0 - answer.shares.sum()), rel=1e-4)
-        assert "views of the cell stepped over it" in str(answer)
+        assert "views that made the set stepped over it" in str(answer)
 
 
 def test_a_gaussian_that_nothing_hides_is_reported_as_missed(tmp_path: Path) -> None:
@@ -95,7 +95,35 @@ def test_a_gaussian_that_nothing_hides_is_reported_as_missed(tmp_path: Path) -> 
         assert answer.weight == pytest.approx(0.9, abs=0.01)
         assert len(answer.blockers) == 0
         assert "Nothing stands in front of it on 9 rays" in str(answer)
-        assert str(answer).endswith("No cell sees it: it lies outside the view of all of them.")
+        assert answer.interval == (answer.weight, 1.0)
+        assert str(answer).startswith("Gaussian 4 is visible from cell 0 and missing in its set: a ray to its center")
+        assert str(answer).endswith("No set holds it.")
+
+
+def test_no_answer_calls_visible_what_it_calls_hidden(tmp_path: Path) -> None:
+    """Every Gaussian of a random cloud from every cell: one verdict, in the first sentence, by set and by rays."""
+    rng = np.random.default_rng(5)
+    n = 120
+    cloud = Gaussians(
+        rng.uniform(-3.0, 6.0, (n, 3)), rng.normal(size=(n, 4)), rng.uniform(0.05, 1.5, (n, 3)),
+        rng.choice([0.003, 0.0045, 0.05, 0.5, 0.99], n), np.zeros((n, 1, 3)),
+    )  # fmt: skip
+    rays, sets, seen = Tracer(EllipsoidProxies.from_scene(cloud)), [np.arange(0, n, 3), np.arange(n // 2), []], set()
+    with open_store(tmp_path, cloud, [list(map(int, each)) for each in sets]) as store:
+        for gaussian in range(n):
+            for cell in range(3):
+                answer = store.why(gaussian, cell, rays)
+                first, *rest = str(answer).split("\n")
+                seen.add(answer.verdict)
+                visible = gaussian in set(sets[cell]) or answer.weight >= store.tau
+                assert (answer.verdict in ("visible", "missed")) == visible
+                assert ("is visible from cell" in first) == visible
+                assert ("is not visible" in first) == (answer.verdict == "hidden")
+                assert not any(word in " ".join(rest) for word in ("is visible", "is not visible", "Yet"))
+                assert answer.interval[0] <= answer.interval[1]
+                if answer.verdict in ("hidden", "missed"):
+                    assert (answer.interval[0] >= store.tau) == (answer.verdict == "missed")
+    assert seen == {"visible", "missed", "hidden", "faint"}
 
 
 def test_what_is_too_faint_is_reported_as_faint(tmp_path: Path) -> None:
