@@ -22,8 +22,8 @@ from gsvis.io.convert_batches import convert_batches
 from gsvis.io.ksplat import save_ksplat
 from gsvis.io.scenes import check_scene, save_scene
 from gsvis.io.spz import save_spz
+from gsvis.scene.axes import axis_vector
 from gsvis.scene.gaussians import Gaussians
-from gsvis.scene.inspection import axis_vector
 
 __all__ = ["run_convert"]
 

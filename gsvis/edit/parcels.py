@@ -116,10 +116,7 @@ def rows_near(parts: Iterable[Gaussians], square: Facts) -> Gaussians:
 
 def indoors(space: NavigableSpace) -> Mask:
     """Return (X, Y, Z) the free voxels of a space above which, in its grid, something stops light."""
-    axis = int(np.abs(space.up).argmax())
-    down = slice(None, None, -1 if space.up[axis] > 0 else 1)
-    covered = np.maximum.accumulate(np.moveaxis(space.occupied, axis, 0)[down], axis=0)[down]
-    return np.asarray(space.free & np.moveaxis(covered, 0, axis))
+    return space.free & space.covered()
 
 
 def mixed_space(near: Gaussians, square: Facts, voxel_size: float) -> NavigableSpace | None:

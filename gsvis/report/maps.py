@@ -111,26 +111,29 @@ class CellMap:
     ticks: Formatter | None = None
     unknown: str = "not measured"
 
-    def columns(self) -> tuple[F64, F64]:
-        """Return (P, 4, 3) lower corners of cells seen from above, and (P,) the largest value below each; NaN if none.
+    def columns(self, ground: Ground) -> tuple[F64, F64]:
+        """Return (P, 4, 2) corners of squares on a map, and (P,) the largest value of the cells in each; NaN if none.
 
-        Cells above each other, along the axis of the grid that is nearest to up, share one square.
+        Cells above each other share one square: those whose middles are nearest to its own. Where up is oblique, these
+        are not rows of the grid.
+
+        Args:
+            ground: The map.
         """
-        along = int(np.abs(self.grid.up).argmax())
-        across = [axis for axis in range(3) if axis != along]
-        places, column = np.unique(self.grid.coords[:, across], axis=0, return_inverse=True)
+        middles = ground.project(self.grid.centers)
+        low = middles.min(axis=0)
+        lattice = np.rint((middles - low) / self.grid.cell_size).astype(np.int64)
+        places, column = np.unique(lattice, axis=0, return_inverse=True)
         most = np.full(len(places), -np.inf)
         known = np.isfinite(self.values)
         np.maximum.at(most, column.reshape(-1)[known], self.values[known])
-        boxes = np.zeros((len(places), 4, 3))
-        boxes[:, :, across] = places[:, None, :] + np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
-        return self.grid.origin + self.grid.cell_size * boxes, np.where(np.isfinite(most), most, np.nan)
+        corners = places[:, None, :] + np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
+        return low + self.grid.cell_size * corners, np.where(np.isfinite(most), most, np.nan)
 
 
 def draw_cells(axes: Axes, theme: Theme, ground: Ground, cells: CellMap) -> None:
     """Draw the cells from above in the colors of their values, with the scene's walls as shadows over them."""
-    corners, values = cells.columns()
-    squares = ground.project(corners.reshape(-1, 3)).reshape(-1, 4, 2)
+    squares, values = cells.columns(ground)
     known = np.isfinite(values)
     edges: dict[str, Any] = {"edgecolors": theme.paper, "linewidths": 0.6}
     if not known.all():

@@ -37,6 +37,7 @@ __all__ = [
     "eye_heights",
     "find_eyes",
     "find_mixed",
+    "heights_above",
     "stand_around",
     "where_people_stand",
 ]
@@ -364,7 +365,7 @@ def _region(space: Occupancy, around: Around) -> Mask:
 def where_people_stand(free: Mask, occupied: Mask, voxel_size: float, up: F64) -> Mask:
     """Return the free voxels (X, Y, Z) at the height of a standing person above what lies below; may be empty."""
     greatest = _room_height(free, occupied, voxel_size, up)
-    heights = voxel_size * _heights(occupied, up).astype(np.float64)
+    heights = voxel_size * heights_above(occupied, up).astype(np.float64)
     low, high = (share * greatest for share in _STANDING)
     return np.asarray(free & (heights >= low) & (heights <= max(high, low + 2.0 * voxel_size)))
 
@@ -387,7 +388,7 @@ def eye_heights(space: Occupancy, up: F64, person: float | None = None) -> tuple
 
 def _room_height(free: Mask, occupied: Mask, voxel_size: float, up: F64) -> float:
     """Return the greatest height of eyes in rooms: that of most rooms, unless they are narrower than high."""
-    columns = _heights(occupied, up)[free] + _heights(occupied, -up)[free]
+    columns = heights_above(occupied, up)[free] + heights_above(occupied, -up)[free]
     columns = columns[np.isfinite(columns)]
     if is_level(up):
         sides = np.delete(np.array(free.shape) * voxel_size, int(np.abs(up).argmax()))
@@ -407,7 +408,7 @@ def above_ground(space: Occupancy, up: F64, person: float | None = None) -> Mask
     the void.
     """
     least, greatest = (height / space.voxel_size for height in eye_heights(space, up, person))
-    heights = _heights(space.occupied, up)
+    heights = heights_above(space.occupied, up)
     part = space.largest_part(_under_the_sky(space, (heights >= least) & (heights <= greatest), up))
     level = level_directions(up)
     if not part.any() or np.quantile(stopped_share(space, some_voxels(part), level), 0.9) < _HEMMED:
@@ -419,7 +420,7 @@ def above_ground(space: Occupancy, up: F64, person: float | None = None) -> Mask
     return space.largest_part(hemmed)
 
 
-def _heights(occupied: Mask, up: F64) -> NDArray[np.float32]:
+def heights_above(occupied: Mask, up: F64) -> NDArray[np.float32]:
     """Return (X, Y, Z) voxels from each voxel down to the next occupied one; infinite if there is none."""
     if not is_level(up):
         return _oblique_heights(occupied, up)
@@ -433,14 +434,14 @@ def _heights(occupied: Mask, up: F64) -> NDArray[np.float32]:
 
 
 def _oblique_heights(occupied: Mask, up: F64) -> NDArray[np.float32]:
-    """Return `_heights` along any direction: found on a grid that is upright, and brought back."""
+    """Return `heights_above` along any direction: found on a grid that is upright, and brought back."""
     frame, shape = level_frame(up), np.array(occupied.shape)
     middle = 0.5 * (shape - 1.0)
     counts = np.ceil(np.abs(frame) @ shape).astype(np.int64)
     first = middle - frame.T @ (0.5 * (counts - 1.0))
     upright = on_lattice(occupied, frame.T, first, counts)
-    heights = _heights(upright, np.array([0.0, 0.0, 1.0]))
-    return on_lattice(heights, frame, -frame @ first, shape, beyond=np.inf)
+    found = heights_above(upright, np.array([0.0, 0.0, 1.0]))
+    return on_lattice(found, frame, -frame @ first, shape, beyond=np.inf)
 
 
 def _under_the_sky(space: Occupancy, among: Mask, up: F64) -> Mask:

@@ -14,19 +14,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
-from gsvis.scene.axes import AXES, axis_vector, describe_direction, nearest_axis, tilt_of
+from gsvis.scene.axes import axis_vector, describe_direction
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.repeats import first_equal
 from gsvis.scene.upright import SURE, Upright, doubt_up, find_up
 
-__all__ = ["AXES", "SceneReport", "axis_vector", "guess_up", "inspect_scene"]
+__all__ = ["SceneReport", "inspect_scene"]
 
 F64 = NDArray[np.float64]
 
 MIN_ALPHA = 1.0 / 255.0  # docs/conventions.md
 FLOATER_EXTENT = 5.0  # in sizes of the robust box, about its middle
 _QUANTILES = {"min": 0.0, "p1": 0.01, "p10": 0.1, "p50": 0.5, "p90": 0.9, "p99": 0.99, "max": 1.0}
-_NEAR_AXIS = 10.0  # degrees
 
 
 @dataclass(frozen=True)
@@ -198,17 +197,3 @@ def _value_problems(r: SceneReport, g: Gaussians, longest: float) -> Iterator[st
 
 def _some(count: int, many: str = "lie", one: str = "lies") -> str:
     return f"1 Gaussian {one}" if count == 1 else f"{count:,} Gaussians {many}"
-
-
-def guess_up(g: Gaussians) -> tuple[str, float]:
-    """Return the axis nearest to the likely up direction, and a confidence in it in (0, 1].
-
-    For callers that can only use one of the six axes; `find_up` returns the direction itself.
-
-    Args:
-        g: The scene; what it states is read first.
-    """
-    found = find_up(g, check=False)
-    axis = nearest_axis(found.up)
-    near = tilt_of(found.up, axis_vector(axis)) <= _NEAR_AXIS
-    return axis, found.confidence if near else 0.5 * found.confidence

@@ -18,7 +18,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.errors import SceneError
-from gsvis.scene._eyes import PERSON, Around, Found, Look, find_eyes, find_mixed, stand_around, where_people_stand
+from gsvis.scene._eyes import (
+    PERSON,
+    Around,
+    Found,
+    Look,
+    find_eyes,
+    find_mixed,
+    heights_above,
+    stand_around,
+    where_people_stand,
+)
 from gsvis.scene._occupancy import MIN_ALPHA, Occupancy
 from gsvis.scene._turned import Pose, TurnedParts, bring_back, is_level, turn
 from gsvis.scene.axes import axis_vector, snap_to_axis
@@ -174,7 +184,10 @@ class NavigableSpace:
         resolution: int = 160,
         up: ArrayLike | str | None = None,
     ) -> NavigableSpace:
-        """Find the navigable space around an object: beside and above it, from 0.1 to 0.5 of its size away.
+        """Find the navigable space around an object: beside and above it.
+
+        Around the whole scene, up to 1.5 of its longest side from its middle. Around a center given by hand, from 0.1
+        to 0.5 of its longest side away from its box, so that eyes stay near.
 
         Args:
             g: The scene.
@@ -278,6 +291,10 @@ class NavigableSpace:
             index.append(places[first:last])
         inside = np.ix_(*index)
         return (blocks[0], blocks[1], blocks[2]), self.free[inside], self.occupied[inside]
+
+    def covered(self) -> Mask:
+        """Return (X, Y, Z) the voxels above which, in the grid and along any up axis, something stops light."""
+        return np.asarray(np.isfinite(heights_above(self.occupied, -self.up)))
 
     def where_people_stand(self) -> NavigableSpace | None:
         """Return the part of it at the height of the eyes of standing people; None outside of rooms, or if too small.

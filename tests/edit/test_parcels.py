@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from gsvis.edit.parcels import find_side, indoors, join_spaces, lay_parcels, mixed_space, rows_near
+from gsvis.scene.axes import axis_vector
 from gsvis.scene.gaussians import Gaussians
-from gsvis.scene.inspection import axis_vector
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.world.tiles import cut_to_tile, near_tile, within_tile
 from tests.scene.places import box
@@ -92,6 +92,18 @@ def test_indoors_is_below_a_roof(up: str) -> None:
     x, _, z = np.indices(free.shape)
     wanted = {"+z": free & (x == 2), "-z": np.zeros_like(free), "+x": free & (z == 2)}
     np.testing.assert_array_equal(indoors(space), wanted[up])
+
+
+def test_indoors_is_below_a_roof_where_up_is_oblique() -> None:
+    x, y, z = np.indices((24, 24, 24))
+    up = np.array([0.0, 0.6, 0.8])
+    height = 0.6 * (y - 12) + 0.8 * (z - 12)  # of voxels above the middle, along up
+    occupied = (np.abs(height - 6.0) < 1.0) & (x < 12)
+    free = np.abs(height) < 1.0
+    inside = indoors(NavigableSpace(np.zeros(3), 1.0, free, up, occupied))
+    across = np.abs(0.8 * (y - 12) - 0.6 * (z - 12)) < 4.0  # so that what is above lies in the grid
+    assert inside[free & across & (x < 11)].all()
+    assert not inside[x > 13].any()
 
 
 def test_each_room_is_found_in_its_square(spaces: list[NavigableSpace]) -> None:

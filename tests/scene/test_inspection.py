@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from gsvis.scene.axes import AXES, axis_vector, nearest_axis
 from gsvis.scene.gaussians import Gaussians
-from gsvis.scene.inspection import AXES, axis_vector, guess_up, inspect_scene
+from gsvis.scene.inspection import inspect_scene
 from gsvis.scene.procedural import random_scene
+from gsvis.scene.upright import find_up
 
 
 def scene(
@@ -48,24 +50,24 @@ def rotation_to(axis: str) -> NDArray[np.float64]:
 class TestUp:
     @pytest.mark.parametrize("axis", AXES)
     def test_ground_lies_below(self, axis: str) -> None:
-        found, confidence = guess_up(ground().transform(rotation_to(axis)))
-        assert found == axis
-        assert confidence > 0.6
+        found = find_up(ground().transform(rotation_to(axis)))
+        assert nearest_axis(found.up) == axis
+        assert found.confidence > 0.6
 
     def test_without_evidence_it_is_minus_y_and_unsure(self) -> None:
         for g in (Gaussians.empty(), scene(np.zeros((50, 3))), scene(np.eye(3))):
-            axis, confidence = guess_up(g)
-            assert axis == "-y"
-            assert confidence < 0.4
+            found = find_up(g)
+            assert nearest_axis(found.up) == "-y"
+            assert found.confidence < 0.4
 
     def test_order_and_scale_do_not_matter(self) -> None:
         g = ground()
-        found = guess_up(g)
-        mixed = guess_up(g[np.random.default_rng(2).permutation(len(g))])
-        larger = guess_up(g.transform(np.eye(3), scale=1000.0))
-        assert mixed[0] == larger[0] == found[0]
-        assert mixed[1] == pytest.approx(found[1], abs=1e-3)
-        assert larger[1] == pytest.approx(found[1], abs=1e-3)
+        found = find_up(g)
+        mixed = find_up(g[np.random.default_rng(2).permutation(len(g))])
+        larger = find_up(g.transform(np.eye(3), scale=1000.0))
+        for other in (mixed, larger):
+            assert np.allclose(other.up, found.up, atol=1e-3)
+            assert other.confidence == pytest.approx(found.confidence, abs=1e-3)
 
     def test_axis_vector(self) -> None:
         assert axis_vector("-y").tolist() == [0.0, -1.0, 0.0]
@@ -161,6 +163,6 @@ def test_up_axis_of_real_scenes(realdata: Path, path: str, lod: int | None, up: 
     from gsvis.io import load_scene
 
     g = load_scene(realdata / "scenes" / path, lod=lod)
-    found, confidence = guess_up(g)
-    assert found == up
-    assert confidence > 0.6
+    found = find_up(g)
+    assert nearest_axis(found.up) == up
+    assert found.confidence > 0.6
