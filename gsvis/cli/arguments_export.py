@@ -48,6 +48,9 @@ class Export:
         None
     )
     """Up in the scene: an axis such as -y, or three numbers."""
+    cameras: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: no cameras)")] = None
+    """Cameras of the capture, in the frame of SCENE, for static and html: a COLMAP model, transforms.json or
+    cameras.json. They say where people stand and which way is up."""
     overwrite: Flag = False
     """Replace files that exist: a file, an earlier streamed SOG or tileset, or a page of something else. An earlier
     site is replaced without it."""

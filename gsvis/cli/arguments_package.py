@@ -84,7 +84,7 @@ class Prepare(WhereSeen):
     """Smallest change of a color for which a term is sent; gsvis color --epsilon auto finds it for a scene."""
     up: Annotated[str | None, arg(metavar="UP", help_behavior_hint="(default: the likely one)")] = None
     """Up in the scene: an axis such as -y, or three numbers."""
-    meters_per_unit: Annotated[float | None, DISTANCE, hint("not known")] = None
+    meters_per_unit: Annotated[float | None, DISTANCE, hint("that of SCENE, or not known")] = None
     """Length of a scene unit in meters, kept in the package."""
     seed: Annotated[int, WHOLE] = 0
     """Seed of everything random: the same seed gives the same package."""

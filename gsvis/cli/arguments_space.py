@@ -30,7 +30,7 @@ class Space(WhereSeen):
     """Voxels along the longest side of the scene, 8 to 384; not with --box, --around, --path."""
     frame: Annotated[Literal["upright", "scene"], PLAIN] = "upright"
     """Frame of the meshes. upright: +y points upwards; scene: the frame of SCENE. (default: upright)"""
-    meters_per_unit: Annotated[float | None, DISTANCE, hint("scene units stay")] = None
+    meters_per_unit: Annotated[float | None, DISTANCE, hint("that of SCENE, or 1")] = None
     """Length of a scene unit in meters: upright meshes are in meters then."""
     overwrite: Flag = False
     """Replace files that exist."""

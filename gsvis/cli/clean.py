@@ -135,7 +135,7 @@ def _find(
     surfaces = replace(source, gaussians=core_of(source.gaussians))
     place = find_place(surfaces, command, command.up, walk, cameras)
     space = place.required("say where eyes may be with --box, --around or --path")
-    if not given(command) and cameras is None and source.navigable is None:
+    if not given(command) and cameras is None and space.kind.kind != "given":
         space = find_in_parcels(surfaces.gaussians, space, progress=status)
     status("space", 1, 1)
     found = clean(source.gaussians, navigable=space, cameras=cameras, config=config, progress=status)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gsvis.cli.arguments_export import Export
+from gsvis.cli.arguments_where import WhereSeen
 from gsvis.cli.source import (
     Source,
     check_file,
@@ -19,8 +20,9 @@ from gsvis.cli.source import (
     title_of,
     up_of,
 )
-from gsvis.cli.starts import find_starts
+from gsvis.cli.starts import Visit, plan_visit
 from gsvis.cli.terminal import Status, print_json, show, size_of
+from gsvis.cli.where import check_where
 from gsvis.files.origins import parse_origins
 from gsvis.package.manifest import MANIFEST
 
@@ -28,7 +30,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from gsvis.export.start import Start
     from gsvis.package import Package
     from gsvis.scene.gaussians import Gaussians
     from gsvis.scene.levels import Levels
@@ -65,13 +66,15 @@ def run_export(command: Export) -> None:
 
     with ExitStack() as stack, Status() as status:
         scene, name, up, source = open_scene(command, stack, status)
-        poses = None if source is None or up is None else _starts(source, up, status)
-        options = StaticOptions(name, up, poses=poses)
+        visit = None if source is None else _visit(command, source, status)
+        if visit is not None:
+            up = _triple(visit.up)
+        options = StaticOptions(name, up, poses=None if visit is None else visit.starts)
         if command.format == "static":
             found = write_site(command.out, scene, options, opens=opens, progress=status)
         else:
             found = write_html(command.out, scene, options, progress=status)
-    made = found.scene
+    made, remarks = found.scene, [] if visit is None else visit.remarks
     if command.json:
         facts: dict[str, Any] = {
             "format": "gsvis-export",
@@ -85,10 +88,12 @@ def run_export(command: Export) -> None:
             "cells": made.cells,
             "sh_degree": made.sh_degree,
             "files": {kind: file.nbytes for kind, file in made.files.items()},
+            "remarks": [each.strip() for each in remarks],
         }
         print_json(facts)
         return
     show(f"{command.out}: {made.gaussians:,} Gaussians, {_detail(made.terms, made.cells)}, {size_of(found.nbytes)}")
+    show(*remarks)
     if command.format == "static":
         show(f"Serve it from any file server, such as: python -m http.server -d {command.out}")
 
@@ -104,12 +109,14 @@ def _check_options(command: Export) -> None:
         "--meters-per-unit": (command.meters_per_unit, gltf),
         "--request-volumes": (command.request_volumes or None, ("3dtiles",)),
         "--name": (command.name, pages),
+        "--cameras": (command.cameras, ("static", "html")),
         "--page-origins": (command.page_origins or None, ("static",)),
     }
     for option, (value, formats) in given.items():
         if value is not None and command.format not in formats:
             known = " or ".join(formats)
             raise ValueError(f"{option}: expected --format {known} with it, got {command.format}; leave it out")
+    check_where(WhereSeen(cameras=command.cameras))
     sets = command.pvs is not None or (Path(command.scene) / MANIFEST).is_file()
     if command.request_volumes and not sets:
         raise ValueError("--request-volumes: expected a package or --pvs FILE with it, got neither; see gsvis pvs")
@@ -171,6 +178,8 @@ def open_scene(
 
         if command.lod is not None:
             raise ValueError(f"--lod: expected none for a package, got {command.lod}; leave it out")
+        if command.cameras is not None:
+            raise ValueError(f"--cameras: expected none for a package, got {command.cameras}; leave it out")
         name = command.name or Path(command.scene).resolve().name.removesuffix(".gsvis")
         return stack.enter_context(Package.open(command.scene)), name, _triple(up), None
     check_source(command.scene, command.lod)
@@ -181,9 +190,10 @@ def open_scene(
     return source.whole, name, _triple(up_of(source) if up is None else up), source
 
 
-def _starts(source: Source, up: Triple, status: Status) -> tuple[Start, ...] | None:
+def _visit(command: Export, source: Source, status: Status) -> Visit:
+    """Return how a visit of a scene that is no package begins."""
     status("start", 0, 1)
-    found = find_starts(source, up)
+    found = plan_visit(source, command.up, command.cameras)
     status("start", 1, 1)
     return found
 

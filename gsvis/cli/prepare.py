@@ -62,6 +62,8 @@ def run_prepare(command: Prepare) -> None:
         source = load_source(command.scene, command.lod)
         if len(source.gaussians) == 0:
             raise SceneError(f"{command.scene}: the scene has no Gaussian: there is nothing to see")
+        if command.meters_per_unit is None:
+            config = replace(config, meters_per_unit=source.gaussians.facts.meters_per_unit or 0.0)
         status("reading", 1, 1)
         status("space", 0, 1)
         place = find_place(source, command, command.up, walk, _photo_cameras(command))

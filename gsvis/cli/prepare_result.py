@@ -11,6 +11,7 @@ from gsvis.cli.pvs import spell_certificates
 from gsvis.cli.source import Source
 from gsvis.cli.terminal import busy_note, clock, facts, print_json, show, size_of
 from gsvis.cli.where import kind_row, space_document
+from gsvis.scene.lengths import spell_volume
 from gsvis.scene.navigable import NavigableSpace
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ def print_result(
         ("Gaussians", f"{m.gaussians:,}" + (f" in levels {sizes}" if len(levels) > 1 else "")),
         *_quality(prepared.quality, m.names),
         kind_row(space),
-        ("where eyes may be", f"{space.rule}, {space.volume:.3g} cubic units"),
+        ("where eyes may be", f"{space.rule}, {spell_volume(space.volume, meters)}"),
         ("up", f"{_axis(m.info.up)}; " + (f"{meters:g} meters a unit" if meters else "meters a unit not known")),
         ("terms", f"{m.terms:,}, variant {m.grids.variant}"),
     ]
@@ -133,7 +134,7 @@ def print_estimate(
     ]
     rows = [
         kind_row(space),
-        ("where eyes may be", f"{space.rule}, {space.volume:.3g} cubic units"),
+        ("where eyes may be", f"{space.rule}, {spell_volume(space.volume, source.gaussians.facts.meters_per_unit)}"),
         ("time", f"about {clock(estimate.seconds)}{busy_note(estimate.load)}"),
         ("package", f"about {size_of(estimate.nbytes)}"),
         ("kept beside it", f"about {size_of(estimate.work_bytes)}"),

@@ -38,6 +38,7 @@ from gsvis.pvs.stored_certificates import StoredCertificates
 from gsvis.pvs.workers import Workers
 from gsvis.raycast import CrossCheck, describe_check
 from gsvis.scene.content import scene_hash
+from gsvis.scene.lengths import spell_length, spell_volume
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
 
@@ -230,12 +231,12 @@ def _about(plan: _Plan) -> dict[str, Any]:
 
 def _rows(plan: _Plan) -> list[tuple[str, str]]:
     x, y, z = plan.grid.shape
-    shown = plan.config
+    shown, meters = plan.config, plan.source.gaussians.facts.meters_per_unit
     return [
         ("Gaussians", f"{len(plan.source.union):,}{levels_spelled(plan.source)}"),
         kind_row(plan.space),
-        ("where eyes may be", f"{plan.space.rule}, {plan.space.volume:.3g} cubic units"),
-        ("cells", f"{len(plan.grid):,} of side {plan.grid.cell_size:.3g}, in {x} x {y} x {z} boxes"),
+        ("where eyes may be", f"{plan.space.rule}, {spell_volume(plan.space.volume, meters)}"),
+        ("cells", f"{len(plan.grid):,} of side {spell_length(plan.grid.cell_size, meters)}, in {x} x {y} x {z} boxes"),
         ("method", f"{shown.method}, six faces of {shown.size} pixels, tau {shown.tau:.3g}"),
     ]
 

@@ -23,6 +23,8 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.inspection import inspect_scene
 from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.procedural import CLEARANCE, BuiltinScene, builtin_scene
+from gsvis.scene.stated import stated_space
 from gsvis.scene.upright import find_up
 
 __all__ = [
@@ -62,7 +64,6 @@ class Source:
         path: File or folder of the scene; None for a built-in scene.
         lod: The LOD that was read; None for a scene without.
         lods: LODs that are present in a streamed scene; empty for any other.
-        navigable: Known navigable space of a built-in scene.
         levels: All levels of a folder of levels; None for any other scene.
         known_up: The (3,) up axis: that of a built-in scene, +y of glTF, or what a folder of levels states; None where
             it has to be guessed.
@@ -73,7 +74,6 @@ class Source:
     path: Path | None = None
     lod: int | None = None
     lods: tuple[int, ...] = ()
-    navigable: NavigableSpace | None = None
     levels: Levels | None = None
     known_up: NDArray[np.float64] | None = None
 
@@ -132,11 +132,9 @@ def load_source(scene: str, lod: int | None) -> Source:
     """
     check_source(scene, lod)
     if scene.startswith(BUILTIN):
-        from gsvis.scene.procedural import builtin_scene
-
         made = builtin_scene(scene.removeprefix(BUILTIN))
-        g = made.gaussians.with_facts(_builtin_facts(made.navigable))
-        return Source(scene, g, navigable=made.navigable, known_up=made.navigable.up)
+        g = made.gaussians.with_facts(_builtin_facts(made))
+        return Source(scene, g, known_up=made.navigable.up)
     if is_levels(scene):
         from gsvis.io.levels import levels_info, load_levels
 
@@ -155,13 +153,24 @@ def load_source(scene: str, lod: int | None) -> Source:
     return Source(title_of(scene, lod), g, path, lod, lods, known_up=known_up)
 
 
-def _builtin_facts(space: NavigableSpace) -> SceneFacts:
-    """Return what is known of a built-in scene: its up axis, and the box around its navigable space."""
+def _builtin_facts(made: BuiltinScene) -> SceneFacts:
+    """Return what is known of a built-in scene: its up axis, the box around its navigable space, an eye in it."""
+    space = made.navigable
     free = np.argwhere(space.free)
-    corners = space.origin + space.voxel_size * np.stack([free.min(axis=0), free.max(axis=0) + 1])
-    (ax, ay, az), (bx, by, bz) = corners.tolist()
-    ux, uy, uz = np.asarray(space.up, np.float64).tolist()
-    return SceneFacts(up=(ux, uy, uz), up_source="built-in scene", box=((ax, ay, az), (bx, by, bz)))
+    low, high = space.origin + space.voxel_size * np.stack([free.min(axis=0), free.max(axis=0) + 1])
+    return replace(
+        made.gaussians.facts,
+        up=_triple(space.up),
+        up_source="built-in scene",
+        box=(_triple(low), _triple(high)),
+        eye=_triple(made.viewpoints[0]),
+        clearance=CLEARANCE,
+    )
+
+
+def _triple(values: NDArray[np.float64]) -> tuple[float, float, float]:
+    x, y, z = values.tolist()
+    return x, y, z
 
 
 def _unit_vector(value: Any) -> NDArray[np.float64] | None:
@@ -212,18 +221,29 @@ def navigable_space(
 ) -> tuple[NavigableSpace | None, str]:
     """Return the navigable space of a scene and ""; None and the reason if there is none.
 
+    A box that the scene states comes before its Gaussians; seeds that mostly lie outside of it come before both.
+
     Args:
-        source: The scene; a built-in scene has a known space.
+        source: The scene.
         up: (3,) up axis; None means the known one, else a guess.
         seeds: (S, 3) positions known to be navigable.
     """
-    if source.navigable is not None:
-        return source.navigable if up is None else replace(source.navigable, up=np.asarray(up, np.float64)), ""
+    axis = source.known_up if up is None else up
+    stated = _in_stated_box(source, axis)
+    if stated is not None and (seeds is None or np.mean(stated.contains(seeds)) >= 0.5):
+        return stated, ""
     try:
-        axis = source.known_up if up is None else up
         return NavigableSpace.from_scene(source.gaussians, up=axis, seeds=seeds), ""
     except SceneError as error:
         return None, error.problem
+
+
+def _in_stated_box(source: Source, up: ArrayLike | None) -> NavigableSpace | None:
+    """Return what is free in the box that a scene states; None without one, or if nothing in it is free."""
+    try:
+        return stated_space(source.gaussians, up=up)
+    except SceneError:
+        return None
 
 
 def spaces_of_build(source: Source, up: ArrayLike) -> Iterator[NavigableSpace]:

@@ -16,6 +16,7 @@ from gsvis.cli.where import WORDS, check_where, find_place, flyaway_remarks, kin
 from gsvis.errors import SceneError
 from gsvis.files.atomic import atomic_path
 from gsvis.io.voxels import VOXELS, save_voxels
+from gsvis.scene.lengths import spell_length, spell_volume
 from gsvis.scene.navigable import NavigableSpace
 
 __all__ = ["run_space"]
@@ -52,7 +53,8 @@ def run_space(command: Space) -> None:
                 raise SceneError(f"{command.scene}: {error.problem}; {_REMEDY}") from None
         status("space", 1, 1)
         status("writing", 0, 1)
-        found = _write_voxels(space, files) if len(files) == 2 else _write_meshes(command, space, files[0])
+        meters = command.meters_per_unit or source.gaussians.facts.meters_per_unit
+        found = _write_voxels(space, files) if len(files) == 2 else _write_meshes(command, space, files[0], meters)
         status("writing", 1, 1)
     nbytes = sum(file.stat().st_size for file in files)
     low, high = space.origin, space.origin + np.array(space.free.shape) * space.voxel_size
@@ -73,8 +75,8 @@ def run_space(command: Space) -> None:
         return
     rows = [
         kind_row(space),
-        ("voxels", f"{' x '.join(map(str, space.free.shape))} of {space.voxel_size:.3g} units"),
-        ("navigable", f"{said['navigable_volume']:.4g} cubic units"),
+        ("voxels", f"{' x '.join(map(str, space.free.shape))} of {spell_length(space.voxel_size, meters)}"),
+        ("navigable", spell_volume(said["navigable_volume"], meters)),
         *((name.replace("_", " "), f"{value:,}") for name, value in found.items() if isinstance(value, int)),
     ]
     show(facts(source.name, rows), *remarks, f" {' and '.join(map(str, files))}, {size_of(nbytes)}")
@@ -116,10 +118,11 @@ def _write_voxels(space: NavigableSpace, files: list[Path]) -> dict[str, Any]:
     return {"solid_voxels": int(np.count_nonzero(voxels.solid))}
 
 
-def _write_meshes(command: Space, space: NavigableSpace, file: Path) -> dict[str, Any]:
+def _write_meshes(command: Space, space: NavigableSpace, file: Path, meters: float | None) -> dict[str, Any]:
     from gsvis.edit import mesh_space
 
-    meshes = mesh_space(space, frame=command.frame, meters_per_unit=command.meters_per_unit or 1.0)
+    scale = 1.0 if command.frame == "scene" else meters or 1.0
+    meshes = mesh_space(space, frame=command.frame, meters_per_unit=scale)
     with atomic_path(file) as partial:
         partial.write_bytes(meshes.to_glb())
     return {

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 from gsvis.cli.arguments_view import View
+from gsvis.cli.arguments_where import WhereSeen
 from gsvis.cli.serve import log_to_stderr
 from gsvis.cli.terminal import Status, print_json
 from gsvis.errors import GsvisError
@@ -45,16 +46,18 @@ def run_view(command: View) -> None:
 
     with ExitStack() as stack:
         stack.enter_context(log_to_stderr(TextLines(), logging.DEBUG if command.debug else logging.WARNING))
-        folder, name = _folder_of(command, stack)
+        folder, name, remarks = _folder_of(command, stack)
         scene = open_scene(folder, name, max_cache_bytes=_CACHE)
         scenes, name = stack.enter_context(Scenes([scene])), scene.name
         server = _listen(command, scenes)
         stack.enter_context(_preparing(command, scenes, name))
         page = server.page(name)
         if command.json:
-            print_json({"format": "gsvis-viewing", "version": 1, "url": page, "stream": server.url, "scene": name})
+            found = {"format": "gsvis-viewing", "version": 1, "url": page, "stream": server.url, "scene": name}
+            print_json(found | {"remarks": [each.strip() for each in remarks]})
             sys.stdout.flush()
         else:
+            sys.stderr.writelines(f"gsvis: {each.strip()}\n" for each in remarks)
             sys.stderr.write(f"gsvis: {page} shows {command.scene}; Ctrl-C ends it\n")
         if not command.no_browser:
             # The server listens already; it answers as soon as it runs.
@@ -63,8 +66,8 @@ def run_view(command: View) -> None:
             server.run()
 
 
-def _folder_of(command: View, stack: ExitStack) -> tuple[Path, str]:
-    """Return the folder to serve, and the name of the scene in addresses, "" for that of the folder.
+def _folder_of(command: View, stack: ExitStack) -> tuple[Path, str, list[str]]:
+    """Return the folder to serve, the name of the scene in addresses ("" for that of the folder), and remarks.
 
     A package and a static scene are served from their folder, any other scene from a temporary one.
     """
@@ -72,15 +75,18 @@ def _folder_of(command: View, stack: ExitStack) -> tuple[Path, str]:
 
     given = Path(command.scene)
     if (given / MANIFEST).is_file() or is_site(given):
-        for option, value in (("--lod", command.lod), ("--up", command.up), ("--prepare", command.prepare)):
+        options = ("lod", "up", "cameras", "prepare")
+        for option, value in ((f"--{name}", getattr(command, name)) for name in options):
             if value is not None:
                 raise ValueError(f"{option}: expected none for a package or a static scene, got {value}; leave it out")
-        return given, ""
-    from gsvis.cli.source import check_folder, load_source, parse_up, title_of, up_of
-    from gsvis.cli.starts import find_starts, thin
+        return given, "", []
+    from gsvis.cli.source import check_folder, load_source, parse_up, title_of
+    from gsvis.cli.starts import plan_visit
+    from gsvis.cli.where import check_where
     from gsvis.export.static import StaticOptions, write_static
 
-    up = parse_up(command.up)
+    parse_up(command.up)
+    check_where(WhereSeen(cameras=command.cameras))
     if command.prepare is not None:
         if os.path.lexists(command.prepare):
             raise ValueError(f"--prepare: expected a new folder, got {command.prepare}, which exists; name another")
@@ -90,13 +96,13 @@ def _folder_of(command: View, stack: ExitStack) -> tuple[Path, str]:
         source = load_source(command.scene, command.lod)
         status("reading", 1, 1)
         folder = Path(stack.enter_context(temporary_folder()))
-        x, y, z = (float(value) for value in (up_of(thin(source)) if up is None else up))
         status("start", 0, 1)
-        poses = find_starts(source, (x, y, z))
+        visit = plan_visit(source, command.up, command.cameras)
         status("start", 1, 1)
-        options = StaticOptions(title_of(command.scene, source.lod), (x, y, z), poses=poses)
-        write_static(folder, source.whole, options, progress=status)
-    return folder, title_of(command.scene)
+        x, y, z = visit.up.tolist()
+        shown = StaticOptions(title_of(command.scene, source.lod), (x, y, z), poses=visit.starts)
+        write_static(folder, source.whole, shown, progress=status)
+    return folder, title_of(command.scene), visit.remarks
 
 
 def _listen(command: View, scenes: Scenes) -> Server:
@@ -127,6 +133,7 @@ def _preparing(command: View, scenes: Scenes, name: str) -> Iterator[None]:
     words = [sys.executable, "-m", "gsvis", "prepare", command.scene, "-o", command.prepare]
     words += [] if command.lod is None else ["--lod", str(command.lod)]
     words += [] if command.up is None else ["--up", command.up.strip()]
+    words += [] if command.cameras is None else ["--cameras", command.cameras]
     scenes[name].preparing, ending = True, threading.Event()
     running = subprocess.Popen(words, stdout=subprocess.DEVNULL, preexec_fn=_be_nice if os.name == "posix" else None)
     waiting = threading.Thread(target=_change_over, args=(running, scenes, name, command.prepare, ending), daemon=True)

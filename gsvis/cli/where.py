@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -52,6 +52,14 @@ _CLOSE = 0.01  # of the scene's diagonal: views that end within it look into one
 
 
 _DECIDE = "--cameras, --up, --box, --around or --path decides"
+
+
+@runtime_checkable
+class _HasCameras(Protocol):
+    """Arguments of a command that takes cameras."""
+
+    @property
+    def cameras(self) -> str | None: ...
 
 
 @dataclass(frozen=True)
@@ -132,12 +140,17 @@ def check_where(where: Where, other: str = "") -> HeadPath | None:
     if len(names) > 1:
         value = getattr(where, names[1])
         raise ValueError(f"--{names[1]}: expected none with --{names[0]}, got {' '.join(spell(value))}; leave one out")
-    cameras = getattr(where, "cameras", None)
+    cameras = cameras_of(where)
     if cameras is None and where.cameras_frame != "auto":
         raise ValueError(f"--cameras-frame: expected --cameras with it, got {where.cameras_frame} alone; leave it out")
     if cameras is not None and not Path(cameras).exists():
         raise FileNotFoundError(2, "no such file or folder", cameras)
     return None if where.path is None else load_path(where.path)
+
+
+def cameras_of(where: Where) -> str | None:
+    """Return the file of --cameras; None without, and for commands that have no such option."""
+    return where.cameras if isinstance(where, _HasCameras) else None
 
 
 def find_place(
@@ -150,6 +163,7 @@ def find_place(
     """Find where eyes may be, by the strongest evidence: cameras, a walk, a box, then the scene itself.
 
     A place given by --box, --around or --path restricts eyes; cameras then say which way is up, and are eyes of checks.
+    A box that the file states comes after all that is given, and before the scene itself.
 
     Args:
         source: The scene.
@@ -164,7 +178,7 @@ def find_place(
     """
     framed: list[str] = []
     if cameras is None and (cameras := evidence_cameras(where)) is not None:
-        cameras, framed = framed_cameras(source, cameras, getattr(where, "cameras"), where.cameras_frame)  # noqa: B009
+        cameras, framed = framed_cameras(source, cameras, cameras_of(where) or "", where.cameras_frame)
     upright, doubts = _upright(source, up, cameras)
     far = flyaway_remarks(source.gaussians) if where.box is None else []  # nothing outside of a box counts
     remarks = [*far, *framed, *doubts]
@@ -189,7 +203,7 @@ def evidence_cameras(where: Where) -> Cameras | None:
         FileNotFoundError: If there is no file.
         ValueError: If it holds no camera.
     """
-    path = getattr(where, "cameras", None)
+    path = cameras_of(where)
     if path is None:
         return None
     try:
@@ -218,6 +232,8 @@ def _find(
     seeds = walk.positions if walk is not None and in_frame else None if cameras is None else cameras.viewpoints
     axis = upright.up if upright.sure else None  # of an uncertain axis the space makes its own, wary choice
     found, why_not = navigable_space(source, up=axis, seeds=seeds)
+    if source.gaussians.facts.box is not None and found is not None and found.kind.kind != "given" and seeds is None:
+        remarks = [*remarks, " Nothing in the box that the scene states is free; eyes are where the scene has them."]
     if found is None and seeds is not None:
         found, without = navigable_space(source, up=axis)
         if found is not None and walk is None:

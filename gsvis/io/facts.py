@@ -54,19 +54,24 @@ def facts_from_json(value: Any) -> SceneFacts:
     if not isinstance(value, dict):
         return _DEFAULT
     origin, up, box, source = (value.get(name) for name in ("origin", "up", "box", "up_source"))
-    meters = _number(value.get("meters_per_unit"))
+    meters, clearance = _number(value.get("meters_per_unit")), _number(value.get("clearance"))
     axis = _triple(up)
     length = 0.0 if axis is None else float(np.linalg.norm(axis))
     corners = [_triple(corner) for corner in box] if isinstance(box, list) and len(box) == 2 else [None, None]
     low, high = corners
     upright = axis is not None and abs(length - 1.0) < 1e-3
+    turn, turned = _turn(value.get("box_turn")), "box_turn" in value
+    has_box = low and high and all(a <= b for a, b in zip(low, high, strict=True)) and (turn or not turned)
     return SceneFacts(
         origin=_triple(origin) or _DEFAULT.origin,
         up=axis if upright else None,
         up_source=source[:_MOST_SOURCE] if upright and isinstance(source, str) and source.isprintable() else "",
         antialiased=value.get("antialiased") is True,
         meters_per_unit=meters if meters is not None and meters > 0.0 else None,
-        box=(low, high) if low and high and all(a <= b for a, b in zip(low, high, strict=True)) else None,
+        box=(low, high) if low and high and has_box else None,
+        box_turn=turn if turn and has_box else _DEFAULT.box_turn,
+        eye=_triple(value.get("eye")),
+        clearance=clearance if clearance is not None and clearance > 0.0 else None,
     )
 
 
@@ -75,6 +80,19 @@ def _triple(value: Any) -> tuple[float, float, float] | None:
         return None
     x, y, z = (_number(each) for each in value)
     return None if x is None or y is None or z is None else (x, y, z)
+
+
+def _turn(value: Any) -> tuple[float, float, float, float] | None:
+    """Return a unit quaternion, normalized; None for anything else."""
+    if not isinstance(value, list) or len(value) != 4:
+        return None
+    found = [_number(each) for each in value]
+    numbers = np.array([np.nan if each is None else each for each in found])
+    length = float(np.linalg.norm(numbers))
+    if not abs(length - 1.0) < 1e-3:
+        return None
+    w, x, y, z = (numbers / length).tolist()
+    return w, x, y, z
 
 
 def _number(value: Any) -> float | None:

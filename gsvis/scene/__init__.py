@@ -29,6 +29,7 @@ _MODULES = (
     "sight",
     "similarity",
     "solid",
+    "stated",
     "symlog",
     "upright",
     "view_sampling",

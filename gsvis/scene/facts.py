@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,8 +18,10 @@ __all__ = ["SceneFacts"]
 
 F64 = NDArray[np.float64]
 Triple = tuple[float, float, float]
+Quad = tuple[float, float, float, float]
 
 _ORIGIN: Triple = (0.0, 0.0, 0.0)
+_LEVEL: Quad = (1.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +35,12 @@ class SceneFacts:
         up_source: What states the up axis, such as "comment Vertical Axis"; empty if nothing does.
         antialiased: Whether the scene was trained with the opacity compensation of antialiased splatting.
         meters_per_unit: Meters in a scene unit; None if nothing states it.
-        box: Lowest and highest corner of the box where eyes may be, scene frame; None if nothing states it.
+        box: Lowest and highest corner of the box where eyes may be; None if nothing states it. Along its own sides,
+            about the scene's (0, 0, 0).
+        box_turn: Unit quaternion wxyz, scene frame from the frame of the box's sides; no turn by default.
+        eye: A point in the scene's frame where an eye may be; parts of the box that are closed off from it do not
+            count. None if nothing states it.
+        clearance: Least distance of eyes in the box from what stops light, scene units; None if nothing states it.
     """
 
     origin: Triple = _ORIGIN
@@ -41,6 +49,9 @@ class SceneFacts:
     antialiased: bool = False
     meters_per_unit: float | None = None
     box: tuple[Triple, Triple] | None = None
+    box_turn: Quad = _LEVEL
+    eye: Triple | None = None
+    clearance: float | None = None
 
     @classmethod
     def merge(cls, parts: Sequence[SceneFacts]) -> SceneFacts:
@@ -56,6 +67,7 @@ class SceneFacts:
         if all(part == first for part in rest):
             return first
         up = all(part.up == first.up for part in rest)
+        box = all(part.where == first.where for part in rest)
         return cls(
             origin=first.origin,
             up=first.up if up else None,
@@ -64,7 +76,10 @@ class SceneFacts:
             meters_per_unit=first.meters_per_unit
             if all(p.meters_per_unit == first.meters_per_unit for p in rest)
             else None,
-            box=first.box if all(part.box == first.box for part in rest) else None,
+            box=first.box if box else None,
+            box_turn=first.box_turn if box else _LEVEL,
+            eye=first.eye if box else None,
+            clearance=first.clearance if box else None,
         )
 
     def to_source(self, points: ArrayLike) -> F64:
@@ -85,14 +100,15 @@ class SceneFacts:
         if wanted == self.origin:
             return self
         away = self.to_source((0.0, 0.0, 0.0)) - np.asarray(wanted)
-        box = None if self.box is None else (_triple(self.box[0] + away), _triple(self.box[1] + away))
-        return replace(self, origin=wanted, box=box)
+        box, box_turn = _place_box(self.box, self.box_axes, 1.0, away)
+        eye = None if self.eye is None else _triple(self.eye + away)
+        return replace(self, origin=wanted, box=box, box_turn=box_turn, eye=eye)
 
     def transform(self, rotation: ArrayLike, scale: float, translation: ArrayLike = (0.0, 0.0, 0.0)) -> SceneFacts:
         """Return the facts after the scene is turned and scaled about its own (0, 0, 0), then moved.
 
         The origin is turned and scaled too, so that `origin + mean` moves as one. The translation moves the centers
-        and not the origin. A box is kept where its sides stay along the axes.
+        and not the origin. The box is turned, too.
 
         Args:
             rotation: (3, 3) rotation, new frame from old frame.
@@ -100,22 +116,66 @@ class SceneFacts:
             translation: (3,) in new units.
         """
         turn = np.asarray(rotation, np.float64)
+        shift = np.asarray(translation, np.float64)
         meters = self.meters_per_unit
+        box, box_turn = _place_box(self.box, turn @ self.box_axes, scale, shift)
         return replace(
             self,
             origin=_triple(scale * (turn @ np.asarray(self.origin))),
             up=None if self.up is None else _triple(turn @ np.asarray(self.up)),
             meters_per_unit=None if meters is None else meters / scale,
-            box=_placed_box(self.box, turn, scale, np.asarray(translation, np.float64)),
+            box=box,
+            box_turn=box_turn,
+            eye=None if self.eye is None else _triple(scale * (turn @ np.asarray(self.eye)) + shift),
+            clearance=None if self.clearance is None else scale * self.clearance,
         )
 
+    @property
+    def where(self) -> tuple[Any, ...]:
+        """All that says where eyes may be."""
+        return self.box, self.box_turn, self.eye, self.clearance
 
-def _placed_box(box: tuple[Triple, Triple] | None, turn: F64, scale: float, shift: F64) -> tuple[Triple, Triple] | None:
-    """Return a box after a similarity; None if its sides no longer lie along the axes."""
-    if box is None or not np.allclose(np.abs(turn), np.rint(np.abs(turn)), atol=1e-9):
-        return None
-    corners = scale * (np.array(list(product(*zip(*box, strict=True)))) @ np.rint(turn).T) + shift
-    return _triple(corners.min(axis=0)), _triple(corners.max(axis=0))
+    @property
+    def box_axes(self) -> F64:
+        """(3, 3) rotation, scene frame from the frame of the box's sides."""
+        return _rotation(self.box_turn)
+
+
+def _place_box(box: tuple[Triple, Triple] | None, axes: F64, scale: float, shift: F64) -> tuple[Any, Quad]:
+    """Return a box after a similarity, and its turn: none where its sides lie along the axes of the scene.
+
+    Args:
+        box: Lowest and highest corner along its sides; None without one.
+        axes: (3, 3) new scene frame from the frame of its sides.
+        scale: New units per old unit.
+        shift: (3,) in new units.
+    """
+    if box is None:
+        return None, _LEVEL
+    if not np.allclose(np.abs(axes), np.rint(np.abs(axes)), atol=1e-9):
+        moved = axes.T @ shift
+        return tuple(_triple(scale * np.asarray(corner) + moved) for corner in box), _quaternion(axes)
+    corners = scale * (np.array(list(product(*zip(*box, strict=True)))) @ np.rint(axes).T) + shift
+    return (_triple(corners.min(axis=0)), _triple(corners.max(axis=0))), _LEVEL
+
+
+def _rotation(quat: Quad) -> F64:
+    """Return the (3, 3) rotation of a unit quaternion wxyz."""
+    w, x, y, z = quat
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.array(rows)
+
+
+def _quaternion(rotation: F64) -> Quad:
+    """Return the unit quaternion wxyz of a (3, 3) rotation."""
+    from scipy.spatial.transform import Rotation  # here: it takes long to import, and few need it
+
+    x, y, z, w = (float(value) for value in Rotation.from_matrix(rotation).as_quat())
+    return w, x, y, z
 
 
 def _triple(values: F64) -> Triple:

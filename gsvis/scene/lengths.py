@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-__all__ = ["length_factor"]
+__all__ = ["length_factor", "spell_length", "spell_volume"]
 
 _SAMPLE = 4096  # centers looked at, at even steps
 _CORE = (0.1, 0.9)  # quantiles of the centers along each axis
@@ -41,3 +41,28 @@ def length_factor(means: ArrayLike) -> float:
     if not np.isfinite(size) or size == 0.0 or _USUAL[0] <= size <= _USUAL[1]:
         return 1.0
     return float(2.0 ** np.clip(np.rint(np.log2(_WANTED / size)), -60, 60))
+
+
+def spell_length(length: float, meters_per_unit: float | None) -> str:
+    """Return a length in words, in meters as well where the size of a unit is known.
+
+    Args:
+        length: In scene units.
+        meters_per_unit: Meters in a scene unit; None or 0 if unknown.
+
+    Examples:
+        >>> spell_length(0.5, None), spell_length(0.5, 0.1)
+        ('0.5 units', '0.5 units (0.05 m)')
+    """
+    return f"{length:.3g} units" + (f" ({length * meters_per_unit:.3g} m)" if meters_per_unit else "")
+
+
+def spell_volume(volume: float, meters_per_unit: float | None) -> str:
+    """Return a volume in words, in cubic meters as well where the size of a unit is known.
+
+    Args:
+        volume: In cubic scene units.
+        meters_per_unit: Meters in a scene unit; None or 0 if unknown.
+    """
+    meters = f" ({volume * meters_per_unit**3:.3g} cubic m)" if meters_per_unit else ""
+    return f"{volume:.3g} cubic units{meters}"

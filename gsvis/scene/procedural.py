@@ -41,6 +41,9 @@ Mask = NDArray[np.bool_]
 Triple = tuple[float, float, float]
 
 UP = (0.0, 0.0, 1.0)
+CLEARANCE = 0.25
+"""Least distance of eyes of built-in scenes from what stops light, meters."""
+
 FINE = 0.4  # lattice step of occluders, relative to the rest: a finer rim leaves fewer Gaussians undecided
 _WARM, _COOL, _CLAY, _MOSS, _SAND, _SLATE, _PLUM = (
     (0.78, 0.62, 0.46),
@@ -364,9 +367,8 @@ def _space(g: Gaussians, surfaces: Sequence[Surface], box: tuple[Triple, Triple]
     centers = grid.origin + grid.voxel_size * (np.indices(grid.free.shape).reshape(3, -1).T + 0.5)
     away = np.min([surface.distance(centers) for surface in surfaces], axis=0).reshape(grid.free.shape)
     targets = g.means[:: max(len(g) // 4096, 1)].astype(np.float64)
-    labels, _ = ndimage.label(away > 0.25)
+    labels, _ = ndimage.label(away > CLEARANCE)
     start = np.floor((home - grid.origin) / grid.voxel_size).astype(int)
     free = labels == labels[tuple(start)]
-    return NavigableSpace(
-        grid.origin, grid.voxel_size, free, np.array(UP), away < grid.voxel_size, targets, "0.25 from all surfaces"
-    )
+    rule = f"{CLEARANCE:g} from all surfaces"
+    return NavigableSpace(grid.origin, grid.voxel_size, free, np.array(UP), away < grid.voxel_size, targets, rule)

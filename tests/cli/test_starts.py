@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from gsvis.cli import starts
-from gsvis.cli.source import Source, load_source
-from gsvis.cli.starts import find_starts, thin
+from gsvis.cli.arguments_where import Where
+from gsvis.cli.source import Source, load_source, navigable_space
+from gsvis.cli.starts import find_starts, plan_visit, thin
+from gsvis.cli.where import find_place
+from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians, rotations_from_quats
+from tests.scene.places import apartment
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -20,10 +26,11 @@ def test_a_visit_of_rooms_begins_within_them_upright(monkeypatch: pytest.MonkeyP
     source = load_source("builtin:two_rooms", None)
     found = find_starts(source, UP)
     assert found is not None
-    assert source.navigable is not None
+    space, _ = navigable_space(thin(source))
+    assert space is not None
     for start in found:
         assert start.mode == "fly"
-        assert source.navigable.contains([start.position]).all()
+        assert space.contains([start.position]).all()
         across = rotations_from_quats(np.array([start.rotation]))[0][:, 0]
         assert abs(across @ UP) < 1e-3
 
@@ -46,7 +53,7 @@ def test_a_visit_of_a_thing_begins_outside_of_it() -> None:
 
 def test_a_scene_without_room_for_an_eye_has_no_such_view() -> None:
     source = load_source("builtin:two_rooms", None)
-    assert find_starts(replace(source, gaussians=source.gaussians[:0], navigable=None), UP) is None
+    assert find_starts(replace(source, gaussians=source.gaussians[:0]), UP) is None
 
 
 def test_a_part_of_a_scene_covers_as_much(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -57,3 +64,32 @@ def test_a_part_of_a_scene_covers_as_much(monkeypatch: pytest.MonkeyPatch) -> No
     scales = [each.gaussians.scales for each in (source, some)]
     area = [float(np.sort(each, axis=1)[:, 1:].prod(axis=1).sum()) for each in scales]
     assert area[1] == pytest.approx(area[0], rel=0.05)
+
+
+def test_a_visit_says_what_is_not_sure_and_begins_where_either_reading_has_eyes() -> None:
+    spread = np.random.default_rng(0).standard_normal((1000, 3))
+    quats = np.tile([1.0, 0, 0, 0], (1000, 1))
+    cloud = Gaussians(spread, quats, np.full((1000, 3), 0.05), np.full(1000, 0.9), np.zeros((1000, 1, 3)))
+    visit = plan_visit(Source("cloud", cloud))
+    assert visit.starts
+    (line,) = [each for each in visit.remarks if "Not sure: " in each]
+    assert line.strip() == find_place(Source("cloud", cloud), Where()).doubt
+    known = plan_visit(load_source("builtin:two_rooms", None))
+    assert not any("Not sure" in each for each in known.remarks)
+
+
+def test_cameras_say_where_a_visit_begins_and_which_way_is_up(tmp_path: Path) -> None:
+    g = apartment()
+    turned = g.transform(np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]]))  # +y is up
+    eyes = np.array([[1.0 + 0.2 * k, 1.5, -1.5] for k in range(6)])
+    targets = eyes + [[np.cos(k), 0.0, np.sin(k)] for k in range(6)]
+    cameras = Cameras.look_at(eyes, targets, up=(0, 1, 0), width=64, height=48, fov=60.0)
+    poses = np.linalg.inv(cameras.viewmats) * [1.0, -1.0, -1.0, 1.0]  # OpenGL axes
+    frames = [{"file_path": f"{k}.png", "transform_matrix": pose.tolist()} for k, pose in enumerate(poses)]
+    file = tmp_path / "transforms.json"
+    file.write_text(json.dumps({"fl_x": 55.4, "w": 64, "h": 48, "frames": frames}))
+    visit = plan_visit(Source("rooms", turned), cameras=str(file))
+    assert np.allclose(visit.up, [0, 1, 0], atol=1e-3)
+    assert visit.starts
+    given = plan_visit(Source("rooms", turned), "-z", str(file))
+    assert given.up.tolist() == [0, 0, -1]

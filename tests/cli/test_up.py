@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -44,9 +43,8 @@ def no_guess(monkeypatch: pytest.MonkeyPatch) -> None:
 
     for name in ("cli.source.find_up", "cli.views.find_up", "cli.where.find_up"):
         monkeypatch.setattr(f"gsvis.{name}", guess)
-    for module in ("gsvis.scene.navigable", "gsvis.scene.inspection"):
-        if hasattr(sys.modules[module], "guess_up"):
-            monkeypatch.setattr(f"{module}.guess_up", guess)
+    for module in ("navigable", "inspection", "stated"):
+        monkeypatch.setattr(f"gsvis.scene.{module}.find_up", guess)
 
 
 @pytest.mark.usefixtures("no_guess")

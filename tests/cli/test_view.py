@@ -73,6 +73,7 @@ def test_a_scene_is_shown_as_it_is_and_leaves_nothing(tmp_path: Path) -> None:
     temporary = tmp_path / "tmp"
     temporary.mkdir()
     with viewing("builtin:two_rooms", "--no-browser", TMPDIR=str(temporary)) as (running, found):
+        assert found["remarks"] == []
         root = found["url"].partition("/view/")[0] + "/"
         (row,) = json.loads(fetched(root))["scenes"]
         assert (row["name"], row["stream"], row["static"]) == ("two_rooms", None, "scenes/two_rooms/scene.json")

@@ -1,0 +1,128 @@
+"""Find navigable space in a box that the facts of a scene state: what is free in it, and can be reached.
+
+Built-in scenes and files converted from them state such a box, and both pass here, so they have the same eyes. A box
+may be turned: its voxels then lie along its own sides first. Frame and units of the result are the scene's own.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gsvis import _check
+from gsvis.errors import SceneError
+from gsvis.scene._occupancy import MIN_ALPHA, ROOM, Occupancy
+from gsvis.scene._turned import Pose, bring_back
+from gsvis.scene.core import find_core
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.kinds import SpaceKind
+from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.upright import find_up
+
+__all__ = ["stated_space"]
+
+F64 = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_RESOLUTION = 128
+_MAX_ALPHA = 0.25
+_CLEARANCE = 1.0  # voxels
+_GROWN = 1.0  # longest sides of the box around it in which the grid shows what stops light
+_TIE = 1e-3  # voxels, by which rounding may be off
+_NEAR = 2  # voxels around the stated eye in which a free one is looked for
+
+
+def stated_space(g: Gaussians, *, up: ArrayLike | None = None) -> NavigableSpace | None:
+    """Return what is free in the box that a scene states; None if it states none.
+
+    Args:
+        g: The scene.
+        up: (3,) up axis; that of the scene by default, stated or likely.
+
+    Raises:
+        SceneError: If nothing in the box is free, or nothing of the scene can be seen.
+    """
+    if g.facts.box is None:
+        return None
+    seen = g[g.opacities >= MIN_ALPHA]
+    if len(seen) == 0:
+        raise SceneError("no navigable space: the scene has no Gaussian with an opacity of at least 1/255")
+    above = find_up(g, check=False).up if up is None else np.asarray(up, np.float64)
+    above = _check.unit_vectors("up", np.reshape(above, (1, -1)))[0].astype(np.float64)
+    low, high = np.asarray(g.facts.box)
+    axes = g.facts.box_axes
+    middle = axes @ (0.5 * (low + high))
+    pose = Pose(axes.T, middle)
+    half = 0.5 * (high - low)
+    if np.array_equal(axes, np.eye(3)):
+        space, free = _search(seen, low, high, g.facts.eye, g.facts.clearance)
+        origin, size, occupied = space.origin, space.voxel_size, space.occupied
+    else:
+        eye = None if g.facts.eye is None else pose.points(np.asarray(g.facts.eye)[None])[0]
+        space, free = _search(pose.gaussians(seen), -half, half, eye, g.facts.clearance)
+        origin, size, (free, occupied) = bring_back(space.origin, space.voxel_size, [free, space.occupied], pose)
+    targets = space.targets(seen if occupied is space.occupied else pose.gaussians(seen))
+    targets = targets if occupied is space.occupied else pose.back(targets)
+    kind = SpaceKind("given", "a box that the scene states", None, "inside")
+    return NavigableSpace(origin, size, free, above, occupied & ~free, targets, "free, in the stated box", kind)
+
+
+def _search(
+    seen: Gaussians, low: F64, high: F64, eye: ArrayLike | None, clearance: float | None
+) -> tuple[Occupancy, Mask]:
+    """Return a grid over a scene as far as it lies near a box, and (X, Y, Z) the voxels in the box that can be reached.
+
+    Raises:
+        SceneError: If there are none.
+    """
+    core, side = find_core(seen), float((high - low).max())
+    grid_low = np.minimum(np.maximum(core.low, low - _GROWN * side), low)
+    grid_high = np.maximum(np.minimum(core.high, high + _GROWN * side), high)
+    if not side > 0.0:
+        raise SceneError("no navigable space: the box that the scene states is a point", "give a box")
+    # Whole voxels along the longest side of the box, about its middle, so that no rounding decides.
+    size = side / np.ceil(_RESOLUTION * side / float((grid_high - grid_low).max()) - _TIE)
+    counts = np.maximum(np.floor((high - low) / size + 0.5 - _TIE), 1.0)
+    before, after = (np.ceil(beyond / size - _TIE) for beyond in (low - grid_low, grid_high - high))
+    start = 0.5 * (low + high) - size * (0.5 * counts + before)
+    total = before + counts + after
+    space = Occupancy.from_gaussians(
+        [seen],
+        start,
+        start + size * total,
+        resolution=int(total.max()),
+        max_alpha=_MAX_ALPHA,
+        clearance=_CLEARANCE,
+    )
+    inside = np.zeros(space.clear.shape, bool)
+    inside[tuple(slice(int(a), int(a + n)) for a, n in zip(before, counts, strict=True))] = True
+    free = _reached(space, inside & _far_enough(space, clearance), eye)
+    if not free.any():
+        raise SceneError("no navigable space: nothing in the box that the scene states is free", "give a box")
+    return space, free
+
+
+def _far_enough(space: Occupancy, clearance: float | None) -> Mask:
+    """Return (X, Y, Z) the clear voxels that lie farther than a distance from what stops light, to half a voxel."""
+    if clearance is None or not space.occupied.any():
+        return space.clear
+    from scipy import ndimage  # here: it takes long to import, and few need it
+
+    apart = ndimage.distance_transform_edt(~space.occupied, sampling=space.voxel_size)
+    return np.asarray(space.clear & (apart + 0.5 * space.voxel_size > clearance), bool)
+
+
+def _reached(space: Occupancy, free: Mask, eye: ArrayLike | None) -> Mask:
+    """Return the connected part (X, Y, Z) that holds an eye; without one all but small parts."""
+    from scipy import ndimage  # here: it takes long to import, and few need it
+
+    labels, _ = ndimage.label(free)
+    sizes = np.bincount(labels.ravel())
+    sizes[0] = 0
+    if eye is not None:
+        voxel = np.floor((np.asarray(eye, np.float64) - space.origin) / space.voxel_size).astype(np.int64)
+        start, stop = np.maximum(voxel - _NEAR, 0), np.maximum(voxel + _NEAR + 1, 0)
+        around = labels[tuple(slice(a, b) for a, b in zip(start, stop, strict=True))]
+        if around.any():
+            return np.asarray(labels == np.bincount(around[around > 0]).argmax(), bool)
+    return np.asarray((sizes >= max(1.0, ROOM * sizes.max()))[labels] & free, bool)
