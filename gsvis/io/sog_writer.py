@@ -10,6 +10,7 @@ import json
 import math
 import os
 import zipfile
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -25,13 +26,30 @@ from gsvis.io.sog import ANTIALIASED
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.symlog import symlog
 
-__all__ = ["encode_sog", "report_sog_losses", "save_sog"]
+__all__ = ["EncodedSog", "encode_sog", "report_palette_loss", "report_sog_losses", "save_sog"]
 
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
 _PALETTE_ROW = 64
 _MAX_PALETTE = 65536
 _COARSE = 0.25  # of a Gaussian's size: a step that may show
+_SHOWS = 1.0 / 255.0  # change of color that may show
+
+
+@dataclass(frozen=True)
+class EncodedSog:
+    """A scene as SOG.
+
+    Attributes:
+        files: Files by name: the planes, then `meta.json`.
+        sets: Sets of higher coefficients; 0 without any.
+        sh_error: Change of color by the palette of these sets, root of the mean square over Gaussians, directions and
+            channels; 1 is white.
+    """
+
+    files: dict[str, bytes]
+    sets: int = 0
+    sh_error: float = 0.0
 
 
 def save_sog(scene: Gaussians, path: str | os.PathLike[str]) -> None:
@@ -45,15 +63,16 @@ def save_sog(scene: Gaussians, path: str | os.PathLike[str]) -> None:
         ValueError: If the scene is empty or has more Gaussians than a plane has pixels.
         OSError: If it cannot be written.
     """
-    files = encode_sog(scene)
+    found = encode_sog(scene)
     report_sog_losses(scene, path)
+    report_palette_loss(path, len(scene), found.sets, found.sh_error)
     with atomic_path(path) as partial, zipfile.ZipFile(partial, "w", zipfile.ZIP_STORED) as archive:
-        for name, data in files.items():
+        for name, data in found.files.items():
             archive.writestr(zipfile.ZipInfo(name), data)
 
 
-def encode_sog(scene: Gaussians, *, palette: int = _MAX_PALETTE, digits: int | None = None) -> dict[str, bytes]:
-    """Return the files of a SOG scene by name: its planes, then `meta.json`.
+def encode_sog(scene: Gaussians, *, palette: int = _MAX_PALETTE, digits: int | None = None) -> EncodedSog:
+    """Return a scene as the files of SOG, and what the palette of its higher coefficients changes.
 
     Args:
         scene: The scene; its order and frame are kept.
@@ -80,10 +99,12 @@ def encode_sog(scene: Gaussians, *, palette: int = _MAX_PALETTE, digits: int | N
     opacities = np.rint(scene.opacities * 255.0).astype(np.uint8)
     planes["sh0"] = _as_plane(np.column_stack([nearest_entry(sh0, codebook), opacities]))
     meta["sh0"] = {"codebook": _spelled(codebook, digits), "files": ["sh0.webp"]}
+    error = 0.0
     if scene.sh_degree:
-        meta["shN"] = _higher(scene, planes, palette, digits)
+        meta["shN"], error = _higher(scene, planes, palette, digits)
     files = {f"{name}.webp": encode_plane(plane) for name, plane in planes.items()}
-    return {**files, "meta.json": json.dumps(meta, separators=None if digits is None else (",", ":")).encode()}
+    files["meta.json"] = json.dumps(meta, separators=None if digits is None else (",", ":")).encode()
+    return EncodedSog(files, meta["shN"]["count"] if scene.sh_degree else 0, error)
 
 
 def _facts(scene: Gaussians) -> dict[str, Any]:
@@ -103,6 +124,20 @@ def report_sog_losses(scene: Gaussians, path: str | os.PathLike[str]) -> None:
         report_loss(path, "centers", f"centers are rounded to steps of {steps.max():.3g}; Gaussians have {size:.3g}")
     if any(scene.facts.origin):
         report_note(path, "the origin is a note that gsvis reads; other programs see the scene at (0, 0, 0)")
+
+
+def report_palette_loss(path: str | os.PathLike[str], gaussians: int, sets: int, error: float) -> None:
+    """Log that Gaussians share sets of higher coefficients, where their colors change visibly by it.
+
+    Args:
+        path: The file or folder.
+        gaussians: Gaussians with higher coefficients.
+        sets: Sets that stand for theirs.
+        error: As `EncodedSog.sh_error`.
+    """
+    if error > _SHOWS:
+        text = f"SH of {gaussians:,} Gaussians are those of {sets:,} sets: colors change by {error:.2g} of white (RMS)"
+        report_loss(path, "SH", text, gaussians)
 
 
 def _spelled(values: NDArray[np.floating[Any]], digits: int | None) -> list[float]:
@@ -145,19 +180,23 @@ def _quats(quats: F32) -> U8:
     return np.column_stack([packed, 252 + largest]).astype(np.uint8)
 
 
-def _higher(scene: Gaussians, planes: dict[str, U8], entries: int, digits: int | None) -> dict[str, Any]:
+def _higher(scene: Gaussians, planes: dict[str, U8], entries: int, digits: int | None) -> tuple[dict[str, Any], float]:
     n, k = scene.shN.shape[:2]
     palette, labels = palette_of(scene.shN.reshape(n, 3 * k), entries)
     codebook = _rounded(codebook_of(palette), digits)
     rows = math.ceil(len(palette) / _PALETTE_ROW)
     pixels = np.zeros((rows * _PALETTE_ROW * k, 4), np.uint8)
     pixels[:, 3] = 255
-    pixels[: len(palette) * k, :3] = nearest_entry(palette, codebook).reshape(-1, 3)
+    rounded = nearest_entry(palette, codebook)
+    pixels[: len(palette) * k, :3] = rounded.reshape(-1, 3)
     planes["shN_centroids"] = pixels.reshape(rows, _PALETTE_ROW * k, 4)
     planes["shN_labels"] = _as_plane(np.column_stack([labels & 0xFF, labels >> 8]).astype(np.uint8))
-    return {
+    written = codebook[rounded].reshape(len(palette), k, 3)
+    squares = sum(float(np.square(scene.shN[:, c] - written[labels, c]).sum(dtype=np.float64)) for c in range(k))
+    meta = {
         "count": len(palette),
         "bands": scene.sh_degree,
         "codebook": _spelled(codebook, digits),
         "files": ["shN_centroids.webp", "shN_labels.webp"],
     }
+    return meta, math.sqrt(squares / (3 * n * 4.0 * math.pi))  # the mean square of each basis function is 1 / (4 pi)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 import re
 from collections.abc import Callable, Mapping
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 from gsvis import _check
 from gsvis.files.atomic import atomic_folder
 from gsvis.files.folders import GENERATOR, check_replaceable, remove_earlier
-from gsvis.io.sog_writer import encode_sog
+from gsvis.io.sog_writer import EncodedSog, encode_sog, report_palette_loss
 from gsvis.progress import Progress, silent
 from gsvis.scene.gaussians import Gaussians
 
@@ -99,11 +100,14 @@ def save_streamed_sog(
         raise ValueError("counts: expected a Gaussian in every leaf, got an empty leaf")
     pieces = np.argwhere(counts > 0).tolist()
     sizes, names = np.zeros(counts.shape, np.int64), {}
+    losses: list[tuple[int, int, float]] = []
     progress("export", 0, len(pieces))
     with atomic_folder(target, last=(META,)) as partial:
         for k, (lod, leaf) in enumerate(pieces):
             found = scene.piece(lod, leaf)
-            names[lod, leaf], sizes[lod, leaf] = _write_sog(partial, f"{lod}_{leaf}", found)
+            names[lod, leaf], encoded = _write_sog(partial, f"{lod}_{leaf}", found)
+            sizes[lod, leaf] = sum(len(data) for data in encoded.files.values())
+            losses.append((len(found) if encoded.sets else 0, encoded.sets, encoded.sh_error))
             progress("export", k + 1, len(pieces))
         document: dict[str, Any] = {
             "version": 1,
@@ -114,8 +118,8 @@ def save_streamed_sog(
         }
         total = int(sizes.sum())
         if scene.environment is not None and len(scene.environment):
-            document["environment"], size = _write_sog(partial, "env", scene.environment)
-            total += size
+            document["environment"], encoded = _write_sog(partial, "env", scene.environment)
+            total += sum(len(data) for data in encoded.files.values())
         extra = {} if beside is None else beside(sizes)
         for name, data in extra.items():
             (partial / name).write_bytes(data)
@@ -129,6 +133,7 @@ def save_streamed_sog(
     kept = {name.split("/")[0] for name in names.values()} | set(extra)
     kept |= {str(document.get("environment", "")).split("/")[0]}
     remove_earlier(target, _OURS, kept)
+    _report(target, losses)
     return WrittenLeaves(target, sizes, total + len(text) + sum(len(data) for data in extra.values()))
 
 
@@ -141,17 +146,25 @@ def check_streamed_target(folder: str | os.PathLike[str], overwrite: bool) -> No
     check_replaceable(_check.path("folder", folder), META, _OURS, overwrite)
 
 
-def _write_sog(folder: Path, name: str, g: Gaussians) -> tuple[str, int]:
-    """Write the folder of one SOG scene; return the name of its meta.json, and its bytes."""
-    files = encode_sog(g, palette=max(_LEAST_PALETTE, len(g) // _PALETTE_SHARE), digits=_DIGITS)
+def _report(target: Path, losses: list[tuple[int, int, float]]) -> None:
+    """Report what the palettes of all leaves change: (Gaussians, sets, error) of each."""
+    gaussians, sets = sum(each[0] for each in losses), sum(each[1] for each in losses)
+    squares = sum(each[0] * each[2] ** 2 for each in losses)
+    if gaussians:
+        report_palette_loss(target, gaussians, sets, math.sqrt(squares / gaussians))
+
+
+def _write_sog(folder: Path, name: str, g: Gaussians) -> tuple[str, EncodedSog]:
+    """Write the folder of one SOG scene; return the name of its meta.json, and what was written."""
+    encoded = encode_sog(g, palette=max(_LEAST_PALETTE, len(g) // _PALETTE_SHARE), digits=_DIGITS)
     digest = hashlib.sha256()
-    for each, data in files.items():
+    for each, data in encoded.files.items():
         digest.update(f"{each} {len(data)}\n".encode() + data)
     place = f"{name}-{digest.hexdigest()[:8]}"
     (folder / place).mkdir()
-    for each, data in files.items():
+    for each, data in encoded.files.items():
         (folder / place / each).write_bytes(data)
-    return f"{place}/meta.json", sum(len(data) for data in files.values())
+    return f"{place}/meta.json", encoded
 
 
 def _node(scene: LeafScene, tree: Tree, files: dict[tuple[int, int], int]) -> dict[str, Any]:

@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 
 from gsvis.errors import FormatError
+from gsvis.io.losses import watch_losses
 from gsvis.io.sog import load_sog
-from gsvis.io.sog_writer import save_sog
+from gsvis.io.sog_writer import encode_sog, report_palette_loss, save_sog
 from gsvis.io.streamed_sog import list_lods, load_streamed_sog
 from gsvis.scene.gaussians import Gaussians
 from tests.io.scene_files import plane, random_scene, sog_files, streamed_files, webp, write_files, zip_bytes
@@ -390,3 +391,19 @@ def test_real_absent_levels_are_reported(realdata: Path) -> None:
     with pytest.raises(FormatError, match="LODs present: 2, 3"):
         load_streamed_sog(realdata / "scenes" / "showroom", 0)
     assert list_lods(realdata / "scenes" / "flowers_sh2") == (1, 2, 3)
+
+
+def test_what_a_palette_changes_is_measured_and_reported(tmp_path: Path) -> None:
+    g = random_scene(300, 2)
+    found = encode_sog(g, palette=8)
+    with zipfile.ZipFile(tmp_path / "a.sog", "w") as archive:
+        for name, data in found.files.items():
+            archive.writestr(name, data)
+    back = load_sog(tmp_path / "a.sog")
+    squares = np.square(back.shN.astype(np.float64) - g.shN).sum(axis=1).mean()
+    np.testing.assert_allclose(found.sh_error, np.sqrt(squares / (4.0 * np.pi)), rtol=1e-5)
+    with watch_losses() as losses:
+        report_palette_loss("a.sog", 300, found.sets, found.sh_error)
+        report_palette_loss("a.sog", 300, 300, 1e-4)
+    assert [(each.what, each.count) for each in losses] == [("SH", 300)]
+    assert encode_sog(g).sh_error < 0.1 * found.sh_error
