@@ -7,7 +7,7 @@ Peripheral if not. It is Adjacent if only a neighboring cell sees it. Scene fram
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -29,6 +29,7 @@ U8 = NDArray[np.uint8]
 FOV, PERIPHERAL, ADJACENT, NONE = 0, 1, 2, 255
 
 _WIDEST = np.radians(89.0)
+_NEAREST = 1.0 / 16.0  # most of the side of a cell at which a frustum begins
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,13 @@ class FieldOfView:
                 raise ValueError(f"{name}: expected degrees in (0, 180), got {angle!r}")
         x, y = np.tan(np.radians(horizontal) / 2), np.tan(np.radians(vertical) / 2)
         return cls(float(x), float(x), float(y), float(y), float(np.radians(margin)), near)
+
+    def in_cells(self, cell_size: float) -> FieldOfView:
+        """Return the same field of view in a scene with cells of this size: it begins within a small part of a cell.
+
+        Viewers state one distance for all scenes. In a scene in small units it would lie behind all that is near.
+        """
+        return replace(self, near=min(self.near, _NEAREST * cell_size))
 
     def planes(self, position: ArrayLike, quat: ArrayLike) -> F32:
         """Return (5, 4) float32 unit normals that point inward and offsets: left, right, top, bottom and near plane.

@@ -82,6 +82,7 @@ class Planner:
         memory: float | None = None,
     ) -> None:
         index, self.config = candidates.index, config or AbrConfig()
+        view = view.in_cells(index.grid.cell_size)
         self.candidates, self.view, self.reach = candidates, view, 1e6
         self.holdings = Holdings(len(index), index.num_terms) if holdings is None else holdings
         if (self.holdings.gaussians, self.holdings.terms) != (len(index), index.num_terms):

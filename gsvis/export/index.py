@@ -59,7 +59,8 @@ class Spheres:
         centers, halves = (lows + highs) / 2, np.linalg.norm(highs - lows, axis=1) / 2
         # Both are read from text by everybody who decodes: numbers of few digits stay what they are.
         middle = np.median(centers, axis=0).astype(np.float32).astype(np.float64)
-        scale = float(np.float32(max(np.median(halves), 1e-6)))
+        least = 1e-6 * float(max(halves.max(initial=0.0), np.ptp(centers, axis=0).max(initial=0.0))) or 1e-6
+        scale = float(np.float32(max(np.median(halves), least)))
         places = np.clip(np.rint(STEPS * np.arcsinh((centers - middle) / scale)), -_MOST, _MOST).astype(np.int64)
         decoded = middle + scale * np.sinh(places / STEPS)
         away = np.linalg.norm(means - np.repeat(decoded, table.counts, axis=0), axis=1)

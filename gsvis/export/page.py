@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gsvis import _check
 from gsvis.errors import BackendError, FormatError
@@ -32,6 +33,7 @@ from gsvis.package.package import Package
 from gsvis.progress import Progress, silent
 from gsvis.scene.gaussians import Gaussians, rotations_from_quats
 from gsvis.scene.levels import Levels
+from gsvis.scene.poses import decimals_of
 
 __all__ = ["VIEWER", "SiteReport", "check_site", "check_viewer", "write_html", "write_site"]
 
@@ -270,9 +272,19 @@ def _has_own_settings(target: Path) -> bool:
     return False
 
 
+def _distance(document: dict[str, Any], eye: NDArray[np.float64], ahead: NDArray[np.float64]) -> float:
+    """Return how far an eye looks: some cells, or as far as the middle of a scene without cells."""
+    if document["cells"]["size"]:
+        return float(document["cells"]["size"]) * _DISTANCE
+    to_middle = np.array(document["places"]["middle"]) - eye
+    least = 4.0 * float(document["places"]["scale"])  # of what a few hundred Gaussians take
+    return max(float(to_middle @ ahead), least)
+
+
 def _views(document: dict[str, Any]) -> Iterator[dict[str, Any]]:
     for pose in document["poses"]:
         ahead = rotations_from_quats(np.array([pose["rotation"]]))[0][:, 2]
-        away = (document["cells"]["size"] or 1.0) * _DISTANCE
-        target = [round(a + away * b, 6) for a, b in zip(pose["position"], ahead.tolist(), strict=True)]
+        away = _distance(document, np.array(pose["position"]), ahead)
+        places = decimals_of([away])
+        target = [round(a + away * b, places) for a, b in zip(pose["position"], ahead.tolist(), strict=True)]
         yield {"position": pose["position"], "target": target, "fov": 65}

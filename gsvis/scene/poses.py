@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gsvis.scene.cameras import Cameras, intrinsics
 from gsvis.scene.gaussians import quats_from_rotations, rotations_from_quats
 
-__all__ = ["cameras_from_poses", "describe_poses"]
+__all__ = ["cameras_from_poses", "decimals_of", "describe_poses"]
 
 
 def cameras_from_poses(poses: Sequence[Mapping[str, Any]], width: int, height: int, fov: float) -> Cameras:
@@ -34,12 +36,23 @@ def cameras_from_poses(poses: Sequence[Mapping[str, Any]], width: int, height: i
     return Cameras(viewmats, np.tile(intrinsics(width, height, fov), (len(poses), 1, 1)), width, height)
 
 
+def decimals_of(lengths: ArrayLike, decimals: int = 6) -> int:
+    """Return the digits after the point to round lengths to: more where all are below 1, as in scenes in small units.
+
+    Examples:
+        >>> decimals_of([3.0, 0.1]), decimals_of([2e-3])
+        (6, 9)
+    """
+    most = float(np.abs(np.asarray(lengths, np.float64)).max(initial=0.0))
+    return decimals if not 0.0 < most < 1.0 else decimals - math.floor(math.log10(most))
+
+
 def describe_poses(cameras: Cameras | None, *, decimals: int | None = 6) -> list[dict[str, Any]]:
     """Return `position` (3,) and `rotation` (4,) wxyz, world from camera, of each camera, ready for JSON; none of None.
 
     Args:
         cameras: The cameras.
-        decimals: Digits after the point; None keeps all.
+        decimals: Digits after the point, more of positions in small units; None keeps all.
 
     Examples:
         >>> describe_poses(Cameras.look_at([(1, 0, 0)], [(1, 0, 5)], up=(0, -1, 0)))
@@ -49,9 +62,9 @@ def describe_poses(cameras: Cameras | None, *, decimals: int | None = 6) -> list
         return []
     quats = quats_from_rotations(cameras.viewmats[:, :3, :3].transpose(0, 2, 1))
     if decimals is not None:
-        digits = decimals
+        digits, places = decimals, decimals_of(cameras.viewpoints, decimals)
         return [
-            {"position": [round(v, digits) + 0.0 for v in eye], "rotation": [round(v, digits) + 0.0 for v in quat]}
+            {"position": [round(v, places) + 0.0 for v in eye], "rotation": [round(v, digits) + 0.0 for v in quat]}
             for eye, quat in zip(cameras.viewpoints.tolist(), quats.tolist(), strict=True)
         ]
     return [

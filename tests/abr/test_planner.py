@@ -484,3 +484,10 @@ def test_poses_of_every_kind() -> None:
     cell = planner.cell
     planner.on_pose(0.5, index.grid.centers[0], [1, 0, 0, 0])  # late
     assert planner.cell == cell
+
+
+def test_a_frustum_begins_within_a_part_of_a_cell_in_any_units() -> None:
+    view = FieldOfView.from_degrees(90, 70)
+    assert view.in_cells(0.5) == view
+    assert view.in_cells(1e-3).near <= 1e-3 / 8
+    assert view.in_cells(1e3).near == view.near

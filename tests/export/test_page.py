@@ -80,6 +80,19 @@ def test_a_site_has_the_page_its_scripts_and_the_scene(viewer: Path, scene: Gaus
     assert np.linalg.norm(np.array(view["target"]) - view["position"]) > 0.1
 
 
+@pytest.mark.parametrize("scale", [1e-3, 2.0**-20, 1e3])
+def test_what_a_view_looks_at_is_in_the_units_of_the_scene(
+    viewer: Path, scene: Gaussians, tmp_path: Path, scale: float
+) -> None:
+    views = []
+    for factor in (1.0, scale):
+        site = tmp_path / f"site{factor}"
+        write_site(site, scene.transform(np.eye(3), scale=factor), viewer=viewer)
+        views.append(json.loads((site / "settings.json").read_bytes())["cameras"][0]["initial"])
+    for key in ("position", "target"):
+        np.testing.assert_allclose(np.array(views[1][key]) / scale, views[0][key], rtol=2e-3, atol=2e-3)
+
+
 def test_settings_of_a_person_stay_and_other_files_too(viewer: Path, scene: Gaussians, tmp_path: Path) -> None:
     site = tmp_path / "site"
     write_site(site, scene, viewer=viewer)
