@@ -12,8 +12,10 @@ from typing import Any
 import pytest
 
 from gsvis.cli import main, parse
+from gsvis.io.spz import save_spz
 from gsvis.raycast import TAU, EllipsoidProxies, Tracer, visible_from
 from gsvis.scene.procedural import BUILTIN_SCENES, furnished_flat, two_rooms
+from gsvis.simulate import morton_order
 from tests.few_views import take_few_views
 from tests.known_spaces import remember_spaces
 
@@ -122,6 +124,20 @@ def test_numbers_that_pages_print_of_the_flat_are_those_of_the_flat() -> None:
     )
     assert count == pytest.approx(gaussians, rel=0.02)
     assert count * 62 * 4 / 1e6 == pytest.approx(megabytes, rel=0.02)  # 62 floats a row of the PLY
+    whole_file, seconds = printed(
+        DOCS / "tutorials/serve.md",
+        r"is a compact SPZ of ([\d.]+) MB. At 5 Mbit/s nothing of it is seen for ([\d.]+) s",
+    )
+    save_spz(flat.gaussians[morton_order(flat.gaussians.means)], "compact.spz", compact=True)
+    assert Path("compact.spz").stat().st_size / 1e6 == pytest.approx(whole_file, rel=0.02)
+    assert whole_file * 8 / 5 == pytest.approx(seconds, abs=0.15)
+    (small,) = printed(DOCS / "tutorials/lighter.md", r"`.spz --compact` \| ([\d.]+) MB")
+    assert small == pytest.approx(whole_file, rel=0.05)  # there in the order of the file
+    kept, total, part, size = printed(
+        DOCS / "how-to/cut.md", r"corner.ply: ([\d,]+) of ([\d,]+) Gaussians \(([\d.]+)%\), ([\d.]+) MB"
+    )
+    assert (total, kept * 62 * 4 / 1e6) == pytest.approx((count, size), rel=0.02)
+    assert 100.0 * kept / total == pytest.approx(part, abs=0.1)
     tracer = Tracer(EllipsoidProxies.from_scene(flat.gaussians))
     weights = visible_from(tracer, flat.viewpoints[:1], sampling="gaussians")
     assert 100.0 * (weights >= TAU).mean() == pytest.approx(share, abs=3.0)

@@ -200,7 +200,7 @@ SECTIONS = (
                 "Garden, 648 x 420, forward, and forward with backward?",
                 ("render_garden: garden, forward with projection", "render_garden: garden, forward plus backward"),
                 ours="{0:.3f}, {1:.3f} s quiet; 0.084, 0.17 s busy",
-                peer="OpenSplat: 0.71, 1.06 s (recorded)",
+                peer="OpenSplat: 0.71, 1.06 s (measured earlier)",
                 target="≤ 0.071, 0.106 s",
                 verdict="missed when busy",
             ),

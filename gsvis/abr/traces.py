@@ -1,4 +1,4 @@
-"""Bandwidth over time: how many bytes a recorded link carries, and how long a number of bytes takes.
+"""Bandwidth over time: how many bytes a link carries, and how long a number of bytes takes.
 
 Rates are constant between given times and repeat after the last. Seconds, Mbit/s (10^6 bits), bytes.
 """
@@ -161,7 +161,7 @@ class BandwidthTrace:
 
 
 def load_trace(path: str | os.PathLike[str]) -> BandwidthTrace:
-    """Read a recorded link: a 5G log (`.csv`), or lines of seconds and Mbit/s.
+    """Read a link: a recorded 5G log (`.csv`), or lines of seconds and Mbit/s.
 
     Args:
         path: The file.

@@ -1,4 +1,4 @@
-"""Read recorded bandwidth as text: two numbers per line, seconds and Mbit/s, as in the traces of Pensieve and Oboe.
+"""Read bandwidth as text: two numbers per line, seconds and Mbit/s, as in the traces of Pensieve and Oboe.
 
 The rate of a line holds from the previous line to its own time; that of the first from 0. Lines at 0 are ignored.
 """

@@ -1,4 +1,4 @@
-"""Cut a navigable space to the part along a recorded walk, or find the space along one.
+"""Cut a navigable space to the part along a walk, or find the space along one.
 
 Scene frame and units. This module knows nothing about visibility.
 """

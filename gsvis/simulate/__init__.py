@@ -1,4 +1,4 @@
-"""Simulate what a viewer sees while a scene arrives: deliveries over recorded links along recorded paths.
+"""Simulate what a viewer sees while a scene arrives: deliveries over links along paths.
 
     stage = Stage(scene.contents)                                          # one per scene
     link = Link(load_trace("trace.csv"), round_trip=0.04)

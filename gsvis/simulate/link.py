@@ -1,4 +1,4 @@
-"""A link between a server and one client: bytes travel in sequence at a recorded rate, with a delay.
+"""A link between a server and one client: bytes travel in sequence at a given rate, with a delay.
 
 Seconds and bytes. The uplink carries poses and acknowledgements, which are small: it has a delay and no rate.
 """

@@ -26,7 +26,7 @@ class WorldConfig:
         looks: Eyes in a tile that look for nodes around it, coarsely.
         resolution: Voxels along the longest side of a tile and the strip around it. What lies farther around is looked
             at in voxels of this size, or larger ones where they would be too many.
-        walk: (T, 3) positions of a recorded walk, scene frame, along which eyes are, straight between two of them; None
+        walk: (T, 3) positions of a walk, scene frame, along which eyes are, straight between two of them; None
             lets each tile find its own space. Tiles that the walk does not come near have no cells.
         margin: Distance from the walk within which eyes may be, scene units.
 

@@ -47,7 +47,7 @@ def open_place(
 
     Args:
         path: Folder of the world.
-        walk: The recorded walk.
+        walk: The walk.
         reference: The scenes before they became a world; None compares with the highest level of all tiles.
         whole_file: A file or folder of the scenes, to take its size; None measures the highest level as SOG.
         as_is: Whether to leave walks unchanged.

@@ -83,7 +83,9 @@ def paint_canvas(chart: Chart, i: int, baked: Baked) -> Canvas:
         light = resized(baked.map_of(i), rows, columns)
         if baked.sunny[i]:
             light = light + resized(sun_map(baked.rays, chart, baked.sky), rows, columns)
-        colors = displayed(linear(colors) * (light + chart.look.glow))
+        one = colors.strides[:2] == (0, 0)  # one color all over
+        own = linear(colors[:1, :1]) if one else linear(colors)
+        colors = displayed(own * (light + chart.look.glow))
     return Canvas(colors, solid, chart.size, chart.look.detail, chart.bend, chart.look.rim)
 
 

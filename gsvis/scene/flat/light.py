@@ -295,11 +295,15 @@ def _add_lamp(light: F64, rays: Rays, points: F64, normals: F64, lamp: Lamp, rng
 
 
 def _smoothed(values: F64, grids: Grids, width: float) -> F64:
-    """Return values with the noise of few rays taken out, chart by chart."""
+    """Return values with the noise of few rays taken out, chart by chart; those of one size at once."""
     from scipy.ndimage import gaussian_filter
 
     smooth: F64 = values.copy()
-    for i in np.flatnonzero(grids.rows * grids.columns > 9).tolist():
-        patch = grids.reshape(i, values)
-        grids.reshape(i, smooth)[:] = gaussian_filter(patch, (width, width, 0.0), mode="nearest", truncate=2.5)
+    sizes = np.stack([grids.rows, grids.columns], axis=1)
+    for rows, columns in np.unique(sizes[sizes.prod(axis=1) > 9], axis=0).tolist():
+        starts = grids.starts[(sizes == (rows, columns)).all(axis=1)]
+        at = starts[:, None] + np.arange(rows * columns)
+        patches = values[at].reshape(len(starts), rows, columns, 3)
+        found = gaussian_filter(patches, (0.0, width, width, 0.0), mode="nearest", truncate=2.5)
+        smooth[at] = found.reshape(*at.shape, 3)
     return smooth

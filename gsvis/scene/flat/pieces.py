@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,7 +83,8 @@ class _Tables:
             table = self.sums[start : start + (rows + 1) * (columns + 1)].reshape(rows + 1, columns + 1, 5)
             table[1:, 1:, 0] = canvas.solid
             table[1:, 1:, 1:4] = canvas.colors * canvas.solid[..., None]
-            table[1:, 1:, 4] = (canvas.colors**2).sum(axis=2) * canvas.solid
+            red, green, blue = np.moveaxis(canvas.colors, 2, 0)
+            table[1:, 1:, 4] = (red * red + green * green + blue * blue) * canvas.solid
             np.cumsum(table, axis=0, out=table)
             np.cumsum(table, axis=1, out=table)
         self.texel = np.array([canvas.size for canvas in canvases]) / shapes[:, ::-1]
@@ -90,16 +92,48 @@ class _Tables:
         self.rim = np.array([canvas.rim for canvas in canvases])
         self.bend = np.array([canvas.bend for canvas in canvases])
 
-    def total(self, charts: I64, box: I64) -> F64:
-        """Return (n, 5) sums over (n, 4) boxes: first column, first row, end column, end row."""
+    def corners(self, charts: I64, box: I64) -> Corners:
+        """Return the sums up to the corners of (n, 4) boxes: first column, first row, end column, end row."""
         wide, start = self.columns[charts] + 1, self.starts[charts]
         top, bottom = start + box[:, 1] * wide, start + box[:, 3] * wide
-        return np.asarray(
-            self.sums[bottom + box[:, 2]]
-            - self.sums[bottom + box[:, 0]]
-            - self.sums[top + box[:, 2]]
-            + self.sums[top + box[:, 0]]
-        )
+        ends = (bottom + box[:, 2], bottom + box[:, 0], top + box[:, 2], top + box[:, 0])
+        return Corners(wide, start, *(self.sums.take(each, axis=0) for each in ends))
+
+    def first_part(self, found: Corners, chosen: I64, box: I64, axis: int, at: I64) -> F64:
+        """Return (m, 5) sums over the first parts of chosen boxes, cut at a column (axis 0) or a row (axis 1)."""
+        wide, start = found.wide[chosen], found.start[chosen]
+        if axis == 0:
+            upper = self.sums.take(start + box[:, 3] * wide + at, axis=0)
+            lower = self.sums.take(start + box[:, 1] * wide + at, axis=0)
+            return np.asarray(upper - found.left_end[chosen] - lower + found.left_start[chosen])
+        row = start + at * wide
+        right, left = self.sums.take(row + box[:, 2], axis=0), self.sums.take(row + box[:, 0], axis=0)
+        return np.asarray(right - left - found.right_start[chosen] + found.left_start[chosen])
+
+
+class Corners(NamedTuple):
+    """Sums up to the corners of n boxes.
+
+    Attributes:
+        wide: (n,) columns of each table.
+        start: (n,) where each table begins.
+        right_end: (n, 5) sums up to end column and end row.
+        left_end: (n, 5) up to first column and end row.
+        right_start: (n, 5) up to end column and first row.
+        left_start: (n, 5) up to first column and first row.
+    """
+
+    wide: I64
+    start: I64
+    right_end: F64
+    left_end: F64
+    right_start: F64
+    left_start: F64
+
+    @property
+    def whole(self) -> F64:
+        """(n, 5) sums over the boxes."""
+        return np.asarray(self.right_end - self.left_end - self.right_start + self.left_start)
 
 
 def cut(canvases: Sequence[Canvas], count: int, rng: np.random.Generator) -> Pieces:
@@ -138,44 +172,47 @@ def cut(canvases: Sequence[Canvas], count: int, rng: np.random.Generator) -> Pie
 
 def _best_cuts(tables: _Tables, charts: I64, boxes: I64, rng: np.random.Generator) -> tuple[F64, I64]:
     """Return (n,) what the best cut of each box is worth, and (n, 2) its axis and its place; -1 for no cut."""
-    whole = tables.total(charts, boxes)
+    found = tables.corners(charts, boxes)
+    whole = found.whole
     best, where = np.full(len(boxes), -1.0), np.zeros((len(boxes), 2), np.int64)
     extent = boxes[:, 2:] - boxes[:, :2]
     sides = extent * tables.texel[charts]
-    area = tables.texel[charts].prod(axis=1)
-    sharp = area * tables.detail[charts]
     before, edge = _scatter(whole), _holes(whole, boxes)
     for axis in range(2):
-        by_size = sides.prod(axis=1) * sides[:, axis] ** 2 / 16.0
-        plain = by_size * (SPREAD + BENT * tables.bend[charts])
+        shifts = rng.uniform(-0.08, 0.08, (len(CANDIDATES), len(boxes)))
         allowed = (extent[:, axis] > 1) & (sides[:, axis] * LONGEST > sides[:, 1 - axis]) & (whole[:, 0] > 0.0)
-        for share in CANDIDATES:
-            at = np.rint(extent[:, axis] * (share + rng.uniform(-0.08, 0.08, len(boxes)))).astype(np.int64)
-            at = boxes[:, axis] + np.clip(at, 1, np.maximum(extent[:, axis] - 1, 1))
-            first, second = boxes.copy(), boxes.copy()
+        some = np.flatnonzero(allowed)
+        mine, owners, long = boxes[some], charts[some], extent[some, axis]
+        along, beside = sides[some, axis], sides[some, 1 - axis]
+        by_size = sides[some].prod(axis=1) * along**2 / 16.0
+        plain = by_size * (SPREAD + BENT * tables.bend[owners])
+        area = tables.texel[owners].prod(axis=1)
+        sharp = area * tables.detail[owners]
+        for share, shift in zip(CANDIDATES, shifts, strict=True):
+            at = np.rint(long * (share + shift[some])).astype(np.int64)
+            at = mine[:, axis] + np.clip(at, 1, np.maximum(long - 1, 1))
+            first, second = mine.copy(), mine.copy()
             first[:, 2 + axis] = at
             second[:, axis] = at
-            part = tables.total(charts, first)
-            rest = whole - part
-            gain = sharp * (before - _scatter(part) - _scatter(rest))
-            clean = area * (edge - _holes(part, first) - _holes(rest, second))
-            narrow = RIM * _rims(tables, charts, boxes, axis, at) * tables.rim[charts] * sides[:, 1 - axis]
-            balance = 4.0 * (at - boxes[:, axis]) * (boxes[:, 2 + axis] - at) / np.maximum(extent[:, axis], 1) ** 2
-            worth = np.where(
-                allowed,
-                np.maximum(0.0, sides[:, axis] - WIDEST) * balance + gain + HOLE * clean + plain * balance + narrow,
-                -1.0,
-            )
-            better = worth > best
-            best = np.where(better, worth, best)
-            where[better] = np.stack([np.full(len(boxes), axis), at], axis=1)[better]
+            part = tables.first_part(found, some, mine, axis, at)
+            rest = whole[some] - part
+            gain = sharp * (before[some] - _scatter(part) - _scatter(rest))
+            clean = area * (edge[some] - _holes(part, first) - _holes(rest, second))
+            narrow = RIM * _rims(tables, owners, mine, axis, at) * tables.rim[owners] * beside
+            balance = 4.0 * (at - mine[:, axis]) * (mine[:, 2 + axis] - at) / np.maximum(long, 1) ** 2
+            worth = np.maximum(0.0, along - WIDEST) * balance + gain + HOLE * clean + plain * balance + narrow
+            better = worth > best[some]
+            best[some[better]] = worth[better]
+            where[some[better], 0] = axis
+            where[some[better], 1] = at[better]
     return best, where
 
 
 def _scatter(sums: F64) -> F64:
     """Return (n,) squared deviations from the mean color, summed."""
     weight = np.maximum(sums[:, 0], 1e-9)
-    return np.asarray(sums[:, 4] - (sums[:, 1:4] ** 2).sum(axis=1) / weight)
+    red, green, blue = sums[:, 1], sums[:, 2], sums[:, 3]
+    return np.asarray(sums[:, 4] - (red * red + green * green + blue * blue) / weight)
 
 
 def _holes(sums: F64, boxes: I64) -> F64:
@@ -193,7 +230,7 @@ def _rims(tables: _Tables, charts: I64, boxes: I64, axis: int, at: I64) -> F64:
 
 
 def _pieces(tables: _Tables, charts: I64, boxes: I64) -> Pieces:
-    sums = tables.total(charts, boxes)
+    sums = tables.corners(charts, boxes).whole
     area = (boxes[:, 2:] - boxes[:, :2]).prod(axis=1)
     cover = sums[:, 0] / np.maximum(area, 1)
     kept = cover > 0.35

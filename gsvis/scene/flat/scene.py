@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -9,6 +11,7 @@ from numpy.typing import NDArray
 
 from gsvis import _check
 from gsvis.scene.flat import dress
+from gsvis.scene.flat.charts import Chart
 from gsvis.scene.flat.dress import Batch
 from gsvis.scene.flat.furnish import furniture, lamps
 from gsvis.scene.flat.light import Sky, bake
@@ -46,8 +49,8 @@ def furnished_flat(count: int = USUAL, sh_degree: int = 3, seed: int = 1) -> Gau
     if sh_degree not in (0, 1, 2, 3):
         raise ValueError(f"sh_degree: expected 0, 1, 2 or 3, got {sh_degree!r}")
     rng = np.random.default_rng(seed)
-    walls = shell()
-    inside = [*walls, *furniture()]
+    walls, others = _surfaces()
+    inside = [*walls, *others]
     charts = [*inside, *outside()]
     coarseness = float(np.sqrt(max(USUAL / count, 1.0)))
     baked = bake(inside, _sky(), rng, coarseness)
@@ -58,6 +61,12 @@ def furnished_flat(count: int = USUAL, sh_degree: int = 3, seed: int = 1) -> Gau
     front = dress.add_gloss(front, charts, fine, baked)
     back = dress.gaussians_of(charts, coarse, rng, width=0.46, behind=0.02)
     return dress.finish([front, back, _floaters(int(FLOATERS * count), rng)], sh_degree)
+
+
+@cache
+def _surfaces() -> tuple[tuple[Chart, ...], tuple[Chart, ...]]:
+    """Return the charts of the walls and those of the furniture."""
+    return tuple(shell()), tuple(furniture())
 
 
 def navigable_space(g: Gaussians) -> NavigableSpace:
@@ -92,7 +101,7 @@ def navigable_space(g: Gaussians) -> NavigableSpace:
 def _surface_points() -> F64:
     """Return points on all that is solid, less than a voxel apart."""
     found = []
-    for chart in [*shell(), *furniture()]:
+    for chart in itertools.chain(*_surfaces()):
         columns, rows = (int(np.ceil(side / 0.07)) for side in chart.size)
         u = np.tile((np.arange(columns) + 0.5) / columns, rows)
         v = np.repeat((np.arange(rows) + 0.5) / rows, columns)
