@@ -17,7 +17,7 @@ class View:
     """Show a scene or a package in the browser, until Ctrl-C."""
 
     scene: Annotated[Positional[str], arg(metavar="SCENE", help_behavior_hint="")]
-    """A package or a static scene, or a scene as it is: a file or folder, or builtin:NAME."""
+    """A package, a world or a static scene, or a scene as it is: a file or folder, or builtin:NAME."""
     lod: Lod = None
     """Level of detail of a streamed scene; 0 is the finest."""
     up: Annotated[str | None, arg(metavar="UP", help_behavior_hint="(default: the likely one)")] = None

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 __all__ = ["log_to_stderr", "run_serve"]
 
+_BUILTIN = "builtin:"
 _BARE = ("meta.json", "lod-meta.json", "levels.arrow")  # what folders of bare scenes hold
 
 
@@ -57,10 +58,13 @@ def _check_packages(paths: Sequence[str]) -> None:
         ValueError: If it is; the message names the commands for it.
     """
     for path in paths:
-        if Path(path).is_file() or any((Path(path) / name).is_file() for name in _BARE):
+        if not Path(path).exists() and not path.startswith(_BUILTIN):
+            raise FileNotFoundError(2, "no such file or folder", path)
+        if path.startswith(_BUILTIN) or Path(path).is_file() or any((Path(path) / name).is_file() for name in _BARE):
+            name = Path(path.removeprefix(_BUILTIN)).stem.partition(".")[0]
             raise ValueError(
                 f"{path}: expected the folder of a package, got a scene; look at it with gsvis view {path},"
-                f" or make a package of it with gsvis prepare {path} -o {Path(path).stem.partition('.')[0]}.gsvis"
+                f" or make a package of it with gsvis prepare {path} -o {name}.gsvis"
             )
 
 

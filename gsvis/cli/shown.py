@@ -27,7 +27,8 @@ def check_shown(scene: str, lod: int | None) -> None:
     """
     if lod is not None and is_package(scene):
         raise ValueError(f"--lod: expected none for a package, got {lod}; its highest level is shown")
-    check_source(scene, lod)
+    if not is_package(scene):
+        check_source(scene, lod)
 
 
 def load_shown(scene: str, lod: int | None) -> Source:

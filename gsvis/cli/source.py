@@ -16,7 +16,7 @@ from gsvis.errors import ArgumentError, FormatError, SceneError
 from gsvis.files.atomic import find_interrupted_moves
 from gsvis.files.limits import open_regular
 from gsvis.files.output import check_writable, output_errors
-from gsvis.scene.axes import AXES, axis_vector
+from gsvis.scene.axes import AXES, axis_vector, nearest_axis
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.facts import SceneFacts
 from gsvis.scene.gaussians import Gaussians
@@ -52,6 +52,7 @@ __all__ = [
 ]
 
 BUILTIN = "builtin:"
+_TURNED = 0.5  # confidence from which a scene is turned by an oblique angle
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,6 +98,27 @@ def is_levels(scene: str) -> bool:
     return (Path(scene) / MAP).is_file()
 
 
+def _check_no_publication(scene: str) -> None:
+    """Raise if a folder is what `gsvis prepare`, `world` or `export` wrote of a scene.
+
+    Raises:
+        ValueError: If it is; the message names what reads it.
+    """
+    from gsvis.package.manifest import MANIFEST
+
+    folder = Path(scene)
+    if (folder / "world.json").is_file():
+        raise ValueError(
+            f"{scene}: expected a scene, got a world; gsvis view shows it, and {folder / 'packages'} holds its tiles"
+        )
+    if (folder / "scene.json").is_file() and not (folder / "meta.json").is_file():
+        raise ValueError(
+            f"{scene}: expected a scene, got a static scene; gsvis view shows it; give what it was exported from"
+        )
+    if (folder / MANIFEST).is_file():
+        raise ValueError(f"{scene}: expected a scene, got a package; gsvis unpack writes its levels as PLY")
+
+
 def check_source(scene: str, lod: int | None) -> None:
     """Raise unless a scene of that name exists and `lod` fits it.
 
@@ -108,6 +130,7 @@ def check_source(scene: str, lod: int | None) -> None:
     if not scene.startswith(BUILTIN):
         if not Path(scene).exists():
             raise FileNotFoundError(2, "no such file or folder", scene)
+        _check_no_publication(scene)
         if lod is not None and is_levels(scene):
             raise ValueError(f"--lod: expected none for a folder of levels, got {lod}; name the PLY of one level")
         return
@@ -211,9 +234,15 @@ def title_of(scene: str, lod: int | None = None) -> str:
 
 
 def up_of(source: Source) -> NDArray[np.float64]:
-    """Return the (3,) up axis of a scene: the known one, else the likely one."""
+    """Return the (3,) up axis of a scene: the known one, else the likely one, which is a coordinate axis if unsure.
+
+    A scene that little tells about is not turned by an oblique angle.
+    """
     known = source.known_up
-    return find_up(source.union, check=False).up if known is None else known
+    if known is not None:
+        return known
+    found = find_up(source.union, check=False)
+    return found.up if found.confidence >= _TURNED else axis_vector(nearest_axis(found.up))
 
 
 def navigable_space(

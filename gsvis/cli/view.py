@@ -69,16 +69,19 @@ def run_view(command: View) -> None:
 def _folder_of(command: View, stack: ExitStack) -> tuple[Path, str, list[str]]:
     """Return the folder to serve, the name of the scene in addresses ("" for that of the folder), and remarks.
 
-    A package and a static scene are served from their folder, any other scene from a temporary one.
+    A package, a world and a static scene are served from their folder, any other scene from a temporary one.
     """
     from gsvis.serve.sites import is_site
+    from gsvis.world.world import is_world
 
     given = Path(command.scene)
-    if (given / MANIFEST).is_file() or is_site(given):
+    if (given / MANIFEST).is_file() or is_site(given) or is_world(given):
         options = ("lod", "up", "cameras", "prepare")
         for option, value in ((f"--{name}", getattr(command, name)) for name in options):
             if value is not None:
-                raise ValueError(f"{option}: expected none for a package or a static scene, got {value}; leave it out")
+                raise ValueError(
+                    f"{option}: expected none for a package, a world or a static scene, got {value}; leave it out"
+                )
         return given, "", []
     from gsvis.cli.source import check_folder, load_source, parse_up, title_of
     from gsvis.cli.starts import plan_visit

@@ -49,3 +49,25 @@ def test_inspect_and_render_take_a_package(package: Path, tmp_path: Path, capsys
 def test_a_package_has_no_lod(package: Path, capsys: Capture) -> None:
     assert main(["inspect", str(package), "--lod", "1"]) == 2
     assert "--lod: expected none for a package, got 1" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("file", "kind"), [("world.json", "a world"), ("scene.json", "a static scene")])
+@pytest.mark.parametrize("command", ["inspect", "render", "analyze"])
+def test_what_was_published_is_named_with_what_shows_it(
+    tmp_path: Path, capsys: Capture, file: str, kind: str, command: str
+) -> None:
+    (tmp_path / file).write_text("{}")
+    out = [] if command == "inspect" else ["-o", str(tmp_path / "out")]
+    assert main([command, str(tmp_path), *out]) == 2
+    line = capsys.readouterr().err
+    assert f"expected a scene, got {kind}; gsvis view shows it" in line
+    assert line.count("\n") == 1
+
+
+def test_a_scene_given_to_serve_names_the_command_that_shows_it(tmp_path: Path, capsys: Capture) -> None:
+    (tmp_path / "a.ply").write_bytes(b"ply\n")
+    for scene in (str(tmp_path / "a.ply"), "builtin:two_rooms"):
+        assert main(["serve", scene]) == 2
+        assert f"look at it with gsvis view {scene}" in capsys.readouterr().err
+    assert main(["serve", str(tmp_path / "none.ply")]) == 2
+    assert capsys.readouterr().err == f"gsvis: error: {tmp_path / 'none.ply'}: no such file or folder\n"

@@ -10,15 +10,15 @@ import pytest
 
 from gsvis.cli import convert, main
 from gsvis.cli.arguments_where import Where
-from gsvis.cli.source import inspect_scene_of, load_source, navigable_space, up_of
+from gsvis.cli.source import Source, inspect_scene_of, load_source, navigable_space, up_of
 from gsvis.cli.where import find_place
 from gsvis.export.start import Start
 from gsvis.io.gltf_splats_writer import save_glb
 from gsvis.io.levels import save_levels
 from gsvis.io.ply import save_ply
 from gsvis.scene.levels import Levels
-from gsvis.scene.procedural import box_in_room
-from gsvis.scene.upright import Upright
+from gsvis.scene.procedural import box_in_room, random_scene
+from gsvis.scene.upright import Upright, find_up
 
 Capture = pytest.CaptureFixture[str]
 
@@ -94,3 +94,9 @@ def test_the_rest_is_guessed(folder: Path, tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr("gsvis.cli.source.find_up", lambda g, **more: minus_x)
     assert main(["convert", str(folder / "a.glb"), str(folder / "a.ply"), "-o", str(tmp_path / "mixed.html")]) == 0
     assert axes == [(-1.0, 0.0, 0.0)]
+
+
+def test_a_scene_that_tells_little_is_not_turned_by_an_oblique_angle() -> None:
+    g = random_scene(np.random.default_rng(0), 100)
+    assert find_up(g, check=False).confidence < 0.5
+    assert sorted(np.abs(up_of(Source("blob", g))).tolist()) == [0.0, 0.0, 1.0]
