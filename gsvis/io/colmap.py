@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from gsvis.errors import FormatError
 from gsvis.files.limits import check_regular, open_regular
+from gsvis.io._wrapped import HEAD, check_pointer
 from gsvis.io.views import F64, Views, pinhole
 from gsvis.scene.gaussians import rotations_from_quats
 
@@ -186,6 +187,7 @@ def _open(path: Path) -> Iterator[_Bytes]:
         yield _Bytes(path, b"")
         return
     with open_regular(path) as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        check_pointer(path, data[:HEAD])
         yield _Bytes(path, data)
 
 
@@ -216,6 +218,8 @@ def _images_bin(path: Path) -> Iterator[Image]:
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
     with TextIOWrapper(open_regular(path), encoding="utf-8", errors="replace") as file:
         for number, line in enumerate(file, 1):
+            if number == 1:
+                check_pointer(path, line.encode()[:HEAD])
             yield number, line.strip()
 
 

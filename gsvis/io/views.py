@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from gsvis.errors import FormatError
 from gsvis.files.fields import parse_json
 from gsvis.files.limits import read_whole
+from gsvis.io._wrapped import HEAD, check_pointer
 from gsvis.scene.cameras import Cameras
 
 __all__ = ["Views", "pinhole", "pose_of_camera", "read_json", "to_numbers"]
@@ -118,10 +119,12 @@ def read_json(path: Path_) -> Any:
     """Return the value in a JSON file.
 
     Raises:
-        FormatError: If the file is not JSON.
+        FormatError: If the file is not JSON, or a pointer of Git LFS or git-annex stands in its place.
         OSError: If it cannot be read.
     """
-    return parse_json(path, read_whole(path))
+    content = read_whole(path)
+    check_pointer(path, content[:HEAD])
+    return parse_json(path, content)
 
 
 def to_numbers(path: Path_, where: str, value: Any, shape: tuple[int, ...]) -> F64:

@@ -163,3 +163,11 @@ def test_a_folder_of_other_cameras_names_the_file(tmp_path: Path) -> None:
     (tmp_path / "cameras.xml").write_text(FOREIGN["metashape.xml"][0])
     with pytest.raises(FormatError, match=r"Metashape \(XML\): cameras.xml; export them as a COLMAP model"):
         load_cameras(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["transforms.json", "cameras.json", "images.txt", "images.bin"])
+def test_a_pointer_of_git_lfs_is_named(tmp_path: Path, name: str) -> None:
+    (tmp_path / f"cameras{Path(name).suffix}").write_bytes(b"" if name.endswith(".txt") else bytes(8))
+    (tmp_path / name).write_text("version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 3\n")
+    with pytest.raises(FormatError, match="Git LFS pointer, not the file; run git lfs pull"):
+        load_cameras(tmp_path / name)
