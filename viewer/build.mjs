@@ -35,7 +35,7 @@ const OWN = {
     "speak spent stale still standOn statisticsShown stepView surroundings tableTexture targets termCount termsShown texels " +
     "toggleBare toggleCells toggleFull toggleInspecting toggleOptions togglePlaying toggleStatistics toggleTheme toggleVr " +
     "viewDependent viewer vrOffered vrOn",
-  static: "addRecords addTerms arrivals beside blocks chunk events firstId firstSlot gainTop gains harmonicBytes isAtEnd " +
+  static: "addRecords addTerms arrivals beside blocks chunk clock colorScale events field parts scene post start end next touch firstId firstSlot gainTop gains harmonicBytes isAtEnd " +
     "isPastEnd items layers link lowest meanRadius medium needs ranges recordStart regime report resumed roundTrip setPose setTerms setView sleep spheres sums " +
     "sweep symbol termStart throughput",
   sort: "batches harmonicBytes idAt rowCount slotAt splat widest",

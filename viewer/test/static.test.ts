@@ -12,7 +12,7 @@ import { Blocks } from "../src/core/static-blocks.ts";
 import { StaticHost } from "../src/core/static-host.ts";
 import type { Report } from "../src/core/worker-source.ts";
 import { HeldParts, HttpParts } from "../src/core/static-parts.ts";
-import { HELD, frustum, rank, regimeOf, slice } from "../src/core/static-plan.ts";
+import { HELD, frustum, rank, regimeOf, slice, widen } from "../src/core/static-plan.ts";
 import { Cells, readRow } from "../src/core/static-cells.ts";
 import { parseScene } from "../src/core/static-scene.ts";
 import { baseOf } from "../src/core/static-source.ts";
@@ -189,6 +189,75 @@ test("all that a cell needs arrives, in the order of arrival, and what its neigh
   assert.ok(client.batches.some((batch) => batch.owners.length > 0));
   assert.deepEqual(client.states.map((state) => state.kind), ["connecting", "streaming", "complete"]);
   assert.equal(client.headers, 1);
+});
+
+/** Return the files of a scene whose cells do not see the odd blocks. */
+function blind(files: Map<string, Buffer>): Map<string, Buffer> {
+  const scene = JSON.parse(files.get("scene.json")!.toString()) as {
+    blocks: number; files: Record<string, { name: string; bytes: number }>; cells: { count: number };
+  };
+  const { blocks, cells: { count } } = scene, whole = (kind: string): Buffer => files.get(scene.files[kind].name)!;
+  const grid = inflateSync(whole("grid")), bits = Math.ceil(blocks / 8), rows: Buffer[] = [];
+  for (let cell = 0, start = 0; cell < count; cell++) {
+    const size = (k: number): number => (12 + k) * count + cell; // byte k of the size of its row
+    const end = start + [0, 1, 2, 3].reduce((sum, k) => sum + grid[size(k)] * 256 ** k, 0);
+    const row = inflateSync(whole("cells").subarray(start, end)), kept: number[] = [];
+    const seen = Array.from({ length: blocks }, (_, b) => b).filter((b) => (row[b >> 3] >> (b & 7)) & 1);
+    row.subarray(bits).forEach((value, k) => { if (seen[k % seen.length] % 2 === 0) kept.push(value); });
+    const made = deflateSync(Buffer.from([...row.subarray(0, bits)].map((byte) => byte & 0x55).concat(kept)));
+    for (let k = 0; k < 4; k++) grid[size(k)] = (made.length >> (8 * k)) & 255;
+    rows.push(made);
+    start = end;
+  }
+  const found = new Map(files);
+  for (const [kind, data] of [["grid", deflateSync(grid)], ["cells", Buffer.concat(rows)]] as const) {
+    found.set(scene.files[kind].name, data);
+    scene.files[kind].bytes = data.length;
+  }
+  return found.set("scene.json", Buffer.from(JSON.stringify(scene)));
+}
+
+test("an idle link ends with every record of the highest level, once, wherever the eye is", async (t) => {
+  const scene = VECTOR.package, { size } = (await open(scene)).blocks.scene.cells, [x, y, z] = scene.centers![0];
+  const wanted = scene.last!.flatMap((last, id) => last === 2 ? [id] : []);
+  const terms = wanted.reduce((sum, id) => sum + scene.terms![id].length, 0);
+  for (const away of [0, 0.8, 50]) {
+    const { url } = await serve(t, blind(filesOf(scene))), client = new Client(t, url);
+    client.look([x + away * size, y, z]);
+    await client.host.start();
+    await client.until(() => {
+      const { batches, ids } = client, held = new Set(ids), gone = new Set(batches.flatMap((batch) => [...batch.gone]));
+      const owners = batches.flatMap((batch) => [...batch.owners]).filter((slot) => scene.last![ids[slot]] === 2);
+      return wanted.every((id) => held.has(id)) && owners.length === terms &&
+        ids.every((id, slot) => scene.last![id] === 2 || gone.has(slot));
+    });
+    check(scene, client.batches);
+  }
+});
+
+test("a row is widened outside of its cell alone, the more the farther the eye is", async () => {
+  const { blocks, file, cells } = await open(VECTOR.package), { size } = blocks.scene.cells, middle = cells.middle(0)!;
+  const whole = await readRow(blocks.scene, file("cells").subarray(...cells.range(0)), middle);
+  const some = whole.blocks.map((_, k) => k).filter((k) => k % 3 > 0), each = whole.blocks.length;
+  const row = {
+    middle, blocks: some.map((k) => whole.blocks[k]), gains: Float32Array.from(some, (k) => whole.gains[k]),
+    items: whole.items!.filter((_, k) => (k % each) % 3 > 0),
+  };
+  const at = (sides: number): number[] => middle.map((v, axis) => axis === 0 ? v + sides * size : v);
+  assert.equal(widen(blocks, row, size, at(0.49)), row);
+  const [near, far] = [0.6, 30].map((sides) => widen(blocks, row, size, at(sides)));
+  const own = new Map([...row.blocks].map((b, k) => [b, k]));
+  assert.ok(own.size < blocks.count);
+  for (const [b, gain] of far.gains.entries()) {
+    const k = own.get(b);
+    if (k === undefined) assert.ok(near.gains[b] < gain && Number.isFinite(near.gains[b]));
+    else assert.deepEqual([near.gains[b], gain], [row.gains[k], row.gains[k]]);
+    for (let layer = 0; layer < blocks.scene.layers; layer++) {
+      const item = near.items![layer * blocks.count + b];
+      if (k === undefined) assert.ok(item < near.gains[b]);
+      else assert.equal(item, row.items![layer * own.size + k]);
+    }
+  }
 });
 
 test("bytes are reported with their rate, which falls to 0 when no more come", async (t) => {

@@ -4,7 +4,7 @@ import { hasBox, writeBox } from "./boxes.ts";
 import { readRecords, readTerms } from "./coding.ts";
 import { BLOCK } from "./static-scene.ts";
 import type { StaticScene } from "./static-scene.ts";
-import { Columns, inflate } from "./static-tables.ts";
+import { Columns, damaged, inflate } from "./static-tables.ts";
 import { recordLayout } from "./tables.ts";
 
 const UNIT = 16, HEAD = 32; // bytes
@@ -37,8 +37,7 @@ export class Blocks {
 
   constructor(readonly scene: StaticScene, index: Uint8Array) {
     const { header, middle, scale } = scene, c = header.chunks, columns = new Columns(index, c);
-    const refuse = () => new Error("index: expected the blocks of the file of records; export the scene again");
-    if (index.length !== 13 * c + 2 * scene.blocks) throw refuse();
+    if (index.length !== 13 * c + 2 * scene.blocks) throw damaged("index");
     this.top = header.levels.length - 1;
     this.count = scene.blocks;
     this.harmonicBytes = header.harmonics ? 3 * ((header.harmonics.degree + 1) ** 2 - 1) : 0;
@@ -60,7 +59,7 @@ export class Blocks {
     for (const end of [0, 1]) columns.next(1).forEach((level, k) => (this.levels[2 * k + end] = level));
     for (let k = 0; k < c; k++) {
       if (this.levels[2 * k] > this.levels[2 * k + 1] || this.levels[2 * k + 1] > this.top) {
-        throw new Error(`index: chunk ${k}: expected known levels; export the scene again`);
+        throw damaged("index");
       }
     }
     this.lowest = this.#lowest(c);
@@ -72,7 +71,7 @@ export class Blocks {
     columns.next(2, this.count).forEach((units, b) => {
       this.recordStart[b + 1] = this.recordStart[b] + UNIT * units;
     });
-    if (this.recordStart[this.count] !== scene.files.get("records")!.bytes) throw refuse();
+    if (this.recordStart[this.count] !== scene.files.get("records")!.bytes) throw damaged("index");
   }
 
   /** Return the lowest level that is large or shares chunks with the level above it. */
@@ -110,10 +109,7 @@ export class Blocks {
       }
     }
     if (block !== this.count || place !== this.scene.header.gaussians) {
-      throw new Error(
-        `index: expected ${this.count} blocks of ${this.scene.header.gaussians} Gaussians, got ${block} of ${place};` +
-          " export the scene again",
-      );
+      throw damaged("index");
     }
   }
 
@@ -138,7 +134,7 @@ export class Blocks {
       ? readRecords(body, ids, new Uint32Array(size), { table: row, bits: Uint16Array.of(bits) }, header.code)
       : body.length === 16 * size ? new Uint32Array(body.buffer) : null;
     const needs = this.last(block) < this.top ? readNeeds(data.subarray(end), size) : [];
-    if (!records || !needs) throw new Error(`records: block ${block}: damaged; export the scene again`);
+    if (!records || !needs) throw damaged(`records: block ${block}`);
     this.rows.set(row, 8 * c);
     writeBox(row, 0, bits, this.boxes.subarray(6 * c), 0);
     return { records, needs };
@@ -152,7 +148,7 @@ export class Blocks {
       if ((data[bit >> 3] >> (bit & 7)) & 1) of.push(bit - of.length);
     }
     const owners = Uint32Array.from(of), terms = code && readTerms(data.slice(2 * ((bit + 15) >> 4)), owners, code);
-    if (!terms) throw new Error(`terms: block ${item % this.count}: damaged; export the scene again`);
+    if (!terms) throw damaged(`terms: block ${item % this.count}`);
     return { owners, terms };
   }
 
@@ -163,7 +159,7 @@ export class Blocks {
       starts[i + 1] = starts[i] + 2 * words;
     });
     if (starts[items] !== this.scene.files.get("terms")?.bytes) {
-      throw new Error("blocks: expected all of the file of terms; export the scene again");
+      throw damaged("blocks");
     }
     this.termStart = starts;
   }

@@ -1,6 +1,6 @@
 // The cells of a static scene: which cell an eye is in, where its row lies, and what that row says.
 import type { StaticScene } from "./static-scene.ts";
-import { Columns, inflate } from "./static-tables.ts";
+import { Columns, damaged, inflate } from "./static-tables.ts";
 
 /**
  * What a cell sees: blocks, the logarithm (base 2) of the gain of each, and layer by layer that of its items, -Infinity
@@ -25,7 +25,7 @@ export class Cells {
 
   constructor(private readonly scene: StaticScene, data: Uint8Array) {
     const { count } = scene.cells, columns = new Columns(data, count);
-    if (data.length !== 16 * count) throw new Error("grid: expected all cells, got others; export the scene again");
+    if (data.length !== 16 * count) throw damaged("grid");
     this.#boxes = new Int32Array(3 * count);
     this.#starts = new Float64Array(count + 1);
     for (let axis = 0; axis < 3; axis++) columns.sums(4).forEach((box, k) => (this.#boxes[3 * k + axis] = box));
@@ -34,9 +34,7 @@ export class Cells {
       this.#byBox.set(this.#key(k, 0, 0, 0), k);
     });
     if (this.#starts[count] !== scene.files.get("cells")?.bytes) {
-      throw new Error(
-        "grid: expected rows that fill the file of cells, got others; export the scene again"
-      );
+      throw damaged("grid");
     }
   }
 
@@ -89,7 +87,7 @@ export async function readRow(
   const data = await inflate(coded, bits + each * scene.blocks, "cells");
   for (let b = 0; b < scene.blocks && b >> 3 < data.length; b++) if ((data[b >> 3] >> (b & 7)) & 1) seen.push(b);
   if (data.length !== bits + each * seen.length) {
-    throw new Error(`cells: expected a row of ${bits + each * seen.length} bytes, got ${data.length}`);
+    throw damaged("cells");
   }
   const gains = new Float32Array(seen.length);
   for (let k = 0; k < seen.length; k++) gains[k] = (data[bits + k] - 255 + scene.cells.gainTop) / 4;

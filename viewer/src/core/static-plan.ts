@@ -4,7 +4,7 @@
 // view: chunks are coarse, so with 0.1 a view would get twice as much beside it as from the server.
 import { rotationOf } from "./camera.ts";
 import type { Blocks } from "./static-blocks.ts";
-import type { CellRow } from "./static-cells.ts";
+import { type CellRow, everything } from "./static-cells.ts";
 import type { Pose, View } from "./types.ts";
 
 export const MARGIN = 0.14; // radians by which the borders of the view move outwards
@@ -135,6 +135,28 @@ export function rank(
     blocks: order.map((entry) => row.blocks[Math.floor(entry / wide)] + Math.max(entry % wide - 1, 0) * blocks.count),
     terms: Uint8Array.from(order, (entry) => (entry % wide ? 1 : 0)),
   };
+}
+
+/**
+ * Return a row for an eye outside of its cell: with all blocks, those that the cell does not see at a share of what they
+ * would add if nothing hid them. The share rises with the distance, see gsvis.abr.outside. Inside the row is unchanged.
+ */
+export function widen(blocks: Blocks, row: CellRow, size: number, eye: readonly number[]): CellRow {
+  const { middle } = row, wide = everything(blocks.scene), { layers } = blocks.scene;
+  const away = middle ? Math.hypot(...middle.map((v, k) => Math.max(Math.abs(v - eye[k]) / size - 0.5, 0))) : 0;
+  if (away < 1e-6) return row;
+  const items = new Float32Array(layers * blocks.count);
+  let own = 0;
+  wide.gains.forEach((_, b) => {
+    const [x, y, z, radius] = blocks.spheres.subarray(4 * blocks.chunk[b]), [p, q, r] = middle!;
+    const sees = row.blocks[own] === b, share = away / (1 + away) * radius / Math.hypot(x - p, y - q, z - r, radius / 2);
+    const gain = wide.gains[b] = sees ? row.gains[own] : 2 * Math.log2(share);
+    for (let layer = 0; layer < layers; layer++) {
+      items[layer * blocks.count + b] = sees && row.items ? row.items[layer * row.blocks.length + own] : gain + TERMS;
+    }
+    if (sees) own++;
+  });
+  return { ...wide, items, middle };
 }
 
 /**

@@ -6,7 +6,7 @@ import { Cells, everything, readRow } from "./static-cells.ts";
 import type { CellRow } from "./static-cells.ts";
 import { PartError } from "./static-parts.ts";
 import type { Parts } from "./static-parts.ts";
-import { HELD, LOST, levelBytes, NONE, rank, regimeOf, slice } from "./static-plan.ts";
+import { HELD, LOST, levelBytes, NONE, rank, regimeOf, slice, widen } from "./static-plan.ts";
 import type { Holdings, Order, Regime, Run } from "./static-plan.ts";
 import type { StaticScene } from "./static-scene.ts";
 import type { Link } from "./static-link.ts";
@@ -20,6 +20,7 @@ const [LEAST_SLICE, MOST_SLICE] = [32 << 10, 512 << 10];
 const [LEAST_GAP, MOST_GAP] = [1 << 10, 2 << 10]; // more would cost a slow link more than requests do
 const [ALL_SLICE, ALL_GAP] = [128 << 10, 64 << 10]; // where every block is needed in the end, as without cells
 const KEPT_ROWS = 64; // cells
+const REST = -1; // in place of a cell: all that there is
 
 const NOTHING: Order = { blocks: new Uint32Array(0), terms: new Uint8Array(0) };
 
@@ -37,11 +38,11 @@ export class StaticSession {
   #order = NOTHING;
   #place = 0;
   #queue: Run[] = [];
-  #beside: { cell: number; left: number[] } | null = null;
+  #left: number[] | null = null; // cells of which what they see is sent when the planned one has all
   #busy = 0;
   #deferred: { run: Run; data: Uint8Array }[] = []; // terms that came before their records
   #regime: Regime | null = null;
-  #seen: { cell: number; flags: Uint8Array } | null = null;
+  #seen: Uint8Array | null = null; // which blocks the planned row has
   #termsAsked = false;
   #isClosed = false;
   #isComplete = false;
@@ -129,25 +130,19 @@ export class StaticSession {
   #currentRegime(cell: number): Regime {
     const row = this.#rows.get(cell);
     if (this.blocks.top === 0 || row === undefined || row instanceof Promise) return "high";
-    if (this.#levelSizes?.cell !== cell) this.#levelSizes = { cell, sizes: levelBytes(this.blocks, row) };
-    return (this.#regime = regimeOf(this.link.throughput, this.#levelSizes.sizes, this.#regime));
+    return (this.#regime = regimeOf(this.link.throughput, levelBytes(this.blocks, row), this.#regime));
   }
-
-  #levelSizes: { cell: number; sizes: number[] } | null = null;
 
   #plan(cell: number, row: CellRow, pose: Pose, view: View): void {
     for (const run of this.#queue) for (let b = run.first; b < run.end; b++) this.#states(run)[b] = NONE;
     this.#queue = [];
-    const regime = this.#currentRegime(cell);
-    this.#order = rank(this.blocks, row, this.#held, pose, view, regime);
+    const regime = this.#currentRegime(cell), wide = widen(this.blocks, row, this.scene.cells.size, pose.position);
+    this.#order = rank(this.blocks, wide, this.#held, pose, view, regime);
     this.#place = 0;
     this.#planned = { cell, pose, view, regime, terms: this.blocks.termStart !== null };
-    if (this.#seen?.cell !== cell) {
-      const flags = new Uint8Array(this.blocks.count);
-      for (const b of row.blocks) flags[b] = 1;
-      this.#seen = { cell, flags };
-    }
-    this.#beside = null;
+    this.#seen = new Uint8Array(this.blocks.count);
+    for (const b of wide.blocks) this.#seen[b] = 1;
+    this.#left = null;
     if (this.#order.blocks.length > 0 && this.#isComplete) {
       this.#isComplete = false;
       this.report();
@@ -169,7 +164,7 @@ export class StaticSession {
     return Math.min(Math.max((this.link.throughput * this.link.roundTrip) / CONNECTIONS, LEAST_GAP), MOST_GAP);
   }
 
-  /** All that the cell needs is here: say so, and go on with what the cells beside it see. */
+  /** All that the cell needs is here: say so, and go on with what the cells beside it see, and then with the rest. */
   #finish(cell: number): void {
     if (!this.#termsAsked && this.scene.header.terms > 0) {
       void this.#loadTerms();
@@ -181,13 +176,18 @@ export class StaticSession {
       this.#isComplete = true;
       this.report();
     }
-    this.#beside ??= { cell, left: this.cells?.beside(cell) ?? [] };
-    const other = this.#beside.left[0];
-    if (other === undefined) return;
-    const row = this.#row(other);
+    this.#left ??= [...this.cells?.beside(cell) ?? [], REST];
+    const other = this.#left[0];
+    if (other === undefined) {
+      this.#seen!.fill(1);
+      this.#sweep(true);
+      return;
+    }
+    const isRest = other === REST, row = isRest ? everything(this.scene) : this.#row(other);
     if (row instanceof Promise) return;
-    this.#beside.left.shift();
-    this.#order = rank(this.blocks, row, this.#held, this.#pose!, this.#view!, this.#planned!.regime, true);
+    this.#left.shift();
+    const regime = isRest ? "high" : this.#planned!.regime;
+    this.#order = rank(this.blocks, row, this.#held, this.#pose!, this.#view!, regime, !isRest);
     this.#place = 0;
     this.#pump();
   }
@@ -261,7 +261,7 @@ export class StaticSession {
   }
 
   #sweep(whole = false): void {
-    const gone = this.#seen === null ? null : this.arrivals.sweep(this.#seen.flags, whole);
+    const gone = this.#seen === null ? null : this.arrivals.sweep(this.#seen, whole);
     if (gone !== null && !this.#isClosed) this.events.batch(gone);
   }
 

@@ -1,16 +1,18 @@
 // Tables of a static scene: compressed columns of numbers (docs/static.md).
 
+/** Return what is said of a file that makes no sense. */
+export const damaged = (where: string): Error => new Error(`${where}: damaged; export the scene again`);
+
 /** Return the content of a zlib stream of at most `most` bytes. */
 export async function inflate(data: Uint8Array, most: number, where: string): Promise<Uint8Array> {
   const out = new Uint8Array(Math.min(most, 1100 * data.length + 100)); // zlib gains no more
-  const refuse = () => new Error(`${where}: damaged; export the scene again`);
   let at = 0;
   const stream = new Blob([data as Uint8Array<ArrayBuffer>]).stream().pipeThrough(new DecompressionStream("deflate"));
   const reader = stream.getReader();
   for (;;) {
-    const { done, value } = await reader.read().catch(() => { throw refuse(); });
+    const { done, value } = await reader.read().catch(() => { throw damaged(where); });
     if (done) return out.subarray(0, at);
-    if (at + value.length > out.length) throw refuse();
+    if (at + value.length > out.length) throw damaged(where);
     out.set(value, at);
     at += value.length;
   }
