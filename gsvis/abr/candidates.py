@@ -4,7 +4,8 @@ Candidates are computed once for a cell and shared by all clients in it. They do
 looks at. Rings are 0 for the cell itself and 1, 2, 3 for neighbors by face, edge and corner. A Gaussian is in the first
 ring that sees it, so the ring orders by distance to the nearest cell from which it is visible (section 6.3). Shells go
 on from there to the end of the scene, for links with nothing better to do: shell 0 is the cell and its neighbors, each
-further shell the next nearest cells. The last shells of a package are what no cell sees: it is sent last, not never.
+further shell the next nearest cells. The last shells are what no cell sees: it is sent last, not never. Outside of all
+cells the candidates of the nearest one are widened by the distance, see `gsvis.abr.outside`.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from gsvis.abr._kernels.units import Runs, Seen, Units
 from gsvis.abr.cones import TermCones
 from gsvis.abr.index import SceneIndex
 from gsvis.abr.links import links_of
+from gsvis.abr.outside import near_cells, widen
 from gsvis.abr.rings import RINGS, Shells, ring_cells
 from gsvis.abr.scratch import Scratch
 from gsvis.abr.seen import SeenSets
@@ -54,6 +56,7 @@ class Candidates:
 
     Attributes:
         cell: Number of the cell.
+        step: How far outside of the cell they are for, see `gsvis.abr.outside`; 0 inside.
         words: (S,) int32 ascending, the words that have candidates: word w is Gaussians 64 w to 64 w + 63.
         places: (6, S) float32 for each word: center (x, y, z) and radius of a sphere around its Gaussians, mean square
             of their distance from its center, mean bytes of their records.
@@ -68,6 +71,7 @@ class Candidates:
     """
 
     cell: int
+    step: int
     words: NDArray[np.int32]
     places: F32
     owing: Words
@@ -235,61 +239,68 @@ class CandidateIndex:
         self.seen, self.shells = SeenSets(index, self.cache), Shells(index.grid, self.cache)
         whole = {name: a[f"all_{name}"] for name in _WHOLE}
         self.everything = Candidates(
-            cell=-1, units=_typed("unit", Units, a), runs=_typed("run", Runs, a), term_bytes=numbers["term_bytes"],
-            **whole,
+            cell=-1, step=0, units=_typed("unit", Units, a), runs=_typed("run", Runs, a),
+            term_bytes=numbers["term_bytes"], **whole,
         )  # fmt: skip
         return self
 
-    def in_cell(self, cell: int) -> Candidates:
-        """Return the candidates of a cell.
+    def in_cell(self, cell: int, step: int = 0) -> Candidates:
+        """Return the candidates of a cell, or for an eye that is so far outside of it.
 
         Raises:
             ValueError: If there is no such cell, or it names Gaussians or terms that the scene does not have.
         """
-        found: Candidates = self.cache.find_or_make(("candidates", cell), lambda: self.build(cell))
+        found: Candidates = self.cache.find_or_make(("candidates", cell, step), lambda: self.build(cell, step))
         return found
 
-    def has(self, cell: int) -> bool:
+    def has(self, cell: int, step: int = 0) -> bool:
         """Whether the candidates of a cell are in the cache."""
-        return self.cache.find(("candidates", cell)) is not None
+        return self.cache.find(("candidates", cell, step)) is not None
 
-    def build(self, cell: int) -> Candidates:
-        """Compute the candidates of a cell, without the cache.
+    def build(self, cell: int, step: int = 0) -> Candidates:
+        """Compute the candidates of a cell, or for an eye that is so far outside of it, without the cache.
 
         Raises:
             ValueError: If there is no such cell, or it names Gaussians or terms that the scene does not have.
         """
         index, levels = self.index, self.index.num_levels
-        rings = ring_cells(index.grid, cell)
-        fresh, seen = self.seen.join(self.seen.of_rings(rings))
-        parts = [self._split(fresh[0], index.sets.classes(cell)[1], index.class_weights, index.standing(cell))]
+        rings, cells = ring_cells(index.grid, cell), [cell]
+        seen_by = self.seen.of_rings(rings)
+        if step == 0:
+            classes, weights = index.sets.classes(cell)[1], index.class_weights
+        else:
+            cells = near_cells(index, self.shells, cell, step)
+            every = self._all_in(self.everything.words) if self.is_small else None
+            members, classes, weights = widen(index, self.seen, cells, step, every)
+            seen_by[0] = [members]
+        fresh, seen = self.seen.join(seen_by)
+        parts = [self._split(fresh[0], classes, weights, index.standing(cell))]
         sums = np.zeros(levels * levels)
         kernels.pair_bytes(parts[0].slots, parts[0].masks, parts[0].codes, self._word_bytes, sums)
         parts += [self._units_of(ring, fresh[ring]) for ring in range(1, RINGS)]
         if index.cones is None:
-            active, owners = self._active_terms([cell])
+            active, owners = self._active_terms(cells)
             owing, terms = owners[seen.words], float(ones(active))
         else:  # which are active is tested for the eye
             active, owing = self._every_term[0], self._every_term[1][seen.words] & seen.masks
             own = np.zeros(levels * levels)
             kernels.pair_bytes(parts[0].slots, parts[0].masks, parts[0].codes, self._word_terms, own)
             terms = float(own.sum())
-        return self._assemble(cell, parts, seen, active, owing, terms, sums)
+        return replace(self._assemble(cell, parts, seen, active, owing, terms, sums), step=step)
 
     @property
     def is_small(self) -> bool:
         """Whether passes over all words of the scene take less time than lists of some."""
         return len(self.everything.words) <= _DENSE
 
-    def count_shells(self, cell: int) -> int:
-        """Return the number of shells around a cell; with those of what no cell sees, all records are in one of them.
+    def _all_in(self, words: I32) -> Seen:
+        """Return all Gaussians of some words (S,) that may be sent."""
+        sent, masks = self.index.sent, self.everything.union[words]
+        return Seen(words, masks if sent is None else masks & pack(np.flatnonzero(sent), len(sent))[words])
 
-        There are none of the latter where `SceneIndex.sends_unseen` is false.
-        """
-        count = self.shells.count(cell)
-        if not self.index.sends_unseen:
-            return count
-        return count + (1 if self.is_small else -(-len(self.everything.words) // _REST))
+    def count_shells(self, cell: int) -> int:
+        """Return the number of shells around a cell; all records are in one of them, in the last what no cell sees."""
+        return self.shells.count(cell) + (1 if self.is_small else -(-len(self.everything.words) // _REST))
 
     def shell(self, here: Candidates, number: int) -> Shell:
         """Return what the cells of a shell around a cell see, or part of the whole scene in the last; cache it.
@@ -298,43 +309,33 @@ class CandidateIndex:
             here: Candidates of the cell.
             number: Number of the shell.
         """
-        made, key, is_small = self.everything, (here.cell, number), self.is_small
-        if number >= (count := self.shells.count(here.cell)):
-            return self._rest(number - count)
-        if is_small and number == 0:
+        made, part = self.everything, number - self.shells.count(here.cell)
+        if self.is_small and number == 0:
             return Shell(Seen(made.words, here.union[: len(made.words)]), made)
-        found: Shell | None = self.shells.recent.find(key)
-        if found is None and is_small:
-            masks = self.seen.pack(self.shells.cells(*key))[: len(made.words)]
-            found = Shell(Seen(made.words, masks), made)  # shells differ in their masks alone
-            self.shells.recent.keep(key, found, masks.nbytes)
-        elif found is None:
-            cells = self.shells.cells(*key)
-            seen = here.seen if number == 0 else self.seen.join([[self.seen.of_cell(other) for other in cells]])[1]
-            units = self._units_of(1, Seen(seen.words, seen.masks & self.highest[seen.words]))
-            owing = self._every_term[1][seen.words]
-            own = self._assemble(-1, [units], seen, self._every_term[0], owing, 0.0, has_union=False)
-            found = Shell(seen, replace(own, term_bytes=made.term_bytes))
-            self.shells.recent.keep(key, found, own.nbytes + seen.masks.nbytes)
-        return found
-
-    def _rest(self, part: int) -> Shell:
-        """Return a part of the whole scene as a shell; the whole of it if the scene is small."""
-        made = self.everything
-        if self.is_small:
-            return Shell(made.seen, made)
-        key = "rest", part
+        key = ("rest", part) if part >= 0 else (here.cell, number, 0 if number else here.step)
         found: Shell | None = self.shells.recent.find(key)
         if found is None:
-            words = np.arange(_REST * part, min(_REST * (part + 1), len(made.words)), dtype=np.int32)
-            seen = Seen(words, made.union[words])
-            units = self._units_of(1, Seen(words, seen.masks & self.highest[words]))
-            own = self._assemble(
-                -1, [units], seen, self._every_term[0], self._every_term[1][words], 0.0, has_union=False
-            )
-            found = Shell(seen, replace(own, term_bytes=made.term_bytes))
-            self.shells.recent.keep(key, found, own.nbytes + seen.masks.nbytes)
+            found, nbytes = self._make_shell(here, number, part)
+            self.shells.recent.keep(key, found, nbytes)
         return found
+
+    def _make_shell(self, here: Candidates, number: int, part: int) -> tuple[Shell, int]:
+        """Return a shell and its bytes in memory; `part` is that of what no cell sees, below 0 for other shells."""
+        made = self.everything
+        if part >= 0:
+            seen = self._all_in(made.words if self.is_small else made.words[_REST * part : _REST * (part + 1)])
+        elif self.is_small:
+            seen = Seen(made.words, self.seen.pack(self.shells.cells(here.cell, number))[: len(made.words)])
+        elif number:
+            seen = self.seen.join([[self.seen.of_cell(other) for other in self.shells.cells(here.cell, number)]])[1]
+        else:
+            seen = here.seen
+        if self.is_small:
+            return Shell(seen, made), seen.masks.nbytes  # shells differ in their masks alone
+        units = self._units_of(1, Seen(seen.words, seen.masks & self.highest[seen.words]))
+        owing = self._every_term[1][seen.words]
+        own = self._assemble(-1, [units], seen, self._every_term[0], owing, 0.0, has_union=False)
+        return Shell(seen, replace(own, term_bytes=made.term_bytes)), own.nbytes + seen.masks.nbytes
 
     def full_and_empty(self, slots: int) -> tuple[Words, Words]:
         """Return full words and empty words, both (S,), which all clients share: not to be changed."""
@@ -351,7 +352,7 @@ class CandidateIndex:
             shares: (L,) of the area of its replacements, by the level at which a Gaussian ends.
             make: Whether to compute them if they are not in the cache; None is returned otherwise.
         """
-        key = "bounds", here.cell, shares.tobytes()
+        key = "bounds", here.cell, here.step, shares.tobytes()
         found: Bounds | None = self.cache.find(key)
         if found is None and make:
             known, *out = self.scratch.bounds()
@@ -408,6 +409,7 @@ class CandidateIndex:
             kernels.put_in(words, seen.masks, union)
         return Candidates(
             cell=cell,
+            step=0,
             words=words,
             places=np.ascontiguousarray(np.concatenate(rows)),
             owing=owing,

@@ -16,7 +16,7 @@ from gsvis import _check
 from gsvis._kernels.bits import count
 from gsvis._kernels.blank import blank
 from gsvis.abr._kernels.plan import Held
-from gsvis.pvs.codec import bitmap_of, ids_of, pack, pack_some, word_count
+from gsvis.pvs.codec import bitmap_of, ids_in, ids_of, pack, pack_some, word_count
 
 __all__ = ["Holdings"]
 
@@ -66,19 +66,19 @@ class Holdings:
     def shown(self) -> I64:
         """Ascending ids of the Gaussians that the client shows: received and not replaced."""
         some = np.flatnonzero(self.sent)
-        return _ids_in(some, self.sent[some] & ~self.gone[some])
+        return ids_in(some, self.sent[some] & ~self.gone[some])
 
     @property
     def received(self) -> I64:
         """Ascending ids of all Gaussians received, replaced or not."""
         some = np.flatnonzero(self.sent)
-        return _ids_in(some, self.sent[some])
+        return ids_in(some, self.sent[some])
 
     @property
     def replaced(self) -> I64:
         """Ascending ids of all Gaussians replaced, received or not."""
         some = np.flatnonzero(self.gone)
-        return _ids_in(some, self.gone[some])
+        return ids_in(some, self.gone[some])
 
     @property
     def received_terms(self) -> I64:
@@ -186,13 +186,6 @@ class Holdings:
             start += length
         out.sent, out.sent_terms, out.gone = found
         return out
-
-
-def _ids_in(words: I64, masks: Words) -> I64:
-    """Return the ascending ids of some words (S,) of a set."""
-    places = ids_of(masks)
-    ids: I64 = 64 * words[places >> 6] + (places & 63)
-    return ids
 
 
 def _most_bitmap(size: int) -> int:

@@ -123,8 +123,7 @@ class SceneIndex:
         sets: Visible sets of the cells.
         active: Active terms of the cells; None means no terms are sent.
         cones: When each term is active, to choose terms by the pose; None means that all active terms of a cell count.
-        sends_unseen: Whether an idle link ends with what no cell sees. Not so where others stand for it, as coarser
-            nodes of a world do.
+        sent: (N,) which Gaussians may be sent to a viewer outside of cells or over an idle link; None means all.
 
     Raises:
         ValueError: If lengths differ or a value is out of range.
@@ -147,7 +146,7 @@ class SceneIndex:
     sets: CellSets
     active: ActiveSets | None = None
     cones: TermCones | None = None
-    sends_unseen: bool = True
+    sent: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
         means = _check.floats("means", self.means, ("N", 3))
@@ -292,6 +291,11 @@ class SceneIndex:
             return found
         apart = np.clip(grid.centers - position, -1e100, 1e100)  # squares that do not overflow
         return int(np.linalg.norm(apart, axis=1).argmin())
+
+    def box_of(self, cell: int) -> tuple[list[float], float]:
+        """Return the lowest corner (x, y, z) of the box of a cell, and its side."""
+        origin, box, side = self.grid.origin.tolist(), self.grid.coords[cell].tolist(), float(self.grid.cell_size)
+        return [low + side * place for low, place in zip(origin, box, strict=True)], side
 
     def standing(self, cell: int) -> I64:
         """Return ascending ids of the Gaussians that a cell sees at all levels above their last.

@@ -26,6 +26,7 @@ from gsvis.abr.classes import FieldOfView
 from gsvis.abr.config import AbrConfig
 from gsvis.abr.holdings import Holdings
 from gsvis.abr.memory import ClientMemory
+from gsvis.abr.outside import step_of
 from gsvis.abr.policies import edge_offset, filling_table, regime_of, table
 from gsvis.abr.predict import Pose, PosePredictor, predictor
 from gsvis.pvs.codec import pack
@@ -140,12 +141,17 @@ class Planner:
     @property
     def has_to_prepare(self) -> bool:
         """Whether the candidates of the viewer's cell are to be made first."""
-        near = self._near
-        return self.cell >= 0 and (near is None or near[0].cell != self.cell) and not self.candidates.has(self.cell)
+        near = None if self._near is None else (self._near[0].cell, self._near[0].step)
+        return self.cell >= 0 and near != (self.cell, self._step) and not self.candidates.has(self.cell, self._step)
 
     def prepare(self) -> None:
         """Make the candidates of the viewer's cell, and keep them for all viewers."""
-        self.candidates.in_cell(self.cell)
+        self.candidates.in_cell(self.cell, self._step)
+
+    @property
+    def _step(self) -> int:
+        """How far the viewer is outside of all cells, see `gsvis.abr.outside`."""
+        return 0 if self._pose is None else step_of(self.candidates.index, self.cell, self._pose.position)
 
     @property
     def _is_used_up(self) -> bool:
@@ -210,6 +216,7 @@ class Planner:
         eyes: ArrayLike | None = None,
         cell_ahead: int | None = None,
         middle: ArrayLike | None = None,
+        step: int = 0,
     ) -> None:
         """Rank the next records for a view.
 
@@ -222,12 +229,13 @@ class Planner:
             cell_ahead: The cell that the viewer is about to enter; None means the same cell.
             middle: (G, 5, 4) frusta inside of the others: what is in view but in none of them is at the edge of the
                 view, see `UtilityConfig.edge`. None means that nothing is.
+            step: How far outside of the cell the eye is, see `gsvis.abr.outside`.
         """
         view = _check.floats("eye", eye, (3,)), _check.floats("planes", planes, ("F", 5, 4))
         others = np.zeros((0, 3)) if eyes is None else _check.floats("eyes", eyes, ("P", 3))
         every = np.concatenate([view[0][None], others]).astype(np.float32)
         inner = _NO_PLANES if middle is None else _check.floats("middle", middle, ("G", 5, 4))
-        self._aim(self._find(cell), *view, inner, regime, every, cell if cell_ahead is None else cell_ahead)
+        self._aim(self._find(cell, step), *view, inner, regime, every, cell if cell_ahead is None else cell_ahead)
 
     def take(self, budget: float, *, spare: float | None = None) -> Batch:
         """Return the next records of the view, of at most `budget` bytes. They count as held from now on.
@@ -379,13 +387,14 @@ class Planner:
         """Rank for a pose and the pose predicted from it, if these, the cell or the regime have changed enough."""
         config = self.config
         then = self._poses.predict(max(t, self._time) + config.lead) if config.lead > 0 else now
-        here = self._find(self.cell)
+        here = self._find(self.cell, self._step)
         self.regime = regime_of(rate, here.level_bytes, config.horizon, self.regime)
         later = self._poses.predict(max(t, self._time) + config.ahead).position if config.ahead > 0 else now.position
         self.cell_ahead = self.candidates.index.cell_of(later)
         if self._planned is not None:
             *cells, was, was_then, regime = self._planned
-            near = self._is_near(now, was) and self._is_near(then, was_then)
+            near = self._near is not None and self._near[0] is here
+            near = near and self._is_near(now, was) and self._is_near(then, was_then)
             if cells == [self.cell, self.cell_ahead] and regime == self.regime and near:
                 return
         poses = (now,) if config.lead <= 0 else (now, then)
@@ -401,10 +410,12 @@ class Planner:
         self._planned = self.cell, self.cell_ahead, now, then, self.regime
         self.plans += 1
 
-    def _find(self, cell: int) -> Candidates:
-        """Return the candidates of a cell; those of the last cell need no cache."""
+    def _find(self, cell: int, step: int) -> Candidates:
+        """Return the candidates of a cell at a step outside of it; the last ones need no cache."""
         near = self._near
-        return near[0] if near is not None and near[0].cell == cell else self.candidates.in_cell(cell)
+        if near is not None and (near[0].cell, near[0].step) == (cell, step):
+            return near[0]
+        return self.candidates.in_cell(cell, step)
 
     def _aim(
         self, here: Candidates, eye: F32, planes: F32, middle: F32, regime: str, eyes: F32, cell_ahead: int

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from gsvis.abr._kernels import units as kernels
 from gsvis.abr.candidates import CandidateIndex, strengths
-from gsvis.abr.classes import FOV, classify
 from gsvis.abr.config import AbrConfig
 from gsvis.abr.holdings import Holdings
 from gsvis.abr.index import SceneIndex
+from gsvis.abr.outside import near_cells, weights_of
 from gsvis.abr.policies import AHEAD, UtilityConfig, bounds, edge_offset, first_offset, lowest_last, offsets
 from gsvis.abr.rings import RINGS, ring_cells
 from gsvis.pvs.codec import ids_of
@@ -36,7 +36,7 @@ Entry = tuple[int, int, int, list[int], float]
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Arguments of `Planner.aim`: cell, eye (3,), frusta (F, 5, 4), regime, predicted eyes, cell ahead, middle."""
+    """Arguments of `Planner.aim`: cell, eye (3,), frusta (F, 5, 4), regime, eyes, cell ahead, middle, step outside."""
 
     cell: int
     eye: F32
@@ -45,6 +45,7 @@ class View:
     eyes: F32 | None = None
     cell_ahead: int | None = None
     middle: F32 | None = None
+    step: int = 0
 
 
 def order_records(
@@ -72,14 +73,15 @@ def order_records(
         ("gaussian", id), ("term", id), and ("drop", id) right after the Gaussian that completes its replacement.
     """
     index = shared.index
-    units, strength = _units(index, view.cell), strengths(index, shared.pixel_area)
-    classes = classify(index, view.cell, view.planes).classes
-    middle = classify(index, view.cell, view.planes if view.middle is None else view.middle).classes
+    units, strength = _units(shared, view), strengths(index, shared.pixel_area)
+    in_view = _in_view(index, view.planes)
+    in_middle = in_view if view.middle is None else _in_view(index, view.middle)
+    weights = weights_of(index.class_weights, view.step) if view.step else index.class_weights
     config = config or AbrConfig()
     picture = index.highest_within(config.picture)
     table = offsets(policy, view.regime, index.num_levels, utility, picture)
     top = max(lowest_last(view.regime, index.num_levels), picture + 1)
-    active, ahead = _active(index, [view.cell]), set[int]()
+    active, ahead = _active(index, _cells(shared, view)), set[int]()
     if index.cones is not None:
         active = set(range(index.num_terms))
     if view.cell_ahead is not None and view.cell_ahead != view.cell:
@@ -91,12 +93,12 @@ def order_records(
         is_picture = ring == 0 and ends < top and enters <= picture
         if ends < top and not is_picture:
             continue
-        weight = np.float32(np.mean(index.class_weights)) if ring else index.class_weights[kind]
+        weight = np.float32(np.mean(index.class_weights)) if ring else weights[kind]
         alike = _alike(index, word, enters, ends) if ring else members
         gain = _gain(shared, word, [strength[g] for g in alike], view.eye, weight)
         bucket, log = int(kernels.bucket_of(gain)), float(np.log(weight))
-        near = [g for g in members if (classes[g] == FOV if ring == 0 else g in ahead)]
-        core = [g for g in near if ring or middle[g] == FOV]
+        near = [g for g in members if (in_view[g] if ring == 0 else g in ahead)]
+        core = [g for g in near if ring or in_middle[g]]
         parts = core, [g for g in members if g not in near], [g for g in near if g not in core]
         first, edge = (first_offset(policy, utility), 0) if is_picture else (0, edge_offset(policy, utility))
         keys = _Keys(table, bounds(strong, utility), first, edge, is_picture)
@@ -184,7 +186,8 @@ def _shells(
     for shell in range(shared.count_shells(view.cell)):
         cells = shared.shells.cells(view.cell, shell) if shell < shells else []
         visible = {g for cell in cells for g in index.sets.classes(cell)[0].tolist()}
-        visible = visible if shell < shells else set(range(len(index)))  # what no cell sees
+        if shell >= shells or (shell == 0 and view.step):  # what no cell sees; what the widened cell has
+            visible = set(range(len(index)))
         found: dict[tuple[int, int, int], list[int]] = {}
         for g in sorted(visible):
             if index.last[g] == index.num_levels - 1:
@@ -217,8 +220,21 @@ def _in_order_of_scene(index: SceneIndex, keys: list[tuple[int, int, int]]) -> l
     return sorted(keys, key=lambda key: (key[0], _alike(index, *key)[0]))
 
 
-def _units(index: SceneIndex, cell: int) -> list[Unit]:
+def _in_view(index: SceneIndex, planes: F32) -> NDArray[np.bool_]:
+    """Return (N,) whether each Gaussian is in one of the frusta (F, 5, 4)."""
+    found = np.zeros(len(index), np.bool_)
+    kernels.in_view(np.asarray(planes, np.float32), index.means, index.radii, found)
+    return found
+
+
+def _cells(shared: CandidateIndex, view: View) -> list[int]:
+    """Return the cell of a view, and outside of it those that are about as near."""
+    return near_cells(shared.index, shared.shells, view.cell, view.step) if view.step else [view.cell]
+
+
+def _units(shared: CandidateIndex, view: View) -> list[Unit]:
     """Return the members of one word, ring, weight class and pair of levels, in the order of unit numbers."""
+    index, cell = shared.index, view.cell
     found: dict[tuple[int, int, int, int, int], list[int]] = {}
     placed: set[int] = set()
     standing, top = set(index.standing(cell).tolist()), index.num_levels - 1
@@ -229,6 +245,10 @@ def _units(index: SceneIndex, cell: int) -> list[Unit]:
             for g, kind in zip(ids.tolist(), classes.tolist(), strict=True):
                 if g not in placed:
                     here[g] = kind if ring == 0 else 0
+        if ring == 0 and view.step:
+            near = {g for other in _cells(shared, view) for g in index.sets.classes(other)[0].tolist()}
+            kinds = len(index.class_weights)
+            here = {g: here.get(g, kinds + (g not in near)) for g in range(len(index))}
         placed |= set(here)
         for g in sorted(here):
             last = top if ring == 0 and g in standing else int(index.last[g])

@@ -32,6 +32,7 @@ __all__ = [
     "encode_classes",
     "encode_labels",
     "encode_set",
+    "ids_in",
     "ids_of",
     "pack",
     "pack_some",
@@ -92,6 +93,13 @@ def ids_of(words: Words) -> NDArray[np.int64]:
     """Return the ids in a set, ascending."""
     ids = np.empty(count(words), np.int64)
     kernels.positions(words, ids)
+    return ids
+
+
+def ids_in(words: NDArray[np.integer], masks: Words) -> NDArray[np.int64]:
+    """Return the ascending ids of some words (S,) of a set."""
+    places = ids_of(masks)
+    ids: NDArray[np.int64] = 64 * words[places >> 6].astype(np.int64) + (places & 63)
     return ids
 
 

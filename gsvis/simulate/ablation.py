@@ -77,7 +77,7 @@ def without_levels(scene: StreamedScene) -> StreamedScene:
     index = replace(
         scene.index, first=nothing, last=nothing, level_names=contents.names[-1:],
         replacement_offsets=np.zeros(len(contents) + 1, np.int64), replacement_ids=np.zeros(0, np.int32),
-        sets=_Some(scene.index.sets, highest), sends_unseen=False,
+        sets=_Some(scene.index.sets, highest), sent=highest,
     )  # fmt: skip
     if index.active is not None:
         index = replace(index, active=_SomeTerms(scene.index, highest[scene.owners]))

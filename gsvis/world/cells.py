@@ -222,6 +222,12 @@ class WorldIndex(SceneIndex):
         cells: Any = self.grid
         return int(cells.nearest(position))
 
+    def box_of(self, cell: int) -> tuple[list[float], float]:
+        """Return the lowest corner (x, y, z) of the box of a cell, and its side."""
+        cells: Any = self.grid
+        side = float(cells.sizes[cell])
+        return (cells.centers[cell] - side / 2).tolist(), side
+
     def shares_near(self, cells: Iterable[int]) -> dict[int, tuple[float, float]]:
         """Return the tiles around some cells, and the share of all ids that each has, from one number to another."""
         grid: Any = self.grid

@@ -276,19 +276,14 @@ class WorldPackage(Package):
             level_names=levels.names, term_offsets=_frozen(contents.term_offsets), term_bytes=_frozen(terms),
             replacement_offsets=_frozen(offsets), replacement_ids=_frozen(ids),
             class_weights=_frozen(self._weights()), grid=cells, sets=self.sets(cells, cache),
-            active=None if epsilon is None else every, cones=cones, sends_unseen=self._stands_alone,
+            active=None if epsilon is None else every, cones=cones,
         )  # fmt: skip
 
     def index_from(self, arrays: Any, cache: Cache[Any], **fields: Any) -> SceneIndex:
         """Return the index of a world whose arrays were written before."""
         cells = WorldCells.from_arrays(arrays, np.array(self.manifest.info.up))
         sets = self.sets(cells, cache, arrays["set_order"])
-        return WorldIndex.trusted(**{**fields, "grid": cells, "sets": sets, "sends_unseen": self._stands_alone})
-
-    @property
-    def _stands_alone(self) -> bool:
-        """Whether there is one tile and nothing coarser that stands for it."""
-        return len(self.nodes) == 1
+        return WorldIndex.trusted(**{**fields, "grid": cells, "sets": sets})
 
     def sets(self, cells: WorldCells, cache: Cache[Any], orders: NDArray[np.int32] | None = None) -> WorldSets:
         """Return the visible sets of all cells, read tile by tile; see `WorldSets` for the orders."""

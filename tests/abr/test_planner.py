@@ -14,6 +14,7 @@ from gsvis.abr.candidates import CandidateIndex
 from gsvis.abr.classes import ADJACENT, FOV, NONE, PERIPHERAL, FieldOfView, classify
 from gsvis.abr.config import AbrConfig
 from gsvis.abr.holdings import Holdings
+from gsvis.abr.outside import STEPS
 from gsvis.abr.planner import Planner
 from gsvis.abr.policies import POLICIES, REGIMES, UtilityConfig
 from gsvis.abr.predict import exponential
@@ -53,8 +54,9 @@ def aimed(
     planner = Planner(store, VIEW, config or AbrConfig(policy=policy, fill=fill), holdings=holdings)
     planner.reach = reach
     planner.aim(
-        view.cell, view.eye, view.planes, view.regime, eyes=view.eyes, cell_ahead=view.cell_ahead, middle=view.middle
-    )
+        view.cell, view.eye, view.planes, view.regime, eyes=view.eyes, cell_ahead=view.cell_ahead, middle=view.middle,
+        step=view.step,
+    )  # fmt: skip
     return planner
 
 
@@ -75,10 +77,10 @@ def joined(batches: list[Batch], name: str) -> list[int]:
 @FEW
 @given(
     st.integers(0, 10_000), st.sampled_from(POLICIES), st.sampled_from(REGIMES), st.integers(1, 3), st.booleans(),
-    st.booleans(), st.booleans(), st.booleans(),
+    st.booleans(), st.booleans(), st.booleans(), st.one_of(st.just(0), st.integers(1, STEPS - 1)),
 )  # fmt: skip
 def test_fast_and_slow_give_the_same_records_in_the_same_order(
-    seed, policy, regime, levels, ordered, cones, fill, standing
+    seed, policy, regime, levels, ordered, cones, fill, standing, step
 ):
     shape = (4, 3, 3) if fill else (3, 3, 2)
     index = scenes.random_index(
@@ -86,7 +88,7 @@ def test_fast_and_slow_give_the_same_records_in_the_same_order(
         standing=standing,
     )  # fmt: skip
     store = CandidateIndex(index)
-    view = some_view(index, seed, regime)
+    view = replace(some_view(index, seed, regime), step=step)
     rng = np.random.default_rng(seed)
     held = Holdings(len(index), index.num_terms)
     held.add(np.flatnonzero(rng.random(len(index)) < 0.2), np.zeros(0, np.int64), np.zeros(0, np.int64))
@@ -407,7 +409,7 @@ def test_candidates_of_cells_are_kept_within_bounds() -> None:
     for cell in range(len(index.grid)):
         assert store.in_cell(cell) is store.in_cell(cell)
         assert store.cache.nbytes <= 2 * largest
-    assert store.cache.find(("candidates", 0)) is None
+    assert store.cache.find(("candidates", 0, 0)) is None
 
 
 def test_a_planner_keeps_the_candidates_of_its_cell_when_no_cache_has_room() -> None:
@@ -415,7 +417,7 @@ def test_a_planner_keeps_the_candidates_of_its_cell_when_no_cache_has_room() -> 
     store = CandidateIndex(index, cache=Cache(0))
     planner, plain = Planner(store, VIEW), Planner(CandidateIndex(index), VIEW)
     build = store.build
-    store.build = lambda cell: built.append(cell) or build(cell)
+    store.build = lambda cell, step: built.append(cell) or build(cell, step)
     for k in range(6):
         for client in (planner, plain):
             client.on_pose(k / 10, index.grid.centers[0], [1, 0.3 * k, 0, 0])

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from benchmarks._worlds import small_street
+from gsvis.abr import candidates
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.config import AbrConfig
 from gsvis.abr.rings import ring_cells
@@ -253,6 +254,32 @@ def test_a_tile_may_have_fewer_levels_than_the_world(tmp_path: Path) -> None:
         assert (scene.index.first[few] == 0).all()
         assert len(scene.candidates.links.ending)
         assert len(walk(scene)[2])
+
+
+@pytest.mark.parametrize("dense", [True, False])
+@pytest.mark.parametrize("away", [0.0, 100.0])
+def test_an_idle_link_ends_with_all_records_of_all_tiles(
+    far: Path, dense: bool, away: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each once, and nothing else is shown then; what is kept for shells stays within its bound."""
+    monkeypatch.setattr(candidates, "_DENSE", 1 << 16 if dense else 0)
+    monkeypatch.setattr(candidates, "_REST", 16)
+    scene, _ = open_world(far)
+    index, recent = scene.index, scene.candidates.shells.recent
+    session, receiver, came = Session(scene, VIEW, AbrConfig(start_rate=1e9)), Receiver(scene.header), []
+    session.welcome(0.0)
+    session.on_ack(0.0, 0)
+    session.on_pose(0.1, index.grid.centers[0] + [0.0, 0.0, away], (0.5, -0.5, 0.5, -0.5))
+    while (message := session.next_message(0.2, 1e5)) is not None:
+        came += receiver.receive(message.data).gaussians.tolist()
+        session.on_ack(0.2, message.sequence)
+        assert recent.nbytes <= recent.max_bytes
+    wanted = np.flatnonzero((index.last == index.num_levels - 1) & (np.diff(index.replacement_offsets) == 0))
+    seen = np.unique(np.concatenate([index.sets.classes(cell)[0] for cell in range(len(index.grid))]))
+    assert len(np.setdiff1d(wanted, seen)) > 0
+    assert len(came) == len(set(came))
+    assert set(wanted.tolist()) <= set(came)
+    assert np.array_equal(np.sort(receiver.shown()), wanted)
 
 
 def test_all_that_a_cell_sees_arrives(city: Path) -> None:
