@@ -142,6 +142,7 @@ PAGES = {
             "package_codec_nika",
             "disk_size",
             "client_ends",
+            "nothing_withheld",
             "package_edit_showroom",
             "package_edit_nika",
             "shaped_link",
