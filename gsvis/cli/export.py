@@ -18,7 +18,7 @@ from gsvis.cli.source import (
     load_source,
     parse_up,
     title_of,
-    up_of,
+    up_to_turn,
 )
 from gsvis.cli.starts import Visit, plan_visit
 from gsvis.cli.terminal import Status, print_json, show, size_of
@@ -187,7 +187,7 @@ def open_scene(
     source = load_source(command.scene, command.lod)
     status("reading", 1, 1)
     name = command.name or title_of(command.scene, source.lod)
-    return source.whole, name, _triple(up_of(source) if up is None else up), source
+    return source.whole, name, _triple(up_to_turn(source) if up is None else up), source
 
 
 def _visit(command: Export, source: Source, status: Status) -> Visit:

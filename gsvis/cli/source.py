@@ -49,6 +49,7 @@ __all__ = [
     "summarize_levels",
     "title_of",
     "up_of",
+    "up_to_turn",
 ]
 
 BUILTIN = "builtin:"
@@ -234,7 +235,13 @@ def title_of(scene: str, lod: int | None = None) -> str:
 
 
 def up_of(source: Source) -> NDArray[np.float64]:
-    """Return the (3,) up axis of a scene: the known one, else the likely one, which is a coordinate axis if unsure.
+    """Return the (3,) up axis of a scene: the known one, else the likely one."""
+    known = source.known_up
+    return find_up(source.union, check=False).up if known is None else known
+
+
+def up_to_turn(source: Source) -> NDArray[np.float64]:
+    """Return the (3,) up axis to turn a scene by: the known one, else the likely one, a coordinate axis if unsure.
 
     A scene that little tells about is not turned by an oblique angle.
     """

@@ -241,8 +241,8 @@ def test_the_up_axis_may_begin_with_a_minus() -> None:
     for words in (["--change-up", "-y:+z"], ["--change-up=-y:+z"]):
         command = parse(["convert", "a", "b", *words])
         assert isinstance(command, Convert)
-        assert command.up is not None
-        assert command.up.strip() == "-y:+z"
+        assert command.change_up is not None
+        assert command.change_up.strip() == "-y:+z"
 
 
 def test_defaults_are_those_the_help_states() -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from gsvis.cli import convert, main
 from gsvis.cli.arguments_where import Where
-from gsvis.cli.source import Source, inspect_scene_of, load_source, navigable_space, up_of
+from gsvis.cli.source import Source, inspect_scene_of, load_source, navigable_space, up_of, up_to_turn
 from gsvis.cli.where import find_place
 from gsvis.export.start import Start
 from gsvis.io.gltf_splats_writer import save_glb
@@ -99,4 +99,4 @@ def test_the_rest_is_guessed(folder: Path, tmp_path: Path, monkeypatch: pytest.M
 def test_a_scene_that_tells_little_is_not_turned_by_an_oblique_angle() -> None:
     g = random_scene(np.random.default_rng(0), 100)
     assert find_up(g, check=False).confidence < 0.5
-    assert sorted(np.abs(up_of(Source("blob", g))).tolist()) == [0.0, 0.0, 1.0]
+    assert sorted(np.abs(up_to_turn(Source("blob", g))).tolist()) == [0.0, 0.0, 1.0]
