@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["Pose", "TurnedParts", "bring_back", "is_level", "level_frame", "on_lattice", "turn"]
+__all__ = ["Pose", "TurnedParts", "bring_back", "is_level", "is_square", "level_frame", "on_lattice", "turn"]
 
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -23,7 +23,8 @@ Mask = NDArray[np.bool_]
 _LEVEL = float(np.cos(np.radians(1.0)))  # of the angle to an axis up to which it is that axis
 _YAWS = 90  # degrees in which the narrowest plan is looked for
 _PLAN = 0.02  # of the centers left out at each end of a side of the plan
-_SAMPLE = 20_000  # centers that are asked
+_SAMPLE = 5_000  # centers that are asked
+_SQUARE = 0.8  # area of the best box in that of the one along the axes from which it is as good
 _MOST = 1.5  # times as many voxels along a side as before the turn
 
 
@@ -81,9 +82,29 @@ def turn(up: F64, seen: Gaussians, middle: F64) -> Pose:
 
     Args:
         up: (3,) unit up axis.
-        seen: The Gaussians that count.
+        seen: The Gaussians that count, without outliers.
         middle: (3,) what stays in place.
     """
+    frame, areas = _plan_areas(up, seen, middle)
+    return Pose(_yaw(int(np.argmin(areas))) @ frame, middle)
+
+
+def is_square(up: F64, seen: Gaussians, middle: F64) -> bool:
+    """Return whether the plan of a scene fills a box along x, y and z about as well as one that is turned about up.
+
+    Rooms whose walls lie along no axis do not. Captures without walls do, in any direction.
+
+    Args:
+        up: (3,) unit up axis, x, y or z to a degree.
+        seen: The Gaussians that count.
+        middle: (3,) a middle of the scene.
+    """
+    _, areas = _plan_areas(up, seen, middle)
+    return areas[0] * _SQUARE <= min(areas)
+
+
+def _plan_areas(up: F64, seen: Gaussians, middle: F64) -> tuple[F64, list[float]]:
+    """Return a level frame (3, 3), and the areas of the boxes around the plan in it, turned by whole degrees."""
     frame = level_frame(up)
     plan = (seen.means.astype(np.float64) - middle) @ frame[:2].T
     ordered = np.argsort(plan[:, 0], kind="stable")  # so that the order of the Gaussians does not count
@@ -92,7 +113,7 @@ def turn(up: F64, seen: Gaussians, middle: F64) -> Pose:
     for degrees in range(_YAWS):
         sides = np.diff(np.quantile(plan @ _yaw(degrees)[:2, :2].T, [_PLAN, 1.0 - _PLAN], axis=0), axis=0)[0]
         areas.append(float(sides.prod()))
-    return Pose(_yaw(int(np.argmin(areas))) @ frame, middle)
+    return frame, areas
 
 
 def level_frame(up: F64) -> F64:

@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 from gsvis.scene.flyaways import find_flyaways
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["Core", "find_core", "middle_scales"]
+__all__ = ["Core", "find_ball", "find_core", "middle_scales"]
 
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+_ASKED = 100_000  # centers that the middle of a ball is found from
 _STEPS = 32  # of the search for the middle, at most
 _CLOSE = 1e-3  # step that ends it, in median distances
 _ADDED = 0.04  # least share that a doubling of the distance adds within the scene
@@ -96,6 +97,21 @@ def find_core(g: Gaussians, coverage: float = 0.98) -> Core:
     if np.count_nonzero(sizes[members] > widest) > _MOST_HAZE * len(g):
         widest = np.inf
     return Core(center, members, low, high, detail_low, detail_high, beyond, widest)
+
+
+def find_ball(g: Gaussians, coverage: float = 0.98) -> tuple[F64, float]:
+    """Return the middle (3,) of a scene, and the radius of the ball about it that holds a share of the centers.
+
+    No rotation changes it, as one changes a box. Flyaways do not count, as for `Gaussians.bounds`.
+
+    Args:
+        g: The scene; at least one Gaussian.
+        coverage: Share of the centers, in (0, 1].
+    """
+    places = g.means.astype(np.float64)[~find_flyaways(g.means, g.scales, g.opacities)]
+    some = places[:: max(1, len(places) // _ASKED)]
+    center = _middle(some, np.ones(len(some)))
+    return center, float(np.quantile(np.linalg.norm(places - center, axis=1), coverage))
 
 
 def middle_scales(g: Gaussians) -> F64:

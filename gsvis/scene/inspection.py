@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.scene.axes import axis_vector, describe_direction
+from gsvis.scene.core import find_ball
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.repeats import first_equal
 from gsvis.scene.upright import SURE, Upright, doubt_up, find_up
@@ -24,7 +25,7 @@ __all__ = ["SceneReport", "inspect_scene"]
 F64 = NDArray[np.float64]
 
 MIN_ALPHA = 1.0 / 255.0  # docs/conventions.md
-FLOATER_EXTENT = 5.0  # in sizes of the robust box, about its middle
+FLOATER_EXTENT = 5.0  # in sizes of what holds 98% of the centers, about its middle
 _QUANTILES = {"min": 0.0, "p1": 0.01, "p10": 0.1, "p50": 0.5, "p90": 0.9, "p99": 0.99, "max": 1.0}
 
 
@@ -45,12 +46,12 @@ class SceneReport:
         scales: Quantiles of the largest standard deviation of each Gaussian by name.
         invisible_share: Share with an opacity below 1/255.
         opaque_share: Share with an opacity of at least one half.
-        floaters: Number of centers outside 5 times the robust box.
-        farthest: Distance of the farthest center from the middle of the robust box, in diagonals of the box.
+        floaters: Number of centers outside 5 times the ball that holds 98% of the centers.
+        farthest: Distance of the farthest center from the middle of this ball, in diameters of it.
         duplicates: Number of Gaussians whose place, shape and opacity equal an earlier one's.
         needle_share: Share with a largest scale more than 10 times the middle one.
         disc_share: Share, without needles, with a smallest scale less than a tenth of the middle one.
-        giant_share: Share with a largest scale more than a tenth of the robust box's longest side.
+        giant_share: Share with a largest scale more than a tenth of the diameter of this ball.
         problems: Likely problems, one sentence each; empty if there are none.
     """
 
@@ -99,9 +100,8 @@ def inspect_scene(g: Gaussians, *, up: ArrayLike | str | None = None) -> SceneRe
             problems=["the scene has no Gaussians"],
         )  # fmt: skip
     robust = g.bounds(0.98)
-    middle, half = robust.mean(axis=0), 0.5 * (robust[1] - robust[0])
-    away = np.abs(g.means.astype(np.float64) - middle)
-    diagonal = 2.0 * float(np.linalg.norm(half))
+    middle, radius = find_ball(g)  # a box would depend on how the scene is turned
+    away = np.linalg.norm(g.means.astype(np.float64) - middle, axis=1)
     least, mid, most = np.sort(g.scales, axis=1).T
     needle = most > 10.0 * mid
     report = SceneReport(
@@ -117,12 +117,12 @@ def inspect_scene(g: Gaussians, *, up: ArrayLike | str | None = None) -> SceneRe
         scales=_quantiles(most),
         invisible_share=float(np.mean(g.opacities < MIN_ALPHA)),
         opaque_share=float(np.mean(g.opacities >= 0.5)),
-        floaters=int(np.count_nonzero(np.any(away > FLOATER_EXTENT * half, axis=1))) if diagonal > 0.0 else 0,
-        farthest=float(np.linalg.norm(away, axis=1).max()) / diagonal if diagonal > 0.0 else 0.0,
+        floaters=int(np.count_nonzero(away > FLOATER_EXTENT * radius)) if radius > 0.0 else 0,
+        farthest=float(away.max()) / (2.0 * radius) if radius > 0.0 else 0.0,
         duplicates=_count_duplicates(g),
         needle_share=float(np.mean(needle)),
         disc_share=float(np.mean(~needle & (least < 0.1 * mid))),
-        giant_share=float(np.mean(most > 0.2 * half.max())) if diagonal > 0.0 else 0.0,
+        giant_share=float(np.mean(most > 0.2 * radius)) if radius > 0.0 else 0.0,
         problems=[],
     )
     doubts = [found.doubt] if found.doubt else []
@@ -152,7 +152,7 @@ def _problems(r: SceneReport, g: Gaussians) -> Iterator[str]:
     longest = float((high - low).max())
     if r.floaters:
         yield (
-            f"{_some(r.floaters)} outside {FLOATER_EXTENT:g} times the robust box, the farthest {r.farthest:,.0f}"
+            f"{_some(r.floaters)} outside {FLOATER_EXTENT:g} times the scene, the farthest {r.farthest:,.0f}"
             " scene sizes away; gsvis clean removes them"
         )
     if r.invisible_share > 0.1:

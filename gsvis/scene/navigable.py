@@ -30,7 +30,7 @@ from gsvis.scene._eyes import (
     where_people_stand,
 )
 from gsvis.scene._occupancy import MIN_ALPHA, Occupancy
-from gsvis.scene._turned import Pose, TurnedParts, bring_back, is_level, turn
+from gsvis.scene._turned import Pose, TurnedParts, bring_back, is_level, is_square, turn
 from gsvis.scene.axes import axis_vector, snap_to_axis
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.core import find_core
@@ -462,11 +462,12 @@ def _look(
     """
     meters = seen.facts.meters_per_unit
     person = None if meters is None else PERSON / meters
-    if is_level(upright.up):
-        core = find_core(seen, coverage)
+    core = find_core(seen, coverage)
+    plan = seen[core.members]  # what lies far outside says nothing of walls
+    if is_level(upright.up) and is_square(upright.up, plan, core.center):
         parts = [seen] if parts is None else parts
         return Look(partial(grid, parts), seen, core, upright.up, upright.sure, seeds, person), None
-    pose = turn(upright.up, seen, np.median(seen.means.astype(np.float64), axis=0))
+    pose = turn(upright.up, plan, core.center)
     turned = pose.gaussians(seen)
     build = partial(grid, [turned] if parts is None else TurnedParts(parts, pose))
     up = np.array([0.0, 0.0, 1.0])

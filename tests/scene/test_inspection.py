@@ -100,7 +100,8 @@ class TestReport:
         report = inspect_scene(Gaussians.concatenate([g, g[:12]]))
         assert report.floaters == 7
         assert report.duplicates == 12
-        assert report.farthest == pytest.approx(1e4 / 2, rel=0.05)
+        radius = np.quantile(np.linalg.norm(g.means[:1000], axis=1), 0.98)
+        assert report.farthest == pytest.approx(1e4 * np.sqrt(3.0) / (2.0 * radius), rel=0.02)
 
     @pytest.mark.parametrize("kind", ["blob", "discs", "needles", "nested", "coincident"])
     @pytest.mark.parametrize("n", [0, 1, 2, 500])

@@ -19,6 +19,7 @@ from gsvis.scene.cameras import Cameras
 from gsvis.scene.content import space_hash
 from gsvis.scene.gaussians import Gaussians, rotations_from_quats
 from gsvis.scene.navigable import NavigableSpace
+from tests.scene.places import apartment
 
 
 def dots(means: NDArray[np.float64], scales: tuple[float, float, float], opacity: float = 0.95) -> Gaussians:
@@ -348,3 +349,15 @@ def test_a_piece_of_a_city_has_eyes_in_rooms_that_no_door_connects() -> None:
         assert space.contains([[5.0 * k + 2.0, 2.0, 1.5]]).all()
         assert not space.contains([[5.0 * k + 4.5, 2.0, 1.5]]).any()
     assert not space.contains([[20.5, 0.5, 0.5]]).any()
+
+
+@pytest.mark.parametrize("degrees", [25.0, 61.0])
+def test_a_room_turned_about_up_has_the_space_of_the_room(degrees: float) -> None:
+    g, turn = apartment(), np.radians(degrees)
+    rotation = np.array([[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
+    here = NavigableSpace.from_scene(g, up="+z", resolution=64)
+    there = NavigableSpace.from_scene(g.transform(rotation), up="+z", resolution=64)
+    assert there.kind.kind == here.kind.kind == "rooms"
+    assert there.volume == pytest.approx(here.volume, rel=0.05)
+    eyes = here.sample_viewpoints(500, np.random.default_rng(0))
+    assert there.contains(eyes @ rotation.T).mean() > 0.9
