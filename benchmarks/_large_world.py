@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from gsvis.files.limits import digest_of
-from gsvis.files.mapped import MappedArrays, _write_head
+from gsvis.files.mapped import MappedArrays, _write_head, _write_sums
 from gsvis.files.sections import SectionFile, SectionWriter
 from gsvis.package import Package
 from gsvis.package.blocks import write_blocks
@@ -182,5 +182,6 @@ def write_tables(world: Path, part: Path, folder: Path) -> None:
             for k, line in enumerate(lines):
                 out.seek(start + place + k * size)
                 out.write(np.ascontiguousarray(line).reshape(-1).view(np.uint8).data)
+        _write_sums(out, end)
     path.with_suffix(".partial").rename(path)
     known.path.unlink()

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
+from gsvis.cli.arguments_serve import TABLES
 from gsvis.cli.arguments_where import WhereSeen
 from gsvis.cli.readers import (
     BYTES,
@@ -114,6 +115,8 @@ class Verify:
     """The scene from which it was made: measure how near what a client gets comes to it."""
     lod: Annotated[int | None, WHOLE, hint("the finest that is there")] = None
     """Level of detail of a streamed --scene; 0 is the finest."""
+    tables: Annotated[str | None, TABLES] = None
+    """Folder of the tables that gsvis serve keeps; those of the package are read too."""
     json: Flag = False
     """Print one JSON document instead of a table."""
     debug: Flag = False

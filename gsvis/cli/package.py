@@ -10,9 +10,12 @@ from gsvis.cli.arguments import Unpack, Verify
 from gsvis.cli.source import check_folder, check_source, load_source, navigable_space
 from gsvis.cli.terminal import Status, facts, print_json, show, size_of
 from gsvis.errors import FormatError, SceneError
+from gsvis.files.places import TABLES, cache_folder
 from gsvis.io.levels import MAP, levels_info
 from gsvis.package import Fidelity, Manifest, Package, Spread, unpack_package
+from gsvis.stream.kept import check_kept
 from gsvis.world import World, is_world
+from gsvis.world.streamed import WorldPackage
 
 __all__ = ["fidelity_table", "run_unpack", "run_verify", "size_rows"]
 
@@ -44,6 +47,7 @@ def run_verify(command: Verify) -> None:
         check_source(command.scene, command.lod)
     with Status() as status, Package.open(command.package) as package:
         found = package.verify(progress=status)
+        kept = check_kept(package, _tables_of(command))
         manifest = package.manifest
         fidelity, name = manifest.info.fidelity, "the scene"
         remarks: list[str] = []
@@ -57,6 +61,7 @@ def run_verify(command: Verify) -> None:
                 "package": command.package,
                 **_facts(manifest),
                 **asdict(found),
+                "kept_files": len(kept),
                 "fidelity": None if fidelity is None else fidelity.summary(),
                 "fidelity_from": _source_of(command, fidelity),
             }
@@ -70,6 +75,7 @@ def run_verify(command: Verify) -> None:
         ("terms", f"{found.terms:,}, variant {manifest.grids.variant}"),
         ("cells", f"{found.cells:,}" if found.cells else "no visible sets"),
         ("parts", f"{found.parts:,}, {size_of(found.nbytes)}"),
+        *_kept_rows(kept),
         *size_rows(manifest),
         ("up", ", ".join(f"{v:g}" for v in manifest.info.up)),
         ("meters per unit", f"{meters:g}" if meters else "not known"),
@@ -87,10 +93,12 @@ def _verify_world(command: Verify) -> None:
     if command.scene is not None:
         raise ValueError(f"--scene: expected none for a world, got {command.scene}; leave it out")
     with Status() as status:
-        found = World.open(command.package).verify(progress=status)
+        world = World.open(command.package)
+        found = world.verify(progress=status)
+        kept = check_kept(WorldPackage(world, set()), _tables_of(command))
     if command.json:
         document = {"format": "gsvis-world-verification", "version": 1, "world": command.package}
-        print_json({**document, **asdict(found)})
+        print_json({**document, **asdict(found), "kept_files": len(kept)})
         return
     rows = [
         ("Gaussians", f"{found.gaussians:,}"),
@@ -98,9 +106,19 @@ def _verify_world(command: Verify) -> None:
         ("districts", f"{found.districts:,}"),
         ("cells", f"{found.cells:,}"),
         ("size", size_of(found.nbytes)),
+        *_kept_rows(kept),
     ]
     strays = [f" {found.strays:,} packages and tables belong to no part of it."] if found.strays else []
     show(facts(command.package, rows), " Every part is whole.", *strays)
+
+
+def _tables_of(command: Verify) -> str:
+    return command.tables or str(cache_folder() / TABLES)
+
+
+def _kept_rows(kept: list[Path]) -> list[tuple[str, str]]:
+    """Return the row for tables that were kept; none without."""
+    return [("kept for serving", f"{len(kept):,} files in {kept[0].parent}, whole")] if kept else []
 
 
 def _compare(scene: str, lod: int | None, package: Package, status: Status) -> tuple[Fidelity, str, list[str]]:

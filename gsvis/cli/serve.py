@@ -19,6 +19,7 @@ from gsvis.cli.terminal import print_json
 from gsvis.errors import BackendError
 from gsvis.files.limits import open_regular
 from gsvis.files.origins import parse_origins
+from gsvis.files.places import TABLES, cache_folder
 
 if TYPE_CHECKING:
     from gsvis.serve.processes import Child
@@ -90,7 +91,7 @@ def _serve(command: Serve, child: Child | None) -> None:
         if path is not None:
             open_regular(path).close()  # an error of OpenSSL would not name the file
     quality = Quality() if command.coarse else None
-    tables = None if command.no_tables else command.tables or str(_cache_folder() / "tables")
+    tables = None if command.no_tables else command.tables or str(cache_folder() / TABLES)
     siblings = None if child is None else Siblings(Path(child.folder), child.number)
     with open_scenes(
         command.package, max_cache_bytes=command.cache, warm=True, quality=quality, tables=tables
@@ -137,14 +138,6 @@ def _print_address(url: str, command: Serve) -> None:
     pages = [page_of(url, name) for name in names]
     print_json({"format": "gsvis-serving", "version": 1, "url": url, "scenes": names, "pages": pages})
     sys.stdout.flush()
-
-
-def _cache_folder() -> Path:
-    """Return the folder of what gsvis keeps for this user: `GSVIS_CACHE`, or one below `XDG_CACHE_HOME` or home."""
-    named, shared = os.environ.get("GSVIS_CACHE"), os.environ.get("XDG_CACHE_HOME")
-    if named:
-        return Path(named)
-    return (Path(shared) if shared else Path(os.path.expanduser("~")) / ".cache") / "gsvis"
 
 
 @contextmanager

@@ -1,8 +1,8 @@
 """A file of named arrays that are memory-mapped: opening it reads a few kilobytes, and pages are read when touched.
 
-Such a file is a cache of what can be computed again. Its head is under a checksum; its arrays are not, because checking
-them would read them. So keep it in a folder that only its owner can write to. Processes that map the same file share
-its memory.
+Such a file is a cache of what can be computed again. Opening it checks its head; `MappedArrays.check` reads its arrays
+and checks those. Keep it in a folder that only its owner can write to. Processes that map the same file share its
+memory.
 """
 
 from __future__ import annotations
@@ -28,14 +28,16 @@ from gsvis.files.atomic import atomic_path
 from gsvis.files.fields import Fields, parse_object
 from gsvis.files.limits import DAMAGED, open_regular
 from gsvis.files.resume import seal, unseal
+from gsvis.files.sums import PIECE, word_sums
 
 __all__ = ["ArrayFiles", "MappedArrays", "resident_bytes", "write_arrays"]
 
-_MAGIC = b"\x93gsvisM\n"
+_MAGIC = b"\x93gsvis2\n"
 _HEAD = struct.Struct("<8sQ")  # magic, bytes of the sealed JSON after it
 _TYPE = re.compile(r"[<>|][biuf]\d{1,2}")
 _PAGE = 1 << 12
 _MOST_HEAD, _MOST_BYTES = 64 << 20, 1 << 50
+_AT_ONCE = 64 * 8 * PIECE  # bytes that are checked at once
 
 
 def write_arrays(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]], facts: Mapping[str, Any]) -> None:
@@ -63,6 +65,7 @@ def write_arrays(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]
         for block in blocks:
             file.write(block.reshape(-1).view(np.uint8).data)
             file.write(bytes(-file.tell() % _PAGE))
+        _write_sums(file, end)
 
 
 class ArrayFiles:
@@ -153,6 +156,7 @@ class ArrayFiles:
                     shutil.copyfileobj(self._files[part], out, 1 << 20)
                     self._files[part].truncate(0)  # so that the disk never holds all of it twice
                 out.write(bytes(-out.tell() % _PAGE))
+            _write_sums(out, end)
 
 
 class MappedArrays:
@@ -178,8 +182,10 @@ class MappedArrays:
             size = os.fstat(file.fileno()).st_size
             start, said = _read_head(self.path, file.read(_HEAD.size), file.read)
             self.nbytes, self.facts = said.integer("bytes", 0, _MOST_BYTES), said.child("facts").value
-            if size != start + self.nbytes:
-                raise FormatError(self.path, "", f"{start + self.nbytes:,} bytes", f"{size:,}", DAMAGED)
+            end = start + self.nbytes
+            self._sums = 8 * -(-self.nbytes // (8 * PIECE))
+            if size != end + len(seal(b"")) + self._sums:
+                raise FormatError(self.path, "", f"{end + len(seal(b'')) + self._sums:,} bytes", f"{size:,}", DAMAGED)
             self._map = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_COPY)
         self._start = start
         self.arrays = dict(self._view(row) for row in said.items("arrays"))
@@ -202,6 +208,28 @@ class MappedArrays:
             raise FormatError(self.path, "arrays", "arrays in the file", repr(row)[:80], DAMAGED) from error
         found.flags.writeable = writable
         return name, found
+
+    def check(self) -> None:
+        """Read all arrays once, and give their memory back; call it before anything is written to one.
+
+        Raises:
+            FormatError: If a byte of them has changed.
+        """
+        end = self._start + self.nbytes
+        sums = unseal(self._map[end:])
+        if sums is None:
+            raise FormatError(self.path, f"byte {end:,}", "checksums of the arrays", "others", DAMAGED)
+        known = np.frombuffer(sums, np.uint64)
+        for low in range(0, self.nbytes, _AT_ONCE):
+            words = np.frombuffer(self._map, np.uint64, min(_AT_ONCE, self.nbytes - low) // 8, self._start + low)
+            first = low // (8 * PIECE)
+            found = word_sums(words)
+            bad = np.flatnonzero(found != known[first : first + len(found)])
+            if len(bad):
+                place = self._start + low + 8 * PIECE * int(bad[0])
+                raise FormatError(self.path, f"byte {place:,}", "the bytes that were written", "others", DAMAGED)
+            if hasattr(self._map, "madvise"):
+                self._map.madvise(mmap.MADV_DONTNEED, *_pages(self._start + low, 8 * len(words)))
 
     def release(self, shares: Sequence[tuple[float, float]] | None = None) -> None:
         """Give back the memory of pages; a page that is touched again comes from the file.
@@ -243,6 +271,22 @@ def resident_bytes() -> int:
         return int(Path("/proc/self/statm").read_bytes().split()[2]) * mmap.PAGESIZE
     except (OSError, IndexError, ValueError):
         return 0
+
+
+def _pages(start: int, size: int) -> tuple[int, int]:
+    """Return the first byte and the size of the system's pages that lie within a range of bytes."""
+    first = -(-start // mmap.PAGESIZE) * mmap.PAGESIZE
+    return first, max(0, (start + size) // mmap.PAGESIZE * mmap.PAGESIZE - first)
+
+
+def _write_sums(file: BinaryIO, nbytes: int) -> None:
+    """Read the arrays back, which are the last bytes of a file, and write their checksums behind them."""
+    end = file.seek(0, os.SEEK_END)
+    file.seek(end - nbytes)
+    sums = [
+        word_sums(np.frombuffer(file.read(min(_AT_ONCE, nbytes - k)), np.uint64)) for k in range(0, nbytes, _AT_ONCE)
+    ]
+    file.write(seal(np.concatenate([np.zeros(0, np.uint64), *sums]).tobytes()))
 
 
 def _write_head(file: BinaryIO, facts: Mapping[str, Any], rows: list[list[Any]], nbytes: int) -> None:

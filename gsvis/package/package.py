@@ -174,15 +174,19 @@ class Package:
             raise self._fault("visibility", f"sets of {self.manifest.scene[:12]}...", f"{store.info.scene[:12]}...")
         return store
 
-    def keep_store(self, path: Path) -> None:
+    def keep_store(self, path: Path, *, again: bool = False) -> None:
         """Read visible sets from a file that stays after `close`; write it from the parts if it is missing.
+
+        Args:
+            path: The file.
+            again: Whether to replace the file if it is there.
 
         Raises:
             SceneError: If the package has no visible sets.
             FormatError: If a part is damaged.
             OutputError: If the file cannot be written.
         """
-        if not path.is_file():
+        if again or not path.is_file():
             with atomic_path(path) as partial:
                 self._write_joined(self.manifest.visibility, partial)
         self._store = path

