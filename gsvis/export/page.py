@@ -7,11 +7,12 @@ as base64, and a policy that runs only its own three scripts. Names of scenes ar
 from __future__ import annotations
 
 import json
+import logging
 import re
 from base64 import b64encode
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from hashlib import sha256
 from html import escape
 from os import PathLike
@@ -23,8 +24,16 @@ from numpy.typing import NDArray
 
 from gsvis import _check
 from gsvis.errors import BackendError, FormatError
-from gsvis.export.static import SCENE, StaticOptions, StaticScene, is_static, write_static
-from gsvis.files.atomic import atomic_path
+from gsvis.export.static import (
+    SCENE,
+    StaticOptions,
+    StaticScene,
+    check_target,
+    is_static,
+    remove_other_files,
+    write_static,
+)
+from gsvis.files.atomic import atomic_folder, atomic_path
 from gsvis.files.limits import open_regular, read_whole
 from gsvis.files.origins import connect_sources, parse_origins
 from gsvis.files.output import TEMPORARY, output_errors
@@ -44,6 +53,8 @@ PAGE, SETTINGS, FOLDER = "index.html", "settings.json", "scene"
 
 _SCRIPTS = ("page.js", "sort.js", "static.js", "network.js", "tour.js", "xr.js")
 _WORKERS = ("sort.js", "static.js", "network.js")
+_LOG = logging.getLogger(__name__)
+_MARK = "gsvis"  # key in settings of the digest of what an export wrote
 _PIECE = 3 << 20  # bytes of a file that are written at once as base64
 _DISTANCE = 3.0  # from an eye to what it looks at, in settings
 
@@ -99,8 +110,8 @@ def write_site(
     """Write a site: the page, and the static scene that it shows, in the folder `scene`.
 
     Args:
-        folder: Folder of the site; other files in it stay. A `settings.json` stays too, unless it is the one that an
-            earlier export wrote.
+        folder: Folder of the site; other files in it stay. So does a `settings.json` that a person wrote or changed, as
+            long as the scene keeps its name.
         scene: A package, or a bare scene; see `write_static`.
         options: See `write_static`.
         viewer: Folder of the built files of the viewer; None takes those of this package.
@@ -115,24 +126,23 @@ def write_site(
     """
     target, files = _check.path("folder", folder), _viewer_files(VIEWER if viewer is None else Path(viewer))
     origins = parse_origins("opens", opens)
-    is_ours = _has_own_settings(target)
-    found = write_static(target / FOLDER, scene, options, progress=progress)
-    document = json.loads(read_whole(found.path / SCENE))
-    scripts = target / "viewer"
-    scripts.mkdir(exist_ok=True)
-    for name in ("page.css", *_SCRIPTS):
-        with atomic_path(scripts / name) as partial:
-            partial.write_bytes(files[name])
-    if is_ours or not (target / SETTINGS).exists():
-        with atomic_path(target / SETTINGS) as partial:
-            partial.write_bytes(_settings(document))
-    policy = f"{_POLICY}; connect-src {connect_sources(origins)}"
-    metas = {"gsvis-content": f"{FOLDER}/", "gsvis-settings": SETTINGS}
-    if origins:
-        metas["gsvis-origins"] = " ".join(origins)
-    page = _page(files["view.html"].decode(), document, metas, policy)
-    with atomic_path(target / PAGE) as partial:
-        partial.write_text(page.replace("../viewer/", "viewer/"), encoding="utf-8")
+    check_target(target / FOLDER)
+    with atomic_folder(target) as partial:
+        found = write_static(partial / FOLDER, scene, options, progress=progress)
+        document = json.loads(read_whole(found.path / SCENE))
+        (partial / "viewer").mkdir()
+        for name in ("page.css", *_SCRIPTS):
+            (partial / "viewer" / name).write_bytes(files[name])
+        if not _has_settings_to_keep(target, document["name"]):
+            (partial / SETTINGS).write_bytes(_settings(document))
+        policy = f"{_POLICY}; connect-src {connect_sources(origins)}"
+        metas = {"gsvis-content": f"{FOLDER}/", "gsvis-settings": SETTINGS}
+        if origins:
+            metas["gsvis-origins"] = " ".join(origins)
+        page = _page(files["view.html"].decode(), document, metas, policy)
+        (partial / PAGE).write_text(page.replace("../viewer/", "viewer/"), encoding="utf-8")
+    found = replace(found, path=target / FOLDER)
+    remove_other_files(found)
     names = [PAGE, SETTINGS, f"{FOLDER}/{SCENE}", *(f"viewer/{name}" for name in ("page.css", *_SCRIPTS))]
     return SiteReport(target, found, found.nbytes + sum((target / name).stat().st_size for name in names))
 
@@ -257,19 +267,33 @@ def _hash(text: str) -> str:
 
 
 def _settings(document: dict[str, Any]) -> bytes:
-    """Return the views to begin with in the form of settings.json."""
+    """Return the views to begin with in the form of settings.json, with a digest that tells whether they are ours."""
     cameras = [{"initial": view} for view in _views(document)]
-    return json.dumps({"version": 2, "frame": "scene", "cameras": cameras}, indent=1).encode() + b"\n"
+    said = {"version": 2, "frame": "scene", "cameras": cameras}
+    return _spelled({**said, _MARK: sha256(_spelled(said)).hexdigest()[:16]})
 
 
-def _has_own_settings(target: Path) -> bool:
-    """Return whether a site has the settings that an export wrote for the scene in it, and nobody changed them."""
-    if not is_static(target / FOLDER):
+def _spelled(said: dict[str, Any]) -> bytes:
+    return json.dumps(said, indent=1).encode() + b"\n"
+
+
+def _has_settings_to_keep(target: Path, name: str) -> bool:
+    """Return whether a site has settings that somebody wrote for a scene of this name."""
+    if not (target / SETTINGS).exists():
         return False
+    with suppress(OSError, FormatError, ValueError, AttributeError):
+        said = json.loads(read_whole(target / SETTINGS))
+        mark = said.pop(_MARK, None)
+        if mark is not None and mark == sha256(_spelled(said)).hexdigest()[:16]:
+            return False
     with suppress(OSError, FormatError, ValueError, KeyError, TypeError):
-        document = json.loads(read_whole(target / FOLDER / SCENE))
-        return read_whole(target / SETTINGS) == _settings(document)
-    return False
+        before = json.loads(read_whole(target / FOLDER / SCENE))
+        if before["name"] != name:
+            _LOG.warning("%s shows %s, not %s; it is written anew", target / SETTINGS, before["name"], name)
+            return False
+        plain = _spelled({"version": 2, "frame": "scene", "cameras": [{"initial": view} for view in _views(before)]})
+        return read_whole(target / SETTINGS) != plain  # what versions before 1.0 wrote has no mark
+    return True
 
 
 def _distance(document: dict[str, Any], eye: NDArray[np.float64], ahead: NDArray[np.float64]) -> float:

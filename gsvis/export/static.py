@@ -43,7 +43,17 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from gsvis.stream.coding import Coding
 
-__all__ = ["FORMAT", "SCENE", "VERSION", "StaticFile", "StaticOptions", "StaticScene", "check_target", "write_static"]
+__all__ = [
+    "FORMAT",
+    "SCENE",
+    "VERSION",
+    "StaticFile",
+    "StaticOptions",
+    "StaticScene",
+    "check_target",
+    "remove_other_files",
+    "write_static",
+]
 
 U8 = NDArray[np.uint8]
 
@@ -160,11 +170,12 @@ def write_static(
     document = _document(parts, files, said)
     with atomic_path(target / SCENE) as partial:
         partial.write_bytes(json.dumps(document, sort_keys=True, separators=(",", ":"), allow_nan=False).encode())
-    _remove_others(target, files)
     degree = 0 if parts.harmonics is None else parts.harmonics["degree"]
-    return StaticScene(
+    found = StaticScene(
         target, files, document["gaussians"], document["terms"], len(parts.blocks), document["cells"]["count"], degree
     )
+    remove_other_files(found)
+    return found
 
 
 def check_target(target: Path) -> None:
@@ -295,9 +306,10 @@ def _keep(folder: Path, kind: str, data: Any) -> StaticFile:
     return file
 
 
-def _remove_others(folder: Path, files: dict[str, StaticFile]) -> None:
-    kept = {file.name for file in files.values()}
-    for path in folder.iterdir():
+def remove_other_files(scene: StaticScene) -> None:
+    """Remove the data files of earlier scenes from the folder of a scene."""
+    kept = {file.name for file in scene.files.values()}
+    for path in scene.path.iterdir():
         if _OURS.fullmatch(path.name) and path.name not in kept:
             with suppress(OSError):
                 path.unlink()

@@ -15,9 +15,12 @@ _MODULES = (
     "origins",
     "mapped",
     "output",
+    "places",
     "resume",
     "sections",
     "shelf",
+    "sums",
+    "swap",
     "temporary",
 )
 

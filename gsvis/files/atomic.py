@@ -27,10 +27,12 @@ from gsvis.errors import FormatError
 from gsvis.files.limits import read_whole
 from gsvis.files.locks import try_lock
 from gsvis.files.output import output_errors
+from gsvis.files.swap import swap_folder
 
 __all__ = ["atomic_folder", "atomic_path", "find_interrupted_moves", "remove_all_partials", "remove_partials"]
 
 _NOTE = ".gsvis-moves"  # in a hidden folder: lists the files that are being moved
+_OLD = ".gsvis-replaced"  # in a hidden folder: the files that are being replaced
 _NO_HOST = "0000"  # in place of the host: never removed
 
 
@@ -70,12 +72,15 @@ def atomic_path(path: str | os.PathLike[str], *, sweep: bool = True) -> Iterator
 def atomic_folder(path: str | os.PathLike[str], *, last: tuple[str, ...] = ()) -> Iterator[Path]:
     """Yield a temporary folder whose files move into `path` when the block succeeds.
 
-    Files of the same name are replaced one by one. Other files in `path` stay, so no file of a user is lost. After an
-    error between two moves, a small note beside `path` lists the files that have moved.
+    Other files in `path` stay, so no file of a user is lost. Where the system can exchange two folders, all files
+    appear in one step: a reader, and whoever finds the folder after a kill, sees the old result or the new one.
+    Elsewhere, and where `path` is the current folder, which a shell would lose, files are replaced one by one and put
+    back after an error. After a kill between two moves, a small note beside `path` lists the files that have moved.
 
     Args:
         path: The folder to fill; created if it is missing.
-        last: Names of files that move after all others, in this order. Use it for files that mark the folder complete.
+        last: Names of files that move after all others, in this order, where files move one by one; older ones are
+            removed first. Use it for files that mark the folder complete.
 
     Yields:
         The folder to write to.
@@ -93,8 +98,7 @@ def atomic_folder(path: str | os.PathLike[str], *, last: tuple[str, ...] = ()) -
     with output_errors(path, partial):
         try:
             yield partial
-            target.mkdir(exist_ok=True)
-            _move(partial, target, last)
+            _replace(partial, target, last)
         finally:
             with suppress(OSError):
                 _settle(partial, target)
@@ -140,19 +144,51 @@ def find_interrupted_moves(path: str | os.PathLike[str]) -> set[str]:
     return {name for partial in _partials(target, "[0-9a-f]{4}") for name in _find_moved(partial, target)}
 
 
-def _move(partial: Path, target: Path, last: tuple[str, ...]) -> None:
-    """Move all files of a folder into another; a note lists them from before the first move to after the last."""
+def _replace(partial: Path, target: Path, last: tuple[str, ...]) -> None:
+    """Put all files of a folder into another, in one step if possible."""
+    target.mkdir(exist_ok=True)
     places = {name: place for place, name in enumerate(last, 1)}
     sources = sorted(partial.rglob("*"), key=lambda source: (places.get(source.name, 0), source))
     _check_destinations(partial, target, sources)
+    if swap_folder(partial, target):
+        return
     _write_note(partial, target, [source for source in sources if not source.is_dir()])
-    for source in sources:
-        destination = target / source.relative_to(partial)
-        if source.is_dir():
-            destination.mkdir(exist_ok=True)
-        else:
-            os.replace(source, destination)
+    with _restored(partial, target, [source for source in sources if not source.is_dir()]):
+        for name in last:  # a folder with an interrupted move has none of them
+            (target / name).unlink(missing_ok=True)
+        for source in sources:
+            destination = target / source.relative_to(partial)
+            if source.is_dir():
+                destination.mkdir(exist_ok=True)
+            else:
+                os.replace(source, destination)
     (partial / _NOTE).unlink()
+
+
+@contextmanager
+def _restored(partial: Path, target: Path, sources: list[Path]) -> Iterator[None]:
+    """Keep the files that a block replaces, and put them back if it fails; then the note goes, too."""
+    names = [source.relative_to(partial) for source in sources]
+    before = {name for name in names if os.path.lexists(target / name)}
+    for name in before:
+        (partial / _OLD / name).parent.mkdir(parents=True, exist_ok=True)
+        _link_or_copy(target / name, partial / _OLD / name)
+    try:
+        yield
+    except BaseException:
+        for name in names:
+            if name in before:
+                os.replace(partial / _OLD / name, target / name)
+            elif not (partial / name).exists():  # it has moved
+                (target / name).unlink(missing_ok=True)
+        raise
+
+
+def _link_or_copy(source: Path, destination: Path) -> None:
+    try:
+        os.link(source, destination, follow_symlinks=False)
+    except (OSError, NotImplementedError):
+        shutil.copy2(source, destination, follow_symlinks=False)
 
 
 def _check_destinations(partial: Path, target: Path, sources: list[Path]) -> None:

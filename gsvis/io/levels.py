@@ -84,8 +84,8 @@ def check_names(names: Sequence[str]) -> None:
 def save_levels(levels: Levels, folder: str | os.PathLike[str], extra: Mapping[str, Any] | None = None) -> None:
     """Write `NAME.ply` for each level, its Gaussians in the order of the union, and the map.
 
-    All files are written beside the folder and moved into it at the end. The old map is removed first and the new one
-    moved last: a folder with interrupted writing has no map. Other files in it stay.
+    All files are written beside the folder and take the place of an older result at the end, in one step where the
+    system can, else the map last. Other files in it stay.
 
     Args:
         levels: The levels.
@@ -111,7 +111,6 @@ def save_levels(levels: Levels, folder: str | os.PathLike[str], extra: Mapping[s
             "format": FORMAT, "version": VERSION, "gaussians": len(levels.union), "levels": rows, "extra": kept,
         }  # fmt: skip
         write_arrow(partial / MAP, _FIELDS, header, _batches(levels))
-        (_check.path("folder", folder) / MAP).unlink(missing_ok=True)
 
 
 def load_levels(folder: str | os.PathLike[str]) -> Levels:

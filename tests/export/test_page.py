@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from gsvis.errors import BackendError
-from gsvis.export import StaticOptions, write_html, write_site
+from gsvis.export import StaticOptions, write_html, write_site, write_static
 from gsvis.export.page import check_site
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.procedural import random_scene
@@ -110,6 +110,29 @@ def test_settings_of_an_earlier_export_follow_the_scene(viewer: Path, scene: Gau
         for each in written:
             write_site(tmp_path / folder, each, viewer=viewer)
     assert (tmp_path / "twice" / "settings.json").read_bytes() == (tmp_path / "once" / "settings.json").read_bytes()
+
+
+def test_a_site_over_one_of_another_scene_has_no_settings_of_that(
+    viewer: Path, scene: Gaussians, tmp_path: Path
+) -> None:
+    """Whether they are as an export left them, from an earlier version, half replaced, or changed by a person."""
+    site, other = tmp_path / "site", StaticOptions("other")
+    write_site(tmp_path / "fresh", scene[:20], other, viewer=viewer)
+    expected = (tmp_path / "fresh" / "settings.json").read_bytes()
+    for kind in ("as written", "no mark", "scene replaced", "changed"):
+        write_site(site, scene, StaticOptions("one"), viewer=viewer)
+        file = site / "settings.json"
+        said = json.loads(file.read_bytes())
+        if kind == "no mark":
+            del said["gsvis"]
+            file.write_text(json.dumps(said, indent=1) + "\n")
+        elif kind == "scene replaced":
+            write_static(site / "scene", scene[:50], other)
+        elif kind == "changed":
+            said["cameras"] = said["cameras"][:1]
+            file.write_text(json.dumps(said))
+        write_site(site, scene[:20], other, viewer=viewer)
+        assert file.read_bytes() == expected, kind
 
 
 def test_a_page_of_something_else_is_not_replaced(tmp_path: Path) -> None:

@@ -246,7 +246,8 @@ def test_a_file_that_another_sweeps_up_before_it_is_locked_is_made_again(
 def test_files_that_a_kill_left_moved_are_known_until_the_next_run_is_done(tmp_path: Path) -> None:
     code = "import os, signal, sys; from gsvis.files import atomic\nmoved = []\nmove = os.replace\n"
     code += "def replace(a, b):\n    moved.append(a)\n    len(moved) > 2 and os.kill(os.getpid(), signal.SIGKILL)\n"
-    code += "    move(a, b)\natomic.os.replace = replace\nwith atomic.atomic_folder(sys.argv[1], last=('map',)) as f:\n"
+    code += "    move(a, b)\natomic.os.replace = replace\natomic.swap_folder = lambda *_: False\n"
+    code += "with atomic.atomic_folder(sys.argv[1], last=('map',)) as f:\n"
     code += "    for name in ('map', 'p', 'q', 'r'):\n        (f / name).write_text(name)\n"
     target = tmp_path / "out"
     assert subprocess.run([sys.executable, "-c", code, target], check=False).returncode == -signal.SIGKILL
@@ -264,26 +265,36 @@ def test_files_that_a_kill_left_moved_are_known_until_the_next_run_is_done(tmp_p
     assert everything(tmp_path) == ["out", "out/p", "out/q", "out/r"]
 
 
-def test_an_interrupt_between_moves_is_like_a_kill(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    target, replace, moved = tmp_path / "out", os.replace, []
+@pytest.mark.parametrize("fault", [KeyboardInterrupt, OSError(errno.EIO, os.strerror(errno.EIO))])
+def test_where_files_move_one_by_one_an_error_puts_them_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: type[BaseException] | BaseException
+) -> None:
+    target, replace, moved, limits = tmp_path / "out", os.replace, list[Path](), list[int]()
+    (target / "sub").mkdir(parents=True)
+    old = {"p": "old p", "q": "old q", "sub/r": "old r", "map": "old map", "other": "somebody's"}
+    for name, text in old.items():
+        (target / name).write_text(text)
 
     def interrupted(source: Path, destination: Path) -> None:
-        if len(moved) == limit:
-            raise KeyboardInterrupt
+        if len(moved) == limits[-1]:
+            moved.append(source)
+            raise fault
         moved.append(source)
         replace(source, destination)
 
+    monkeypatch.setattr("gsvis.files.atomic.swap_folder", lambda *_: False)
     monkeypatch.setattr("gsvis.files.atomic.os.replace", interrupted)
-    for limit in (0, 1):
-        with pytest.raises(KeyboardInterrupt), atomic_folder(target) as folder:
-            (folder / "p").write_text("p")
-            (folder / "q").write_text("q")
-        assert find_interrupted_moves(target) == ({"p"} if limit else set())
-        assert len(list(tmp_path.iterdir())) == 1 + limit  # nothing beside it where nothing was moved
-    limit = 9
-    with atomic_folder(target) as folder:
-        (folder / "q").write_text("q")
-    assert everything(tmp_path) == ["out", "out/p", "out/q"]
+    for limit in range(5):
+        limits.append(limit)
+        moved.clear()
+        with pytest.raises((KeyboardInterrupt, OSError)), atomic_folder(target, last=("map",)) as folder:
+            (folder / "sub").mkdir()
+            for name in ("p", "q", "sub/r", "sub/new", "map"):
+                (folder / name).write_text("new")
+        assert {name: (target / name).read_text() for name in old} == old
+        assert everything(tmp_path) == ["out", *sorted(f"out/{name}" for name in (*old, "sub"))]
+    assert len(moved) > 5
+    assert find_interrupted_moves(target) == set()
 
 
 def hidden(folder: Path) -> list[Path]:
@@ -315,6 +326,7 @@ def test_a_disk_that_is_full_for_the_note_leaves_nothing(tmp_path: Path, monkeyp
         write(path, text[: len(text) // 2], encoding)
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
+    monkeypatch.setattr("gsvis.files.atomic.swap_folder", lambda *_: False)
     monkeypatch.setattr(Path, "write_text", full)
     for _ in range(3):
         with pytest.raises(OSError, match="no space left"), atomic_folder(tmp_path / "out") as folder:
@@ -337,32 +349,6 @@ def test_a_folder_in_the_way_of_a_file_is_found_before_anything_moves(tmp_path: 
         (folder / "plots").mkdir()
         (folder / "plots" / "b").write_text("b")
     assert everything(tmp_path) == ["out", "out/plots", "out/report.json"]
-
-
-@posix
-def test_failures_between_moves_leave_one_note_and_no_payload(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    target, replace = tmp_path / "out", os.replace
-
-    def fails(source: Path, destination: Path) -> None:
-        if source.name == "z":
-            raise OSError(errno.EIO, os.strerror(errno.EIO), str(source))
-        replace(source, destination)
-
-    moved: set[str] = set()
-    with monkeypatch.context() as patched:
-        patched.setattr("gsvis.files.atomic.os.replace", fails)
-        for name in ("p", "q", "p", "r"):
-            with pytest.raises(OSError, match="cannot be written"), atomic_folder(target) as folder:
-                (folder / name).write_text(name)
-                (folder / "sub").mkdir()
-                (folder / "z").write_text("large")
-            moved.add(name)
-            assert find_interrupted_moves(target) == moved
-            (left,) = hidden(tmp_path)
-            assert everything(left) == [_NOTE]
-    with atomic_folder(target) as folder:
-        (folder / "z").write_text("z")
-    assert everything(tmp_path) == ["out", *(f"out/{name}" for name in ("p", "q", "r", "sub", "z"))]
 
 
 @posix

@@ -1,0 +1,114 @@
+"""Exchange two folders in one step, where the system can: no moment and no kill leaves a mixture of both."""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import os
+import shutil
+import sys
+from collections.abc import Iterator
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+__all__ = ["swap_folder"]
+
+_HERE = -100  # AT_FDCWD: paths are relative to the current folder
+_MOST = 10_000  # files beside the result that are linked; a folder with more holds other things
+_EXCHANGE = 2  # RENAME_EXCHANGE of Linux, RENAME_SWAP of macOS
+
+
+def swap_folder(made: Path, target: Path) -> bool:
+    """Put a new folder in the place of an old one in one step; return whether that was possible.
+
+    What the old folder alone has is in both after that: its files are linked into the new one first. So the caller may
+    remove `made`, which is then the old folder. If it is not possible, the old folder is as it was.
+
+    Args:
+        made: The new folder, on the same file system. Its rights and times become those of the old one.
+        target: The old folder.
+    """
+    place = Path(os.path.realpath(target))
+    if _is_in_use(place) or not os.access(place, os.W_OK | os.X_OK) or _call() is None:
+        return False
+    try:
+        if sum(1 for _ in _others(place, made)) > _MOST:
+            return False
+        _take_rights(place, made)
+        _keep_others(place, made)
+        if not _exchange(made, place):
+            return False
+    except OSError:
+        return False
+    with suppress(OSError):
+        _keep_others(made, place)  # what somebody wrote meanwhile
+    return True
+
+
+def _others(old: Path, new: Path) -> Iterator[tuple[os.DirEntry[str], Path]]:
+    """Yield the entries of a folder and of those in it that another does not have, and their places there.
+
+    Raises:
+        OSError: If another file system is mounted there.
+    """
+    with os.scandir(old) as entries:
+        for entry in entries:
+            other, is_folder = new / entry.name, entry.is_dir(follow_symlinks=False)
+            if is_folder and os.path.ismount(entry.path):
+                raise OSError(errno.EXDEV, os.strerror(errno.EXDEV), entry.path)
+            if not os.path.lexists(other):
+                yield entry, other
+            if is_folder and (not os.path.lexists(other) or (other.is_dir() and not other.is_symlink())):
+                yield from _others(Path(entry.path), other)
+
+
+def _keep_others(old: Path, new: Path) -> None:
+    """Link all files of a folder into another that has none of their names."""
+    for entry, other in _others(old, new):
+        if entry.is_dir(follow_symlinks=False):
+            other.mkdir()
+            _take_rights(Path(entry.path), other)
+        else:
+            os.link(entry.path, other, follow_symlinks=False)
+
+
+def _take_rights(old: Path, new: Path) -> None:
+    """Give a folder the owner, rights and times of another."""
+    state = old.stat()
+    with suppress(OSError):  # only root may give folders away
+        os.chown(new, state.st_uid, state.st_gid)
+    shutil.copystat(old, new)
+
+
+def _is_in_use(folder: Path) -> bool:
+    """Return whether the folder is that of this process, whose shell may be there too, or holds it."""
+    try:
+        here = Path(os.path.realpath(os.getcwd()))
+    except OSError:
+        return True
+    return here == folder or folder in here.parents
+
+
+def _exchange(a: Path, b: Path) -> bool:
+    """Exchange the names of two folders; return whether the system did."""
+    call = _call()
+    if call is None:
+        return False
+    first, second = os.fsencode(a), os.fsencode(b)
+    if sys.platform == "darwin":
+        return bool(call(first, second, _EXCHANGE) == 0)
+    return bool(call(_HERE, first, _HERE, second, _EXCHANGE) == 0)
+
+
+@cache
+def _call() -> Any:
+    """Return the function of the C library; None where there is none."""
+    if sys.platform == "win32":
+        return None
+    try:
+        library = ctypes.CDLL(None, use_errno=True)
+        return library.renamex_np if sys.platform == "darwin" else library.renameat2
+    except (OSError, AttributeError):
+        return None
