@@ -10,10 +10,12 @@ import hashlib
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.files.limits import open_regular
+from gsvis.files.sums import file_sum
 from gsvis.io._build import NOTHING_LEFT, report_dropped
 from gsvis.io.invalid import dropping_invalid, is_dropping
 from gsvis.io.ply import load_ply, ply_rows
@@ -41,7 +43,8 @@ class Batch:
         start: First row, or number of the file.
         count: Number of Gaussians; -1 where only reading tells.
         nbytes: Bytes on disk, about.
-        stamp: Sizes and times of its files, so that a batch of a changed file is another one.
+        stamp: Digest of the content of its files, so that a batch of a changed file is another one; "" where nobody
+            asked for it.
         rows: Rows of a PLY that are read; -1 for as many as Gaussians.
         drops_invalid: Whether rows that are no Gaussians are left out.
         origin: Origin that centers are relative to; None leaves that of the file.
@@ -59,14 +62,16 @@ class Batch:
     origin: tuple[float, float, float] | None = None
 
 
-def list_batches(path: str | os.PathLike[str], lod: int | None = None) -> list[Batch]:
+def list_batches(path: str | os.PathLike[str], lod: int | None = None, *, stamped: bool = False) -> list[Batch]:
     """Return the batches of a scene, in the order of its Gaussians.
 
-    Reads headers only; inside `dropping_invalid` all rows of a PLY, to count those that stay.
+    Reads headers only; all bytes if `stamped`, and inside `dropping_invalid` all rows of a PLY, to count those that
+    stay.
 
     Args:
         path: As for `load_scene`.
         lod: As for `load_scene`.
+        stamped: Whether batches have stamps, for results that are kept: sizes and times can be those of another scene.
 
     Raises:
         FileNotFoundError: If there is nothing at `path`.
@@ -79,9 +84,9 @@ def list_batches(path: str | os.PathLike[str], lod: int | None = None) -> list[B
     if check_scene(where, lod):
         level, files = streamed_files(where, lod)
         tree = os.path.join(where, "lod-meta.json") if os.path.isdir(where) else where
-        found = [(number, count, *_size_and_stamp(at, tree)) for number, count, at in files]
+        found = [(number, count, *_size_and_stamp(stamped, at, tree)) for number, count, at in files]
         return [Batch(where, level, "file", *each) for each in found]
-    nbytes, stamp = _size_and_stamp(where)
+    nbytes, stamp = _size_and_stamp(stamped, where)
     rows = None
     if os.path.isfile(where):
         with open_regular(where) as stream:
@@ -170,8 +175,8 @@ def _read(batch: Batch) -> Gaussians:
     return found
 
 
-def _size_and_stamp(path: str | os.PathLike[str], *beside: str) -> tuple[int, str]:
-    """Return the bytes of a file, or of all files in a folder, and a text that changes with them, or with others.
+def _size_and_stamp(stamped: bool, path: str | os.PathLike[str], *beside: str) -> tuple[int, str]:
+    """Return the bytes of a file, or of all files in a folder, and a digest of their content and that of others.
 
     The images of a SOG lie beside its meta.json, so they count with it.
     """
@@ -180,6 +185,8 @@ def _size_and_stamp(path: str | os.PathLike[str], *beside: str) -> tuple[int, st
         beside = (*beside, *sorted(glob.glob(os.path.join(glob.escape(os.path.dirname(place)), "*.bin"))))
     place = os.path.dirname(place) or os.curdir if place.lower().endswith(".json") else place
     files = sorted(entry.path for entry in os.scandir(place)) if os.path.isdir(place) else [place]
-    found, others = [os.stat(file) for file in files], [os.stat(file) for file in beside]
-    digest = hashlib.sha256(repr([(each.st_size, each.st_mtime_ns) for each in (*found, *others)]).encode())
-    return sum(each.st_size for each in found), digest.hexdigest()[:16]
+    nbytes = sum(os.stat(file).st_size for file in files)
+    if not stamped:
+        return nbytes, ""
+    sums = [file_sum(Path(file)) for file in (*files, *beside) if os.path.isfile(file)]
+    return nbytes, hashlib.sha256(" ".join(sums).encode()).hexdigest()[:16]

@@ -109,7 +109,7 @@ class WorldBuild:
     @cached_property
     def batches(self) -> list[Batch]:
         """All batches of all scenes, with centers relative to one origin."""
-        scenes = align_batches([list_batches(path, lod) for path, lod in self.scenes])
+        scenes = align_batches([list_batches(path, lod, stamped=True) for path, lod in self.scenes])
         return [batch for scene in scenes for batch in scene]
 
     @cached_property

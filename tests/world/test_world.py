@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -174,6 +175,32 @@ def test_a_stopped_run_goes_on_to_the_same_bytes(
     assert len(set(ran)) == len(ran), "nothing is done twice"
     assert len(ran) - before < 60
     assert cities.content(path) == cities.content(city)
+
+
+def test_a_scene_that_is_replaced_in_its_size_and_time_is_read_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The sample of a batch is found again only where the bytes of the scene are the same."""
+    path, ran = Path(cities.write(cities.street(), tmp_path / "s.ply")[0]), list[str]()
+    perform = graph.perform
+    monkeypatch.setattr(graph, "perform", lambda job: (ran.append(job.task.name), perform(job))[1])
+
+    def stop(name: str, done: int, total: int) -> None:
+        if name == "sampling" and done == total:
+            raise KeyboardInterrupt
+
+    counts = []
+    for _ in range(3):
+        with pytest.raises(KeyboardInterrupt):
+            prepare_world([(str(path), None)], tmp_path / "city.gsworld", cities.config(), progress=stop)
+        counts.append(len([name for name in ran if name.startswith("sample")]))
+        if len(counts) == 2:
+            data, state = bytearray(path.read_bytes()), path.stat()
+            data[-3] ^= 1
+            path.write_bytes(data)
+            os.utime(path, ns=(state.st_atime_ns, state.st_mtime_ns))
+    assert counts[0] == counts[1] > 0
+    assert counts[2] == 2 * counts[0]
 
 
 def test_eyes_of_a_world_are_along_its_walk(scene: Scene, city: Path, tmp_path: Path) -> None:
