@@ -11,8 +11,8 @@ RUN python -m pip wheel --no-cache-dir --no-deps --wheel-dir /wheel . && /opt/gs
 FROM python:3.11-slim
 COPY --from=build /opt/gsvis /opt/gsvis
 RUN useradd --system --create-home gsvis && mkdir -p /var/cache/gsvis && chown gsvis /var/cache/gsvis
-# Compiled kernels. Mount a volume here, so that only the first start compiles.
-ENV NUMBA_CACHE_DIR=/var/cache/gsvis PATH=/opt/gsvis/bin:$PATH PYTHONUNBUFFERED=1
+# Compiled kernels and tables of packages. Mount a volume here, so that only the first start makes them.
+ENV GSVIS_CACHE=/var/cache/gsvis NUMBA_CACHE_DIR=/var/cache/gsvis/kernels PATH=/opt/gsvis/bin:$PATH PYTHONUNBUFFERED=1
 VOLUME /var/cache/gsvis
 USER gsvis
 WORKDIR /data

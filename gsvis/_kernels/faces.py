@@ -7,7 +7,8 @@ center; three planes then say which of its four parts.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from gsvis._kernels.compiled import njit
 
 
 @njit(cache=True)

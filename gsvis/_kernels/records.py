@@ -5,10 +5,9 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from gsvis._kernels.compiled import inner
+from gsvis._kernels.compiled import inner, njit
 
 __all__ = ["logarithms", "put", "take", "weight"]
 

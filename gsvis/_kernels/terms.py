@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from numba import njit
+from gsvis._kernels.compiled import njit
 
 __all__ = ["TermFields", "near", "upper_bits"]
 

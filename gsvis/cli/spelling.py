@@ -109,17 +109,27 @@ def paths_first(arguments: Sequence[str]) -> list[str]:
 
 
 def expand_home(command: Command) -> Command:
-    """Return the command with `~` in its paths replaced by the home folder."""
+    """Return the command with `~` in its paths replaced by the home folder, and ways through missing folders by others.
+
+    `new/../scene.ply` names `scene.ply` once a writer has made the folder `new`, so it is compared as that.
+    """
     changed: dict[str, Any] = {}
     for option in _options(type(command)):
         value = getattr(command, option.field)
         if not option.path or value is None:
             continue
         if isinstance(value, str):
-            changed[option.field] = os.path.expanduser(value)
+            changed[option.field] = _plain(value)
         else:
-            changed[option.field] = tuple(map(os.path.expanduser, value))
+            changed[option.field] = tuple(map(_plain, value))
     return replace(command, **changed)
+
+
+def _plain(path: str) -> str:
+    found = os.path.expanduser(path)
+    if os.pardir not in re.split(r"[/\\]" if os.sep == "\\" else "/", found) or os.path.lexists(found):
+        return found
+    return os.path.realpath(found)
 
 
 def _suggestion(word: str, choices: Iterable[str]) -> str:

@@ -40,7 +40,8 @@ _NO_HOST = "0000"  # in place of the host: never removed
 def atomic_path(path: str | os.PathLike[str], *, sweep: bool = True) -> Iterator[Path]:
     """Yield a temporary file that replaces `path` when the block succeeds; an error removes it.
 
-    Write into the existing temporary file. A block that removes and recreates it loses the lock.
+    It takes the rights of the file that it replaces. Write into the existing temporary file. A block that removes and
+    recreates it loses the lock.
 
     Args:
         path: The file to write; its folder is created if it is missing.
@@ -62,6 +63,7 @@ def atomic_path(path: str | os.PathLike[str], *, sweep: bool = True) -> Iterator
     with output_errors(path, partial):
         try:
             yield partial
+            _take_mode(target, partial)
             os.replace(partial, target)
         finally:
             partial.unlink(missing_ok=True)
@@ -150,6 +152,9 @@ def _replace(partial: Path, target: Path, last: tuple[str, ...]) -> None:
     places = {name: place for place, name in enumerate(last, 1)}
     sources = sorted(partial.rglob("*"), key=lambda source: (places.get(source.name, 0), source))
     _check_destinations(partial, target, sources)
+    for source in sources:
+        if not source.is_dir():
+            _take_mode(target / source.relative_to(partial), source)
     if swap_folder(partial, target):
         return
     _write_note(partial, target, [source for source in sources if not source.is_dir()])
@@ -182,6 +187,16 @@ def _restored(partial: Path, target: Path, sources: list[Path]) -> Iterator[None
             elif not (partial / name).exists():  # it has moved
                 (target / name).unlink(missing_ok=True)
         raise
+
+
+def _take_mode(old: Path, new: Path) -> None:
+    """Give a file the rights of the one that it replaces: a private result stays private."""
+    with suppress(OSError):  # nothing is replaced, or the file system has no rights
+        state = old.stat()
+        if stat.S_ISREG(state.st_mode):
+            if hasattr(os, "chown") and state.st_uid != new.stat().st_uid:
+                os.chown(new, state.st_uid, state.st_gid)
+            new.chmod(state.st_mode & 0o777)
 
 
 def _link_or_copy(source: Path, destination: Path) -> None:

@@ -354,7 +354,7 @@ def test_views_read_by_the_fixture_are_those_of_the_scene(ply: Path, photos: Pat
     assert mean_psnr(load_scene(ply), views) > 45.0
 
 
-@pytest.mark.parametrize("moved", [1, 3])
+@pytest.mark.parametrize("moved", [0, 2])
 def test_a_run_that_ends_between_its_files_is_resumed_by_the_same_command(
     moved: int, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -362,18 +362,16 @@ def test_a_run_that_ends_between_its_files_is_resumed_by_the_same_command(
 
     def ends(source: str, target: Path) -> None:
         if Path(target).parent == tmp_path / "levels":
-            if len(before) == moved:
-                raise KeyboardInterrupt
             before.append(target)
+            if len(before) == moved + 1:
+                raise KeyboardInterrupt
         replace(source, target)
 
     with monkeypatch.context() as patch:
+        patch.setattr("gsvis.files.atomic.swap_folder", lambda *_: False)
         patch.setattr("gsvis.files.atomic.os.replace", ends)
         assert main(["levels", *map(str, words)]) == 130
-    assert names(tmp_path / "levels") == PLYS[:moved]
-    (mine := tmp_path / "levels" / "high.ply").write_bytes(mine.read_bytes() + b"\n")  # no longer what the run wrote
-    assert "high.ply" in refused(capsys, *words)
-    mine.unlink()
+    assert names(tmp_path / "levels") == []
     document(capsys, *words)
     assert names(tmp_path / "levels") == WRITTEN
     assert names(tmp_path) == ["levels"]

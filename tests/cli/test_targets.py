@@ -102,17 +102,31 @@ def refused(words: list[str], capsys: Capture, monkeypatch: pytest.MonkeyPatch) 
     return err
 
 
+@pytest.mark.parametrize("way", ["out", "missing/../out", "a/b/../../out"])
 @pytest.mark.parametrize("name", REFUSALS)
 def test_a_wrong_output_is_refused_at_once(
-    name: str, world: dict[str, Path], tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+    name: str, way: str, world: dict[str, Path], tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Also where its path leads through a folder that does not exist, which a writer would make."""
     command, make = REFUSALS[name]
     out = tmp_path / "out"
     make(out)
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
-    words = [word.format(out=out, other=tmp_path / "other.arrow", **world) for word in command.split()]
+    named = f"{tmp_path}/{way}"
+    words = [word.format(out=named, other=tmp_path / "other.arrow", **world) for word in command.split()]
     assert "out" in refused(words, capsys, monkeypatch)
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+
+
+@pytest.mark.parametrize("command", ["convert {ply} {out} --overwrite", "color {ply} -o {out}", "clean {ply} -o {out}"])
+def test_what_is_read_is_not_replaced_by_another_way_to_it(
+    command: str, world: dict[str, Path], tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = world["ply"].read_bytes()
+    out = f"{world['ply'].parent}/missing/../rooms.ply"
+    refused([word.format(out=out, **world) for word in command.split()], capsys, monkeypatch)
+    assert world["ply"].read_bytes() == before
+    assert not (world["ply"].parent / "missing").exists()
 
 
 @pytest.mark.parametrize("name", INPUTS)

@@ -78,6 +78,28 @@ def test_files_have_the_rights_of_any_new_file(tmp_path: Path, umask: int) -> No
         assert stat.S_IMODE(path.stat().st_mode) == full & ~umask
 
 
+@pytest.mark.skipif(os.name != "posix", reason="rights of POSIX")
+@pytest.mark.parametrize("mode", [0o600, 0o640, 0o664, 0o444])
+@pytest.mark.parametrize("can_swap", [True, False])
+def test_what_replaces_a_file_takes_its_rights(
+    tmp_path: Path, mode: int, can_swap: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not can_swap:
+        monkeypatch.setattr("gsvis.files.atomic.swap_folder", lambda *_: False)
+    (tmp_path / "out").mkdir(0o700)
+    for file in (tmp_path / "a", tmp_path / "out" / "b"):
+        file.write_text("old")
+        file.chmod(mode)
+    with atomic_path(tmp_path / "a") as partial:
+        partial.write_text("new")
+    with atomic_folder(tmp_path / "out") as folder:
+        (folder / "b").write_text("new")
+        (folder / "c").write_text("new")
+    for file in (tmp_path / "a", tmp_path / "out" / "b"):
+        assert (file.read_text(), stat.S_IMODE(file.stat().st_mode)) == ("new", mode)
+    assert stat.S_IMODE((tmp_path / "out").stat().st_mode) == 0o700
+
+
 def test_two_writers_do_not_meet(tmp_path: Path) -> None:
     with atomic_path(tmp_path / "a") as first, atomic_path(tmp_path / "a") as second:
         assert first != second

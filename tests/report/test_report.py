@@ -98,31 +98,35 @@ def test_other_files_stay_and_pictures_of_an_earlier_report_go(tmp_path: Path) -
 
 
 @pytest.mark.usefixtures("blank_plots")
-def test_a_kill_while_files_move_leaves_no_report_and_the_next_run_cleans_up(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("can_swap", [True, False])
+def test_an_interrupt_while_a_report_is_moved_leaves_the_older_one(
+    tmp_path: Path, can_swap: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (found, subject, pictures), move, moved = made(), os.replace, list[str]()
 
-    def killed(source: Path, destination: Path) -> None:
+    def stopped(source: Path, destination: Path) -> None:
+        moved.append(Path(destination).name)
         if len(moved) == limit:
             raise KeyboardInterrupt
         move(source, destination)
-        moved.append(Path(destination).name)
 
     folder = tmp_path / "report"
-    monkeypatch.setattr("gsvis.files.atomic.os.replace", killed)
-    for limit in (1, 4, 10, 11):  # of 12 files
+    write_report(folder, found, subject, pictures)
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    if not can_swap:
+        monkeypatch.setattr("gsvis.files.atomic.swap_folder", lambda *_: False)
+        monkeypatch.setattr("gsvis.files.atomic.os.replace", stopped)
+        for limit in (1, 4, 12):
+            moved.clear()
+            with pytest.raises(KeyboardInterrupt):
+                write_report(folder, found, subject, pictures[:1])
+            assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+            check_report(folder)  # the next run may write there
+        limit = 99
         moved.clear()
-        with pytest.raises(KeyboardInterrupt):
-            write_report(folder, found, subject, pictures)
-        assert not (folder / "report.json").exists()
-        assert (folder / "report.html").exists() == (limit > 10)  # the page holds all of its pictures
-        check_report(folder)  # the next run may write there
-    limit = 99
-    moved.clear()
     write_report(folder, found, subject, pictures[:1])
-    assert moved[-2:] == ["report.html", "report.json"]
-    assert {path.name for path in folder.iterdir()} == set(moved)  # no picture of the runs that were cut short
+    if not can_swap:
+        assert moved[-2:] == ["report.html", "report.json"]
     assert [path.name for path in tmp_path.iterdir()] == ["report"]
 
 

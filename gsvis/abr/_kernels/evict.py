@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from gsvis._kernels.bits import has, lowest
-from gsvis._kernels.compiled import kernel
+from gsvis._kernels.compiled import kernel, njit
 
 
 @njit(inline="always")

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from gsvis._kernels.bits import has, lowest
-from gsvis._kernels.compiled import kernel
+from gsvis._kernels.compiled import kernel, njit
 from gsvis._kernels.prefetch import prefetch
 from gsvis.abr._kernels.plan import ANY, DONE, KIND_BITS, NONE, SEVERAL, UNITS, only_of
 

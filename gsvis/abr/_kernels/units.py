@@ -10,10 +10,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from gsvis._kernels.bits import lowest, ones
-from gsvis._kernels.compiled import kernel
+from gsvis._kernels.compiled import kernel, njit
 
 BUCKETS = 1024
 LEAST = 129 * 32 - (BUCKETS - 1)  # a gain of 4, the largest there is: its float32 without the last 18 bits

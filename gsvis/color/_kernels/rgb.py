@@ -7,9 +7,8 @@ The formulas have no branches, so that loops vectorize. `tests/color/test_evalua
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from gsvis._kernels.compiled import inner
+from gsvis._kernels.compiled import inner, njit
 
 __all__ = ["SPACES", "to_rgb"]
 

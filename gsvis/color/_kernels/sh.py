@@ -7,9 +7,8 @@ derivatives. `tests/color/test_sh_kernels.py` compares the two.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from gsvis._kernels.compiled import inner, kernel
+from gsvis._kernels.compiled import inner, kernel, njit
 from gsvis._kernels.shared import share
 from gsvis._kernels.threads import in_parts, on_numba_threads
 from gsvis.scene.sh import SH_C0, SH_C1, SH_C2, SH_C3

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from gsvis._kernels.compiled import inner, kernel
+from gsvis._kernels.compiled import inner, kernel, njit
 from gsvis._kernels.simd import Builder, Vector
 from gsvis._kernels.threads import in_parts
 from gsvis.color._kernels.rgb import to_rgb

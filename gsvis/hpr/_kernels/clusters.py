@@ -9,9 +9,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from gsvis._kernels.compiled import inner, kernel
+from gsvis._kernels.compiled import inner, kernel, njit
 from gsvis._kernels.threads import in_parts
 from gsvis.hpr._kernels.reach import CLUSTER
 from gsvis.hpr._kernels.sphere import CLAMP, DILATION, NEAR

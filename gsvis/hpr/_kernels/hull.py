@@ -8,9 +8,8 @@ All arrays are checked and contiguous float64; the eye is the origin. A *cell* i
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from gsvis._kernels.compiled import inner, kernel
+from gsvis._kernels.compiled import inner, kernel, njit
 from gsvis._kernels.threads import in_parts
 
 _BLOCK = 4096

@@ -6,9 +6,8 @@ All arrays are checked and contiguous; world frame, relative to the eye, scene u
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from gsvis._kernels.compiled import kernel
+from gsvis._kernels.compiled import kernel, njit
 from gsvis._kernels.threads import in_parts
 from gsvis.hpr._kernels.hull import cell_of, direction_of, direction_on_face
 

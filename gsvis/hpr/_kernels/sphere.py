@@ -10,9 +10,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from gsvis._kernels.compiled import kernel
+from gsvis._kernels.compiled import kernel, njit
 from gsvis._kernels.threads import in_parts
 
 NEAR = 0.01

@@ -11,10 +11,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from gsvis._kernels.bits import bits_of, lowest
-from gsvis._kernels.compiled import inner, kernel
+from gsvis._kernels.compiled import inner, kernel, njit
 from gsvis._kernels.shared import raise_to, take_next
 from gsvis._kernels.threads import in_threads
 from gsvis.hpr._kernels.block import LANES, STRIDE, blend_block, take_largest

@@ -7,9 +7,8 @@ another node or a single Gaussian. The boxes are float32, rounded outward. World
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from gsvis._kernels.compiled import inner
+from gsvis._kernels.compiled import inner, njit
 
 WIDTH = 8
 _BINS = 16

@@ -6,9 +6,8 @@ Arrays are checked and contiguous; world frame.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from gsvis._kernels.compiled import kernel
+from gsvis._kernels.compiled import kernel, njit
 from gsvis._kernels.faces import face_of
 from gsvis._kernels.shared import take_next
 from gsvis._kernels.threads import in_parts, in_threads

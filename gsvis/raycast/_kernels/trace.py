@@ -7,9 +7,8 @@ Gaussian in hierarchy order: mean (3), whitening matrix (9), squared reach, opac
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from gsvis._kernels.compiled import inner, kernel
+from gsvis._kernels.compiled import inner, kernel, njit
 from gsvis._kernels.shared import share, take_next
 from gsvis._kernels.threads import in_parts, on_numba_threads
 from gsvis.raycast._kernels.bvh import MOST_LEVELS, WIDTH

@@ -7,9 +7,8 @@ bits. Threads take blocks of fixed size as they come free: the order does not de
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from gsvis._kernels.compiled import inner, kernel
+from gsvis._kernels.compiled import inner, kernel, njit
 from gsvis._kernels.shared import share, take_next
 from gsvis._kernels.threads import in_threads, on_numba_threads
 

@@ -11,9 +11,8 @@ References:
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from gsvis._kernels.compiled import inner, kernel
+from gsvis._kernels.compiled import inner, kernel, njit
 from gsvis._kernels.shared import share, take_next
 from gsvis._kernels.threads import in_parts, in_threads, on_numba_threads
 

@@ -7,9 +7,8 @@ Threads take tiles as they come free. Lists, images and gradients do not depend 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from gsvis._kernels.compiled import inner, kernel
+from gsvis._kernels.compiled import inner, kernel, njit
 from gsvis._kernels.shared import share, take_next
 from gsvis._kernels.threads import in_parts, in_threads, on_numba_threads
 from gsvis.render._kernels.lanes import CHANNELS, LANES, RECORD, blend, blend_backward, find_reached_rows, weigh

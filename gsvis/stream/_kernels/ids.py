@@ -7,10 +7,9 @@ in a code of order k: w = v + 2^k has n bits; n - k - 1 zeros and a one, then th
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from gsvis._kernels.bits import lowest
-from gsvis._kernels.compiled import kernel
+from gsvis._kernels.compiled import kernel, njit
 
 MOST_ORDER = 24
 _NEAR = 4  # chunks to look at one after the other before the one of an id is looked up

@@ -7,9 +7,8 @@ black surroundings ("same" padding). Sums are taken by bands of rows and do not 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from gsvis._kernels.compiled import kernel
+from gsvis._kernels.compiled import kernel, njit
 from gsvis._kernels.threads import in_parts
 
 ROWS = 16  # rows of one task
