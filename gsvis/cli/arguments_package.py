@@ -7,7 +7,6 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from gsvis.cli.arguments_serve import TABLES
 from gsvis.cli.arguments_where import WhereSeen
 from gsvis.cli.readers import (
     BYTES,
@@ -35,6 +34,8 @@ from gsvis.cli.readers import (
 )
 
 __all__ = ["Prepare", "Unpack", "Verify"]
+
+_TABLES = arg(metavar="DIR OF KEPT TABLES", help_behavior_hint="(default: in GSVIS_CACHE, or in ~/.cache/gsvis)")
 
 
 @dataclass(frozen=True)
@@ -115,7 +116,7 @@ class Verify:
     """The scene from which it was made: measure how near what a client gets comes to it."""
     lod: Annotated[int | None, WHOLE, hint("the finest that is there")] = None
     """Level of detail of a streamed --scene; 0 is the finest."""
-    tables: Annotated[str | None, TABLES] = None
+    tables: Annotated[str | None, _TABLES] = None
     """Folder of the tables that gsvis serve keeps; those of the package are read too."""
     json: Flag = False
     """Print one JSON document instead of a table."""
