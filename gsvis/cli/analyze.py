@@ -38,6 +38,7 @@ PICTURE = 400
 
 _COMPARABLE = 50  # least views of a capture whose mean is compared with the paper's
 _VIEWS, _WIDTH, _HEIGHT, _FOV = 16, 256, 192, 60.0
+_JUDGES, _SMALL, _STREAM = 50, (96, 72), 3  # views by each rule, their pixels, and a stream of the seed
 
 
 def run_analyze(command: Analyze) -> None:
@@ -103,6 +104,9 @@ def _write_report(
         analysis = replace(analysis, untraced_because=no_space)
     pictures = picture_views(tracer, analysis, longest_side=PICTURE, progress=status)
     space = None if navigable is None else space_document(navigable)
+    judged = None if navigable is None else _judge(command, g, navigable, status)
+    if judged is not None and judged["warning"]:
+        remarks.append(f" {judged['warning']}")
     sentences = [each.strip() for each in remarks]
     subject = Subject(
         title=source.name,
@@ -115,8 +119,21 @@ def _write_report(
         parameters=_parameters(command, cameras),
         seconds=dict(status.seconds),
         differs=differs,
+        judged=judged,
     )
     return write_report(command.out, analysis, subject, pictures, progress=status), remarks
+
+
+def _judge(command: Analyze, g: Gaussians, space: NavigableSpace, status: Status) -> dict[str, Any] | None:
+    """Return what views see whose eyes navigable space did not choose; None if there is no free place in it."""
+    from gsvis.pvs.judged import judge_shares
+    from gsvis.scene.view_sampling import ViewSampling
+
+    views = ViewSampling(_JUDGES, *_SMALL, command.fov or _FOV, command.seed, _STREAM)
+    try:
+        return judge_shares(g, space, views, command.tau, progress=status).as_dict()
+    except SceneError:
+        return None
 
 
 def _buried_cameras(g: Gaussians, given: Cameras | None) -> list[str]:
@@ -223,6 +240,8 @@ def _tables(document: dict[str, Any]) -> list[Any]:
     ]
     if document["scene"]["space"]:
         about.append(("taken for", document["scene"]["space"]["kind"]["text"]))
+    if document["judged"]:
+        about.append(("checked by other eyes", document["judged"]["line"]))
     if found["traced"]:
         rays_each = document["config"]["rays_per_face"]
         about.append(("traced outward", f"{found['traced']['gaussians']:,} Gaussians, {rays_each} rays a direction"))

@@ -255,6 +255,8 @@ class PvsReport:
     """Folder for report.html (all in one file), report.json and the pictures; made if missing."""
     lod: Lod = None
     """Level of detail of a streamed scene; 0 is the finest."""
+    cameras: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    """Cameras that judge the sets too: a COLMAP model, transforms.json or cameras.json."""
     cells: Annotated[int, COUNTED] = 10
     """Largest number of cells to measure; drawn at random where there are more."""
     eyes: Annotated[int, COUNTED] = 4

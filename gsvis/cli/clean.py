@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from gsvis.cli.source import Source
     from gsvis.edit import CleanConfig, Cleaning
     from gsvis.scene.cameras import Cameras
+    from gsvis.scene.navigable import NavigableSpace
     from gsvis.scene.paths import HeadPath
 
 __all__ = ["run_clean"]
@@ -138,9 +139,21 @@ def _find(
     if not given(command) and cameras is None and space.kind.kind != "given":
         space = find_in_parcels(surfaces.gaussians, space, progress=status)
     status("space", 1, 1)
-    found = clean(source.gaussians, navigable=space, cameras=cameras, config=config, progress=status)
+    looking, space = _split(space, cameras)
+    found = clean(source.gaussians, navigable=space, cameras=looking, config=config, progress=status)
     remark = "" if given(command) else remark_on_unseen(found.counts, len(source.gaussians))
     return found, [*place.remarks, *([f" {remark}."] if remark else [])]
+
+
+def _split(space: NavigableSpace, cameras: Cameras | None) -> tuple[Cameras | None, NavigableSpace]:
+    """Return the cameras whose eyes look, and the space with the others as witnesses; those of it without cameras."""
+    from gsvis.scene.witnesses import Witnesses, hold_out
+
+    if cameras is None:
+        return None, space
+    looking, kept = hold_out(len(cameras))
+    named = f"{len(kept):,} cameras that were held out"
+    return cameras[looking], replace(space, witnesses=Witnesses(cameras[kept], named) if len(kept) else None)
 
 
 def _check_left(command: Clean, kept: NDArray[np.bool_]) -> None:
@@ -236,6 +249,10 @@ def _cost_cells(cost: dict[str, float] | None) -> tuple[str, str, str]:
 def _lines(command: Clean, document: dict[str, Any]) -> list[str]:
     """Return lines that say what was written, and what to do next."""
     lines = []
+    if document["judged"]:
+        lines.append(f" By eyes that navigable space did not choose: {document['judged']['line']}.")
+        if document["judged"]["warning"]:
+            lines.append(f" {document['judged']['warning']}")
     if document["cost"]:
         lines.append(" dB: held-out views against the whole scene. changed: share of pixels that show mostly this.")
     if command.report is not None:

@@ -7,7 +7,7 @@ from typing import Any
 
 from gsvis.cli.arguments import Inspect
 from gsvis.cli.histograms import TITLES, band_lines, can_draw_blocks, histogram_lines, line_width
-from gsvis.cli.shown import load_shown
+from gsvis.cli.shown import judged_of, load_shown
 from gsvis.cli.source import Source, inspect_scene_of
 from gsvis.cli.terminal import Status, facts, print_json, show, size_of
 from gsvis.cli.where import check_where, find_place, flyaway_remarks, space_document, suspect_views
@@ -34,6 +34,9 @@ def run_inspect(command: Inspect) -> None:
         status("space", 0, 1)
         report["space"], remarks = _space(command, source, walk)
         report["problems"] += [remark.strip() for remark in remarks]
+        report["judged"] = judged_of(command.scene)
+        if report["judged"] is not None and report["judged"].get("warning"):
+            report["problems"].append(str(report["judged"]["warning"]))
         status("space", 1, 1)
         spread = measure_histograms(source.gaussians) if command.histograms else {}
         bands = measure_bands(source.gaussians) if command.histograms else []
@@ -90,6 +93,8 @@ def _rows(source: Source, report: dict[str, Any]) -> list[tuple[str, str]]:
         ("floaters", f"{report['floaters']:,}"),
         ("exact repeats", f"{report['duplicates']:,}"),
     ]
+    if report["judged"] is not None:
+        rows.append(("sets, by other eyes", report["judged"]["line"]))
     if report["space"] is not None:
         rows.append(("taken for", report["space"]["kind"]["text"]))
     return rows

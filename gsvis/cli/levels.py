@@ -325,7 +325,8 @@ def _run(command: Levels, plan: _Plan, status: Status) -> tuple[TrainedLevels, d
                 stop_if_asked()
 
             made = make_levels(g, plan.drawn, plan.config, work=work, progress=report)
-        record = record_of(command, plan, made.trained, made.quality)
+        plan.remarks.extend([f" {made.warning}"] if made.warning else [])
+        record = record_of(command, plan, made.trained, made.quality, made.judged)
         up = plan.source.known_up if command.up is None else parse_up(command.up)
         if up is not None:
             record["up"] = [float(value) for value in up]

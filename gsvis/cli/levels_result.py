@@ -17,6 +17,7 @@ from gsvis.scene.levels import Levels
 
 if TYPE_CHECKING:
     from gsvis.cli.source import Source
+    from gsvis.scene.judged import Judged
     from gsvis.scene.navigable import NavigableSpace
     from gsvis.train.history import Record
     from gsvis.train.level_quality import LevelQuality
@@ -36,7 +37,13 @@ class _Run(Protocol):
     drawn: LevelViews
 
 
-def record_of(command: Command, run: Any, trained: TrainedLevels, quality: LevelQuality | None) -> dict[str, Any]:
+def record_of(
+    command: Command,
+    run: Any,
+    trained: TrainedLevels,
+    quality: LevelQuality | None,
+    judged: tuple[Judged, ...] = (),
+) -> dict[str, Any]:
     """Return the record of how the levels were made and how good they are, for JSON; equal runs give equal records.
 
     Args:
@@ -44,6 +51,7 @@ def record_of(command: Command, run: Any, trained: TrainedLevels, quality: Level
         run: The plan of the run.
         trained: The trained levels.
         quality: Quality in held-out views; None without held-out views.
+        judged: What eyes of two rules see of each level below the highest; empty without held-out views.
     """
     plan: _Run = run
     levels, g, drawn = trained.levels, plan.source.gaussians, plan.drawn
@@ -61,6 +69,8 @@ def record_of(command: Command, run: Any, trained: TrainedLevels, quality: Level
             row["psnr"] = _spread(quality.scene_psnr[k]) if k < len(levels.reuse) else None
             row["psnr_photographs"] = None if quality.photo_psnr is None else _spread(quality.photo_psnr[k])
             row["brightness"] = float(quality.brightness[k])
+        if k < len(judged):
+            row["judged"] = judged[k].as_dict()
         if name in trained.histories:
             row["curve"] = [_step(record) for record in trained.histories[name]]
         rows.append(row)
@@ -152,6 +162,8 @@ def _explain(record: Mapping[str, Any]) -> list[str]:
             f" PSNR is the mean over the held-out views against renders of the scene{photos}; brightness is the mean of"
             " all pixels, where 1 is white."
         )
+        checked = [row for row in record["levels"] if "judged" in row]
+        lines += [f" {row['name']}, by other eyes: {row['judged']['line']}." for row in checked]
     else:
         lines.append(" No view was held out, so nothing was measured.")
     if record["overhead"] > _MOST_OVERHEAD:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,16 +12,31 @@ import numpy as np
 from gsvis._extras import require
 from gsvis.cli import version
 from gsvis.cli.arguments import PvsReport
-from gsvis.cli.source import Source, check_report, check_source, inspect_scene_of, load_source, spaces_of_build
+from gsvis.cli.source import (
+    Source,
+    check_report,
+    check_source,
+    file_cameras,
+    framed_cameras,
+    inspect_scene_of,
+    load_source,
+    spaces_of_build,
+)
 from gsvis.cli.terminal import Status, facts, print_json, show, size_of
 from gsvis.pvs.store import VisibilityStore
 from gsvis.pvs.viewpoints import CellViewpoints
 from gsvis.scene.content import space_hash
+from gsvis.scene.levels import as_levels
+from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.view_sampling import ViewSampling
+from gsvis.scene.witnesses import Witnesses, hold_out
 
 __all__ = ["run_pvs_report"]
 
+_JUDGES, _SMALL, _STREAM = 50, (160, 120), 3  # views by each rule, their pixels, and a stream of the seed
 _OPTIONS = (
     "lod",
+    "cameras",
     "cells",
     "eyes",
     "dense",
@@ -48,6 +64,8 @@ def run_pvs_report(command: PvsReport) -> None:
         raise FileNotFoundError(2, "no such file or folder", command.store)
     check_source(command.scene, command.lod)
     check_report(command.out)
+    if command.cameras is not None and not Path(command.cameras).exists():
+        raise FileNotFoundError(2, "no such file or folder", command.cameras)
     with VisibilityStore.open(command.store) as store, Status() as status:
         document = _write_report(command, store, status)
     if command.json:
@@ -74,6 +92,7 @@ def _write_report(command: PvsReport, store: VisibilityStore, status: Status) ->
     same = {name: getattr(command, name) for name in names}
     config = QualityConfig(viewpoints=command.eyes, rays=command.raycast, **same)
     found = measure_quality(store, source.whole, viewpoints, config, progress=status)
+    judged = _judge(command, store, source, viewpoints.space, status)
     subject = Subject(
         title=source.name,
         gaussians=source.gaussians,
@@ -84,8 +103,24 @@ def _write_report(command: PvsReport, store: VisibilityStore, status: Status) ->
         facts={"path": command.scene, "lod": source.lod, **facts_found},
         parameters={name: getattr(command, name) for name in ("store", "scene", *_OPTIONS)},
         seconds=dict(status.seconds),
+        judged=judged,
     )
     return write_pvs_report(command.out, found, store, subject, progress=status)
+
+
+def _judge(
+    command: PvsReport, store: VisibilityStore, source: Source, space: NavigableSpace, status: Status
+) -> dict[str, Any]:
+    """Return what eyes of two rules see of the sets; cameras given judge too."""
+    from gsvis.pvs.judged import judge_sets
+
+    if command.cameras is not None:
+        cameras, _ = framed_cameras(source, file_cameras(command.cameras, *_SMALL), command.cameras)
+        kept = hold_out(len(cameras))[1]
+        some = cameras[kept] if len(kept) else cameras
+        space = replace(space, witnesses=Witnesses(some, f"{len(some):,} cameras of {command.cameras}"))
+    views = ViewSampling(_JUDGES, *_SMALL, command.fov, command.seed, _STREAM)
+    return judge_sets(as_levels(source.whole), space, store, views, progress=status).as_dict()
 
 
 def _viewpoints(store: VisibilityStore, source: Source) -> tuple[CellViewpoints, str]:
@@ -168,7 +203,10 @@ def _tables(document: dict[str, Any]) -> list[Any]:
 def _remarks(document: dict[str, Any]) -> list[str]:
     from gsvis.report.pvs_page import describe_bounds, describe_certificate, describe_tiles
 
-    remarks = [f" Fresh viewpoints were drawn {document['viewpoints_from']}."]
+    judged = document["judged"]
+    remarks = [f" {judged['warning']}"] if judged["warning"] else []
+    remarks.append(f" Images of sets at eyes that navigable space did not choose: {judged['line']}.")
+    remarks.append(f" Fresh viewpoints were drawn {document['viewpoints_from']}.")
     if document["quality"]["certificate"] is not None:
         remarks.append(f" {describe_certificate(document['quality']['certificate'])}")
     if document["bounds_checked"] is not None:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from gsvis.cli.source import Source, check_source, is_builtin, load_source, title_of
 
-__all__ = ["check_shown", "is_package", "load_shown"]
+__all__ = ["check_shown", "is_package", "judged_of", "load_shown"]
 
 
 def is_package(path: str) -> bool:
@@ -16,6 +17,17 @@ def is_package(path: str) -> bool:
     from gsvis.package.manifest import MANIFEST
 
     return not is_builtin(path) and (Path(path) / MANIFEST).is_file()
+
+
+def judged_of(path: str) -> dict[str, Any] | None:
+    """Return how a package was checked by other eyes when it was made; None for a scene, or where it was not."""
+    if not is_package(path):
+        return None
+    from gsvis.package.package import Package
+
+    with Package.open(path) as package:
+        judged = package.manifest.info.provenance.get("judged")
+    return judged if isinstance(judged, dict) and isinstance(judged.get("line"), str) else None
 
 
 def check_shown(scene: str, lod: int | None) -> None:

@@ -21,6 +21,7 @@ from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
 from gsvis.scene.solid import buried
 from gsvis.scene.upright import SURE, Upright, doubt_up, find_up
+from gsvis.scene.witnesses import Witnesses, hold_out
 
 __all__ = [
     "WORDS",
@@ -186,10 +187,12 @@ def find_place(
     if found.space is None:
         return found
     evidence = found.evidence or _weigh(found.space, where, cameras)
-    found = replace(found, upright=upright, cameras=cameras, evidence=evidence)
     assert found.space is not None
+    witnesses = _witnesses(where, walk, cameras, evidence)
+    space = replace(found.space, witnesses=witnesses)
+    found = replace(found, space=space, upright=upright, cameras=cameras, evidence=evidence)
     more = [f" {found.doubt}"] if found.doubt else []
-    contradiction = found.space.kind.doubt
+    contradiction = space.kind.doubt
     if contradiction and evidence.confidence >= SURE:  # of cameras or a walk, which are evidence all the same
         more.append(f" {contradiction[:1].upper()}{contradiction[1:]}.")
     return replace(found, remarks=[*found.remarks, *more])
@@ -230,6 +233,8 @@ def _find(
     if walk is not None and in_frame:
         _check_frame(source, where, walk)
     seeds = walk.positions if walk is not None and in_frame else None if cameras is None else cameras.viewpoints
+    if seeds is not None:
+        seeds = seeds[hold_out(len(seeds))[0]]
     axis = upright.up if upright.sure else None  # of an uncertain axis the space makes its own, wary choice
     found, why_not = navigable_space(source, up=axis, seeds=seeds)
     if source.gaussians.facts.box is not None and found is not None and found.kind.kind != "given" and seeds is None:
@@ -274,6 +279,19 @@ def _weigh(space: NavigableSpace, where: Where, cameras: Cameras | None) -> Evid
     if space.kind.kind == "given":
         return Evidence("box", 1.0, space.kind.reason)
     return Evidence("scene", space.kind.confidence, f"{space.kind.kind}: {space.kind.reason}")
+
+
+def _witnesses(where: Where, walk: HeadPath | None, cameras: Cameras | None, evidence: Evidence) -> Witnesses | None:
+    """Return who stood in the scene and can judge: cameras or a walk, without those that the space was found by."""
+    if cameras is not None:
+        kept = np.arange(len(cameras)) if evidence.source != "cameras" else hold_out(len(cameras))[1]
+        what = f"{len(kept):,} of the {len(cameras):,} cameras of {getattr(where, 'cameras', None) or 'the photos'}"
+        return Witnesses(cameras[kept], what) if len(kept) else None
+    if walk is None or where.retarget:
+        return None
+    kept = hold_out(len(walk))[1]
+    poses = walk.cameras(64, 48)[kept] if len(kept) else None
+    return None if poses is None else Witnesses(poses, f"{len(kept):,} of the {len(walk):,} poses of {where.path}")
 
 
 def _doubt(evidence: Evidence, upright: Upright | None) -> str:
@@ -337,7 +355,7 @@ def _along(source: Source, space: NavigableSpace, where: Where, walk: HeadPath, 
             f" {solid:.0%} of the walk {where.path} leads through something solid; its eyes count as free all the same."
         )
     try:
-        return Place(space_walked(space, walk.positions, where.margin), "", remarks, walk)
+        return Place(space_walked(space, walk.positions[hold_out(len(walk))[0]], where.margin), "", remarks, walk)
     except ValueError as error:
         raise ValueError(f"--path {where.path}: {error}; --retarget brings it there") from None
 

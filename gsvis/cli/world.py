@@ -237,6 +237,7 @@ def _print_result(command: World, made: PreparedWorld) -> None:
     m = made.manifest
     cells = sum(tile.cells for tile in m.tiles)
     seconds = sum(result.cpu for result in made.results.values())
+    judged = m.provenance["judged"]
     peak = max((result.peak for result in made.results.values()), default=0)
     if command.json:
         print_json(
@@ -244,6 +245,7 @@ def _print_result(command: World, made: PreparedWorld) -> None:
                 "format": "gsvis-prepared-world", "version": 1, "world": command.out, "gaussians": m.gaussians,
                 "tiles": len(m.tiles), "districts": len(m.districts), "cells": cells, "bytes": made.nbytes,
                 "core_seconds": seconds, "peak_memory_of_a_worker": peak,
+                "judged": judged,
             }
         )  # fmt: skip
         return
@@ -257,4 +259,6 @@ def _print_result(command: World, made: PreparedWorld) -> None:
         ("time of processors", clock(seconds)),
         ("memory", f"at most {size_of(peak)} a worker"),
     ]
-    show(facts(command.out, rows))
+    if judged is not None:
+        rows.append(("checked by other eyes", judged["line"]))
+    show(facts(command.out, rows), *([f" {judged['warning']}"] if judged is not None and judged["warning"] else []))

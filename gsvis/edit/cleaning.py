@@ -10,19 +10,23 @@ from numpy.typing import NDArray
 from gsvis.edit.classes import CLASSES, KEPT, CleanConfig, class_of, classify
 from gsvis.edit.evidence import Evidence, gather_evidence
 from gsvis.edit.guard import Cost, guard
+from gsvis.edit.judged import judge_cleaning
 from gsvis.edit.places import find_in_parcels
 from gsvis.edit.shape import Shape
 from gsvis.errors import SceneError
 from gsvis.progress import Progress, silent
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.judged import Judged
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.view_sampling import ViewSampling
 
 __all__ = ["Cleaning", "clean", "core_of", "held_out_cameras", "judge"]
 
 _WIDTH, _HEIGHT, _FOV = 320, 240, 75.0  # of held-out views
-_STREAM = 2  # of the seed, for held-out views
+_STREAM = 2  # of the seed, for held-out views; the next two are for further ones
+_SMALL = (96, 72)  # pixels of views that are judged
+_JUDGES, _JUDGE_FROM = 50, 8  # views by each rule; and held-out views from which there are as many
 _DRAWN, _MOST = 12_000_000, 256  # Gaussians drawn in further views of the guard, and most of these views
 
 
@@ -37,6 +41,7 @@ class Cleaning:
         evidence: What the classes rest on.
         navigable: Where eyes were.
         cameras: The held-out cameras; None without a guard.
+        judged: What eyes see that navigable space did not choose; None without a guard.
     """
 
     classes: NDArray[np.uint8]
@@ -45,6 +50,7 @@ class Cleaning:
     evidence: Evidence
     navigable: NavigableSpace
     cameras: Cameras | None
+    judged: Judged | None = None
 
     @property
     def kept(self) -> NDArray[np.bool_]:
@@ -80,7 +86,8 @@ def clean(
         navigable: Where eyes may be; None finds it without haze and flyaways.
         cameras: Cameras of photographs, whose viewpoints are eyes too.
         config: Which classes, how readily, and the guard; None means `CleanConfig()`.
-        progress: Called with stages "space", "air", "viewpoints", "structure", "directions" and "guard".
+        progress: Called with stages "space", "air", "viewpoints", "structure", "directions", "guard"
+            and "judge".
 
     Returns:
         Masks, costs and evidence; nothing is removed. `g[result.kept]` is the clean scene.
@@ -127,20 +134,36 @@ def judge(
         navigable: Where eyes may be.
         evidence: On the first M of the Gaussians; the others stay.
         config: The classes and the guard.
-        progress: Called with stage "guard".
+        progress: Called with stages "guard" and "judge".
 
     Raises:
         SceneError: If all held-out viewpoints lie inside something solid.
     """
     found = np.zeros(len(g), np.uint8)
     found[: len(evidence.seen)] = classify(evidence, config)
-    classes, costs, held_out = found, dict[str, Cost](), None
+    classes, costs, held_out, judged = found, dict[str, Cost](), None, None
     if config.held_out:
         held_out = held_out_cameras(g, shape, navigable, config.held_out, config.seed)
         count = int(np.clip(_DRAWN // len(g), 0, _MOST))  # as many as take a few seconds
         more = held_out_cameras(g, shape, navigable, count, config.seed, stream=_STREAM + 1) if count else None
         classes, costs = guard(g, found, held_out, config, more=more, progress=progress)
-    return Cleaning(classes, found, costs, evidence, navigable, held_out)
+        judged = _judge_eyes(g, shape, navigable, classes == KEPT, config, progress)
+    return Cleaning(classes, found, costs, evidence, navigable, held_out, judged)
+
+
+def _judge_eyes(
+    g: Gaussians,
+    shape: Shape,
+    navigable: NavigableSpace,
+    kept: NDArray[np.bool_],
+    config: CleanConfig,
+    progress: Progress,
+) -> Judged:
+    """Return what eyes of two rules see; few where few views are held out, such as in tests."""
+    count = _JUDGES if config.held_out >= _JUDGE_FROM else config.held_out
+    views = ViewSampling(count, *_SMALL, _FOV, config.seed, _STREAM + 2)
+    mine = views.cameras(core_of(g, shape), navigable)
+    return judge_cleaning(g, kept, mine, views, navigable, progress=progress)
 
 
 def core_of(g: Gaussians, shape: Shape | None = None) -> Gaussians:

@@ -1,149 +1,90 @@
-"""Check visible sets by two rules: builder's eyes in navigable space, and judge's eyes that do not know of it.
-
-An image from the set of the cell that a client would use is compared with the image of the whole highest level. PSNR in
-dB, at most 100. A warning names what to do where judge's eyes see much less than builder's eyes.
-"""
+"""Judge the visible sets of a package or of a tile by eyes that navigable space did not choose."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis.prepare.surroundings import Surroundings
 from gsvis.progress import Progress, silent
+from gsvis.pvs.judged import judge_images
 from gsvis.pvs.store import VisibilityStore
-from gsvis.render import psnr, rasterize
-from gsvis.scene.cameras import Cameras
-from gsvis.scene.gaussians import Gaussians
-from gsvis.scene.judging import draw_judges
+from gsvis.render.judges import Judges, find_judges
+from gsvis.scene.judged import Judged
 from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.view_sampling import ViewSampling
 
-__all__ = ["Judged", "judge_sets"]
+__all__ = ["judge_tile", "judging_views"]
 
-F32 = NDArray[np.float32]
-F64 = NDArray[np.float64]
-
-_CAP = 100.0
-_LEAST = 35.0  # dB below which a median is warned about
-_APART = 6.0  # dB between the medians of the two rules
-_GOOD = 50.0  # dB from which a difference of the two rules does not matter
+_JUDGES = 50  # views by each rule, at least a hundred together
+_OF_TILE = 26  # of a tile: two of them have more than a hundred
+_FROM = 12  # views of what a client gets from which there are so many
 
 
-@dataclass(frozen=True, eq=False)
-class Judged:
-    """The PSNR of images from the sets of cells, by two rules.
-
-    Attributes:
-        builder: (B,) dB, at eyes drawn in navigable space.
-        judge: (J,) dB, at eyes drawn around the detail; (0,) where no such eye is free.
-        in_cells: Share of the judge's eyes that lie in a cell; 0 without such eyes.
-    """
-
-    builder: F64
-    judge: F64
-    in_cells: float
-
-    @property
-    def warning(self) -> str | None:
-        """A sentence where the sets are not good for judge's eyes; None where they are."""
-        advice = "give --cameras, --up or --box if people stand elsewhere"
-        if len(self.judge) == 0:
-            return None
-        mine, theirs = float(np.median(self.builder)), float(np.median(self.judge))
-        apart = mine - theirs > _APART and theirs < _GOOD
-        if theirs >= _LEAST and mine >= _LEAST and not apart:
-            return None
-        return (
-            f"Warning: eyes around the detail of the scene see {theirs:.1f} dB in the median, eyes in navigable space"
-            f" {mine:.1f} dB; {self.in_cells:.0%} of the former lie in cells: {advice}."
-        )
-
-    @property
-    def line(self) -> str:
-        """The figures as a line of text."""
-        if len(self.judge) == 0:
-            return "no eye around the detail is free: not checked by other eyes"
-        low, least = np.percentile(self.judge, 5), self.judge.min()
-        return (
-            f"{np.median(self.judge):.1f} dB in the median, 5th percentile {low:.1f}, worst {least:.1f},"
-            f" in {len(self.judge)} views; {self.in_cells:.0%} of the eyes in cells"
-        )
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the figures, ready for JSON."""
-        return {
-            "views": len(self.builder) + len(self.judge),
-            "builder": _spread(self.builder),
-            "judge": _spread(self.judge),
-            "all": _spread(np.concatenate([self.builder, self.judge])),
-            "judge_eyes_in_cells": self.in_cells,
-            "warning": self.warning,
-        }
-
-
-def judge_sets(
-    scene: Levels, space: NavigableSpace, store: VisibilityStore, views: ViewSampling, *, progress: Progress = silent
-) -> Judged:
-    """Measure images from the sets of a store at eyes of both rules; half of the views by each.
+def judging_views(views: ViewSampling, *, of_tile: bool) -> ViewSampling:
+    """Return the builder's views for judging, half as large as those that measure what a client gets.
 
     Args:
-        scene: The levels of which the store holds the sets.
+        views: The latter; where they are few, such as in tests, so are these.
+        of_tile: Whether the scene is a tile of a world.
+    """
+    many = _OF_TILE if of_tile else _JUDGES
+    count = views.count if views.count < _FROM else many
+    small = {name: max(1, getattr(views, name) // 2) for name in ("width", "height")}
+    return replace(views, count=count, stream=views.stream + 2, **small)
+
+
+def judge_tile(
+    levels: Levels,
+    space: NavigableSpace,
+    store: VisibilityStore,
+    views: ViewSampling,
+    around: tuple[Surroundings, Path] | None,
+    *,
+    progress: Progress = silent,
+) -> Judged:
+    """Measure images from the sets of a tile and of what is around it, in base colors.
+
+    Judge's eyes stand on the grid of the tile's space: elsewhere a client takes the sets of another tile.
+
+    Args:
+        levels: The levels of the tile; the highest is drawn.
         space: Where the builder's eyes are.
         store: The visible sets.
-        views: The builder's views; judge's views are as many, of the same size.
+        views: The builder's views.
+        around: What stands around the tile, and the store of what of it is seen.
         progress: Called with stage "judge", in views.
     """
-    member = scene.member(len(scene) - 1)
-    g = scene.union[member]
+    top, own = len(levels) - 1, levels.level(len(levels) - 1)
+    judges = _within(find_judges(own, views, space.witnesses), space)
+    mine = views.cameras(levels, space)
+    joint = levels if around is None else around[0].joined(levels)
+    member = joint.member(top)
+    first = len(levels.union)
+    beyond = None if around is None else VisibilityStore.open(around[1])
+    try:
 
-    def look(cameras: Cameras) -> tuple[F32, F32]:
-        drawn = rasterize(g, cameras, backend="cpu")
-        return drawn.alphas, drawn.depths
+        def held(cell: int) -> NDArray[np.bool_]:
+            seen = np.zeros(len(member), bool)
+            seen[store.visible_ids(cell)] = True
+            if beyond is not None:
+                seen[first + beyond.visible_ids(cell)] = True
+            return seen[member]
 
-    judges = draw_judges(g, views.count, look, seed=views.seed, width=views.width, height=views.height, fov=views.fov)
-    mine = views.cameras(scene, space)
-    total = len(mine) + len(judges)
-    progress("judge", 0, total)
-    found: list[float] = []
-    for cameras in (mine, judges):
-        for c in range(len(cameras)):
-            found.append(_measure(scene.union, member, g, store, cameras[c]))
-            progress("judge", len(found), total)
-    inside = store.grid.cell_at(judges.viewpoints) >= 0 if len(judges) else np.zeros(0, bool)
-    values = np.array(found)
-    return Judged(values[: len(mine)], values[len(mine) :], float(inside.mean()) if len(judges) else 0.0)
-
-
-def _measure(
-    union: Gaussians, member: NDArray[np.bool_], g: Gaussians, store: VisibilityStore, camera: Cameras
-) -> float:
-    """Return the PSNR of the image from the set of an eye's cell, or of the nearest cell, against the whole."""
-    eye = camera.viewpoints[0]
-    cell = int(store.grid.cell_at(eye[None])[0])
-    if cell < 0:
-        cell = int(np.linalg.norm(store.grid.centers - eye, axis=1).argmin())
-    seen = np.zeros(len(union), bool)
-    seen[store.visible_ids(cell)] = True
-    image, target = _draw(union[member & seen], camera), _draw(g, camera)
-    return min(_CAP, float(psnr(image, target)))
+        return judge_images(joint.union[member], store.grid, held, mine, judges, progress=progress)
+    finally:
+        if beyond is not None:
+            beyond.close()
 
 
-def _draw(g: Gaussians, camera: Cameras) -> F32:
-    return np.asarray(np.clip(rasterize(g, camera, backend="cpu").images[0], 0.0, 1.0), np.float32)
-
-
-def _spread(values: F64) -> dict[str, Any]:
-    """Return number, mean, median, 5th percentile and worst; None where there are no values."""
-    if len(values) == 0:
-        return {"views": 0, "mean": None, "median": None, "p5": None, "worst": None}
-    return {
-        "views": len(values),
-        "mean": float(values.mean()),
-        "median": float(np.median(values)),
-        "p5": float(np.percentile(values, 5)),
-        "worst": float(values.min()),
-    }
+def _within(judges: Judges, space: NavigableSpace) -> Judges:
+    """Return the judges on the grid of a space."""
+    eyes = judges.cameras.viewpoints
+    high = space.origin + space.voxel_size * np.array(space.free.shape)
+    inside = np.all((eyes >= space.origin) & (eyes < high), axis=1)
+    given = int(np.count_nonzero(inside[len(inside) - judges.given :])) if judges.given else 0
+    return Judges(judges.cameras[inside], given, judges.named)

@@ -13,11 +13,19 @@ from gsvis.files.resume import folder_beside
 from gsvis.progress import Progress, silent
 from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
-from gsvis.train.level_quality import LevelQuality, measure_levels
+from gsvis.scene.judged import Judged
+from gsvis.scene.levels import Levels
+from gsvis.scene.view_sampling import ViewSampling
+from gsvis.train.level_quality import LevelQuality, judge_levels, measure_levels
 from gsvis.train.level_views import LevelViews
 from gsvis.train.levels import LevelsConfig, TrainedLevels, train_levels
 
 __all__ = ["MadeLevels", "find_levels_work", "make_levels"]
+
+
+_JUDGES, _JUDGE_FROM = 50, 12  # views by each rule; and held-out views from which there are as many
+_WIDTH, _FOV = 160, 75.0  # pixels and degrees of these views
+_STREAM = 7  # of the seed
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,10 +35,18 @@ class MadeLevels:
     Attributes:
         trained: The levels.
         quality: Quality in held-out views; None without held-out views.
+        judged: For each level below the highest, what eyes see that navigable space did not choose; empty without
+            held-out views.
     """
 
     trained: TrainedLevels
     quality: LevelQuality | None
+    judged: tuple[Judged, ...] = ()
+
+    @property
+    def warning(self) -> str | None:
+        """The warning of the first level that has one."""
+        return next((each.warning for each in self.judged if each.warning), None)
 
 
 def make_levels(
@@ -50,7 +66,7 @@ def make_levels(
         config: Sizes and training of the levels.
         work: Folder for unfinished work, such as `find_levels_work`; the caller deletes it.
         with_curve: Also measure during training.
-        progress: Called with the stages of `train_levels` and `measure_levels`.
+        progress: Called with the stages of `train_levels`, `measure_levels` and `judge_levels`.
 
     Raises:
         FormatError: If the kept work is damaged.
@@ -67,10 +83,26 @@ def make_levels(
         work=work,
         progress=progress,
     )
-    quality = None
+    quality, judged = None, tuple[Judged, ...]()
     if held_out is not None:
         quality = measure_levels(trained.levels, held_out, photographs=views.photographs, progress=progress)
-    return MadeLevels(trained, quality)
+        judged = _judge(trained.levels, views, config.seed, progress)
+    return MadeLevels(trained, quality, judged)
+
+
+def _judge(levels: Levels, views: LevelViews, seed: int, progress: Progress) -> tuple[Judged, ...]:
+    """Return what eyes of two rules see of the levels; few where few views are held out, such as in tests."""
+    assert views.held_out is not None
+    held_out = views.held_out.cameras
+    count = _JUDGES if len(held_out) >= _JUDGE_FROM else len(held_out)
+    width = min(_WIDTH, held_out.width)
+    small = ViewSampling(count, width, max(1, round(held_out.height * width / held_out.width)), _FOV, seed, _STREAM)
+    if views.space is None:
+        chosen = np.linspace(0, len(held_out) - 1, min(count, len(held_out))).astype(int)
+        mine = held_out[chosen].resize(small.width, small.height)
+    else:
+        mine = small.cameras(levels, views.space)
+    return judge_levels(levels, mine, small, views.space, progress=progress)
 
 
 def find_levels_work(out: str | os.PathLike[str], g: Gaussians, views: LevelViews, config: LevelsConfig) -> Path:

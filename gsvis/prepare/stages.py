@@ -14,7 +14,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +33,7 @@ from gsvis.package.active_terms import colors_hash
 from gsvis.package.cell_terms import CellTerms
 from gsvis.prepare.colors import find_kept, prepare_colors
 from gsvis.prepare.config import PrepareConfig
-from gsvis.prepare.judged import judge_sets
+from gsvis.prepare.judged import judge_tile, judging_views
 from gsvis.prepare.levels import make_levels
 from gsvis.prepare.memory import left_for_sets
 from gsvis.prepare.surroundings import Surroundings
@@ -42,6 +42,7 @@ from gsvis.progress import Progress
 from gsvis.pvs.build import build_pvs
 from gsvis.pvs.cell_count import MOST_CELLS, fitting_cells
 from gsvis.pvs.cells import MAX_CELLS, CellGrid
+from gsvis.pvs.judged import judge_sets
 from gsvis.pvs.store import VisibilityStore
 from gsvis.pvs.workers import Workers
 from gsvis.scene.content import scene_hash, space_hash
@@ -52,11 +53,8 @@ from gsvis.train.level_views import LevelViews, draw_views, load_photograph_view
 
 __all__ = ["VERSIONS", "StageRecord", "Stages", "around_of"]
 
-VERSIONS = {"levels": 4, "sets": 3, "colors": 2, "cost": 2, "fidelity": 3, "judged": 1}
+VERSIONS = {"levels": 5, "sets": 3, "colors": 2, "cost": 2, "fidelity": 3, "judged": 2}
 """Version of the results of each stage; increase it when they change."""
-
-_JUDGES = 50  # views by each rule, at least a hundred together
-_JUDGE_FROM = 12  # views of what a client gets from which there are so many
 
 
 @dataclass(frozen=True)
@@ -145,6 +143,8 @@ class Stages:
                 done.append(True)
                 found = self._train(self.work.at(self.levels_name))
             extra = levels_info(self.work.at(self.levels_name)).extra if self.trains else None
+        judged = (extra or {}).get("judged") or []
+        self.remarks += [each["warning"] for each in judged if each["warning"]][:1]
         return found, extra
 
     def grid(self) -> CellGrid:
@@ -276,23 +276,23 @@ class Stages:
                 self.work.seal_file(name)
             return Fidelity.from_fields(parse_object(self.work.at(name), read_whole(self.work.at(name))))
 
-    def judged(self, levels: Levels, store: VisibilityStore) -> dict[str, Any] | None:
-        """Return how good the sets are at eyes that navigable space did not choose; None for a tile of a world."""
-        if self.around is not None or self.one_level:
-            return None
-        views = self.config.fidelity_views
-        few = views.count < _JUDGE_FROM  # such as in tests
-        half = replace(views, count=views.count if few else _JUDGES, width=views.width // 2, height=views.height // 2)
-        half = replace(half, stream=views.stream + 2)
+    def judged(self, levels: Levels, store: VisibilityStore) -> dict[str, Any]:
+        """Return how good the sets are at eyes that navigable space did not choose."""
+        views = judging_views(self.config.fidelity_views, of_tile=self.one_level)
+        around = None if self.around is None else (self.around, self.work.at(around_of(store.path.name)))
+        witnesses = None if self.space.witnesses is None else self.space.witnesses.digest
         key = self._key(
-            "judged", levels=_content(levels), sets=digest_of_folder(store.path).split()[0], views=asdict(half),
-            space=space_hash(self.space),
+            "judged", levels=_content(levels), sets=digest_of_folder(store.path).split()[0], views=asdict(views),
+            space=space_hash(self.space), around=None if self.around is None else self.around.digest,
+            witnesses=witnesses,
         )  # fmt: skip
         name = f"judged-{key}.json"
         if not self.work.whole(name):
-            found = judge_sets(levels, self.space, store, half, progress=self.progress)
-            with atomic_path(self.work.at(name)) as partial:
-                partial.write_text(json.dumps({**found.as_dict(), "line": found.line}), encoding="utf-8")
+            judge = partial(judge_sets, levels, self.space, store, views, progress=self.progress)
+            if self.one_level or around is not None:
+                judge = partial(judge_tile, levels, self.space, store, views, around, progress=self.progress)
+            with atomic_path(self.work.at(name)) as path:
+                path.write_text(json.dumps(judge().as_dict()), encoding="utf-8")
             self.work.seal_file(name)
         record: dict[str, Any] = json.loads(read_whole(self.work.at(name)))
         if record["warning"]:
@@ -329,6 +329,7 @@ class Stages:
                        "height": views.held_out.cameras.height, "psnr": _spreads(quality.scene_psnr)}  # fmt: skip
             if quality.photo_psnr is not None:
                 record["psnr_photographs"] = _spreads(quality.photo_psnr)
+        record["judged"] = [each.as_dict() for each in made.judged]
         save_levels(in_package_order(made.trained.levels), folder, record)
         shutil.rmtree(begun, ignore_errors=True)
         return load_levels(folder)

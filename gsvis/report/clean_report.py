@@ -20,7 +20,7 @@ from gsvis.io.report_cameras import describe_cameras
 from gsvis.progress import Progress, silent
 from gsvis.render import rasterize
 from gsvis.report.files import LAST, write_files
-from gsvis.report.html import Figure, describe_run, figure, fill_template, table, tiles
+from gsvis.report.html import Figure, describe_judged, describe_run, figure, fill_template, table, tiles
 from gsvis.report.pictures import png_of
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
@@ -99,6 +99,7 @@ def clean_document(found: Cleaning, subject: CleanSubject) -> dict[str, Any]:
             for name, count in found.counts.items()
         },
         "cost": asdict(found.costs["all"]) if "all" in found.costs else None,
+        "judged": None if found.judged is None else found.judged.as_dict(),
         "eyes": found.evidence.eyes,
         "voxel_size": found.evidence.voxel_size,
         "cameras": [] if found.cameras is None else describe_cameras(found.cameras),
@@ -232,10 +233,11 @@ def _classes(document: dict[str, Any]) -> str:
         rows.append((mark, _MEANING[name], f"{each['found']:,}", back, f"{each['removed']:,}", *lost))
     header = ("class", "what it is", "found", "given back", "goes", "dB", "worst dB", "pixels that show mostly this")
     hidden = ", ".join(HIDDEN)
-    return table(header, rows) + (
+    explained = (
         "<p>dB compares held-out views without the class with the whole scene. The guard gives a class back whose"
         f" removal costs too much: for {hidden} by dB, for the others by the share of pixels that show little else.</p>"
     )
+    return table(header, rows) + describe_judged(document["judged"]) + explained
 
 
 def _inside(figures: dict[str, Figure]) -> str:

@@ -47,6 +47,7 @@ class Subject:
         seconds: Duration of each stage, by name.
         differs: Why the paper's figures, means over the training views of captures of one subject, cannot be
             compared with these; empty if they can.
+        judged: What eyes of two rules see, `Judged.as_dict()` or a like; None if it was not checked.
     """
 
     title: str
@@ -59,6 +60,7 @@ class Subject:
     parameters: dict[str, Any] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
     differs: str = "the scene and its cameras may be of another kind"
+    judged: dict[str, Any] | None = None
 
 
 def report_document(analysis: Analysis, subject: Subject) -> dict[str, Any]:
@@ -77,6 +79,7 @@ def report_document(analysis: Analysis, subject: Subject) -> dict[str, Any]:
         "scene": {"name": subject.title, **subject.facts},
         "cameras_from": subject.cameras_from,
         **analysis.as_dict(),
+        "judged": subject.judged,
         "paper": {**PAPER, "comparable": not subject.differs, "differs": subject.differs or None},
         "cameras": describe_cameras(analysis.cameras),
     }

@@ -16,7 +16,7 @@ from typing import Any
 
 from gsvis._extras import remedy_of
 
-__all__ = ["Figure", "describe_run", "figure", "fill_template", "plain", "table", "tiles"]
+__all__ = ["Figure", "describe_judged", "describe_run", "figure", "fill_template", "plain", "table", "tiles"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +79,18 @@ def tiles(found: Sequence[tuple[str, str, str]]) -> str:
         f"<li><strong>{escape(value)}</strong><span>{escape(label)}</span><small>{escape(beside)}</small></li>"
         for value, label, beside in found
     )
+
+
+def describe_judged(judged: dict[str, Any] | None) -> str:
+    """Return what eyes see that navigable space did not choose, with the warning; empty where it was not checked.
+
+    Args:
+        judged: Entry "judged" of a document.
+    """
+    if judged is None:
+        return ""
+    warning = f"<p><strong>{escape(judged['warning'])}</strong></p>" if judged["warning"] else ""
+    return f"{warning}<p>Checked by eyes that navigable space did not choose: {escape(judged['line'])}.</p>"
 
 
 def describe_run(document: dict[str, Any]) -> str:

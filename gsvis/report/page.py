@@ -7,7 +7,7 @@ from typing import Any
 
 from gsvis.raycast.analysis import PAPER, Analysis, DirectionCdf
 from gsvis.raycast.second_tracer import describe_check
-from gsvis.report.html import Figure, describe_run, figure, fill_template, table
+from gsvis.report.html import Figure, describe_judged, describe_run, figure, fill_template, table
 from gsvis.report.html import tiles as listed
 
 __all__ = ["page"]
@@ -35,7 +35,7 @@ def page(analysis: Analysis, document: dict[str, Any], figures: dict[str, Figure
         version=escape(document["gsvis"]),
         lead=_lead(analysis, document),
         tiles=_tiles(analysis, differs),
-        visible=_visible(analysis, figures, differs),
+        visible=_visible(analysis, figures, differs, document["judged"]),
         views=_views(analysis, figures),
         directions=_directions(analysis, figures, differs),
         scene=_scene(analysis, document["scene"]),
@@ -87,7 +87,7 @@ def _explain_paper(differs: str) -> str:
     )
 
 
-def _visible(analysis: Analysis, figures: dict[str, Figure], differs: str) -> str:
+def _visible(analysis: Analysis, figures: dict[str, Figure], differs: str, judged: dict[str, Any] | None) -> str:
     fractions = analysis.visible_fractions
     rows = [
         ("mean of the cameras", f"{fractions.mean():.2%}", f"{PAPER['mean_visible']:.2%}"),
@@ -105,6 +105,7 @@ def _visible(analysis: Analysis, figures: dict[str, Figure], differs: str) -> st
     return (
         figure(figures["visible"], "Visible share of each camera, sorted", caption)
         + table(("visible share", "here", "paper")[:shown], listed_rows)
+        + describe_judged(judged)
         + f"<p>A Gaussian is visible in a view when its largest weight on a pixel ray (alpha times the light left in"
         f" front of it) is at least {analysis.config.tau:.4g}. Gaussians that fall between the rays do not count, so"
         f" these shares belong to {_rays(analysis)}; more pixels or a wider view find more.</p>"

@@ -56,6 +56,7 @@ def pvs_document(quality: Quality, store: VisibilityStore, subject: Subject) -> 
         "store": _describe_store(store),
         "quality": quality.as_dict(),
         "bounds_checked": _check_bounds(quality, store),
+        "judged": subject.judged,
     }
 
 

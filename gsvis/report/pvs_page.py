@@ -9,7 +9,7 @@ import numpy as np
 
 from gsvis.pvs.quality import PSNR_CAP, TARGETS, Quality
 from gsvis.pvs.quality import Figure as Measure
-from gsvis.report.html import Figure, describe_run, figure, fill_template, table, tiles
+from gsvis.report.html import Figure, describe_judged, describe_run, figure, fill_template, table, tiles
 
 __all__ = [
     "describe_bounds",
@@ -204,6 +204,7 @@ def _quality(quality: Quality, document: dict[str, Any], figures: dict[str, Figu
     )
     where = "The measured cells, and what they miss; of stacked cells the one that misses most."
     text = table(("figure", "mean", "target", "worst", "target"), rows)
+    text += describe_judged(document["judged"])
     text += figure(figures["missing"], "Light that each measured set misses", missed)
     text += figure(figures["map_missing"], "Map of what the sets of measured cells miss", where)
     text += (

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.solid import buried
+from gsvis.scene.thinned import thin
 
-__all__ = ["draw_judges"]
+__all__ = ["draw_judges", "find_detail"]
 
 F64 = NDArray[np.float64]
 Look = Callable[[Cameras], tuple[NDArray[np.float32], NDArray[np.float32]]]
@@ -29,7 +30,10 @@ _STEPS = (0.15, 0.3, 0.6, 1.0)  # distances of eyes from the detail, radii of th
 _SHARE_OUTSIDE = 0.25  # share of the eyes outside of the core that look in at it, or at its middle that look out
 _FILLED = 0.5  # alpha at the middle of an image from which something is there
 _NEAREST = 0.75  # share of the distance to the detail that has to be free
-_TRIES = 6
+_FEW = 3000  # Gaussians that hide an eye from its detail, before an image tells
+_CLEAR = 0.3  # share of light that has to pass between them
+_AT_ONCE = 1 << 20  # pairs of rays and Gaussians
+_TRIES = 12  # proposed eyes, for each that is asked for
 _SMALL = (24, 18)
 
 
@@ -70,17 +74,29 @@ def draw_judges(
         return _no_cameras(width, height, fov)
     above = axes[2] if up is None else np.asarray(up, np.float64)
     eyes, targets = np.zeros((0, 3)), np.zeros((0, 3))
-    for _ in range(_TRIES):
+    some, aims = _propose(points, middle, radius, axes, _TRIES * count, rng)
+    few = thin(g, _FEW, seed=seed)[1]
+    some, aims = _step_back(few, some, aims, radius, rng)
+    free = ~buried(g, some)
+    some, aims = some[free], aims[free]
+    for start in range(0, len(some), count):
         if len(eyes) >= count:
             break
-        some, aims = _propose(points, middle, radius, axes, count, rng)
-        free = ~buried(g, some)
-        some, aims = some[free], aims[free]
-        good = _are_free(some, aims, above, radius, look)
-        eyes, targets = np.concatenate([eyes, some[good]]), np.concatenate([targets, aims[good]])
+        part = slice(start, start + count)
+        good = _are_free(some[part], aims[part], above, radius, look)
+        eyes, targets = np.concatenate([eyes, some[part][good]]), np.concatenate([targets, aims[part][good]])
     if len(eyes) == 0:
         return _no_cameras(width, height, fov)
     return Cameras.look_at(eyes[:count], targets[:count], up=above, width=width, height=height, fov=fov)
+
+
+def find_detail(g: Gaussians, *, seed: int = 0) -> tuple[F64, float]:
+    """Return the middle (3,) and the radius of the densest detail of a scene; radius 0 in a scene without detail."""
+    detail = _sample_detail(g, np.random.default_rng([seed, 8191]))
+    if len(detail) <= _NEIGHBORS:
+        return np.zeros(3), 0.0
+    middle, radius, _, _ = _find_core(detail)
+    return middle, radius
 
 
 def _sample_detail(g: Gaussians, rng: np.random.Generator) -> F64:
@@ -130,6 +146,46 @@ def _propose(
     eyes[inward] = (middle + radius * (1.2 * sides + 0.1 * ahead))[inward]
     chosen[inward] = middle
     return eyes, chosen
+
+
+def _step_back(few: Gaussians, eyes: F64, aims: F64, radius: float, rng: np.random.Generator) -> tuple[F64, F64]:
+    """Return eyes and aims (P, 3), each eye at a distance from which its aim is likely seen; those without go.
+
+    An eye moves along its line of sight, to one of `_STEPS`, or stays where it is.
+    """
+    back = eyes - aims
+    apart = np.linalg.norm(back, axis=1)
+    steps = np.concatenate([radius * np.tile(_STEPS, (len(eyes), 1)), apart[:, None]], axis=1)
+    back, aims, steps = back[apart > 0.0], aims[apart > 0.0], steps[apart > 0.0]
+    back /= np.linalg.norm(back, axis=1, keepdims=True)
+    free = _pass(few, aims, back, steps) >= _CLEAR
+    outward = ~np.isclose(steps[:, -1:], steps[:, :-1]).any(axis=1)  # looks in or out along an axis: stays
+    free[outward, :-1] = False
+    chosen = np.where(free, rng.random(free.shape), -1.0).argmax(axis=1)
+    kept = free.any(axis=1)
+    moved = aims + steps[np.arange(len(steps)), chosen][:, None] * back
+    return moved[kept], aims[kept]
+
+
+def _pass(few: Gaussians, aims: F64, back: F64, steps: F64) -> F64:
+    """Return (P, S) the share of light that passes from near each aim to each step (P, S) back along a direction."""
+    turn = np.swapaxes(few.rotations(), 1, 2) / np.maximum(few.scales.astype(np.float64), 1e-300)[:, :, None]
+    means = np.einsum("gij,gj->gi", turn, few.means.astype(np.float64))
+    found = np.empty(steps.shape)
+    many = max(1, _AT_ONCE // max(1, len(few)))
+    for start in range(0, len(aims), many):
+        some = slice(start, start + many)
+        begin = np.einsum("gij,pj->pgi", turn, aims[some]) - means
+        along = np.einsum("gij,pj->pgi", turn, back[some])
+        squared = np.maximum(np.einsum("pgi,pgi->pg", along, along), 1e-300)
+        nearest = -np.einsum("pgi,pgi->pg", begin, along) / squared
+        power = np.einsum("pgi,pgi->pg", begin, begin) - squared * nearest**2
+        dark = np.log1p(-np.minimum(few.opacities * np.exp(-0.5 * np.maximum(power, 0.0)), 0.99))
+        for k in range(steps.shape[1]):
+            end = steps[some, k, None]
+            between = (nearest > (1.0 - _NEAREST) * end) & (nearest < end)
+            found[some, k] = np.exp(np.where(between, dark, 0.0).sum(axis=1))
+    return found
 
 
 def _are_free(eyes: F64, aims: F64, up: F64, radius: float, look: Look) -> NDArray[np.bool_]:

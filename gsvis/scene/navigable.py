@@ -37,6 +37,7 @@ from gsvis.scene.core import find_core
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.kinds import SpaceKind
 from gsvis.scene.upright import Upright, find_up
+from gsvis.scene.witnesses import Witnesses
 
 __all__ = ["NavigableSpace"]
 
@@ -64,6 +65,7 @@ class NavigableSpace:
         rule: Name of the rule that chose the voxels, for reports.
         kind: What the scene was taken for, and why.
         parcels: On how many grids it was found: 1, or one over all and one for each parcel.
+        witnesses: Poses of people that it was not found by, which judge what is made for it; None without any.
 
     Raises:
         ValueError: If a shape or a value is wrong.
@@ -79,6 +81,7 @@ class NavigableSpace:
     rule: str = "given"
     kind: SpaceKind = _GIVEN
     parcels: int = 1
+    witnesses: Witnesses | None = None
 
     def __post_init__(self) -> None:
         free = np.ascontiguousarray(self.free, dtype=bool)

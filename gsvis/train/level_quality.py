@@ -11,12 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.progress import Progress, silent
+from gsvis.pvs.cells import CellGrid
+from gsvis.render.judges import find_judges
 from gsvis.render.metrics import psnr
+from gsvis.scene.cameras import Cameras
+from gsvis.scene.judged import Judged
 from gsvis.scene.levels import Levels
+from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.view_sampling import ViewSampling
 from gsvis.train.history import MOST_PSNR
 from gsvis.train.images import PosedImages, display_image
 
-__all__ = ["LevelQuality", "measure_levels"]
+__all__ = ["LevelQuality", "judge_levels", "measure_levels"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,3 +81,42 @@ def measure_levels(
             if photo is not None:
                 photo[k, c] = min(float(psnr(drawn, taken)), MOST_PSNR)
     return LevelQuality(scene, photo, brightness)
+
+
+def judge_levels(
+    levels: Levels,
+    mine: Cameras,
+    views: ViewSampling,
+    space: NavigableSpace | None,
+    *,
+    backend: str = "auto",
+    progress: Progress = silent,
+) -> tuple[Judged, ...]:
+    """Return what eyes of two rules see of each level below the highest, against the highest.
+
+    A lower level need not equal the scene, so no least PSNR is asked for, only that judge's eyes see about as much.
+
+    Args:
+        levels: L levels; the highest is the scene.
+        mine: Views like those that the levels were trained for.
+        views: Number, size, field of view and seed of the judge's views.
+        space: Where eyes of the former are; None for photos.
+        backend: Backend of the rasterizer.
+        progress: Called with stage "judge", in views.
+    """
+    top = levels.level(len(levels) - 1)
+    judges = find_judges(top, views, None if space is None else space.witnesses)
+    stands = [levels.level(k) for k in range(len(levels) - 1)]
+    total = len(mine) + len(judges)
+    found = np.empty((len(stands), total))
+    progress("judge", 0, total)
+    for number, camera in enumerate(each[c] for each in (mine, judges.cameras) for c in range(len(each))):
+        whole = display_image(top, camera, backend)
+        for k, gaussians in enumerate(stands):
+            found[k, number] = min(float(psnr(display_image(gaussians, camera, backend), whole)), MOST_PSNR)
+        progress("judge", number + 1, total)
+    inside = None
+    if space is not None and len(judges):
+        inside = np.asarray(CellGrid.over(space).cell_at(judges.cameras.viewpoints) >= 0)
+    split = len(mine)
+    return tuple(Judged(row[:split], row[split:], inside, judges.named, judges.given, least=0.0) for row in found)

@@ -58,7 +58,7 @@ def prepare_tile(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     with Package.open(out / PACKAGE) as package:
         facts = facts_of_package(package, levels)
         cells = len(package.visibility)
-    return {**facts, "cells": cells, "pieces": pieces}
+    return {**facts, "cells": cells, "pieces": pieces, "judged": made.judged}
 
 
 def _surroundings(

@@ -20,6 +20,7 @@ from gsvis.prepare.work_folder import WorkFolder
 from gsvis.progress import Progress, silent
 from gsvis.pvs.workers import Workers
 from gsvis.scene.axes import axis_vector
+from gsvis.scene.judged import Judged
 from gsvis.world.bare import PACKAGE
 from gsvis.world.build import WorldBuild
 from gsvis.world.config import WorldConfig
@@ -138,9 +139,21 @@ def _manifest(build: WorldBuild, packages: Sequence[Result], about: Mapping[str,
     x, y, z = (float(v) for v in axis_vector(build.grid["up"]))
     meters = build.config.package.meters_per_unit
     provenance = {**about, "angle": build.config.angle, "far": build.config.far, "most": build.config.tiling.most}
+    records = [each.facts["judged"] for each in packages if each.facts.get("judged")]
+    provenance["judged"] = _judged(records)
     return WorldManifest(
         (x, y, z), meters, grid_of(build.grid["grid"]), tuple(tiles), tuple(districts), dict(provenance)
     )
+
+
+def _judged(records: Sequence[Facts]) -> dict[str, Any] | None:
+    """Return what eyes of two rules see in all tiles; None where no tile has cells."""
+    if not records:
+        return None
+    found = Judged.joined(records).as_dict()
+    del found["psnr"]  # of each tile in its own package
+    warned = sum(record["warning"] is not None for record in records)
+    return {**found, "tiles": len(records), "tiles_warned": warned}
 
 
 def _write(

@@ -7,15 +7,14 @@ for the rows of these tiles. Scene frame and units.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numba import get_num_threads, set_num_threads
 
+from gsvis._kernels.threads import one_thread
 from gsvis.errors import SceneError
 from gsvis.files.temporary import temporary_folder
 from gsvis.io.batches import read_batch
@@ -107,7 +106,7 @@ def try_tiles(build: WorldBuild, expected: Trial, most: int, budget: float) -> T
         budget: Seconds of processor. What is expected to exceed it is not begun.
     """
     config = build.config.package
-    with _one_thread():
+    with one_thread():
         _load_kernels(config)
     began = _clock()
     tiles = build.grid["tiles"]
@@ -123,7 +122,7 @@ def try_tiles(build: WorldBuild, expected: Trial, most: int, budget: float) -> T
     if not chosen:
         return expected
     tried = _Tried()
-    with _one_thread():
+    with one_thread():
         rows = _read_tiles(build, chosen)
         spaces = {}
         for number in chosen:
@@ -195,17 +194,6 @@ class _Cell(NamedTuple):
     seconds: float
     directions: float
     nbytes: float
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Run kernels in one thread, as each worker does, so that processor time is time."""
-    before = get_num_threads()
-    set_num_threads(1)
-    try:
-        yield
-    finally:
-        set_num_threads(before)
 
 
 def _load_kernels(config: PrepareConfig) -> None:

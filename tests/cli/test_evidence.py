@@ -73,3 +73,18 @@ def test_a_box_keeps_the_direction_that_is_given() -> None:
 def test_a_missing_file_of_cameras_is_said_before_work_begins() -> None:
     with pytest.raises(FileNotFoundError):
         check_where(WhereSeen(cameras="nowhere.json"))
+
+
+@pytest.mark.parametrize(("box", "judging"), [(None, 10), ((0.5, 0.5, 0.5, 2.0, 2.0, 2.0), 20)])
+def test_cameras_that_the_space_was_not_found_by_are_kept_as_judges(
+    box: tuple[float, ...] | None, judging: int
+) -> None:
+    eyes = np.array([[1.0 + 0.05 * k, 1.5, 1.5] for k in range(20)])
+    cameras = Cameras.look_at(eyes, eyes + np.array([1.0, 0.3, 0.0]), up=(0, 0, 1), width=64, height=48)
+    place = find_place(Source("rooms", apartment()), Where(box=box), cameras=cameras)
+    assert place.space is not None
+    assert place.space.witnesses is not None
+    assert len(place.space.witnesses.cameras) == judging
+    assert f"{judging} of the 20 cameras" in place.space.witnesses.named
+    if box is None:
+        assert np.allclose(place.space.witnesses.cameras.viewpoints, eyes[1::2])

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from gsvis.prepare.judged import judge_sets
 from gsvis.pvs import PvsConfig, build_pvs
 from gsvis.pvs.cells import CellGrid
+from gsvis.pvs.judged import judge_sets
 from gsvis.scene.levels import as_levels
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.view_sampling import ViewSampling
@@ -26,7 +26,7 @@ def judge(low, high, tmp_path):
 
 def test_eyes_a_hundred_units_away_are_noticed(tmp_path) -> None:
     found = judge([100, 100, 100], [110, 110, 110], tmp_path)
-    assert found.in_cells == 0.0
+    assert found.share_in_cells == 0.0
     assert found.warning is not None
     assert "--cameras" in found.warning
     record = found.as_dict()
@@ -38,5 +38,5 @@ def test_eyes_a_hundred_units_away_are_noticed(tmp_path) -> None:
 def test_the_right_eyes_raise_no_warning(tmp_path) -> None:
     found = judge([-12, -12, -8], [12, 12, 10], tmp_path)
     assert found.warning is None
-    assert found.in_cells > 0.5
+    assert found.share_in_cells > 0.5
     assert np.median(found.judge) > 35.0

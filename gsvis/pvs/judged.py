@@ -1,0 +1,160 @@
+"""Check visible sets by eyes of two rules: builder's eyes in navigable space, and judge's eyes that do not know of it.
+
+An image from the set of the cell that a client would use is compared with the image of the whole.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.progress import Progress, silent
+from gsvis.pvs.cells import CellGrid
+from gsvis.pvs.store import VisibilityStore
+from gsvis.render import psnr, rasterize, view_weights
+from gsvis.render.judges import Judges, find_judges
+from gsvis.scene.cameras import Cameras
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.judged import Judged
+from gsvis.scene.levels import Levels
+from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.view_sampling import ViewSampling
+
+__all__ = ["JudgedShares", "judge_images", "judge_sets", "judge_shares"]
+
+F32 = NDArray[np.float32]
+Held = Callable[[int], NDArray[np.bool_]]
+
+_CAP = 100.0
+_TIMES = 2.0  # between the shares of the two rules from which there is a warning: 6 dB
+
+
+def judge_sets(
+    scene: Levels, space: NavigableSpace, store: VisibilityStore, views: ViewSampling, *, progress: Progress = silent
+) -> Judged:
+    """Measure images from the sets of a store at eyes of both rules; half of the views by each.
+
+    Args:
+        scene: The levels of which the store holds the sets; the highest is drawn.
+        space: Where the builder's eyes are; its witnesses judge too.
+        store: The visible sets.
+        views: The builder's views; judge's views are as many, of the same size.
+        progress: Called with stage "judge", in views.
+    """
+    member = scene.member(len(scene) - 1)
+    g = scene.union[member]
+
+    def held(cell: int) -> NDArray[np.bool_]:
+        seen = np.zeros(len(member), bool)
+        seen[store.visible_ids(cell)] = True
+        return seen[member]
+
+    judges = find_judges(g, views, space.witnesses)
+    return judge_images(g, store.grid, held, views.cameras(scene, space), judges, progress=progress)
+
+
+def judge_images(
+    g: Gaussians, grid: CellGrid, held: Held, mine: Cameras, judges: Judges, *, progress: Progress = silent
+) -> Judged:
+    """Measure images from the sets of cells at eyes of both rules.
+
+    Args:
+        g: What a picture of everything shows, N Gaussians.
+        grid: The cells.
+        held: Returns which (N,) of them are in the set of a cell.
+        mine: Views of the builder.
+        judges: Views of the judge.
+        progress: Called with stage "judge", in views.
+    """
+    total = len(mine) + len(judges)
+    progress("judge", 0, total)
+    found: list[float] = []
+    for cameras in (mine, judges.cameras):
+        for c in range(len(cameras)):
+            found.append(_measure(g, grid, held, cameras[c]))
+            progress("judge", len(found), total)
+    eyes, values = judges.cameras.viewpoints, np.array(found)
+    inside = grid.cell_at(eyes) >= 0 if len(eyes) else np.zeros(0, bool)
+    return Judged(values[: len(mine)], values[len(mine) :], inside, judges.named, judges.given)
+
+
+def _measure(g: Gaussians, grid: CellGrid, held: Held, camera: Cameras) -> float:
+    """Return the PSNR of the image from the set of an eye's cell, or of the nearest cell, against the whole."""
+    eye = camera.viewpoints[0]
+    cell = int(grid.cell_at(eye[None])[0])
+    if cell < 0:
+        cell = int(np.linalg.norm(grid.centers - eye, axis=1).argmin())
+    return min(_CAP, float(psnr(_draw(g[held(cell)], camera), _draw(g, camera))))
+
+
+def _draw(g: Gaussians, camera: Cameras) -> F32:
+    return np.asarray(np.clip(rasterize(g, camera, backend="cpu").images[0], 0.0, 1.0), np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class JudgedShares:
+    """The shares of the Gaussians that views of two rules see.
+
+    Attributes:
+        builder: (B,) shares in views in navigable space.
+        judge: (J,) shares in judge's views.
+        in_cells: Share of the judge's eyes that lie in cells; None without such eyes.
+        named: What gave the last of the judge's eyes; empty if nothing did.
+    """
+
+    builder: NDArray[np.float64]
+    judge: NDArray[np.float64]
+    in_cells: float | None
+    named: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the figures, a line and a warning or None, ready for JSON."""
+        if self.in_cells is None or len(self.builder) == 0:
+            line = "no eye around the detail is free: not checked by other eyes"
+            return {"views": len(self.builder), "line": line, "warning": None, "judge_eyes_in_cells": None}
+        mine, theirs = float(np.median(self.builder)), float(np.median(self.judge))
+        low, least = float(np.percentile(self.judge, 5)), float(self.judge.min())
+        also = f", also of {self.named}" if self.named else ""
+        line = (
+            f"their views see {theirs:.1%} of the Gaussians in the median, 5th percentile {low:.1%}, least"
+            f" {least:.1%}, in {len(self.judge)} views{also}; views in navigable space {mine:.1%};"
+            f" {self.in_cells:.0%} of the eyes in cells"
+        )
+        apart = max(mine, theirs) > _TIMES * min(mine, theirs)
+        warning = (
+            f"Warning: views around the detail of the scene see {theirs:.1%} of the Gaussians, views in navigable space"
+            f" {mine:.1%}: give --cameras, --box or --around if people stand elsewhere."
+        )
+        return {
+            "views": len(self.builder) + len(self.judge), "builder_median": mine, "judge_median": theirs,
+            "judge_p5": low, "judge_least": least, "judge_eyes_in_cells": self.in_cells, "line": line,
+            "warning": warning if apart else None,
+        }  # fmt: skip
+
+
+def judge_shares(
+    g: Gaussians, space: NavigableSpace, views: ViewSampling, tau: float, *, progress: Progress = silent
+) -> JudgedShares:
+    """Measure which share of a scene views of both rules see; half of the views by each.
+
+    Args:
+        g: The scene.
+        space: Where the builder's eyes are; its witnesses judge too.
+        views: The builder's views; judge's views are as many, of the same size.
+        tau: Least weight of a visible Gaussian.
+        progress: Called with stage "judge", in views.
+    """
+    judges, mine = find_judges(g, views, space.witnesses), views.cameras(g, space)
+    total, shares = len(mine) + len(judges), list[float]()
+    progress("judge", 0, total)
+    for cameras in (mine, judges.cameras):
+        for c in range(len(cameras)):
+            shares.append(float((view_weights(g, cameras[c]).largest[0] >= np.float32(tau)).mean()))
+            progress("judge", len(shares), total)
+    eyes, values = judges.cameras.viewpoints, np.array(shares)
+    inside = float((CellGrid.over(space).cell_at(eyes) >= 0).mean()) if len(eyes) else None
+    return JudgedShares(values[: len(mine)], values[len(mine) :], inside, judges.named)

@@ -1,0 +1,67 @@
+"""Find judge's eyes in a scene: around its densest detail, and of cameras or a walk where they are given."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.render.rasterizer import rasterize
+from gsvis.scene.cameras import Cameras
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.judging import draw_judges
+from gsvis.scene.solid import buried
+from gsvis.scene.thinned import thin
+from gsvis.scene.view_sampling import ViewSampling
+from gsvis.scene.witnesses import Witnesses
+
+__all__ = ["Judges", "find_judges"]
+
+F32 = NDArray[np.float32]
+
+_MOST = 12_000  # Gaussians of the scene in which an eye is tried
+
+
+@dataclass(frozen=True, eq=False)
+class Judges:
+    """Views of judge's eyes.
+
+    Attributes:
+        cameras: The views: those around the detail, then those given.
+        given: Number of the latter.
+        named: What gave them, in words; empty if nothing did.
+    """
+
+    cameras: Cameras
+    given: int = 0
+    named: str = ""
+
+    def __len__(self) -> int:
+        return len(self.cameras)
+
+
+def find_judges(g: Gaussians, views: ViewSampling, witnesses: Witnesses | None = None) -> Judges:
+    """Return at most `views.count` views by judge's eyes; half of them by the witnesses, if there are any.
+
+    Args:
+        g: The scene.
+        views: Number, size, field of view and seed.
+        witnesses: Poses that the scene's navigable space was not found by.
+    """
+    _, few = thin(g, _MOST, seed=views.seed)
+
+    def look(cameras: Cameras) -> tuple[F32, F32]:
+        drawn = rasterize(few, cameras, backend="cpu")
+        return drawn.alphas, drawn.depths
+
+    shape = views.width, views.height, views.fov
+    theirs = None if witnesses is None else witnesses.views(views.count // 2, *shape)
+    if theirs is not None:
+        theirs = theirs[~buried(g, theirs.viewpoints)]
+    count = views.count - (0 if theirs is None else len(theirs))
+    drawn = draw_judges(g, count, look, seed=views.seed, width=shape[0], height=shape[1], fov=shape[2])
+    if theirs is None or witnesses is None or len(theirs) == 0:
+        return Judges(drawn)
+    both = Cameras(np.concatenate([drawn.viewmats, theirs.viewmats]), np.concatenate([drawn.Ks, theirs.Ks]), *shape[:2])
+    return Judges(both, len(theirs), witnesses.named)

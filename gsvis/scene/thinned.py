@@ -1,0 +1,51 @@
+"""Thin a scene for small pictures: fewer Gaussians, each wide enough to stand for those that were left out.
+
+Large Gaussians stay as they are. Of small ones a random sample is kept, with the area of all. The result follows the
+scene when it is turned, moved or scaled. Good for what an eye sees in a coarse picture, not for its texture.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis import _check
+from gsvis.scene.gaussians import Gaussians
+
+__all__ = ["thin"]
+
+I64 = NDArray[np.int64]
+
+_ROUNDS = 8  # of the search for the factor that keeps as many as asked for
+_WIDEST = 8.0  # factor by which a Gaussian is widened at most
+
+
+def thin(g: Gaussians, most: int, *, seed: int = 0) -> tuple[I64, Gaussians]:
+    """Return the ids of about `most` Gaussians of a scene, ascending, and these Gaussians, widened; base colors alone.
+
+    Args:
+        g: The scene, N Gaussians.
+        most: Number of Gaussians to keep, at least 1; a smaller scene stays as it is.
+        seed: Seed of the sample.
+    """
+    _check.positive_int("most", most)
+    if len(g) <= most:
+        return np.arange(len(g)), Gaussians(g.means, g.quats, g.scales, g.opacities, g.sh0, facts=g.facts)
+    scales = np.sort(g.scales.astype(np.float64), axis=1)
+    wide = np.sqrt(np.maximum(scales[:, 1] * scales[:, 2], 1e-300) * g.opacities)  # side of the area that it covers
+    chance = _chances(wide, most)
+    ids = np.flatnonzero(np.random.default_rng([seed, len(g)]).random(len(g)) < chance)
+    factor = np.minimum(1.0 / np.sqrt(chance[ids]), _WIDEST)
+    few = g[ids]
+    wider = few.scales * factor[:, None].astype(np.float32)
+    return ids, Gaussians(few.means, few.quats, wider, few.opacities, few.sh0, facts=g.facts)
+
+
+def _chances(wide: NDArray[np.float64], most: int) -> NDArray[np.float64]:
+    """Return the chance (N,) with which each is kept, by the side of its area; about `most` are."""
+    share = wide / max(float(wide.max()), 1e-300)
+    factor = most / max(float(share.sum()), 1e-300)
+    for _ in range(_ROUNDS):
+        chance = np.minimum(factor * share, 1.0)
+        factor *= most / max(float(chance.sum()), 1e-300)
+    return np.asarray(np.clip(factor * share, 1e-300, 1.0))
