@@ -14,6 +14,7 @@ _MODULES = (
     "icosphere",
     "in_sight",
     "inspection",
+    "judged",
     "judging",
     "kinds",
     "lengths",
@@ -31,8 +32,10 @@ _MODULES = (
     "solid",
     "stated",
     "symlog",
+    "thinned",
     "upright",
     "view_sampling",
+    "witnesses",
 )
 
 
