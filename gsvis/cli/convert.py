@@ -14,7 +14,7 @@ from gsvis.cli.arguments_convert import Convert
 from gsvis.cli.memory import check_memory
 from gsvis.cli.scene_out import check_scene_out
 from gsvis.cli.source import Source, check_source, is_builtin, is_levels, load_source, title_of, up_of
-from gsvis.cli.starts import find_starts
+from gsvis.cli.starts import find_starts, plan_visit
 from gsvis.cli.terminal import Status, print_json, show
 from gsvis.io.batches import Batch, list_batches
 from gsvis.io.convert import AXES, convert_scene, merge_scenes, rotation_about_axes
@@ -65,9 +65,11 @@ def run_convert(command: Convert) -> None:
         inputs, before, known_up = _read(scenes, lods, status)
         after = convert(before, max_sh_degree=_degree(command, target, before, status))
         if target.suffix.lower() == _PAGE:
+            as_read = up is None and command.rotate is None and len(inputs) == 1
             upright = known_up if up is None else axis_vector(up[1])
             turned = rotation_about_axes(command.rotate or (0.0, 0.0, 0.0)) @ upright
-            _write_page(target, " + ".join(each.name for each in inputs), after, turned, status)
+            name = " + ".join(each.name for each in inputs)
+            _write_page(target, name, after, None if as_read else turned, status)
         else:
             status("writing", 0, 1)
             _write(command, target, after)
@@ -236,14 +238,28 @@ def _write(command: Convert, target: Path, scene: Gaussians) -> None:
         save_scene(scene, target)
 
 
-def _write_page(target: Path, name: str, scene: Gaussians, up: NDArray[np.float64], status: Status) -> None:
-    """Write the page that `gsvis export --format html` writes of the same scene."""
+def _write_page(target: Path, name: str, scene: Gaussians, up: NDArray[np.float64] | None, status: Status) -> None:
+    """Write the page that `gsvis export --format html` writes of the same scene.
+
+    Args:
+        target: The page.
+        name: Name of the scene.
+        scene: The scene.
+        up: (3,) up axis of a scene that was turned or merged; None for one as it was read, of which export finds it.
+        status: Shows the progress.
+    """
     from gsvis.export import StaticOptions, write_html
 
-    x, y, z = up.tolist()
     status("start", 0, 1)
-    poses = find_starts(Source(name, scene), (x, y, z))
+    if up is None:
+        known = None if scene.facts.up is None else np.asarray(scene.facts.up, np.float64)
+        visit = plan_visit(Source(name, scene, known_up=known))
+        axis, poses = visit.up, visit.starts
+    else:
+        x, y, z = up.tolist()
+        axis, poses = up, find_starts(Source(name, scene), (x, y, z))
     status("start", 1, 1)
+    x, y, z = axis.tolist()
     write_html(target, scene, StaticOptions(name, (x, y, z), poses=poses), progress=status)
 
 
