@@ -68,6 +68,7 @@ _SKY = 0.25  # least share of directions above that lead out of an open place
 _SKY_DIRECTIONS = 64  # over the sphere
 _WIDE = 4.0  # greatest heights of eyes from which on a side is that of a place
 _SOLID_ALPHA = 0.99  # share of lost light that counts as occupied where else nothing is free
+_WARY = 0.75 * SURE  # most confidence in a kind that something speaks against
 _BLOCK = 4  # voxels along a side of the blocks that are tested together
 
 
@@ -180,7 +181,7 @@ def find_eyes(look: Look) -> Found:
     kind = _with_size(look, kind)
     if not look.up_sure:
         other = kind.other or ("object" if kind.kind == "open place" else "open place")
-        kind = replace(kind, confidence=min(kind.confidence, 0.75 * SURE), other=other)
+        kind = replace(kind, confidence=min(kind.confidence, _WARY), other=other)
     if kind.sure and kind.kind == "object":
         around = Around(core.low, core.high, up)
         space, free = stand_around(look.build, around)
@@ -189,6 +190,8 @@ def find_eyes(look: Look) -> Found:
         least, greatest = eye_heights(space, up, look.person)
         eyes = f"{least:.2g} to {greatest:.2g} units above the ground"
         return space, standing, "free, ground below at the height of an eye", replace(kind, eyes=eyes)
+    if kind.sure:  # an open place without ground to stand on
+        kind = replace(kind, confidence=_WARY, other="object")
     return _either(look, kind, space if walked else None, standing)
 
 
@@ -219,13 +222,18 @@ def find_mixed(look: Look) -> Found:
     raise SceneError("no navigable space: no room and no open ground", "look at the scene as a whole")
 
 
-def stand_around(build: Callable[..., Occupancy], around: Around) -> tuple[Occupancy, Mask]:
+def stand_around(build: Callable[..., Occupancy], around: Around, *, widest: float = np.inf) -> tuple[Occupancy, Mask]:
     """Return a grid around a box, and the voxels where eyes belong.
+
+    Args:
+        build: Makes a grid over a box.
+        around: What eyes are around.
+        widest: Gaussians whose middle standard deviation is larger are haze, and do not count.
 
     Raises:
         SceneError: If none is free.
     """
-    space = build(*around.grid_box())
+    space = build(*around.grid_box(), widest=widest)
     free = space.largest_part(_region(space, around))
     if not free.any():
         raise SceneError(

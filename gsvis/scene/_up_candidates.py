@@ -20,6 +20,7 @@ _WIDTHS = (6.0, 6.0, 3.0, 3.0, 3.0)  # degrees of the kernel, narrower with ever
 _PEAKS = 8
 _APART = 20.0  # degrees between peaks
 _DIFFERENT = 4.0  # degrees between candidates
+_LEAST_NEAR = 1e-9  # share of the surface near a plane, below which rounding would decide
 _SLABS = (0.15, 0.08, 0.05, 0.04)  # standard deviations of heights about a plane, over the footprint's side
 _TOLERANCES = (12.0, 8.0, 6.0, 5.0)  # degrees within which surface counts as level or upright
 _LEANS = (18.0, 14.0, 10.0, 7.0, 5.0, 4.0, 4.0)  # degrees within which steep surface counts as plumb
@@ -141,6 +142,8 @@ def _fit_plane(sample: Sample, start: F64) -> F64:
         )
         center = 0.5 * (edges[counts.argmax()] + edges[counts.argmax() + 1])
         near = np.exp(-0.5 * ((heights - center) / width) ** 2) * sample.mixed
+        if not near.sum() > _LEAST_NEAR * sample.mixed.sum():  # a perfect plane on edge: its slab has no thickness
+            return normal
         about = sample.places - near @ sample.places / near.sum()
         normal = np.linalg.eigh((about.T * near) @ about)[1][:, 0]
     return np.asarray(normal)

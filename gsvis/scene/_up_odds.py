@@ -46,6 +46,7 @@ class Likely(NamedTuple):
         geometry: Confidence that remains without any convention of files.
         ground: Whether it was found by ground or floors; else by the shape of an object.
         evidence: What was measured along `up`.
+        other: (3,) the next likely direction, more than 15 degrees away; None if only one came into question.
     """
 
     up: F64
@@ -53,6 +54,7 @@ class Likely(NamedTuple):
     geometry: float
     ground: bool
     evidence: AxisEvidence
+    other: F64 | None = None
 
 
 def find_likely(sample: Sample) -> Likely:
@@ -80,7 +82,8 @@ def find_likely(sample: Sample) -> Likely:
     geometry = min(geometry, most)
     confidence = min(confidence, most if ground else geometry**_LIFT)
     up = find_plumb(sample, up) if ground else _snap(up)
-    return Likely(up, confidence, geometry, ground, evidence)
+    other = None if same.all() else _snap(settle(sample, directions[int(np.where(same, 0.0, informed).argmax())]))
+    return Likely(up, confidence, geometry, ground, evidence, other)
 
 
 def _best_apart(sample: Sample, axes: F64) -> tuple[F64, F64]:

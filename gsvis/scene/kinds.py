@@ -88,7 +88,7 @@ class SpaceKind:
 
 def is_rooms(found: Evidence) -> bool:
     """Return whether a scene is rooms: something is above, and more is seen from within than from outside."""
-    return found.roofed >= ROOFED and found.seen_within >= found.seen_outside
+    return found.roofed >= ROOFED and found.seen_within > 0.0 and found.seen_within >= found.seen_outside
 
 
 def find_kind(found: Evidence) -> SpaceKind:

@@ -30,12 +30,13 @@ from gsvis.scene._eyes import (
     where_people_stand,
 )
 from gsvis.scene._occupancy import MIN_ALPHA, Occupancy
+from gsvis.scene._of_kind import find_stated
 from gsvis.scene._turned import Pose, TurnedParts, bring_back, is_level, is_square, turn
 from gsvis.scene.axes import axis_vector, snap_to_axis
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.core import find_core
 from gsvis.scene.gaussians import Gaussians
-from gsvis.scene.kinds import SpaceKind
+from gsvis.scene.kinds import Kind, SpaceKind
 from gsvis.scene.upright import Upright, find_up
 from gsvis.scene.witnesses import Witnesses
 
@@ -154,6 +155,30 @@ class NavigableSpace:
         grid = partial(Occupancy.from_gaussians, resolution=resolution, max_alpha=max_alpha, clearance=clearance)
         look, pose = _look(seen, upright, None, grid, coverage=coverage, seeds=points)
         return cls._over(look, pose, find_mixed(look) if mixed else find_eyes(look))
+
+    @classmethod
+    def of_kind(
+        cls, g: Gaussians, kind: Kind, *, resolution: int = 160, up: ArrayLike | str | None = None
+    ) -> NavigableSpace:
+        """Find the navigable space of a scene whose kind is known: nothing is guessed but up, if it is not given.
+
+        Args:
+            g: The scene.
+            kind: "object": eyes are around it. "rooms": inside. "open place": above its ground, within its detail.
+            resolution: Voxels along the longest side of the box, 8 to 384.
+            up: (3,) direction or an axis such as "+z"; guessed by default.
+
+        Raises:
+            ValueError: If an argument is out of range.
+            SceneError: If the scene has no free space.
+        """
+        _check_resolution(resolution)
+        if kind not in ("object", "rooms", "open place"):
+            raise ValueError(f"kind: expected one of object, rooms, open place, got {kind!r}")
+        seen, upright = _visible(g), _upright(g, up)
+        grid = partial(Occupancy.from_gaussians, resolution=resolution, max_alpha=0.25, clearance=1.0)
+        look, pose = _look(seen, upright, None, grid)
+        return cls._over(look, pose, find_stated(look, kind))
 
     @classmethod
     def from_parts(

@@ -5,7 +5,7 @@ Up is any unit vector in the scene's frame, with a confidence in it. This module
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -38,12 +38,14 @@ class Upright:
         confidence: In (0, 1]; 1 for what is stated or given.
         reason: Where it comes from, in a line.
         doubt: What clearly contradicts it, in a line; empty if nothing does.
+        other: (3,) what up may be as well, scene frame; None if there is nothing to choose between.
     """
 
     up: F64
     confidence: float
     reason: str
     doubt: str = ""
+    other: F64 | None = None
 
     @property
     def sure(self) -> bool:
@@ -76,7 +78,9 @@ def find_up(g: Gaussians, *, cameras: Cameras | None = None, check: bool = True)
         return found
     if tilt_of(level.up, found.up) < _CONTRADICTION:  # two witnesses of one direction
         return Upright(level.up, 1.0 - (1.0 - level.confidence) * (1.0 - found.confidence), level.reason)
-    return found if found.confidence > level.confidence else Upright(*level)
+    if found.confidence > level.confidence:
+        return replace(found, other=level.up)
+    return Upright(*level, other=found.up)
 
 
 def doubt_up(g: Gaussians, up: ArrayLike, *, cameras: Cameras | None = None) -> str:
@@ -111,7 +115,7 @@ def _from_gaussians(g: Gaussians) -> Upright:
     if sample is None:
         return Upright(axis_vector("-y"), _NOTHING, "what most files use; too few Gaussians to tell")
     likely = find_likely(sample)
-    return Upright(likely.up, likely.confidence, _explain(likely))
+    return Upright(likely.up, likely.confidence, _explain(likely), other=likely.other)
 
 
 def _explain(likely: Likely) -> str:
