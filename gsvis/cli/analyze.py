@@ -12,6 +12,7 @@ import numpy as np
 from gsvis._extras import require
 from gsvis.cli import version
 from gsvis.cli.arguments import Analyze
+from gsvis.cli.showing import picture_of
 from gsvis.cli.shown import check_shown, load_shown
 from gsvis.cli.source import (
     check_report,
@@ -120,6 +121,7 @@ def _write_report(
         seconds=dict(status.seconds),
         differs=differs,
         judged=judged,
+        place=None if navigable is None else picture_of(source, place),
     )
     return write_report(command.out, analysis, subject, pictures, progress=status), remarks
 

@@ -18,7 +18,7 @@ from gsvis.cli.arguments_serve import Serve
 from gsvis.cli.arguments_simulate import Simulate
 from gsvis.cli.arguments_space import Space
 from gsvis.cli.arguments_view import View
-from gsvis.cli.arguments_where import Where, WhereSeen
+from gsvis.cli.arguments_where import SHOW, Where, WhereSeen
 from gsvis.cli.arguments_world import World
 from gsvis.cli.readers import (
     BYTES,
@@ -233,6 +233,8 @@ class Pvs(WhereSeen):
     """Memory limit of all processes together, such as 4GB or 2GiB."""
     scheduler: Annotated[str | None, arg(metavar="ADDRESS", help_behavior_hint="(default: this machine)")] = None
     """Dask scheduler whose workers do the work, such as tcp://10.0.0.5:8786; needs the extra 'cluster'."""
+    show: Annotated[str | None, SHOW] = None
+    """Write a picture of where people stand: the first view, and a plan with eyes; a dry run in doubt does anyway."""
     dry_run: Flag = False
     """Print time, memory and disk after a few cells were tried, and write nothing."""
     json: Flag = False
@@ -417,6 +419,8 @@ class Levels(WhereSeen):
     """Up in the scene: an axis such as -y, or three numbers; not with --photos."""
     seed: Annotated[int, WHOLE] = 0
     """Seed of everything random: the same seed gives the same levels."""
+    show: Annotated[str | None, SHOW] = None
+    """Write a picture of where people stand: the first view, and a plan with eyes."""
     max_memory: Annotated[int | None, BYTES, hint("no bound")] = None
     """Memory limit, such as 8GB: a scene that needs more is refused before it is read."""
     json: Flag = False

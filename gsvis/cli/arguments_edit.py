@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import arg
 
-from gsvis.cli.arguments_where import Where, WhereSeen
+from gsvis.cli.arguments_where import SHOW, Where, WhereSeen
 from gsvis.cli.readers import (
     BYTES,
     COUNTED,
@@ -62,6 +62,8 @@ class Clean(Where):
     """Largest share of the pixels of these views that fog or floaters may have made; else the class is given back."""
     up: Annotated[str | None, arg(metavar="UP", help_behavior_hint="(default: the likely one)")] = None
     """Up in the scene: an axis such as -y, or three numbers."""
+    show: Annotated[str | None, SHOW] = None
+    """Write a picture of where people stand: the first view, and a plan with eyes."""
     seed: Annotated[int, WHOLE] = 0
     """Seed of everything random: the same seed gives the same file."""
     max_memory: Annotated[int | None, BYTES, hint("no bound")] = None

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from gsvis.cli.arguments_where import WhereSeen
+from gsvis.cli.arguments_where import SHOW, WhereSeen
 from gsvis.cli.readers import (
     BYTES,
     CELLS,
@@ -94,6 +94,8 @@ class Prepare(WhereSeen):
     """Number of processes that find visible sets. The package is the same for any number."""
     max_memory: Annotated[int | None, BYTES, hint("no bound")] = None
     """Memory limit of all processes together, such as 4GB or 2GiB."""
+    show: Annotated[str | None, SHOW] = None
+    """Write a picture of where people stand: the first view, and a plan with eyes; a dry run in doubt does anyway."""
     dry_run: Flag = False
     """Print time, memory and disk of each stage, and write nothing."""
     discard: Flag = False

@@ -7,9 +7,11 @@ from typing import Annotated, Literal
 
 from tyro.conf import arg
 
-from gsvis.cli.readers import AROUND, BOX, DISTANCE, PLAIN, Flag, hint
+from gsvis.cli.readers import AROUND, BOX, DISTANCE, KIND, PLAIN, Flag, hint
 
-__all__ = ["Where", "WhereSeen"]
+__all__ = ["SHOW", "Where", "WhereSeen"]
+
+SHOW = arg(metavar="FILE", help_behavior_hint="(default: none)")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,6 +32,8 @@ class Where:
     cameras_frame: Annotated[Literal["auto", "scene", "capture"], PLAIN] = "auto"
     """Frame of --cameras. scene: that of SCENE, as they are; capture: that of the photographs, moved by nerfstudio's
     dataparser_transforms.json; auto: moved where more of them see the scene then. (default: auto)"""
+    kind: Annotated[str | None, KIND, hint("auto, and a question on a terminal where that is unsure")] = None
+    """What the scene is, which says where people stand: object, rooms, open-place; or auto, which asks nothing."""
 
 
 @dataclass(frozen=True, kw_only=True)

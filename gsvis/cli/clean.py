@@ -11,8 +11,10 @@ import numpy as np
 
 from gsvis.cli import version
 from gsvis.cli.arguments import Clean
+from gsvis.cli.asking import settle
 from gsvis.cli.clean_large import clean_in_tiles, in_tiles, remark_on_unseen
 from gsvis.cli.scene_out import check_one_level, check_outputs, check_scene_out
+from gsvis.cli.showing import check_show, picture_of
 from gsvis.cli.source import (
     check_report,
     check_source,
@@ -23,7 +25,7 @@ from gsvis.cli.source import (
     parse_up,
 )
 from gsvis.cli.terminal import Status, facts, print_json, show, size_of
-from gsvis.cli.where import WORDS, check_where, find_place, given, space_document, spell
+from gsvis.cli.where import WORDS, Place, check_where, find_place, given, space_document, spell
 from gsvis.errors import SceneError
 
 if TYPE_CHECKING:
@@ -38,7 +40,9 @@ if TYPE_CHECKING:
 __all__ = ["run_clean"]
 
 _CAMERAS = 200  # most photographs whose viewpoints are eyes
-_SEARCH = ("report", "select", "cameras", "strength", "eyes", "held_out", "min_psnr", "max_changed", "up", "seed")
+_SEARCH = (
+    "report", "select", "cameras", "strength", "eyes", "held_out", "min_psnr", "max_changed", "up", "show", "seed",
+)  # fmt: skip
 
 
 def run_clean(command: Clean) -> None:
@@ -68,10 +72,11 @@ def run_clean(command: Clean) -> None:
         framed: list[str] = []
         if cameras is not None and command.cameras is not None:
             cameras, framed = framed_cameras(source, cameras, command.cameras, command.cameras_frame)
-        found, remarks = _find(command, config, source, walk, cameras, status)
+        found, place, remarks = _find(command, config, source, walk, cameras, status)
         remarks = [*framed, *remarks]
         _check_left(command, found.kept)
-        document = _write(command, config, source, found, remarks, status)
+        picture = None if command.report is None else picture_of(source, place)
+        document = _write(command, config, source, found, remarks, picture, status)
     if command.json:
         print_json(document)
         return
@@ -85,6 +90,7 @@ def _check_arguments(command: Clean) -> CleanConfig:
     check_source(command.scene, command.lod)
     check_one_level(command.scene)
     parse_up(command.up)
+    check_show(command)
     try:
         config = CleanConfig(
             classes=command.classes or CLASSES, strength=command.strength, eyes=command.eyes,
@@ -128,13 +134,14 @@ def _check_outputs(command: Clean) -> None:
 
 def _find(
     command: Clean, config: CleanConfig, source: Source, walk: HeadPath | None, cameras: Cameras | None, status: Status
-) -> tuple[Cleaning, list[str]]:
+) -> tuple[Cleaning, Place, list[str]]:
     """Find navigable space, without haze and flyaways, and what can go; return remarks too."""
     from gsvis.edit import clean, core_of, find_in_parcels
 
     status("space", 0, 1)
     surfaces = replace(source, gaussians=core_of(source.gaussians))
-    place = find_place(surfaces, command, command.up, walk, cameras)
+    settled = settle(command, source, lambda c: find_place(surfaces, c, c.up, walk, cameras), status)
+    command, place = settled.command, settled.place
     space = place.required("say where eyes may be with --box, --around or --path")
     if not given(command) and cameras is None and space.kind.kind != "given":
         space = find_in_parcels(surfaces.gaussians, space, progress=status)
@@ -142,7 +149,7 @@ def _find(
     looking, space = _split(space, cameras)
     found = clean(source.gaussians, navigable=space, cameras=looking, config=config, progress=status)
     remark = "" if given(command) else remark_on_unseen(found.counts, len(source.gaussians))
-    return found, [*place.remarks, *([f" {remark}."] if remark else [])]
+    return found, place, [*settled.remarks, *([f" {remark}."] if remark else [])]
 
 
 def _split(space: NavigableSpace, cameras: Cameras | None) -> tuple[Cameras | None, NavigableSpace]:
@@ -162,7 +169,13 @@ def _check_left(command: Clean, kept: NDArray[np.bool_]) -> None:
 
 
 def _write(
-    command: Clean, config: CleanConfig, source: Source, found: Cleaning, remarks: list[str], status: Status
+    command: Clean,
+    config: CleanConfig,
+    source: Source,
+    found: Cleaning,
+    remarks: list[str],
+    picture: bytes | None,
+    status: Status,
 ) -> dict[str, Any]:
     """Write what was asked for; return the document of the result."""
     from gsvis.edit import CLASSES
@@ -184,6 +197,7 @@ def _write(
             "remarks": [each.strip() for each in remarks],
         },
         seconds=dict(status.seconds),
+        place=picture,
     )
     if command.report is not None:
         write_clean_report(command.report, found, subject, progress=status)

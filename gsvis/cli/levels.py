@@ -11,10 +11,12 @@ from typing import TYPE_CHECKING
 
 from gsvis._extras import require
 from gsvis.cli.arguments import Levels
+from gsvis.cli.asking import settle
 from gsvis.cli.image_size import image_size
 from gsvis.cli.kernels import warm_levels
 from gsvis.cli.levels_result import print_result, record_of
 from gsvis.cli.memory import check_memory, machine_memory, training_grows
+from gsvis.cli.showing import check_show
 from gsvis.cli.source import Source, check_folder, check_source, load_source, parse_up
 from gsvis.cli.stopping import between_steps
 from gsvis.cli.terminal import Status
@@ -55,6 +57,7 @@ class _Plan:
     """What to do.
 
     Attributes:
+        command: The arguments, with the answers of the user.
         source: The scene.
         config: Sizes and training.
         drawn: Images to train on and to measure on.
@@ -63,6 +66,7 @@ class _Plan:
         remarks: Remarks for the user.
     """
 
+    command: Levels
     source: Source
     config: LevelsConfig
     drawn: LevelViews
@@ -87,7 +91,7 @@ def run_levels(command: Levels) -> None:
     with Status() as status:
         plan = _plan(command, config, walk, status)
         warm_levels(config, status)
-        trained, record = _run(command, plan, status)
+        trained, record = _run(plan.command, plan, status)
         seconds = dict(status.seconds)
     print_result(command, trained.levels, record, plan.space, plan.remarks, seconds)
 
@@ -110,11 +114,12 @@ def _check_arguments(command: Levels) -> LevelsConfig:
     if command.photos is not None:
         if not Path(command.photos).exists():
             raise FileNotFoundError(2, "no such file or folder", command.photos)
-        for name in ("views", "held_out", "up"):
+        for name in ("views", "held_out", "up", "show"):
             if getattr(command, name) is not None:
                 spelled, value = name.replace("_", "-"), str(getattr(command, name)).strip()
                 raise ValueError(f"--{spelled}: expected none with --photos, got {value}; leave it out")
     parse_up(command.up)
+    check_show(command)
     size = level_image_size(command)
     if size is not None and min(size) < _LEAST_SIDE:
         name, got = ("--width", size[0]) if size[0] < _LEAST_SIDE else ("--height", size[1])
@@ -215,7 +220,7 @@ def _plan(command: Levels, config: LevelsConfig, walk: HeadPath | None, status: 
 
         drawn = load_photograph_views(g, command.photos, level_image_size(command), progress=status)
     else:
-        drawn, space, remarks = _draw_views(command, source, walk, status)
+        command, drawn, space, remarks = _draw_views(command, source, walk, status)
     remarks += [f" {remark}" for remark in drawn.remarks]
     least = sum((1.0 - reuse) * share for reuse, share in zip(config.reuse, config.shares, strict=True))
     if least > 0.05:
@@ -228,7 +233,7 @@ def _plan(command: Levels, config: LevelsConfig, walk: HeadPath | None, status: 
     if _begun(work):
         status.line(f"resuming from {work.name}, which an earlier run left")
         remarks.append(" It resumed from what an earlier run had kept; the time is that of this run alone.")
-    return _Plan(source, config, drawn, work, space, remarks)
+    return _Plan(command, source, config, drawn, work, space, remarks)
 
 
 def _check_target(command: Levels, names: tuple[str, ...]) -> None:
@@ -269,18 +274,25 @@ def _check_replaced(command: Levels, g: Gaussians) -> None:
 
 def _draw_views(
     command: Levels, source: Source, walk: HeadPath | None, status: Status
-) -> tuple[LevelViews, NavigableSpace, list[str]]:
-    """Render the scene to train on and to measure on, from two independent sets of cameras; return remarks, too."""
+) -> tuple[Levels, LevelViews, NavigableSpace, list[str]]:
+    """Render the scene to train on and to measure on, from two independent sets of cameras.
+
+    Returns:
+        The command with the answers of the user, the views, where eyes may be, and remarks.
+    """
     from gsvis.train.level_views import draw_views
 
     status("space", 0, 1)
-    place = find_place(source, command, command.up, walk)
-    space = place.required("photographs with cameras, --photos, serve as well, and --box says where eyes may be")
-    remarks = [*place.remarks, *suspect_views(source.gaussians, space)]
+    settled = settle(command, source, lambda c: find_place(source, c, c.up, walk), status)
+    command = settled.command
+    space = settled.place.required(
+        "photographs with cameras, --photos, serve as well, and --box says where eyes may be"
+    )
+    remarks = [*settled.remarks, *suspect_views(source.gaussians, space)]
     status("space", 1, 1)
     held_out = _HELD_OUT if command.held_out is None else command.held_out
     sampling = view_sampling(command.views, level_image_size(command), command.seed)
-    return draw_views(source.gaussians, space, sampling, held_out, progress=status), space, remarks
+    return command, draw_views(source.gaussians, space, sampling, held_out, progress=status), space, remarks
 
 
 def named_option(error: ValueError) -> ValueError:

@@ -24,7 +24,7 @@ from gsvis.files.limits import open_regular
 from gsvis.files.output import TEMPORARY, output_errors
 from gsvis.files.temporary import temporary_folder
 
-__all__ = ["Frame", "Target", "eight_bit", "target_of", "write_frames"]
+__all__ = ["Frame", "Target", "eight_bit", "is_own", "target_of", "write_frames"]
 
 _MARK = "gsvis"  # marks pictures of gsvis, which may be replaced
 _SEEN = 1.0 / 255.0  # least alpha of a pixel with a depth
@@ -82,7 +82,7 @@ class Target:
     def foreign(self, depth: bool) -> list[Path]:
         """Return the files that would be replaced and that `gsvis render` did not write."""
         paths = [*self.files, *(self.depth_files if depth else [])]
-        return [path for path in paths if path.exists() and not _is_own(path)]
+        return [path for path in paths if path.exists() and not is_own(path)]
 
     @property
     def _digits(self) -> int:
@@ -207,7 +207,7 @@ def _npy(array: NDArray[np.float32]) -> bytes:
     return out.getvalue()
 
 
-def _is_own(path: Path) -> bool:
+def is_own(path: Path) -> bool:
     """Return whether `gsvis render` wrote a file."""
     try:
         with open_regular(path) as file, Image.open(file) as picture:

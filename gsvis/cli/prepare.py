@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from gsvis.cli import version
 from gsvis.cli.arguments import Prepare
+from gsvis.cli.asking import settle
 from gsvis.cli.color import fit_config
 from gsvis.cli.kernels import warm_colors, warm_levels, warm_sets
 from gsvis.cli.levels import (
@@ -25,6 +26,7 @@ from gsvis.cli.made_from import about_source
 from gsvis.cli.memory import check_preparation
 from gsvis.cli.prepare_result import print_estimate, print_result
 from gsvis.cli.pvs import local_workers, named_memory, sets_config
+from gsvis.cli.showing import check_show
 from gsvis.cli.source import check_folder, check_source, is_builtin, is_levels, load_source, parse_up
 from gsvis.cli.stopping import between_steps
 from gsvis.cli.terminal import Status
@@ -66,9 +68,12 @@ def run_prepare(command: Prepare) -> None:
             config = replace(config, meters_per_unit=source.gaussians.facts.meters_per_unit or 0.0)
         status("reading", 1, 1)
         status("space", 0, 1)
-        place = find_place(source, command, command.up, walk, _photo_cameras(command))
-        space = place.required("say where eyes may be with --box or --around")
-        remarks = [*place.remarks, *suspect_views(source.gaussians, space)]
+        beside = command.out if command.dry_run else None
+        settled = settle(
+            command, source, lambda c: find_place(source, c, c.up, walk, _photo_cameras(c)), status, beside=beside
+        )
+        command, space = settled.command, settled.place.required("say where eyes may be with --box or --around")
+        remarks = [*settled.remarks, *suspect_views(source.gaussians, space)]
         status("space", 1, 1)
         work = WorkFolder(command.out).folder
         if work.exists():
@@ -100,7 +105,7 @@ def run_prepare(command: Prepare) -> None:
         elif not command.dry_run:
             note_paths(command.out, [None if is_builtin(command.scene) else command.scene])
     if command.dry_run:
-        print_estimate(command, source, space, estimate, remarks)
+        print_estimate(command, source, space, estimate, [*remarks, settled.written])
     else:
         print_result(command, source, space, prepared, remarks)
 
@@ -125,6 +130,7 @@ def _check_arguments(command: Prepare) -> PrepareConfig:
     if command.photos is not None and not Path(command.photos).exists():
         raise FileNotFoundError(2, "no such file or folder", command.photos)
     parse_up(command.up)
+    check_show(command)
     _check_training(command)
     check_folder(Path(command.out).absolute().parent)
     check_target(Path(command.out))  # before reading a large scene; `prepare_package` checks again

@@ -144,7 +144,6 @@ def print_estimate(
         facts(f"{source.name}: what it would cost", rows),
         facts("", stages),
         *remarks,
-        " Nothing was written.",
     )
 
 

@@ -13,8 +13,10 @@ from typing import Any
 import numpy as np
 
 from gsvis.cli.arguments import Pvs
+from gsvis.cli.asking import settle
 from gsvis.cli.kernels import warm_sets
 from gsvis.cli.memory import IN_TILES, check_sets
+from gsvis.cli.showing import check_show
 from gsvis.cli.source import (
     Source,
     check_file,
@@ -49,13 +51,14 @@ _CELLS = 512
 
 @dataclass(frozen=True, eq=False)
 class _Plan:
-    """What to build: the scene, its cells and space, settings, and remarks for the user."""
+    """What to build: the scene, its cells and space, settings, remarks for the user, and what a dry run has written."""
 
     source: Source
     grid: CellGrid
     space: NavigableSpace
     config: PvsConfig
     remarks: list[str]
+    written: str
 
 
 def run_pvs(command: Pvs) -> None:
@@ -100,6 +103,7 @@ def _check_arguments(command: Pvs) -> PvsConfig:
                 f"--{spelled}: expected none with --scheduler, got {getattr(command, other)}; leave one out"
             )
     parse_up(command.up)
+    check_show(command)
     if command.scheduler is not None:
         from gsvis.pvs.cluster import check_address
 
@@ -184,16 +188,17 @@ def _plan(command: Pvs, config: PvsConfig, walk: HeadPath | None, status: Status
     _check_replaced(command, source)
     status("reading", 1, 1)
     status("space", 0, 1)
-    place = find_place(source, command, command.up, walk)
-    space = place.required("say where eyes may be with --box or --around")
-    remarks = [*place.remarks, *suspect_views(source.gaussians, space)]
+    beside = command.out if command.dry_run else None
+    settled = settle(command, source, lambda c: find_place(source, c, c.up, walk), status, beside=beside)
+    space = settled.place.required("say where eyes may be with --box or --around")
+    remarks = [*settled.remarks, *suspect_views(source.gaussians, space)]
     size = command.cell_size
     if size is None:
         grid = CellGrid.over(space, max_cells=command.cells or fitting_cells(source.gaussians, space, _CELLS))
     else:
         grid = CellGrid.over(space, max_cells=command.cells or MAX_CELLS, cell_size=size)
     status("space", 1, 1)
-    return _Plan(source, grid, space, config, remarks)
+    return _Plan(source, grid, space, config, remarks, settled.written)
 
 
 def _built(command: Pvs, plan: _Plan, workers: Workers, status: Status) -> VisibilityStore:
@@ -253,7 +258,7 @@ def _print_estimate(command: Pvs, plan: _Plan, estimate: Estimate) -> None:
         ("memory", f"at most about {size_of(estimate.memory)}, all processes together"),
         ("disk", f"about {size_of(estimate.disk)}; {size_of(estimate.working_disk)} more while it works"),
     ]
-    show(facts(f"{plan.source.name}: what it would cost", rows), *plan.remarks, " Nothing was written.")
+    show(facts(f"{plan.source.name}: what it would cost", rows), *plan.remarks, plan.written)
 
 
 def spell_certificates(certified: StoredCertificates, twice: Any) -> list[tuple[str, str]]:

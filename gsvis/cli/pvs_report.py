@@ -12,6 +12,7 @@ import numpy as np
 from gsvis._extras import require
 from gsvis.cli import version
 from gsvis.cli.arguments import PvsReport
+from gsvis.cli.showing import picture_of
 from gsvis.cli.source import (
     Source,
     check_report,
@@ -23,11 +24,13 @@ from gsvis.cli.source import (
     spaces_of_build,
 )
 from gsvis.cli.terminal import Status, facts, print_json, show, size_of
+from gsvis.cli.where import Place
 from gsvis.pvs.store import VisibilityStore
 from gsvis.pvs.viewpoints import CellViewpoints
 from gsvis.scene.content import space_hash
 from gsvis.scene.levels import as_levels
 from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.upright import Upright
 from gsvis.scene.view_sampling import ViewSampling
 from gsvis.scene.witnesses import Witnesses, hold_out
 
@@ -104,6 +107,7 @@ def _write_report(command: PvsReport, store: VisibilityStore, status: Status) ->
         parameters={name: getattr(command, name) for name in ("store", "scene", *_OPTIONS)},
         seconds=dict(status.seconds),
         judged=judged,
+        place=picture_of(source, Place(viewpoints.space, "", [], upright=Upright(store.grid.up, 1.0, "of the store"))),
     )
     return write_pvs_report(command.out, found, store, subject, progress=status)
 

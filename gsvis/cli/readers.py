@@ -33,6 +33,7 @@ __all__ = [
     "FACTOR",
     "HOSTS",
     "INDICES",
+    "KIND",
     "LEAF",
     "LODS",
     "MEAN_TERMS",
@@ -89,7 +90,7 @@ def _spec(nargs: int | Literal["*"], metavar: str, read: Callable[[list[str]], A
         nargs=nargs,
         metavar=metavar,
         instance_from_str=read,
-        is_instance=lambda value: value is None or isinstance(value, int | float | tuple),
+        is_instance=lambda value: value is None or isinstance(value, int | float | str | tuple),
         str_from_instance=lambda value: [str(value)],
     )
 
@@ -102,6 +103,13 @@ def _read_box(words: list[str]) -> tuple[float, ...]:
     if not all(low < high for low, high in zip(box[:3], box[3:], strict=True)):
         raise ValueError(f"expected X0 < X1, Y0 < Y1 and Z0 < Z1, got {' '.join(words)}")
     return box
+
+
+def _read_kind(words: list[str]) -> str:
+    known = ("auto", "object", "rooms", "open-place")
+    if words[0] not in known:
+        raise ValueError(f"expected one of {', '.join(known)}, got {words[0]!r}")
+    return words[0]
 
 
 def _read_around(words: list[str]) -> tuple[float, ...]:
@@ -222,6 +230,7 @@ OPACITY = _number("A", float, 0.0, 1.0, "a value in [0, 1]")
 SH_DEGREE = _number("D", int, 0, 3, "an SH degree of 0 to 3")
 FACE_RAYS = _spec(1, "K", _read_face_rays)
 BOX = _spec(6, "X0 Y0 Z0 X1 Y1 Z1", _read_box)
+KIND = _spec(1, "KIND", _read_kind)
 AROUND = _spec("*", "X Y Z R|auto", _read_around)
 POINT = _numbers("X Y Z")
 ANGLES = _numbers("DEG DEG DEG", -36000.0, 36000.0, "three angles in [-36000, 36000] degrees")

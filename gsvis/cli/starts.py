@@ -84,10 +84,15 @@ def _starts_in(some: Source, space: NavigableSpace) -> tuple[Start, ...] | None:
     return tuple(Start.from_dict(view, mode) for view in found) or None
 
 
-def thin(source: Source) -> Source:
-    """Return a scene with Gaussians drawn at random, larger by as much as keeps the area of all together."""
-    g = source.gaussians
-    if len(g) > _PART:
-        some = np.sort(np.random.default_rng(0).choice(len(g), _PART, replace=False))
-        g = replace(g[some], scales=g.scales[some] * np.float32(np.sqrt(len(g) / _PART)))
+def thin(source: Source, most: int | None = None) -> Source:
+    """Return a scene with Gaussians drawn at random, larger by as much as keeps the area of all together.
+
+    Args:
+        source: The scene.
+        most: Gaussians that remain, at most; by default as many as a view to begin with needs.
+    """
+    g, most = source.gaussians, most or _PART
+    if len(g) > most:
+        some = np.sort(np.random.default_rng(0).choice(len(g), most, replace=False))
+        g = replace(g[some], scales=g.scales[some] * np.float32(np.sqrt(len(g) / most)))
     return replace(source, gaussians=g, levels=None)

@@ -138,6 +138,17 @@ class Status(AbstractContextManager["Status"]):
             note = self._notes.get(stage, ("", ""))[1]
             self._say(f"{said}: {done:,} of {total:,}, about {clock(left)} left{'; ' if note else ''}{note}")
 
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """Show no bars in this block, as while a question is asked."""
+        if self._bars:
+            self._bars.stop()
+        try:
+            yield
+        finally:
+            if self._bars:
+                self._bars.start()
+
     def note(self, stage: str, brief: str, whole: str) -> None:
         """Set the text of a stage: `brief` replaces its name on a bar, `whole` is added to its plain lines."""
         self._notes[stage] = brief, whole

@@ -138,7 +138,9 @@ def _preparing(command: View, scenes: Scenes, name: str) -> Iterator[None]:
     words += [] if command.up is None else ["--up", command.up.strip()]
     words += [] if command.cameras is None else ["--cameras", command.cameras]
     scenes[name].preparing, ending = True, threading.Event()
-    running = subprocess.Popen(words, stdout=subprocess.DEVNULL, preexec_fn=_be_nice if os.name == "posix" else None)
+    nobody = subprocess.DEVNULL  # it must not ask while the scene is shown
+    nice = _be_nice if os.name == "posix" else None
+    running = subprocess.Popen(words, stdin=nobody, stdout=nobody, preexec_fn=nice)
     waiting = threading.Thread(target=_change_over, args=(running, scenes, name, command.prepare, ending), daemon=True)
     waiting.start()
     try:

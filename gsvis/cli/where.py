@@ -38,7 +38,7 @@ __all__ = [
     "suspect_views",
 ]
 
-WORDS = ("box", "around", "path", "margin", "retarget")
+WORDS = ("box", "around", "path", "margin", "retarget", "kind")
 """Names of the options."""
 
 
@@ -52,7 +52,7 @@ _NOMINAL = (640, 480)  # pixels of cameras whose sizes differ
 _CLOSE = 0.01  # of the scene's diagonal: views that end within it look into one surface
 
 
-_DECIDE = "--cameras, --up, --box, --around or --path decides"
+_DECIDE = "--kind, --up, --cameras, --box, --around or --path decides"
 
 
 @runtime_checkable
@@ -68,12 +68,12 @@ class Evidence:
     """What says where people stand: the strongest that there is.
 
     Attributes:
-        source: Where it comes from, the strongest first: cameras, a walk, a box or a center given, the scene itself.
+        source: Where it comes from, the strongest first: cameras, a walk, a box, a center or a kind given, the scene.
         confidence: In (0, 1]; 1 for what is given.
         text: What was taken for what, in a line.
     """
 
-    source: Literal["cameras", "walk", "box", "around", "scene"]
+    source: Literal["cameras", "walk", "box", "around", "kind", "scene"]
     confidence: float
     text: str
 
@@ -138,6 +138,11 @@ def check_where(where: Where, other: str = "") -> HeadPath | None:
     names = given(where)
     if names and other:
         raise ValueError(f"--{names[0]}: expected none with {other}, which says where eyes are; leave one out")
+    if where.kind is not None and (other or names):
+        wrong = other or f"--{names[0]}"
+        raise ValueError(
+            f"--kind: expected none with {wrong}, which says where eyes are, got {where.kind}; leave one out"
+        )
     if len(names) > 1:
         value = getattr(where, names[1])
         raise ValueError(f"--{names[1]}: expected none with --{names[0]}, got {' '.join(spell(value))}; leave one out")
@@ -229,6 +234,8 @@ def _find(
         except SceneError as error:
             raise SceneError(f"--around: {error.problem}; give another center or radius") from None
         return Place(space, "", remarks)
+    if where.kind not in (None, "auto"):
+        return _stated(source, where, upright, remarks)
     in_frame = walk is not None and not where.retarget
     if walk is not None and in_frame:
         _check_frame(source, where, walk)
@@ -250,6 +257,17 @@ def _find(
     if walk is None:
         return Place(found, "", remarks)
     return _along(source, found, where, walk, remarks)
+
+
+def _stated(source: Source, where: Where, upright: Upright, remarks: list[str]) -> Place:
+    """Return the place in a scene whose kind is stated."""
+    assert where.kind is not None
+    up, kind = upright.up if upright.sure else None, where.kind.replace("-", " ")
+    try:
+        space = NavigableSpace.of_kind(source.gaussians, kind, up=up)  # type: ignore[arg-type]
+    except SceneError as error:
+        return Place(None, f"{source.path or source.name}: --kind {where.kind}: {error.problem}", remarks)
+    return Place(space, "", remarks, evidence=Evidence("kind", 1.0, f"{kind}: as stated"))
 
 
 def _upright(source: Source, up: str | None, cameras: Cameras | None) -> tuple[Upright, list[str]]:

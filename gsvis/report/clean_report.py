@@ -20,7 +20,17 @@ from gsvis.io.report_cameras import describe_cameras
 from gsvis.progress import Progress, silent
 from gsvis.render import rasterize
 from gsvis.report.files import LAST, write_files
-from gsvis.report.html import Figure, describe_judged, describe_run, figure, fill_template, table, tiles
+from gsvis.report.html import (
+    Figure,
+    describe_judged,
+    describe_run,
+    figure,
+    fill_template,
+    table,
+    tiles,
+    where_figure,
+    where_section,
+)
 from gsvis.report.pictures import png_of
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
@@ -63,6 +73,7 @@ class CleanSubject:
         parameters: What the result depends on.
         facts: More on the scene, for `report.json`.
         seconds: Duration of each stage.
+        place: PNG bytes of the picture of where people stand; None without one.
     """
 
     title: str
@@ -72,6 +83,7 @@ class CleanSubject:
     parameters: dict[str, Any]
     facts: dict[str, Any] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
+    place: bytes | None = None
 
 
 def clean_document(found: Cleaning, subject: CleanSubject) -> dict[str, Any]:
@@ -124,6 +136,9 @@ def write_clean_report(
         OutputError: If the folder cannot be written.
     """
     figures = _draw(found, subject.gaussians, progress)
+    where = where_figure(subject.place)
+    if where is not None:
+        figures["where"] = where
     document = clean_document(found, subject)
     html = fill_template(
         "clean_page.html",
@@ -134,6 +149,7 @@ def write_clean_report(
         classes=_classes(document),
         inside=_inside(figures),
         outside=_outside(figures),
+        where=where_section(where),
         how=describe_run(document),
     )
     with atomic_folder(_check.path("folder", folder), last=LAST) as partial:

@@ -15,7 +15,7 @@ from gsvis.io.report_cameras import describe_cameras
 from gsvis.progress import Progress, silent
 from gsvis.raycast.analysis import FACE_LIMITS, PAPER, Analysis
 from gsvis.report.files import LAST, write_files
-from gsvis.report.html import Figure
+from gsvis.report.html import Figure, where_figure
 from gsvis.report.maps import Ground, draw_directions, draw_seen_map
 from gsvis.report.page import page
 from gsvis.report.pictures import ViewPicture, png_of
@@ -26,7 +26,7 @@ from gsvis.scene.gaussians import Gaussians
 __all__ = ["Subject", "report_document", "write_report"]
 
 
-_PICTURES = {"visible.png", "cdf.png", "settling.png", "map_directions.png"} | {
+_PICTURES = {"where.png", "visible.png", "cdf.png", "settling.png", "map_directions.png"} | {
     f"{kind}_{role}.png" for kind in ("view", "map") for role in ("most", "median", "least")
 }
 
@@ -48,6 +48,7 @@ class Subject:
         differs: Why the paper's figures, means over the training views of captures of one subject, cannot be
             compared with these; empty if they can.
         judged: What eyes of two rules see, `Judged.as_dict()` or a like; None if it was not checked.
+        place: PNG bytes of the picture of where people stand; None without one.
     """
 
     title: str
@@ -61,6 +62,7 @@ class Subject:
     seconds: dict[str, float] = field(default_factory=dict)
     differs: str = "the scene and its cameras may be of another kind"
     judged: dict[str, Any] | None = None
+    place: bytes | None = None
 
 
 def report_document(analysis: Analysis, subject: Subject) -> dict[str, Any]:
@@ -136,7 +138,9 @@ def _figures(
         plots[f"map_{picture.role}"] = (draw, ground.size)
     if analysis.traced is not None:
         plots["map_directions"] = (partial(draw_directions, ground=ground, analysis=analysis), ground.size)
-    figures = {f"view_{p.role}": Figure(f"view_{p.role}.png", png_of(p.image)) for p in pictures}
+    where = where_figure(subject.place)
+    figures: dict[str, Figure] = {} if where is None else {"where": where}
+    figures |= {f"view_{p.role}": Figure(f"view_{p.role}.png", png_of(p.image)) for p in pictures}
     progress("writing", 0, len(plots))
     for done, (name, (draw, size)) in enumerate(plots.items(), 1):
         figures[name] = Figure(f"{name}.png", draw_png(draw, LIGHT, size), draw_png(draw, DARK, size))

@@ -16,7 +16,18 @@ from typing import Any
 
 from gsvis._extras import remedy_of
 
-__all__ = ["Figure", "describe_judged", "describe_run", "figure", "fill_template", "plain", "table", "tiles"]
+__all__ = [
+    "Figure",
+    "describe_judged",
+    "describe_run",
+    "figure",
+    "fill_template",
+    "plain",
+    "table",
+    "tiles",
+    "where_figure",
+    "where_section",
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +73,21 @@ def figure(figure: Figure | None, alternative: str, caption: str) -> str:
         source = f"<source srcset='{_data(figure.dark)}' media='(prefers-color-scheme: dark)'>"
         image = f"<picture>{source}{image}</picture>"
     return f"<figure>{image}<figcaption>{caption}</figcaption></figure>"
+
+
+def where_figure(png: bytes | None) -> Figure | None:
+    """Return the figure of where people stand, of PNG bytes; None without them."""
+    return None if png is None else Figure("where.png", png)
+
+
+def where_section(shown: Figure | None) -> str:
+    """Return the section of a page on where people stand; empty without a picture."""
+    if shown is None:
+        return ""
+    caption = "What was taken for what, the first view, and a plan with some of the eyes."
+    return (
+        f"<section><h2>Where people stand</h2>{figure(shown, 'The first view and a plan with eyes', caption)}</section>"
+    )
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -7,7 +7,7 @@ from typing import Any
 
 from gsvis.raycast.analysis import PAPER, Analysis, DirectionCdf
 from gsvis.raycast.second_tracer import describe_check
-from gsvis.report.html import Figure, describe_judged, describe_run, figure, fill_template, table
+from gsvis.report.html import Figure, describe_judged, describe_run, figure, fill_template, table, where_section
 from gsvis.report.html import tiles as listed
 
 __all__ = ["page"]
@@ -38,6 +38,7 @@ def page(analysis: Analysis, document: dict[str, Any], figures: dict[str, Figure
         visible=_visible(analysis, figures, differs, document["judged"]),
         views=_views(analysis, figures),
         directions=_directions(analysis, figures, differs),
+        where=where_section(figures.get("where")),
         scene=_scene(analysis, document["scene"]),
         how=describe_run(document) + _AGAIN,
     )

@@ -17,7 +17,7 @@ from gsvis.pvs.store import VisibilityStore
 from gsvis.render import rasterize
 from gsvis.report.document import Subject
 from gsvis.report.files import LAST, write_files
-from gsvis.report.html import Figure
+from gsvis.report.html import Figure, where_figure
 from gsvis.report.maps import CellMap, Ground, draw_cells
 from gsvis.report.pictures import png_of
 from gsvis.report.pvs_page import pvs_page
@@ -171,7 +171,8 @@ def _figures(
     }
     steps = len(plots) + 1
     progress("writing", 0, steps)
-    figures = {}
+    where = where_figure(subject.place)
+    figures: dict[str, Figure] = {} if where is None else {"where": where}
     for done, (name, (draw, size)) in enumerate(plots.items(), 1):
         figures[name] = Figure(f"{name}.png", draw_png(draw, LIGHT, size), draw_png(draw, DARK, size))
         progress("writing", done, steps)

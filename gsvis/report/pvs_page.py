@@ -9,7 +9,7 @@ import numpy as np
 
 from gsvis.pvs.quality import PSNR_CAP, TARGETS, Quality
 from gsvis.pvs.quality import Figure as Measure
-from gsvis.report.html import Figure, describe_judged, describe_run, figure, fill_template, table, tiles
+from gsvis.report.html import Figure, describe_judged, describe_run, figure, fill_template, table, tiles, where_section
 
 __all__ = [
     "describe_bounds",
@@ -44,6 +44,7 @@ def pvs_page(quality: Quality, document: dict[str, Any], figures: dict[str, Figu
         quality=_quality(quality, document, figures),
         classes=_classes(quality, figures),
         worst=_worst(quality, figures),
+        where=where_section(figures.get("where")),
         store=_store(document["store"]),
         how=describe_run(document),
     )

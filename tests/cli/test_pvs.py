@@ -142,7 +142,7 @@ def test_the_space_may_lie_along_a_path(tmp_path: Path, capsys: Capture) -> None
 
 
 def test_a_dry_run_prints_the_cost_and_writes_nothing(ply: Path, tmp_path: Path, capsys: Capture) -> None:
-    words = [ply, "-o", tmp_path / "out" / "a.pvs", *QUICK, *BOX, "--dry-run"]
+    words = [ply, "-o", tmp_path / "out" / "a.pvs", *QUICK, *BOX, "--up", "+z", "--dry-run"]
     assert main(["pvs", *map(str, words)]) == 0
     text = capsys.readouterr().out
     for label in ("time", "memory", "disk", "Nothing was written."):

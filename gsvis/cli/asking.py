@@ -1,0 +1,168 @@
+"""Ask which reading of a scene is right, where that is in doubt and somebody sits at a terminal.
+
+Nobody is asked elsewhere, with --json, or with --kind. Then, and without an answer, eyes are where any reading has
+them, which loses nothing.
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+import sys
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+from gsvis.cli.showing import Choice, find_choices, place_beside, write_picture
+from gsvis.cli.source import Source, parse_up
+from gsvis.cli.terminal import Status
+from gsvis.cli.where import Place
+from gsvis.files.temporary import temporary_folder
+
+__all__ = ["Settled", "settle"]
+
+_TRIES = 3  # answers that nobody understands
+_QUESTIONS = 3  # one after the other: an answer about up leaves the kind open
+
+C = TypeVar("C")
+
+
+@dataclass(frozen=True, eq=False)
+class Settled(Generic[C]):
+    """Where people stand, after the question.
+
+    Attributes:
+        command: The command, with the answers as if they had been options.
+        place: Where eyes may be.
+        picture: The picture that was written; None if none was.
+    """
+
+    command: C
+    place: Place
+    picture: Path | None
+
+    @property
+    def remarks(self) -> list[str]:
+        """Remarks for the user: those of the place, and where the picture is."""
+        if self.picture is None:
+            hint = [" --show FILE.png shows the first view and a plan with eyes."] if self.place.doubt else []
+            return [*self.place.remarks, *hint]
+        return [*self.place.remarks, f" Where people stand: {self.picture} shows the first view and a plan with eyes."]
+
+    @property
+    def written(self) -> str:
+        """What a dry run says at its end."""
+        return " Nothing was written." if self.picture is None else " Nothing else was written."
+
+
+def settle(
+    command: C, source: Source, find: Callable[[C], Place], status: Status, *, beside: str | None = None
+) -> Settled[C]:
+    """Find where people stand; in doubt show it, and ask on a terminal.
+
+    Args:
+        command: The command; its `show`, `kind`, `up` and `json` are read.
+        source: The scene.
+        find: Finds the place for a command.
+        status: The display of progress, which pauses for the question.
+        beside: The output of a dry run, beside which a picture is written in doubt; None otherwise.
+
+    Raises:
+        OutputError: If a picture cannot be written.
+        KeyboardInterrupt: If the user presses Ctrl-C at the question.
+    """
+    place = find(command)
+    if place.space is None:
+        return Settled(command, place, None)
+    for _ in range(_QUESTIONS):
+        if not place.doubt or not _may_ask(command):
+            break
+        answer = _ask(source, place, status)
+        if not answer:
+            break
+        command = replace(command, **answer)  # type: ignore[type-var]
+        status.line(f"taken as you say; {_spell(answer)} says so without a question")
+        place = find(command)
+        if "kind" in answer:
+            break
+    shown: str | None = getattr(command, "show", None)
+    target = Path(shown) if shown is not None else place_beside(beside) if place.doubt else None
+    if target is not None and place.space is not None:
+        write_picture(target, source, place)
+    return Settled(command, place, target)
+
+
+def _may_ask(command: Any) -> bool:
+    """Return whether somebody sits at a terminal in front of this command, and has not answered yet."""
+    if command.json or command.kind is not None:
+        return False
+    try:
+        if not (sys.stdin.isatty() and sys.stderr.isatty()):
+            return False
+        # In the background, reading from the terminal would stop the process.
+        return not hasattr(os, "tcgetpgrp") or os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
+    except (AttributeError, OSError, ValueError):  # closed, or none at all
+        return False
+
+
+def _ask(source: Source, place: Place, status: Status) -> dict[str, str]:
+    """Show the readings and return the options that the answer stands for; none for the safe one."""
+    choices = find_choices(place)
+    with ExitStack() as stack:
+        picture = Path(stack.enter_context(temporary_folder())) / "where.png"
+        write_picture(picture, source, place)
+        stack.enter_context(status.paused())
+        lines = [
+            "",
+            place.doubt,
+            f"A picture of the first view and of a plan with eyes: {picture}",
+            *(f"  {k}      {choice}" for k, choice in enumerate(choices, 1)),
+            "  Enter  where any of these has eyes: safe, and a larger space",
+            "  Or say which way is up: an axis such as -y, or three numbers.",
+        ]
+        sys.stderr.write("\n".join(lines) + "\n")
+        for _ in range(_TRIES):
+            word = _read(f"Which is right, 1 to {len(choices)}? " if len(choices) > 1 else "Is it 1? ")
+            if not word:
+                break
+            answer = _understand(word, choices, place)
+            if answer is not None:
+                return answer
+            sys.stderr.write(f"expected a number up to {len(choices)}, an up axis, or Enter alone; got {word!r}\n")
+    return {}
+
+
+def _read(prompt: str) -> str:
+    """Return what the user types, without spaces around it; nothing at the end of input."""
+    sys.stderr.write(prompt)
+    sys.stderr.flush()
+    try:
+        line = sys.stdin.readline()
+    except KeyboardInterrupt:
+        sys.stderr.write("\n")
+        raise
+    if not line:
+        sys.stderr.write("\n")
+    return line.strip()
+
+
+def _understand(word: str, choices: list[Choice], place: Place) -> dict[str, str] | None:
+    """Return the options that a word stands for; None if it stands for none."""
+    if word.isdecimal() and 1 <= int(word) <= len(choices):
+        choice = choices[int(word) - 1]
+        answer: dict[str, str] = {} if choice.kind == "given" else {"kind": choice.kind.replace(" ", "-")}
+        if place.upright is not None and not place.upright.sure:
+            answer["up"] = " ".join(f"{value:.9g}" for value in choice.up)
+        return answer
+    try:
+        parse_up(word)
+    except ValueError:
+        return None
+    return {"up": word}
+
+
+def _spell(answer: dict[str, str]) -> str:
+    """Return the options of an answer, as one types them."""
+    return shlex.join([part for name, value in answer.items() for part in (f"--{name}", value)])
