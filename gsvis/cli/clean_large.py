@@ -94,6 +94,10 @@ def clean_in_tiles(command: Clean, config: CleanConfig) -> None:
     rows.append(("all", f"{gone:,}", f"{gone / found.gaussians:.2%}", "", _decibels(found, "all")))
     header = ("class", "goes", "share", "given back", "worst dB")
     show(facts(f"{command.scene}: {found.gaussians:,} Gaussians in {found.tiles} tiles", rows, header))
+    if found.judged is not None:
+        show(f" By eyes that navigable space did not choose: {found.judged.line}.")
+        if found.judged.warning:
+            show(f" {found.judged.warning}")
     if command.out is None:
         show(" Nothing was removed; -o OUT writes the clean scene.")
     else:
@@ -154,4 +158,5 @@ def _document(command: Clean, found: LargeCleaning) -> dict[str, Any]:
         "format": "gsvis-clean", "version": 1, "gsvis": version(), "in": command.scene, "lod": command.lod,
         "out": command.out, "gaussians": found.gaussians, "kept": found.kept, "tiles": found.tiles,
         "classes": classes, "worst_db": found.worst_db.get("all"),
+        "judged": None if found.judged is None else {k: v for k, v in found.judged.as_dict().items() if k != "psnr"},
     }  # fmt: skip

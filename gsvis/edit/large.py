@@ -25,6 +25,7 @@ from gsvis.progress import Progress, silent
 from gsvis.pvs.workers import Workers
 from gsvis.scene.facts import SceneFacts
 from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.judged import Judged
 from gsvis.world.build import WorldBuild
 from gsvis.world.config import WorldConfig
 from gsvis.world.graph import Facts, Result, Task, run_graph
@@ -52,6 +53,7 @@ class LargeCleaning:
         back: Classes that were given back, because all tiles together would show too much of them.
         build: How the scene was cut.
         results: The results of the tiles.
+        judged: What eyes of two rules see of all tiles; None without a guard.
     """
 
     gaussians: int
@@ -65,6 +67,7 @@ class LargeCleaning:
     back: frozenset[str]
     build: WorldBuild
     results: dict[str, Result]
+    judged: Judged | None = None
 
     @cached_property
     def _names(self) -> list[str]:
@@ -262,6 +265,7 @@ def _summary(build: WorldBuild, results: dict[str, Result], config: CleanConfig)
     back = {name for name, share in changed.items() if name not in HIDDEN and share > config.most_changed}
     removed = {name: 0 if name in back else count for name, count in totals["removed"].items()}
     gaussians = sum(each["gaussians"] for each in facts)
+    judged = [each["judged"] for each in facts if each.get("judged")]
     return LargeCleaning(
         gaussians=gaussians,
         kept=gaussians - sum(removed.values()),
@@ -274,4 +278,5 @@ def _summary(build: WorldBuild, results: dict[str, Result], config: CleanConfig)
         back=frozenset(back),
         build=build,
         results=results,
+        judged=Judged.joined(judged) if judged else None,
     )

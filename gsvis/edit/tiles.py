@@ -44,7 +44,7 @@ __all__ = [
 ]
 
 VERSIONS = {
-    "clean_tile": 3, "find_flyaways": 2, "find_parcel": 1, "find_whole": 1, "gather_rows": 1, "merge_tile": 2,
+    "clean_tile": 4, "find_flyaways": 2, "find_parcel": 1, "find_whole": 1, "gather_rows": 1, "merge_tile": 2,
     "survey_scene": 2,
 }  # fmt: skip
 
@@ -142,7 +142,7 @@ def clean_tile(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     `name`; `files`, the names of the arrays to leave.
 
     Leaves "classes" with an array for each file of a batch that was joined to the rows. Facts: Gaussians found and
-    removed of each class, and the cost of each.
+    removed of each class, the cost of each, and what eyes of two rules see.
     """
     own, around = _load(params, given)
     config, whole = config_of(params["config"]), _whole(given, params["whole"])
@@ -162,6 +162,7 @@ def clean_tile(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     shape = Shape.within(joint, whole.low, whole.high)
     found = classes = np.zeros(len(own), np.uint8)
     costs: Facts = {}
+    judged = None
     if shape.core[: len(own)].any():
         air = replace(whole.air, eyes=eyes)
         evidence = gather_evidence(joint, shape, whole.navigable, config, air=air, judged=len(own))
@@ -169,9 +170,10 @@ def clean_tile(params: Facts, given: Given, out: Path, work: Path) -> Facts:
         inside = [each[: len(own)] for each in (result.found, result.classes)]
         found, classes = (np.where(each == class_of("flyaways"), np.uint8(KEPT), each) for each in inside)
         costs = {name: asdict(cost) for name, cost in result.costs.items()}
+        judged = None if result.judged is None else result.judged.as_dict()
     _save(out, params, given, classes)
     facts = _counts(found, classes, config)
-    return {**facts, "costs": costs, "around": len(joint) - len(own)}
+    return {**facts, "costs": costs, "judged": judged, "around": len(joint) - len(own)}
 
 
 def find_flyaways(params: Facts, given: Given, out: Path, work: Path) -> Facts:

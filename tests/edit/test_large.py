@@ -44,6 +44,12 @@ def test_the_scene_is_cut(found: LargeCleaning) -> None:
     assert found.around > 0
 
 
+def test_eyes_that_navigable_space_did_not_choose_judge_all_tiles(found: LargeCleaning) -> None:
+    assert found.judged is not None
+    assert len(found.judged.builder) == QUICK.held_out * (found.tiles - 1)  # the outside has no eyes
+    assert found.judged.warning is None
+
+
 @pytest.mark.parametrize("name", CLASSES)
 def test_what_was_put_in_is_found_in_its_class(classes: Classes, name: str) -> None:
     there = DIRTY.classes == class_of(name)
