@@ -27,7 +27,7 @@ from gsvis.scene._kernels.voxels import splat_depth, sum_beyond
 from gsvis.scene.core import middle_scales
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["MIN_ALPHA", "MIN_SHARE", "SOLID", "Occupancy", "optical_depth"]
+__all__ = ["MIN_ALPHA", "MIN_SHARE", "SOLID", "Occupancy", "only_visible", "optical_depth"]
 
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -270,6 +270,18 @@ def _smooth(counts: NDArray[np.uint8], of: int) -> Depth:
     shares = counts.astype(np.float32)
     shares /= of
     return np.asarray(ndimage.uniform_filter(shares, SMOOTHING, mode="nearest"), np.float32)
+
+
+def only_visible(g: Gaussians) -> Gaussians:
+    """Return the Gaussians that can be seen.
+
+    Raises:
+        SceneError: If there is none.
+    """
+    seen = g[g.opacities >= MIN_ALPHA]
+    if len(seen) == 0:
+        raise SceneError("no navigable space: the scene has no Gaussian with an opacity of at least 1/255")
+    return seen
 
 
 def _largest(labels: NDArray[np.int32]) -> Mask:

@@ -29,7 +29,7 @@ from gsvis.scene._eyes import (
     stand_around,
     where_people_stand,
 )
-from gsvis.scene._occupancy import MIN_ALPHA, Occupancy
+from gsvis.scene._occupancy import Occupancy, only_visible
 from gsvis.scene._of_kind import find_stated
 from gsvis.scene._turned import Pose, TurnedParts, bring_back, is_level, is_square, turn
 from gsvis.scene.axes import axis_vector, snap_to_axis
@@ -151,7 +151,7 @@ class NavigableSpace:
             if not least <= value <= most:
                 raise ValueError(f"{name}: expected a value in [{least:g}, {most:g}], got {value!r}")
         points = np.zeros((0, 3)) if seeds is None else _check.floats("seeds", seeds, ("S", 3), np.float64)
-        seen, upright = _visible(g), _upright(g, up)
+        seen, upright = only_visible(g), _upright(g, up)
         grid = partial(Occupancy.from_gaussians, resolution=resolution, max_alpha=max_alpha, clearance=clearance)
         look, pose = _look(seen, upright, None, grid, coverage=coverage, seeds=points)
         return cls._over(look, pose, find_mixed(look) if mixed else find_eyes(look))
@@ -175,7 +175,7 @@ class NavigableSpace:
         _check_resolution(resolution)
         if kind not in ("object", "rooms", "open place"):
             raise ValueError(f"kind: expected one of object, rooms, open place, got {kind!r}")
-        seen, upright = _visible(g), _upright(g, up)
+        seen, upright = only_visible(g), _upright(g, up)
         grid = partial(Occupancy.from_gaussians, resolution=resolution, max_alpha=0.25, clearance=1.0)
         look, pose = _look(seen, upright, None, grid)
         return cls._over(look, pose, find_stated(look, kind))
@@ -197,7 +197,7 @@ class NavigableSpace:
             SceneError: If the scene has no free space.
         """
         _check_resolution(resolution)
-        seen, upright = _visible(sample), _upright(sample, up)
+        seen, upright = only_visible(sample), _upright(sample, up)
         grid = partial(Occupancy.from_gaussians, resolution=resolution, max_alpha=0.25, clearance=1.0)
         look, pose = _look(seen, upright, parts, grid)
         return cls._over(look, pose, find_eyes(look))
@@ -234,7 +234,7 @@ class NavigableSpace:
         middle = None if center is None else _check.floats("center", center, (3,), np.float64)
         if radius is not None and not (np.isfinite(radius) and radius > 0.0):
             raise ValueError(f"radius: expected a finite number > 0, got {radius!r}")
-        seen, upright = _visible(g), _upright(g, up)
+        seen, upright = only_visible(g), _upright(g, up)
         grid = partial(Occupancy.from_gaussians, resolution=resolution, max_alpha=0.25, clearance=1.0)
         look, pose = _look(seen, upright, None, grid)
         around = Around(look.core.low, look.core.high, look.up)
@@ -451,13 +451,6 @@ def _check_resolution(resolution: int) -> None:
     _check.positive_int("resolution", resolution, at_least=8)
     if resolution > MAX_RESOLUTION:
         raise ValueError(f"resolution: expected a value in [8, {MAX_RESOLUTION}], got {resolution!r}")
-
-
-def _visible(g: Gaussians) -> Gaussians:
-    seen = g[g.opacities >= MIN_ALPHA]
-    if len(seen) == 0:
-        raise SceneError("no navigable space: the scene has no Gaussian with an opacity of at least 1/255")
-    return seen
 
 
 def _upright(g: Gaussians, up: ArrayLike | str | None) -> Upright:
