@@ -119,7 +119,7 @@ class Verify:
     lod: Annotated[int | None, WHOLE, hint("the finest that is there")] = None
     """Level of detail of a streamed --scene; 0 is the finest."""
     tables: Annotated[str | None, _TABLES] = None
-    """Folder of the tables that gsvis serve keeps; those of the package are read too."""
+    """Folder for tables that gsvis serve keeps; those of the package are read too."""
     json: Flag = False
     """Print one JSON document instead of a table."""
     debug: Flag = False

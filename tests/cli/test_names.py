@@ -18,7 +18,7 @@ from gsvis.cli.help import command_name, option_texts
 from gsvis.cli.renamed import RENAMED, SYNONYMS
 
 KINDS = {command_name(kind): kind for kind in get_args(Command)}
-PATHS = {"DIR", "FILE", "OUT", "DIR or URL"}
+PATHS = {"DIR", "DIR OF KEPT TABLES", "FILE", "OUT", "DIR or URL"}
 LISTS = {"N[,N...]": "N", "S [S ...]|none": "S [S ...]", "E|auto": "E", "FILE [FILE ...]": "SCENE"}
 """Metavars of the same thing, where a command takes several of it or a word more."""
 
@@ -61,7 +61,9 @@ KERNELS = {
     "--seed": "Seed of everything random",
     "--select": "Write ",
     "--sh-degree": "Highest degree of spherical harmonics",
+    "--show": "Write a picture of where people stand",
     "--steps": "Steps of training",
+    "--tables": "Folder for tables",
     "--tau": "Weight from which a Gaussian counts as visible",
     "--up": "Up in ",
     "--variant": "How colors are split",
