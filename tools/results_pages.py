@@ -62,6 +62,7 @@ PAGES = {
             "chosen_eyes",
             "upright",
             "judge_eyes",
+            "same_anywhere",
         ),
     ),
     "install": Page("Installing and starting", ("install", "startup")),

@@ -10,6 +10,8 @@ import re
 from pathlib import Path
 from typing import Any
 
+from gsvis.files.limits import open_regular
+
 __all__ = ["foreign_cameras", "foreign_cameras_in", "foreign_json"]
 
 _METASHAPE = "File > Export > Export Cameras, type Colmap (Metashape 2.2 and later)"
@@ -73,7 +75,7 @@ def foreign_cameras_in(folder: Path) -> tuple[str, str] | None:
     for each in named[:_MOST]:
         if not each.is_file():
             continue
-        with each.open("rb") as stream:
+        with open_regular(each) as stream:
             found = foreign_cameras(each, stream.read(2048))
         if found is not None:
             return f"{found[0]}: {each.name}", found[1]

@@ -29,8 +29,8 @@ def test_a_real_scene_equals_the_reference(realdata: Path) -> None:
 def test_rasterized_and_ray_traced_sets_nearly_agree(realdata: Path) -> None:
     g = load_scene(realdata / "scenes/flowers_sh2/lod-meta.json", lod=1)
     space = NavigableSpace.from_scene(g)
-    # Small pixels: eyes stand around this object, and the two differ by what is smaller than a pixel.
-    cameras = space.sample_cameras(3, np.random.default_rng(0), width=480, height=360, fov=60)
+    # Small pixels: eyes stand around this object and in it, and the two differ by what is smaller than a pixel.
+    cameras = space.sample_cameras(3, np.random.default_rng(0), width=720, height=540, fov=60)
     by_rays = visible_in(Tracer(EllipsoidProxies.from_scene(g)), cameras)
     by_raster = view_weights(g, cameras).largest
     for a, b in ((by_rays, by_raster), (by_raster, by_rays)):
