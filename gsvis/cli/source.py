@@ -178,12 +178,15 @@ def load_source(scene: str, lod: int | None) -> Source:
 
 
 def _builtin_facts(made: BuiltinScene) -> SceneFacts:
-    """Return what is known of a built-in scene: its up axis, the box around its navigable space, an eye in it."""
+    """Return what is known of a built-in scene: what it states, else its up axis, a box of eyes, an eye in it."""
+    stated = made.gaussians.facts
+    if stated.box is not None:
+        return stated
     space = made.navigable
     free = np.argwhere(space.free)
     low, high = space.origin + space.voxel_size * np.stack([free.min(axis=0), free.max(axis=0) + 1])
     return replace(
-        made.gaussians.facts,
+        stated,
         up=_triple(space.up),
         up_source="built-in scene",
         box=(_triple(low), _triple(high)),

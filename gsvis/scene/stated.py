@@ -24,10 +24,10 @@ __all__ = ["stated_space"]
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_RESOLUTION = 128
+_RESOLUTION = 160
 _MAX_ALPHA = 0.25
 _CLEARANCE = 1.0  # voxels
-_GROWN = 1.0  # longest sides of the box around it in which the grid shows what stops light
+_GROWN = 0.25  # longest sides of the box around it in which the grid shows what stops light
 _TIE = 1e-3  # voxels, by which rounding may be off
 _NEAR = 2  # voxels around the stated eye in which a free one is looked for
 

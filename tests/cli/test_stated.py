@@ -15,7 +15,7 @@ from gsvis.cli.arguments_where import Where
 from gsvis.cli.source import Source, load_source
 from gsvis.cli.where import find_place
 from gsvis.scene.facts import SceneFacts
-from gsvis.scene.procedural import OCCLUDER_SCENES, two_rooms
+from gsvis.scene.procedural import OCCLUDER_SCENES, furnished_flat, two_rooms
 from gsvis.scene.similarity import Similarity
 from gsvis.scene.stated import stated_space
 from tests.scene.places import apartment
@@ -36,6 +36,14 @@ def said_by(capsys: Capture, *words: object) -> dict[str, Any]:
     assert main([*map(str, words), "--json"]) == 0
     found: dict[str, Any] = json.loads(capsys.readouterr().out)
     return found
+
+
+def test_what_a_builtin_scene_states_of_its_eyes_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An eye in one room of the flat would shut those behind its doors."""
+    flat = furnished_flat(2000, sh_degree=0)
+    monkeypatch.setattr("gsvis.cli.source.builtin_scene", lambda name: flat)
+    assert flat.gaussians.facts.box is not None
+    assert load_source("builtin:flat", None).gaussians.facts == flat.gaussians.facts
 
 
 @pytest.mark.parametrize("name", OCCLUDER_SCENES)
