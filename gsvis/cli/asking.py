@@ -11,22 +11,43 @@ import shlex
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import Field, dataclass, replace
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 from gsvis.cli.showing import Choice, find_choices, place_beside, write_picture
 from gsvis.cli.source import Source, parse_up
 from gsvis.cli.terminal import Status
 from gsvis.cli.where import Place
 from gsvis.files.temporary import temporary_folder
+from gsvis.scene.kinds import KINDS
 
 __all__ = ["Settled", "settle"]
 
+_WORDS = {kind: word for word, kind in KINDS.items()}
 _TRIES = 3  # answers that nobody understands
 _QUESTIONS = 3  # one after the other: an answer about up leaves the kind open
 
-C = TypeVar("C")
+
+class Asking(Protocol):
+    """A command that says where people stand, or is asked."""
+
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
+
+    @property
+    def json(self) -> bool:
+        """Whether its output is for a program."""
+
+    @property
+    def kind(self) -> str | None:
+        """The kind that was stated; None without."""
+
+    @property
+    def show(self) -> str | None:
+        """The file of --show; None without."""
+
+
+C = TypeVar("C", bound=Asking)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,19 +103,20 @@ def settle(
         answer = _ask(source, place, status)
         if not answer:
             break
-        command = replace(command, **answer)  # type: ignore[type-var]
+        command = replace(command, **answer)
         status.line(f"taken as you say; {_spell(answer)} says so without a question")
         place = find(command)
         if "kind" in answer:
             break
-    shown: str | None = getattr(command, "show", None)
-    target = Path(shown) if shown is not None else place_beside(beside) if place.doubt else None
+    target = place_beside(beside) if place.doubt else None
+    if command.show is not None:
+        target = Path(command.show)
     if target is not None and place.space is not None:
         write_picture(target, source, place)
     return Settled(command, place, target)
 
 
-def _may_ask(command: Any) -> bool:
+def _may_ask(command: Asking) -> bool:
     """Return whether somebody sits at a terminal in front of this command, and has not answered yet."""
     if command.json or command.kind is not None:
         return False
@@ -152,7 +174,7 @@ def _understand(word: str, choices: list[Choice], place: Place) -> dict[str, str
     """Return the options that a word stands for; None if it stands for none."""
     if word.isdecimal() and 1 <= int(word) <= len(choices):
         choice = choices[int(word) - 1]
-        answer: dict[str, str] = {} if choice.kind == "given" else {"kind": choice.kind.replace(" ", "-")}
+        answer = {"kind": _WORDS[choice.kind]} if choice.kind in _WORDS else {}
         if place.upright is not None and not place.upright.sure:
             answer["up"] = " ".join(f"{value:.9g}" for value in choice.up)
         return answer

@@ -72,7 +72,7 @@ def run_clean(command: Clean) -> None:
         framed: list[str] = []
         if cameras is not None and command.cameras is not None:
             cameras, framed = framed_cameras(source, cameras, command.cameras, command.cameras_frame)
-        found, place, remarks = _find(command, config, source, walk, cameras, status)
+        command, found, place, remarks = _find(command, config, source, walk, cameras, status)
         remarks = [*framed, *remarks]
         _check_left(command, found.kept)
         picture = None if command.report is None else picture_of(source, place)
@@ -134,22 +134,24 @@ def _check_outputs(command: Clean) -> None:
 
 def _find(
     command: Clean, config: CleanConfig, source: Source, walk: HeadPath | None, cameras: Cameras | None, status: Status
-) -> tuple[Cleaning, Place, list[str]]:
-    """Find navigable space, without haze and flyaways, and what can go; return remarks too."""
+) -> tuple[Clean, Cleaning, Place, list[str]]:
+    """Find navigable space, without haze and flyaways, and what can go; return remarks, and the command as answered."""
     from gsvis.edit import clean, core_of, find_in_parcels
 
     status("space", 0, 1)
     surfaces = replace(source, gaussians=core_of(source.gaussians))
     settled = settle(command, source, lambda c: find_place(surfaces, c, c.up, walk, cameras), status)
-    command, place = settled.command, settled.place
+    command = settled.command
+    place = settled.place
     space = place.required("say where eyes may be with --box, --around or --path")
-    if not given(command) and cameras is None and space.kind.kind != "given":
+    stated = space.kind.kind == "given" or command.kind not in (None, "auto")
+    if not given(command) and cameras is None and not stated:
         space = find_in_parcels(surfaces.gaussians, space, progress=status)
     status("space", 1, 1)
     looking, space = _split(space, cameras)
     found = clean(source.gaussians, navigable=space, cameras=looking, config=config, progress=status)
     remark = "" if given(command) else remark_on_unseen(found.counts, len(source.gaussians))
-    return found, place, [*settled.remarks, *([f" {remark}."] if remark else [])]
+    return command, found, place, [*settled.remarks, *([f" {remark}."] if remark else [])]
 
 
 def _split(space: NavigableSpace, cameras: Cameras | None) -> tuple[Cameras | None, NavigableSpace]:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = ["clean_in_tiles", "in_tiles", "remark_on_unseen"]
 
-_WHOLE = ("report", "select", "apply", "cameras", *WORDS)  # options that need the whole scene
+_WHOLE = ("report", "select", "apply", "cameras", "cameras_frame", "show", *WORDS)  # options that need the whole scene
 _LEAST = 50_000  # Gaussians of a tile: smaller ones are mostly halo
 _MOST_UNSEEN = 0.2  # of a scene that no eye sees, above which there is a warning
 

@@ -14,7 +14,7 @@ from gsvis.cli.arguments_convert import Convert
 from gsvis.cli.memory import check_memory
 from gsvis.cli.scene_out import check_scene_out
 from gsvis.cli.source import Source, check_source, is_builtin, is_levels, load_source, title_of, up_of
-from gsvis.cli.starts import find_starts, plan_visit
+from gsvis.cli.starts import Visit, find_starts, plan_visit
 from gsvis.cli.terminal import Status, print_json, show
 from gsvis.io.batches import Batch, list_batches
 from gsvis.io.convert import AXES, convert_scene, merge_scenes, rotation_about_axes
@@ -254,13 +254,13 @@ def _write_page(target: Path, name: str, scene: Gaussians, up: NDArray[np.float6
     if up is None:
         known = None if scene.facts.up is None else np.asarray(scene.facts.up, np.float64)
         visit = plan_visit(Source(name, scene, known_up=known))
-        axis, poses = visit.up, visit.starts
+        for remark in visit.remarks:
+            status.line(remark.strip())
     else:
-        x, y, z = up.tolist()
-        axis, poses = up, find_starts(Source(name, scene), (x, y, z))
+        visit = Visit(find_starts(Source(name, scene), up), up, [])
     status("start", 1, 1)
-    x, y, z = axis.tolist()
-    write_html(target, scene, StaticOptions(name, (x, y, z), poses=poses), progress=status)
+    x, y, z = visit.up.tolist()
+    write_html(target, scene, StaticOptions(name, (x, y, z), poses=visit.starts), progress=status)
 
 
 def _document(command: Convert, out: str, inputs: list[_Input], gaussians: int, sh_degree: int) -> dict[str, Any]:

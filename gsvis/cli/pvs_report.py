@@ -25,6 +25,7 @@ from gsvis.cli.source import (
 )
 from gsvis.cli.terminal import Status, facts, print_json, show, size_of
 from gsvis.cli.where import Place
+from gsvis.errors import SceneError
 from gsvis.pvs.store import VisibilityStore
 from gsvis.pvs.viewpoints import CellViewpoints
 from gsvis.scene.content import space_hash
@@ -95,7 +96,7 @@ def _write_report(command: PvsReport, store: VisibilityStore, status: Status) ->
     same = {name: getattr(command, name) for name in names}
     config = QualityConfig(viewpoints=command.eyes, rays=command.raycast, **same)
     found = measure_quality(store, source.whole, viewpoints, config, progress=status)
-    judged = _judge(command, store, source, viewpoints.space, status)
+    judged, framed = _judge(command, store, source, viewpoints.space, status)
     subject = Subject(
         title=source.name,
         gaussians=source.gaussians,
@@ -103,7 +104,7 @@ def _write_report(command: PvsReport, store: VisibilityStore, status: Status) ->
         cameras_from=text,
         command=_command_line(command),
         version=version(),
-        facts={"path": command.scene, "lod": source.lod, **facts_found},
+        facts={"path": command.scene, "lod": source.lod, **facts_found, "remarks": framed},
         parameters={name: getattr(command, name) for name in ("store", "scene", *_OPTIONS)},
         seconds=dict(status.seconds),
         judged=judged,
@@ -114,17 +115,21 @@ def _write_report(command: PvsReport, store: VisibilityStore, status: Status) ->
 
 def _judge(
     command: PvsReport, store: VisibilityStore, source: Source, space: NavigableSpace, status: Status
-) -> dict[str, Any]:
-    """Return what eyes of two rules see of the sets; cameras given judge too."""
+) -> tuple[dict[str, Any] | None, list[str]]:
+    """Return what eyes of two rules see of the sets, and remarks on the frame of the cameras, which judge too."""
     from gsvis.pvs.judged import judge_sets
 
+    framed: list[str] = []
     if command.cameras is not None:
-        cameras, _ = framed_cameras(source, file_cameras(command.cameras, *_SMALL), command.cameras)
+        cameras, framed = framed_cameras(source, file_cameras(command.cameras, *_SMALL), command.cameras)
         kept = hold_out(len(cameras))[1]
         some = cameras[kept] if len(kept) else cameras
         space = replace(space, witnesses=Witnesses(some, f"{len(some):,} cameras of {command.cameras}"))
     views = ViewSampling(_JUDGES, *_SMALL, command.fov, command.seed, _STREAM)
-    return judge_sets(as_levels(source.whole), space, store, views, progress=status).as_dict()
+    try:
+        return judge_sets(as_levels(source.whole), space, store, views, progress=status).as_dict(), framed
+    except SceneError:  # no free place: the report stands without judges
+        return None, framed
 
 
 def _viewpoints(store: VisibilityStore, source: Source) -> tuple[CellViewpoints, str]:
@@ -208,8 +213,10 @@ def _remarks(document: dict[str, Any]) -> list[str]:
     from gsvis.report.pvs_page import describe_bounds, describe_certificate, describe_tiles
 
     judged = document["judged"]
-    remarks = [f" {judged['warning']}"] if judged["warning"] else []
-    remarks.append(f" Images of sets at eyes that navigable space did not choose: {judged['line']}.")
+    remarks = list(document["scene"]["remarks"])
+    if judged is not None:
+        remarks += [f" {judged['warning']}"] if judged["warning"] else []
+        remarks.append(f" Images of sets at eyes that navigable space did not choose: {judged['line']}.")
     remarks.append(f" Fresh viewpoints were drawn {document['viewpoints_from']}.")
     if document["quality"]["certificate"] is not None:
         remarks.append(f" {describe_certificate(document['quality']['certificate'])}")

@@ -106,7 +106,9 @@ def _read_box(words: list[str]) -> tuple[float, ...]:
 
 
 def _read_kind(words: list[str]) -> str:
-    known = ("auto", "object", "rooms", "open-place")
+    from gsvis.scene.kinds import KINDS
+
+    known = ("auto", *KINDS)
     if words[0] not in known:
         raise ValueError(f"expected one of {', '.join(known)}, got {words[0]!r}")
     return words[0]

@@ -85,10 +85,10 @@ def check_show(command: Showing) -> None:
         ValueError: If the name does not end in .png, or is that of a file that gsvis did not write.
         OutputError: If nothing can be written there.
     """
-    from gsvis.cli.pictures import is_own
-
     if command.show is None:
         return
+    from gsvis.cli.pictures import is_own
+
     target = Path(command.show)
     if target.suffix.lower() != ".png" or target.is_dir():
         raise ValueError(f"--show: expected the name of a .png, got {command.show!r}")

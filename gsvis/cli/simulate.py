@@ -16,7 +16,7 @@ from gsvis.cli.made_from import Original, find_original, load_original, own_file
 from gsvis.cli.memory import check_simulation
 from gsvis.cli.source import check_report, check_source
 from gsvis.cli.terminal import Status, facts, print_json, show
-from gsvis.errors import ArgumentError
+from gsvis.errors import ArgumentError, FormatError
 from gsvis.io.poses import is_recording, load_path
 from gsvis.package.manifest import MANIFEST
 from gsvis.package.package import Package
@@ -92,7 +92,15 @@ def _originals(command: Simulate) -> list[Original]:
         found.append(find_original(package, provenance, _given(command, k)))
     scenes = [scene for original in found for scene in original.scenes]
     any_world = any(is_world(package) for package in command.package)
-    check_simulation(sizes, scenes, command.max_memory, any_world)
+    try:
+        check_simulation(sizes, scenes, command.max_memory, any_world)
+    except (ValueError, FormatError, OSError) as error:
+        if command.scene or not scenes:
+            raise
+        # Nobody named these scenes: the package is compared with itself where they cannot be used.
+        check_simulation(sizes, [], command.max_memory, any_world)
+        remark = f"the scene it was made from is not read: {error}"
+        return [replace(each, scenes=(), remark=remark) if each.scenes else each for each in found]
     return found
 
 

@@ -137,6 +137,7 @@ def _preparing(command: View, scenes: Scenes, name: str) -> Iterator[None]:
     words += [] if command.lod is None else ["--lod", str(command.lod)]
     words += [] if command.up is None else ["--up", command.up.strip()]
     words += [] if command.cameras is None else ["--cameras", command.cameras]
+    words += ["--drop-invalid"] if command.drop_invalid else []
     scenes[name].preparing, ending = True, threading.Event()
     nobody = subprocess.DEVNULL  # it must not ask while the scene is shown
     nice = _be_nice if os.name == "posix" else None

@@ -50,7 +50,7 @@ def check_views(command: Render) -> HeadPath | None:
 
 
 def given_cameras(command: Render) -> Cameras | None:
-    """Return the cameras of --camerass, at the given size, only those of --index if given; None without --cameras.
+    """Return the cameras of --cameras, at the given size, only those of --index if given; None without --cameras.
 
     Raises:
         GsvisError: If the file cannot be read.

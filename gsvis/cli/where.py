@@ -17,6 +17,7 @@ from gsvis.scene.cameras import Cameras
 from gsvis.scene.corridor import corridor, space_walked
 from gsvis.scene.flyaways import find_flyaways
 from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.kinds import KINDS
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
 from gsvis.scene.solid import buried
@@ -138,7 +139,7 @@ def check_where(where: Where, other: str = "") -> HeadPath | None:
     names = given(where)
     if names and other:
         raise ValueError(f"--{names[0]}: expected none with {other}, which says where eyes are; leave one out")
-    if where.kind is not None and (other or names):
+    if where.kind not in (None, "auto") and (other or names):
         wrong = other or f"--{names[0]}"
         raise ValueError(
             f"--kind: expected none with {wrong}, which says where eyes are, got {where.kind}; leave one out"
@@ -262,9 +263,10 @@ def _find(
 def _stated(source: Source, where: Where, upright: Upright, remarks: list[str]) -> Place:
     """Return the place in a scene whose kind is stated."""
     assert where.kind is not None
-    up, kind = upright.up if upright.sure else None, where.kind.replace("-", " ")
+    up = upright.up if upright.sure else None
+    kind = KINDS[where.kind]
     try:
-        space = NavigableSpace.of_kind(source.gaussians, kind, up=up)  # type: ignore[arg-type]
+        space = NavigableSpace.of_kind(source.gaussians, kind, up=up)
     except SceneError as error:
         return Place(None, f"{source.path or source.name}: --kind {where.kind}: {error.problem}", remarks)
     return Place(space, "", remarks, evidence=Evidence("kind", 1.0, f"{kind}: as stated"))
@@ -303,7 +305,7 @@ def _witnesses(where: Where, walk: HeadPath | None, cameras: Cameras | None, evi
     """Return who stood in the scene and can judge: cameras or a walk, without those that the space was found by."""
     if cameras is not None:
         kept = np.arange(len(cameras)) if evidence.source != "cameras" else hold_out(len(cameras))[1]
-        what = f"{len(kept):,} of the {len(cameras):,} cameras of {getattr(where, 'cameras', None) or 'the photos'}"
+        what = f"{len(kept):,} of the {len(cameras):,} cameras of {cameras_of(where) or 'the photos'}"
         return Witnesses(cameras[kept], what) if len(kept) else None
     if walk is None or where.retarget:
         return None

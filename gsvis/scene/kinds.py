@@ -9,9 +9,12 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-__all__ = ["SURE", "Evidence", "Kind", "SpaceKind", "find_kind", "is_rooms", "with_surroundings"]
+__all__ = ["KINDS", "SURE", "Evidence", "Kind", "SpaceKind", "find_kind", "is_rooms", "with_surroundings"]
 
 Kind = Literal["object", "rooms", "open place", "given"]
+
+KINDS: dict[str, Kind] = {"object": "object", "rooms": "rooms", "open-place": "open place"}
+"""Kinds that a user can state, by the word that is typed."""
 
 SURE = 0.8
 """Least confidence at which a kind is acted on without a word."""
