@@ -27,7 +27,7 @@ from gsvis.errors import FormatError
 from gsvis.files.limits import read_whole
 from gsvis.files.locks import try_lock
 from gsvis.files.output import output_errors
-from gsvis.files.swap import swap_folder
+from gsvis.files.swap import swap_folder, take_owner
 
 __all__ = ["atomic_folder", "atomic_path", "find_interrupted_moves", "remove_all_partials", "remove_partials"]
 
@@ -194,15 +194,14 @@ def _take_mode(old: Path, new: Path) -> None:
     with suppress(OSError):  # nothing is replaced, or the file system has no rights
         state = old.stat()
         if stat.S_ISREG(state.st_mode):
-            if hasattr(os, "chown") and state.st_uid != new.stat().st_uid:
-                os.chown(new, state.st_uid, state.st_gid)
+            take_owner(state, new)
             new.chmod(state.st_mode & 0o777)
 
 
 def _link_or_copy(source: Path, destination: Path) -> None:
     try:
         os.link(source, destination, follow_symlinks=False)
-    except (OSError, NotImplementedError):
+    except (OSError, NotImplementedError):  # no links there, or none to links
         shutil.copy2(source, destination, follow_symlinks=False)
 
 

@@ -13,7 +13,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-__all__ = ["swap_folder"]
+__all__ = ["swap_folder", "take_owner"]
 
 _HERE = -100  # AT_FDCWD: paths are relative to the current folder
 _MOST = 10_000  # files beside the result that are linked; a folder with more holds other things
@@ -27,17 +27,17 @@ def swap_folder(made: Path, target: Path) -> bool:
     remove `made`, which is then the old folder. If it is not possible, the old folder is as it was.
 
     Args:
-        made: The new folder, on the same file system. Its rights and times become those of the old one.
+        made: The new folder, on the same file system. Its rights, and those of folders in it, become those of the old.
         target: The old folder.
     """
     place = Path(os.path.realpath(target))
-    if _is_in_use(place) or not os.access(place, os.W_OK | os.X_OK) or _call() is None:
+    if _call() is None or _is_in_use(place) or not os.access(place, os.W_OK | os.X_OK):
         return False
     try:
         if sum(1 for _ in _others(place, made)) > _MOST:
             return False
-        _take_rights(place, made)
         _keep_others(place, made)
+        _take_rights(place, made)
         if not _exchange(made, place):
             return False
     except OSError:
@@ -51,16 +51,21 @@ def _others(old: Path, new: Path) -> Iterator[tuple[os.DirEntry[str], Path]]:
     """Yield the entries of a folder and of those in it that another does not have, and their places there.
 
     Raises:
-        OSError: If another file system is mounted there.
+        OSError: If another file system is mounted there, or a link leads to a folder whose files are to be replaced.
     """
     with os.scandir(old) as entries:
         for entry in entries:
-            other, is_folder = new / entry.name, entry.is_dir(follow_symlinks=False)
-            if is_folder and os.path.ismount(entry.path):
-                raise OSError(errno.EXDEV, os.strerror(errno.EXDEV), entry.path)
-            if not os.path.lexists(other):
+            other = new / entry.name
+            if entry.is_symlink() and _is_folder(other):
+                raise OSError(errno.ELOOP, os.strerror(errno.ELOOP), entry.path)
+            is_new = not os.path.lexists(other)
+            if is_new:
                 yield entry, other
-            if is_folder and (not os.path.lexists(other) or (other.is_dir() and not other.is_symlink())):
+            if not entry.is_dir(follow_symlinks=False):
+                continue
+            if os.path.ismount(entry.path):
+                raise OSError(errno.EXDEV, os.strerror(errno.EXDEV), entry.path)
+            if is_new or _is_folder(other):
                 yield from _others(Path(entry.path), other)
 
 
@@ -69,17 +74,37 @@ def _keep_others(old: Path, new: Path) -> None:
     for entry, other in _others(old, new):
         if entry.is_dir(follow_symlinks=False):
             other.mkdir()
-            _take_rights(Path(entry.path), other)
         else:
             os.link(entry.path, other, follow_symlinks=False)
 
 
 def _take_rights(old: Path, new: Path) -> None:
-    """Give a folder the owner, rights and times of another."""
-    state = old.stat()
-    with suppress(OSError):  # only root may give folders away
-        os.chown(new, state.st_uid, state.st_gid)
-    shutil.copystat(old, new)
+    """Give a folder, and each folder in it that another has too, the owner and the rights of the other."""
+    with os.scandir(old) as entries:
+        for entry in entries:
+            if entry.is_dir(follow_symlinks=False) and _is_folder(new / entry.name):
+                _take_rights(Path(entry.path), new / entry.name)
+    times = new.stat()
+    take_owner(old.stat(), new)
+    shutil.copystat(old, new)  # lists of rights too
+    os.utime(new, ns=(times.st_atime_ns, times.st_mtime_ns))
+
+
+def take_owner(old: os.stat_result, new: Path) -> None:
+    """Give a file or folder the group and the owner of another, as far as this user may."""
+    if not hasattr(os, "chown"):
+        return
+    state = new.stat()
+    if state.st_gid != old.st_gid:
+        with suppress(OSError):  # a member of both groups may
+            os.chown(new, -1, old.st_gid)
+    if state.st_uid != old.st_uid:
+        with suppress(OSError):  # root may
+            os.chown(new, old.st_uid, -1)
+
+
+def _is_folder(path: Path) -> bool:
+    return path.is_dir() and not path.is_symlink()
 
 
 def _is_in_use(folder: Path) -> bool:

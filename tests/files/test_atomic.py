@@ -100,6 +100,40 @@ def test_what_replaces_a_file_takes_its_rights(
     assert stat.S_IMODE((tmp_path / "out").stat().st_mode) == 0o700
 
 
+@pytest.mark.skipif(os.name != "posix", reason="rights of POSIX")
+@pytest.mark.parametrize("can_swap", [True, False])
+def test_private_files_stay_private_where_owners_cannot_be_kept(
+    tmp_path: Path, can_swap: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not can_swap:
+        monkeypatch.setattr("gsvis.files.atomic.swap_folder", lambda *_: False)
+    others = 1 + os.getuid()
+
+    def refuse(path: Path, user: int, group: int) -> None:
+        raise PermissionError
+
+    (tmp_path / "out" / "sub").mkdir(0o700, parents=True)
+    file = tmp_path / "out" / "sub" / "a"
+    file.write_text("old")
+    file.chmod(0o600)
+    stated = Path.stat
+
+    def of_another(path: Path, **more: bool) -> os.stat_result:
+        state = stated(path, **more)
+        return os.stat_result((*state[:4], others, *state[5:])) if path == file else state
+
+    monkeypatch.setattr(Path, "stat", of_another)
+    monkeypatch.setattr(os, "chown", refuse)
+    with atomic_path(file) as partial:
+        partial.write_text("new")
+    assert stat.S_IMODE(stated(file).st_mode) == 0o600
+    with atomic_folder(tmp_path / "out") as folder:
+        (folder / "sub").mkdir()
+        (folder / "sub" / "a").write_text("newer")
+    assert (file.read_text(), stat.S_IMODE(stated(file).st_mode)) == ("newer", 0o600)
+    assert stat.S_IMODE(stated(file.parent).st_mode) == 0o700
+
+
 def test_two_writers_do_not_meet(tmp_path: Path) -> None:
     with atomic_path(tmp_path / "a") as first, atomic_path(tmp_path / "a") as second:
         assert first != second

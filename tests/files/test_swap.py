@@ -39,13 +39,16 @@ def test_a_new_result_takes_the_place_of_an_old_one_and_others_stay(out: Path) -
     (out / "link").symlink_to("e")
     out.chmod(0o751)
     (out / "others").chmod(0o750)
+    (out / "sub").chmod(0o705)
+    os.utime(out, (1e9, 1e9))
     before = (out / "e").stat().st_ino
     with atomic_folder(out) as partial:
         write(partial, NEW)
     assert read(out) == {**OLD, **NEW, "link": "somebody's"}
     assert (out / "link").is_symlink()
     assert (out / "e").stat().st_ino == before
-    assert (out.stat().st_mode & 0o777, (out / "others").stat().st_mode & 0o777) == (0o751, 0o750)
+    assert [folder.stat().st_mode & 0o777 for folder in (out, out / "others", out / "sub")] == [0o751, 0o750, 0o705]
+    assert out.stat().st_mtime > 1e9  # it has changed
     assert [path.name for path in out.parent.iterdir()] == ["out"]
 
 
@@ -122,3 +125,14 @@ def test_a_folder_behind_a_link_is_replaced_and_the_link_stays(out: Path, tmp_pa
         write(partial, NEW)
     assert out.is_symlink()
     assert read(out) == {**OLD, **NEW}
+
+
+def test_a_link_to_a_folder_in_an_old_result_stays_and_its_folder_is_filled(out: Path, tmp_path: Path) -> None:
+    (out / "sub").rename(tmp_path / "large")
+    (out / "sub").symlink_to(tmp_path / "large")
+    (tmp_path / "large" / "g").write_text("somebody's")
+    with atomic_folder(out) as partial:
+        write(partial, NEW)
+    assert (out / "sub").is_symlink()
+    assert read(tmp_path / "large") == {"c": "new", "f": "new", "g": "somebody's"}
+    assert (out / "a").read_text() == "new"
