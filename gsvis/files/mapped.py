@@ -181,11 +181,11 @@ class MappedArrays:
         with open_regular(self.path) as file:
             size = os.fstat(file.fileno()).st_size
             start, said = _read_head(self.path, file.read(_HEAD.size), file.read)
-            self.nbytes, self.facts = said.integer("bytes", 0, _MOST_BYTES), said.child("facts").value
-            end = start + self.nbytes
-            self._sums = 8 * -(-self.nbytes // (8 * PIECE))
-            if size != end + len(seal(b"")) + self._sums:
-                raise FormatError(self.path, "", f"{end + len(seal(b'')) + self._sums:,} bytes", f"{size:,}", DAMAGED)
+            self.nbytes = said.integer("bytes", 0, _MOST_BYTES)
+            self.facts = said.child("facts").value
+            expected = start + self.nbytes + len(seal(b"")) + 8 * -(-self.nbytes // (8 * PIECE))
+            if size != expected:
+                raise FormatError(self.path, "", f"{expected:,} bytes", f"{size:,}", DAMAGED)
             self._map = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_COPY)
         self._start = start
         self.arrays = dict(self._view(row) for row in said.items("arrays"))
@@ -228,8 +228,7 @@ class MappedArrays:
             if len(bad):
                 place = self._start + low + 8 * PIECE * int(bad[0])
                 raise FormatError(self.path, f"byte {place:,}", "the bytes that were written", "others", DAMAGED)
-            if hasattr(self._map, "madvise"):
-                self._map.madvise(mmap.MADV_DONTNEED, *_pages(self._start + low, 8 * len(words)))
+            self._give_back(self._start + low, self._start + low + 8 * len(words))
 
     def release(self, shares: Sequence[tuple[float, float]] | None = None) -> None:
         """Give back the memory of pages; a page that is touched again comes from the file.
@@ -240,17 +239,19 @@ class MappedArrays:
         Args:
             shares: Which shares of each array, each from one number in [0, 1] to another; None means all.
         """
-        if not hasattr(self._map, "madvise"):
-            return
         if shares is None:
-            self._map.madvise(mmap.MADV_DONTNEED)
+            self._give_back(0, len(self._map))
             return
         for place, size in self._lines:
             for low, high in shares:
-                start = -(-(place + int(size * low)) // mmap.PAGESIZE) * mmap.PAGESIZE
-                end = (place + int(size * high)) // mmap.PAGESIZE * mmap.PAGESIZE
-                if start < end:
-                    self._map.madvise(mmap.MADV_DONTNEED, start, end - start)
+                self._give_back(place + int(size * low), place + int(size * high))
+
+    def _give_back(self, start: int, end: int) -> None:
+        """Give back the memory of the system's pages that lie within a range of bytes."""
+        first = -(-start // mmap.PAGESIZE) * mmap.PAGESIZE
+        size = end // mmap.PAGESIZE * mmap.PAGESIZE - first
+        if size > 0 and hasattr(self._map, "madvise"):
+            self._map.madvise(mmap.MADV_DONTNEED, first, size)
 
     @cached_property
     def _lines(self) -> list[tuple[int, int]]:
@@ -271,12 +272,6 @@ def resident_bytes() -> int:
         return int(Path("/proc/self/statm").read_bytes().split()[2]) * mmap.PAGESIZE
     except (OSError, IndexError, ValueError):
         return 0
-
-
-def _pages(start: int, size: int) -> tuple[int, int]:
-    """Return the first byte and the size of the system's pages that lie within a range of bytes."""
-    first = -(-start // mmap.PAGESIZE) * mmap.PAGESIZE
-    return first, max(0, (start + size) // mmap.PAGESIZE * mmap.PAGESIZE - first)
 
 
 def _write_sums(file: BinaryIO, nbytes: int) -> None:

@@ -88,3 +88,13 @@ def test_a_check_reads_pieces_of_every_length(tmp_path: Path) -> None:
             (tmp_path / "x").write_bytes(data)
             with pytest.raises(FormatError, match="the bytes that were written"):
                 MappedArrays(tmp_path / "x").check()
+
+
+def test_pages_larger_than_a_file_are_no_reason_to_refuse_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_arrays(tmp_path / "x", {"a": np.arange(10)}, {})
+    monkeypatch.setattr("mmap.PAGESIZE", 1 << 16)
+    found = MappedArrays(tmp_path / "x")
+    found.check()
+    found.release([(0.0, 1.0)])
+    found.release()
+    assert found.arrays["a"].tolist() == list(range(10))
