@@ -14,7 +14,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,14 +100,14 @@ def save_streamed_sog(
         raise ValueError("counts: expected a Gaussian in every leaf, got an empty leaf")
     pieces = np.argwhere(counts > 0).tolist()
     sizes, names = np.zeros(counts.shape, np.int64), {}
-    losses: list[tuple[int, int, float]] = []
+    losses = list[_PaletteLoss]()
     progress("export", 0, len(pieces))
     with atomic_folder(target, last=(META,)) as partial:
         for k, (lod, leaf) in enumerate(pieces):
             found = scene.piece(lod, leaf)
             names[lod, leaf], encoded = _write_sog(partial, f"{lod}_{leaf}", found)
             sizes[lod, leaf] = sum(len(data) for data in encoded.files.values())
-            losses.append((len(found) if encoded.sets else 0, encoded.sets, encoded.sh_error))
+            losses.append(_PaletteLoss.of(found, encoded))
             progress("export", k + 1, len(pieces))
         document: dict[str, Any] = {
             "version": 1,
@@ -120,6 +120,7 @@ def save_streamed_sog(
         if scene.environment is not None and len(scene.environment):
             document["environment"], encoded = _write_sog(partial, "env", scene.environment)
             total += sum(len(data) for data in encoded.files.values())
+            losses.append(_PaletteLoss.of(scene.environment, encoded))
         extra = {} if beside is None else beside(sizes)
         for name, data in extra.items():
             (partial / name).write_bytes(data)
@@ -133,7 +134,7 @@ def save_streamed_sog(
     kept = {name.split("/")[0] for name in names.values()} | set(extra)
     kept |= {str(document.get("environment", "")).split("/")[0]}
     remove_earlier(target, _OURS, kept)
-    _report(target, losses)
+    _report_losses(target, losses)
     return WrittenLeaves(target, sizes, total + len(text) + sum(len(data) for data in extra.values()))
 
 
@@ -146,10 +147,24 @@ def check_streamed_target(folder: str | os.PathLike[str], overwrite: bool) -> No
     check_replaceable(_check.path("folder", folder), META, _OURS, overwrite)
 
 
-def _report(target: Path, losses: list[tuple[int, int, float]]) -> None:
-    """Report what the palettes of all leaves change: (Gaussians, sets, error) of each."""
-    gaussians, sets = sum(each[0] for each in losses), sum(each[1] for each in losses)
-    squares = sum(each[0] * each[2] ** 2 for each in losses)
+class _PaletteLoss(NamedTuple):
+    """What the palette of one piece changes; see `EncodedSog` for sets and error."""
+
+    gaussians: int
+    sets: int
+    error: float
+
+    @classmethod
+    def of(cls, g: Gaussians, encoded: EncodedSog) -> _PaletteLoss:
+        """Return that of a piece; no Gaussian counts without higher coefficients."""
+        return cls(len(g) if encoded.sets else 0, encoded.sets, encoded.sh_error)
+
+
+def _report_losses(target: Path, losses: list[_PaletteLoss]) -> None:
+    """Report what the palettes of all pieces change."""
+    gaussians = sum(each.gaussians for each in losses)
+    sets = sum(each.sets for each in losses)
+    squares = sum(each.gaussians * each.error**2 for each in losses)
     if gaussians:
         report_palette_loss(target, gaussians, sets, math.sqrt(squares / gaussians))
 

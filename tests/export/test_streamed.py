@@ -11,6 +11,7 @@ import pytest
 
 from gsvis.errors import FormatError, SceneError
 from gsvis.export import StreamedOptions, write_streamed_sog
+from gsvis.io.losses import watch_losses
 from gsvis.io.streamed_sog import list_lods, load_streamed_sog
 from gsvis.package import write_package
 from gsvis.pvs.store import VisibilityStore
@@ -57,6 +58,17 @@ def test_levels_become_levels_of_detail_the_highest_first(tmp_path: Path) -> Non
         assert len(again) == found.counts[lod] + far
     assert far <= 4
     assert abs(found.counts[0] + far - levels.counts[2]) == 0
+
+
+def test_a_loss_counts_the_gaussians_far_outside_too(tmp_path: Path) -> None:
+    g = random_scene(np.random.default_rng(3), 1500, sh_degree=2)
+    means = g.means.copy()
+    means[:3] += 1e5
+    far = Gaussians(means, g.quats, g.scales, g.opacities, g.sh0, g.shN)
+    with watch_losses() as losses:
+        found = write_streamed_sog(tmp_path / "s", far, StreamedOptions(leaf=2000))
+    assert found.environment > 0
+    assert [each.count for each in losses if each.what == "SH"] == [1500]
 
 
 def test_the_document_is_as_the_format_has_it(tmp_path: Path) -> None:
