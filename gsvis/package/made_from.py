@@ -78,6 +78,8 @@ def made_from_of(provenance: Mapping[str, Any]) -> tuple[MadeFrom, ...]:
 def path_from_package(scene: str | os.PathLike[str], package: str | os.PathLike[str]) -> str | None:
     """Return the path of a scene from the folder of a package; None if it lies elsewhere than beside or below.
 
+    None too where a name in it is not one on every system, such as one with a colon: `made_from_of` refuses those.
+
     Args:
         scene: File or folder of the scene.
         package: Folder of the package, which may not exist yet.
@@ -87,7 +89,8 @@ def path_from_package(scene: str | os.PathLike[str], package: str | os.PathLike[
         inner = Path(os.path.abspath(scene)).relative_to(parent)
     except ValueError:
         return None
-    return (PurePosixPath("..") / PurePosixPath(*inner.parts)).as_posix()
+    found = PurePosixPath("..", *inner.parts).as_posix()
+    return found if _is_near(found) else None
 
 
 def candidates_of(made: Sequence[MadeFrom], package: str | os.PathLike[str]) -> list[list[Path]]:

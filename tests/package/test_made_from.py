@@ -31,6 +31,13 @@ def test_a_path_is_stored_only_beside_the_package_and_below(tmp_path: Path, monk
     assert path_from_package("../a.ply", "b.gsvis") is None
 
 
+@pytest.mark.parametrize("name", ["scan 12:30.ply", "a\\b.ply", "x" * 200 + "/" + "y" * 900, "é.ply", "a b.ply"])
+def test_a_scene_of_any_name_is_known_again(name: str, tmp_path: Path) -> None:
+    path = path_from_package(tmp_path / name, tmp_path / "scene.gsvis")
+    made = MadeFrom(name[-200:], sha256=DIGEST, path=path)
+    assert made_from_of({KEY: [made.as_dict()]}) == (made,)
+
+
 @pytest.mark.parametrize(
     "change",
     [
