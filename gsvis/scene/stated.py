@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.errors import SceneError
-from gsvis.scene._occupancy import MIN_ALPHA, ROOM, Occupancy
+from gsvis.scene._occupancy import ROOM, Occupancy, only_visible
 from gsvis.scene._turned import Pose, bring_back
 from gsvis.scene.core import find_core
 from gsvis.scene.gaussians import Gaussians
@@ -44,27 +44,25 @@ def stated_space(g: Gaussians, *, up: ArrayLike | None = None) -> NavigableSpace
     """
     if g.facts.box is None:
         return None
-    seen = g[g.opacities >= MIN_ALPHA]
-    if len(seen) == 0:
-        raise SceneError("no navigable space: the scene has no Gaussian with an opacity of at least 1/255")
+    seen = only_visible(g)
     above = find_up(g, check=False).up if up is None else np.asarray(up, np.float64)
     above = _check.unit_vectors("up", np.reshape(above, (1, -1)))[0].astype(np.float64)
+    kind = SpaceKind("given", "a box that the scene states", None, "inside")
+    rule = "free, in the stated box"
     low, high = np.asarray(g.facts.box)
     axes = g.facts.box_axes
-    middle = axes @ (0.5 * (low + high))
-    pose = Pose(axes.T, middle)
-    half = 0.5 * (high - low)
     if np.array_equal(axes, np.eye(3)):
         space, free = _search(seen, low, high, g.facts.eye, g.facts.clearance)
-        origin, size, occupied = space.origin, space.voxel_size, space.occupied
-    else:
-        eye = None if g.facts.eye is None else pose.points(np.asarray(g.facts.eye)[None])[0]
-        space, free = _search(pose.gaussians(seen), -half, half, eye, g.facts.clearance)
-        origin, size, (free, occupied) = bring_back(space.origin, space.voxel_size, [free, space.occupied], pose)
-    targets = space.targets(seen if occupied is space.occupied else pose.gaussians(seen))
-    targets = targets if occupied is space.occupied else pose.back(targets)
-    kind = SpaceKind("given", "a box that the scene states", None, "inside")
-    return NavigableSpace(origin, size, free, above, occupied & ~free, targets, "free, in the stated box", kind)
+        occupied = space.occupied & ~free
+        return NavigableSpace(space.origin, space.voxel_size, free, above, occupied, space.targets(seen), rule, kind)
+    pose = Pose(axes.T, axes @ (0.5 * (low + high)))
+    half = 0.5 * (high - low)
+    eye = None if g.facts.eye is None else pose.points(np.asarray(g.facts.eye)[None])[0]
+    turned = pose.gaussians(seen)
+    space, free = _search(turned, -half, half, eye, g.facts.clearance)
+    origin, size, (free, occupied) = bring_back(space.origin, space.voxel_size, [free, space.occupied], pose)
+    targets = pose.back(space.targets(turned))
+    return NavigableSpace(origin, size, free, above, occupied & ~free, targets, rule, kind)
 
 
 def _search(
@@ -75,11 +73,12 @@ def _search(
     Raises:
         SceneError: If there are none.
     """
-    core, side = find_core(seen), float((high - low).max())
-    grid_low = np.minimum(np.maximum(core.low, low - _GROWN * side), low)
-    grid_high = np.maximum(np.minimum(core.high, high + _GROWN * side), high)
+    side = float((high - low).max())
     if not side > 0.0:
         raise SceneError("no navigable space: the box that the scene states is a point", "give a box")
+    core = find_core(seen)
+    grid_low = np.minimum(np.maximum(core.low, low - _GROWN * side), low)
+    grid_high = np.maximum(np.minimum(core.high, high + _GROWN * side), high)
     # Whole voxels along the longest side of the box, about its middle, so that no rounding decides.
     size = side / np.ceil(_RESOLUTION * side / float((grid_high - grid_low).max()) - _TIE)
     counts = np.maximum(np.floor((high - low) / size + 0.5 - _TIE), 1.0)
