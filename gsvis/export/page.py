@@ -124,10 +124,11 @@ def write_site(
         BackendError: If the viewer is not built.
         OSError: If the folder cannot be written.
     """
-    target, files = _check.path("folder", folder), _viewer_files(VIEWER if viewer is None else Path(viewer))
+    target = _check.path("folder", folder)
+    files = _viewer_files(VIEWER if viewer is None else Path(viewer))
     origins = parse_origins("opens", opens)
     check_target(target / FOLDER)
-    with atomic_folder(target) as partial:
+    with atomic_folder(target, last=(f"{FOLDER}/{SCENE}", PAGE)) as partial:
         found = write_static(partial / FOLDER, scene, options, progress=progress)
         document = json.loads(read_whole(found.path / SCENE))
         (partial / "viewer").mkdir()
@@ -281,10 +282,9 @@ def _has_settings_to_keep(target: Path, name: str) -> bool:
     """Return whether a site has settings that somebody wrote for a scene of this name."""
     if not (target / SETTINGS).exists():
         return False
-    with suppress(OSError, FormatError, ValueError, AttributeError):
+    with suppress(OSError, FormatError, ValueError, RecursionError):
         said = json.loads(read_whole(target / SETTINGS))
-        mark = said.pop(_MARK, None)
-        if mark is not None and mark == sha256(_spelled(said)).hexdigest()[:16]:
+        if isinstance(said, dict) and said.pop(_MARK, None) == sha256(_spelled(said)).hexdigest()[:16]:
             return False
     with suppress(OSError, FormatError, ValueError, KeyError, TypeError):
         before = json.loads(read_whole(target / FOLDER / SCENE))

@@ -81,8 +81,8 @@ def atomic_folder(path: str | os.PathLike[str], *, last: tuple[str, ...] = ()) -
 
     Args:
         path: The folder to fill; created if it is missing.
-        last: Names of files that move after all others, in this order, where files move one by one; older ones are
-            removed first. Use it for files that mark the folder complete.
+        last: Files that move after all others, in this order, where files move one by one; older ones are removed
+            first. Use it for files that mark the folder complete. Names relative to the folder, with forward slashes.
 
     Yields:
         The folder to write to.
@@ -150,7 +150,9 @@ def _replace(partial: Path, target: Path, last: tuple[str, ...]) -> None:
     """Put all files of a folder into another, in one step if possible."""
     target.mkdir(exist_ok=True)
     places = {name: place for place, name in enumerate(last, 1)}
-    sources = sorted(partial.rglob("*"), key=lambda source: (places.get(source.name, 0), source))
+    sources = sorted(
+        partial.rglob("*"), key=lambda source: (places.get(source.relative_to(partial).as_posix(), 0), source)
+    )
     _check_destinations(partial, target, sources)
     for source in sources:
         if not source.is_dir():

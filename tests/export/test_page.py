@@ -105,6 +105,14 @@ def test_settings_of_a_person_stay_and_other_files_too(viewer: Path, scene: Gaus
     assert len(Reader(site / "scene").ids) == 100
 
 
+@pytest.mark.parametrize("text", ["[]", "null", "3", '"gsvis"', "{", "[" * 100_000])
+def test_settings_that_make_no_sense_stay(viewer: Path, scene: Gaussians, tmp_path: Path, text: str) -> None:
+    write_site(tmp_path, scene[:20], viewer=viewer)
+    (tmp_path / "settings.json").write_text(text)
+    write_site(tmp_path, scene[:20], viewer=viewer)
+    assert (tmp_path / "settings.json").read_text() == text
+
+
 def test_settings_of_an_earlier_export_follow_the_scene(viewer: Path, scene: Gaussians, tmp_path: Path) -> None:
     for folder, written in (("twice", (scene, scene[:20])), ("once", (scene[:20],))):
         for each in written:

@@ -353,6 +353,29 @@ def test_where_files_move_one_by_one_an_error_puts_them_back(
     assert find_interrupted_moves(target) == set()
 
 
+def test_where_files_move_one_by_one_the_last_ones_may_lie_in_folders(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    order, replace = list[str](), os.replace
+    (tmp_path / "out" / "sub").mkdir(parents=True)
+    for name in ("map", "sub/map"):
+        (tmp_path / "out" / name).write_text("somebody's")
+
+    def noted(source: Path, destination: Path) -> None:
+        order.append(destination.relative_to(tmp_path / "out").as_posix())
+        assert (tmp_path / "out" / "sub" / "map").exists() == ("sub/map" in order[:-1])
+        replace(source, destination)
+
+    monkeypatch.setattr("gsvis.files.atomic.swap_folder", lambda *_: False)
+    monkeypatch.setattr("gsvis.files.atomic.os.replace", noted)
+    with atomic_folder(tmp_path / "out", last=("sub/map", "page")) as folder:
+        (folder / "sub").mkdir()
+        for name in ("page", "sub/map", "sub/zero"):
+            (folder / name).write_text("new")
+    assert order == ["sub/zero", "sub/map", "page"]
+    assert (tmp_path / "out" / "map").read_text() == "somebody's"
+
+
 def hidden(folder: Path) -> list[Path]:
     return sorted(path for path in folder.iterdir() if path.name.startswith("."))
 
