@@ -92,7 +92,7 @@ def _serve(command: Serve, child: Child | None) -> None:
             open_regular(path).close()  # an error of OpenSSL would not name the file
     quality = Quality() if command.coarse else None
     tables = None if command.no_tables else command.tables or str(cache_folder() / TABLES)
-    siblings = None if child is None else Siblings(Path(child.folder), child.number)
+    siblings = None if child is None else Siblings(Path(child.folder), child.number, beat=child.beat)
     with open_scenes(
         command.package, max_cache_bytes=command.cache, warm=True, quality=quality, tables=tables
     ) as scenes:

@@ -1,9 +1,10 @@
-"""One server as several processes on one port: a supervisor starts them, restarts those that die, and ends them.
+"""One server as several processes on one port: a supervisor starts them, restarts them, and ends them.
 
 The supervisor binds the port; its children inherit the listening socket and accept from one queue. So whoever is free
 takes a new viewer, and a child that dies takes no waiting connection with it (design note 059 compares this with
 SO_REUSEPORT). Children are whole commands of their own: nothing is shared but the socket and files. A child whose
-supervisor is gone ends.
+supervisor is gone ends. The event loop of a child writes a byte a second into a pipe: one that stops writing hangs, and
+is killed.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import subprocess
 import threading
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
@@ -30,6 +32,8 @@ _LOOK_S = 0.05
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.5, 30.0
 _STEADY_S = 60.0  # a child that lived so long is restarted at once
 _STOP_S = 10.0  # seconds that children have to end before they are killed
+_HUNG_S = 20.0  # a child that has served and says nothing for so long hangs
+_LONGEST_LOOK_S = 1.0  # a look that took longer, as while the machine slept, counts no more against children
 
 
 @dataclass(frozen=True)
@@ -40,12 +44,14 @@ class Child:
         number: Number of the child, from 0.
         listener: Descriptor of the listening socket.
         parent: Descriptor of a pipe that ends when the supervisor does.
+        beats: Descriptor of a pipe for signs of life; writing never blocks.
         folder: Folder of the files of the server's processes.
     """
 
     number: int
     listener: int
     parent: int
+    beats: int
     folder: str
 
     @classmethod
@@ -76,6 +82,11 @@ class Child:
         """Tell the supervisor that this child serves."""
         (Path(self.folder) / f"ready-{self.number}").touch()
 
+    def beat(self) -> None:
+        """Give the supervisor a sign of life; after the first one, it expects them."""
+        with suppress(OSError):  # the pipe is full of them, or the supervisor has gone
+            os.write(self.beats, b".")
+
 
 @dataclass
 class _Place:
@@ -86,6 +97,30 @@ class _Place:
     began: float = 0.0
     due: float = 0.0  # when to start it
     pause: float = field(default=_FIRST_PAUSE_S)
+    beats: int | None = None  # our end of the pipe of its signs of life
+    silent: float | None = None  # seconds since the last sign of life; None before the first
+
+    def listen(self, elapsed: float) -> float:
+        """Read its signs of life; return the seconds since the last one, 0 before the first.
+
+        Args:
+            elapsed: Seconds since the last call.
+        """
+        heard = False
+        with suppress(BlockingIOError):
+            heard = self.beats is not None and bool(os.read(self.beats, 1 << 16))
+        if heard:
+            self.silent = 0.0
+        elif self.silent is not None:
+            self.silent += elapsed
+        return self.silent or 0.0
+
+    def forget(self) -> None:
+        """Forget a process that has ended."""
+        self.process = self.silent = None
+        if self.beats is not None:
+            os.close(self.beats)
+            self.beats = None
 
 
 class Supervisor:
@@ -97,6 +132,7 @@ class Supervisor:
         listener: The listening socket.
         log: Log of events.
         clock: Returns seconds that never decrease.
+        hung_s: Seconds without a sign of life after which a child that has served is killed and started again.
     """
 
     def __init__(
@@ -107,8 +143,10 @@ class Supervisor:
         *,
         log: EventLog | None = None,
         clock: Callable[[], float] = time.monotonic,
+        hung_s: float = _HUNG_S,
     ) -> None:
         self._command, self._listener, self._log, self._clock = list(command), listener, log or EventLog(), clock
+        self._hung_s = hung_s
         self._places = [_Place(number) for number in range(count)]
         self._stopped, self._signal = threading.Event(), 0
 
@@ -164,11 +202,25 @@ class Supervisor:
         return None
 
     def _keep(self, folder: Path, reading: int) -> None:
-        """Start what should run, again and again."""
+        """Start what should run and kill what hangs, again and again."""
+        last = self._clock()
         while not self._stopped.is_set():
+            now = self._clock()
             for place in self._places:
+                self._watch(place, min(now - last, _LONGEST_LOOK_S))
                 self._tend(place, folder, reading)
+            last = now
             self._stopped.wait(_LOOK_S)
+
+    def _watch(self, place: _Place, elapsed: float) -> None:
+        """Kill a child that gives no sign of life."""
+        if place.process is None or place.process.poll() is not None:
+            return
+        silent = place.listen(elapsed)
+        if silent >= self._hung_s:
+            self._log("hangs", logging.ERROR, process=place.number, pid=place.process.pid, silent_s=silent)
+            place.process.kill()
+            place.process.wait()
 
     def _tend(self, place: _Place, folder: Path, reading: int) -> None:
         now = self._clock()
@@ -176,7 +228,8 @@ class Supervisor:
             status = place.process.poll()
             if status is None:
                 return
-            lived, place.process = now - place.began, None
+            lived = now - place.began
+            place.forget()
             place.pause = _FIRST_PAUSE_S if lived >= _STEADY_S else min(2.0 * place.pause, _LONGEST_PAUSE_S)
             place.due = now + (0.0 if lived >= _STEADY_S else place.pause / 2.0)
             self._log(
@@ -186,12 +239,20 @@ class Supervisor:
             self._start(place, folder, reading)
 
     def _start(self, place: _Place, folder: Path, reading: int) -> None:
-        child = Child(place.number, self._listener.fileno(), reading, str(folder))
-        place.process = subprocess.Popen(
-            self._command, env={**os.environ, _VARIABLE: json.dumps(asdict(child))},
-            pass_fds=(self._listener.fileno(), reading), stdin=subprocess.DEVNULL,
-            start_new_session=True,  # Ctrl-C reaches only this process, which passes it on
-        )  # fmt: skip
+        place.beats, writing = os.pipe()
+        os.set_blocking(place.beats, False)
+        os.set_blocking(writing, False)
+        child = Child(place.number, self._listener.fileno(), reading, writing, str(folder))
+        try:
+            place.process = subprocess.Popen(
+                self._command,
+                env={**os.environ, _VARIABLE: json.dumps(asdict(child))},
+                pass_fds=(self._listener.fileno(), reading, writing),
+                stdin=subprocess.DEVNULL,
+                start_new_session=True,  # Ctrl-C reaches only this process, which passes it on
+            )
+        finally:
+            os.close(writing)
         place.began = self._clock()
 
     def _end(self) -> None:
@@ -209,3 +270,5 @@ class Supervisor:
                     process.wait()
                     break
                 time.sleep(_LOOK_S)
+        for place in self._places:
+            place.forget()

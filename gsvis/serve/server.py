@@ -39,6 +39,7 @@ __all__ = ["Address", "Server", "listen", "page_of", "url_of"]
 
 _LATE_S = 0.2
 _LOOKS = 4  # looks between two publications of what siblings read
+_BEAT_S = 1.0  # seconds between two signs of life
 _STOP_S = 3.0  # seconds that connections have to end when the server stops
 _NEVER = 1_000_000  # seconds; for time-outs of uvicorn that the guards replace
 _LINES_PER_S = 20.0  # most lines a second of each logger of asyncio and uvicorn
@@ -156,7 +157,7 @@ class Server:
             self._log("stopped", clients=int(self.metrics.clients.value()))
 
     async def _serve(self) -> None:
-        tasks = [asyncio.create_task(each) for each in (self._watch_lateness(), self._look_after())]
+        tasks = [asyncio.create_task(each) for each in (self._watch_lateness(), self._look_after(), self._beat())]
         asyncio.get_running_loop().set_exception_handler(self._note)
         try:
             with _few_lines(self.clock):
@@ -173,6 +174,12 @@ class Server:
                     await asyncio.to_thread(opening)
             await asyncio.sleep(LOOK_S)
             self._upkeep.look()
+
+    async def _beat(self) -> None:
+        """Show the supervisor of several processes that this event loop turns."""
+        while self._siblings is not None:
+            self._siblings.beat()
+            await asyncio.sleep(_BEAT_S)
 
     def _note(self, _: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         """Log an event of asyncio in one bounded line, in place of its own log."""

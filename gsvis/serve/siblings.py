@@ -46,10 +46,19 @@ class Siblings:
         folder: Folder of the files, one server's own.
         number: Number of this process, from 0.
         age: Returns the seconds since a file was written; for tests.
+        beat: Gives a sign of life; a server calls it once a second, in its event loop.
     """
 
-    def __init__(self, folder: Path, number: int, *, age: Callable[[Path], float] | None = None) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        number: int,
+        *,
+        age: Callable[[Path], float] | None = None,
+        beat: Callable[[], None] = lambda: None,
+    ) -> None:
         self.folder, self.number, self._age = folder, number, age or _age_of
+        self.beat = beat
         self.path = folder / f"process-{number}-{os.getpid()}.json"
         self._others: list[_Said] = []
 

@@ -8,9 +8,10 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -19,6 +20,8 @@ import pytest
 from gsvis.serve import Limits, Metrics, StreamClient
 from gsvis.serve.limits import Seats
 from gsvis.serve.log_lines import JsonLines, TextLines
+from gsvis.serve.processes import Child, Supervisor
+from gsvis.serve.server import Address, listen
 from gsvis.serve.siblings import Siblings
 from tests.serve.servers import PATIENCE, VIEW, has_all, still, until
 
@@ -127,6 +130,100 @@ def test_children_end_when_the_supervisor_is_killed(plain: Path) -> None:
         children = server.children()
         server.process.kill()
         until(lambda: not any(is_running(pid) for pid in children))
+
+
+class Supervised:
+    """A supervisor in this thread, and a thread that tries it and then ends it."""
+
+    def __init__(self, command: list[str], count: int, hung_s: float) -> None:
+        self.listener = listen(Address("127.0.0.1", 0))
+        self.supervisor = Supervisor(command, count, self.listener, hung_s=hung_s)
+
+    @property
+    def pids(self) -> list[int]:
+        return self.supervisor.pids
+
+    def run(self, trial: Callable[[], None]) -> None:
+        """Run until the trial ends; raise what it raises."""
+        errors: list[BaseException] = []
+
+        def work() -> None:
+            try:
+                trial()
+            except BaseException as error:
+                errors.append(error)
+            finally:
+                self.supervisor.stop()
+
+        thread = threading.Thread(target=work)
+        with self.listener:
+            self.supervisor.run(thread.start)
+            thread.join()
+        if errors:
+            raise errors[0]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_a_process_that_hangs_is_restarted(plain: Path, caplog: pytest.LogCaptureFixture) -> None:
+    command = [sys.executable, "-m", "gsvis", "serve", str(plain), "--port", "0", "--workers", "2"]
+    server = Supervised(command, 2, hung_s=3.0)
+    url = f"ws://127.0.0.1:{server.listener.getsockname()[1]}/stream"
+
+    def trial() -> None:
+        until(lambda: len(server.pids) == 2)
+        until(lambda: json.loads(ask(url, "/healthz"))["processes"] == 2)
+        victim = server.pids[0]
+        os.kill(victim, signal.SIGSTOP)
+        for client in all_of(url, plain, 2):  # the other one serves
+            assert has_all(client.receiver, plain)
+        until(lambda: not is_running(victim) and len(server.pids) == 2)
+        until(lambda: json.loads(ask(url, "/healthz"))["processes"] == 2)
+        all_of(url, plain, 2)
+
+    with caplog.at_level("ERROR", "gsvis.serve"):
+        server.run(trial)
+    assert any(line.startswith("hangs process=") for line in caplog.messages)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_only_silence_after_a_sign_of_life_is_hanging(tmp_path: Path) -> None:
+    child = (
+        "import sys, time; from gsvis.serve.processes import Child; child = Child.from_environment()\n"
+        "child.say_ready()\n"
+        "for _ in range({beats}): child.beat(); time.sleep(0.1)\n"
+        "time.sleep(600)"
+    )
+    for beats, restarts in ((0, False), (10**6, False), (1, True)):
+        server = Supervised([sys.executable, "-c", child.format(beats=beats)], 1, hung_s=1.0)
+
+        def trial(server: Supervised = server, restarts: bool = restarts) -> None:
+            first = server.pids[0]
+            if restarts:
+                until(lambda: server.pids not in ([], [first]))
+            else:
+                time.sleep(2.0)
+                assert server.pids == [first]
+
+        server.run(trial)
+
+
+def test_signs_of_life_never_block_or_fail() -> None:
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    child = Child(0, 0, 0, writing, "")
+    for _ in range(1 << 17):
+        child.beat()  # more than a pipe holds
+    os.close(reading)
+    child.beat()
+    os.close(writing)
+    child.beat()
+
+
+def ask(url: str, path: str) -> str:
+    with urllib.request.urlopen(
+        url.replace("ws://", "http://").removesuffix("/stream") + path, timeout=PATIENCE
+    ) as found:
+        return str(found.read().decode())
 
 
 def test_one_process_ends_with_the_same_status(plain: Path) -> None:
