@@ -14,6 +14,7 @@ ROOMS = (
     "errors",
     "progress",
     "_extras",
+    "_text",
     "_check",
     "files",
     "_kernels",

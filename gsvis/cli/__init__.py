@@ -13,11 +13,12 @@ import sys
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from importlib import import_module
-from io import TextIOWrapper
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
+from gsvis._text import as_line
 from gsvis.cli.help import overview
+from gsvis.cli.streams import safe_streams
 
 if TYPE_CHECKING:
     from gsvis.cli.arguments import Command
@@ -37,10 +38,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns:
         The exit code.
     """
-    arguments = list(sys.argv[1:] if argv is None else argv)
+    with safe_streams():
+        return _main(list(sys.argv[1:] if argv is None else argv))
+
+
+def _main(arguments: list[str]) -> int:
+    """Run one command with standard streams that are safe to write to; return the exit code."""
     debug = "--debug" in arguments or os.environ.get("GSVIS_DEBUG", "") not in ("", "0")
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # threads that spin take cores from those that work
-    _escape_what_cannot_be_printed()
     before = _stop_politely()
     try:
         if arguments[:1] == ["--version"]:
@@ -52,6 +57,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         else:
             with _stdout():
                 command = parse(arguments)
+            _remove_abandoned()
             _run(command)
         with _stdout():
             sys.stdout.flush()
@@ -72,13 +78,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         if before is not None:
             signal.signal(signal.SIGTERM, before)
     return 0
-
-
-def _escape_what_cannot_be_printed() -> None:
-    r"""Let both streams write a character that their encoding lacks as `\u65e5`, so that no name fails a command."""
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")
 
 
 def parse(arguments: Sequence[str]) -> Command:
@@ -164,6 +163,13 @@ def version() -> str:
     return installed("gsvis")
 
 
+def _remove_abandoned() -> None:
+    """Remove what killed commands have left among temporary files."""
+    from gsvis.files.temporary import remove_abandoned
+
+    remove_abandoned()
+
+
 def _run(command: Command) -> None:
     name = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", type(command).__name__).lower()
     home = import_module(f"gsvis.cli.{_HOMES.get(name, name)}")
@@ -221,7 +227,7 @@ def _drop_stdout_if_full(error: Exception) -> None:
 
 
 def _exit_with(line: str, code: int) -> int:
-    sys.stderr.write(f"gsvis: {line}\n")
+    sys.stderr.write(f"gsvis: {as_line(line)}\n")
     return code
 
 

@@ -6,6 +6,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gsvis._text import as_line
 from gsvis.cli.arguments_export import Export
 from gsvis.cli.arguments_where import WhereSeen
 from gsvis.cli.source import (
@@ -180,13 +181,13 @@ def open_scene(
             raise ValueError(f"--lod: expected none for a package, got {command.lod}; leave it out")
         if command.cameras is not None:
             raise ValueError(f"--cameras: expected none for a package, got {command.cameras}; leave it out")
-        name = command.name or Path(command.scene).resolve().name.removesuffix(".gsvis")
+        name = as_line(command.name or Path(command.scene).resolve().name.removesuffix(".gsvis"))
         return stack.enter_context(Package.open(command.scene)), name, _triple(up), None
     check_source(command.scene, command.lod)
     status("reading", 0, 1)
     source = load_source(command.scene, command.lod)
     status("reading", 1, 1)
-    name = command.name or title_of(command.scene, source.lod)
+    name = as_line(command.name or title_of(command.scene, source.lod))
     return source.whole, name, _triple(up_to_turn(source) if up is None else up), source
 
 

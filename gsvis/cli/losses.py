@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import logging
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+
+from gsvis.cli.terminal import say
 
 __all__ = ["losses_on_stderr"]
 
 
 class _Lines(logging.Handler):
-    """Write each message once; stderr is looked up each time, because progress bars replace it."""
+    """Write each message once."""
 
     def __init__(self) -> None:
         super().__init__(logging.WARNING)
@@ -22,8 +23,7 @@ class _Lines(logging.Handler):
         if line in self._said:
             return
         self._said.add(line)
-        sys.stderr.write(f"gsvis: {line}\n")
-        sys.stderr.flush()
+        say(line)
 
 
 @contextmanager

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-import sys
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +14,7 @@ from gsvis.cli.arguments_simulate import Simulate
 from gsvis.cli.made_from import Original, find_original, load_original, own_file
 from gsvis.cli.memory import check_simulation
 from gsvis.cli.source import check_report, check_source
-from gsvis.cli.terminal import Status, facts, print_json, show
+from gsvis.cli.terminal import Status, facts, print_json, say, show
 from gsvis.errors import ArgumentError, FormatError
 from gsvis.io.poses import is_recording, load_path
 from gsvis.package.manifest import MANIFEST
@@ -52,7 +51,7 @@ def run_simulate(command: Simulate) -> None:
 
     if command.json:
         for remark in content_remarks(document):
-            sys.stderr.write(f"gsvis: {remark}\n")
+            say(remark)
         print_json(document)
     else:
         show(

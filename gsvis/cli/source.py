@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
+from gsvis._text import as_line
 from gsvis.errors import ArgumentError, FormatError, SceneError
 from gsvis.files.atomic import find_interrupted_moves
 from gsvis.files.limits import open_regular
@@ -234,7 +235,7 @@ def title_of(scene: str, lod: int | None = None) -> str:
     resolved = Path(scene).resolve()
     inner = resolved.name in ("lod-meta.json", "meta.json") or resolved.is_dir()
     name = (resolved if resolved.is_dir() else resolved.parent).name if inner else resolved.name.split(".")[0]
-    return (name or resolved.name or "scene") + ("" if lod is None else f", LOD {lod}")
+    return as_line(name or resolved.name or "scene") + ("" if lod is None else f", LOD {lod}")
 
 
 def up_of(source: Source) -> NDArray[np.float64]:

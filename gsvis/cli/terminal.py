@@ -13,6 +13,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from typing import TYPE_CHECKING, Any
 
+from gsvis._text import as_json, as_line, as_text
 from gsvis.errors import OutputError
 
 if TYPE_CHECKING:
@@ -28,6 +29,7 @@ __all__ = [
     "facts",
     "least_size_of",
     "print_json",
+    "say",
     "show",
     "size_of",
 ]
@@ -151,19 +153,18 @@ class Status(AbstractContextManager["Status"]):
 
     def note(self, stage: str, brief: str, whole: str) -> None:
         """Set the text of a stage: `brief` replaces its name on a bar, `whole` is added to its plain lines."""
-        self._notes[stage] = brief, whole
+        self._notes[stage] = as_line(brief), whole
 
     def line(self, text: str) -> None:
         """Print a line that stays on the screen."""
         if self._bars:
-            self._bars.console.print(text, markup=False, highlight=False)
+            self._bars.console.print(as_line(text), markup=False, highlight=False)
         else:
             self._say(text)
 
     def _say(self, line: str) -> None:
         self._spoke = _clock()
-        sys.stderr.write(f"gsvis: {line}\n")
-        sys.stderr.flush()
+        say(line)
 
 
 def _bars() -> Progress:
@@ -188,11 +189,11 @@ def _bars() -> Progress:
             return Text(f"{int(task.completed):,}/{int(task.total or 0):,}" if counted else "", style="dim")
 
     return Progress(
-        TextColumn("{task.description:<31}"),
+        TextColumn("{task.description:<31}", markup=False),
         BarColumn(bar_width=20),
         Count(),
         Clock(),
-        console=Console(stderr=True),
+        console=Console(stderr=True, markup=False, emoji=False),
     )
 
 
@@ -231,10 +232,16 @@ def check_stdout() -> Iterator[None]:
         raise OutputError(STDOUT, error.errno or errno.EIO) from error
 
 
+def say(line: str) -> None:
+    """Print one line of status on stderr, which is looked up each time, because progress bars replace it."""
+    sys.stderr.write(f"gsvis: {as_line(line)}\n")
+    sys.stderr.flush()
+
+
 def print_json(document: dict[str, Any]) -> None:
     """Print one JSON document on stdout; raise ValueError for NaN and infinity, which JSON does not have."""
     unicode = (sys.stdout.encoding or "").lower().replace("-", "").startswith("utf")
-    text = json.dumps(document, indent=2, ensure_ascii=not unicode, allow_nan=False)
+    text = as_json(document, indent=2) if unicode else json.dumps(document, indent=2, allow_nan=False)
     with check_stdout():
         sys.stdout.write(f"{text}\n")
 
@@ -244,6 +251,7 @@ def facts(title: str, rows: Iterable[Sequence[str]], header: Sequence[str] = (""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
+    title = as_line(title)
     named = any(header)
     table = Table(title=title or None, title_justify="left", title_style="bold", box=SIMPLE_HEAD, show_header=named)
     for column, name in enumerate(header):
@@ -251,7 +259,7 @@ def facts(title: str, rows: Iterable[Sequence[str]], header: Sequence[str] = (""
             name, style="" if column else "dim", no_wrap=not column, justify="right" if named and column else "left"
         )
     for row in rows:
-        table.add_row(*row)
+        table.add_row(*map(as_line, row))
     return table
 
 
@@ -259,10 +267,12 @@ def show(*parts: Table | str) -> None:
     """Print tables and lines on stdout, in at most 80 columns, in color only on a terminal."""
     from rich.console import Console
 
-    console = Console(width=min(80, shutil.get_terminal_size().columns) if sys.stdout.isatty() else 80, highlight=False)
+    width = min(80, shutil.get_terminal_size().columns) if sys.stdout.isatty() else 80
+    console = Console(width=width, highlight=False, markup=False, emoji=False)  # names are no markup
     with check_stdout(), console.capture() as held:  # a capture still flushes stdout
         for part in parts:
             if isinstance(part, str):
+                part = as_text(part)
                 indent = " " * (3 if part.startswith(" - ") else 1)
                 part = textwrap.fill(
                     part,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gsvis._extras import require
+from gsvis._text import as_json
 from gsvis.cli import version
 from gsvis.cli.arguments import Train
 from gsvis.cli.image_size import image_size
@@ -298,8 +298,7 @@ def _thousands(count: int) -> str:
 
 def _write_record(command: Train, document: dict[str, Any]) -> None:
     with atomic_path(record_of(command)) as partial:
-        text = json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False)
-        partial.write_text(text + "\n", encoding="utf-8")
+        partial.write_text(as_json(document, indent=1) + "\n", encoding="utf-8")
 
 
 def _print_result(command: Train, plan: _Plan, document: dict[str, Any]) -> None:

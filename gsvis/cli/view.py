@@ -17,7 +17,7 @@ from urllib.parse import quote
 from gsvis.cli.arguments_view import View
 from gsvis.cli.arguments_where import WhereSeen
 from gsvis.cli.serve import log_to_stderr
-from gsvis.cli.terminal import Status, print_json
+from gsvis.cli.terminal import Status, print_json, say
 from gsvis.errors import GsvisError
 from gsvis.files.temporary import temporary_folder
 from gsvis.package.manifest import MANIFEST
@@ -57,8 +57,9 @@ def run_view(command: View) -> None:
             print_json(found | {"remarks": [each.strip() for each in remarks]})
             sys.stdout.flush()
         else:
-            sys.stderr.writelines(f"gsvis: {each.strip()}\n" for each in remarks)
-            sys.stderr.write(f"gsvis: {page} shows {command.scene}; Ctrl-C ends it\n")
+            for each in remarks:
+                say(each.strip())
+            say(f"{page} shows {command.scene}; Ctrl-C ends it")
         if not command.no_browser:
             # The server listens already; it answers as soon as it runs.
             threading.Thread(target=webbrowser.open, args=(_address(server, page),), daemon=True).start()
@@ -174,4 +175,4 @@ def _change_over(
     except (GsvisError, OSError) as error:
         line = f"cannot be served: {error}"
     scenes[name].preparing = False
-    sys.stderr.write(f"gsvis: {package} {line}\n")
+    say(f"{package} {line}")

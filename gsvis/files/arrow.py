@@ -70,7 +70,7 @@ def write_arrow(
     schema = pa.schema(list(fields), metadata={_HEADER: text, **mark})
     options = pa.ipc.IpcWriteOptions(compression="zstd", use_threads=False)
     with atomic_path(path, sweep=sweep) as partial:
-        with pa.OSFile(os.fspath(partial), "wb") as sink, pa.ipc.new_file(sink, schema, options=options) as writer:
+        with pa.OSFile(_name_of(partial), "wb") as sink, pa.ipc.new_file(sink, schema, options=options) as writer:
             for batch in batches:
                 writer.write_batch(batch.replace_schema_metadata(schema.metadata))
         if seal == "whole":
@@ -104,7 +104,7 @@ class ArrowFile:
         if head != _MAGIC or self.nbytes < 16 + _TAIL:
             got = f"{self.nbytes} bytes" if _MAGIC.startswith(head) else f"a file that begins {head!r}"
             raise FormatError(self.path, "byte 0", f"an Arrow file of format {name}", got)
-        with pa.memory_map(os.fspath(self.path)) as source:
+        with pa.memory_map(_name_of(self.path)) as source:
             self._buffer: pa.Buffer | None = source.read_buffer()  # stays valid after its source is closed
         self.nbytes = self._buffer.size
         data = memoryview(self._buffer)
@@ -345,6 +345,11 @@ def _field(data: bytes, table: int, slot: int) -> int:
         return 0
     offset: int = struct.unpack_from("<H", data, vtable + 4 + 2 * slot)[0]
     return table + offset if offset else 0
+
+
+def _name_of(path: str | os.PathLike[str]) -> bytes:
+    """Return the name of a file as Arrow takes it: its own encoding is UTF-8, which names need not be."""
+    return os.fsencode(path)
 
 
 def _follow(data: bytes, place: int) -> int:

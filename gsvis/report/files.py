@@ -5,11 +5,11 @@ Two runs of one command write the same bytes, except in `timings.json`, the only
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from gsvis._text import as_json
 from gsvis.report.html import Figure
 
 __all__ = ["LAST", "TIMINGS", "write_files"]
@@ -37,6 +37,5 @@ def write_files(
         (folder / figure.file).write_bytes(figure.light)
     timings = {"format": "gsvis-timings", "version": 1, "seconds": dict(seconds)}
     for name, content in (("report.json", document), (TIMINGS, timings)):
-        text = json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-        (folder / name).write_text(text, encoding="utf-8")
+        (folder / name).write_text(as_json(content, indent=2) + "\n", encoding="utf-8")
     (folder / "report.html").write_text(html, encoding="utf-8")

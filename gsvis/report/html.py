@@ -6,7 +6,6 @@ Text from outside is escaped here or by the caller, as each function states.
 from __future__ import annotations
 
 import base64
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
@@ -15,6 +14,7 @@ from string import Template
 from typing import Any
 
 from gsvis._extras import remedy_of
+from gsvis._text import as_json, as_text
 
 __all__ = [
     "Figure",
@@ -48,13 +48,15 @@ class Figure:
 def fill_template(template: str, **parts: str) -> str:
     """Fill the parts and the common style into a page template of this package; parts are HTML.
 
+    Characters that no page may hold are escaped, since names of files are among the parts.
+
     Args:
         template: File name beside this module.
         parts: Parts by their names in the template.
     """
     here = files("gsvis.report")
     style = (here / "page.css").read_text(encoding="utf-8")
-    return Template((here / template).read_text(encoding="utf-8")).substitute(parts, style=style)
+    return as_text(Template((here / template).read_text(encoding="utf-8")).substitute(parts, style=style))
 
 
 def figure(figure: Figure | None, alternative: str, caption: str) -> str:
@@ -132,7 +134,7 @@ def describe_run(document: dict[str, Any]) -> str:
 
 def plain(value: Any) -> str:
     """Return the value of a parameter as text."""
-    return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+    return value if isinstance(value, str) else as_json(value)
 
 
 def _data(png: bytes) -> str:

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
+from gsvis._text import as_line
 from gsvis.abr.classes import FieldOfView
 from gsvis.errors import GsvisError
 from gsvis.package import Package
@@ -270,7 +271,7 @@ def open_scenes(
     first: Exception | None = None
     for package in packages:
         path = _check.path("package", package)
-        name = path.resolve().name.partition(".")[0] or "scene"
+        name = as_line(path.resolve().name.partition(".")[0]) or "scene"
         if name in found:
             raise ValueError(f"packages: expected different names, got {name!r} twice; rename a folder")
         try:
@@ -315,7 +316,7 @@ def open_scene(
         OSError: If it cannot be opened, because of the file system.
     """
     folder = _check.path("path", path)
-    name = name or folder.resolve().name.partition(".")[0] or "scene"
+    name = name or as_line(folder.resolve().name.partition(".")[0]) or "scene"
     if is_site(folder):
         return ServedScene(name, folder, None, site=Site(folder))
 

@@ -14,51 +14,10 @@ import pytest
 
 from gsvis.cli import main
 from gsvis.errors import GsvisError, OutputError
-from gsvis.export.page import write_html, write_site
-from gsvis.io import save_scene
-from gsvis.io.poses import write_poses
-from gsvis.package import in_package_order, write_package
-from gsvis.scene.levels import Levels
-from gsvis.scene.procedural import two_rooms
-from tests.export.viewers import viewer_of
-from tests.few_views import take_few_views
-from tests.known_spaces import coarse_spaces
-from tests.package.worlds import colors_of
-from tests.simulate.streets import walk
-from tests.train.photo_files import cloud, write_photos
+from tests.cli.every_command import COMMANDS, at_their_smallest, make_world
 
 pytestmark = pytest.mark.usefixtures("blank_plots")
 Capture = pytest.CaptureFixture[str]
-BOX = "--box 0.5 0.5 0.5 3.5 3.5 2.5"
-LOOK = "--views 3 --width 12 --height 9 --traced-sample 20 --rays-per-face 1"
-COMMANDS = {
-    "convert": "convert {ply} {out}/a.sog --overwrite",
-    "convert ply": "convert {ply} {out}/a.ply --overwrite",
-    "convert ksplat": "convert {ply} {out}/a.ksplat --overwrite",
-    "convert spz": "convert {ply} {out}/a.spz --overwrite",
-    "render png": "render {ply} -o {out}/a.png --width 64 --height 48 --depth --eye 1 1 1",
-    "render gif": "render {ply} -o {out}/a.gif --width 64 --height 48 --orbit 2",
-    "render folder": "render {ply} -o {out}/ --width 64 --height 48 --orbit 2",
-    "analyze": f"analyze {{ply}} -o {{out}} {LOOK}",
-    "pvs": f"pvs {{ply}} -o {{out}}/a.pvs --cells 4 --face-size 16 --workers 1 --certify 256 --max-inner 1 {BOX}",
-    "pvs-report": "pvs-report {pvs} {ply} -o {out} --cells 2 --eyes 1 --dense 1 --width 24 --height 18",
-    "color": "color {ply} -o {out}/a.arrow --views 2 --held-out 0 --width 24 --height 18 --max-terms 1",
-    "train": "train {photos} -o {out}/a.ply --steps 4 --evaluate-every 4 --sh-degree 0 --overwrite",
-    "levels": "levels {ply} -o {out} --steps 2 --width 24 --height 20 --views 2 --held-out 1",
-    "prepare": "prepare {ply} -o {out}/a.gsvis --levels none --cells 2 --face-size 16 --limit 0.05 --max-inner 1"
-    " --workers 1 --max-terms 0",
-    "world": "world {ply} -o {out}/a.gsworld --levels none --cells 1 --face-size 16 --limit 0.05 --workers 1"
-    " --tile 5000",
-    "unpack": "unpack {package} -o {out}",
-    "clean": f"clean {{ply}} -o {{out}}/a.ply --select {{out}}/a.npy --eyes 1 --held-out 0 --overwrite {BOX}",
-    "cut": f"cut {{ply}} -o {{out}}/a.ply --select {{out}}/a.npy --face-size 16 --held-out 0 --limit 0.1 --overwrite"
-    f" {BOX}",
-    "paint": f"paint {{ply}} -o {{out}}/a.ply --values {{out}}/a.npy --face-size 16 --eyes 1 --overwrite {BOX}",
-    "space": "space {ply} -o {out}/a.voxel.json --overwrite",
-    "export": "export {package} -o {out}/site",
-    "simulate": "simulate {package} --path {walk} -o {out} --as-is --seconds 1 --every 0.5 --width 32 --height 24"
-    " --whole-file {ply}",
-}
 # What is kept of unfinished work, and parts that lie there already.
 RESUMED = (".partial-", ".checkpoint", ".gsvis", ".gsworld.work")
 
@@ -66,42 +25,12 @@ RESUMED = (".partial-", ".checkpoint", ".gsvis", ".gsworld.work")
 @pytest.fixture(scope="module")
 def world(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """What the commands read."""
-    folder = tmp_path_factory.mktemp("world")
-    scene = two_rooms(1000, sh_degree=1).gaussians
-    save_scene(scene, folder / "rooms.ply")
-    words = (
-        f"pvs {folder}/rooms.ply -o {folder}/rooms.pvs --cells 4 --face-size 16 --workers 1 --certify 256 --max-inner 1"
-    )
-    words += f" {BOX}"
-    assert main(words.split()) == 0
-    levels = in_package_order(Levels.single(two_rooms(1000).gaussians))
-    write_package(folder / "rooms.gsvis", levels, colors_of(len(levels.union))[1]).close()
-    write_poses(walk(3.0), folder / "walk.csv")
-    photos = write_photos(tmp_path_factory.mktemp("photos"), points=cloud())
-    names = {"ply": "rooms.ply", "pvs": "rooms.pvs", "package": "rooms.gsvis", "walk": "walk.csv"}
-    return {name: folder / file for name, file in names.items()} | {"photos": photos}
-
-
-@pytest.fixture(autouse=True)
-def _small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gsvis.cli.analyze.PICTURE", 24)
+    return make_world(tmp_path_factory.mktemp("world"), tmp_path_factory.mktemp("photos"))
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _few_voxels_and_views() -> Iterator[None]:
-    """Look at the grids of so small a scene coarsely, and at its package once."""
-    with pytest.MonkeyPatch.context() as patch, take_few_views(), coarse_spaces():
-        patch.setattr("gsvis.edit.shape._VOXELS", 1 << 17)
-        yield
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _viewer(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Put a stand-in for the built viewer into sites."""
-    viewer = viewer_of(tmp_path_factory.mktemp("viewer") / "built")
-    with pytest.MonkeyPatch.context() as patch:
-        for write in (write_site, write_html):
-            patch.setitem(write.__kwdefaults__, "viewer", viewer)
+def _smallest(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    with at_their_smallest(tmp_path_factory.mktemp("viewer")):
         yield
 
 
