@@ -10,8 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +18,7 @@ from gsvis.edit.classes import CLASSES, HIDDEN, KEPT, CleanConfig, class_of
 from gsvis.edit.parcels import AROUND
 from gsvis.files.archive import load_arrays
 from gsvis.files.objects import ObjectStore
+from gsvis.files.temporary import temporary_folder
 from gsvis.io.batches import facts_of_batches, read_batch
 from gsvis.progress import Progress, silent
 from gsvis.pvs.workers import Workers
@@ -93,9 +92,9 @@ class LargeCleaning:
         keys, classes = tiles_of(g.means, self.build.grid), np.zeros(len(g), np.uint8)
         for key in np.unique(keys).tolist():
             name = OUTSIDE if key < 0 else self._names[key]
-            with TemporaryDirectory(prefix="gsvis-") as cache:
+            with temporary_folder() as cache:
                 result = self.results[self._home(name)]
-                path = self.build.store.path_of(result.files["classes"], Path(cache))
+                path = self.build.store.path_of(result.files["classes"], cache)
                 classes[keys == key] = load_arrays(path, sealed=True)[f"{number} {name}"]
         classes[np.isin(classes, [class_of(name) for name in self.back])] = KEPT
         return classes

@@ -1,6 +1,7 @@
 """Folders among temporary files: only their owner can enter them, links are not followed, none is left by a kill.
 
-A folder of a block holds a lock while its process lives. Whoever makes the next one removes those without a live owner.
+A folder of a block holds a lock while its process lives. Whoever makes the next one, and every command when it starts,
+removes those without a live owner.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from pathlib import Path
 
 from gsvis.files.locks import try_lock
 
-__all__ = ["private_folder", "temporary_folder"]
+__all__ = ["private_folder", "remove_abandoned", "temporary_folder"]
 
 _PREFIX, _LOCK = "gsvis-tmp-", ".gsvis-lock"
 _OURS = re.compile(rf"{_PREFIX}[a-z0-9_]+")
@@ -25,14 +26,17 @@ _LOG = logging.getLogger(__name__)
 
 
 @contextmanager
-def temporary_folder() -> Iterator[Path]:
+def temporary_folder(root: Path | None = None) -> Iterator[Path]:
     """Yield an empty folder for this block, and remove it after that; first remove those of killed processes.
 
+    Args:
+        root: Where to make it; None takes the place for temporary files.
+
     Raises:
-        OSError: If there is no place for temporary files.
+        OSError: If it cannot be made there.
     """
-    root = Path(tempfile.gettempdir())
-    _remove_abandoned(root)
+    root = Path(tempfile.gettempdir()) if root is None else root
+    remove_abandoned(root)
     while True:
         folder = Path(tempfile.mkdtemp(prefix=_PREFIX, dir=root))
         with suppress(FileNotFoundError):  # another process has taken it for abandoned
@@ -65,9 +69,8 @@ def private_folder(path: Path) -> Path:
     with suppress(FileExistsError):
         path.mkdir(mode=0o700)
     found = path.lstat()
-    is_own = stat.S_ISDIR(found.st_mode) and (not hasattr(os, "getuid") or found.st_uid == os.getuid())
-    if not is_own:
-        other = Path(tempfile.mkdtemp(prefix=f"{path.name}-", dir=path.parent))
+    if not _is_own_folder(found):
+        other = _other_folder(path)
         _LOG.warning("%s is no folder of this user; %s takes its place", path, other)
         return other
     if hasattr(os, "getuid") and stat.S_IMODE(found.st_mode) != 0o700:
@@ -75,15 +78,39 @@ def private_folder(path: Path) -> Path:
     return path
 
 
-def _remove_abandoned(root: Path) -> None:
-    """Remove the folders of this user whose processes were killed."""
+def _is_own_folder(found: os.stat_result) -> bool:
+    """Return whether something is a folder of this user, by its status without following links."""
+    return stat.S_ISDIR(found.st_mode) and (not hasattr(os, "getuid") or found.st_uid == os.getuid())
+
+
+def _other_folder(path: Path) -> Path:
+    """Return a folder of this user in place of one of another: that of the last time, else a new one."""
+    ours = re.compile(rf"{re.escape(path.name)}-[a-z0-9_]{{8}}")
+    for name in sorted(_names(path.parent)):
+        if ours.fullmatch(name):
+            with suppress(OSError):
+                found = (path.parent / name).lstat()
+                if _is_own_folder(found) and stat.S_IMODE(found.st_mode) == 0o700:
+                    return path.parent / name
+    return Path(tempfile.mkdtemp(prefix=f"{path.name}-", dir=path.parent))
+
+
+def remove_abandoned(root: Path | None = None) -> None:
+    """Remove the folders of this user whose processes were killed.
+
+    Args:
+        root: Where they are; None means the place for temporary files.
+    """
+    try:
+        root = Path(tempfile.gettempdir()) if root is None else root
+    except OSError:  # there is none
+        return
     for name in _names(root):
         folder = root / name
         if not _OURS.fullmatch(name):
             continue
         with suppress(OSError):
-            state = folder.lstat()
-            if not stat.S_ISDIR(state.st_mode) or (hasattr(os, "getuid") and state.st_uid != os.getuid()):
+            if not _is_own_folder(folder.lstat()):
                 continue
             descriptor = os.open(folder / _LOCK, os.O_RDWR | getattr(os, "O_NOFOLLOW", 0))
             try:

@@ -15,6 +15,7 @@ from gsvis.errors import FormatError
 from gsvis.files.atomic import atomic_folder, atomic_path
 from gsvis.files.limits import digest_of
 from gsvis.files.objects import ObjectStore, open_store
+from gsvis.files.temporary import temporary_folder
 from gsvis.package.manifest import MANIFEST
 from gsvis.prepare.work_folder import WorkFolder
 from gsvis.progress import Progress, silent
@@ -194,10 +195,8 @@ def _write_package(store: ObjectStore, result: Result, folder: Path) -> None:
 
 
 def _copy(store: ObjectStore, result: Result, name: str, to: Path) -> None:
-    from tempfile import TemporaryDirectory
-
-    with TemporaryDirectory(prefix="gsvis-") as cache:
-        shutil.copyfile(store.path_of(result.files[name], Path(cache)), to)
+    with temporary_folder() as cache:
+        shutil.copyfile(store.path_of(result.files[name], cache), to)
 
 
 def _box(facts: Facts) -> tuple[tuple[float, float, float], tuple[float, float, float]]:

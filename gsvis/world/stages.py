@@ -13,13 +13,13 @@ import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
 from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.files.atomic import atomic_path
 from gsvis.files.objects import open_store
+from gsvis.files.temporary import temporary_folder
 from gsvis.io.levels import MAP, save_levels
 from gsvis.io.ply import save_ply
 from gsvis.prepare.work_folder import WorkFolder
@@ -149,11 +149,11 @@ def _write(build: WorldBuild, number: int, until: Stage, results: dict[str, Any]
     corners = ((), ()) if square is None else (tuple(square["low"]), tuple(square["high"]))
     result = results[f"{'rows' if until == 'tiles' else 'levels'} {number}"]
     name = f"tile-{tile_name(rect)}"
-    with TemporaryDirectory(prefix="gsvis-") as cache:
+    with temporary_folder() as cache:
         if until == "tiles":
-            save_ply(load_gaussians(build.store.path_of(result.files["rows"], Path(cache))), target / f"{name}.ply")
+            save_ply(load_gaussians(build.store.path_of(result.files["rows"], cache)), target / f"{name}.ply")
             return WrittenTile(f"{name}.ply", result.facts["gaussians"], (), *corners)
-        levels = load_tile_levels(build.store.path_of(result.files["levels"], Path(cache)))
+        levels = load_tile_levels(build.store.path_of(result.files["levels"], cache))
         save_levels(levels, target / name, {"up": axis_vector(build.grid["up"]).tolist()})
     sizes = tuple(zip(levels.names, levels.counts, strict=True))
     return WrittenTile(name, len(levels.union), sizes, *corners)

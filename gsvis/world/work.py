@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -16,11 +17,12 @@ from pathlib import Path
 from gsvis.files.locks import try_lock
 from gsvis.files.objects import FolderStore, ObjectStore
 from gsvis.files.output import output_errors
-from gsvis.files.temporary import private_folder
+from gsvis.files.temporary import private_folder, temporary_folder
 
 __all__ = ["forget_work", "work_folder"]
 
 _LOCK = "lock"
+_KEPT_S = 86400.0  # seconds for which a killed attempt among temporary files waits for the next one
 
 
 @contextmanager
@@ -34,8 +36,8 @@ def work_folder(store: ObjectStore, key: str) -> Iterator[Path]:
     with output_errors(root):
         descriptor = _lock(root / key)
     if descriptor is None:
-        with tempfile.TemporaryDirectory(dir=root, prefix=f"{key[:16]}-") as other:
-            yield Path(other)
+        with temporary_folder(root) as other:
+            yield other
         return
     try:
         yield root / key
@@ -53,9 +55,20 @@ def forget_work(store: ObjectStore, key: str) -> None:
 
 
 def _temporary() -> Path:
-    """Return the folder of this user among temporary files; nobody else can enter it."""
+    """Return the folder of this user among temporary files, without what nobody came back for in a day."""
     user = os.getuid() if hasattr(os, "getuid") else "user"
-    return private_folder(Path(tempfile.gettempdir()) / f"gsvis-work-{user}")
+    root = private_folder(Path(tempfile.gettempdir()) / f"gsvis-work-{user}")
+    for folder in list(root.iterdir()):
+        with suppress(OSError):
+            if time.time() - (folder / _LOCK).stat().st_mtime < _KEPT_S:
+                continue
+            descriptor = os.open(folder / _LOCK, os.O_RDWR)
+            try:
+                if try_lock(descriptor) == "held":
+                    shutil.rmtree(folder, ignore_errors=True)
+            finally:
+                os.close(descriptor)
+    return root
 
 
 def _lock(folder: Path) -> int | None:

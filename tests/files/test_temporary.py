@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import stat
 import subprocess
@@ -12,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+import gsvis
+from gsvis.cli import main
 from gsvis.files.temporary import private_folder, temporary_folder
 
 PROGRAM = """
@@ -76,6 +79,7 @@ def test_a_private_folder_is_one_of_this_user_or_a_new_one(root: Path) -> None:
     for name in ("link", "file", "broken"):
         found = private_folder(root / name)
         assert found != root / name
+        assert private_folder(root / name) == found  # one more folder, not one for each process
         assert (found.parent, stat.S_IMODE(found.lstat().st_mode)) == (root, 0o700)
     assert list(elsewhere.iterdir()) == []
     assert not (root / "nothing").exists()
@@ -87,3 +91,21 @@ def test_a_folder_of_another_user_is_not_entered(root: Path) -> None:
     place.mkdir()
     os.chown(place, 12345, 12345)
     assert private_folder(place) != place
+
+
+def test_every_temporary_folder_is_one_that_is_removed_after_a_kill() -> None:
+    """Python's own folders and named files stay behind; only a file without a name does not."""
+    package = Path(gsvis.__file__).parent
+    made = re.compile(r"\b(TemporaryDirectory|NamedTemporaryFile|SpooledTemporaryFile|mkdtemp|mkstemp|mktemp)\(")
+    users = [
+        path.relative_to(package) for path in package.rglob("*.py") if made.search(path.read_text(encoding="utf-8"))
+    ]
+    assert users == [Path("files/temporary.py")]
+
+
+def test_the_next_command_removes_what_a_killed_one_left(root: Path) -> None:
+    left = root / "gsvis-tmp-abc123"
+    (left / "files").mkdir(parents=True)
+    (left / ".gsvis-lock").touch()
+    assert main(["verify", str(root / "nothing.gsvis")]) == 2
+    assert list(root.iterdir()) == []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -62,3 +63,19 @@ def test_users_of_a_machine_have_folders_of_their_own_where_the_store_is_elsewhe
             folders.append(folder)
     assert folders[0].parent != folders[1].parent
     assert {each.parent.parent for each in folders} == {tmp_path}
+
+
+def test_work_among_temporary_files_waits_a_day(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    store = open_store("memory://city")
+    kept = {}
+    for name in ("old", "new", "held"):
+        with pytest.raises(KeyboardInterrupt), work_folder(store, name) as folder:
+            raise KeyboardInterrupt
+        kept[name] = folder
+    with work_folder(store, "held"):
+        for name in ("old", "held"):
+            os.utime(kept[name] / "lock", (1.0, 1.0))
+        with work_folder(store, "another"):
+            pass
+        assert [name for name, folder in kept.items() if folder.exists()] == ["new", "held"]
