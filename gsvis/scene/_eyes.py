@@ -317,10 +317,6 @@ def _hold_seeds(look: Look) -> Found:
         free, rule, _ = space.choose(up, seeds[near])
     except SceneError:
         free, rule = np.zeros(space.clear.shape, bool), "free, near the seeds"
-    if not near.any():
-        return _either(
-            replace(look, seeds=seeds[near]), SpaceKind("open place", doubt, None, "", 0.5, "object", doubt), None, None
-        )
     space, free = hold_seeds(space, free, seeds[near])
     evidence = gather(space, free, look.seen, up)
     if not is_rooms(evidence):

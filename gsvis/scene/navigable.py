@@ -9,9 +9,8 @@ lines state the rules.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,7 +18,6 @@ from numpy.typing import ArrayLike, NDArray
 from gsvis import _check
 from gsvis.errors import SceneError
 from gsvis.scene._eyes import (
-    PERSON,
     Around,
     Found,
     Look,
@@ -29,26 +27,21 @@ from gsvis.scene._eyes import (
     stand_around,
     where_people_stand,
 )
-from gsvis.scene._occupancy import Occupancy, only_visible
+from gsvis.scene._looking import MAX_RESOLUTION, look_upright
 from gsvis.scene._of_kind import find_stated
-from gsvis.scene._turned import Pose, TurnedParts, bring_back, is_level, is_square, turn
-from gsvis.scene.axes import axis_vector, snap_to_axis
+from gsvis.scene._turned import Pose, bring_back
 from gsvis.scene.cameras import Cameras
-from gsvis.scene.core import find_core
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.kinds import Kind, SpaceKind
-from gsvis.scene.upright import Upright, find_up
 from gsvis.scene.witnesses import Witnesses
 
-__all__ = ["NavigableSpace"]
+__all__ = ["MAX_RESOLUTION", "NavigableSpace"]
 
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-MAX_RESOLUTION = 384
 _LEAST_STANDING = 0.01  # share of the space below which places to stand are taken for chance
 _TRIES = 16  # targets tried for a camera
-_NO_SEEDS = np.zeros((0, 3))
 _GIVEN = SpaceKind("given", "navigable space given by hand")
 
 
@@ -141,7 +134,6 @@ class NavigableSpace:
             ValueError: If an argument is out of range, or `mixed` comes with `seeds`.
             SceneError: If the scene has no free space.
         """
-        _check_resolution(resolution)
         if mixed and seeds is not None:
             raise ValueError("seeds: expected none for a piece of something larger, got some")
         for name, value, least, most in (
@@ -151,9 +143,9 @@ class NavigableSpace:
             if not least <= value <= most:
                 raise ValueError(f"{name}: expected a value in [{least:g}, {most:g}], got {value!r}")
         points = np.zeros((0, 3)) if seeds is None else _check.floats("seeds", seeds, ("S", 3), np.float64)
-        seen, upright = only_visible(g), _upright(g, up)
-        grid = partial(Occupancy.from_gaussians, resolution=resolution, max_alpha=max_alpha, clearance=clearance)
-        look, pose = _look(seen, upright, None, grid, coverage=coverage, seeds=points)
+        look, pose = look_upright(
+            g, up, resolution, max_alpha=max_alpha, clearance=clearance, coverage=coverage, seeds=points
+        )
         return cls._over(look, pose, find_mixed(look) if mixed else find_eyes(look))
 
     @classmethod
@@ -172,12 +164,9 @@ class NavigableSpace:
             ValueError: If an argument is out of range.
             SceneError: If the scene has no free space.
         """
-        _check_resolution(resolution)
         if kind not in ("object", "rooms", "open place"):
             raise ValueError(f"kind: expected one of object, rooms, open place, got {kind!r}")
-        seen, upright = only_visible(g), _upright(g, up)
-        grid = partial(Occupancy.from_gaussians, resolution=resolution, max_alpha=0.25, clearance=1.0)
-        look, pose = _look(seen, upright, None, grid)
+        look, pose = look_upright(g, up, resolution)
         return cls._over(look, pose, find_stated(look, kind))
 
     @classmethod
@@ -196,10 +185,7 @@ class NavigableSpace:
             ValueError: If an argument is out of range.
             SceneError: If the scene has no free space.
         """
-        _check_resolution(resolution)
-        seen, upright = only_visible(sample), _upright(sample, up)
-        grid = partial(Occupancy.from_gaussians, resolution=resolution, max_alpha=0.25, clearance=1.0)
-        look, pose = _look(seen, upright, parts, grid)
+        look, pose = look_upright(sample, up, resolution, parts=parts)
         return cls._over(look, pose, find_eyes(look))
 
     @classmethod
@@ -230,13 +216,10 @@ class NavigableSpace:
         """
         if (center is None) != (radius is None):
             raise ValueError("radius: expected center and radius together, got one; give both, or none")
-        _check_resolution(resolution)
         middle = None if center is None else _check.floats("center", center, (3,), np.float64)
         if radius is not None and not (np.isfinite(radius) and radius > 0.0):
             raise ValueError(f"radius: expected a finite number > 0, got {radius!r}")
-        seen, upright = only_visible(g), _upright(g, up)
-        grid = partial(Occupancy.from_gaussians, resolution=resolution, max_alpha=0.25, clearance=1.0)
-        look, pose = _look(seen, upright, None, grid)
+        look, pose = look_upright(g, up, resolution)
         around = Around(look.core.low, look.core.high, look.up)
         if middle is not None and radius is not None:
             middle = middle if pose is None else pose.points(middle[None])[0]
@@ -445,51 +428,3 @@ class NavigableSpace:
             if t > 2.0 * sum(self.free.shape) * self.voxel_size:  # targets far outside the grid
                 break
         return np.asarray(runs)
-
-
-def _check_resolution(resolution: int) -> None:
-    _check.positive_int("resolution", resolution, at_least=8)
-    if resolution > MAX_RESOLUTION:
-        raise ValueError(f"resolution: expected a value in [8, {MAX_RESOLUTION}], got {resolution!r}")
-
-
-def _upright(g: Gaussians, up: ArrayLike | str | None) -> Upright:
-    """Return the given up axis, an axis by its name or a direction (3,); the likely one if there is none."""
-    if up is None:
-        found = find_up(g)
-        return replace(found, up=snap_to_axis(found.up))
-    axis = np.asarray(axis_vector(up) if isinstance(up, str) else up, np.float64)
-    return Upright(_check.unit_vectors("up", np.reshape(axis, (1, -1)))[0].astype(np.float64), 1.0, "given")
-
-
-def _look(
-    seen: Gaussians,
-    upright: Upright,
-    parts: Iterable[Gaussians] | None,
-    grid: Callable[..., Occupancy],
-    *,
-    coverage: float = 0.98,
-    seeds: F64 = _NO_SEEDS,
-) -> tuple[Look, Pose | None]:
-    """Return what the search for eyes looks at, upright, and how the scene was turned; None if it stands upright.
-
-    Args:
-        seen: The Gaussians that count.
-        upright: The up axis.
-        parts: What grids are made of; `seen` if None.
-        grid: Makes a grid of parts over a box.
-        coverage: Share of the centers inside the box on each axis.
-        seeds: (S, 3) positions known to be navigable.
-    """
-    meters = seen.facts.meters_per_unit
-    person = None if meters is None else PERSON / meters
-    core = find_core(seen, coverage)
-    plan = seen[core.members]  # what lies far outside says nothing of walls
-    if is_level(upright.up) and is_square(upright.up, plan, core.center):
-        parts = [seen] if parts is None else parts
-        return Look(partial(grid, parts), seen, core, upright.up, upright.sure, seeds, person), None
-    pose = turn(upright.up, plan, core.center)
-    turned = pose.gaussians(seen)
-    build = partial(grid, [turned] if parts is None else TurnedParts(parts, pose))
-    up = np.array([0.0, 0.0, 1.0])
-    return Look(build, turned, find_core(turned, coverage), up, upright.sure, pose.points(seeds), person), pose
