@@ -7,6 +7,7 @@ Peripheral if not. It is Adjacent if only a neighboring cell sees it. Scene fram
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -16,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from gsvis import _check
 from gsvis.abr._kernels import units as kernels
 from gsvis.abr.index import SceneIndex
-from gsvis.abr.predict import finite_vector
+from gsvis.abr.predict import Pose, finite_vector
 from gsvis.abr.rings import RINGS, ring_cells
 from gsvis.pvs.codec import ids_of
 
@@ -78,6 +79,10 @@ class FieldOfView:
         Viewers state one distance for all scenes. In a scene in small units it would lie behind all that is near.
         """
         return replace(self, near=min(self.near, _NEAREST * cell_size))
+
+    def frusta(self, poses: Sequence[Pose]) -> F32:
+        """Return (F, 5, 4) float32 the planes at each pose, see `planes`."""
+        return np.array([self.planes(pose.position, pose.quat) for pose in poses], np.float32).reshape(-1, 5, 4)
 
     def planes(self, position: ArrayLike, quat: ArrayLike) -> F32:
         """Return (5, 4) float32 unit normals that point inward and offsets: left, right, top, bottom and near plane.

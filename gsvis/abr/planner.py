@@ -10,25 +10,30 @@ and no message: time and rate are arguments.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
-from gsvis._kernels.blank import blank, blanks, clear
+from gsvis._kernels.blank import blank
 from gsvis.abr._kernels import plan as kernels
 from gsvis.abr._kernels.evict import owe_again
-from gsvis.abr._kernels.take import adopt, doubt, forget_paid, is_left, take, widen
+from gsvis.abr._kernels.take import is_left, take
 from gsvis.abr._kernels.units import EDGE, INSIDE, OUTSIDE
 from gsvis.abr.batches import Batch
-from gsvis.abr.candidates import Bounds, CandidateIndex, Candidates
+from gsvis.abr.candidates import CandidateIndex, Candidates
 from gsvis.abr.classes import FieldOfView
+from gsvis.abr.client_cells import ClientCells
 from gsvis.abr.config import AbrConfig
 from gsvis.abr.holdings import Holdings
 from gsvis.abr.memory import ClientMemory
 from gsvis.abr.outside import step_of
 from gsvis.abr.policies import edge_offset, filling_table, regime_of, table
 from gsvis.abr.predict import Pose, PosePredictor, predictor
+from gsvis.abr.ranking import Ranking
+from gsvis.abr.replaced import Replaced
+from gsvis.abr.viewer import Viewer
 from gsvis.pvs.codec import pack
 
 __all__ = ["Planner"]
@@ -42,7 +47,6 @@ _FOOTPRINT = 3.6e-5  # steradians, of a square of 6 mrad
 # Stages: what the view needs, smaller changes by terms, terms of what is out of view, the first shell.
 _NEEDS, _DETAILS, _AROUND, _SHELLS = range(4)
 _NO_PLANES = np.zeros((0, 5, 4), np.float32)
-_NOTHING = kernels.Plan(np.zeros(0, np.int32), np.zeros(0, np.uint64), np.zeros(0, np.float32))
 
 
 class Planner:
@@ -82,9 +86,11 @@ class Planner:
         poses: PosePredictor | None = None,
         memory: float | None = None,
     ) -> None:
-        index, self.config = candidates.index, config or AbrConfig()
-        view = view.in_cells(index.grid.cell_size)
-        self.candidates, self.view, self.reach = candidates, view, 1e6
+        index = candidates.index
+        self.config = config or AbrConfig()
+        self.candidates = candidates
+        self.view = view.in_cells(index.grid.cell_size)
+        self.reach = 1e6
         self.holdings = Holdings(len(index), index.num_terms) if holdings is None else holdings
         if (self.holdings.gaussians, self.holdings.terms) != (len(index), index.num_terms):
             raise ValueError(f"holdings: expected those of {index!r}, got {self.holdings!r}")
@@ -93,35 +99,39 @@ class Planner:
         by_change = index.cones is not None and index.num_terms > 0 and self.config.policy == "utility"
         self._strong = tuple(self.config.strong) if by_change else ()
         self._kinds = 1 + len(self._strong)
-        self._middle = replace(view, margin=0.0) if edge_offset(self.config.policy, self.config.utility) else None
-        self._shares = np.full(index.num_levels, self.config.replaced)
-        self._shares[: self._picture + 1] = self.config.covered
+        has_edge = edge_offset(self.config.policy, self.config.utility)
+        self._middle = replace(self.view, margin=0.0) if has_edge else None
         self._is_full = False  # nothing fits that is worth more than what the client holds
         self._given_up: Words | None = None  # what was evicted for this view, and is not sent again for it
         self.regime: str | None = None
-        self.cell, self.cell_ahead, self.plans = -1, -1, 0
-        self._poses = poses or predictor(self.config.predictor)
-        self._pose: Pose | None = None
-        self._time = -np.inf
+        self.cell = -1
+        self.cell_ahead = -1
+        self.plans = 0
+        self._viewer = Viewer(poses or predictor(self.config.predictor))
         self._planned: tuple[int, int, Pose, Pose, str] | None = None
         self._here: Candidates | None = None
         self._near: tuple[Candidates, int, kernels.Cell, kernels.Cell] | None = None  # to return to after filling
         self._cell = kernels.Cell(*(np.zeros(0, np.int32),) * 15)
         self._seen: Words = np.zeros(0, np.uint64)  # candidates of the cell and of the shells so far
-        self._is_wide = False  # whether `_seen` and `_looks_far` are those of this cell
-        self._wide: kernels.Cell | None = None  # the last shell; written anew for one with the same words
+        self._is_wide = False  # whether `_seen` is that of this cell
         self._view = kernels.View(*(np.zeros(0, np.float32),) * 9)
-        self._travelled, self._aimed, self._fresh = 0.0, "high", False
-        self._stage, self._stages, self._filled, self._complete = _NEEDS, _AROUND, _SHELLS, False
-        self._table, self._keys = table(self.config.policy, "high", index.num_levels, self.config.utility)
-        replaced = len(candidates.links.ending)  # those of far tiles take no memory
-        self._arrived, self._looks, self._looks_far, self._sure = blanks(4, replaced, np.int32)
-        self._bounds: Bounds | None = None
-        self._has_terms = holdings is not None  # or may have
-        for held in (self.holdings.received, self.holdings.replaced) if holdings is not None else ():
-            doubt(held, candidates.links, self._arrived, self._looks, self._looks_far)
-        self._plan, self._place = _NOTHING, 0
-        self._least, self._whole, self._wanted = 0, True, 0.0
+        self._travelled = 0.0
+        self._aimed = "high"
+        self._fresh = False
+        self._stage = _NEEDS
+        self._stages = _AROUND
+        self._filled = _SHELLS
+        self._complete = False
+        shares = np.full(index.num_levels, self.config.replaced)
+        shares[: self._picture + 1] = self.config.covered
+        self._replaced = Replaced(candidates, shares)
+        self._cells = ClientCells(
+            candidates, self.holdings, self._replaced, self._kinds, has_terms=holdings is not None
+        )
+        self._ranking = Ranking(candidates, self.holdings, self._kinds)
+        if holdings is not None:
+            self._replaced.doubt(holdings.received)
+            self._replaced.doubt(holdings.replaced)
 
     @property
     def done(self) -> bool:
@@ -129,14 +139,14 @@ class Planner:
 
         Also if the memory of the client is full of what is worth as much.
         """
-        return self._is_full or (self._is_used_up and self._next_stage >= self._stages)
+        return self._is_full or (self._ranking.is_used_up and self._next_stage >= self._stages)
 
     @property
     def filling(self) -> bool:
         """Whether the next batch only fills an idle link; False if a pose came after the last batch."""
         if self._here is None or self._fresh:
             return False
-        return (self._stage > _DETAILS or (self._is_used_up and self._next_stage > _DETAILS)) and not self.done
+        return (self._stage > _DETAILS or (self._ranking.is_used_up and self._next_stage > _DETAILS)) and not self.done
 
     @property
     def has_to_prepare(self) -> bool:
@@ -151,11 +161,8 @@ class Planner:
     @property
     def _step(self) -> int:
         """How far the viewer is outside of all cells, see `gsvis.abr.outside`."""
-        return 0 if self._pose is None else step_of(self.candidates.index, self.cell, self._pose.position)
-
-    @property
-    def _is_used_up(self) -> bool:
-        return self._whole and self._place == len(self._plan.entries)
+        pose = self._viewer.pose
+        return 0 if pose is None else step_of(self.candidates.index, self.cell, pose.position)
 
     @property
     def _next_stage(self) -> int:
@@ -174,24 +181,13 @@ class Planner:
         Raises:
             ValueError: If a value is not finite, or the quaternion is 0. Nothing changes then.
         """
-        pose = Pose.from_arrays(position, quat)
-        if not np.isfinite(t):
-            raise ValueError(f"t: expected finite seconds, got {t!r}")
-        if t <= self._time:
-            return
-        self._poses.observe(t, pose.position, pose.quat)
-        self._fresh = True
-        self._pose, self._time, self.cell = pose, t, self.candidates.index.cell_of(pose.position)
+        if self._viewer.observe(t, position, quat) and self._viewer.pose is not None:
+            self._fresh = True
+            self.cell = self.candidates.index.cell_of(self._viewer.pose.position)
 
     def position_in(self, seconds: float) -> NDArray[np.float64] | None:
-        """Return where the client will be so long after its last pose if it goes on as in the second after it.
-
-        None before the first pose; (3,) scene frame. Predictors look no farther than a second.
-        """
-        if self._pose is None:
-            return None
-        step: NDArray[np.float64] = self._poses.predict(self._time + 1.0).position - self._pose.position
-        return self._pose.position + seconds * step
+        """Extrapolate the position of the client; see `Viewer.position_in`."""
+        return self._viewer.position_in(seconds)
 
     def next_batch(self, t: float, budget: float, rate: float, *, spare: float | None = None) -> Batch:
         """Return the next records, an empty batch before the first pose. They count as held from now on.
@@ -202,8 +198,8 @@ class Planner:
             rate: Estimated throughput, bytes of records a second.
             spare: Bytes of records if they only fill the link; None means the budget.
         """
-        if self._pose is not None:
-            self._follow(self._pose, t, rate)
+        if self._viewer.pose is not None:
+            self._follow(self._viewer.pose, t, rate)
         return self.take(budget, spare=spare)
 
     def aim(
@@ -246,29 +242,40 @@ class Planner:
         """
         if not budget >= 0:
             raise ValueError(f"budget: expected bytes >= 0, got {budget!r}")
-        self._fresh, spare = False, budget if spare is None else min(budget, spare)
+        self._fresh = False
+        spare = budget if spare is None else min(budget, spare)
         if self._here is None or self.done:
             return Batch.empty()
-        shared, held = self.candidates, self.holdings.words
-        counts, sizes = (self.holdings.gaussians, self.holdings.terms), shared.least_sizes
-        most = [min(n, int(min(budget, 1e12) / size) + 1) for n, size in zip(counts, sizes, strict=True)]
+        shared = self.candidates
+        counts = (self.holdings.gaussians, self.holdings.terms)
+        most = [min(n, int(min(budget, 1e12) / size) + 1) for n, size in zip(counts, shared.least_sizes, strict=True)]
         out = np.empty(most[0], np.int32), np.empty(most[1], np.uint32), *shared.scratch.taken()
-        taken, total, evicted = [0, 0, 0, 0], 0.0, None
+        taken = [0, 0, 0, 0]
+        total = 0.0
+        evicted = None
         while True:
             limit = self._limit(budget if self._stage <= _DETAILS else spare)
-            if self._is_used_up:
+            if self._ranking.is_used_up:
                 if (sum(taken[:2]) and self._stage <= _DETAILS < self._next_stage) or not self._go_on():
                     break  # what fills the link has batches of its own
                 continue
-            if self._place == len(self._plan.entries):
-                self._wanted = max(2.0 * self._wanted, self.reach, budget - total)  # rank more for a view that lasts
-                self._rank(self._here, self._wanted)
+            if self._ranking.is_at_end:
+                self._ranking.rank_more(self._here, self._cell, self._view, max(self.reach, budget - total))
             rest = kernels.Taken(*(array[count:] for array, count in zip(out, taken, strict=True)))
-            self._place, *found, size = take(
-                self._plan, self._place, self._cell, held, self._view, shared.records, shared.links, limit - total, rest
-            )  # fmt: skip
-            taken, total = [a + b for a, b in zip(taken, found, strict=True)], total + size
-            if self._place == len(self._plan.entries):
+            self._ranking.place, *found, size = take(
+                self._ranking.plan,
+                self._ranking.place,
+                self._cell,
+                self.holdings.words,
+                self._view,
+                shared.records,
+                shared.links,
+                limit - total,
+                rest,
+            )
+            taken = [a + b for a, b in zip(taken, found, strict=True)]
+            total += size
+            if self._ranking.is_at_end:
                 continue
             blocked = not sum(taken[:2]) and limit < (budget if self._stage <= _DETAILS else spare)
             if not blocked or self._stage > _DETAILS or evicted is not None:
@@ -276,7 +283,7 @@ class Planner:
                 break
             evicted = self._evict((budget - limit) / self.candidates.sent_per_stored)
         gaussians, terms, dropped, gone = (a[:count].copy() for a, count in zip(out, taken, strict=True))
-        self._has_terms |= taken[1] > 0
+        self._cells.has_terms |= taken[1] > 0
         if self.memory is not None:
             self.memory.add(taken[0], taken[1], dropped)
         filling = self._stage > _DETAILS and sum(taken[:2]) > 0
@@ -294,8 +301,10 @@ class Planner:
         """Make room for the next record of the plan, and return what is evicted."""
         assert self.memory is not None
         assert self._near is not None
-        shared, near = self.candidates, self._near
-        word = shared.spheres[near[0].words[self._plan.entries[self._place] >> kernels.KIND_BITS]]
+        shared = self.candidates
+        near = self._near
+        entry = self._ranking.plan.entries[self._ranking.place]
+        word = shared.spheres[near[0].words[entry >> kernels.KIND_BITS]]
         sides = np.zeros(1, np.uint8)
         for frustum in self._view.planes:
             kernels.test_words(*word[:, None], frustum, sides)
@@ -303,8 +312,9 @@ class Planner:
         words = pack(found, len(shared.index))
         for cell in (near[2], near[3]):
             owe_again(cell.words, words, cell.owed, cell.checked)
-        doubt(found, shared.links, self._arrived, self._looks, self._looks_far)
-        self._filled, self._complete = _SHELLS, False
+        self._replaced.doubt(found)
+        self._filled = _SHELLS
+        self._complete = False
         if self._given_up is None:
             self._given_up = words
         else:
@@ -322,75 +332,69 @@ class Planner:
         """Go on to the next stage; return False if there is none."""
         if self._near is None:
             return False
-        config, levels = self.config, self.candidates.index.num_levels
+        config = self.config
+        levels = self.candidates.index.num_levels
         if self._next_stage >= self._stages:
             return False
         if self._next_stage <= _AROUND:
             self._stage = self._next_stage
             parts = (INSIDE, OUTSIDE, EDGE) if self._stage == _AROUND else (INSIDE,)
-            self._table, self._keys = table(
-                config.policy, self._aimed, levels, config.utility, terms_in=parts, picture=self._picture,
-                kinds=self._kinds,
-            )  # fmt: skip
+            self._restart(self._aimed, terms_in=parts)
             self._cell = self._without_evicted(self._near[3])
             self._view = self._view._replace(gains=_gains(config.epsilon, *self._strong))
         elif self._enter_shell(self._near[0]):
-            self._table, self._keys = filling_table(config.policy, levels, config.utility, kinds=self._kinds)
+            self._ranking.restart(*filling_table(config.policy, levels, config.utility, kinds=self._kinds))
         else:
             self._complete = self._given_up is None  # every record is held
             return False
-        self._plan, self._place, self._least, self._whole, self._wanted = _NOTHING, 0, 0, False, 0.0
         return True
+
+    def _restart(self, regime: str, **more: tuple[Any, ...]) -> None:
+        """Rank anew, by a regime; see `gsvis.abr.policies.table` for more."""
+        config = self.config
+        levels = self.candidates.index.num_levels
+        self._ranking.restart(
+            *table(config.policy, regime, levels, config.utility, picture=self._picture, kinds=self._kinds, **more)
+        )
 
     def _enter_shell(self, near: Candidates) -> bool:
         """Go on to the next shell around a cell of which something is left to send; return False if there is none."""
-        shared, held = self.candidates, self.holdings.words
+        shared = self.candidates
+        held = self.holdings.words
         if not self._is_wide:
             self._begin_wide(near)
         while self._next_stage < self._stages:
             self._stage = self._filled = self._next_stage
             shell = shared.shell(near, self._stage - _SHELLS)
-            cell = self._wide_cell(shell.candidates)
+            cell = self._cells.of_shell(shell.candidates, self._seen)
             if is_left(shell.seen, shared.highest, held, cell.owed, cell.allowed):
                 break
         else:
             self._filled = self._stages
             return False
-        widen(self._seen, shell.seen, held, shared.links, self._looks_far)
-        self._here, self._cell = shell.candidates, self._without_evicted(cell)
+        self._replaced.widen(self._seen, shell.seen, held)
+        self._here = shell.candidates
+        self._cell = self._without_evicted(cell)
         self._view = self._view._replace(planes=_NO_PLANES, middle=_NO_PLANES, eyes=np.zeros((0, 3), np.float32))
         return True
 
     def _begin_wide(self, near: Candidates) -> None:
         """Begin to widen the candidates of a cell."""
         self._is_wide = True
+        self._replaced.begin_far()
         if self.candidates.is_small:
-            self._seen, self._looks_far[:] = near.union.copy(), self._looks
+            self._seen = near.union.copy()
             return
-        self._looks_far, self._seen = clear(self._looks_far), blank(len(near.union), np.uint64)
+        self._seen = blank(len(near.union), np.uint64)
         self._seen[near.words] = near.union[near.words]
-        if self._bounds is not None:
-            self._looks_far[self._bounds.ends] = self._looks[self._bounds.ends]
-
-    def _wide_cell(self, here: Candidates) -> kernels.Cell:
-        """Return candidates of a shell as this client sees them; it allows nothing yet."""
-        made = self._wide
-        if made is None or made.words is not here.words:
-            made = self._cell_for(here, here.owing, here.active)
-            self._wide = made = made._replace(allowed=np.empty_like(made.allowed))
-        elif len(made.owed):
-            made.owed[:], made.checked[:], made.checked_at[:] = here.owing, 0, 0.0
-            self._forget_paid(made)
-        return made._replace(candidates=self._seen, looks=self._looks_far)
 
     def _follow(self, now: Pose, t: float, rate: float) -> None:
         """Rank for a pose and the pose predicted from it, if these, the cell or the regime have changed enough."""
         config = self.config
-        then = self._poses.predict(max(t, self._time) + config.lead) if config.lead > 0 else now
+        then = self._viewer.ahead(now, t, config.lead)
         here = self._find(self.cell, self._step)
         self.regime = regime_of(rate, here.level_bytes, config.horizon, self.regime)
-        later = self._poses.predict(max(t, self._time) + config.ahead).position if config.ahead > 0 else now.position
-        self.cell_ahead = self.candidates.index.cell_of(later)
+        self.cell_ahead = self.candidates.index.cell_of(self._viewer.ahead(now, t, config.ahead).position)
         if self._planned is not None:
             *cells, was, was_then, regime = self._planned
             near = self._near is not None and self._near[0] is here
@@ -398,12 +402,8 @@ class Planner:
             if cells == [self.cell, self.cell_ahead] and regime == self.regime and near:
                 return
         poses = (now,) if config.lead <= 0 else (now, then)
-        planes = np.empty((len(poses), 5, 4), np.float32)
-        middle = _NO_PLANES if self._middle is None else np.empty_like(planes)
-        for k, pose in enumerate(poses):
-            planes[k] = self.view.planes(pose.position, pose.quat)
-            if self._middle is not None:
-                middle[k] = self._middle.planes(pose.position, pose.quat)
+        planes = self.view.frusta(poses)
+        middle = _NO_PLANES if self._middle is None else self._middle.frusta(poses)
         self.reach = _REACH * rate
         eyes = np.array([pose.position for pose in poses], np.float32)
         self._aim(here, eyes[0], planes, middle, self.regime, eyes, self.cell_ahead)
@@ -420,21 +420,26 @@ class Planner:
     def _aim(
         self, here: Candidates, eye: F32, planes: F32, middle: F32, regime: str, eyes: F32, cell_ahead: int
     ) -> None:
-        config, index = self.config, self.candidates.index
-        self._table, self._keys = table(
-            config.policy, regime, index.num_levels, config.utility, picture=self._picture, strong=self._strong,
-            kinds=self._kinds,
-        )  # fmt: skip
+        config = self.config
+        shared = self.candidates
         self._enter(here, cell_ahead)
-        self._aimed, self._is_full, self._given_up = regime, False, None
+        self._aimed = regime
+        self._is_full = False
+        self._given_up = None
         if len(self._view.eye):
             self._travelled += float(np.linalg.norm(eye - self._view.eye))
-        eyes = eyes if index.cones is not None else eyes[:0]
-        shared, gains = self.candidates, _gains(config.first_epsilon, *self._strong)
         self._view = kernels.View(
-            eye, eyes, self._travelled, gains, shared.pixel_area, config.parallax, planes, middle, shared.bodies
-        )  # fmt: skip
-        self._plan, self._place, self._least, self._whole, self._wanted = _NOTHING, 0, 0, False, 0.0
+            eye=eye,
+            eyes=eyes if shared.index.cones is not None else eyes[:0],
+            travelled=self._travelled,
+            gains=_gains(config.first_epsilon, *self._strong),
+            pixel=shared.pixel_area,
+            parallax=config.parallax,
+            planes=planes,
+            middle=middle,
+            bodies=shared.bodies,
+        )
+        self._restart(regime, strong=self._strong)
 
     def _is_near(self, a: Pose, b: Pose) -> bool:
         still = a.distance_to(b) <= self.config.move * self.candidates.index.grid.cell_size
@@ -442,56 +447,29 @@ class Planner:
 
     def _enter(self, here: Candidates, cell_ahead: int) -> None:
         """Switch to the units of a cell, from another cell or from filling."""
-        before, self._here = self._near, here
+        before = self._near
+        self._here = here
         is_new = before is None or before[0] is not here
         if is_new:
-            self._filled, self._is_wide = _SHELLS, False
-            self._looks, self._sure, self._bounds = clear(self._looks), clear(self._sure), None  # other candidates
-        self._bound(here, make=not is_new)
+            self._filled = _SHELLS
+            self._is_wide = False
+            self._replaced.leave_cell()
+        self._replaced.bound(here, make=not is_new)
         shells = 0 if self._complete else self.candidates.count_shells(here.cell)
         self._stages = _SHELLS + shells if self.config.fill else _AROUND
         if before is not None and before[0] is here and before[1] == cell_ahead:
-            self._cell, self._stage = before[2], _NEEDS
+            self._cell = before[2]
+            self._stage = _NEEDS
             return
         if cell_ahead == here.cell:
-            self._cell = self._cell_for(here, here.owing, here.active)
+            self._cell = self._cells.of(here, here.owing, here.active)
         else:
             ahead, owing, active = self.candidates.ahead_of(here, cell_ahead)
-            self._cell = self._cell_for(here, owing, active)._replace(ahead=ahead)
-        checked, at = np.zeros_like(self._cell.checked), np.zeros_like(self._cell.checked_at)
-        self._near = here, cell_ahead, self._cell, self._cell._replace(checked=checked, checked_at=at)
+            self._cell = self._cells.of(here, owing, active)._replace(ahead=ahead)
+        checked = np.zeros_like(self._cell.checked)
+        again = self._cell._replace(checked=checked, checked_at=np.zeros_like(self._cell.checked_at))
+        self._near = here, cell_ahead, self._cell, again
         self._stage = _NEEDS
-
-    def _bound(self, here: Candidates, *, make: bool) -> None:
-        """Skip the checks of what cannot be replaced yet, and of what is replaced whatever has arrived."""
-        if self._bounds is None and (found := self.candidates.bounds_of(here, self._shares, make=make)) is not None:
-            adopt(found, self._looks, self._sure)
-            self._bounds = found
-
-    def _cell_for(self, here: Candidates, owing: Words, active: Words) -> kernels.Cell:
-        """Return candidates as this client sees them."""
-        shared, slots = self.candidates, len(here.words)
-        owed, (full, empty) = owing[: slots if shared.index.num_terms else 0].copy(), shared.full_and_empty(slots)
-        cell = kernels.Cell(
-            words=here.words, places=here.places, term_bytes=here.term_bytes, owed=owed, active=active,
-            candidates=here.union, allowed=full, ahead=empty, checked=np.zeros((self._kinds, len(owed)), np.uint64),
-            checked_at=np.zeros((self._kinds, len(owed)), np.float32), arrived=self._arrived,
-            looks=self._looks, sure=self._sure, last=shared.index.last, shares=self._shares,
-        )  # fmt: skip
-        self._forget_paid(cell)
-        return cell
-
-    def _forget_paid(self, cell: kernels.Cell) -> None:
-        if self._has_terms:
-            offsets = self.candidates.index.term_offsets
-            forget_paid(cell.words, cell.active, self.holdings.words.terms, offsets, cell.owed)
-
-    def _rank(self, here: Candidates, enough: float) -> None:
-        work = self.candidates.scratch.work(len(here.words), len(here), self._keys, self._kinds)
-        self._place, limits = 0, kernels.Limits(float(enough), self._least)
-        self._plan, self._least, self._whole = kernels.rank(
-            here.units, here.runs, self._cell, self.holdings.words, self._view, self._table, limits, work
-        )
 
 
 def _gains(*epsilons: float) -> NDArray[np.float64]:

@@ -349,7 +349,7 @@ def rank(units, runs, cell, held, view, table, limits, work):
             view, out of view or at its edge (ring 0), in the cell ahead or not (other rings). From kind `STRONG` on,
             it is the least key.
         limits: `Limits`.
-        work: `Work`; see `CandidateIndex.work`.
+        work: `Work`; see `Scratch.work`.
 
     Returns:
         `Plan`, the key at which it ends, and whether it holds all that is left.

@@ -1,0 +1,56 @@
+"""Where a client is and where it will be: its last pose, and a predictor that has seen all of them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gsvis.abr.predict import Pose, PosePredictor
+
+__all__ = ["Viewer"]
+
+
+class Viewer:
+    """The poses of one client.
+
+    Args:
+        poses: Predictor of poses.
+
+    Attributes:
+        pose: The last pose; None before the first.
+    """
+
+    def __init__(self, poses: PosePredictor) -> None:
+        self.pose: Pose | None = None
+        self._time = -np.inf
+        self._poses = poses
+
+    def observe(self, t: float, position: ArrayLike, quat: ArrayLike) -> bool:
+        """Take the pose at time t; return whether it is later than the last, and ignore it if not.
+
+        Raises:
+            ValueError: If a value is not finite, or the quaternion is 0. Nothing changes then.
+        """
+        pose = Pose.from_arrays(position, quat)
+        if not np.isfinite(t):
+            raise ValueError(f"t: expected finite seconds, got {t!r}")
+        if t <= self._time:
+            return False
+        self._poses.observe(t, pose.position, pose.quat)
+        self._time = t
+        self.pose = pose
+        return True
+
+    def ahead(self, pose: Pose, t: float, seconds: float) -> Pose:
+        """Return where it is so long after time t, or after its last pose, which is `pose`; that one for 0 seconds."""
+        return self._poses.predict(max(t, self._time) + seconds) if seconds > 0 else pose
+
+    def position_in(self, seconds: float) -> NDArray[np.float64] | None:
+        """Extrapolate the position `seconds` after the last pose, at the velocity of the second after it.
+
+        None before the first pose; (3,) scene frame. Predictors look no farther than a second.
+        """
+        if self.pose is None:
+            return None
+        step: NDArray[np.float64] = self._poses.predict(self._time + 1.0).position - self.pose.position
+        return self.pose.position + seconds * step
