@@ -25,7 +25,8 @@ from pathlib import Path
 import numpy as np
 from _harness import add_arguments, realdata, write_result
 
-from gsvis.abr.candidates import CandidateIndex, Candidates
+from gsvis.abr.candidate_sets import Candidates
+from gsvis.abr.candidates import CandidateIndex
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.config import AbrConfig
 from gsvis.abr.estimate import ThroughputEstimator, estimator

@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from gsvis.abr._kernels.plan import Cell
 from gsvis.abr._kernels.take import forget_paid
-from gsvis.abr.candidates import CandidateIndex, Candidates
+from gsvis.abr.candidate_sets import Candidates
+from gsvis.abr.candidates import CandidateIndex
 from gsvis.abr.holdings import Holdings
 from gsvis.abr.replaced import Replaced
 

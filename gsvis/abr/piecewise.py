@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from gsvis import _check
 from gsvis.abr._kernels import plan
 from gsvis.abr._kernels import units as kernels
-from gsvis.abr.candidates import _room, _word_means
 from gsvis.abr.links import only_links
+from gsvis.abr.words import room, word_means
 from gsvis.files.mapped import ArrayFiles
 from gsvis.pvs.codec import pack, word_count
 
@@ -179,7 +179,7 @@ def write_words(out: ArrayFiles, numbers: PieceNumbers) -> dict[str, Any]:
         named: dict[str, NDArray[Any]] = {
             "link_only": only, "link_firsts": firsts,
             "mixed": mixed, "highest": pack(np.flatnonzero(lasts == numbers.levels - 1), _BLOCK), "owing": owing,
-            "word_bytes": _word_means(sizes, _BLOCK // 64), "word_terms": _word_means(terms, _BLOCK // 64),
+            "word_bytes": word_means(sizes, _BLOCK // 64), "word_terms": word_means(terms, _BLOCK // 64),
             "all_union": pack(np.arange(high - low), _BLOCK),
         }  # fmt: skip
         for name, array in named.items():
@@ -219,7 +219,7 @@ class _Block:
             out.append(f"place_{k}", row[:used])
         out.append("all_words", np.arange(self.first, self.first + used, dtype=np.int32))
         out.append("all_owing", owing[:used])
-        found, (weights,) = _room(n), _check.read_only(np.array([numbers.weight], np.float32))
+        found, (weights,) = room(n), _check.read_only(np.array([numbers.weight], np.float32))
         members = kernels.Seen(np.arange(used, dtype=np.int32), pack(np.arange(n), _BLOCK)[:used])
         none = _check.read_only(np.zeros(0, np.uint64))[0]
         count = kernels.cell_units(members, np.zeros(n, np.uint8), self.traits, weights, none, numbers.levels, found)

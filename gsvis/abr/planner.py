@@ -22,7 +22,8 @@ from gsvis.abr._kernels.evict import owe_again
 from gsvis.abr._kernels.take import is_left, take
 from gsvis.abr._kernels.units import EDGE, INSIDE, OUTSIDE
 from gsvis.abr.batches import Batch
-from gsvis.abr.candidates import CandidateIndex, Candidates
+from gsvis.abr.candidate_sets import Candidates
+from gsvis.abr.candidates import CandidateIndex
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.client_cells import ClientCells
 from gsvis.abr.config import AbrConfig

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.abr._kernels.plan import Cell, Limits, Plan, View, rank
-from gsvis.abr.candidates import CandidateIndex, Candidates
+from gsvis.abr.candidate_sets import Candidates
+from gsvis.abr.candidates import CandidateIndex
 from gsvis.abr.holdings import Holdings
 
 __all__ = ["Ranking"]

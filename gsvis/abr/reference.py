@@ -12,13 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.abr._kernels import units as kernels
-from gsvis.abr.candidates import CandidateIndex, strengths
+from gsvis.abr.candidates import CandidateIndex
 from gsvis.abr.config import AbrConfig
 from gsvis.abr.holdings import Holdings
 from gsvis.abr.index import SceneIndex
 from gsvis.abr.outside import near_cells, weights_of
 from gsvis.abr.policies import AHEAD, UtilityConfig, bounds, edge_offset, first_offset, lowest_last, offsets
 from gsvis.abr.rings import RINGS, ring_cells
+from gsvis.abr.words import strengths
 from gsvis.pvs.codec import ids_of
 
 __all__ = ["View", "is_dropped", "is_left", "order_records"]

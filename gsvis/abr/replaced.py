@@ -12,7 +12,8 @@ from gsvis._kernels.blank import blanks, clear
 from gsvis.abr._kernels.plan import Held
 from gsvis.abr._kernels.take import adopt, doubt, widen
 from gsvis.abr._kernels.units import Seen
-from gsvis.abr.candidates import Bounds, CandidateIndex, Candidates
+from gsvis.abr.candidate_sets import Bounds, Candidates
+from gsvis.abr.candidates import CandidateIndex
 
 __all__ = ["Replaced"]
 
