@@ -20,7 +20,7 @@ from gsvis.abr.rings import Shells
 from gsvis.abr.seen import SeenSets
 from gsvis.pvs.codec import ids_in
 
-__all__ = ["STEPS", "Widened", "share_of", "step_of", "weights_of", "widen"]
+__all__ = ["STEPS", "Widened", "near_cells", "share_of", "step_of", "weights_of", "widen"]
 
 F32 = NDArray[np.float32]
 
@@ -50,7 +50,8 @@ class Widened(NamedTuple):
 def step_of(index: SceneIndex, cell: int, position: NDArray[np.float64]) -> int:
     """Return how far a position (3,) is outside of a cell, as one of `STEPS` steps; 0 inside."""
     low, side = index.box_of(cell)
-    sides = math.hypot(*(max(a - v, v - a - side, 0.0) for a, v in zip(low, position.tolist(), strict=True))) / side
+    away = [max(first - at, at - first - side, 0.0) for first, at in zip(low, position.tolist(), strict=True)]
+    sides = math.hypot(*away) / side
     return 0 if sides <= _INSIDE else 1 + bisect_left(_BORDERS, sides)
 
 
@@ -63,8 +64,10 @@ def share_of(step: int) -> float:
 
 def weights_of(class_weights: F32, step: int) -> F32:
     """Return the weights (K + 2,) of classes (K,) at a step, of what nearby cells see, and of all others."""
-    share, mean = share_of(step), float(np.mean(class_weights))
-    own = class_weights[:_CLASSES] + share * share * (mean - class_weights[:_CLASSES])
+    share = share_of(step)
+    mean = float(np.mean(class_weights))
+    weights = class_weights[:_CLASSES]
+    own = weights + share * share * (mean - weights)
     return np.append(own, [share * mean, share * share * mean]).astype(np.float32)
 
 
@@ -88,7 +91,8 @@ def widen(index: SceneIndex, seen: SeenSets, cells: list[int], step: int, every:
     """
     near = seen.join([[seen.of_cell(cell) for cell in cells]])[1]
     members = near if every is None else every
-    ids, kinds = ids_in(*members), min(len(index.class_weights), _CLASSES)
+    ids = ids_in(*members)
+    kinds = min(len(index.class_weights), _CLASSES)
     classes = np.full(len(ids), kinds + 1, np.uint8)
     classes[np.searchsorted(ids, ids_in(*near))] = kinds
     own, of_own = index.sets.classes(cells[0])

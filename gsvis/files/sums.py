@@ -32,8 +32,9 @@ def word_sums(words: NDArray[np.uint64]) -> NDArray[np.uint64]:
     whole = len(words) // PIECE * PIECE
     sums: NDArray[np.uint64] = words[:whole].reshape(-1, PIECE) @ _factors()
     rest = words[whole:]
-    last = np.array([rest @ _factors()[: len(rest)]] if len(rest) else [], np.uint64)
-    return np.concatenate([sums, last])
+    if len(rest) == 0:
+        return sums
+    return np.append(sums, rest @ _factors()[: len(rest)])
 
 
 def file_sum(path: Path) -> str:

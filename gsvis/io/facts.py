@@ -21,7 +21,11 @@ KEY = "gsvis"
 
 _MOST_TEXT = 2048
 _MOST_SOURCE = 120
+_ROUNDING = 1e-3  # tolerance on the length of unit vectors and quaternions
 _DEFAULT = SceneFacts()
+
+Triple = tuple[float, float, float]
+Quad = tuple[float, float, float, float]
 
 
 def facts_to_json(facts: SceneFacts) -> dict[str, Any]:
@@ -53,46 +57,65 @@ def facts_from_json(value: Any) -> SceneFacts:
     """Return the facts of a JSON object; entries that are no valid facts are left out."""
     if not isinstance(value, dict):
         return _DEFAULT
-    origin, up, box, source = (value.get(name) for name in ("origin", "up", "box", "up_source"))
-    meters, clearance = _number(value.get("meters_per_unit")), _number(value.get("clearance"))
-    axis = _triple(up)
-    length = 0.0 if axis is None else float(np.linalg.norm(axis))
-    corners = [_triple(corner) for corner in box] if isinstance(box, list) and len(box) == 2 else [None, None]
-    low, high = corners
-    upright = axis is not None and abs(length - 1.0) < 1e-3
-    turn, turned = _turn(value.get("box_turn")), "box_turn" in value
-    has_box = low and high and all(a <= b for a, b in zip(low, high, strict=True)) and (turn or not turned)
+    axis = _triple(value.get("up"))
+    if axis is not None and not abs(float(np.linalg.norm(axis)) - 1.0) < _ROUNDING:
+        axis = None
+    source = value.get("up_source")
+    if axis is None or not isinstance(source, str) or not source.isprintable():
+        source = ""
+    box, box_turn = _box(value)
     return SceneFacts(
-        origin=_triple(origin) or _DEFAULT.origin,
-        up=axis if upright else None,
-        up_source=source[:_MOST_SOURCE] if upright and isinstance(source, str) and source.isprintable() else "",
+        origin=_triple(value.get("origin")) or _DEFAULT.origin,
+        up=axis,
+        up_source=source[:_MOST_SOURCE],
         antialiased=value.get("antialiased") is True,
-        meters_per_unit=meters if meters is not None and meters > 0.0 else None,
-        box=(low, high) if low and high and has_box else None,
-        box_turn=turn if turn and has_box else _DEFAULT.box_turn,
+        meters_per_unit=_length(value.get("meters_per_unit")),
+        box=box,
+        box_turn=box_turn,
         eye=_triple(value.get("eye")),
-        clearance=clearance if clearance is not None and clearance > 0.0 else None,
+        clearance=_length(value.get("clearance")),
     )
 
 
-def _triple(value: Any) -> tuple[float, float, float] | None:
+def _box(value: dict[str, Any]) -> tuple[tuple[Triple, Triple] | None, Quad]:
+    """Return the box and its turn; None and no turn unless both are valid."""
+    none = None, _DEFAULT.box_turn
+    box = value.get("box")
+    if not isinstance(box, list) or len(box) != 2:
+        return none
+    low, high = (_triple(corner) for corner in box)
+    if low is None or high is None or any(a > b for a, b in zip(low, high, strict=True)):
+        return none
+    if "box_turn" not in value:
+        return (low, high), _DEFAULT.box_turn
+    turn = _turn(value["box_turn"])
+    return none if turn is None else ((low, high), turn)
+
+
+def _triple(value: Any) -> Triple | None:
     if not isinstance(value, list) or len(value) != 3:
         return None
     x, y, z = (_number(each) for each in value)
     return None if x is None or y is None or z is None else (x, y, z)
 
 
-def _turn(value: Any) -> tuple[float, float, float, float] | None:
+def _turn(value: Any) -> Quad | None:
     """Return a unit quaternion, normalized; None for anything else."""
     if not isinstance(value, list) or len(value) != 4:
         return None
     found = [_number(each) for each in value]
     numbers = np.array([np.nan if each is None else each for each in found])
     length = float(np.linalg.norm(numbers))
-    if not abs(length - 1.0) < 1e-3:
+    if not abs(length - 1.0) < _ROUNDING:
         return None
     w, x, y, z = (numbers / length).tolist()
     return w, x, y, z
+
+
+def _length(value: Any) -> float | None:
+    """Return a finite JSON number above 0; None for anything else."""
+    number = _number(value)
+    return number if number is not None and number > 0.0 else None
 
 
 def _number(value: Any) -> float | None:

@@ -282,10 +282,14 @@ class Stages:
         around = None if self.around is None else (self.around, self.work.at(around_of(store.path.name)))
         witnesses = None if self.space.witnesses is None else self.space.witnesses.digest
         key = self._key(
-            "judged", levels=_content(levels), sets=digest_of_folder(store.path).split()[0], views=asdict(views),
-            space=space_hash(self.space), around=None if self.around is None else self.around.digest,
+            "judged",
+            levels=_content(levels),
+            sets=digest_of_folder(store.path).split()[0],
+            views=asdict(views),
+            space=space_hash(self.space),
+            around=None if self.around is None else self.around.digest,
             witnesses=witnesses,
-        )  # fmt: skip
+        )
         name = f"judged-{key}.json"
         if not self.work.whole(name):
             judge = partial(judge_sets, levels, self.space, store, views, progress=self.progress)

@@ -51,7 +51,8 @@ class KeptTables:
     """
 
     def __init__(self, mapped: MappedArrays) -> None:
-        self._mapped, self.nbytes = mapped, mapped.nbytes
+        self._mapped = mapped
+        self.nbytes = mapped.nbytes
 
     def release(self, shares: Sequence[tuple[float, float]] | None = None) -> None:
         """Give back the memory of pages; those that are touched again come from the file. Safe at any time.
@@ -88,7 +89,8 @@ def open_kept(
         FormatError: If the package is damaged.
         OSError: If the package cannot be read.
     """
-    place, key = _check.path("folder", folder), _key(package, pixel, quality)
+    place = _check.path("folder", folder)
+    key = _key(package, pixel, quality)
     package.check_parts()
     try:
         place.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -151,11 +153,19 @@ def _read_own(path: Path, package: Package, *, certain: bool) -> MappedArrays | 
 
 def _key(package: Package, pixel: float, quality: Quality | None) -> str:
     """Return what names the tables: all that they depend on."""
-    m = package.manifest
+    manifest = package.manifest
     facts = [
-        _FORMAT, _version(), sorted(part.name for part in m.parts()), identity_of(m, None), m.info.epsilon,
-        m.info.up, m.info.meters_per_unit, m.scene, pixel, None if quality is None else asdict(quality),
-    ]  # fmt: skip
+        _FORMAT,
+        _version(),
+        sorted(part.name for part in manifest.parts()),
+        identity_of(manifest, None),
+        manifest.info.epsilon,
+        manifest.info.up,
+        manifest.info.meters_per_unit,
+        manifest.scene,
+        pixel,
+        None if quality is None else asdict(quality),
+    ]
     return hashlib.sha256(json.dumps(facts).encode()).hexdigest()[:32]
 
 
