@@ -94,6 +94,7 @@ def session_document(simulation: Simulation) -> dict[str, Any]:
                 "path": visit.path,
                 "compared_with": visit.compared_with,
                 "against_itself": bool(visit.against),
+                "against": visit.against,
                 "remark": visit.remark,
                 "views": {
                     "compared": len(visit.sessions[0].content),

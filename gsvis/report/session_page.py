@@ -118,12 +118,12 @@ def _lead(document: dict[str, Any]) -> str:
 
 def _reference_of(visits: list[dict[str, Any]]) -> str:
     """Return what clients are compared with, in a few words."""
-    itself = [visit["against_itself"] for visit in visits]
-    if not any(itself):
+    named = " or ".join(sorted({visit["against"] for visit in visits if visit["against"]}))
+    if not named:
         return "the scene from which the package was made"
-    if all(itself):
-        return "<strong>the package itself</strong>, which hides what its making cost"
-    return "the scene, or <strong>with the package itself</strong> where the title says so"
+    if all(visit["against"] for visit in visits):
+        return f"<strong>{escape(named)}</strong>, which hides what its making cost"
+    return f"the scene, or <strong>with {escape(named)}</strong> where the title says so"
 
 
 def _tiles(document: dict[str, Any]) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from PIL import Image
 
 from gsvis.abr import AbrConfig, BandwidthTrace
 from gsvis.report.session_document import Simulation, session_document, write_session_report
+from gsvis.report.session_page import _lead
 from gsvis.simulate import Adaptive, Link, MortonProgressive, Visit, WholeFile, play, show_at, watch
 from tests.report.test_color_report import Outline
 from tests.simulate.streets import QUICK, street, walk
@@ -87,6 +89,23 @@ def test_the_page_stands_alone(written: tuple[dict[str, Any], Path]) -> None:
     for label in (f"{AWKWARD} 0", "<a link> & more", "whole file", "never", "0 dB", "gsvis simulate <x> & y", "<kept>"):
         assert label in text
     assert "$" not in text.replace("$title", "")
+
+
+@pytest.mark.parametrize(
+    ("against", "said"),
+    [
+        (("", ""), "compared with the scene from which the package was made."),
+        (("the world itself", "the world itself"), "compared with the world itself, which hides"),
+        (("the package itself", ""), "compared with the scene, or with the package itself where the title says so"),
+    ],
+    ids=str,
+)
+def test_the_page_says_what_clients_are_compared_with(
+    simulation: Simulation, against: tuple[str, str], said: str
+) -> None:
+    visits = tuple(replace(visit, against=each) for visit, each in zip(simulation.visits, against, strict=True))
+    html = _lead(session_document(replace(simulation, visits=visits)))
+    assert said in "".join(Outline(html).words)
 
 
 def test_the_same_sessions_give_the_same_files(
