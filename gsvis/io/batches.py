@@ -184,7 +184,10 @@ def _size_and_stamp(stamped: bool, path: str | os.PathLike[str], *beside: str) -
     if place.lower().endswith(".gltf"):
         beside = (*beside, *sorted(glob.glob(os.path.join(glob.escape(os.path.dirname(place)), "*.bin"))))
     place = os.path.dirname(place) or os.curdir if place.lower().endswith(".json") else place
-    files = sorted(entry.path for entry in os.scandir(place)) if os.path.isdir(place) else [place]
+    files = [place]
+    if os.path.isdir(place):
+        with os.scandir(place) as entries:
+            files = sorted(entry.path for entry in entries if entry.is_file())  # no link that leads nowhere
     nbytes = sum(os.stat(file).st_size for file in files)
     if not stamped:
         return nbytes, ""

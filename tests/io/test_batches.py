@@ -95,6 +95,15 @@ def test_the_images_beside_a_meta_json_count_with_it(tmp_path: Path) -> None:
     assert stamp(tmp_path / "meta.json") != before
 
 
+@pytest.mark.skipif(os.name != "posix", reason="links need rights elsewhere")
+@pytest.mark.parametrize("name", [".", "meta.json"])
+def test_a_link_that_leads_nowhere_beside_a_scene_does_not_matter(tmp_path: Path, name: str) -> None:
+    write_files(tmp_path, sog_files(random_scene(70)))
+    before = stamp(tmp_path / name)
+    (tmp_path / "notes").symlink_to("gone")
+    assert stamp(tmp_path / name) == before
+
+
 @pytest.mark.parametrize("name", [".", "lod-meta.json"])
 def test_a_tree_that_changes_makes_other_batches(tmp_path: Path, name: str) -> None:
     write_files(tmp_path, streamed_files({0: random_scene(300, 0)}))
