@@ -1,8 +1,8 @@
 """Draw judge's eyes: views around the densest detail of a scene, by a rule that knows no navigable space.
 
 Builder's eyes make visible sets; judge's eyes check them. Frame and units are the scene's own. A function that draws
-small images says what an eye sees, so no voxel grid takes part. Known limit: an eye may lie behind a wall where its
-detail is seen through a gap.
+small images says what an eye sees, so no voxel grid takes part. In a scene whose detail is seen from within its walls
+(`gsvis.scene._enclosed`) eyes stand within them. Known limit: in others an eye may lie behind a wall.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis.scene._enclosed import Enclosure
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.solid import buried
@@ -35,6 +36,7 @@ _CLEAR = 0.3  # share of light that has to pass between them
 _AT_ONCE = 1 << 20  # pairs of rays and Gaussians
 _TRIES = 12  # proposed eyes, for each that is asked for
 _SMALL = (24, 18)
+_VOTERS = 24  # eyes that tell whether the scene is rooms
 
 
 def draw_judges(
@@ -73,21 +75,15 @@ def draw_judges(
     if not radius > 0.0:
         return _no_cameras(width, height, fov)
     above = axes[2] if up is None else np.asarray(up, np.float64)
-    eyes, targets = np.zeros((0, 3)), np.zeros((0, 3))
     some, aims = _propose(points, middle, radius, axes, _TRIES * count, rng)
     few = thin(g, _FEW, seed=seed)[1]
     some, aims = _step_back(few, some, aims, radius, rng)
     free = ~buried(g, some)
     some, aims = some[free], aims[free]
-    for start in range(0, len(some), count):
-        if len(eyes) >= count:
-            break
-        part = slice(start, start + count)
-        good = _are_free(some[part], aims[part], above, radius, look)
-        eyes, targets = np.concatenate([eyes, some[part][good]]), np.concatenate([targets, aims[part][good]])
+    eyes, targets = _choose(some, aims, count, above, radius, look, Enclosure(look, points, radius, axes))
     if len(eyes) == 0:
         return _no_cameras(width, height, fov)
-    return Cameras.look_at(eyes[:count], targets[:count], up=above, width=width, height=height, fov=fov)
+    return Cameras.look_at(eyes, targets, up=above, width=width, height=height, fov=fov)
 
 
 def find_detail(g: Gaussians, *, seed: int = 0) -> tuple[F64, float]:
@@ -186,6 +182,35 @@ def _pass(few: Gaussians, aims: F64, back: F64, steps: F64) -> F64:
             between = (nearest > (1.0 - _NEAREST) * end) & (nearest < end)
             found[some, k] = np.exp(np.where(between, dark, 0.0).sum(axis=1))
     return found
+
+
+def _choose(
+    some: F64, aims: F64, count: int, up: F64, radius: float, look: Look, enclosure: Enclosure
+) -> tuple[F64, F64]:
+    """Return the first `count` of the eyes that see their aims, and these; in rooms only eyes within walls."""
+    eyes = np.zeros((0, 3))
+    targets = np.zeros((0, 3))
+    voters = min(_VOTERS, count)
+    asked = False
+    rooms = False
+    for start in range(0, len(some), voters):
+        if len(eyes) >= count:
+            break
+        part = slice(start, start + voters)
+        good = _are_free(some[part], aims[part], up, radius, look)
+        if rooms:
+            good[good] = enclosure.holds(some[part][good])
+        eyes = np.concatenate([eyes, some[part][good]])
+        targets = np.concatenate([targets, aims[part][good]])
+        if asked or len(eyes) < voters:
+            continue
+        asked = True
+        within = enclosure.choose(eyes)
+        if within is not None:
+            rooms = True
+            eyes = eyes[within]
+            targets = targets[within]
+    return eyes[:count], targets[:count]
 
 
 def _are_free(eyes: F64, aims: F64, up: F64, radius: float, look: Look) -> NDArray[np.bool_]:

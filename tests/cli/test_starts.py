@@ -16,6 +16,7 @@ from gsvis.cli.starts import find_starts, plan_visit, thin
 from gsvis.cli.where import find_place
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians, rotations_from_quats
+from gsvis.scene.procedural import two_rooms
 from tests.scene.places import apartment
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -28,9 +29,11 @@ def test_a_visit_of_rooms_begins_within_them_upright(monkeypatch: pytest.MonkeyP
     assert found is not None
     space, _ = navigable_space(thin(source))
     assert space is not None
+    known = two_rooms().navigable
     for start in found:
         assert start.mode == "fly"
         assert space.contains([start.position]).all()
+        assert known.contains([start.position]).all()
         across = rotations_from_quats(np.array([start.rotation]))[0][:, 0]
         assert abs(across @ UP) < 1e-3
 

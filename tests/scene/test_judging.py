@@ -53,11 +53,10 @@ def test_the_same_seed_gives_the_same_eyes_and_another_gives_others() -> None:
 @pytest.mark.parametrize("scale", [1e-2, 1.0, 300.0])
 def test_eyes_move_with_the_scene(scale: float) -> None:
     g = platform()
-    # Every eye is free here: which one is taken must not hang on a rounded depth.
-    everything = np.ones((1, 18, 24), np.float32)
 
+    # Every eye is free here: which one is taken must not hang on a rounded depth.
     def look(cameras: Cameras) -> tuple[np.ndarray, np.ndarray]:
-        alphas = np.repeat(everything, len(cameras), axis=0)
+        alphas = np.ones((len(cameras), cameras.height, cameras.width), np.float32)
         return alphas, np.full_like(alphas, np.inf)
 
     turn, _ = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))
