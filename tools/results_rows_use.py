@@ -38,6 +38,18 @@ USE = (
                 target="> 0",
             ),
             Row(
+                "Outside of cells, bytes until 35 dB over those of the nearest cell's set (rooms, showroom)? At an idle"
+                " link's end, which share of records?",
+                (
+                    "nothing_withheld: rooms, outside: bytes until 35 dB, against the nearest cell's set, median",
+                    "nothing_withheld: showroom, outside: bytes until 35 dB, against the nearest cell's set, median",
+                    "nothing_withheld: showroom, outside: least share of records at the end",
+                ),
+                ours="{0:.2f}, {1:.2f}; {2:.0%}",
+                target="≤ 1; 100%",
+                verdict="missed in the showroom",
+            ),
+            Row(
                 "How near does what a client ends with come to the scene, nika and showroom, 12 unseen views, worst?",
                 (
                     "client_ends: nika, every record: mean",

@@ -167,10 +167,9 @@ def find_place(
     walk: HeadPath | None = None,
     cameras: Cameras | None = None,
 ) -> Place:
-    """Find where eyes may be, by the strongest evidence: cameras, a walk, a box, then the scene itself.
+    """Find where eyes may be, by the strongest evidence: given by hand, cameras, a stated box, then the scene itself.
 
-    A place given by --box, --around or --path restricts eyes; cameras then say which way is up, and are eyes of checks.
-    A box that the file states comes after all that is given, and before the scene itself.
+    Given by hand are --path, --box, --around and --kind; cameras then say which way is up, and are eyes of checks.
 
     Args:
         source: The scene.
