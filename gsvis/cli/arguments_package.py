@@ -122,6 +122,8 @@ class Verify:
     """Folder for tables that gsvis serve keeps; those of the package are read too."""
     json: Flag = False
     """Print one JSON document instead of a table."""
+    drop_invalid: Flag = False
+    """Leave out rows whose values are no numbers, and say how many; else they are an error."""
     debug: Flag = False
     """Show the traceback of an error."""
 

@@ -132,6 +132,14 @@ def test_a_name_means_the_same_in_all_commands(name: str) -> None:
         assert len({each.text for each in BY_NAME[name]}) == 1
 
 
+def test_every_command_that_reads_a_scene_can_leave_rows_out() -> None:
+    """The error about such rows names this option, whichever command reads them."""
+    of_scenes = {"scene", "scenes", "paths"}
+    reading = {command for command, kind in KINDS.items() if of_scenes & {each.name for each in fields(kind)}}
+    assert len(reading) >= 17
+    assert {each.command for each in BY_NAME["--drop-invalid"]} == reading
+
+
 def test_no_two_names_say_the_same() -> None:
     names: dict[str, set[str]] = defaultdict(set)
     for each in OPTIONS:

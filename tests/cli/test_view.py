@@ -10,12 +10,15 @@ import sys
 import urllib.request
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
+from dataclasses import fields
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from gsvis.cli import main, view
+from gsvis.cli.arguments_package import Prepare
 from gsvis.cli.arguments_view import View
 from gsvis.export import write_static
 from gsvis.scene.procedural import two_rooms
@@ -137,6 +140,25 @@ def test_a_prepared_package_takes_the_place_of_its_scene(
         Path("go").touch()
         until(lambda: scenes["room"].opened is not None)
         assert (scenes["room"].preparing, scenes["room"].site) == (False, None)
+
+
+def test_a_scene_is_prepared_as_it_is_shown(monkeypatch: pytest.MonkeyPatch, scenes: Scenes) -> None:
+    """Options that say how the scene is read hold for both."""
+    started = list[list[str]]()
+
+    def stand_in(words: list[str], **options: Any) -> subprocess.Popen[bytes]:
+        started.append(words[3:])
+        return subprocess.Popen([sys.executable, "-c", ""])
+
+    start = View("shown", prepare="made.gsvis", lod=1, up=" -y", cameras="c.json", drop_invalid=True)
+    with monkeypatch.context() as patch:
+        patch.setattr(view, "subprocess", SimpleNamespace(Popen=stand_in, DEVNULL=subprocess.DEVNULL))
+        with view._preparing(start, scenes, "room"):
+            pass
+    expected = "prepare shown -o made.gsvis --lod 1 --up -y --cameras c.json --drop-invalid"
+    assert started == [expected.split()]
+    shared = {each.name for each in fields(View)} & {each.name for each in fields(Prepare)}
+    assert shared - {"scene", "json", "debug"} == {"lod", "up", "cameras", "drop_invalid"}
 
 
 def test_a_scene_that_cannot_be_prepared_stays(
