@@ -66,7 +66,8 @@ def run_paint(command: Paint) -> None:
         status("writing", 1, 1)
     bands = bands_of(quantity)
     if command.json:
-        print_json(_document(command, source, files, quantity, bands))
+        document = _document(command, source, files, quantity, bands)
+        print_json({**document, "remarks": [each.strip() for each in remarks]})
         return
     show(f"{command.out}: {len(quantity):,} Gaussians by {quantity.name}, legend in {files.legend}")
     show(_table(quantity, bands), *remarks)

@@ -71,7 +71,7 @@ def run_space(command: Space) -> None:
         **found,
     }
     if command.json:
-        print_json(said)
+        print_json({**said, "remarks": [each.strip() for each in remarks]})
         return
     rows = [
         kind_row(space),
