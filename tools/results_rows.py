@@ -65,7 +65,7 @@ SECTIONS = (
                 verdict="missed",
             ),
             Row(
-                "Under attack, how many bytes at honest viewers are wrong, how much does the server's memory grow, how much"
+                "Under attack, how many bytes at honest viewers are wrong; how much does memory grow, how much"
                 " later is the 99th percentile served?",
                 (
                     "server_soak: wrong bytes of what honest viewers hold",
