@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+import shlex
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from gsvis.cli import clean_large, main
+from gsvis.cli import clean_large, main, parse
+from gsvis.cli.arguments import Clean
+from gsvis.cli.asking import Settled
+from gsvis.cli.source import Source
+from gsvis.cli.terminal import Status
+from gsvis.cli.where import Place
 from gsvis.edit import class_of
 from gsvis.io import load_scene, save_scene
+from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.procedural import random_scene
 from tests.edit.worlds import dirty_room
 
@@ -174,11 +182,32 @@ def test_a_remark_says_that_most_is_never_seen(
     assert "0% is never seen from where eyes were found" in " ".join(capsys.readouterr().out.split())
 
 
+@pytest.mark.usefixtures("blank_plots")
+def test_a_report_repeats_what_was_answered_and_a_stated_kind_is_kept(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def answered(command: Clean, source: Source, find: Callable[[Clean], Place], status: Status) -> Settled[Clean]:
+        said = replace(command, kind="rooms")
+        return Settled(said, find(said), None)
+
+    def parcels(*_: object, **__: object) -> NavigableSpace:
+        raise AssertionError("a stated kind is not looked for in parcels")
+
+    monkeypatch.setattr("gsvis.cli.clean.settle", answered)
+    monkeypatch.setattr("gsvis.edit.find_in_parcels", parcels)
+    words = ["clean", str(folder / "dirty.ply"), "--report", str(tmp_path), "--eyes", "3", "--held-out", "0"]
+    assert main([*words, "--up", "+z", "--json"]) == 0
+    again = parse(shlex.split(json.loads(capsys.readouterr().out)["command"])[1:])
+    assert isinstance(again, Clean)
+    assert again.kind == "rooms"
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
         (["--max-memory", "100MB"], "raise it, or take a coarser --lod"),
         (["--max-memory", "100MB", "--select", "s.npy"], "--select needs all of them: leave it out"),
+        (["--max-memory", "100MB", "--show", "s.png"], "--show needs all of them: leave it out"),
         (["--max-memory", "100MB", "-o", "clean.spz"], "tiles are written to a .ply"),
     ],
 )

@@ -13,11 +13,13 @@ from gsvis.cli import main, parse
 from gsvis.cli.arguments import PvsReport
 from gsvis.cli.pvs_report import _viewpoints
 from gsvis.cli.source import load_source
+from gsvis.errors import SceneError
 from gsvis.io import save_scene
 from gsvis.pvs.build import build_pvs
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.config import PvsConfig
 from gsvis.pvs.store import VisibilityStore
+from gsvis.scene.cameras import Cameras
 from gsvis.scene.corridor import corridor
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.procedural import two_rooms
@@ -85,6 +87,29 @@ def test_json_is_the_document_and_its_command_makes_it_again(
     assert document["format"] == "gsvis-pvs-report"
     assert "ray_recall" in document["quality"]["figures"]
     assert parse(shlex.split(document["command"])[1:]) == parse(words)
+
+
+@pytest.mark.usefixtures("blank_plots")
+def test_it_says_what_was_done_to_cameras_and_stands_without_judges(
+    built: tuple[Path, Path], tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def nobody(*_: object, **__: object) -> object:
+        raise SceneError("no place is free")
+
+    monkeypatch.setattr("gsvis.pvs.judged.judge_sets", nobody)
+    space = NavigableSpace.from_scene(load_source(str(built[1]), None).gaussians)
+    eyes = space.sample_viewpoints(4, np.random.default_rng(0))
+    cameras = Cameras.look_at(eyes + 500.0, eyes + 500.0 + [1.0, 0.0, 0.0], up=(0, 0, 1), width=32, height=24, fov=60.0)
+    poses = np.linalg.inv(cameras.viewmats) * [1.0, -1.0, -1.0, 1.0]  # OpenGL axes
+    frames = [{"file_path": f"{k}.png", "transform_matrix": pose.tolist()} for k, pose in enumerate(poses)]
+    file = tmp_path / "transforms.json"
+    file.write_text(json.dumps({"fl_x": 27.7, "w": 32, "h": 24, "frames": frames}))
+    words = ["pvs-report", *map(str, built), "-o", str(tmp_path / "r"), *QUICK, "--cameras", str(file), "--json"]
+    assert main(words) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["judged"] is None
+    (line,) = document["scene"]["remarks"]
+    assert "4 of 4 cameras" in line
 
 
 def test_defaults_are_those_of_the_library() -> None:

@@ -7,6 +7,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,10 @@ import pytest
 
 from benchmarks._worlds import small_street
 from gsvis.cli import main, parse
+from gsvis.cli.arguments import Simulate
+from gsvis.cli.made_from import Original
+from gsvis.cli.memory import NEEDS, count_gaussians, expected_memory
+from gsvis.cli.simulate import _originals
 from gsvis.io import save_scene
 from gsvis.io.poses import write_poses
 from gsvis.package import in_package_order, write_package
@@ -119,6 +124,25 @@ def test_what_cannot_be_is_refused_in_one_line(folder: Path, tmp_path: Path, cap
 
 
 @pytest.mark.usefixtures("blank_plots")
+def test_a_scene_that_nobody_named_and_that_does_not_fit_is_left_out(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The package is compared with itself then; a scene that is named is an error."""
+    package, scene = folder / "rooms.gsvis", folder / "rooms.ply"
+    beside = Original(((str(scene), None),), ())
+    monkeypatch.setattr("gsvis.cli.simulate.find_original", lambda *_: beside)
+    alone = expected_memory("simulate", 1500, 0)
+    both = alone + expected_memory("simulate", *count_gaussians(str(scene), None)) - NEEDS["simulate"].base
+    command = parse(["simulate", str(package), "--path", "walk.csv", "-o", "report"])
+    assert isinstance(command, Simulate)
+    command = replace(command, max_memory=(alone + both) // 2)
+    (found,) = _originals(command)
+    assert found.scenes == ()
+    assert found.remark.startswith("the scene it was made from is not read: --max-memory: expected at least")
+    with pytest.raises(ValueError, match=r"^--max-memory: expected at least"):
+        _originals(replace(command, scene=(str(scene),)))
+
+
 def test_a_path_that_sees_nothing_has_no_headline(folder: Path, tmp_path: Path, capsys: Capture) -> None:
     path = walk(3.0)
     far = HeadPath(path.times, path.positions + np.array([0.0, 1e4, 0.0]), path.quats, path.up)

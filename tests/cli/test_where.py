@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -202,6 +203,12 @@ class TestBadInput:
                 check_where(where)
         with pytest.raises(ValueError, match=r"^--box: expected none with --pvs, which says where eyes are"):
             check_where(Where(box=(0, 0, 0, 1, 1, 1)), "--pvs")
+
+    def test_a_stated_kind_contradicts_a_place_and_auto_none(self) -> None:
+        for place in (Where(box=(0, 0, 0, 1, 1, 1)), Where(around=())):
+            assert check_where(replace(place, kind="auto")) is None
+            with pytest.raises(ValueError, match=r"^--kind: expected none with --(box|around), which says"):
+                check_where(replace(place, kind="rooms"))
 
     def test_a_path_elsewhere(self, tmp_path: Path) -> None:
         times = np.arange(4.0)
