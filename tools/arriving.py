@@ -1,18 +1,23 @@
 """Draw how a scene arrives over a slow link: gsvis beside the smallest whole file. It heads the README.
 
     gsvis convert builtin:flat scene.ply
-    gsvis convert scene.ply scene.sog
-    gsvis prepare scene.ply -o scene.gsvis
-    python tools/arriving.py scene.gsvis scene.ply scene.sog
+    gsvis prepare scene.ply -o scene.gsvis --levels none --cells 24 --limit 0.4
+    python tools/arriving.py scene.gsvis scene.ply
 
-Both ways are simulated over the same link with the same walk. Every image stands beside its PSNR against the scene.
+Both ways are simulated over the same link with the same walk. The whole file is a compact SPZ in Morton order, the
+smallest of those that `gsvis simulate` tries. Every image stands beside its PSNR against the scene.
+
+Given: the built-in flat, its package, a link of 5 Mbit/s and 50 ms, a viewer who stands and turns.
+Measured: images, bytes and PSNR of the simulation. The whole file is drawn as if it lost nothing.
+Defaults chosen on: other scenes; eye and link were chosen before anything was drawn.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
+import sys
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -21,11 +26,12 @@ from PIL import Image, ImageDraw, ImageFont
 
 from gsvis.abr import BandwidthTrace
 from gsvis.io import load_scene
+from gsvis.io.spz import save_spz
 from gsvis.package.package import Package
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import quats_from_rotations
 from gsvis.scene.paths import HeadPath
-from gsvis.simulate import Link, ViewingConfig
+from gsvis.simulate import Link, ViewingConfig, morton_order
 from gsvis.simulate.baselines import WholeFile
 from gsvis.simulate.delivery import Adaptive
 from gsvis.simulate.frames import Stage, psnr_of
@@ -34,8 +40,13 @@ from gsvis.simulate.viewing import show_at
 from gsvis.simulate.visits import Place
 
 ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT / "benchmarks"))
+
+from _harness import write_result  # noqa: E402
+
+QUESTION = "What does a viewer of the built-in flat see over a slow link, and what with one whole file?"
 MBIT, ROUND_TRIP = 5.0, 0.05
-TIMES = (0.5, 1.0, 2.0, 4.0)
+TIMES = (0.5, 1.0, 3.0, 7.0)
 EYE, TARGET = (5.2, 3.75, 1.6), (1.3, 0.9, 0.95)
 SIZE, GAP, LABEL = (440, 275), 6, 30
 
@@ -60,12 +71,15 @@ def multiplied(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.flo
     return np.concatenate([w[:, None], xyz], axis=1)
 
 
-def simulate(package: Path, scene: Path, whole: Path) -> tuple[list[list[Image3]], dict[str, Any]]:
+def simulate(package: Path, scene: Path) -> tuple[list[list[Image3]], dict[str, Any]]:
     """Return rows of images, of gsvis and of the whole file, and what the labels say."""
+    reference = load_scene(scene)
     path = standing(max(TIMES) + 1.0)
     config = ViewingConfig(seconds=max(TIMES), width=SIZE[0], height=SIZE[1], fov=80.0)
-    with Package.open(package) as opened:
-        place = Place.open(opened, reference=load_scene(scene), whole_file=whole, as_is=True)
+    with TemporaryDirectory() as folder, Package.open(package) as opened:
+        whole = Path(folder) / "whole.spz"
+        save_spz(reference[morton_order(reference.means)], whole, compact=True)
+        place = Place.open(opened, reference=reference, whole_file=whole, as_is=True)
         contents = place.contents
         stage = Stage(contents, place.reference, place.highest)
         link = Link(BandwidthTrace.constant(MBIT), ROUND_TRIP)
@@ -84,15 +98,14 @@ def simulate(package: Path, scene: Path, whole: Path) -> tuple[list[list[Image3]
 def summarize(played: list[Playback], quality: list[list[float]], place: Place) -> dict[str, Any]:
     """Return the facts of the picture, ready for JSON."""
     return {
-        "question": "What does a viewer of the built-in flat see over a slow link, and what with one whole file?",
         "mbit": MBIT,
         "round_trip_s": ROUND_TRIP,
         "gaussians": len(place.contents),
         "whole_file_bytes": place.whole_file[0],
         "whole_file_complete_s": round(played[1].first, 2),
         "times_s": list(TIMES),
-        "gsvis_db": [round(value, 1) for value in quality[0]],
-        "whole_file_db": [round(value, 1) for value in quality[1]],
+        "gsvis_db": [round(min(value, 99.0), 1) for value in quality[0]],
+        "whole_file_db": [round(min(value, 99.0), 1) for value in quality[1]],
         "gsvis_bytes": [int(value) for value in played[0].bytes_at(np.array(TIMES))],
         "gsvis_first_image_s": round(played[0].first, 2),
     }
@@ -104,7 +117,7 @@ def compose(rows: list[list[Image3]], facts: dict[str, Any]) -> Image.Image:
     tall = 2 * (SIZE[1] + LABEL) + GAP
     sheet = Image.new("RGB", (wide, tall), "white")
     pen, font = ImageDraw.Draw(sheet), ImageFont.load_default(17)
-    whole = f"whole file (SOG, {facts['whole_file_bytes'] / 1e6:.1f} MB)"
+    whole = f"whole file (compact SPZ, {facts['whole_file_bytes'] / 1e6:.1f} MB)"
     for k, row in enumerate(rows):
         top = k * (SIZE[1] + LABEL + GAP)
         for i, image in enumerate(row):
@@ -124,14 +137,23 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("package", type=Path)
     parser.add_argument("scene", type=Path)
-    parser.add_argument("whole", type=Path)
     parser.add_argument("--picture", type=Path, default=ROOT / "docs" / "images" / "arriving.jpg")
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "results" / "arriving.json")
     given = parser.parse_args()
-    rows, facts = simulate(given.package, given.scene, given.whole)
+    rows, facts = simulate(given.package, given.scene)
     compose(rows, facts).save(given.picture, quality=88, optimize=True)
-    given.out.write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
-    print(json.dumps(facts, indent=1))
+    figures = [
+        figure("PSNR after 0.5 s, 5 Mbit/s", facts["gsvis_db"][0], "dB", "higher"),
+        figure("PSNR after 1 s, 5 Mbit/s", facts["gsvis_db"][1], "dB", "higher"),
+        figure("bytes in 1 s", facts["gsvis_bytes"][1], "bytes", "lower"),
+        figure("the smallest whole file is there after", facts["whole_file_complete_s"], "s", "lower"),
+    ]
+    write_result(given.out, QUESTION, figures, facts)
+
+
+def figure(name: str, reached: float, unit: str, better: str) -> dict[str, Any]:
+    """Return a figure without a target."""
+    return {"name": name, "target": None, "reached": reached, "unit": unit, "better": better}
 
 
 if __name__ == "__main__":

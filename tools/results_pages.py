@@ -144,6 +144,7 @@ PAGES = {
             "disk_size",
             "client_ends",
             "nothing_withheld",
+            "arriving",
             "package_edit_showroom",
             "package_edit_nika",
             "shaped_link",
