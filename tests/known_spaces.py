@@ -1,13 +1,14 @@
-"""The navigable space of a scene, found once in a process: commands of many tests look at the same small scenes.
+"""The navigable space and the up axis of a scene, found once: commands of many tests look at the same small scenes.
 
-Only for tests of what commands do with a space. How it is found, and that it is found again, is tested in tests/scene.
+Only for tests of what commands do with them. How they are found, and that they are found again, is tested in
+tests/scene.
 """
 
 from __future__ import annotations
 
 import hashlib
 import pickle
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -15,28 +16,40 @@ from typing import Any
 import numpy as np
 import pytest
 
+from gsvis.scene import upright
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 
 __all__ = ["coarse_spaces", "remember_spaces"]
 
-_MOST = 64
+_MOST = 192  # three for a scene
 _from_scene = NavigableSpace.from_scene
-_found: dict[str, NavigableSpace] = {}
+_found: dict[str, Any] = {}
+_sample_surface = upright.sample_surface
+_find_likely = upright.find_likely
 
 
 @contextmanager
 def remember_spaces(folder: Path | None = None) -> Iterator[None]:
-    """Let `NavigableSpace.from_scene` return what it returned for the same arrays and options; errors come anew.
+    """Let the space and the likely up axis be what they were for the same arrays and options; errors come anew.
 
     Processes that name the same folder share what they find.
     """
 
     def remember(g: Gaussians, **options: Any) -> NavigableSpace:
-        return _remember(g, folder, options)
+        space: NavigableSpace = _remember(_name(g, options), folder, lambda: _from_scene(g, **options))
+        return space
+
+    def remember_sample(g: Gaussians) -> Any:
+        return _remember(f"sample-{_name(g, {})}", folder, lambda: _sample_surface(g))
+
+    def remember_likely(sample: Any) -> Any:
+        return _remember(f"likely-{_name(sample, {})}", folder, lambda: _find_likely(sample))
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(NavigableSpace, "from_scene", staticmethod(remember))
+        patch.setattr(upright, "sample_surface", remember_sample)
+        patch.setattr(upright, "find_likely", remember_likely)
         yield
 
 
@@ -53,8 +66,7 @@ def coarse_spaces(most: int = 64) -> Iterator[None]:
         yield
 
 
-def _remember(g: Gaussians, folder: Path | None, options: dict[str, Any]) -> NavigableSpace:
-    key = _name(g, options)
+def _remember(key: str, folder: Path | None, find: Callable[[], Any]) -> Any:
     if key not in _found:
         if len(_found) >= _MOST:
             _found.pop(next(iter(_found)))
@@ -62,17 +74,17 @@ def _remember(g: Gaussians, folder: Path | None, options: dict[str, Any]) -> Nav
         if file is not None and file.exists():
             _found[key] = pickle.loads(file.read_bytes())
         else:
-            _found[key] = _from_scene(g, **options)
+            _found[key] = find()
             if file is not None:
                 file.write_bytes(pickle.dumps(_found[key]))
     return _found[key]
 
 
-def _name(g: Gaussians, options: dict[str, Any]) -> str:
-    """Return a hash of every array and option."""
+def _name(arrays: Any, options: dict[str, Any]) -> str:
+    """Return a hash of every array and option of an object. What is no array, such as facts, counts by its text."""
     digest = hashlib.blake2b()
-    for name, value in [*sorted(vars(g).items()), *sorted(options.items())]:
+    for name, value in [*sorted(vars(arrays).items()), *sorted(options.items())]:
         array = np.asarray(value) if value is not None else np.zeros(0)
         digest.update(f"{name} {array.dtype} {array.shape}".encode())
-        digest.update(np.ascontiguousarray(array).tobytes())
+        digest.update(repr(value).encode() if array.dtype.hasobject else np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()

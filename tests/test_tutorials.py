@@ -18,6 +18,7 @@ from gsvis.scene.procedural import BUILTIN_SCENES, furnished_flat, two_rooms
 from gsvis.simulate import morton_order
 from tests.few_views import take_few_views
 from tests.known_spaces import remember_spaces
+from tests.quick_reports import draw_no_places, take_few_judges
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGES = [DOCS / "index.md", *sorted((DOCS / "tutorials").glob("*.md")), *sorted((DOCS / "how-to").glob("*.md"))]
@@ -72,6 +73,8 @@ def quicker(words: list[str]) -> list[str]:
 @pytest.fixture(autouse=True)
 def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, blank_plots: None) -> Iterator[None]:
     """A small scene under the name that the pages use, no kernels in advance, few views, coarse grids, blank plots."""
+    draw_no_places(monkeypatch)
+    take_few_judges(monkeypatch)
     made = two_rooms(1000, sh_degree=1)
     for name in ("two_rooms", "flat"):
         monkeypatch.setitem(BUILTIN_SCENES, name, lambda: made)

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from gsvis.scene.gaussians import Gaussians
 
@@ -128,6 +127,8 @@ def _fit_surface(places: F64, covars: F64, weights: F64) -> tuple[F64, F64, F64]
 
     The surface around a point is the mixture of the Gaussians next to it: their centers and their own shapes.
     """
+    from scipy.spatial import cKDTree  # slow to import, and seldom needed
+
     tree = cKDTree(places)
     normals, flatness, spacing = np.empty((len(places), 3)), np.empty(len(places)), np.empty(len(places))
     for start in range(0, len(places), _BLOCK):

@@ -1,6 +1,7 @@
 """Run commands in one process in which some packages cannot be imported: `python blocked.py SPACES PACKAGE...`.
 
-SPACES is a folder in which processes share the spaces of scenes, or "": then this one finds them by itself.
+SPACES is a folder in which processes share the spaces of scenes, or "": then this one finds them by itself, and draws
+them.
 Reads a JSON list of commands, each a list of words, from standard input. Writes for each its exit code and what it said
 on stderr to standard output, as JSON.
 """
@@ -15,6 +16,8 @@ from importlib.machinery import ModuleSpec
 from io import StringIO
 from pathlib import Path
 from types import ModuleType
+
+import pytest
 
 
 class Blocked:
@@ -60,8 +63,13 @@ def main() -> None:
     from tests.bare_plots import draw_bare_plots
     from tests.few_views import take_few_views
     from tests.known_spaces import coarse_spaces, remember_spaces
+    from tests.quick_reports import draw_no_places, take_few_judges
 
     found = []
+    patch = pytest.MonkeyPatch()
+    take_few_judges(patch)
+    if folder:
+        draw_no_places(patch)
     if has("matplotlib"):
         from gsvis.report import theme
 

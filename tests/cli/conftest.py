@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Iterator
 
 import pytest
 
-from gsvis.cli import analyze, clean, pvs_report, showing, terminal  # before any is patched
+from gsvis.cli import terminal
 from tests.known_spaces import remember_spaces
-
-_PIXEL = base64.b64decode(  # a white PNG of one pixel
-    "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAIAAACQd1PeAAAADElEQVR4nGP4//8/AAX+Av4N70a4AAAAAElFTkSuQmCC"
-)
+from tests.quick_reports import draw_no_places, take_few_judges
 
 
 @pytest.fixture(autouse=True)
@@ -23,9 +19,14 @@ def a_clock_that_stands(monkeypatch: pytest.MonkeyPatch, bare_plots: None) -> No
 
 @pytest.fixture(autouse=True)
 def pictures_of_places(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Draw no picture of where people stand, which takes seconds; a module that needs it has a fixture of this name."""
-    for home in (showing, clean, analyze, pvs_report):
-        monkeypatch.setattr(home, "picture_of", lambda source, place: _PIXEL)
+    """Draw no picture of where people stand; a module that needs it has a fixture of this name."""
+    draw_no_places(monkeypatch)
+
+
+@pytest.fixture(autouse=True)
+def few_judges(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Judge by few eyes; a module that needs all of them has a fixture of this name."""
+    take_few_judges(monkeypatch)
 
 
 @pytest.fixture(scope="module", autouse=True)
