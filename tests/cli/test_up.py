@@ -43,7 +43,7 @@ def no_guess(monkeypatch: pytest.MonkeyPatch) -> None:
 
     for name in ("cli.source.find_up", "cli.views.find_up", "cli.where.find_up"):
         monkeypatch.setattr(f"gsvis.{name}", guess)
-    for module in ("navigable", "inspection", "stated"):
+    for module in ("_looking", "inspection", "stated"):
         monkeypatch.setattr(f"gsvis.scene.{module}.find_up", guess)
 
 
@@ -74,7 +74,7 @@ def test_merged_gltf_keeps_its_axis(folder: Path, tmp_path: Path, monkeypatch: p
     axes = []
 
     def find_starts(source: object, up: tuple[float, ...]) -> tuple[Start, ...] | None:
-        axes.append(up)
+        axes.append(tuple(up))
         return None
 
     monkeypatch.setattr(convert, "find_starts", find_starts)
@@ -89,7 +89,7 @@ def test_the_rest_is_guessed(folder: Path, tmp_path: Path, monkeypatch: pytest.M
         assert source.known_up is None
         assert np.allclose(up_of(source), [0.0, 0.0, 1.0], atol=1e-3)
     axes: list[tuple[float, ...]] = []
-    monkeypatch.setattr(convert, "find_starts", lambda source, up: axes.append(up))
+    monkeypatch.setattr(convert, "find_starts", lambda source, up: axes.append(tuple(up)))
     minus_x = Upright(np.array([-1.0, 0.0, 0.0]), 1.0, "")
     monkeypatch.setattr("gsvis.cli.source.find_up", lambda g, **more: minus_x)
     assert main(["convert", str(folder / "a.glb"), str(folder / "a.ply"), "-o", str(tmp_path / "mixed.html")]) == 0
