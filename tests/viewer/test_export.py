@@ -82,7 +82,7 @@ def test_a_site_of_a_package_knows_its_cells_and_floor_without_a_server(browser:
             with page_in(browser, where) as (page, said):
                 wait_for(page, ARRIVED)
                 page.keyboard.press("b")
-                page.wait_for_selector("canvas.overlay:not([hidden])", state="attached")
+                page.wait_for_selector("canvas.overlay:not([hidden])", state="attached", timeout=1000 * PATIENCE)
                 page.keyboard.press("o")
                 wait_for(page, "Only a server knows")
                 assert "Visibility" not in page.inner_text(".panel")
