@@ -14,7 +14,6 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gsvis._text import as_line
 from gsvis.cli.arguments_serve import Serve
 from gsvis.cli.terminal import print_json
 from gsvis.errors import BackendError
@@ -133,9 +132,10 @@ def _supervise(command: Serve) -> None:
 
 
 def _print_address(url: str, command: Serve) -> None:
+    from gsvis.serve.scenes import name_of
     from gsvis.serve.server import page_of
 
-    names = [as_line(Path(path).resolve().name.partition(".")[0]) or "scene" for path in command.package]
+    names = [name_of(path) for path in command.package]
     pages = [page_of(url, name) for name in names]
     print_json({"format": "gsvis-serving", "version": 1, "url": url, "scenes": names, "pages": pages})
     sys.stdout.flush()

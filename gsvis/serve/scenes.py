@@ -30,7 +30,7 @@ from gsvis.stream.kept import KeptTables, open_kept
 from gsvis.stream.scene import OwnIndex
 from gsvis.world import is_world
 
-__all__ = ["Scenes", "ServedScene", "open_scene", "open_scenes"]
+__all__ = ["Scenes", "ServedScene", "name_of", "open_scene", "open_scenes"]
 
 
 _REACH = 100.0
@@ -235,6 +235,11 @@ class Scenes(Mapping[str, ServedScene]):
                 scene.opened.package.close()
 
 
+def name_of(package: str | PathLike[str]) -> str:
+    """Return the name under which clients ask for a package: that of its folder up to the first dot, on one line."""
+    return as_line(Path(package).resolve().name.partition(".")[0]) or "scene"
+
+
 def open_scenes(
     packages: Sequence[str | PathLike[str]],
     *,
@@ -271,7 +276,7 @@ def open_scenes(
     first: Exception | None = None
     for package in packages:
         path = _check.path("package", package)
-        name = as_line(path.resolve().name.partition(".")[0]) or "scene"
+        name = name_of(path)
         if name in found:
             raise ValueError(f"packages: expected different names, got {name!r} twice; rename a folder")
         try:
@@ -316,7 +321,7 @@ def open_scene(
         OSError: If it cannot be opened, because of the file system.
     """
     folder = _check.path("path", path)
-    name = name or as_line(folder.resolve().name.partition(".")[0]) or "scene"
+    name = name or name_of(folder)
     if is_site(folder):
         return ServedScene(name, folder, None, site=Site(folder))
 
