@@ -128,8 +128,8 @@ def _judge(
     views = ViewSampling(_JUDGES, *_SMALL, command.fov, command.seed, _STREAM)
     try:
         return judge_sets(as_levels(source.whole), space, store, views, progress=status).as_dict(), framed
-    except SceneError:  # no free place: the report stands without judges
-        return None, framed
+    except SceneError as error:  # the report stands without judges
+        return None, [*framed, f" Not checked by other eyes: {error.problem}."]
 
 
 def _viewpoints(store: VisibilityStore, source: Source) -> tuple[CellViewpoints, str]:

@@ -108,8 +108,9 @@ def test_it_says_what_was_done_to_cameras_and_stands_without_judges(
     assert main(words) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["judged"] is None
-    (line,) = document["scene"]["remarks"]
-    assert "4 of 4 cameras" in line
+    of_cameras, of_judges = document["scene"]["remarks"]
+    assert "4 of 4 cameras" in of_cameras
+    assert of_judges.strip() == "Not checked by other eyes: no place is free."
 
 
 def test_a_hundred_eyes_of_two_rules_judge() -> None:
