@@ -202,7 +202,8 @@ def _choose(
             good[good] = enclosure.holds(some[part][good])
         eyes = np.concatenate([eyes, some[part][good]])
         targets = np.concatenate([targets, aims[part][good]])
-        if asked or len(eyes) < voters:
+        is_last = start + voters >= len(some)
+        if asked or (len(eyes) < voters and not is_last):
             continue
         asked = True
         within = enclosure.choose(eyes)

@@ -32,7 +32,7 @@ from gsvis.scene._of_kind import find_stated
 from gsvis.scene._turned import Pose, bring_back
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
-from gsvis.scene.kinds import Kind, SpaceKind
+from gsvis.scene.kinds import KINDS, Kind, SpaceKind
 from gsvis.scene.witnesses import Witnesses
 
 __all__ = ["MAX_RESOLUTION", "NavigableSpace"]
@@ -164,8 +164,8 @@ class NavigableSpace:
             ValueError: If an argument is out of range.
             SceneError: If the scene has no free space.
         """
-        if kind not in ("object", "rooms", "open place"):
-            raise ValueError(f"kind: expected one of object, rooms, open place, got {kind!r}")
+        if kind not in KINDS.values():
+            raise ValueError(f"kind: expected one of {', '.join(KINDS.values())}, got {kind!r}")
         look, pose = look_upright(g, up, resolution)
         return cls._over(look, pose, find_stated(look, kind))
 
