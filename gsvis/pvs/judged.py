@@ -122,7 +122,7 @@ class JudgedShares:
         line = (
             f"their views see {theirs:.1%} of the Gaussians in the median, 5th percentile {low:.1%}, least"
             f" {least:.1%}, in {len(self.judge)} views{also}; views in navigable space {mine:.1%};"
-            f" {self.in_cells:.0%} of the eyes in cells"
+            f" {self.in_cells:.0%} of the eyes where navigable space is"
         )
         apart = max(mine, theirs) > _TIMES * min(mine, theirs)
         warning = (
