@@ -9,7 +9,7 @@ smallest of those that `gsvis simulate` tries. Every image stands beside its PSN
 
 Given: the built-in flat, its package, a link of 5 Mbit/s and 50 ms, a viewer who stands and turns.
 Measured: images, bytes and PSNR of the simulation. The whole file is drawn as if it lost nothing.
-Defaults chosen on: other scenes; eye and link were chosen before anything was drawn.
+Defaults chosen on: other scenes; eye and link before anything was drawn, times so that the whole file is seen, too.
 """
 
 from __future__ import annotations

@@ -180,7 +180,7 @@ class TestTerminal:
             try:
                 out, _ = process.communicate(timeout=10)
                 break
-            except subprocess.TimeoutExpired:  # a key that came while Python could not be interrupted is lost
+            except subprocess.TimeoutExpired:  # it came between Python's last look at signals and the read
                 os.write(leader, typed)
         rest = b""
         try:
