@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -163,6 +164,7 @@ class TestTerminal:
             import termios
 
             fcntl.ioctl(follower, termios.TIOCSCTTY, 0)
+            signal.signal(signal.SIGINT, signal.SIG_DFL)  # who runs the tests in the background ignores it
 
         process = subprocess.Popen(
             [sys.executable, "-c", program], stdin=follower, stdout=subprocess.PIPE, stderr=follower,
@@ -176,12 +178,7 @@ class TestTerminal:
             except OSError:  # it has ended without a question
                 raise AssertionError(seen.decode()) from None
         os.write(leader, typed)
-        for _ in range(30):
-            try:
-                out, _ = process.communicate(timeout=10)
-                break
-            except subprocess.TimeoutExpired:  # it came between Python's last look at signals and the read
-                os.write(leader, typed)
+        out, _ = process.communicate(timeout=300)
         rest = b""
         try:
             while more := os.read(leader, 4096):
