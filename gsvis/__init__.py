@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from gsvis.scene.cameras import Cameras
     from gsvis.scene.gaussians import Gaussians
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 
 __all__ = [
     "BackendError",
