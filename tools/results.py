@@ -17,11 +17,13 @@ sys.path.insert(0, str(ROOT / "benchmarks"))
 sys.path.insert(0, str(ROOT / "tools"))
 
 from _harness import read_notes  # noqa: E402
-from results_pages import PAGES, Row  # noqa: E402
+from results_pages import PAGES, Row, Section  # noqa: E402
 from results_rows import SECTIONS  # noqa: E402
+from results_rows_wins import BEHIND  # noqa: E402
 
 DOCS = ROOT / "docs"
 BEGIN, END = "<!-- tables: python tools/results.py -->", "<!-- end of tables -->"
+BEGIN_WINS, END_WINS = "<!-- first table: python tools/results.py -->", "<!-- end of the first table -->"
 SPELLING = (
     ("colour", "color"),
     ("centre", "center"),
@@ -72,19 +74,22 @@ def read_results() -> dict[str, dict[str, Any]]:
 
 
 def summary_page(results: dict[str, dict[str, Any]]) -> str:
-    """Return the summary with fresh tables: every section of it is one table with a question as its title."""
-    parts = []
-    for section in SECTIONS:
-        lines = [
-            f"### {section.title}",
-            "",
-            "| question | ours | best peer | target | verdict |",
-            "|---|---|---|---|---|",
-        ]
-        lines += [summary_row(row, results) for row in section.rows]
-        parts.append("\n".join([*lines, "", f"Details: [{PAGES[section.page].title}](results/{section.page}.md)."]))
+    """Return the summary with fresh tables: the first section leads the page, the others follow the notes."""
+    first, *rest = SECTIONS
     page = (DOCS / "results.md").read_text(encoding="utf-8")
+    page = replace_between(page, BEGIN_WINS, END_WINS, f"{section_table(first, results)}\n\n{BEHIND}")
+    parts = []
+    for section in rest:
+        details = f"Details: [{PAGES[section.page].title}](results/{section.page}.md)."
+        parts.append(f"{section_table(section, results)}\n\n{details}")
     return replace_between(page, BEGIN, END, "\n\n".join(parts))
+
+
+def section_table(section: Section, results: dict[str, dict[str, Any]]) -> str:
+    """Return the table of a section: a question as its title, then a line for each row."""
+    lines = [f"### {section.title}", "", "| question | ours | best peer | target | verdict |", "|---|---|---|---|---|"]
+    lines += [summary_row(row, results) for row in section.rows]
+    return "\n".join(lines)
 
 
 def summary_row(row: Row, results: dict[str, dict[str, Any]]) -> str:
@@ -102,7 +107,8 @@ def summary_row(row: Row, results: dict[str, dict[str, Any]]) -> str:
     verdict = row.verdict or ("" if not met else "reached" if all(met) else "missed")
     if "missed" in verdict or "behind" in verdict:
         verdict = f"**{verdict}**"
-    return f"| {row.question} | {ours} | {row.peer} | {target} | {verdict} |"
+    question = f"[{row.question}](results/{row.page}.md)" if row.page else row.question
+    return f"| {question} | {ours} | {row.peer} | {target} | {verdict} |"
 
 
 def find_figure(name: str, results: dict[str, dict[str, Any]]) -> dict[str, Any]:

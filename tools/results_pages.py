@@ -18,6 +18,7 @@ class Row:
         peer: The best other answer, and whose it is.
         target: Overrides the target of the first figure.
         verdict: Overrides "reached" (every figure is) and "missed" (one figure is).
+        page: The page with the details, for a row of the first table; below, the section names it.
     """
 
     question: str
@@ -26,6 +27,7 @@ class Row:
     peer: str = ""
     target: str = ""
     verdict: str = ""
+    page: str = ""
 
 
 @dataclass(frozen=True)

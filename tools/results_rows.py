@@ -1,18 +1,20 @@
 """The rows of docs/results.md: one question each, and which figure of which benchmark answers it.
 
 To change a row, edit it here and run `python tools/results.py`. Figures, targets and verdicts come from the JSON in
-docs/results. `ours`, `target` and `verdict` are by hand only where no JSON has them or where the JSON alone would
-flatter.
+docs/results. The first section leads the page: what gsvis does better than other tools. `ours`, `target` and
+`verdict` are by hand only where no JSON has them or where the JSON alone would flatter.
 """
 
 from __future__ import annotations
 
 from results_pages import Row, Section
 from results_rows_use import USE
+from results_rows_wins import WINS
 
 __all__ = ["SECTIONS"]
 
 SECTIONS = (
+    WINS,
     Section(
         "Can you trust it?",
         "trust",
@@ -170,12 +172,6 @@ SECTIONS = (
                 target="≤ 2%",
             ),
             Row(
-                "What does listing all contributions of a ray cost?",
-                ("raycast_contributions: contributions over list_intersections, showroom LOD 3 from inside",),
-                ours="0.37 (median of four eyes, measured by others; {0:.2f} here)",
-                peer="Open3D's bare list of hits: 1",
-            ),
-            Row(
                 "How long do our hierarchy of 1.5 M Gaussians and an Embree tree by Open3D take?",
                 (
                     "raycast_build: proxies and hierarchy, showroom LOD 2: time",
@@ -208,25 +204,14 @@ SECTIONS = (
         "rasterizer",
         (
             Row(
-                "Garden, 648 x 420, forward, and forward with backward?",
-                ("render_garden: garden, forward with projection", "render_garden: garden, forward plus backward"),
-                ours="{0:.3f}, {1:.3f} s quiet; 0.084, 0.17 s busy",
-                peer="OpenSplat: 0.71, 1.06 s (measured earlier)",
-                target="≤ 0.071, 0.106 s",
-                verdict="missed when busy",
-            ),
-            Row(
-                "How far is it from bare arithmetic?",
-                ("render_garden: garden, forward over the bare exponentials and blending",),
-                ours="{0:.0f} times",
-            ),
-            Row(
-                "A frame of 1.5 M Gaussians at 1080p?",
+                "How far is a frame from bare arithmetic; how long does one of 1.5 M Gaussians take at 1080p?",
                 (
+                    "render_garden: garden, forward over the bare exponentials and blending",
                     "render_large: showroom LOD 2 at 1920 x 1080: a frame",
                     "render_large: showroom LOD 2 at 1920 x 1080: memory a frame adds, over the scene",
                 ),
-                ours="{0:.2f} s, {1:.1f} times the scene's memory",
+                ours="{0:.0f} times; {1:.2f} s, {2:.1f} times the scene's memory",
+                target="≤ 3 times; ≤ 2 s",
             ),
         ),
     ),
@@ -260,18 +245,6 @@ SECTIONS = (
                 ("certificate: rays on which both tracers agree", "certificate: rays traced twice"),
                 ours="on {0:.1%} of {1:.0f} rays",
                 target="100%",
-            ),
-            Row(
-                "What is the image from a set worth, at 480 x 360 and at 1920 x 1080?",
-                (
-                    "pvs_images: image of 480 x 360 from the set, mean",
-                    "pvs_images: image of 480 x 360 from the set, worst image",
-                    "pvs_images: image of 1920 x 1080 from the set, mean",
-                    "pvs_images: image of 1920 x 1080 from the set, worst image",
-                ),
-                ours="{0:.1f} dB, the worst of 40 {1:.1f}; {2:.1f}, {3:.1f}",
-                peer="dense union, 480 x 360: 54.8 dB, worst 28.7",
-                target="≥ 45 dB, 40",
             ),
             Row(
                 "How large is a set, against 27 viewpoints at 320 px a face?",
@@ -311,15 +284,6 @@ SECTIONS = (
                 target="≥ 1.7 times with two threads",
                 verdict="reached on a quiet machine",
             ),
-            Row(
-                "How small is the store, and how fast is `visible(cell)`, cold?",
-                (
-                    "visibility_store: bits for each (cell, visible Gaussian), without classes",
-                    "visibility_store: visible, cold",
-                ),
-                ours="{0:.2f} bits a visible Gaussian; {1:.2f} ms",
-                peer="a roaring bitmap a cell: 4 times as many bits",
-            ),
         ),
     ),
     Section(
@@ -340,22 +304,6 @@ SECTIONS = (
                 ("train_srbf: bonsai, rgb, 0.96 terms a Gaussian: PSNR lost against SH",),
                 ours="{0:.3f} dB",
                 peer="paper, trained with its colors: gains 0.343 dB",
-            ),
-            Row(
-                "What does a new eye cost?",
-                ("color_evaluate: rgb, 4 terms: time for a new eye, over SH degree 3",),
-                ours="{0:.2f} times",
-                peer="SH of degree 3: 1",
-            ),
-            Row(
-                "How fast is matching pursuit, and how long does a fit of 1 M Gaussians take?",
-                (
-                    "omp: signals per second over scikit-learn's",
-                    "color_fit: fit of 1M Gaussians, masked, two functions, 4 terms, refined",
-                ),
-                ours="{0:.0f} times; {1:.0f} s",
-                peer="scikit-learn: 1",
-                target="≥ 50; ≤ 300 s",
             ),
             Row(
                 "What share of terms does a walk of 30 s send?",

@@ -14,18 +14,6 @@ USE = (
         "streaming",
         (
             Row(
-                "Nika and showroom at 10 Mbit/s: when is an image of 20 and of 35 dB there?",
-                (
-                    "streaming_rivals: 20 dB after, median, 10 Mbit/s, nika",
-                    "streaming_rivals: 35 dB after, median, 10 Mbit/s, nika",
-                    "streaming_rivals_showroom: 20 dB after, median, 10 Mbit/s, showroom",
-                    "streaming_rivals_showroom: 35 dB after, median, 10 Mbit/s, showroom",
-                ),
-                ours="{0:.2g}, {1:.2g} s; {2:.2g}, {3:.2g} s",
-                peer="layers: 0.2, 1.8 s; layers: 0.6 s, chunks: 1.9 s",
-                target="≤ 0.1, 0.5 s",
-            ),
-            Row(
                 "QoE of a step less the best rival's, nika at 1, 3, 10, 30 Mbit/s, lower end of 95%?",
                 (
                     "streaming_rivals: the same, lower end of its interval, 1 Mbit/s, nika",
@@ -110,13 +98,6 @@ USE = (
         "Does editing keep what matters?",
         "edit",
         (
-            Row(
-                "How much of showroom does a walk need that was not looked at before, and how good is its worst frame?",
-                ("cut_unseen: around: share of the Gaussians kept", "cut_unseen: around: worst frame"),
-                ours="{0:.1%}, {1:.1f} dB",
-                peer="as many nearest to the walk: 13.0 dB",
-                target="≤ 40%, ≥ 45 dB",
-            ),
             Row(
                 "What of floaters, fog and interior put in does `clean` find, at least: built-in scenes, real ones?",
                 (
@@ -228,13 +209,6 @@ USE = (
                 target="≤ 1 s, 1.5 s, 10%",
             ),
             Row(
-                "How true and how fast is its picture of 747k Gaussians, beside PlayCanvas'?",
-                ("viewer_draw: showroom: PSNR", "viewer_draw: showroom: frames a second over PlayCanvas'"),
-                ours="{0:.1f} dB against `gsvis render`, {1:.1f} times the frames",
-                peer="PlayCanvas 2.23: 33.4 dB",
-                target="≥ 50 dB, 2 times",
-            ),
-            Row(
                 "How many bytes does a static site need until 35 dB, all eyes together: nika, showroom?",
                 (
                     "static_site_nika: bytes until 35 dB over those of the server, 6 eyes, all bytes together",
@@ -243,18 +217,6 @@ USE = (
                 ours="{0:.2f}, {1:.2f} times",
                 peer="streaming server: 1",
                 target="≤ 1.5 times",
-            ),
-            Row(
-                "Streamed SOG with its sidecar, showroom and nika: fewer bytes until 35 dB, fewer splats drawn?",
-                (
-                    "streamed_sog: showroom: bytes until 35 dB, fewer than in the engine's order",
-                    "streamed_sog_nika: nika: bytes until 35 dB, fewer than in the engine's order",
-                    "streamed_sog: showroom: splats drawn, fewer than without the sidecar",
-                    "streamed_sog_nika: nika: splats drawn, fewer than without the sidecar",
-                ),
-                ours="{0:.0%}, {1:.0%}; {2:.0%}, {3:.0%}",
-                peer="PlayCanvas 2.23's order: 0",
-                target="≥ 40%",
             ),
         ),
     ),

@@ -29,6 +29,16 @@ def test_summary_is_one_page_that_a_person_reads() -> None:
     assert sum(len(section.rows) for section in SECTIONS) <= 60
 
 
+def test_the_page_begins_with_what_is_better_than_a_peer() -> None:
+    first = SECTIONS[0]
+    assert len(first.rows) <= 12
+    assert all(row.peer and row.figures for row in first.rows)
+    assert all(row.page in PAGES for row in first.rows)
+    page = SUMMARY.read_text(encoding="utf-8")
+    titles = [page.index(f"### {section.title}\n") for section in SECTIONS]
+    assert titles == sorted(titles)
+
+
 def test_titles_of_tables_are_questions() -> None:
     assert all(section.title.endswith("?") for section in SECTIONS)
     assert all(row.question.endswith("?") for section in SECTIONS for row in section.rows)
