@@ -18,7 +18,7 @@ from gsvis.cli.arguments_serve import Serve
 from gsvis.cli.arguments_simulate import Simulate
 from gsvis.cli.arguments_space import Space
 from gsvis.cli.arguments_view import View
-from gsvis.cli.arguments_where import SHOW, Where, WhereSeen
+from gsvis.cli.arguments_where import SHOW, Framed, Where, WhereSeen
 from gsvis.cli.arguments_world import World
 from gsvis.cli.readers import (
     BYTES,
@@ -246,7 +246,7 @@ class Pvs(WhereSeen):
 
 
 @dataclass(frozen=True)
-class PvsReport:
+class PvsReport(Framed):
     """Measure how good the sets of a store are; write a report."""
 
     store: Annotated[Positional[str], arg(metavar="STORE", help_behavior_hint="")]

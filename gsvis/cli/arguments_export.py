@@ -7,13 +7,14 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
+from gsvis.cli.arguments_where import SHOW, WhereSeen
 from gsvis.cli.readers import DISTANCE, LEAF, ORIGINS, PLAIN, Flag, Lod, hint
 
 __all__ = ["Export"]
 
 
 @dataclass(frozen=True)
-class Export:
+class Export(WhereSeen):
     """Write a scene for players that need no gsvis: sites, streamed SOG, 3D Tiles."""
 
     scene: Annotated[Positional[str], arg(metavar="SCENE", help_behavior_hint="")]
@@ -48,9 +49,8 @@ class Export:
         None
     )
     """Up in the scene: an axis such as -y, or three numbers."""
-    cameras: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: no cameras)")] = None
-    """Cameras of the capture, in the frame of SCENE, for static and html: a COLMAP model, transforms.json or
-    cameras.json. They say where people stand and which way is up."""
+    show: Annotated[str | None, SHOW] = None
+    """Write a picture of where people stand: the first view, and a plan with eyes; for static and html."""
     overwrite: Flag = False
     """Replace files that exist: a file, an earlier streamed SOG or tileset, or a page of something else. An earlier
     site is replaced without it."""

@@ -7,13 +7,14 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
+from gsvis.cli.arguments_where import SHOW, WhereSeen
 from gsvis.cli.readers import PORT, Flag, Lod, hint
 
 __all__ = ["View"]
 
 
 @dataclass(frozen=True)
-class View:
+class View(WhereSeen):
     """Show a scene or a package in the browser, until Ctrl-C."""
 
     scene: Annotated[Positional[str], arg(metavar="SCENE", help_behavior_hint="")]
@@ -22,9 +23,8 @@ class View:
     """Level of detail of a streamed scene; 0 is the finest."""
     up: Annotated[str | None, arg(metavar="UP", help_behavior_hint="(default: the likely one)")] = None
     """Up in a scene as it is: an axis such as -y, or three numbers."""
-    cameras: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: no cameras)")] = None
-    """Cameras of the capture, in the frame of SCENE: a COLMAP model, transforms.json or cameras.json. They say where
-    people stand and which way is up."""
+    show: Annotated[str | None, SHOW] = None
+    """Write a picture of where people stand: the first view, and a plan with eyes."""
     prepare: Annotated[str | None, arg(metavar="PACKAGE", help_behavior_hint="(default: show it as it is)")] = None
     """Also prepare the scene as this package meanwhile; it is served under the same name as soon as it is ready."""
     host: Annotated[str, arg(metavar="HOST", help_behavior_hint="(default: 127.0.0.1)")] = "127.0.0.1"

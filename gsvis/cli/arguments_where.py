@@ -9,13 +9,22 @@ from tyro.conf import arg
 
 from gsvis.cli.readers import AROUND, BOX, DISTANCE, KIND, PLAIN, Flag, hint
 
-__all__ = ["SHOW", "Where", "WhereSeen"]
+__all__ = ["SHOW", "Framed", "Where", "WhereSeen"]
 
 SHOW = arg(metavar="FILE", help_behavior_hint="(default: none)")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Where:
+class Framed:
+    """The frame of --cameras; every command that takes cameras has it."""
+
+    cameras_frame: Annotated[Literal["auto", "scene", "capture"], PLAIN] = "auto"
+    """Frame of --cameras. scene: that of SCENE, as they are; capture: that of the photographs, moved by nerfstudio's
+    dataparser_transforms.json; auto: moved where more of them see the scene then. (default: auto)"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Where(Framed):
     """Where eyes may be; by default where the kind of the scene puts them."""
 
     box: Annotated[tuple[float, ...] | None, BOX, hint("the navigable space of the scene")] = None
@@ -29,9 +38,6 @@ class Where:
     """Distance of viewpoints from --path, at most, in scene units."""
     retarget: Flag = False
     """Move --path into the scene by a similarity transform, if it was recorded in another frame."""
-    cameras_frame: Annotated[Literal["auto", "scene", "capture"], PLAIN] = "auto"
-    """Frame of --cameras. scene: that of SCENE, as they are; capture: that of the photographs, moved by nerfstudio's
-    dataparser_transforms.json; auto: moved where more of them see the scene then. (default: auto)"""
     kind: Annotated[str | None, KIND, hint("auto, and a question on a terminal where that is unsure")] = None
     """What the scene is, which says where people stand: object, rooms, open-place; or auto, which asks nothing."""
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from gsvis._text import as_line
 from gsvis.cli.arguments_export import Export
-from gsvis.cli.arguments_where import WhereSeen
+from gsvis.cli.showing import check_show
 from gsvis.cli.source import (
     Source,
     check_file,
@@ -21,9 +21,9 @@ from gsvis.cli.source import (
     title_of,
     up_to_turn,
 )
-from gsvis.cli.starts import Visit, plan_visit
 from gsvis.cli.terminal import Status, print_json, show, size_of
-from gsvis.cli.where import check_where
+from gsvis.cli.visits import Visit, settle_visit
+from gsvis.cli.where import PLACING, check_where, typed
 from gsvis.files.origins import parse_origins
 from gsvis.package.manifest import MANIFEST
 
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from gsvis.package import Package
     from gsvis.scene.gaussians import Gaussians
     from gsvis.scene.levels import Levels
+    from gsvis.scene.paths import HeadPath
 
 __all__ = ["open_scene", "run_export"]
 
@@ -49,7 +50,7 @@ def run_export(command: Export) -> None:
         FileNotFoundError: If there is no such scene.
         OSError: If the result cannot be written.
     """
-    _check_options(command)
+    walk = _check_options(command)
     opens = parse_origins("--page-origins", command.page_origins)
     _check_target(command)
     _check_apart(command)
@@ -67,7 +68,7 @@ def run_export(command: Export) -> None:
 
     with ExitStack() as stack, Status() as status:
         scene, name, up, source = open_scene(command, stack, status)
-        visit = None if source is None else _visit(command, source, status)
+        visit = None if source is None else _visit(command, source, walk, status)
         if visit is not None:
             up = _triple(visit.up)
         options = StaticOptions(name, up, poses=None if visit is None else visit.starts)
@@ -99,8 +100,8 @@ def run_export(command: Export) -> None:
         show(f"Serve it from any file server, such as: python -m http.server -d {command.out}")
 
 
-def _check_options(command: Export) -> None:
-    """Raise if an option is given that the format does not know, or that needs another."""
+def _check_options(command: Export) -> HeadPath | None:
+    """Raise if an option is given that the format does not know, or that needs another; return the walk of --path."""
     leaves, gltf, pages = ("streamed-sog", "3dtiles"), ("3dtiles", "glb"), ("static", "html", "streamed-sog")
     given = {
         "--pvs": (command.pvs, leaves),
@@ -110,19 +111,21 @@ def _check_options(command: Export) -> None:
         "--meters-per-unit": (command.meters_per_unit, gltf),
         "--request-volumes": (command.request_volumes or None, ("3dtiles",)),
         "--name": (command.name, pages),
-        "--cameras": (command.cameras, ("static", "html")),
+        **{option: (words, ("static", "html")) for option, words in typed(command, ("show", *PLACING)).items()},
         "--page-origins": (command.page_origins or None, ("static",)),
     }
     for option, (value, formats) in given.items():
         if value is not None and command.format not in formats:
             known = " or ".join(formats)
             raise ValueError(f"{option}: expected --format {known} with it, got {command.format}; leave it out")
-    check_where(WhereSeen(cameras=command.cameras))
+    walk = check_where(command)
+    check_show(command)
     sets = command.pvs is not None or (Path(command.scene) / MANIFEST).is_file()
     if command.request_volumes and not sets:
         raise ValueError("--request-volumes: expected a package or --pvs FILE with it, got neither; see gsvis pvs")
     if command.pvs is not None and not Path(command.pvs).exists():
         raise FileNotFoundError(2, "no such file or folder", command.pvs)
+    return walk
 
 
 def _detail(terms: int, cells: int) -> str:
@@ -177,10 +180,8 @@ def open_scene(
     if (Path(command.scene) / MANIFEST).is_file():
         from gsvis.package import Package
 
-        if command.lod is not None:
-            raise ValueError(f"--lod: expected none for a package, got {command.lod}; leave it out")
-        if command.cameras is not None:
-            raise ValueError(f"--cameras: expected none for a package, got {command.cameras}; leave it out")
+        for option, words in typed(command, ("lod", "show", *PLACING)).items():
+            raise ValueError(f"{option}: expected none for a package, got {' '.join(words) or option}; leave it out")
         name = as_line(command.name or Path(command.scene).resolve().name.removesuffix(".gsvis"))
         return stack.enter_context(Package.open(command.scene)), name, _triple(up), None
     check_source(command.scene, command.lod)
@@ -191,10 +192,10 @@ def open_scene(
     return source.whole, name, _triple(up_to_turn(source) if up is None else up), source
 
 
-def _visit(command: Export, source: Source, status: Status) -> Visit:
-    """Return how a visit of a scene that is no package begins."""
+def _visit(command: Export, source: Source, walk: HeadPath | None, status: Status) -> Visit:
+    """Return how a visit of a scene that is no package begins, by options or what a user answers."""
     status("start", 0, 1)
-    found = plan_visit(source, command.up, command.cameras)
+    _, found = settle_visit(command, source, walk, status)
     status("start", 1, 1)
     return found
 

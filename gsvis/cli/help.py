@@ -103,7 +103,7 @@ FIRST: dict[str, tuple[str, ...]] = {
     "unpack": ("out", "sh_degree", "json", "debug"),
     "export": ("out", "format", "leaf", "compression", "meters_per_unit", "name", "lod", "up", "overwrite", "json"),
     "space": ("out", "box", "path", "up", "resolution", "frame", "meters_per_unit", "lod", "overwrite", "json"),
-    "view": ("lod", "up", "prepare", "host", "port", "no_browser", "json", "drop_invalid", "debug"),
+    "view": ("lod", "up", "cameras", "kind", "show", "prepare", "host", "port", "no_browser", "json"),
     "serve": ("host", "port", "token", "ssl_certfile", "ssl_keyfile", "origins", "clients", "workers", "cache"),
     "simulate": ("out", "path", "trace", "mbit", "round_trip", "scene", "whole_file", "seconds", "policy", "json"),
 }

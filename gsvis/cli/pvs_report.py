@@ -24,7 +24,7 @@ from gsvis.cli.source import (
     spaces_of_build,
 )
 from gsvis.cli.terminal import Status, facts, print_json, show, size_of
-from gsvis.cli.where import Place
+from gsvis.cli.where import Place, check_cameras
 from gsvis.errors import SceneError
 from gsvis.pvs.store import VisibilityStore
 from gsvis.pvs.viewpoints import CellViewpoints
@@ -41,6 +41,7 @@ _JUDGES, _SMALL, _STREAM = 50, (160, 120), 3  # views by each rule, their pixels
 _OPTIONS = (
     "lod",
     "cameras",
+    "cameras_frame",
     "cells",
     "eyes",
     "dense",
@@ -68,8 +69,7 @@ def run_pvs_report(command: PvsReport) -> None:
         raise FileNotFoundError(2, "no such file or folder", command.store)
     check_source(command.scene, command.lod)
     check_report(command.out)
-    if command.cameras is not None and not Path(command.cameras).exists():
-        raise FileNotFoundError(2, "no such file or folder", command.cameras)
+    check_cameras(command)
     with VisibilityStore.open(command.store) as store, Status() as status:
         document = _write_report(command, store, status)
     if command.json:
@@ -85,6 +85,7 @@ def _write_report(command: PvsReport, store: VisibilityStore, status: Status) ->
     store.check_scene(source.whole)
     facts_found = inspect_scene_of(source)
     status("reading", 1, 1)
+    witnesses, framed = _witnesses(command, source)
     status("space", 0, 1)
     viewpoints, text = _viewpoints(store, source)
     status("space", 1, 1)
@@ -96,7 +97,7 @@ def _write_report(command: PvsReport, store: VisibilityStore, status: Status) ->
     same = {name: getattr(command, name) for name in names}
     config = QualityConfig(viewpoints=command.eyes, rays=command.raycast, **same)
     found = measure_quality(store, source.whole, viewpoints, config, progress=status)
-    judged, framed = _judge(command, store, source, viewpoints.space, status)
+    judged, unjudged = _judge(command, store, source, replace(viewpoints.space, witnesses=witnesses), status)
     subject = Subject(
         title=source.name,
         gaussians=source.gaussians,
@@ -104,7 +105,7 @@ def _write_report(command: PvsReport, store: VisibilityStore, status: Status) ->
         cameras_from=text,
         command=_command_line(command),
         version=version(),
-        facts={"path": command.scene, "lod": source.lod, **facts_found, "remarks": framed},
+        facts={"path": command.scene, "lod": source.lod, **facts_found, "remarks": [*framed, *unjudged]},
         parameters={name: getattr(command, name) for name in ("store", "scene", *_OPTIONS)},
         seconds=dict(status.seconds),
         judged=judged,
@@ -113,23 +114,28 @@ def _write_report(command: PvsReport, store: VisibilityStore, status: Status) ->
     return write_pvs_report(command.out, found, store, subject, progress=status)
 
 
+def _witnesses(command: PvsReport, source: Source) -> tuple[Witnesses | None, list[str]]:
+    """Return the cameras that judge, none without --cameras, and remarks on their frame."""
+    if command.cameras is None:
+        return None, []
+    cameras = file_cameras(command.cameras, *_SMALL)
+    cameras, framed = framed_cameras(source, cameras, command.cameras, command.cameras_frame)
+    kept = hold_out(len(cameras))[1]
+    some = cameras[kept] if len(kept) else cameras
+    return Witnesses(some, f"{len(some):,} cameras of {command.cameras}"), framed
+
+
 def _judge(
     command: PvsReport, store: VisibilityStore, source: Source, space: NavigableSpace, status: Status
 ) -> tuple[dict[str, Any] | None, list[str]]:
-    """Return what eyes of two rules see of the sets, and remarks on the frame of the cameras, which judge too."""
+    """Return what eyes of two rules see of the sets, or a remark why nothing judges them."""
     from gsvis.pvs.judged import judge_sets
 
-    framed: list[str] = []
-    if command.cameras is not None:
-        cameras, framed = framed_cameras(source, file_cameras(command.cameras, *_SMALL), command.cameras)
-        kept = hold_out(len(cameras))[1]
-        some = cameras[kept] if len(kept) else cameras
-        space = replace(space, witnesses=Witnesses(some, f"{len(some):,} cameras of {command.cameras}"))
     views = ViewSampling(_JUDGES, *_SMALL, command.fov, command.seed, _STREAM)
     try:
-        return judge_sets(as_levels(source.whole), space, store, views, progress=status).as_dict(), framed
+        return judge_sets(as_levels(source.whole), space, store, views, progress=status).as_dict(), []
     except SceneError as error:  # the report stands without judges
-        return None, [*framed, f" Not checked by other eyes: {error.problem}."]
+        return None, [f" Not checked by other eyes: {error.problem}."]
 
 
 def _viewpoints(store: VisibilityStore, source: Source) -> tuple[CellViewpoints, str]:

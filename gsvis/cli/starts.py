@@ -2,61 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from gsvis.cli.arguments_where import WhereSeen
-from gsvis.cli.source import Source, navigable_space, parse_up, up_of
-from gsvis.cli.where import find_place
+from gsvis.cli.source import Source, navigable_space
 from gsvis.scene.navigable import NavigableSpace
 
 if TYPE_CHECKING:
     from gsvis.export.start import Start
 
-__all__ = ["Visit", "find_starts", "plan_visit", "thin"]
+__all__ = ["find_starts", "starts_in", "thin"]
 
 _PART = 100_000
 """Number of Gaussians that are looked at. What place a scene is, and where it is free, shows in few."""
 _DRAWN = 12
-
-
-@dataclass(frozen=True, eq=False)
-class Visit:
-    """How a visit of a scene begins.
-
-    Attributes:
-        starts: Upright views that show much of the scene, the best first; None if no eye finds room.
-        up: (3,) unit up axis.
-        remarks: Remarks for the user, such as what is not sure.
-    """
-
-    starts: tuple[Start, ...] | None
-    up: NDArray[np.float64]
-    remarks: list[str]
-
-
-def plan_visit(source: Source, up: str | None = None, cameras: str | None = None) -> Visit:
-    """Return how a visit of a scene begins, by the evidence that every command weighs.
-
-    Where that is not sure, a remark says so, and views are drawn from where either reading has eyes.
-
-    Args:
-        source: The scene.
-        up: Value of --up; None means the known one, else that of cameras, else the likely one.
-        cameras: File of the cameras that took its photos; None without.
-    """
-    some = thin(source)
-    place = find_place(some, WhereSeen(cameras=cameras), up)
-    if place.upright is not None:
-        axis = place.upright.up
-    else:
-        given = parse_up(up)
-        axis = up_of(some) if given is None else given
-    found = None if place.space is None else _starts_in(some, place.space)
-    return Visit(found, axis, place.remarks)
 
 
 def find_starts(source: Source, up: ArrayLike) -> tuple[Start, ...] | None:
@@ -71,10 +33,16 @@ def find_starts(source: Source, up: ArrayLike) -> tuple[Start, ...] | None:
     """
     some = thin(source)
     space, _ = navigable_space(some, up=up)
-    return None if space is None else _starts_in(some, space)
+    return None if space is None else starts_in(some, space)
 
 
-def _starts_in(some: Source, space: NavigableSpace) -> tuple[Start, ...] | None:
+def starts_in(some: Source, space: NavigableSpace) -> tuple[Start, ...] | None:
+    """Return upright views from a navigable space, the best first; None if no eye finds room.
+
+    Args:
+        some: The scene, or as much of it as `thin` leaves.
+        space: Where eyes may be.
+    """
     from gsvis.export.start import Mode, Start
     from gsvis.prepare.start_views import choose_start_views
     from gsvis.scene.poses import describe_poses

@@ -15,14 +15,15 @@ from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 from gsvis.cli.arguments_view import View
-from gsvis.cli.arguments_where import WhereSeen
 from gsvis.cli.serve import log_to_stderr
 from gsvis.cli.terminal import Status, print_json, say
+from gsvis.cli.where import PLACING, check_where, typed
 from gsvis.errors import GsvisError
 from gsvis.files.temporary import temporary_folder
 from gsvis.package.manifest import MANIFEST
 
 if TYPE_CHECKING:
+    from gsvis.scene.paths import HeadPath
     from gsvis.serve import Server
     from gsvis.serve.scenes import Scenes
 
@@ -46,7 +47,7 @@ def run_view(command: View) -> None:
 
     with ExitStack() as stack:
         stack.enter_context(log_to_stderr(TextLines(), logging.DEBUG if command.debug else logging.WARNING))
-        folder, name, remarks = _folder_of(command, stack)
+        command, folder, name, remarks = _folder_of(command, stack)
         scene = open_scene(folder, name, max_cache_bytes=_CACHE)
         scenes, name = stack.enter_context(Scenes([scene])), scene.name
         server = _listen(command, scenes)
@@ -67,46 +68,55 @@ def run_view(command: View) -> None:
             server.run()
 
 
-def _folder_of(command: View, stack: ExitStack) -> tuple[Path, str, list[str]]:
-    """Return the folder to serve, the name of the scene in addresses ("" for that of the folder), and remarks.
+def _folder_of(command: View, stack: ExitStack) -> tuple[View, Path, str, list[str]]:
+    """Return the command with answers of the user, the folder to serve, the name in addresses, and remarks.
 
-    A package, a world and a static scene are served from their folder, any other scene from a temporary one.
+    A package, a world and a static scene are served from their folder, which gives the name ("" here); any other scene
+    from a temporary one.
     """
     from gsvis.serve.sites import is_site
     from gsvis.world.world import is_world
 
-    given = Path(command.scene)
-    if (given / MANIFEST).is_file() or is_site(given) or is_world(given):
-        options = ("lod", "up", "cameras", "prepare")
-        for option, value in ((f"--{name}", getattr(command, name)) for name in options):
-            if value is not None:
-                raise ValueError(
-                    f"{option}: expected none for a package, a world or a static scene, got {value}; leave it out"
-                )
-        return given, "", []
-    from gsvis.cli.source import check_folder, load_source, parse_up, title_of
-    from gsvis.cli.starts import plan_visit
-    from gsvis.cli.where import check_where
+    path = Path(command.scene)
+    if (path / MANIFEST).is_file() or is_site(path) or is_world(path):
+        for option, words in typed(command, ("lod", "up", "prepare", "show", *PLACING)).items():
+            got = " ".join(words) or option
+            raise ValueError(
+                f"{option}: expected none for a package, a world or a static scene, got {got}; leave it out"
+            )
+        return command, path, "", []
+    from gsvis.cli.source import load_source, title_of
+    from gsvis.cli.visits import settle_visit
     from gsvis.export.static import StaticOptions, write_static
 
-    parse_up(command.up)
-    check_where(WhereSeen(cameras=command.cameras))
-    if command.prepare is not None:
-        if os.path.lexists(command.prepare):
-            raise ValueError(f"--prepare: expected a new folder, got {command.prepare}, which exists; name another")
-        check_folder(Path(command.prepare).absolute().parent)
+    walk = _check_scene(command)
     with Status() as status:
         status("reading", 0, 1)
         source = load_source(command.scene, command.lod)
         status("reading", 1, 1)
         folder = Path(stack.enter_context(temporary_folder()))
         status("start", 0, 1)
-        visit = plan_visit(source, command.up, command.cameras)
+        command, visit = settle_visit(command, source, walk, status)
         status("start", 1, 1)
         x, y, z = visit.up.tolist()
         shown = StaticOptions(title_of(command.scene, source.lod), (x, y, z), poses=visit.starts)
         write_static(folder, source.whole, shown, progress=status)
-    return folder, title_of(command.scene), visit.remarks
+    return command, folder, title_of(command.scene), visit.remarks
+
+
+def _check_scene(command: View) -> HeadPath | None:
+    """Check the options of a scene that is no package, before it is read; return the walk of --path."""
+    from gsvis.cli.showing import check_show
+    from gsvis.cli.source import check_folder, parse_up
+
+    parse_up(command.up)
+    walk = check_where(command)
+    check_show(command)
+    if command.prepare is not None:
+        if os.path.lexists(command.prepare):
+            raise ValueError(f"--prepare: expected a new folder, got {command.prepare}, which exists; name another")
+        check_folder(Path(command.prepare).absolute().parent)
+    return walk
 
 
 def _listen(command: View, scenes: Scenes) -> Server:
@@ -135,10 +145,8 @@ def _preparing(command: View, scenes: Scenes, name: str) -> Iterator[None]:
         yield
         return
     words = [sys.executable, "-m", "gsvis", "prepare", command.scene, "-o", command.prepare]
-    words += [] if command.lod is None else ["--lod", str(command.lod)]
-    words += [] if command.up is None else ["--up", command.up.strip()]
-    words += [] if command.cameras is None else ["--cameras", command.cameras]
-    words += ["--drop-invalid"] if command.drop_invalid else []
+    for option, values in typed(command, ("lod", "up", *PLACING, "drop_invalid")).items():
+        words += [option, *(value.strip() for value in values)]
     scenes[name].preparing, ending = True, threading.Event()
     nobody = subprocess.DEVNULL  # it must not ask while the scene is shown
     nice = _be_nice if os.name == "posix" else None

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
-from gsvis.cli.arguments_where import Where
+from gsvis.cli.arguments_where import Framed, Where, WhereSeen
 from gsvis.cli.source import Source, file_cameras, framed_cameras, navigable_space, parse_up
 from gsvis.errors import FormatError, SceneError
 from gsvis.io.poses import load_path
@@ -25,9 +26,11 @@ from gsvis.scene.upright import SURE, Upright, doubt_up, find_up
 from gsvis.scene.witnesses import Witnesses, hold_out
 
 __all__ = [
+    "PLACING",
     "WORDS",
     "Evidence",
     "Place",
+    "check_cameras",
     "check_where",
     "evidence_cameras",
     "find_place",
@@ -37,10 +40,14 @@ __all__ = [
     "space_document",
     "spell",
     "suspect_views",
+    "typed",
 ]
 
 WORDS = ("box", "around", "path", "margin", "retarget", "kind")
 """Names of the options."""
+
+PLACING = tuple(each.name for each in fields(WhereSeen))
+"""Names of all arguments that say where eyes may be, cameras included."""
 
 
 _BOX_VOXELS = 96  # along the longest side of a box
@@ -147,17 +154,28 @@ def check_where(where: Where, other: str = "") -> HeadPath | None:
     if len(names) > 1:
         value = getattr(where, names[1])
         raise ValueError(f"--{names[1]}: expected none with --{names[0]}, got {' '.join(spell(value))}; leave one out")
-    cameras = cameras_of(where)
-    if cameras is None and where.cameras_frame != "auto":
-        raise ValueError(f"--cameras-frame: expected --cameras with it, got {where.cameras_frame} alone; leave it out")
-    if cameras is not None and not Path(cameras).exists():
-        raise FileNotFoundError(2, "no such file or folder", cameras)
+    check_cameras(where)
     return None if where.path is None else load_path(where.path)
 
 
-def cameras_of(where: Where) -> str | None:
+def check_cameras(command: Framed) -> None:
+    """Check --cameras and --cameras-frame before work begins.
+
+    Raises:
+        ValueError: If a frame is given without cameras.
+        FileNotFoundError: If there is no file of cameras.
+    """
+    cameras = cameras_of(command)
+    if cameras is None and command.cameras_frame != "auto":
+        got = command.cameras_frame
+        raise ValueError(f"--cameras-frame: expected --cameras with it, got {got} alone; leave it out")
+    if cameras is not None and not Path(cameras).exists():
+        raise FileNotFoundError(2, "no such file or folder", cameras)
+
+
+def cameras_of(command: Framed) -> str | None:
     """Return the file of --cameras; None without, and for commands that have no such option."""
-    return where.cameras if isinstance(where, _HasCameras) else None
+    return command.cameras if isinstance(command, _HasCameras) else None
 
 
 def find_place(
@@ -430,6 +448,21 @@ def spell(value: Any) -> list[str]:
     if isinstance(value, tuple):
         return [f"{each:.9g}" for each in value] or ["auto"]
     return [f"{value:g}" if isinstance(value, float) else str(value)]
+
+
+def typed(command: Any, names: Iterable[str]) -> dict[str, list[str]]:
+    """Return the options of a command that differ from their defaults, each with its words on a command line.
+
+    Args:
+        command: A dataclass of arguments.
+        names: Names of arguments, of which each has a default.
+    """
+    values = {name: getattr(command, name) for name in names}
+    return {
+        f"--{name.replace('_', '-')}": spell(value)
+        for name, value in values.items()
+        if value != getattr(type(command), name)
+    }
 
 
 def kind_row(space: NavigableSpace) -> tuple[str, str]:

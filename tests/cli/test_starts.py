@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -9,10 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsvis.cli import starts
-from gsvis.cli.arguments_where import Where
+from gsvis.cli import asking, starts
+from gsvis.cli.arguments_export import Export
+from gsvis.cli.arguments_view import View
+from gsvis.cli.arguments_where import Where, WhereSeen
 from gsvis.cli.source import Source, load_source, navigable_space
-from gsvis.cli.starts import find_starts, plan_visit, thin
+from gsvis.cli.starts import find_starts, thin
+from gsvis.cli.terminal import Status
+from gsvis.cli.visits import plan_visit, settle_visit
 from gsvis.cli.where import find_place
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians, rotations_from_quats
@@ -69,16 +74,59 @@ def test_a_part_of_a_scene_covers_as_much(monkeypatch: pytest.MonkeyPatch) -> No
     assert area[1] == pytest.approx(area[0], rel=0.05)
 
 
-def test_a_visit_says_what_is_not_sure_and_begins_where_either_reading_has_eyes() -> None:
+@pytest.fixture(scope="module")
+def cloud() -> Source:
+    """A cloud of which nobody can say what it is."""
     spread = np.random.default_rng(0).standard_normal((1000, 3))
     quats = np.tile([1.0, 0, 0, 0], (1000, 1))
-    cloud = Gaussians(spread, quats, np.full((1000, 3), 0.05), np.full(1000, 0.9), np.zeros((1000, 1, 3)))
-    visit = plan_visit(Source("cloud", cloud))
+    return Source(
+        "cloud", Gaussians(spread, quats, np.full((1000, 3), 0.05), np.full(1000, 0.9), np.zeros((1000, 1, 3)))
+    )
+
+
+def test_a_visit_says_what_is_not_sure_and_begins_where_either_reading_has_eyes(cloud: Source) -> None:
+    visit = plan_visit(cloud)
     assert visit.starts
     (line,) = [each for each in visit.remarks if "Not sure: " in each]
-    assert line.strip() == find_place(Source("cloud", cloud), Where()).doubt
+    assert line.strip() == find_place(cloud, Where()).doubt
     known = plan_visit(load_source("builtin:two_rooms", None))
     assert not any("Not sure" in each for each in known.remarks)
+
+
+@pytest.mark.parametrize("command", [View("cloud"), Export("cloud", "site")])
+def test_a_visit_in_doubt_asks_as_every_command_does(
+    command: View | Export, cloud: Source, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(asking, "_may_ask", lambda command: command.kind is None)
+    monkeypatch.setattr(asking, "write_picture", lambda path, source, place: Path(path).write_bytes(b"png"))
+    monkeypatch.setattr("sys.stdin", io.StringIO("1\n"))
+    with Status() as status:
+        answered, visit = settle_visit(command, cloud, None, status)
+    said = capsys.readouterr().err
+    assert "Not sure: " in said
+    assert "where.png" in said
+    assert answered.kind is not None
+    assert visit.starts
+    assert not any("Not sure" in each for each in visit.remarks)
+
+
+def test_a_visit_in_doubt_shows_where_people_stand(cloud: Source, tmp_path: Path) -> None:
+    with Status() as status:
+        _, unasked = settle_visit(View("cloud", json=True), cloud, None, status)
+        _, visit = settle_visit(View("cloud", json=True, show=str(tmp_path / "a.png")), cloud, None, status)
+    assert unasked.remarks[-1] == " --show FILE.png shows the first view and a plan with eyes."
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+    assert str(tmp_path / "a.png") in visit.remarks[-1]
+
+
+def test_a_visit_begins_in_the_box_of_the_user() -> None:
+    source = load_source("builtin:two_rooms", None)
+    box = (0.5, 0.5, 1.0, 1.5, 1.5, 2.0)
+    with Status() as status:
+        _, visit = settle_visit(View("rooms", box=box), source, None, status)
+    assert visit.starts
+    for each in visit.starts:
+        assert np.all(each.position >= np.array(box[:3])) & np.all(each.position <= np.array(box[3:]))
 
 
 def test_cameras_say_where_a_visit_begins_and_which_way_is_up(tmp_path: Path) -> None:
@@ -91,8 +139,9 @@ def test_cameras_say_where_a_visit_begins_and_which_way_is_up(tmp_path: Path) ->
     frames = [{"file_path": f"{k}.png", "transform_matrix": pose.tolist()} for k, pose in enumerate(poses)]
     file = tmp_path / "transforms.json"
     file.write_text(json.dumps({"fl_x": 55.4, "w": 64, "h": 48, "frames": frames}))
-    visit = plan_visit(Source("rooms", turned), cameras=str(file))
+    seen = WhereSeen(cameras=str(file))
+    visit = plan_visit(Source("rooms", turned), seen)
     assert np.allclose(visit.up, [0, 1, 0], atol=1e-3)
     assert visit.starts
-    given = plan_visit(Source("rooms", turned), "-z", str(file))
+    given = plan_visit(Source("rooms", turned), seen, "-z")
     assert given.up.tolist() == [0, 0, -1]

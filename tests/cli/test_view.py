@@ -20,6 +20,7 @@ import pytest
 from gsvis.cli import main, view
 from gsvis.cli.arguments_package import Prepare
 from gsvis.cli.arguments_view import View
+from gsvis.cli.where import PLACING
 from gsvis.export import write_static
 from gsvis.scene.procedural import two_rooms
 from gsvis.serve.scenes import Scenes, open_scene
@@ -150,15 +151,20 @@ def test_a_scene_is_prepared_as_it_is_shown(monkeypatch: pytest.MonkeyPatch, sce
         started.append(words[3:])
         return subprocess.Popen([sys.executable, "-c", ""])
 
-    start = View("shown", prepare="made.gsvis", lod=1, up=" -y", cameras="c.json", drop_invalid=True)
+    seen = {"cameras": "c.json", "cameras_frame": "scene", "kind": "rooms"}
+    start = View(
+        "shown", prepare="made.gsvis", lod=1, up=" -y", around=(1.0, -2.0, 0.5, 3.0), drop_invalid=True, **seen
+    )
     with monkeypatch.context() as patch:
         patch.setattr(view, "subprocess", SimpleNamespace(Popen=stand_in, DEVNULL=subprocess.DEVNULL))
         with view._preparing(start, scenes, "room"):
             pass
-    expected = "prepare shown -o made.gsvis --lod 1 --up -y --cameras c.json --drop-invalid"
-    assert started == [expected.split()]
+    assert started[0][:8] == ["prepare", "shown", "-o", "made.gsvis", "--lod", "1", "--up", "-y"]
+    expected = "--lod 1 --up -y --around 1 -2 0.5 3 --cameras c.json --cameras-frame scene --kind rooms --drop-invalid"
+    assert sorted(started[0][4:]) == sorted(expected.split())
     shared = {each.name for each in fields(View)} & {each.name for each in fields(Prepare)}
-    assert shared - {"scene", "json", "debug"} == {"lod", "up", "cameras", "drop_invalid"}
+    own = {"scene", "show", "json", "debug"}
+    assert shared - own == {"lod", "up", *PLACING, "drop_invalid"}
 
 
 def test_a_scene_that_cannot_be_prepared_stays(
@@ -187,6 +193,13 @@ def test_preparation_ends_with_the_server_and_says_nothing(
         (("builtin:two_roms",), "builtin:two_rooms"),
         (("PACKAGE", "--lod", "0"), "--lod: expected none for a package"),
         (("PACKAGE", "--prepare", "x.gsvis"), "--prepare: expected none for a package"),
+        (("PACKAGE", "--kind", "rooms"), "--kind: expected none for a package"),
+        (("PACKAGE", "--show", "x.png"), "--show: expected none for a package"),
+        (("builtin:two_rooms", "--show", "x.jpg"), "--show: expected the name of a .png"),
+        (
+            ("builtin:two_rooms", "--kind", "rooms", "--box", "1", "1", "1", "2", "2", "2"),
+            "--kind: expected none with --box",
+        ),
         (("builtin:two_rooms", "--up", "z"), "--up: expected one of"),
         (("builtin:two_rooms", "--prepare", "PACKAGE"), "--prepare: expected a new folder"),
         (("DAMAGED",), "expected JSON"),

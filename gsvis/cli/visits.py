@@ -1,0 +1,88 @@
+"""How a visit of a scene begins that nobody has prepared, by the evidence that every command weighs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gsvis.cli.arguments_export import Export
+from gsvis.cli.arguments_view import View
+from gsvis.cli.arguments_where import Where
+from gsvis.cli.asking import settle
+from gsvis.cli.source import Source, parse_up, up_of
+from gsvis.cli.starts import starts_in, thin
+from gsvis.cli.terminal import Status
+from gsvis.cli.where import Place, find_place, given
+
+if TYPE_CHECKING:
+    from gsvis.export.start import Start
+    from gsvis.scene.paths import HeadPath
+
+__all__ = ["Visit", "plan_visit", "settle_visit"]
+
+C = TypeVar("C", View, Export)
+
+
+@dataclass(frozen=True, eq=False)
+class Visit:
+    """How a visit of a scene begins.
+
+    Attributes:
+        starts: Upright views that show much of the scene, the best first; None if no eye finds room.
+        up: (3,) unit up axis.
+        remarks: Remarks for the user, such as what is not sure.
+    """
+
+    starts: tuple[Start, ...] | None
+    up: NDArray[np.float64]
+    remarks: list[str]
+
+
+def plan_visit(source: Source, where: Where | None = None, up: str | None = None) -> Visit:
+    """Return how a visit of a scene begins.
+
+    Where that is not sure, a remark says so, and views are drawn from where either reading has eyes.
+
+    Args:
+        source: The scene.
+        where: What the user said of where eyes may be; None for nothing.
+        up: Value of --up; None means the known one, else that of cameras, else the likely one.
+    """
+    some = thin(source)
+    place = find_place(some, where or Where(), up)
+    return _begin(some, place, up, place.remarks)
+
+
+def settle_visit(command: C, source: Source, walk: HeadPath | None, status: Status) -> tuple[C, Visit]:
+    """Return how a visit begins after a question on a terminal in doubt, and the command with the answers in it.
+
+    Args:
+        command: The command.
+        source: The scene.
+        walk: The walk of --path.
+        status: The display of progress, which pauses for the question.
+
+    Raises:
+        SceneError: If no eye fits where the user said that eyes are.
+        OutputError: If the picture of --show cannot be written.
+        KeyboardInterrupt: If the user presses Ctrl-C at the question.
+    """
+    some = thin(source)
+    settled = settle(command, source, lambda c: find_place(some, c, c.up, walk), status)
+    if given(command) or command.kind not in (None, "auto"):
+        settled.place.required("leave it out, or say where eyes may be with --box or --around")
+    return settled.command, _begin(some, settled.place, settled.command.up, settled.remarks)
+
+
+def _begin(some: Source, place: Place, up: str | None, remarks: list[str]) -> Visit:
+    """Return how a visit begins in a place, which may have no space."""
+    if place.upright is not None:
+        axis = place.upright.up
+    else:
+        known = parse_up(up)
+        axis = up_of(some) if known is None else known
+    starts = None if place.space is None else starts_in(some, place.space)
+    return Visit(starts, axis, remarks)
