@@ -1,7 +1,7 @@
 """How many cells a space is worth: fewer around an object of which an eye sees much, or whose sets hardly grow with it.
 
 Smaller cells have smaller sets, and each costs looks and a certificate. From around an object neighbors see nearly the
-same, so that a quarter of the cells may have sets that are hardly larger (docs/design/053 and 067). World frame.
+same, so that a quarter of the cells may have sets that are hardly larger (docs/design/053). World frame.
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ _BUDGET = 5.0  # seconds after which no further cell is tried
 _CEILING = 12.0  # seconds that the tried cells may take together, as far as one tells what the next takes
 
 # Mean time of a cell over that of the few that are tried: one in ten asks for six looks or more, which a few rarely
-# show. Around an object cells are alike (docs/design/067).
+# show. Around an object cells are alike (docs/design/053).
 _RARE = 1.7
 
 _MOST_TRIED = 12
