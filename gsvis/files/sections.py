@@ -1,7 +1,7 @@
 """A file of named sections after a head of 40 bytes. All bytes are under a checksum, and a memory map reads them.
 
 This is the second container beside `gsvis.files.arrow`. It is for data that is packed already and read in small pieces,
-each with its own checksum. docs/design/030-two-containers.md explains why it is no Arrow file.
+each with its own checksum. docs/design/006-visibility-store.md explains why it is no Arrow file.
 
 The file holds the head, then the sections, then a JSON header that lists them. The head holds the length of the file,
 so a cut file is found before anything is read. This module does not know the content of sections.

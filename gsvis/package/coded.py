@@ -1,4 +1,4 @@
-"""Encode the records and the terms of a part as bytes, and decode them; docs/design/049 has the measurements.
+"""Encode the records and the terms of a part as bytes, and decode them; docs/design/041 has the measurements.
 
 A part has a head of 16 bytes: "GSVc", the version of the code, the kind (0 Gaussians, 1 terms), the bits of a number of
 terms, a zero, how many rows it has, and how many words of the coder follow. After the words of a part of Gaussians

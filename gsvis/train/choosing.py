@@ -2,7 +2,7 @@
 
 Of Gaussians that hide each other any may go, but not all, and a wall of many faint ones is lost if all of them count
 little. So each Gaussian has a chance to stay, from its worth so far, and all others count by their chance while its
-worth is measured. Where too many are about to go, the rest gains worth. docs/design/054-levels-without-holes.md
+worth is measured. Where too many are about to go, the rest gains worth. docs/design/019-levels.md
 compares this with `prune`.
 """
 

@@ -1,6 +1,6 @@
 """Measure which Gaussians matter to images, and find nested subsets of a scene that keep those that do.
 
-Values are per pixel, averaged over channels and views; RGB where 1 is white. docs/design/015-importance.md compares the
+Values are per pixel, averaged over channels and views; RGB where 1 is white. docs/design/019-levels.md compares the
 methods.
 """
 
@@ -157,7 +157,7 @@ def prune(
     round therefore measures again the effect of removing each remaining Gaussian, while all others have the share of
     their alpha that the round will leave on average. This reveals pairs that hide each other. The size of the change
     counts, not its sign: Gaussians whose loss would correct an error all correct it in the same direction, and too
-    much. docs/design/015-importance.md compares the methods.
+    much. docs/design/019-levels.md compares the methods.
 
     Args:
         gaussians: N Gaussians.

@@ -3,7 +3,7 @@
 Viewpoints of renders lie in navigable space, outside of anything solid. Views to measure on are independent of those to
 train on. Levels are chosen and trained by wide views: one costs little more than a narrow one and shows several times
 as much, so that fewer parts of a scene are seen by few cameras. Scene frame; OpenCV cameras.
-docs/design/034-levels-in-minutes.md compares them.
+docs/design/019-levels.md compares them.
 """
 
 from __future__ import annotations
