@@ -3,7 +3,7 @@
 The highest level is the scene itself. Each lower level keeps a part of it unchanged, nested in the part that the next
 level keeps. A few merged Gaussians represent the rest; they are trained on photos, or on renders of the scene if there
 are none. An upgrade therefore sends only the difference. docs/design/019-levels.md reports what was tested. Below them
-lies a first picture of few merged Gaussians, which a viewer has at once (docs/design/073-the-first-picture.md).
+lies a first picture of few merged Gaussians, which a viewer has at once (docs/design/069-what-is-in-view-first.md).
 
 References:
     SRBF-Gaussian, section 6.1.
