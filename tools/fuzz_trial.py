@@ -1,4 +1,4 @@
-"""Which engine reaches more: `python tools/fuzz_trial.py ENGINE --inputs 3000`, see docs/design/027.
+"""Which engine reaches more: `python tools/fuzz_trial.py ENGINE --inputs 3000`, see docs/design/026.
 
 Targets of one file get the same number of inputs: from Hypothesis (edits of bytes of a valid file), from Atheris
 (libFuzzer, guided by coverage, from the valid files) or from the mutators of tests/fuzz. What is compared is the branch
