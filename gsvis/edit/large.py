@@ -2,7 +2,7 @@
 
 The classes are those of `clean`, with its eyes, its air and its voxels. What differs: what hides is coarse far from a
 tile, so a little more or less counts as seen; flyaways are judged by a sample of the scene; and what is outside all
-tiles and no flyaway stays. docs/design/074-clean-in-tiles.md.
+tiles and no flyaway stays. docs/design/036-cleaning.md.
 """
 
 from __future__ import annotations

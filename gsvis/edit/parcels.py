@@ -3,7 +3,7 @@
 A grid over a large scene has voxels wider than doors, and rooms close up. So it is looked at parcel by parcel: squares
 as wide as what holds two million Gaussians where the scene is as dense as mostly, each with what lies around it.
 Scene frame and units. Gives spaces; draws and traces nothing.
-docs/design/099-many-places.md.
+docs/design/033-kinds-of-space.md.
 """
 
 from __future__ import annotations

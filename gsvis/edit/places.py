@@ -5,7 +5,7 @@ eyes are left above roofs or on the street alone, for which nothing inside count
 itself, with what is around it, as a tile of a world is: rooms, and open ground. Where the grid over the whole shows
 most of what parcels show, it stays: it knows better what is inside and what is outside. Else eyes are in both. From far
 enough, a city is an object: such a scene is one only if most of its parcels are, too.
-Scene frame and units. docs/design/099-many-places.md.
+Scene frame and units. docs/design/033-kinds-of-space.md.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 The folder lies beside the result. Its name holds a digest of the plan, which is everything that decides the result. So
 runs with different settings never share a folder. Every entry has a checksum; a damaged entry counts as missing. The
-folder is removed when the result is complete. docs/design/029-resume.md lists what each run keeps.
+folder is removed when the result is complete. docs/design/058-graphs-of-tasks.md lists what each run keeps.
 
     kept = KeptWork.beside("scene.pvs", plan)
     with kept.opened():

@@ -10,7 +10,7 @@ from gsvis.scene.levels import Levels
 
 __all__ = ["kept_memory", "left_for_sets"]
 
-# Measured on flowers LOD 2, nika LOD 1, showroom LOD 3 and biker and rounded up (docs/design/084).
+# Measured on flowers LOD 2, nika LOD 1, showroom LOD 3 and biker and rounded up (docs/design/070).
 _BASE, _GAUSSIAN, _HARMONIC = 256 << 20, 200, 14
 
 

@@ -10,7 +10,7 @@ from gsvis.pvs import codec
 __all__ = ["BESIDE", "bytes_of_cell", "bytes_of_directions"]
 
 BESIDE = 0.63
-"""Bytes of a cell beside others, the labels of the order included, over its bytes alone (docs/design/093)."""
+"""Bytes of a cell beside others, the labels of the order included, over its bytes alone (docs/design/089)."""
 
 
 def bytes_of_cell(ids: NDArray[np.integer], classes: NDArray[np.uint8], count: int, num_classes: int) -> int:

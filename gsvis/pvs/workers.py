@@ -26,7 +26,7 @@ __all__ = [
     "speed_up",
 ]
 
-# Measured peaks with a margin (docs/design/007): bytes of a process with its libraries, and for each Gaussian: of its
+# Measured peaks with a margin (docs/design/070): bytes of a process with its libraries, and for each Gaussian: of its
 # looks, and of the tracer that certifies.
 _BASE = {"hybrid": 280 << 20, "raster": 380 << 20, "raycast": 260 << 20}
 _PER_GAUSSIAN = {"hybrid": 190 + 420, "raster": 420 + 420, "raycast": 680 + 420}

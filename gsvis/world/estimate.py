@@ -72,7 +72,7 @@ _PEAK = 0.85  # of what a limit of memory has to allow
 # what a cell sees of it; where eyes may be in one.
 _RECORD, _DIRECTIONS, _SET, _SPACE_BYTES = 13.6, 2.0, 0.2, 3_500_000
 
-# Bytes of files, from flowers LOD 3, nika LOD 2 and guitar (docs/design/093).
+# Bytes of files, from flowers LOD 3, nika LOD 2 and guitar (docs/design/089).
 _TERM = 3.5  # of a term
 _FAR_RECORD = 0.84  # of a Gaussian of a district, over one of a tile
 _FILES, _BARE_FILES = 11_000, 4_000  # of the package and the stores of a tile; of a package without cells

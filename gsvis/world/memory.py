@@ -34,7 +34,7 @@ _HELD = 60 * _MB  # bytes that earlier tasks leave in a worker
 _TRAINING, _IMAGE = 160 * _MB, 7  # gradients of a view; bytes for each pixel of all views, of which most are smaller
 
 # Bytes of the package of a tile: for each Gaussian in and around it; for each of the largest level, of which looks and
-# tracer are in memory while it is looked at (docs/design/086); for each pixel of a look.
+# tracer are in memory while it is looked at (docs/design/070); for each pixel of a look.
 _JOINT, _LEVEL, _PIXEL = 120, {"hybrid": 420, "raster": 650, "raycast": 910}, 6 * 64
 _NEAR, _STANDS, _FAR_STANDS = 12, 0.75, 0.4  # most of a tile's Gaussians that stand: of a dozen tiles, of all others
 _BESIDE = 0.5  # how far beyond the Gaussians of a tile its eyes may be, at most, in its longest side
