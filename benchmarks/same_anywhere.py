@@ -47,6 +47,10 @@ COMMANDS: dict[str, tuple[str, ...]] = {
         *("-o", "OUT/levels", "--steps", "4", "--views", "4", "--held-out", "4", "--width", "48", "--height", "36"),
     ),
     "color": ("-o", "OUT/color.arrow", "--views", "4", "--held-out", "4", "--width", "48", "--height", "36"),
+    "prepare": (
+        *("-o", "OUT/scene.gsvis", "--cells", "8", "--steps", "4", "--views", "4", "--width", "48", "--height", "36"),
+        *("--face-size", "32", "--limit", "0.02", "--max-inner", "2", "--workers", "1"),
+    ),
     "clean": ("--report", "OUT/clean", "--eyes", "8", "--held-out", "4"),
 }
 LENGTHS = {"voxel", "voxel_size", "cell_size", "scales", "near", "far", "widest", "radius"}

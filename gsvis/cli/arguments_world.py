@@ -63,7 +63,7 @@ class World:
     """Distance of viewpoints from --path, at most, in scene units."""
     up: Annotated[str | None, arg(metavar="UP", help_behavior_hint="(default: the likely one)")] = None
     """Up in the scene: an axis such as -y, or three numbers, of which a world takes the nearest axis."""
-    meters_per_unit: Annotated[float | None, DISTANCE, hint("not known")] = None
+    meters_per_unit: Annotated[float | None, DISTANCE, hint("that of the scenes, or not known")] = None
     """Length of a scene unit in meters, kept in the world."""
     seed: Annotated[int, WHOLE] = 0
     """Seed of everything random: the same seed gives the same world."""

@@ -11,7 +11,10 @@ from gsvis.cli.shown import judged_of, load_shown
 from gsvis.cli.source import Source, inspect_scene_of
 from gsvis.cli.terminal import Status, facts, print_json, show, size_of
 from gsvis.cli.where import check_where, find_place, flyaway_remarks, space_document, suspect_views
+from gsvis.io.facts import facts_to_json
+from gsvis.scene.facts import SceneFacts
 from gsvis.scene.histograms import Band, Histogram, measure_bands, measure_histograms
+from gsvis.scene.lengths import spell_point
 from gsvis.scene.paths import HeadPath
 
 __all__ = ["run_inspect"]
@@ -30,6 +33,7 @@ def run_inspect(command: Inspect) -> None:
         status("reading", 0, 1)
         source = load_shown(command.scene, command.lod)
         report = inspect_scene_of(source)
+        report["facts"] = facts_to_json(source.gaussians.facts)
         status("reading", 1, 1)
         status("space", 0, 1)
         report["space"], remarks = _space(command, source, walk)
@@ -79,12 +83,13 @@ def _rows(source: Source, report: dict[str, Any]) -> list[tuple[str, str]]:
     if source.path is not None and source.path.is_file() and not source.lods:
         rows.append(("file", f"{size_of(source.path.stat().st_size)}, {_suffix(source.path)}"))
     rows.append(("in memory", size_of(report["bytes_in_memory"])))
+    rows += _known(source.gaussians.facts)
     if report["count"] == 0:
         return rows
     rows += [
         ("likely up axis", f"{report['up']}, confidence {report['up_confidence']:.0%}"),
-        ("middle 98% of centers", _box(report["robust_bounds"])),
-        ("all centers", _box(report["bounds"])),
+        *_box("middle 98% of centers", report["robust_bounds"]),
+        *_box("all centers", report["bounds"]),
         ("opacity", _quantiles(report["opacities"])),
         ("largest scale", _quantiles(report["scales"])),
         ("opacity >= 1/2", f"{report['opaque_share']:.1%}"),
@@ -100,17 +105,30 @@ def _rows(source: Source, report: dict[str, Any]) -> list[tuple[str, str]]:
     return rows
 
 
+def _known(known: SceneFacts) -> list[tuple[str, str]]:
+    """Return the rows of what a file states besides its Gaussians; none for what it does not."""
+    rows = []
+    if any(known.origin):
+        rows.append(("origin", f"{spell_point(known.origin)}; centers are relative to it"))
+    if known.antialiased:
+        rows.append(("antialiased", "yes: opacities make up for the blur of a pixel"))
+    if known.meters_per_unit is not None:
+        rows.append(("length of a unit", f"{known.meters_per_unit:g} m"))
+    return rows
+
+
 def _verdict(problems: list[str]) -> list[str]:
     if not problems:
         return [" Nothing looks wrong."]
     return [" What looks wrong:", *(f" - {problem}" for problem in problems)]
 
 
-def _box(corners: list[list[float]]) -> str:
+def _box(name: str, corners: list[list[float]]) -> list[tuple[str, str]]:
+    """Return a row with the sides of a box, and one with where they lie."""
     low, high = corners
     size = " x ".join(f"{b - a:.3g}" for a, b in zip(low, high, strict=True))
     ranges = ", ".join(f"{axis} {a:.3g} to {b:.3g}" for axis, a, b in zip("xyz", low, high, strict=True))
-    return f"{size}\n{ranges}"
+    return [(name, size), ("", ranges)]
 
 
 def _quantiles(found: dict[str, float]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from gsvis.cli.where import WORDS, check_where, find_place, flyaway_remarks, kin
 from gsvis.errors import SceneError
 from gsvis.files.atomic import atomic_path
 from gsvis.io.voxels import VOXELS, save_voxels
-from gsvis.scene.lengths import spell_length, spell_volume
+from gsvis.scene.lengths import spell_length, spell_point, spell_volume
 from gsvis.scene.navigable import NavigableSpace
 
 __all__ = ["run_space"]
@@ -54,8 +55,13 @@ def run_space(command: Space) -> None:
         status("space", 1, 1)
         status("writing", 0, 1)
         meters = command.meters_per_unit or source.gaussians.facts.meters_per_unit
-        found = _write_voxels(space, files) if len(files) == 2 else _write_meshes(command, space, files[0], meters)
+        found = (
+            _write_voxels(space, files)
+            if len(files) == 2
+            else _write_meshes(command, space, files[0], meters, source.gaussians.facts.origin)
+        )
         status("writing", 1, 1)
+    origin = source.gaussians.facts.origin
     nbytes = sum(file.stat().st_size for file in files)
     low, high = space.origin, space.origin + np.array(space.free.shape) * space.voxel_size
     said: dict[str, Any] = {
@@ -65,6 +71,7 @@ def run_space(command: Space) -> None:
         "files": [str(file) for file in files],
         "bytes": nbytes,
         "kind": space.kind.as_dict(),
+        **({"origin": list(origin)} if any(origin) else {}),
         "voxel": space.voxel_size,
         "box": [low.tolist(), high.tolist()],
         "navigable_volume": float(np.count_nonzero(space.free)) * space.voxel_size**3,
@@ -75,6 +82,7 @@ def run_space(command: Space) -> None:
         return
     rows = [
         kind_row(space),
+        *([("origin", f"{spell_point(origin)}; positions are relative to it")] if any(origin) else []),
         ("voxels", f"{' x '.join(map(str, space.free.shape))} of {spell_length(space.voxel_size, meters)}"),
         ("navigable", spell_volume(said["navigable_volume"], meters)),
         *((name.replace("_", " "), f"{value:,}") for name, value in found.items() if isinstance(value, int)),
@@ -118,13 +126,15 @@ def _write_voxels(space: NavigableSpace, files: list[Path]) -> dict[str, Any]:
     return {"solid_voxels": int(np.count_nonzero(voxels.solid))}
 
 
-def _write_meshes(command: Space, space: NavigableSpace, file: Path, meters: float | None) -> dict[str, Any]:
+def _write_meshes(
+    command: Space, space: NavigableSpace, file: Path, meters: float | None, origin: Sequence[float]
+) -> dict[str, Any]:
     from gsvis.edit import mesh_space
 
     scale = 1.0 if command.frame == "scene" else meters or 1.0
     meshes = mesh_space(space, frame=command.frame, meters_per_unit=scale)
     with atomic_path(file) as partial:
-        partial.write_bytes(meshes.to_glb())
+        partial.write_bytes(meshes.to_glb(origin))
     return {
         "navigable_triangles": len(meshes.navigable.faces),
         "surface_triangles": len(meshes.surface.faces),

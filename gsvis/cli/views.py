@@ -16,6 +16,7 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
 from gsvis.scene.solid import buried
+from gsvis.scene.source_frame import SourceFrame
 from gsvis.scene.upright import SURE, find_up
 
 __all__ = ["camera_count", "check_buried", "check_views", "given_cameras", "place_cameras"]
@@ -96,10 +97,12 @@ def place_cameras(
         more = check_buried(g, cameras.viewpoints, "the sampled eye")
         return cameras, space, [*remarks, *place.remarks, *more, f" Again: {_options_of(cameras)}"]
     middle, reach = _extent(g)
-    target = middle if command.target is None else np.array(command.target)
+    frame = SourceFrame.from_scene(g)
+    target = middle if command.target is None else frame.points([command.target])[0]
     if command.eye is not None:
-        remarks += check_buried(g, np.array([command.eye]), "--eye")
-        return Cameras.look_at([command.eye], target, up=up, fov=fov, **size), None, remarks
+        eye = frame.points([command.eye])
+        remarks += check_buried(g, eye, "--eye")
+        return Cameras.look_at(eye, target, up=up, fov=fov, **size), None, remarks
     half = np.tan(np.radians(fov) / 2.0) * min(1.0, size["height"] / size["width"])
     radius = command.radius or reach / np.sin(np.arctan(half))
     elevation = _ELEVATION if command.elevation is None else command.elevation

@@ -22,6 +22,7 @@ from gsvis.scene.kinds import KINDS
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
 from gsvis.scene.solid import buried
+from gsvis.scene.source_frame import SourceFrame
 from gsvis.scene.upright import SURE, Upright, doubt_up, find_up
 from gsvis.scene.witnesses import Witnesses, hold_out
 
@@ -200,6 +201,8 @@ def find_place(
         SceneError: If eyes given by hand lie inside something solid.
         ValueError: If the walk lies elsewhere.
     """
+    frame = SourceFrame.from_scene(source.gaussians)
+    walk = None if walk is None else frame.walk(walk)
     framed: list[str] = []
     if cameras is None and (cameras := evidence_cameras(where)) is not None:
         cameras, framed = framed_cameras(source, cameras, cameras_of(where) or "", where.cameras_frame)
@@ -243,10 +246,13 @@ def _find(
 ) -> Place:
     """Return the place that the strongest evidence gives."""
     if where.box is not None:
-        space = NavigableSpace.from_box(where.box[:3], where.box[3:], _BOX_VOXELS, up=upright.up)
+        low, high = SourceFrame.from_scene(source.gaussians).points([where.box[:3], where.box[3:]])
+        space = NavigableSpace.from_box(low, high, _BOX_VOXELS, up=upright.up)
         return Place(space, "", [*remarks, *_check_buried(source, space, "box")])
     if where.around is not None:
-        center, radius = (where.around[:3], where.around[3]) if where.around else (None, None)
+        center, radius = None, None
+        if where.around:
+            center, radius = SourceFrame.from_scene(source.gaussians).points([where.around[:3]])[0], where.around[3]
         try:
             space = NavigableSpace.around(source.gaussians, center, radius, up=upright.up)
         except SceneError as error:

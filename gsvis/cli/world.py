@@ -10,6 +10,8 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from gsvis._extras import require
 from gsvis.cli import version
 from gsvis.cli.arguments import World
@@ -18,11 +20,14 @@ from gsvis.cli.pvs import local_workers, named_memory, sets_config
 from gsvis.cli.source import check_folder, is_builtin, is_levels, parse_up, title_of
 from gsvis.cli.terminal import Status, busy_note, clock, facts, least_size_of, print_json, show, size_of
 from gsvis.errors import ArgumentError
+from gsvis.io.batches import align_batches, facts_of_batches, list_batches
 from gsvis.io.poses import load_path
 from gsvis.io.scenes import check_scene
 from gsvis.package.made_from import note_paths
 from gsvis.pvs.workers import Workers
 from gsvis.scene.axes import nearest_axis
+from gsvis.scene.facts import SceneFacts
+from gsvis.scene.source_frame import SourceFrame
 
 if TYPE_CHECKING:
     from gsvis.world.config import WorldConfig
@@ -53,6 +58,7 @@ def run_world(command: World) -> None:
     from gsvis.world.stages import write_tiles
 
     scenes, config = _check_scenes(command), _check_arguments(command)
+    config = _in_frame(config, scenes, command.meters_per_unit is None)
     with Status() as status:
         if command.dry_run:
             with _workers(command) as workers:
@@ -106,6 +112,25 @@ def _check_scenes(command: World) -> list[tuple[str, int | None]]:
         )
     left = list(lods * sum(streamed) if len(lods) == 1 else lods)
     return [(path, left.pop(0) if has and left else None) for path, has in zip(command.scenes, streamed, strict=True)]
+
+
+def _in_frame(config: WorldConfig, scenes: list[tuple[str, int | None]], takes_meters: bool) -> WorldConfig:
+    """Return a configuration whose walk is in the frame of the scenes, and with the length of a unit that they state.
+
+    Args:
+        config: As the user gave it; the walk may be in the coordinates of the files.
+        scenes: Path and level of detail of each.
+        takes_meters: Whether the length of a unit is what all scenes state, if they agree.
+    """
+    stated = SceneFacts.merge(
+        [facts_of_batches(batches) for batches in align_batches([list_batches(*s) for s in scenes])]
+    )
+    if takes_meters:
+        config = replace(config, package=replace(config.package, meters_per_unit=stated.meters_per_unit or 0.0))
+    if config.walk is None:
+        return config
+    frame = SourceFrame(np.asarray(stated.origin), np.zeros(3))
+    return replace(config, walk=tuple(map(tuple, frame.points(config.walk).tolist())))
 
 
 def _check_arguments(command: World) -> WorldConfig:

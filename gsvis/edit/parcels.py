@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from contextlib import suppress
+from dataclasses import replace
 from itertools import chain
 
 import numpy as np
@@ -109,9 +110,7 @@ def rows_near(parts: Iterable[Gaussians], square: Facts) -> Gaussians:
     near = Gaussians.concatenate([g[np.flatnonzero(near_tile(g.means, square, AROUND))[::every]] for g in parts])
     if every == 1:
         return near
-    return Gaussians(
-        near.means, near.quats, near.scales * every**0.5, near.opacities, near.sh0, near.shN, facts=near.facts
-    )
+    return replace(near, scales=near.scales * every**0.5)
 
 
 def indoors(space: NavigableSpace) -> Mask:

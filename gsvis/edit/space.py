@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis._extras import require
@@ -56,11 +56,19 @@ class SpaceMeshes:
     surface: trimesh.Trimesh
     matrix: F64
 
-    def to_glb(self) -> bytes:
-        """Return both meshes as binary glTF, named `navigable` and `surface`; `matrix` is in the scene's extras."""
+    def to_glb(self, origin: ArrayLike = (0.0, 0.0, 0.0)) -> bytes:
+        """Return both meshes as binary glTF, named `navigable` and `surface`; `matrix` is in the scene's extras.
+
+        Args:
+            origin: (3,) what centers of the scene are relative to, in the coordinates of its source; in the extras
+                too, if it is not (0, 0, 0).
+        """
         import trimesh
 
-        scene = trimesh.Scene(metadata={"scene_to_mesh": self.matrix.ravel().tolist()})
+        about = {"scene_to_mesh": self.matrix.ravel().tolist()}
+        if np.any(origin):
+            about["origin"] = np.asarray(origin, np.float64).tolist()
+        scene = trimesh.Scene(metadata=about)
         for name, mesh in (("navigable", self.navigable), ("surface", self.surface)):
             scene.add_geometry(mesh, node_name=name, geom_name=name)
         return bytes(scene.export(file_type="glb"))  # type: ignore[no-untyped-call]

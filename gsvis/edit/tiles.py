@@ -126,9 +126,7 @@ def merge_tile(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     g = core_within(load_gaussians(given.path(0, "rows")), whole.low, whole.high)
     for name in ("near", "far"):
         few = merge_down(g, params[name]) if len(g) else g
-        wide = (
-            few if few is g else Gaussians(few.means, few.quats, _SPREAD * few.scales, few.opacities, few.sh0, few.shN)
-        )
+        wide = few if few is g else replace(few, scales=_SPREAD * few.scales)
         save_gaussians(out / name, wide)
     return {"gaussians": len(g)}
 

@@ -8,7 +8,7 @@ knows no tiles.
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -108,4 +108,4 @@ def _figures(store: VisibilityStore, cell: int) -> dict[str, Any]:
 
 def _flat(g: Gaussians) -> Gaussians:
     """Return a scene without the SH that does not change what is visible."""
-    return g if g.sh_degree == 0 else Gaussians(g.means, g.quats, g.scales, g.opacities, g.sh0)
+    return g if g.sh_degree == 0 else replace(g, shN=g.shN[:, :0])

@@ -30,6 +30,7 @@ _MODULES = (
     "sight",
     "similarity",
     "solid",
+    "source_frame",
     "stated",
     "symlog",
     "thinned",

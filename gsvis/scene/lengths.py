@@ -6,10 +6,12 @@ millimeters is drawn as if scaled to a few units, by a power of two, so that eve
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike
 
-__all__ = ["length_factor", "spell_length", "spell_volume"]
+__all__ = ["length_factor", "spell_length", "spell_point", "spell_volume"]
 
 _SAMPLE = 4096  # centers looked at, at even steps
 _CORE = (0.1, 0.9)  # quantiles of the centers along each axis
@@ -66,3 +68,8 @@ def spell_volume(volume: float, meters_per_unit: float | None) -> str:
     """
     meters = f" ({volume * meters_per_unit**3:.3g} cubic m)" if meters_per_unit else ""
     return f"{volume:.3g} cubic units{meters}"
+
+
+def spell_point(point: Sequence[float]) -> str:
+    """Return a point (3,) as text: (1000000.0, 0.0, -0.5) -> "1,000,000, 0, -0.5"."""
+    return ", ".join(f"{value:,.12g}" for value in point)

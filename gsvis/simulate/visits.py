@@ -26,6 +26,7 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
 from gsvis.scene.retarget import RetargetConfig, retarget
+from gsvis.scene.source_frame import SourceFrame
 from gsvis.simulate.baselines import MortonProgressive, WholeFile
 from gsvis.simulate.delivery import Adaptive, Delivery
 from gsvis.simulate.frames import Stage
@@ -63,6 +64,7 @@ class Place:
         facts: More facts on the scene, ready for JSON.
         remark: A sentence on the scene that is compared with, for reports; empty if there is nothing to say.
         own_file: Name and bytes of the file that `reference` came from; None if it is not one file.
+        frame: Where the scene lies in the coordinates of its source, in which a walk may be; None if it has none.
     """
 
     title: str
@@ -76,6 +78,7 @@ class Place:
     facts: Mapping[str, Any] = field(default_factory=dict)
     remark: str = ""
     own_file: tuple[str, int] | None = None
+    frame: SourceFrame | None = None
 
     @property
     def against(self) -> str:
@@ -147,7 +150,10 @@ class Place:
         found = None if space is None else space(full)
         measured = None if whole_file is None else _file_size(_check.path("whole_file", whole_file))
         title = path.resolve().name.removesuffix(".gsvis").removesuffix(".gsworld")
-        return cls(title, scene, contents, highest, reference, measured, found, whole, facts or {})
+        frame = SourceFrame.from_scene(full)
+        return cls(
+            title, scene, contents, highest, reference, measured, found, whole=whole, facts=facts or {}, frame=frame
+        )
 
     def measure_whole_file(self, walk: HeadPath, config: ViewingConfig, progress: Progress = silent) -> WholeFileFound:
         """Return the best whole file of the scene, its size, and how it was chosen.
@@ -266,6 +272,7 @@ def _file_size(path: Path) -> tuple[int, str]:
 
 def _cut_walk(place: Place, walk: HeadPath, seconds: float, visit: int, seed: int) -> tuple[HeadPath, dict[str, Any]]:
     """Return the part of the path that a visit replays, in its scene, and facts on it."""
+    walk = walk if place.frame is None else place.frame.walk(walk)
     start = visit * seconds
     start = start if start + 0.5 * seconds <= walk.duration else 0.0
     part = walk.cut(start, start + seconds + _AFTER) if walk.duration > 0 else walk

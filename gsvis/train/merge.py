@@ -129,7 +129,7 @@ def merge_by_cell(g: Gaussians, cells: I64) -> Gaussians:
     same = order[starts[alone]]
     for name, values in merged.items():
         values[alone] = getattr(g, name)[same]
-    return Gaussians(**merged)
+    return Gaussians(**merged, facts=g.facts)
 
 
 def _mean_shadows(scales: F64) -> F64:

@@ -5,6 +5,7 @@ They are made bottom-up: that of a tile from its lowest level, that of several f
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -66,7 +67,7 @@ def round_shapes(g: Gaussians) -> Gaussians:
     squares = np.einsum("ij,ij->i", rounded, rounded)
     fits = squares < 1.0
     rounded[rows, largest] = np.sqrt(np.maximum(1.0 - squares, 0.0))
-    return Gaussians(g.means, np.where(fits[:, None], rounded, quats), scales, g.opacities, g.sh0, g.shN)
+    return replace(g, quats=np.where(fits[:, None], rounded, quats), scales=scales)
 
 
 def round_colors(g: Gaussians, reach: Reach) -> Gaussians:
@@ -82,4 +83,4 @@ def round_colors(g: Gaussians, reach: Reach) -> Gaussians:
     places = np.clip((colors - low) / np.where(span > 0.0, span, 1.0), 0.0, 1.0) * _SHADES
     rounded = np.minimum(_STEP * np.rint(places / _STEP), _SHADES - _SHADES % _STEP)
     sh0 = (low + span * rounded / _SHADES - 0.5) / SH_C0
-    return Gaussians(g.means, g.quats, g.scales, g.opacities, sh0[:, None], g.shN)
+    return replace(g, sh0=sh0[:, None])

@@ -17,6 +17,7 @@ from gsvis.errors import SceneError
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
+from gsvis.scene.source_frame import SourceFrame
 from gsvis.simulate.visits import AS_IS, Place
 from gsvis.world.cells import WorldCells
 from gsvis.world.streamed import WorldPackage, open_world
@@ -68,6 +69,8 @@ def open_place(
         highest[some] = contents.last[some] == len(contents.names) - 1
     cells = scene.index.grid
     assert isinstance(cells, WorldCells)
+    origin = np.asarray(package.manifest.info.facts.origin)
+    walk = SourceFrame(origin, np.median(cells.centers, axis=0)).walk(walk)
     space = (
         None if as_is or _lies_in(walk, cells) else partial(_find_space, world=package.world, cells=cells, seed=seed)
     )

@@ -5,6 +5,7 @@ Scene frame and units. Arrays are stored as they are, so what is read equals wha
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from gsvis.errors import FormatError
 from gsvis.files.archive import load_arrays, save_arrays
 from gsvis.files.limits import DAMAGED
+from gsvis.io.facts import parse_facts, spell_facts
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 
@@ -34,8 +36,8 @@ _ARRAYS = ("means", "quats", "scales", "opacities", "sh0", "shN")
 
 
 def save_gaussians(path: Path, g: Gaussians) -> None:
-    """Write a scene."""
-    save_arrays(path, {name: getattr(g, name) for name in _ARRAYS})
+    """Write a scene and what is known of it."""
+    save_arrays(path, _arrays(g))
 
 
 def load_gaussians(path: Path) -> Gaussians:
@@ -50,8 +52,7 @@ def load_gaussians(path: Path) -> Gaussians:
 def save_tile_levels(path: Path, levels: Levels) -> None:
     """Write levels."""
     names = np.frombuffer("\n".join(levels.names).encode(), np.uint8)
-    arrays = {name: getattr(levels.union, name) for name in _ARRAYS}
-    save_arrays(path, {**arrays, "first": levels.first, "last": levels.last, "names": names})
+    save_arrays(path, {**_arrays(levels.union), "first": levels.first, "last": levels.last, "names": names})
 
 
 def load_tile_levels(path: Path) -> Levels:
@@ -111,7 +112,7 @@ def median_spacing(g: Gaussians) -> float:
 
 def flatten(g: Gaussians) -> Gaussians:
     """Return a scene with SH degree 0."""
-    return g if g.sh_degree == 0 else Gaussians(g.means, g.quats, g.scales, g.opacities, g.sh0)
+    return g if g.sh_degree == 0 else replace(g, shN=g.shN[:, :0])
 
 
 def box_of(means: NDArray[np.float32]) -> dict[str, list[float]]:
@@ -120,8 +121,15 @@ def box_of(means: NDArray[np.float32]) -> dict[str, list[float]]:
     return {"low": low.tolist(), "high": high.tolist()}
 
 
+def _arrays(g: Gaussians) -> dict[str, NDArray[Any]]:
+    """Return the arrays of a scene by name, and what is known of it as the bytes of a JSON text."""
+    facts = np.frombuffer((spell_facts(g.facts) or "{}").encode(), np.uint8)
+    return {**{name: getattr(g, name) for name in _ARRAYS}, "facts": facts}
+
+
 def _gaussians(path: Path, found: dict[str, NDArray[Any]]) -> Gaussians:
     try:
-        return Gaussians(*(found[name] for name in _ARRAYS))
+        facts = parse_facts(found["facts"].tobytes())
+        return Gaussians(*(found[name] for name in _ARRAYS), facts=facts)
     except (KeyError, ValueError) as error:
         raise FormatError(path, "", "a scene", str(error), DAMAGED) from error

@@ -47,7 +47,7 @@ __all__ = [
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
-VERSIONS = {"sample_rows": 1, "find_grid": 2, "split_batch": 2}
+VERSIONS = {"sample_rows": 2, "find_grid": 3, "split_batch": 3}
 
 OUTSIDE = "outside"
 """Name of the tile of what lies outside all squares."""

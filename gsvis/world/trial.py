@@ -245,7 +245,7 @@ def _surroundings(build: WorldBuild, params: Facts) -> Gaussians:
             means = sample.means
             found.append(sample[near_tile(means, params, params["around"]) & ~near_tile(means, params)])
     g = flatten(Gaussians.concatenate(found))
-    return Gaussians(g.means, g.quats, g.scales * build.every**0.5, g.opacities, g.sh0)
+    return replace(g, scales=g.scales * build.every**0.5)
 
 
 def _others(build: WorldBuild, number: int, most: int) -> Gaussians:

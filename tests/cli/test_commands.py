@@ -16,8 +16,10 @@ from gsvis.cli import main, parse
 from gsvis.cli.arguments import Analyze, Convert, Inspect
 from gsvis.cli.source import check_folder, evenly
 from gsvis.io import load_scene, save_scene
+from gsvis.io.facts import spell_facts
 from gsvis.io.report_cameras import describe_cameras
 from gsvis.scene.cameras import Cameras
+from gsvis.scene.facts import SceneFacts
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.procedural import OCCLUDER_SCENES, two_rooms
 
@@ -63,8 +65,20 @@ def test_inspect_prints_a_table_of_80_columns(ply: Path, capsys: Capture) -> Non
     out, err = capsys.readouterr()
     assert f"{len(load_scene(ply)):,}" in out
     assert "SH degree" in out
+    assert "\\" not in out  # nothing is escaped in what gsvis says itself
     assert max(map(len, out.splitlines())) <= 80
     assert err == ""
+
+
+def test_inspect_says_what_the_file_states(ply: Path, tmp_path: Path, capsys: Capture) -> None:
+    known = SceneFacts(origin=(1e6, 0.0, -5e5), antialiased=True, meters_per_unit=0.5)
+    save_scene(load_scene(ply).with_facts(known), tmp_path / "far.ply")
+    assert main(["inspect", str(tmp_path / "far.ply")]) == 0
+    out = capsys.readouterr().out
+    for said in ("1,000,000, 0, -500,000", "antialiased", "0.5 m"):
+        assert said in out
+    assert main(["inspect", str(tmp_path / "far.ply"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["facts"] == json.loads(spell_facts(known))
 
 
 def test_inspect_json_is_one_document(ply: Path, capsys: Capture) -> None:

@@ -12,6 +12,7 @@ import pytest
 
 from gsvis.errors import FormatError
 from gsvis.scene.cameras import Cameras
+from gsvis.scene.facts import SceneFacts
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from gsvis.train.images import PosedImages, render_views
@@ -200,6 +201,19 @@ def test_views_that_show_nothing_do_no_harm(scene: Gaussians) -> None:
 def test_colors_without_bands_stay_so(views: PosedImages) -> None:
     plain = made(degree=0)
     assert train_levels(plain, views, BRIEF).levels.union.sh_degree == 0
+
+
+def test_what_is_known_of_a_scene_is_kept_and_an_origin_changes_no_bit(views: PosedImages) -> None:
+    plain = made()
+    known = SceneFacts(origin=(1e6, -2e6, 3.5), up=(0.0, 0.0, 1.0), up_source="a test", meters_per_unit=0.5)
+    far = train_levels(plain.with_facts(known), views, BRIEF).levels
+    assert far.union.facts == known
+    assert equal(replace(far, union=far.union.with_facts(SceneFacts())), train_levels(plain, views, BRIEF).levels)
+
+
+def test_levels_of_an_antialiased_scene_are_antialiased(views: PosedImages) -> None:
+    known = SceneFacts(antialiased=True)
+    assert train_levels(made().with_facts(known), views, BRIEF).levels.union.facts == known
 
 
 def stopping(stage: str, at: int) -> Callable[[str, int, int], None]:

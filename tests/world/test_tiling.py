@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tracemalloc
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from gsvis.io.ply import save_ply
 from gsvis.progress import silent
 from gsvis.pvs.workers import Workers
 from gsvis.scene.content import scene_hash
+from gsvis.scene.facts import SceneFacts
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.procedural import random_scene
 from gsvis.world.build import WorldBuild
@@ -49,6 +50,17 @@ def test_every_row_ends_in_one_tile(tmp_path: Path) -> None:
     assert scene_hash(together[content_order(together)]) == scene_hash(stored[content_order(stored)])
     for coords, rows in tiles.items():
         assert len(rows) <= 700 or coords is None
+
+
+def test_what_files_state_reaches_every_tile_and_their_up_axis_the_grid(tmp_path: Path) -> None:
+    known = SceneFacts(
+        origin=(5e5, 0.0, 1e6), up=(0.0, 1.0, 0.0), up_source="a test", antialiased=True, meters_per_unit=0.5
+    )
+    scene = cities.write(cities.street().with_facts(known), tmp_path / "s.ply")
+    config = replace(cities.config(), tiling=TilingConfig(700))
+    build = WorldBuild([scene], config, open_store(tmp_path / "work"), Workers(), silent)
+    assert {rows.facts for rows in tiles_of(build).values()} == {load_scene(tmp_path / "s.ply").facts} == {known}
+    assert build.grid["up"] == "+y"
 
 
 def test_the_grid_takes_no_more_memory_than_is_counted_for_its_sample(tmp_path: Path) -> None:

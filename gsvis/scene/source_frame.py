@@ -1,0 +1,59 @@
+"""Bring positions that somebody gives for a scene into its frame: they may be in the coordinates of its source.
+
+A scene with an origin lies far from the (0, 0, 0) of its source, so positions at the scene are near it in one of the
+two frames alone. Double precision throughout.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gsvis import _check
+from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.paths import HeadPath
+
+__all__ = ["SourceFrame"]
+
+F64 = NDArray[np.float64]
+
+_ASKED = 5_000  # centers that give the middle
+
+
+@dataclass(frozen=True, eq=False)
+class SourceFrame:
+    """Where a scene lies in the coordinates of its source.
+
+    Attributes:
+        origin: (3,) the scene's (0, 0, 0), in the coordinates of its source.
+        middle: (3,) a point amid its content, scene frame.
+    """
+
+    origin: F64
+    middle: F64
+
+    @classmethod
+    def from_scene(cls, g: Gaussians) -> SourceFrame:
+        """Return the frame of a scene."""
+        some = g.means[:: max(1, len(g) // _ASKED)].astype(np.float64)
+        middle = np.median(some, axis=0) if len(some) else np.zeros(3)
+        return cls(np.asarray(g.facts.origin, np.float64), middle)
+
+    def points(self, points: ArrayLike) -> F64:
+        """Return (P, 3) positions in the scene's frame.
+
+        Args:
+            points: (P, 3) positions, all in the scene's frame or all in the coordinates of its source. The scene lies
+                nearer to them in the right one.
+        """
+        given = _check.floats("points", points, ("P", 3), np.float64)
+        if not self.origin.any() or len(given) == 0:
+            return given
+        away = np.median(given, axis=0) - self.middle
+        return given - self.origin if np.linalg.norm(away - self.origin) < np.linalg.norm(away) else given
+
+    def walk(self, walk: HeadPath) -> HeadPath:
+        """Return a walk in the scene's frame; see `points`."""
+        return replace(walk, positions=self.points(walk.positions)) if self.origin.any() else walk
