@@ -1,7 +1,12 @@
 // What to fetch next of a static scene: blocks ranked by weight in view for each byte, cut into slices of neighbouring
 // bytes.
-// The factors are those of the streaming server's policy "utility" (gsvis.abr.policies), but that of what is out of
-// view: chunks are coarse, so with 0.1 a view would get twice as much beside it as from the server.
+// The rules are those of the streaming server's policy "utility" (gsvis.abr.policies); the factors are not. The server
+// tests single Gaussians, a page ranks blocks of 64 by the sphere of their chunk, so each was measured by itself:
+// - PERIPHERAL 0.003, there 0.01: a sphere counts partly in view, so a block beside the view must wait longer.
+// - ADJACENT 0.02, there 0.003: the row of a neighbor is ranked alone, after the own cell, so this factor orders nothing.
+// - TERMS 0.003, there 0.03: rows of cells say what each layer of terms is worth; this is for blocks without that.
+// - HORIZON 3 s, there 0.25 s: with 0.25 s a page fetched the same bytes until a sharp image.
+// docs/design/080 has the figures.
 import { rotationOf } from "./camera.ts";
 import type { Blocks } from "./static-blocks.ts";
 import { type CellRow, everything } from "./static-cells.ts";
