@@ -11,7 +11,7 @@ import pytest
 
 from gsvis.package import Package
 from gsvis.pvs.cells import CellGrid
-from gsvis.pvs.floor import _eye_heights, _level_axes
+from gsvis.pvs.floor import _level_axes, _lowest_runs
 from gsvis.raycast.directions import face_of
 from gsvis.serve.facts import describe_floor
 from gsvis.stream import StreamedScene
@@ -109,11 +109,12 @@ def test_a_floor_lies_where_cells_are(celled: Path) -> None:
         assert np.isfinite(heights).sum() == len(columns)
 
 
-def test_the_eye_is_in_the_lowest_run_of_cells() -> None:
+def test_the_lowest_run_of_cells_is_found() -> None:
     free = np.array([[0, 1, 1, 0, 1], [0, 0, 0, 0, 0], [1, 1, 1, 1, 1]], bool)
     levels = np.arange(5) + 0.5
-    np.testing.assert_array_equal(_eye_heights(free, levels, 1.0, np.inf), [2.0, np.nan, 2.5])
-    np.testing.assert_array_equal(_eye_heights(free, levels, 1.0, 0.25), [1.25, np.nan, 0.25])
+    bottom, top = _lowest_runs(free, levels, 1.0)
+    np.testing.assert_array_equal(bottom, [1.0, np.nan, 0.0])
+    np.testing.assert_array_equal(top, [3.0, np.nan, 5.0])
 
 
 @pytest.mark.parametrize("up", [(0, 0, 1), (0, -1, 0), (0.6, 0.0, 0.8), (1, 1, 1)])
