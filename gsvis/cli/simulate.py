@@ -232,12 +232,12 @@ def _plain(value: Any) -> Any:
 
 def _tables(document: dict[str, Any]) -> list[Any]:
     """Return one line about the link, and a table of figures for each visit."""
-    from gsvis.report.session_page import format_figures
+    from gsvis.report.session_page import describe_eyes, format_figures
 
     link = document["link"]
     text = f"{link['trace']}, {link['mean_mbit_per_s']:.2f} Mbit/s, {1000 * link['round_trip']:g} ms"
     parts: list[Any] = [f" {document['title']}", f" Link: {text} there and back."]
     for visit in document["visits"]:
         header, rows = format_figures(visit["systems"])
-        parts.append(facts(visit["title"], rows, header))
+        parts += [facts(visit["title"], rows, header), f" {describe_eyes(visit)}"]
     return parts

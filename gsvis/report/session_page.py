@@ -9,12 +9,13 @@ from gsvis.abr.qoe import FIRST_FRAME_DB
 from gsvis.report.html import Figure, describe_run, figure, fill_template, plain, table, tiles
 from gsvis.simulate.frames import CONTENT_DB
 from gsvis.simulate.viewing import GOOD_DB
+from gsvis.simulate.visits import WALKED
 
 if TYPE_CHECKING:
     from gsvis.report.session_document import Simulation
     from gsvis.simulate.visits import Visit
 
-__all__ = ["PAPER_SENT", "content_remarks", "format_figures", "session_page"]
+__all__ = ["PAPER_SENT", "content_remarks", "describe_eyes", "format_figures", "session_page"]
 
 PAPER_SENT = {"gaussians": 0.8685, "terms_first": 0.0358, "terms": 0.2239}
 """SRBF-Gaussian, figure 13: shares sent after 30 s, and of the SRBFs at the start."""
@@ -85,11 +86,12 @@ def format_figures(systems: list[dict[str, Any]]) -> tuple[tuple[str, ...], Rows
 
 
 def content_remarks(document: dict[str, Any]) -> list[str]:
-    """Return a sentence for each visit that has another reference than its scene, or views that show nothing; text."""
+    """Return sentences on visits whose figures say little: of another reference, outside of cells, of nothing; text."""
     remarks = []
     for visit in document["visits"]:
         if visit["remark"]:
             remarks.append(f"{visit['scene']['name']}: {visit['remark']}.")
+        remarks += _warn_of_eyes(visit)
         count, some, name = visit["views"]["compared"], visit["views"]["with_content"], visit["scene"]["name"]
         if some == 0:
             remarks.append(
@@ -99,6 +101,31 @@ def content_remarks(document: dict[str, Any]) -> list[str]:
         elif some < count:
             remarks.append(f"{count - some:,} of {count:,} views show nothing of {name} and count in no figure.")
     return remarks
+
+
+def _warn_of_eyes(visit: dict[str, Any]) -> list[str]:
+    """Return a warning where a walk lies outside of cells, and that of the check by other eyes; text."""
+    name, share = visit["scene"]["name"], visit["path"].get("in_cells")
+    found = []
+    if share is not None and share < WALKED:
+        found.append(
+            f"Warning: only {share:.0%} of the path lies in cells of {name}; elsewhere what is sent first is a guess."
+            " Prepare it with --path, --cameras or --box if people stand there."
+        )
+    judged = visit["scene"].get("judged")
+    if judged and judged["warning"]:
+        found.append(f"{name} was prepared with a warning. {judged['warning']}")
+    return found
+
+
+def describe_eyes(visit: dict[str, Any]) -> str:
+    """Return which share of a walk lies in cells, and which of the eyes that judged the package; text, or nothing."""
+    walked, judged = visit["path"].get("in_cells"), visit["scene"].get("judged")
+    if walked is None:
+        return ""
+    share = None if judged is None else judged["eyes_in_cells"]
+    others = "" if share is None else f", and {share:.0%} of the eyes that judged it"
+    return f"{walked:.0%} of the path lies in cells of {visit['scene']['name']}{others}."
 
 
 def _lead(document: dict[str, Any]) -> str:
@@ -255,6 +282,7 @@ def _explain_assumptions(document: dict[str, Any]) -> str:
     for visit in document["visits"]:
         name = escape(visit["scene"]["name"])
         text += f"<li>{name}: the full scene is {escape(visit['compared_with'])}."
+        text += f" {escape(describe_eyes(visit))}"
         if "rule" in visit["path"]:
             text += f" Its path: {escape(str(visit['path']['rule']))}."
         text += f"</li>{_explain_world(name, visit['scene'])}"

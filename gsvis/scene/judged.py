@@ -36,7 +36,8 @@ class Judged:
     Attributes:
         builder: (B,) dB, at eyes drawn in navigable space.
         judge: (J,) dB, at judge's eyes: those drawn around the detail, then those given; (0,) where none is free.
-        in_cells: (J,) bool, the judge's eyes that lie in a cell of the navigable space; None without a space.
+        in_cells: (J,) bool, the judge's eyes that lie in a cell of the navigable space; None without a space. Of joined
+            parts only the share is right.
         named: What gave the last of the judge's eyes, such as cameras of a file; empty if nothing did.
         given: Number of these.
         least: Median from which nothing is warned about, dB; 0 where images need not equal those of the scene.
@@ -54,15 +55,28 @@ class Judged:
         """Return what eyes see in all parts of a scene together.
 
         Args:
-            records: What `as_dict` returned for each part; given eyes count as the others.
+            records: What `as_dict` returned for each part. Given eyes of all parts stay apart from drawn ones.
         """
-        builder, judge = (
-            np.array([value for record in records for value in record["psnr"][rule]], np.float64)
-            for rule in ("builder", "judge")
+        builder = [value for record in records for value in record["psnr"]["builder"]]
+        drawn, given = list[float](), list[float]()
+        inside: list[NDArray[np.bool_]] = [np.zeros(0, bool)]
+        names: dict[str, None] = {}
+        for record in records:
+            values = record["psnr"]["judge"]
+            last = record["given"]["views"] if record["given"] else 0
+            drawn += values[: len(values) - last]
+            given += values[len(values) - last :]
+            inside.append(np.arange(len(values)) < round((record["judge_eyes_in_cells"] or 0.0) * len(values)))
+            if last:
+                names[record["given"]["from"]] = None
+        known = any(record["judge_eyes_in_cells"] is not None for record in records)
+        return cls(
+            np.array(builder, np.float64),
+            np.array(drawn + given, np.float64),
+            np.concatenate(inside) if known or not records else None,
+            ", ".join(names),
+            len(given),
         )
-        counts = [(len(record["psnr"]["judge"]), record["judge_eyes_in_cells"] or 0.0) for record in records]
-        inside = [np.arange(count) < round(share * count) for count, share in counts]
-        return cls(builder, judge, np.concatenate(inside) if inside else np.zeros(0, bool))
 
     @property
     def share_in_cells(self) -> float | None:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis import _check
+from gsvis._text import as_line
 from gsvis.abr import AbrConfig
 from gsvis.errors import ArgumentError, SceneError
 from gsvis.package.contents import Contents
@@ -36,7 +37,10 @@ from gsvis.simulate.viewing import Viewing, ViewingConfig, show_at, watch
 from gsvis.simulate.whole_files import choose_whole_file, describe_whole_file, measure_whole_files, scene_with_sh
 from gsvis.stream import StreamedScene
 
-__all__ = ["AS_IS", "Place", "Visit", "simulate_visits"]
+__all__ = ["AS_IS", "WALKED", "Place", "Visit", "judged_in", "simulate_visits"]
+
+WALKED = 0.9
+"""Share of a walk in cells below which a report warns."""
 
 AS_IS = "if the path lies in the scene, ask for it as it is (--as-is)"
 """What to do about a scene without a space to walk in."""
@@ -45,6 +49,7 @@ Picture = tuple[float, str, NDArray[np.float32]]
 
 _SHOWN_AT = (0.5, 2.0)  # seconds of the pictures
 _COMPARED = 6  # views in which whole files are compared
+_ASKED = 512  # positions of a walk that are asked whether they lie in cells
 _AFTER = 1.0  # seconds of the walk beyond a visit, for prediction
 
 
@@ -112,7 +117,8 @@ class Place:
         contents = scene.contents
         highest = np.asarray(contents.last == len(contents.names) - 1)
         find = None if as_is else partial(_find_space, package=package)
-        return cls.prepare(scene, contents, highest, find, reference=reference, whole_file=whole_file)
+        facts = judged_in(package.manifest.info.provenance)
+        return cls.prepare(scene, contents, highest, find, reference=reference, whole_file=whole_file, facts=facts)
 
     @classmethod
     def prepare(
@@ -254,6 +260,32 @@ def simulate_visits(
     return tuple(visits)
 
 
+def judged_in(provenance: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a package or a world says of its check by eyes that its cells did not choose, ready for JSON.
+
+    Args:
+        provenance: That of its manifest, which anybody may have written; other than expected counts as nothing.
+    """
+    found = provenance.get("judged")
+    if not isinstance(found, dict):
+        return {}
+    share, warning = found.get("judge_eyes_in_cells"), found.get("warning")
+    known = float(share) if isinstance(share, float | int) and 0.0 <= share <= 1.0 else None
+    return {
+        "judged": {
+            "eyes_in_cells": known,
+            "warning": as_line(warning) if isinstance(warning, str) else None,
+        }
+    }
+
+
+def _share_in_cells(place: Place, path: HeadPath, seconds: float) -> float:
+    """Return the share of a walk, over time, that lies in cells."""
+    times = np.linspace(0.0, min(path.duration, seconds), _ASKED)
+    inside = place.scene.index.grid.cell_at(path.resample(times=times).positions) >= 0
+    return float(inside.mean())
+
+
 def _find_space(g: Gaussians, package: Package) -> NavigableSpace:
     try:
         return NavigableSpace.from_scene(g, up=np.array(package.manifest.info.up))
@@ -312,7 +344,7 @@ def _simulate_visit(
         place.title,
         sessions,
         stage.compared_with,
-        facts,
+        {**facts, "in_cells": _share_in_cells(place, path, config.seconds)},
         {
             "gaussians": stage.size[0],
             "terms": stage.size[1],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
 import shutil
 import subprocess
@@ -75,6 +76,7 @@ def test_it_writes_a_report_and_prints_tables(
     assert max(map(len, text.splitlines())) <= 80
     for label in ("QoE of a step", "whole file", "Morton order", "records sent twice", "0.2 Mbit/s"):
         assert label in text
+    assert re.search(r"\d% of the path lies in cells of scene\.", " ".join(text.split()))
     names = {path.name for path in Path("report").iterdir()}
     assert {"report.html", "report.json", "qoe.png", "psnr.png", "latency.png", "bandwidth.png", "start.png"} <= names
 
@@ -162,6 +164,8 @@ def test_a_path_that_sees_nothing_has_no_headline(folder: Path, tmp_path: Path, 
     assert visit["views"]["with_content"] == 0
     assert visit["systems"][0]["figures"]["score"] is None
     assert "The path sees nothing of scene" in err
+    assert visit["path"]["in_cells"] == 0.0
+    assert "Warning: only 0% of the path lies in cells of scene" in err
 
 
 @pytest.fixture(scope="module")

@@ -14,8 +14,9 @@ from PIL import Image
 
 from gsvis.abr import AbrConfig, BandwidthTrace
 from gsvis.report.session_document import Simulation, session_document, write_session_report
-from gsvis.report.session_page import _lead
+from gsvis.report.session_page import _lead, content_remarks, describe_eyes
 from gsvis.simulate import Adaptive, Link, MortonProgressive, Visit, WholeFile, play, show_at, watch
+from gsvis.simulate.visits import judged_in
 from tests.report.test_color_report import Outline
 from tests.simulate.streets import QUICK, street, walk
 
@@ -106,6 +107,26 @@ def test_the_page_says_what_clients_are_compared_with(
     visits = tuple(replace(visit, against=each) for visit, each in zip(simulation.visits, against, strict=True))
     html = _lead(session_document(replace(simulation, visits=visits)))
     assert said in "".join(Outline(html).words)
+
+
+def test_the_page_warns_of_walks_and_judges_outside_of_cells(simulation: Simulation) -> None:
+    one, other = simulation.visits
+    judged = {"judged": {"line": "x", "judge_eyes_in_cells": 0.4, "warning": "Warning: eyes see <little>\x1b[2J."}}
+    visits = (
+        replace(one, path={"in_cells": 0.995}, scene=judged_in(judged)),
+        replace(
+            other, path={"in_cells": 0.25}, scene=judged_in({"judged": {"warning": 3, "judge_eyes_in_cells": "a"}})
+        ),
+    )
+    document = session_document(replace(simulation, visits=visits))
+    first, second = content_remarks(document)
+    assert first == rf"{one.title} was prepared with a warning. Warning: eyes see <little>\x1b[2J."
+    assert second.startswith(f"Warning: only 25% of the path lies in cells of {other.title}")
+    assert [describe_eyes(visit) for visit in document["visits"]] == [
+        f"100% of the path lies in cells of {one.title}, and 40% of the eyes that judged it.",
+        f"25% of the path lies in cells of {other.title}.",
+    ]
+    assert judged_in({}) == judged_in({"judged": []}) == {}
 
 
 def test_the_same_sessions_give_the_same_files(

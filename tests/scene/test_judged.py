@@ -64,3 +64,19 @@ def test_parts_join_to_the_whole() -> None:
     assert both.builder.tolist() == [*one.builder, *other.builder]
     assert both.judge.tolist() == [*one.judge, *other.judge]
     assert both.share_in_cells == 0.25
+
+
+def test_joined_parts_keep_what_cameras_saw_apart() -> None:
+    """In each part cameras see 20 dB; drawn eyes are more, and see 60 dB."""
+    values = np.array([60.0] * 6 + [20.0] * 2)
+    part = Judged(np.full(5, 60.0), values, np.arange(8) < 6, "the cameras given", 2)
+    alone = Judged(np.full(5, 60.0), np.full(4, 60.0), np.ones(4, bool))
+    joined = Judged.joined([part.as_dict(), alone.as_dict(), part.as_dict()])
+    assert (joined.given, joined.named) == (4, "the cameras given")
+    assert joined.judge.tolist() == [60.0] * 16 + [20.0] * 4
+    assert joined.share_in_cells == 16 / 20
+    assert joined.warning is not None
+    assert "eyes of the cameras given see 20.0 dB" in joined.warning
+    assert Judged.joined([alone.as_dict()]).as_dict() == alone.as_dict()
+    blind = Judged(np.full(2, 60.0), np.full(2, 60.0), None)
+    assert Judged.joined([blind.as_dict()]).share_in_cells is None
