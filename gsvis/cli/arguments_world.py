@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
+from gsvis.cli.arguments_where import Framed
 from gsvis.cli.readers import (
     BYTES,
     CELLS,
@@ -29,7 +30,7 @@ __all__ = ["World"]
 
 
 @dataclass(frozen=True)
-class World:
+class World(Framed):
     """Make a world of scenes of any size: tiles, each a package, and districts."""
 
     scenes: Annotated[Positional[tuple[str, ...]], SCENES, arg(help_behavior_hint="")]
@@ -62,7 +63,10 @@ class World:
     margin: Annotated[float | None, DISTANCE, hint("1")] = None
     """Distance of viewpoints from --path, at most, in scene units."""
     up: Annotated[str | None, arg(metavar="UP", help_behavior_hint="(default: the likely one)")] = None
-    """Up in the scene: an axis such as -y, or three numbers, of which a world takes the nearest axis."""
+    """Up in the scene: an axis such as -y, or three numbers. Tiles are cut along the axes that are nearest to level."""
+    cameras: Annotated[str | None, arg(metavar="FILE", help_behavior_hint="(default: no cameras)")] = None
+    """Cameras of the capture, in the frame of the scenes: a COLMAP model, transforms.json or cameras.json. They say
+    which way is up, eyes are around half of them too, and the others judge the sets of tiles."""
     meters_per_unit: Annotated[float | None, DISTANCE, hint("that of the scenes, or not known")] = None
     """Length of a scene unit in meters, kept in the world."""
     seed: Annotated[int, WHOLE] = 0

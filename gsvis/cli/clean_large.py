@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from gsvis.cli import version
 from gsvis.cli.arguments import Clean
 from gsvis.cli.memory import count_gaussians, expected_memory
-from gsvis.cli.source import is_builtin
+from gsvis.cli.source import is_builtin, parse_up
 from gsvis.cli.terminal import Status, facts, least_size_of, print_json, show, size_of
 from gsvis.cli.where import WORDS
 from gsvis.errors import SceneError
@@ -66,8 +66,9 @@ def clean_in_tiles(command: Clean, config: CleanConfig) -> None:
     from gsvis.world.tiling import TilingConfig
 
     assert command.max_memory is not None
-    up = None if command.up is None else command.up.strip()
-    tiling = TilingConfig(_most(command.max_memory), up=up)
+    up = parse_up(command.up)
+    direction = None if up is None else (float(up[0]), float(up[1]), float(up[2]))
+    tiling = TilingConfig(_most(command.max_memory), up=direction)
     with Status() as status:
         status.line(f"{command.scene}: does not fit {size_of(command.max_memory)}, so it is cleaned in tiles")
         with _store(command) as store:
@@ -75,6 +76,8 @@ def clean_in_tiles(command: Clean, config: CleanConfig) -> None:
                 (command.scene, command.lod), config, tiling, store,
                 workers=Workers(1, command.max_memory), progress=status,
             )  # fmt: skip
+            for each in found.build.grid["remarks"]:
+                status.line(f"{command.scene}: {each}")
             if remark := remark_on_unseen(found.removed, found.gaussians):
                 status.line(f"{command.scene}: {remark}")
             if not found.kept:

@@ -224,7 +224,7 @@ def find_place(
     return replace(found, remarks=[*found.remarks, *more])
 
 
-def evidence_cameras(where: Where) -> Cameras | None:
+def evidence_cameras(command: Framed) -> Cameras | None:
     """Return the cameras of --cameras; None without.
 
     Raises:
@@ -232,7 +232,7 @@ def evidence_cameras(where: Where) -> Cameras | None:
         FileNotFoundError: If there is no file.
         ValueError: If it holds no camera.
     """
-    path = cameras_of(where)
+    path = cameras_of(command)
     if path is None:
         return None
     try:

@@ -17,19 +17,21 @@ from gsvis.cli import version
 from gsvis.cli.arguments import World
 from gsvis.cli.made_from import about_files
 from gsvis.cli.pvs import local_workers, named_memory, sets_config
-from gsvis.cli.source import check_folder, is_builtin, is_levels, parse_up, title_of
+from gsvis.cli.source import Source, check_folder, framed_cameras, is_builtin, is_levels, parse_up, title_of
 from gsvis.cli.terminal import Status, busy_note, clock, facts, least_size_of, print_json, show, size_of
+from gsvis.cli.where import check_cameras, evidence_cameras
 from gsvis.errors import ArgumentError
 from gsvis.io.batches import align_batches, facts_of_batches, list_batches
 from gsvis.io.poses import load_path
 from gsvis.io.scenes import check_scene
 from gsvis.package.made_from import note_paths
 from gsvis.pvs.workers import Workers
-from gsvis.scene.axes import nearest_axis
 from gsvis.scene.facts import SceneFacts
+from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.source_frame import SourceFrame
 
 if TYPE_CHECKING:
+    from gsvis.scene.cameras import Cameras
     from gsvis.world.config import WorldConfig
     from gsvis.world.estimate import WorldEstimate
     from gsvis.world.prepare import PreparedWorld
@@ -38,6 +40,8 @@ if TYPE_CHECKING:
 __all__ = ["run_world"]
 
 _HIGHEST = "high"
+_LOOKED = 8  # batches by which the frame of cameras is found
+_SOME = 100_000  # Gaussians of these
 _CLUSTERS = (4, 16, 64, 256)
 """Numbers of workers of which a dry run tells the time."""
 
@@ -59,7 +63,12 @@ def run_world(command: World) -> None:
 
     scenes, config = _check_scenes(command), _check_arguments(command)
     config = _in_frame(config, scenes, command.meters_per_unit is None)
+    cameras = evidence_cameras(command)
+    remarks: list[str] = []
     with Status() as status:
+        if cameras is not None:
+            cameras, remarks = _place_cameras(command, cameras, scenes)
+            config = replace(config, cameras=cameras)
         if command.dry_run:
             with _workers(command) as workers:
                 count = workers.count
@@ -86,9 +95,9 @@ def run_world(command: World) -> None:
             elif command.until == "world":
                 note_paths(command.out, [path for path, _ in scenes])
     if command.dry_run:
-        _print_estimate(command, estimate)
+        _print_estimate(command, estimate, remarks)
     elif command.until == "world":
-        _print_result(command, made)
+        _print_result(command, made, remarks)
     else:
         _print_tiles(command, tiles)
 
@@ -144,7 +153,7 @@ def _check_arguments(command: World) -> WorldConfig:
 
     check_folder(Path(command.out).absolute().parent)
     (check_world_target if command.until == "world" else check_tiles_target)(Path(command.out))
-    parse_up(command.up)
+    check_cameras(command)
     if command.margin is not None and command.path is None:
         raise ValueError("--margin: expected --path with it, got none; add it or leave this out")
     for other in ("workers", "max_memory"):
@@ -176,13 +185,25 @@ def _check_arguments(command: World) -> WorldConfig:
         meters_per_unit=command.meters_per_unit or 0.0,
     )
     up = parse_up(command.up)
-    config = WorldConfig(
-        TilingConfig(command.tile, up=None if up is None else nearest_axis(up)), package, command.far, command.angle
-    )
+    direction = None if up is None else (float(up[0]), float(up[1]), float(up[2]))
+    config = WorldConfig(TilingConfig(command.tile, up=direction), package, command.far, command.angle)
     if command.path is None:
         return config
     margin = WorldConfig.margin if command.margin is None else command.margin
     return replace(config, walk=tuple(map(tuple, load_path(command.path).positions.tolist())), margin=margin)
+
+
+def _place_cameras(command: World, cameras: Cameras, scenes: list[tuple[str, int | None]]) -> tuple[Cameras, list[str]]:
+    """Return cameras in the frame of the scenes, by some of their Gaussians, and remarks on their frame."""
+    from gsvis.io.batches import align_batches, list_batches, read_batch
+
+    batches = [batch for scene in align_batches([list_batches(*each) for each in scenes]) for batch in scene]
+    chosen = np.unique(np.linspace(0, len(batches) - 1, min(len(batches), _LOOKED)).astype(int))
+    parts = [read_batch(batches[k]) for k in chosen]
+    some = Gaussians.concatenate([g[:: max(1, len(g) * len(parts) // _SOME)] for g in parts])
+    path = Path(scenes[0][0])
+    assert command.cameras is not None
+    return framed_cameras(Source(path.name, some, path), cameras, command.cameras, command.cameras_frame)
 
 
 @contextmanager
@@ -196,9 +217,10 @@ def _workers(command: World) -> Iterator[Workers]:
     yield local_workers(command.workers, command.max_memory)
 
 
-def _print_estimate(command: World, estimate: WorldEstimate) -> None:
+def _print_estimate(command: World, estimate: WorldEstimate, remarks: list[str]) -> None:
+    remarks = [each.strip() for each in (*remarks, *estimate.remarks)]
     if command.json:
-        document = {"format": "gsvis-world-estimate", "version": 1, **asdict(estimate)}
+        document = {"format": "gsvis-world-estimate", "version": 1, **asdict(estimate), "remarks": remarks}
         times = {str(count): estimate.seconds_with(count) for count in (estimate.workers, *_more_workers(estimate))}
         print_json({
             **document, "core_hours": estimate.core_hours, "seconds": estimate.seconds, "seconds_by_workers": times,
@@ -221,7 +243,7 @@ def _print_estimate(command: World, estimate: WorldEstimate) -> None:
         (f"{count:,} workers", f"about {_rough(estimate.seconds_with(count))}") for count in _more_workers(estimate)
     ]
     tables = [facts(f"{command.out}: what it would cost", rows), facts("on one core", stages)]
-    show(*tables, *([facts("on a cluster", more)] if more else []), " Nothing was written.")
+    show(*tables, *([facts("on a cluster", more)] if more else []), *_lines(remarks), " Nothing was written.")
 
 
 def _rough(seconds: float) -> str:
@@ -258,8 +280,13 @@ def _print_tiles(command: World, tiles: list[WrittenTile]) -> None:
     show(f"{command.out}: {len(tiles):,} tiles, {count:,} Gaussians{of}")
 
 
-def _print_result(command: World, made: PreparedWorld) -> None:
+def _lines(remarks: list[str]) -> list[str]:
+    return [f" {each}" for each in remarks]
+
+
+def _print_result(command: World, made: PreparedWorld, remarks: list[str]) -> None:
     m = made.manifest
+    remarks = [each.strip() for each in (*remarks, *m.provenance["remarks"])]
     cells = sum(tile.cells for tile in m.tiles)
     seconds = sum(result.cpu for result in made.results.values())
     judged = m.provenance["judged"]
@@ -270,7 +297,7 @@ def _print_result(command: World, made: PreparedWorld) -> None:
                 "format": "gsvis-prepared-world", "version": 1, "world": command.out, "gaussians": m.gaussians,
                 "tiles": len(m.tiles), "districts": len(m.districts), "cells": cells, "bytes": made.nbytes,
                 "core_seconds": seconds, "peak_memory_of_a_worker": peak,
-                "judged": judged,
+                "judged": judged, "remarks": remarks,
             }
         )  # fmt: skip
         return
@@ -286,4 +313,6 @@ def _print_result(command: World, made: PreparedWorld) -> None:
     ]
     if judged is not None:
         rows.append(("checked by other eyes", judged["line"]))
-    show(facts(command.out, rows), *([f" {judged['warning']}"] if judged is not None and judged["warning"] else []))
+    if judged is not None and judged["warning"]:
+        remarks = [*remarks, judged["warning"]]
+    show(facts(command.out, rows), *_lines(remarks))

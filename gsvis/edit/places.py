@@ -76,7 +76,7 @@ def parcels_of(whole: NavigableSpace, sample: Gaussians, every: int, up: str, mo
         whole: Where eyes may be by a grid over all of it.
         sample: One in `every` of its Gaussians that can be seen.
         every: One of how many.
-        up: Axis that points upward, such as "+z".
+        up: Axis that points upward, such as "+z": squares lie along axes.
         most: Gaussians of a parcel, about.
     """
     found = [] if is_well_known(whole) else lay_parcels(sample, every, up, most)

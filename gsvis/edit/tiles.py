@@ -24,6 +24,7 @@ from gsvis.edit.places import Parcel, join_parcels, parcels_of, space_of_parcel
 from gsvis.edit.shape import Shape, far_from
 from gsvis.edit.whole import Whole, core_within, find_space, load_whole, save_whole
 from gsvis.files.archive import load_arrays, save_arrays
+from gsvis.scene.axes import nearest_axis
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.kinds import SpaceKind
 from gsvis.world.districts import merge_down
@@ -45,7 +46,7 @@ __all__ = [
 
 VERSIONS = {
     "clean_tile": 4, "find_flyaways": 2, "find_parcel": 1, "find_whole": 1, "gather_rows": 1, "merge_tile": 2,
-    "survey_scene": 2,
+    "survey_scene": 3,
 }  # fmt: skip
 
 F64 = NDArray[np.float64]
@@ -78,7 +79,8 @@ def survey_scene(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     sample = _sample(params, given)
     space = find_space(_Tiles(given, params["tiles"]), sample, up=params["up"])
     save_space(out / "space", space)
-    parcels = parcels_of(space, sample, params["every"], params["up"])
+    up = params["up"]
+    parcels = [{**each, "up": up} for each in parcels_of(space, sample, params["every"], nearest_axis(up))]
     low, high = sample.bounds(0.98)
     known = {"low": low.tolist(), "high": high.tolist(), "kind": asdict(space.kind), "rule": space.rule}
     return {**known, "parcels": parcels}

@@ -8,6 +8,7 @@ and 101-where-people-stand.md.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -196,30 +197,40 @@ def find_eyes(look: Look) -> Found:
 
 
 def find_mixed(look: Look) -> Found:
-    """Find the voxels where eyes belong in a piece of something larger: in rooms, and on open ground.
+    """Find the voxels where eyes belong in a piece of something larger: in rooms, on open ground, and at seeds.
 
     Args:
-        look: What is looked at; its seeds are not.
+        look: What is looked at. Who stood at a seed stood in free space; where else eyes are, no seed decides.
 
     Returns:
         As `find_eyes`.
 
     Raises:
-        SceneError: If it has neither.
+        SceneError: If it has none of these.
     """
     up = look.up
-    space = look.build(look.core.low, look.core.high)
+    low, high, near = box_with_seeds(look.core, look.seeds)
+    space = look.build(low, high) if not near.any() else _build_somehow(look, low, high)
     inside, standing = space.enclosed_parts(up), above_ground(space, up, look.person)
-    has_rooms, has_ground = inside.any(), footprint(standing, up) >= WALKABLE
+    has_rooms, has_ground = bool(inside.any()), footprint(standing, up) >= WALKABLE
     if has_rooms and has_ground:
         kind = SpaceKind("rooms", "enclosed space, and ground under the sky", None, "inside, and above the ground")
-        return space, inside | standing, "free, enclosed or with ground below", kind
-    if has_rooms:
-        return space, inside, "free, enclosed", SpaceKind("rooms", "enclosed space", None, "inside")
-    if has_ground:
+        free, rule = inside | standing, "free, enclosed or with ground below"
+    elif has_rooms:
+        kind, free, rule = SpaceKind("rooms", "enclosed space", None, "inside"), inside, "free, enclosed"
+    elif has_ground:
         kind = SpaceKind("open place", "ground under the sky", None, "above the ground")
-        return space, standing, "free, ground below", kind
-    raise SceneError("no navigable space: no room and no open ground", "look at the scene as a whole")
+        free, rule = standing, "free, ground below"
+    elif near.any():  # cameras around a thing
+        kind, free, rule = SpaceKind("object", "cameras around it", None, _HELD), np.zeros_like(inside), "free"
+        with suppress(SceneError):
+            free, rule, _ = space.choose(up, look.seeds[near])
+    else:
+        raise SceneError("no navigable space: no room and no open ground", "look at the scene as a whole")
+    if near.any():
+        space, free = hold_seeds(space, free, look.seeds[near])
+        rule = f"{rule}, and at cameras"
+    return space, free, rule, kind
 
 
 def stand_around(build: Callable[..., Occupancy], around: Around, *, widest: float = np.inf) -> tuple[Occupancy, Mask]:

@@ -31,6 +31,8 @@ _BALL = 2  # voxels around a seed that are free
 def box_with_seeds(core: Core, seeds: F64) -> tuple[F64, F64, Mask]:
     """Return the corners of a box that holds a scene and the seeds near it, and (S,) which seeds are near it.
 
+    Without seeds it is the box of the scene.
+
     Args:
         core: Where the scene is.
         seeds: (S, 3) positions.

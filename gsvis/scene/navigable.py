@@ -128,14 +128,12 @@ class NavigableSpace:
             seeds: (S, 3) positions known to be navigable, such as captured cameras. The box grows to hold them. The
                 connected parts that hold them are kept instead of the largest ones.
             mixed: Whether this is a piece of something larger, such as a city: then eyes are in all rooms and
-                on open ground, and never around it.
+                on open ground, around `seeds`, and never around it.
 
         Raises:
-            ValueError: If an argument is out of range, or `mixed` comes with `seeds`.
+            ValueError: If an argument is out of range.
             SceneError: If the scene has no free space.
         """
-        if mixed and seeds is not None:
-            raise ValueError("seeds: expected none for a piece of something larger, got some")
         for name, value, least, most in (
             ("max_alpha", max_alpha, 1e-6, 1.0 - 1e-6),
             ("clearance", clearance, 0.0, 32.0),

@@ -11,7 +11,6 @@ from gsvis.files.limits import digest_of
 from gsvis.package import Package, PackageInfo, in_package_order, write_package
 from gsvis.package.manifest import MANIFEST, Manifest
 from gsvis.prepare.colors import prepare_colors
-from gsvis.scene.axes import axis_vector
 from gsvis.scene.levels import Levels
 from gsvis.world.rows import box_of, flatten
 
@@ -25,14 +24,14 @@ PACKAGE = "package"
 
 
 def write_bare_package(
-    out: Path, levels: Levels, up: str, meters_per_unit: float, reach: Reach | None = None
+    out: Path, levels: Levels, up: Sequence[float], meters_per_unit: float, reach: Reach | None = None
 ) -> tuple[Levels, dict[str, Any]]:
     """Write levels as a package with base colors.
 
     Args:
         out: Folder of a result; the package lies in it.
         levels: The levels.
-        up: Axis that points upward.
+        up: (3,) unit axis that points upward.
         meters_per_unit: Meters in a scene unit; 0 if unknown.
         reach: Least and largest value of each component of base colors in the world.
 
@@ -42,7 +41,7 @@ def write_bare_package(
     flat = Levels(flatten(levels.union), levels.first, levels.last, levels.names)
     ordered = in_package_order(flat)
     colors = quantize(prepare_colors(ordered, None).fit.colors, "wire", reach=reach)
-    x, y, z = (float(v) for v in axis_vector(up))
+    x, y, z = (float(v) for v in up)
     info = PackageInfo((x, y, z), meters_per_unit)
     with write_package(out / PACKAGE, ordered, colors, info=info) as package:
         return ordered, facts_of_package(package, ordered)

@@ -22,9 +22,10 @@ from gsvis.io.batches import Batch, align_batches, list_batches
 from gsvis.progress import Progress
 from gsvis.pvs.workers import Workers
 from gsvis.scene.corridor import fill_in
+from gsvis.scene.witnesses import hold_out
 from gsvis.world.config import WorldConfig
 from gsvis.world.graph import Facts, Result, Task, run_graph
-from gsvis.world.tiles import MARGIN, SURROUNDINGS
+from gsvis.world.tiles import MARGIN, SURROUNDINGS, near_tile
 from gsvis.world.tiling import Rect, grid_of, sampling_interval, tile_name
 
 __all__ = ["DistrictPlan", "WorldBuild", "far_from_walk", "plan_districts"]
@@ -32,6 +33,7 @@ __all__ = ["DistrictPlan", "WorldBuild", "far_from_walk", "plan_districts"]
 _GUESSED = 1 << 18  # Gaussians of a batch that only reading counts
 _FEWEST = 64  # Gaussians of a tile; fewer go to the outside
 _SHARE = 1e-3  # and of `most`
+_CAMERAS = 512  # that are asked which way is up
 
 
 @dataclass(frozen=True)
@@ -76,6 +78,11 @@ def plan_districts(tree: Any, places: Sequence[int | None], count: int) -> list[
 
     visit(tree)
     return found
+
+
+def _few(viewmats: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return world to camera (C, 4, 4) of cameras, evenly spaced if they are very many."""
+    return np.asarray(viewmats[np.unique(np.linspace(0, len(viewmats) - 1, min(len(viewmats), _CAMERAS)).astype(int))])
 
 
 def far_from_walk() -> SceneError:
@@ -124,7 +131,9 @@ class WorldBuild:
             Task(f"sample {k}", "gsvis.world.tiling:sample_rows", {"batch": asdict(batch), "every": every})
             for k, batch in enumerate(self.batches)
         ]
-        params = {"config": asdict(self.config.tiling), "every": every}
+        params: Facts = {"config": asdict(self.config.tiling), "every": every}
+        if self.config.cameras is not None:
+            params["cameras"] = _few(self.config.cameras.viewmats).tolist()
         return [*samples, Task("grid", "gsvis.world.tiling:find_grid", params, tuple(task.name for task in samples))]
 
     @cached_property
@@ -295,7 +304,7 @@ class WorldBuild:
             params = {
                 "around": around, "angle": self.config.angle, "config": self.config.package.as_dict(),
                 "name": tile_name(rect), "up": self.grid["up"], "outside": rect is None,
-                "reach": self.reach,
+                "reach": self.reach, **self.witnesses_in(rect),
             }  # fmt: skip
             own = (f"levels {k}", f"space {k}") if k in self.searched else (f"levels {k}",)
             tasks.append(Task(f"tile {k}", "gsvis.world.packages:prepare_tile", params, (*own, *around)))
@@ -334,7 +343,7 @@ class WorldBuild:
     def space_params(self, rect: Rect) -> Facts:
         """Return the params of the space of a tile. Along a walk, what the place is does not matter."""
         around = SURROUNDINGS if self.config.walk is None else MARGIN
-        return {**self.square_of(rect), **self._walk_near(rect), "around": around}
+        return {**self.square_of(rect), **self._walk_near(rect), **self._seeds_near(rect), "around": around}
 
     def square_of(self, rect: Rect) -> Facts:
         """Return where a tile lies, its up axis, and the resolution of its space."""
@@ -354,6 +363,24 @@ class WorldBuild:
         across = self.walk[:, square["axes"]]
         near = (across >= np.array(square["low"]) - reach) & (across < np.array(square["high"]) + reach)
         return {"walk": self.walk[near.all(axis=1)].tolist(), "margin": reach}
+
+    def _seeds_near(self, rect: Rect) -> Facts:
+        """Return the params of the cameras in and around a tile by which its space is found; none without any."""
+        cameras = self.config.cameras
+        if cameras is None or self.walk is not None:
+            return {}
+        eyes = cameras.viewpoints[hold_out(len(cameras))[0]]
+        eyes = eyes[near_tile(eyes, self.square_of(rect))]
+        return {"seeds": eyes.tolist()} if len(eyes) else {}
+
+    def witnesses_in(self, rect: Rect | None) -> Facts:
+        """Return the params of the cameras in a tile that judge it; none without any."""
+        cameras = self.config.cameras
+        if cameras is None or rect is None:
+            return {}
+        views = cameras.viewmats[hold_out(len(cameras))[1]]
+        views = views[near_tile(cameras.viewpoints[hold_out(len(cameras))[1]], self.square_of(rect), 0.0)]
+        return {"witnesses": views.tolist()} if len(views) else {}
 
     def _run(self, tasks: list[Task], stage: str) -> dict[str, Result]:
         made: dict[int, Any] = {}  # by identity: what tasks share, such as the list of districts, stays one object

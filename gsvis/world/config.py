@@ -8,6 +8,7 @@ import numpy as np
 
 from gsvis import _check
 from gsvis.prepare.config import PrepareConfig
+from gsvis.scene.cameras import Cameras
 from gsvis.world.tiling import TilingConfig
 
 __all__ = ["WorldConfig"]
@@ -29,6 +30,8 @@ class WorldConfig:
         walk: (T, 3) positions of a walk, scene frame, along which eyes are, straight between two of them; None
             lets each tile find its own space. Tiles that the walk does not come near have no cells.
         margin: Distance from the walk within which eyes may be, scene units.
+        cameras: Cameras that took photos of the scenes, in their frame: they say which way is up, eyes are around
+            half of them too, and the others judge the sets of tiles. None for none.
 
     Raises:
         ValueError: If a value is out of range.
@@ -42,6 +45,7 @@ class WorldConfig:
     resolution: int = 160
     walk: tuple[tuple[float, float, float], ...] | None = None
     margin: float = 1.0
+    cameras: Cameras | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         for name, least in (("far", 16), ("looks", 1), ("resolution", 8)):

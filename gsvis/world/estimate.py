@@ -97,6 +97,7 @@ class WorldEstimate:
         load: Processes that used or waited for a core when the estimate began; None if unknown.
         trial: What a tile takes, of which some were tried.
         spent: Seconds of processor that this estimate took.
+        remarks: What a user has to know of the up axis, as lines.
     """
 
     gaussians: int
@@ -112,6 +113,7 @@ class WorldEstimate:
     load: float | None
     trial: Trial
     spent: float
+    remarks: tuple[str, ...] = ()
 
     @property
     def seconds(self) -> float:
@@ -175,6 +177,7 @@ def estimate_world(
         progress("trying tiles", 1, 1)
         seconds = sizes.seconds(trial)
         world, kept = _bytes(sizes, trial, build)
+        remarks = build.grid["remarks"]
     largest = int(max(expected.max(), 1))
     most = max(_UNSURE * largest * count / max(expected.sum(), 1), count - float(expected.sum()))
     memory, limit = _memory(sizes, build, largest, int(most), workers)
@@ -192,6 +195,7 @@ def estimate_world(
         load=load,
         trial=trial,
         spent=_clock() - began,
+        remarks=tuple(remarks),
     )
 
 

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
 
 from gsvis.errors import SceneError
 from gsvis.files.limits import read_whole
@@ -14,8 +17,10 @@ from gsvis.prepare.stages import VERSIONS as STAGES
 from gsvis.prepare.surroundings import Surroundings
 from gsvis.progress import silent
 from gsvis.pvs.workers import memory_error
+from gsvis.scene.cameras import Cameras, intrinsics
 from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.witnesses import Witnesses
 from gsvis.world.bare import PACKAGE, facts_of_package, reach_of, write_bare_package
 from gsvis.world.graph import TOO_LARGE, Facts, Given
 from gsvis.world.memory import tile_memory
@@ -25,7 +30,7 @@ from gsvis.world.tiles import config_of, load_space
 
 __all__ = ["VERSIONS", "prepare_tile"]
 
-VERSIONS = {"prepare_tile": [2, {name: version for name, version in STAGES.items() if name != "levels"}]}
+VERSIONS = {"prepare_tile": [3, {name: version for name, version in STAGES.items() if name != "levels"}]}
 
 
 def prepare_tile(params: Facts, given: Given, out: Path, work: Path) -> Facts:
@@ -33,7 +38,7 @@ def prepare_tile(params: Facts, given: Given, out: Path, work: Path) -> Facts:
 
     Inputs: its levels, its space, then the levels of tiles and the districts around it. Params: `around`, for each
     of these its node; `angle`; `config`; `name`; `up`; `reach`, of base colors in the world; `outside`, for the tile
-    without squares and a space.
+    without squares and a space; `witnesses`, world to camera of cameras that judge.
 
     Facts: those of the package, the number of cells, and the pieces.
     """
@@ -41,7 +46,7 @@ def prepare_tile(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     config = config_of(params["config"])
     if params["outside"] or not given.inputs[1].facts["voxels"]:
         return _bare(params, levels, out)
-    space = load_space(given.path(1, "space"))
+    space = replace(load_space(given.path(1, "space")), witnesses=_witnesses(params))
     target, about = work / f"{PACKAGE}.gsvis", json.loads(read_whole(given.path(0, "quality.json")))
     stages = stages_of(levels, target, space, config, photos=None, progress=silent)
     stages.reach, stages.one_level = reach_of(params), True
@@ -59,6 +64,15 @@ def prepare_tile(params: Facts, given: Given, out: Path, work: Path) -> Facts:
         facts = facts_of_package(package, levels)
         cells = len(package.visibility)
     return {**facts, "cells": cells, "pieces": pieces, "judged": made.judged}
+
+
+def _witnesses(params: Facts) -> Witnesses | None:
+    """Return the cameras that judge a tile; None without any. Their sizes do not matter."""
+    views = params.get("witnesses")
+    if not views:
+        return None
+    cameras = Cameras(views, np.tile(intrinsics(64, 48, 60.0), (len(views), 1, 1)), 64, 48)
+    return Witnesses(cameras, "the cameras given")
 
 
 def _surroundings(

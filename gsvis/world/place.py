@@ -18,7 +18,7 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
 from gsvis.scene.source_frame import SourceFrame
-from gsvis.simulate.visits import AS_IS, Place
+from gsvis.simulate.visits import AS_IS, Place, judged_in
 from gsvis.world.cells import WorldCells
 from gsvis.world.streamed import WorldPackage, open_world
 from gsvis.world.world import World
@@ -77,7 +77,10 @@ def open_place(
     return Place.prepare(
         scene, contents, highest, space, reference=reference, whole_file=whole_file,
         whole=f"all {len(tiles):,} tiles of the world" if len(tiles) > 1 else "the one tile of the world",
-        facts={"tiles": len(tiles), "districts": len(package.nodes) - len(tiles)},
+        facts={
+            "tiles": len(tiles), "districts": len(package.nodes) - len(tiles),
+            **judged_in(package.world.manifest.provenance),
+        },
     )  # fmt: skip
 
 
@@ -91,7 +94,7 @@ def _find_space(full: Gaussians, world: World, cells: WorldCells, seed: int) -> 
     m = world.manifest
     tile = int(np.random.default_rng(seed).choice(cells.tiles))  # one with more cells is drawn more often
     low, high = (np.array(corner, np.float64) for corner in (m.tiles[tile].low, m.tiles[tile].high))
-    flat = np.abs(np.array(m.up)) < 0.5
+    flat = np.isin(np.arange(3), m.grid.axes)
     margin = float((high - low)[flat].max())
 
     def near(points: NDArray[np.floating]) -> NDArray[np.bool_]:

@@ -20,7 +20,6 @@ from gsvis.package.manifest import MANIFEST
 from gsvis.prepare.work_folder import WorkFolder
 from gsvis.progress import Progress, silent
 from gsvis.pvs.workers import Workers
-from gsvis.scene.axes import axis_vector
 from gsvis.scene.judged import Judged
 from gsvis.world.bare import PACKAGE
 from gsvis.world.build import WorldBuild
@@ -137,11 +136,12 @@ def _manifest(build: WorldBuild, packages: Sequence[Result], about: Mapping[str,
         coords, shape = (None, (1, 1)) if rect is None else (rect[:2], rect[2:])
         sizes = facts["gaussians"], facts["cells"]
         tiles.append(Tile(coords, low, high, facts["package"], facts["bytes"], levels, *sizes, beyond, shape))
-    x, y, z = (float(v) for v in axis_vector(build.grid["up"]))
+    x, y, z = (float(v) for v in build.grid["up"])
     meters = build.config.package.meters_per_unit
     provenance = {**about, "angle": build.config.angle, "far": build.config.far, "most": build.config.tiling.most}
     records = [each.facts["judged"] for each in packages if each.facts.get("judged")]
     provenance["judged"] = _judged(records)
+    provenance["remarks"] = build.grid["remarks"]
     return WorldManifest(
         (x, y, z), meters, grid_of(build.grid["grid"]), tuple(tiles), tuple(districts), dict(provenance)
     )

@@ -25,7 +25,6 @@ from gsvis.io.ply import save_ply
 from gsvis.prepare.work_folder import WorkFolder
 from gsvis.progress import Progress, silent
 from gsvis.pvs.workers import Workers
-from gsvis.scene.axes import axis_vector
 from gsvis.world.build import WorldBuild
 from gsvis.world.config import WorldConfig
 from gsvis.world.rows import load_gaussians, load_tile_levels
@@ -110,7 +109,7 @@ def write_tiles(
         for k in range(len(build.tiles)):
             written.append(_write(build, k, until, results, target))
             progress("writing", k + 1, len(build.tiles))
-        about = {"format": _FORMAT, "version": 1, "stage": until, "up": axis_vector(build.grid["up"]).tolist()}
+        about = {"format": _FORMAT, "version": 1, "stage": until, "up": build.grid["up"]}
         rows = [{**each.__dict__, "levels": dict(each.levels)} for each in written]
         with atomic_path(target / INDEX) as partial:
             partial.write_text(json.dumps({**about, "tiles": rows}, indent=1) + "\n", encoding="utf-8")
@@ -154,6 +153,6 @@ def _write(build: WorldBuild, number: int, until: Stage, results: dict[str, Any]
             save_ply(load_gaussians(build.store.path_of(result.files["rows"], cache)), target / f"{name}.ply")
             return WrittenTile(f"{name}.ply", result.facts["gaussians"], (), *corners)
         levels = load_tile_levels(build.store.path_of(result.files["levels"], cache))
-        save_levels(levels, target / name, {"up": axis_vector(build.grid["up"]).tolist()})
+        save_levels(levels, target / name, {"up": build.grid["up"]})
     sizes = tuple(zip(levels.names, levels.counts, strict=True))
     return WrittenTile(name, len(levels.union), sizes, *corners)

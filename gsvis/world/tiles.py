@@ -51,7 +51,7 @@ __all__ = [
     "within_tile",
 ]
 
-VERSIONS = {"gather_rows": 1, "make_tile_levels": [2, STAGES["levels"]], "tile_space": 5}
+VERSIONS = {"gather_rows": 1, "make_tile_levels": [2, STAGES["levels"]], "tile_space": 6}
 
 MARGIN = 0.15
 """How far beyond a tile what is solid counts, in its longer side."""
@@ -73,7 +73,7 @@ def tile_space(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     """Task: find where eyes may be in the squares of a tile. Inputs are its rows, then those of the tiles around it.
 
     Gaussians within `around` of the tile count, in its longer side. With `walk`, positions within `margin` of the tile,
-    eyes are along them, and nowhere without any.
+    eyes are along them, and nowhere without any. With `seeds`, positions of cameras, eyes are around these too.
 
     Facts: the number of free voxels; 0 if nobody can be there.
     """
@@ -107,12 +107,13 @@ def space_of_tile(near: Gaussians, params: Facts) -> NavigableSpace | None:
     if "walk" in params and not params["walk"]:
         return None
     fine = _resolution(near, near_tile(near.means, params), params["resolution"])
+    seeds = params.get("seeds")
     found: NavigableSpace | None = None
     with suppress(SceneError):
         if "walk" in params:
             found = space_along(near, params["walk"], params["margin"], resolution=fine, up=params["up"])
         else:
-            found = NavigableSpace.from_scene(near, mixed=True, resolution=fine, up=params["up"])
+            found = NavigableSpace.from_scene(near, mixed=True, resolution=fine, up=params["up"], seeds=seeds)
     if found is None and "walk" not in params:  # an object: the grid around it is larger, so voxels are, too
         with suppress(SceneError):
             found = NavigableSpace.from_scene(near, resolution=params["resolution"], up=params["up"])

@@ -9,7 +9,8 @@ center.
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +21,11 @@ from gsvis import _check
 from gsvis.errors import SceneError
 from gsvis.io.batches import Batch, read_batch
 from gsvis.raycast.proxies import MIN_ALPHA
-from gsvis.scene.axes import axis_vector, nearest_axis
+from gsvis.scene.axes import axis_vector, describe_direction, nearest_axis, snap_to_axis, tilt_of
+from gsvis.scene.cameras import Cameras, intrinsics
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.sh import SH_C0
-from gsvis.scene.upright import find_up
+from gsvis.scene.upright import Upright, doubt_up, find_up
 from gsvis.world.graph import Facts, Given
 from gsvis.world.manifest import Grid
 from gsvis.world.rows import content_order, flatten, load_gaussians, save_gaussians
@@ -47,7 +49,7 @@ __all__ = [
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
-VERSIONS = {"sample_rows": 2, "find_grid": 3, "split_batch": 3}
+VERSIONS = {"sample_rows": 2, "find_grid": 4, "split_batch": 3}
 
 OUTSIDE = "outside"
 """Name of the tile of what lies outside all squares."""
@@ -70,7 +72,8 @@ class TilingConfig:
     Attributes:
         most: Most Gaussians of a tile, about: a rectangle with more is cut across its longer side.
         coverage: Share of the centers inside the robust box on each axis.
-        up: Axis that points upward, such as "+z"; None guesses it.
+        up: What points upward: an axis such as "+z", or a direction (3,); None takes what the files state, else what
+            the cameras say, else the likely one. Squares lie along the axes that are nearest to level.
 
     Raises:
         ValueError: If a value is out of range.
@@ -78,14 +81,14 @@ class TilingConfig:
 
     most: int = 250_000
     coverage: float = 0.98
-    up: str | None = None
+    up: str | tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
         _check.positive_int("most", self.most)
         if not 0.5 <= self.coverage < 1.0:
             raise ValueError(f"coverage: expected a share in [0.5, 1), got {self.coverage!r}")
         if self.up is not None:
-            axis_vector(self.up)
+            _direction(self.up)
 
 
 def sample_rows(params: Facts, given: Given, out: Path, work: Path) -> Facts:
@@ -107,20 +110,23 @@ def thin_out(g: Gaussians, every: int) -> Gaussians:
 def find_grid(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     """Task: find the grid from all samples.
 
-    Facts: the grid, the up axis, `bottom` and `top` on the axis that is not cut; `tiles`, their rectangles of squares,
-    by first square; the Gaussians that the sample expects in each; and `tree`, how they were cut (`cut_squares`).
+    Params: `config`, `every`, and `cameras`, world to camera (C, 4, 4), which say what is up.
+
+    Facts: the grid, the (3,) up axis and `remarks` on it, `bottom` and `top` on the axis that is not cut; `tiles`,
+    their rectangles of squares, by first square; the Gaussians that the sample expects in each; and `tree`, how they
+    were cut (`cut_squares`).
     """
     parts = [load_gaussians(given.path(k, "sample")) for k in range(len(given)) if given.inputs[k].facts["sampled"]]
     if not parts:
         raise SceneError("the scene has no Gaussian with an opacity of at least 1/255: there is nothing to see")
     sample, config = Gaussians.concatenate(parts), TilingConfig(**params["config"])
     sample = sample[content_order(sample)]
-    up = config.up or nearest_axis(find_up(sample, check=False).up)  # the squares lie along axes
+    upright = _find_up(sample, config, params.get("cameras"))
     low, high = sample.bounds(config.coverage)
     spread = np.maximum(_MARGIN * (high - low), 3.0 * float(np.median(sample.scales)))
     low, high = low - spread, high + spread
-    upright = int(np.abs(axis_vector(up)).argmax())
-    axes = [axis for axis in range(3) if axis != upright]
+    cut = int(np.abs(axis_vector(nearest_axis(upright.up))).argmax())  # the squares lie along axes
+    axes = [axis for axis in range(3) if axis != cut]
     inside = sample.means[((sample.means >= low) & (sample.means <= high)).all(axis=1)].astype(np.float64)
     every = params["every"]
     number = _SQUARES * math.sqrt(max(1.0, len(inside) * every / config.most))
@@ -137,13 +143,51 @@ def find_grid(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     grid = Grid(_triple(low), side, (axes[0], axes[1]), (int(shape[0]), int(shape[1])))
     return {
         "grid": asdict(grid),
-        "up": up,
-        "bottom": float(low[upright]),
-        "top": float(high[upright]),
+        "up": [float(value) for value in upright.up],
+        "remarks": _remarks_on_up(upright, axes),
+        "bottom": float(low[cut]),
+        "top": float(high[cut]),
         "tiles": tiles,
         "expected": expected,
         "tree": tree,
     }
+
+
+def _find_up(sample: Gaussians, config: TilingConfig, viewmats: Any) -> Upright:
+    """Return which way is up: as given, else stated by the files, else by cameras and Gaussians."""
+    cameras = None
+    if viewmats:
+        cameras = Cameras(viewmats, np.tile(intrinsics(64, 48, 60.0), (len(viewmats), 1, 1)), 64, 48)
+    if config.up is not None:
+        known = _direction(config.up)
+        return Upright(known, 1.0, "given by --up", doubt_up(sample, known, cameras=cameras))
+    found = find_up(sample, cameras=cameras)
+    return found if sample.facts.up is not None else replace(found, up=snap_to_axis(found.up))
+
+
+def _remarks_on_up(upright: Upright, axes: Sequence[int]) -> list[str]:
+    """Return what a user has to know of the up axis: what is not sure, what contradicts it, how squares lie to it."""
+    found = []
+    where = describe_direction(upright.up)
+    if not upright.sure:
+        found.append(
+            f"Not sure: up was taken for {where} with a confidence of {upright.confidence:.0%}; --up or --cameras"
+            " decides."
+        )
+    if upright.doubt:
+        found.append(f"Check the up axis: {upright.doubt}")
+    if tilt_of(upright.up, axis_vector(nearest_axis(upright.up))) > 1.0:
+        level = " and ".join("xyz"[axis] for axis in axes)
+        found.append(f"Up is {where}: tiles are cut along {level}, eyes and views follow the true up.")
+    return found
+
+
+def _direction(up: str | Sequence[float]) -> F64:
+    """Return the (3,) unit vector of an axis by its name, or of a direction."""
+    if isinstance(up, str):
+        return axis_vector(up)
+    rows = _check.unit_vectors("up", np.reshape(np.asarray(up, np.float64), (1, -1)))
+    return np.asarray(rows[0], np.float64)
 
 
 def cut_squares(counts: I64, most: int) -> tuple[list[Rect], list[int], Any]:

@@ -37,6 +37,7 @@ WITH_CAMERAS = {
     "prepare": "prepare {ply} -o {out}.gsvis",
     "export": "export {ply} -o {out}",
     "space": "space {ply} -o {out}.glb",
+    "world": "world {ply} -o {out}.gsworld",
     "view": "view {ply} --no-browser",
 }
 """Every command that takes cameras."""

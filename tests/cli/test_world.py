@@ -10,6 +10,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from gsvis.cli import main
@@ -85,6 +86,27 @@ def test_a_world_has_eyes_along_a_path_alone(scene: str, tmp_path: Path, capfd: 
     assert grid.centers[:, 0].max() < 4.0 + 0.6 + grid.cell_size
     assert main(["world", scene, "-o", str(tmp_path / "d.gsworld"), "--path", str(tmp_path / "none.csv")]) == 2
     assert "none.csv" in capfd.readouterr().err
+
+
+def test_cameras_of_a_world_are_eyes_of_its_tiles(
+    scene: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Half of them stand on poles, where no rule of rooms and ground has eyes."""
+    frames = []
+    for k in range(16):
+        pose = np.eye(4)
+        pose[:3, :3] = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # looks along +x, z up
+        pose[:3, 3] = 0.5 + 0.6 * k, 2.0, 1.5 if k % 4 < 2 else 3.6
+        frames.append({"file_path": f"{k}.png", "transform_matrix": pose.tolist()})
+    file, out = tmp_path / "transforms.json", tmp_path / "c.gsworld"
+    file.write_text(json.dumps({"fl_x": 50.0, "w": 64, "h": 48, "frames": frames}))
+    assert main(["world", scene, "-o", str(out), *SMALL, "--cells", "8", "--cameras", str(file), "--json"]) == 0
+    assert json.loads(capfd.readouterr().out)["remarks"] == []
+    world = World.open(out)
+    eyes = [np.array(each["transform_matrix"])[:3, 3] for each in frames[::2]]
+    for eye in eyes:
+        with world.package(world.tile_at(eye)) as package:
+            assert package.visibility.grid.cell_at(eye[None])[0] >= 0
 
 
 def test_wrong_scenes_end_with_one_line(scene: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -336,8 +336,12 @@ def test_a_piece_of_a_city_has_eyes_in_its_rooms_and_on_the_open_ground_beside_t
         outside = found[found[:, 1] > high[1]]
         assert (len(outside) > 0) == mixed
         assert np.all(outside[:, 2] > low[2])
-    with pytest.raises(ValueError, match="seeds: expected none"):
-        NavigableSpace.from_scene(both, seeds=eyes, mixed=True)
+    high_up = np.array([[low[0] + 1.0, high[1] + 3.0, low[2] + 2.9]])  # a camera on a pole
+    assert not space.contains(high_up).any()
+    seeded = NavigableSpace.from_scene(both, up=scene.up, resolution=96, mixed=True, seeds=high_up)
+    assert seeded.contains(high_up).all()
+    assert seeded.contains(eyes).mean() >= 0.99
+    assert space.volume < seeded.volume < 1.05 * space.volume
 
 
 def test_a_piece_of_a_city_has_eyes_in_rooms_that_no_door_connects() -> None:

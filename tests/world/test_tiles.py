@@ -13,14 +13,18 @@ from scipy.spatial import cKDTree
 
 from gsvis.errors import SceneError
 from gsvis.files.objects import open_store
+from gsvis.io.convert import rotation_about_axes
 from gsvis.progress import silent
 from gsvis.pvs.workers import Workers
+from gsvis.scene.cameras import Cameras
 from gsvis.scene.kinds import SpaceKind
 from gsvis.scene.procedural import nested_shells, two_rooms
 from gsvis.world.build import WorldBuild
 from gsvis.world.memory import needed_memory
+from gsvis.world.packages import _witnesses
 from gsvis.world.rows import load_gaussians, load_tile_levels
 from gsvis.world.tiles import load_space, space_of_tile
+from gsvis.world.tiling import TilingConfig
 from tests.world import cities
 
 
@@ -51,22 +55,49 @@ def test_the_lower_level_of_a_tile_without_eyes_is_as_fine_as_it_says_and_shares
     assert seen >= 2
 
 
-def test_eyes_are_in_rooms_that_borders_cut(tmp_path: Path) -> None:
-    """What a place is, and which space is enclosed, is seen with what lies around a tile."""
-    scene = two_rooms(12_000, sh_degree=0)
-    config = replace(cities.config(most=4_000), resolution=48)
-    one = cities.write(scene.gaussians, tmp_path / "rooms.ply")
+TURNS = {"upright": np.eye(3), "oblique": rotation_about_axes((45.0, 0.0, 20.0))}
+
+
+@pytest.mark.parametrize("turn", TURNS)
+def test_eyes_are_in_rooms_that_borders_cut(turn: str, tmp_path: Path) -> None:
+    """What a place is, and which space is enclosed, is seen with what lies around a tile, however the scene lies."""
+    scene, rotation = two_rooms(12_000, sh_degree=0), TURNS[turn]
+    x, y, z = rotation[:, 2].tolist()
+    config = replace(cities.config(most=4_000), resolution=48, tiling=TilingConfig(4_000, up=(x, y, z)))
+    one = cities.write(scene.gaussians.transform(rotation), tmp_path / "rooms.ply")
     build = WorldBuild([one], config, open_store(tmp_path / "store"), Workers(), silent)
-    eyes = scene.navigable.sample_viewpoints(2_000, np.random.default_rng(0))
+    eyes = scene.navigable.sample_viewpoints(2_000, np.random.default_rng(0)) @ rotation.T
     found, inside, volume = build.levels, np.zeros(len(eyes), bool), 0.0
     for k in sorted(build.searched):
         if found[f"space {k}"].facts["voxels"]:
             space = load_space(build.store.path_of(found[f"space {k}"].files["space"], Path()))
             inside |= space.contains(eyes)
             volume += space.volume
+            assert np.allclose(space.up, rotation[:, 2])
     assert len(build.searched) >= 4
     assert inside.mean() >= 0.95
     assert volume <= 1.4 * scene.navigable.volume  # that of the scene keeps a quarter of a unit from all walls
+
+
+def test_every_other_camera_judges_the_tile_that_it_stands_in(tmp_path: Path) -> None:
+    """Beside a street, three units above it: where no rule of rooms and ground has eyes."""
+    eyes = np.stack([np.linspace(0.5, 11.0, 20), np.full(20, 2.0), np.full(20, 3.6)], axis=1)
+    cameras = Cameras.look_at(eyes, eyes + np.array([1.0, 0.0, -0.2]), width=64, height=48, fov=60.0)
+    config = replace(cities.config(), cameras=cameras)
+    scene = cities.write(cities.street(), tmp_path / "street.ply")
+    build = WorldBuild([scene], config, open_store(tmp_path / "store"), Workers(), silent)
+    views, held = [np.zeros((0, 3))], np.zeros(len(eyes), bool)
+    for k in sorted(build.searched):
+        rect = build.tiles[k]
+        assert rect is not None
+        witnesses = _witnesses(build.witnesses_in(rect))
+        views.append(np.zeros((0, 3)) if witnesses is None else witnesses.cameras.viewpoints)
+        if build.levels[f"space {k}"].facts["voxels"]:
+            space = load_space(build.store.path_of(build.levels[f"space {k}"].files["space"], Path()))
+            held |= space.contains(eyes)
+    judges = np.concatenate(views)
+    np.testing.assert_allclose(judges[judges[:, 0].argsort()], eyes[1::2], atol=1e-6)
+    assert held[::2].all()
 
 
 def test_the_space_around_an_object_takes_no_more_memory_than_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:

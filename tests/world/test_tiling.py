@@ -14,9 +14,12 @@ from gsvis.errors import SceneError
 from gsvis.files.objects import open_store
 from gsvis.io import batches, load_scene
 from gsvis.io.batches import list_batches, read_batch
+from gsvis.io.convert import rotation_about_axes
 from gsvis.io.ply import save_ply
 from gsvis.progress import silent
 from gsvis.pvs.workers import Workers
+from gsvis.scene.axes import tilt_of
+from gsvis.scene.cameras import Cameras
 from gsvis.scene.content import scene_hash
 from gsvis.scene.facts import SceneFacts
 from gsvis.scene.gaussians import Gaussians
@@ -60,7 +63,7 @@ def test_what_files_state_reaches_every_tile_and_their_up_axis_the_grid(tmp_path
     config = replace(cities.config(), tiling=TilingConfig(700))
     build = WorldBuild([scene], config, open_store(tmp_path / "work"), Workers(), silent)
     assert {rows.facts for rows in tiles_of(build).values()} == {load_scene(tmp_path / "s.ply").facts} == {known}
-    assert build.grid["up"] == "+y"
+    assert build.grid["up"] == [0.0, 1.0, 0.0]
 
 
 def test_the_grid_takes_no_more_memory_than_is_counted_for_its_sample(tmp_path: Path) -> None:
@@ -161,3 +164,27 @@ def test_four_times_the_gaussians_are_four_times_the_tiles() -> None:
     most = int(one.sum() / 2.9)
     assert len(cut_squares(one, most)[0]) == 4
     assert len(cut_squares(four, most)[0]) <= 16
+
+
+def test_what_is_up_is_given_stated_or_seen_by_cameras(tmp_path: Path) -> None:
+    """Squares lie along axes; up is any direction, and who does not know it says so."""
+    turn = rotation_about_axes((45.0, 0.0, 20.0))
+    g = cities.street().transform(turn)
+    x, y, z = (float(value) for value in turn[:, 2])
+    plain = cities.write(g, tmp_path / "plain.ply")
+    stated = cities.write(g.with_facts(SceneFacts(up=(x, y, z), up_source="the file")), tmp_path / "stated.ply")
+    ahead = np.array([[np.cos(k), np.sin(k), 0.0] for k in range(8)])
+    eyes = np.tile([4.0, 2.0, 1.6], (8, 1))
+    seen = Cameras.look_at(eyes @ turn.T, (eyes + ahead) @ turn.T, up=turn[:, 2], width=64, height=48, fov=60.0)
+    config = replace(cities.config(), tiling=TilingConfig(700))
+    ways = {
+        "given": (plain, replace(config, tiling=TilingConfig(700, up=(x, y, z)))),
+        "stated": (stated, config),
+        "seen": (plain, replace(config, cameras=seen)),
+    }
+    for way, (scene, options) in ways.items():
+        build = WorldBuild([scene], options, open_store(tmp_path / way), Workers(), silent)
+        assert tilt_of(build.grid["up"], turn[:, 2]) < 0.1, way
+        (line,) = build.grid["remarks"]
+        assert "degrees off" in line
+        assert "tiles are cut along" in line
