@@ -15,6 +15,9 @@ from typing import Any
 
 import numpy as np
 from _harness import realdata
+from paper.ablation import ABLATIONS, ablated, without_levels, without_sets, without_terms
+from paper.rivals import RIVALS, LeafFiles, Measured, rival
+from paper.rivals.leaves import leaf_sizes
 
 from gsvis.abr import AbrConfig, FieldOfView
 from gsvis.export.leaves import cut_leaves
@@ -25,9 +28,6 @@ from gsvis.package.manifest import MANIFEST
 from gsvis.package.unpack import unpack_levels
 from gsvis.scene.gaussians import Gaussians
 from gsvis.simulate import Adaptive, Delivery, MortonProgressive, WholeFile, morton_order
-from gsvis.simulate.ablation import ABLATIONS, ablated, without_levels, without_sets, without_terms
-from gsvis.simulate.rivals import RIVALS, LeafFiles, Measured, rival
-from gsvis.simulate.rivals.leaves import leaf_sizes
 from gsvis.stream import StreamedScene
 
 __all__ = ["ABLATED", "OTHERS", "OURS", "SYSTEMS", "VARIANTS", "Scene", "place"]

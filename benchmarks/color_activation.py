@@ -40,6 +40,8 @@ from typing import Any
 import numpy as np
 from _harness import add_arguments, measure, realdata, write_result
 from numpy.typing import NDArray
+from paper.walk import PAPER_WALK, WalkConfig
+from paper.walk_terms import PAPER_TERMS, WalkTerms, terms_over_walk
 
 from gsvis.color.activation import Activation
 from gsvis.color.epsilon import FLIP_JND, MetricObserver, calibrate_epsilon
@@ -51,12 +53,10 @@ from gsvis.color.storage import load_srbf
 from gsvis.io import load_scene
 from gsvis.io.poses import load_path
 from gsvis.prepare.active_terms import build_active_terms
-from gsvis.prepare.walk_terms import PAPER_TERMS, WalkTerms, terms_over_walk
 from gsvis.pvs.build import build_pvs
 from gsvis.pvs.cells import MAX_CELLS, CellGrid
 from gsvis.pvs.config import PvsConfig
 from gsvis.pvs.store import VisibilityStore
-from gsvis.pvs.walk import PAPER_WALK, WalkConfig
 from gsvis.render import rasterize, view_weights
 from gsvis.render.metrics import flip_map, psnr
 from gsvis.scene.cameras import Cameras

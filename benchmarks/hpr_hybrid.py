@@ -18,8 +18,9 @@ from typing import Any
 
 import numpy as np
 from _harness import add_arguments, measure, realdata, write_result
+from paper.radius import calibrate_radius
 
-from gsvis.hpr import Splats, calibrate_radius, hidden_point_removal, hybrid, look_around, visible_gaussians
+from gsvis.hpr import Splats, hidden_point_removal, hybrid, look_around, visible_gaussians
 from gsvis.io import load_scene
 from gsvis.raycast import TAU, EllipsoidProxies, Tracer, visible_from
 from gsvis.scene.cameras import Cameras

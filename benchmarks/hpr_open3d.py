@@ -20,8 +20,9 @@ from typing import Any
 import numpy as np
 from _harness import add_arguments, measure, measure_in_turn, realdata, write_result
 from numba import get_num_threads
+from paper.radius import calibrate_radius
 
-from gsvis.hpr import calibrate_radius, hidden_point_removal, visible_gaussians
+from gsvis.hpr import hidden_point_removal, visible_gaussians
 from gsvis.io import load_scene
 from gsvis.raycast import TAU, EllipsoidProxies, Tracer, visible_from
 from gsvis.scene.gaussians import Gaussians

@@ -24,11 +24,11 @@ from typing import Any
 
 import numpy as np
 from _harness import add_arguments, realdata, write_result
+from paper.walk import PAPER_WALK, WalkConfig, measure_walk
 
 from gsvis.io import load_scene
 from gsvis.io.poses import load_path
 from gsvis.pvs.store import VisibilityStore
-from gsvis.pvs.walk import PAPER_WALK, WalkConfig, measure_walk
 from gsvis.raycast import PAPER
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.retarget import RetargetConfig, retarget

@@ -1,20 +1,23 @@
-"""Draw how a scene arrives over a slow link: gsvis beside the smallest whole file. It heads the README.
+"""Draw how a scene arrives over a slow link: gsvis beside streamed SOG and one whole file. It heads the README.
 
     gsvis convert builtin:flat scene.ply
-    gsvis prepare scene.ply -o scene.gsvis --levels none --cells 24 --limit 0.4
+    gsvis prepare scene.ply -o scene.gsvis --cells 24 --limit 0.4
     python tools/arriving.py scene.gsvis scene.ply
 
-Both ways are simulated over the same link with the same walk. The whole file is a compact SPZ in Morton order, the
-smallest of those that `gsvis simulate` tries. Every image stands beside its PSNR against the scene.
+All ways are simulated over the same link with the same walk. Streamed SOG has the levels of the package, and leaves
+are loaded by the rule of PlayCanvas' engine; `benchmarks/paper/rivals/leaves.py` says how it is simplified. The whole
+file is a compact SPZ in Morton order, the smallest of those that `gsvis simulate` tries. Every image stands beside its
+PSNR against the scene.
 
 Given: the built-in flat, its package, a link of 5 Mbit/s and 50 ms, a viewer who stands and turns.
-Measured: images, bytes and PSNR of the simulation. The whole file is drawn as if it lost nothing.
+Measured: images, bytes and PSNR of the simulation. The files of the others are drawn as if they lost nothing.
 Defaults chosen on: other scenes; eye and link before anything was drawn, times so that the whole file is seen, too.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -22,12 +25,17 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from paper.rivals.leaves import LeafFiles, LeafStream, leaf_sizes
 from PIL import Image, ImageDraw, ImageFont
 
-from gsvis.abr import BandwidthTrace
+from gsvis.abr import BandwidthTrace, FieldOfView
+from gsvis.export.leaves import cut_leaves
 from gsvis.io import load_scene
 from gsvis.io.spz import save_spz
+from gsvis.io.streamed_sog_writer import save_streamed_sog
+from gsvis.package.contents import Contents
 from gsvis.package.package import Package
+from gsvis.package.unpack import unpack_levels
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import quats_from_rotations
 from gsvis.scene.paths import HeadPath
@@ -44,7 +52,7 @@ sys.path.insert(0, str(ROOT / "benchmarks"))
 
 from _harness import write_result  # noqa: E402
 
-QUESTION = "What does a viewer of the built-in flat see over a slow link, and what with one whole file?"
+QUESTION = "What does a viewer of the built-in flat see over a slow link, by gsvis, streamed SOG and one whole file?"
 MBIT, ROUND_TRIP = 5.0, 0.05
 TIMES = (0.5, 1.0, 3.0, 7.0)
 EYE, TARGET = (5.2, 3.75, 1.6), (1.3, 0.9, 0.95)
@@ -71,8 +79,22 @@ def multiplied(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.flo
     return np.concatenate([w[:, None], xyz], axis=1)
 
 
+def leaf_stream(package: Package, contents: Contents, view: FieldOfView, folder: Path) -> LeafStream:
+    """Return the delivery of the levels of a package as streamed SOG, whose files are written to be measured."""
+    leaves = cut_leaves(unpack_levels(package))
+    written = save_streamed_sog(leaves.as_scene(), folder)
+    meta = folder / "lod-meta.json"
+    document = json.loads(meta.read_text())
+    beside = 0
+    if "environment" in document:
+        beside = sum(file.stat().st_size for file in (folder / document["environment"]).parent.iterdir())
+    sizes = leaf_sizes(written.sizes)
+    files = LeafFiles(leaves.of_ids, sizes, meta.stat().st_size, np.asarray(leaves.environment), beside)
+    return LeafStream(contents, files, view)
+
+
 def simulate(package: Path, scene: Path) -> tuple[list[list[Image3]], dict[str, Any]]:
-    """Return rows of images, of gsvis and of the whole file, and what the labels say."""
+    """Return rows of images, of gsvis, streamed SOG and the whole file, and what the labels say."""
     reference = load_scene(scene)
     path = standing(max(TIMES) + 1.0)
     config = ViewingConfig(seconds=max(TIMES), width=SIZE[0], height=SIZE[1], fov=80.0)
@@ -85,12 +107,13 @@ def simulate(package: Path, scene: Path) -> tuple[list[list[Image3]], dict[str, 
         link = Link(BandwidthTrace.constant(MBIT), ROUND_TRIP)
         ways = (
             Adaptive(place.scene, config.view),
+            leaf_stream(opened, contents, config.view, Path(folder) / "sog"),
             WholeFile(contents, *place.whole_file, ids=np.flatnonzero(place.highest)),
         )
         played = [play(way, link, path, stage.size, seconds=40.0) for way in ways]
         shown = [show_at(stage, played, path, t, config) for t in TIMES]
     black = np.zeros((SIZE[1], SIZE[0], 3), np.float32)
-    rows = [[black if images[k] is None else images[k] for _, images in shown] for k in range(2)]
+    rows = [[black if images[k] is None else images[k] for _, images in shown] for k in range(len(played))]
     quality = [[psnr_of(image, full) for image, (full, _) in zip(row, shown, strict=True)] for row in rows]
     return rows, summarize(played, quality, place)
 
@@ -102,10 +125,12 @@ def summarize(played: list[Playback], quality: list[list[float]], place: Place) 
         "round_trip_s": ROUND_TRIP,
         "gaussians": len(place.contents),
         "whole_file_bytes": place.whole_file[0],
-        "whole_file_complete_s": round(played[1].first, 2),
+        "whole_file_complete_s": round(played[2].first, 2),
         "times_s": list(TIMES),
         "gsvis_db": [round(min(value, 99.0), 1) for value in quality[0]],
-        "whole_file_db": [round(min(value, 99.0), 1) for value in quality[1]],
+        "streamed_sog_db": [round(min(value, 99.0), 1) for value in quality[1]],
+        "streamed_sog_bytes": [int(value) for value in played[1].bytes_at(np.array(TIMES))],
+        "whole_file_db": [round(min(value, 99.0), 1) for value in quality[2]],
         "gsvis_bytes": [int(value) for value in played[0].bytes_at(np.array(TIMES))],
         "gsvis_first_image_s": round(played[0].first, 2),
     }
@@ -114,23 +139,28 @@ def summarize(played: list[Playback], quality: list[list[float]], place: Place) 
 def compose(rows: list[list[Image3]], facts: dict[str, Any]) -> Image.Image:
     """Return the picture: a row for each way, a column for each time."""
     wide = len(TIMES) * (SIZE[0] + GAP) - GAP
-    tall = 2 * (SIZE[1] + LABEL) + GAP
+    tall = len(rows) * (SIZE[1] + LABEL + GAP) - GAP
     sheet = Image.new("RGB", (wide, tall), "white")
     pen, font = ImageDraw.Draw(sheet), ImageFont.load_default(17)
-    whole = f"whole file (compact SPZ, {facts['whole_file_bytes'] / 1e6:.1f} MB)"
     for k, row in enumerate(rows):
         top = k * (SIZE[1] + LABEL + GAP)
         for i, image in enumerate(row):
             left = i * (SIZE[0] + GAP)
             sheet.paste(Image.fromarray((image * 255).round().astype(np.uint8)), (left, top + LABEL))
-            text = f"{TIMES[i]:g} s   gsvis: {facts['gsvis_bytes'][i] / 1e6:.2f} MB, {facts['gsvis_db'][i]:.0f} dB"
-            if k == 1:
-                text = f"{TIMES[i]:g} s   {whole}"
-                waiting = f"nothing until {facts['whole_file_complete_s']:.1f} s"
-                if not image.any():
-                    pen.text((left + 20, top + LABEL + SIZE[1] // 2), waiting, "#bbbbbb", font)
-            pen.text((left + 4, top + 6), text, "#222222", font)
+            pen.text((left + 4, top + 6), f"{TIMES[i]:g} s   {label(k, i, facts)}", "#222222", font)
+            if not image.any():
+                waiting = f"nothing until {facts['whole_file_complete_s']:.1f} s" if k == 2 else "nothing yet"
+                pen.text((left + 20, top + LABEL + SIZE[1] // 2), waiting, "#bbbbbb", font)
     return sheet
+
+
+def label(row: int, column: int, facts: dict[str, Any]) -> str:
+    """Return what stands above an image."""
+    if row == 2:
+        return f"whole file (compact SPZ, {facts['whole_file_bytes'] / 1e6:.1f} MB)"
+    key, name = (("gsvis", "gsvis"), ("streamed_sog", "streamed SOG"))[row]
+    nbytes, quality = facts[f"{key}_bytes"][column], facts[f"{key}_db"][column]
+    return f"{name}: {nbytes / 1e6:.2f} MB, {quality:.0f} dB"
 
 
 def main() -> None:
@@ -145,6 +175,7 @@ def main() -> None:
     figures = [
         figure("PSNR after 0.5 s, 5 Mbit/s", facts["gsvis_db"][0], "dB", "higher"),
         figure("PSNR after 1 s, 5 Mbit/s", facts["gsvis_db"][1], "dB", "higher"),
+        figure("PSNR after 1 s, streamed SOG", facts["streamed_sog_db"][1], "dB", "higher"),
         figure("bytes in 1 s", facts["gsvis_bytes"][1], "bytes", "lower"),
         figure("the smallest whole file is there after", facts["whole_file_complete_s"], "s", "lower"),
     ]

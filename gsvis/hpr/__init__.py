@@ -1,19 +1,15 @@
 """Hidden point removal and a hierarchical z-buffer: find what an eye sees of points and Gaussians without rays."""
 
-from gsvis.hpr.calibration import Calibration, Trial, calibrate_radius
 from gsvis.hpr.gaussians import OcclusionHull, visible_gaussians
 from gsvis.hpr.hybrid import hybrid
 from gsvis.hpr.operator import hidden_point_removal
 from gsvis.hpr.zbuffer import Seen, Splats, ZBuffer, look_around
 
 __all__ = [
-    "Calibration",
     "OcclusionHull",
     "Seen",
     "Splats",
-    "Trial",
     "ZBuffer",
-    "calibrate_radius",
     "hidden_point_removal",
     "hybrid",
     "look_around",

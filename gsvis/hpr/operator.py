@@ -37,7 +37,7 @@ def hidden_point_removal(points: ArrayLike, viewpoint: ArrayLike, radius: float)
         points: (N, 3) positions, world frame.
         viewpoint: (3,) the eye.
         radius: Radius of the sphere, scene units, at least the distance of the farthest point. A larger radius
-            makes more points visible; `calibrate_radius` finds a good one.
+            makes more points visible.
 
     Returns:
         (K,) int64 indices of the visible points, ascending.
@@ -72,7 +72,7 @@ def flip_points(points: F64, eye: F64, radius: float) -> tuple[F64, I64 | None]:
     if not (np.isfinite(radius) and radius >= farthest and radius > 0.0):
         raise ValueError(
             f"radius: expected a finite radius of at least the distance of the farthest point, {farthest:.6g}, got "
-            f"{radius!r}; remove outliers or let calibrate_radius choose"
+            f"{radius!r}; remove outliers or give a larger one"
         )
     elsewhere = None
     if len(points) and lengths.min() == 0.0:

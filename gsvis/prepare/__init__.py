@@ -22,10 +22,8 @@ if TYPE_CHECKING:
     from gsvis.prepare.prepare import Prepared, prepare_package
     from gsvis.prepare.scene_colors import ColorOutputs, color_scene
     from gsvis.prepare.stages import StageRecord
-    from gsvis.prepare.walk_terms import PAPER_TERMS, WalkTerms, terms_over_walk
 
 __all__ = [
-    "PAPER_TERMS",
     "Approximations",
     "ColorConfig",
     "ColorOutputs",
@@ -39,7 +37,6 @@ __all__ = [
     "Prepared",
     "StageEstimate",
     "StageRecord",
-    "WalkTerms",
     "build_active_terms",
     "color_scene",
     "estimate_preparation",
@@ -48,7 +45,6 @@ __all__ = [
     "measure_colors",
     "prepare_colors",
     "prepare_package",
-    "terms_over_walk",
 ]
 
 _HOMES = {
@@ -78,11 +74,6 @@ _HOMES = {
         "prepare_package",
     ),
     "stages": ("StageRecord",),
-    "walk_terms": (
-        "PAPER_TERMS",
-        "WalkTerms",
-        "terms_over_walk",
-    ),
 }
 
 

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from gsvis.pvs.quality import Quality, QualityConfig, measure_quality
     from gsvis.pvs.store import CellSet, StoreInfo, VisibilityStore, write_store
     from gsvis.pvs.viewpoints import CellViewpoints, FreeVoxels, SharedViewpoints
-    from gsvis.pvs.walk import WalkConfig, WalkVisibility, measure_walk
     from gsvis.pvs.why import Why
     from gsvis.pvs.workers import Workers
 
@@ -43,15 +42,12 @@ __all__ = [
     "SharedViewpoints",
     "StoreInfo",
     "VisibilityStore",
-    "WalkConfig",
-    "WalkVisibility",
     "Why",
     "Workers",
     "build_pvs",
     "connect",
     "estimate_pvs",
     "measure_quality",
-    "measure_walk",
     "staged_bound",
     "upper_bound",
     "write_store",
@@ -90,11 +86,6 @@ _HOMES = {
         "CellViewpoints",
         "FreeVoxels",
         "SharedViewpoints",
-    ),
-    "walk": (
-        "WalkConfig",
-        "WalkVisibility",
-        "measure_walk",
     ),
     "why": ("Why",),
     "workers": ("Workers",),

@@ -108,8 +108,8 @@ def test_frames_are_averaged_by_system(figures: Any) -> None:
 
 
 def test_systems_of_the_bench_are_the_rivals_of_the_library(figures: Any) -> None:
-    from gsvis.simulate.ablation import ABLATIONS
-    from gsvis.simulate.rivals import RIVALS
+    from paper.ablation import ABLATIONS
+    from paper.rivals import RIVALS
 
     assert set(RIVALS) < set(figures.OTHERS)
     assert len(figures.ABLATED) == len(ABLATIONS)

@@ -18,9 +18,9 @@ from gsvis.abr.classes import FieldOfView
 from gsvis.abr.predict import Pose
 from gsvis.package.contents import Contents
 from gsvis.scene.gaussians import rotations_from_quats
-from gsvis.simulate.rivals.flow import Files
-from gsvis.simulate.rivals.pieces import Sender, boxes_in_view, distances_to
-from gsvis.simulate.rivals.segments import Segments, level_files
+from paper.rivals.flow import Files
+from paper.rivals.pieces import Sender, boxes_in_view, distances_to
+from paper.rivals.segments import Segments, level_files
 
 __all__ = ["RULES", "LeafFiles", "LeafStream", "leaf_sizes"]
 

@@ -22,11 +22,11 @@ from gsvis.package.active_terms import ActiveTerms
 from gsvis.prepare.active_terms import most_weights
 from gsvis.progress import Progress, silent
 from gsvis.pvs.store import VisibilityStore
-from gsvis.pvs.walk import PAPER_WALK, VisibleCells, WalkConfig
 from gsvis.raycast import Tracer, visible_in
 from gsvis.render.weights import view_weights
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.paths import HeadPath
+from paper.walk import PAPER_WALK, VisibleCells, WalkConfig
 
 __all__ = ["PAPER_TERMS", "WalkTerms", "terms_over_walk"]
 

@@ -12,9 +12,9 @@ from gsvis.abr.config import AbrConfig
 from gsvis.abr.predict import Pose, predictor
 from gsvis.package.contents import Contents
 from gsvis.scene.gaussians import rotations_from_quats
-from gsvis.simulate.rivals.flow import Files, Window
-from gsvis.simulate.rivals.pieces import Sender, distances_to
-from gsvis.simulate.rivals.segments import Segments, layers_by_importance, level_layers
+from paper.rivals.flow import Files, Window
+from paper.rivals.pieces import Sender, distances_to
+from paper.rivals.segments import Segments, layers_by_importance, level_layers
 
 __all__ = ["LayerByLayer", "Layers"]
 

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from paper.radius import calibrate_radius
 
-from gsvis.hpr import calibrate_radius, hidden_point_removal
+from gsvis.hpr import hidden_point_removal
 
 
 def sphere(n: int = 3000, seed: int = 0) -> np.ndarray:

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from paper.walk import VisibleCells, WalkConfig, WalkVisibility, measure_walk
 
-from gsvis.pvs.walk import VisibleCells, WalkConfig, WalkVisibility, measure_walk
 from gsvis.raycast import EllipsoidProxies, Tracer, visible_in
 from gsvis.render.weights import view_weights
 from gsvis.scene.paths import HeadPath

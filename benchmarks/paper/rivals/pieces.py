@@ -21,7 +21,7 @@ from gsvis.abr.predict import Pose
 from gsvis.package.contents import Contents
 from gsvis.simulate.baselines import CHUNK, terms_of
 from gsvis.simulate.delivery import Parcel
-from gsvis.simulate.rivals.flow import Flow
+from paper.rivals.flow import Flow
 
 __all__ = ["Pieces", "Sender", "boxes_in_view", "boxes_of", "distances_to"]
 

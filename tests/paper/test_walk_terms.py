@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from paper.walk import WalkConfig, measure_walk
+from paper.walk_terms import PAPER_TERMS, WalkTerms, terms_over_walk
 
 from gsvis.color.activation import Activation
 from gsvis.color.records import bytes_per_term
 from gsvis.color.srbf import SrbfColors
 from gsvis.errors import FormatError
-from gsvis.prepare.walk_terms import PAPER_TERMS, WalkTerms, terms_over_walk
-from gsvis.pvs.walk import WalkConfig, measure_walk
 from gsvis.raycast import EllipsoidProxies, Tracer
 from gsvis.render.weights import view_weights
 from gsvis.scene.paths import HeadPath

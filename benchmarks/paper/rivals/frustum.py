@@ -10,8 +10,8 @@ from gsvis.abr.config import AbrConfig
 from gsvis.abr.predict import Pose
 from gsvis.package.contents import Contents
 from gsvis.simulate.baselines import morton_order
-from gsvis.simulate.rivals.flow import Window
-from gsvis.simulate.rivals.pieces import Pieces, Sender, boxes_in_view, boxes_of, distances_to
+from paper.rivals.flow import Window
+from paper.rivals.pieces import Pieces, Sender, boxes_in_view, boxes_of, distances_to
 
 __all__ = ["FrustumChunks"]
 

@@ -7,17 +7,17 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from paper.rivals import RIVALS, Layers, LeafFiles, Measured, Pieces, Sender, rival
+from paper.rivals.flow import Files, Window
+from paper.rivals.leaves import LeafStream
+from paper.rivals.pieces import boxes_in_view, boxes_of, distances_to
+from paper.rivals.segments import Segments, layers_by_importance, level_files, level_layers
 
 from gsvis.abr import BandwidthTrace, FieldOfView, Pose
 from gsvis.package.contents import Contents
 from gsvis.simulate import Link, Playback, Stage, WholeFile, play, watch
 from gsvis.simulate.baselines import terms_of
 from gsvis.simulate.delivery import Parcel
-from gsvis.simulate.rivals import RIVALS, Layers, LeafFiles, Measured, Pieces, Sender, rival
-from gsvis.simulate.rivals.flow import Files, Window
-from gsvis.simulate.rivals.leaves import LeafStream
-from gsvis.simulate.rivals.pieces import boxes_in_view, boxes_of, distances_to
-from gsvis.simulate.rivals.segments import Segments, layers_by_importance, level_files, level_layers
 from gsvis.stream import StreamedScene
 from tests.simulate.streets import QUICK, street, walk
 

@@ -6,10 +6,10 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from paper.ablation import ABLATIONS, ablated, without_levels, without_sets, without_terms
 
 from gsvis.abr import AbrConfig, BandwidthTrace
 from gsvis.simulate import Adaptive, Link, Playback, play
-from gsvis.simulate.ablation import ABLATIONS, ablated, without_levels, without_sets, without_terms
 from gsvis.stream import StreamedScene
 from tests.simulate.streets import QUICK, street, walk
 

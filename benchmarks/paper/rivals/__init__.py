@@ -14,11 +14,11 @@ from functools import cached_property
 from gsvis.abr.classes import FieldOfView
 from gsvis.package.contents import Contents
 from gsvis.simulate.delivery import Delivery
-from gsvis.simulate.rivals.frustum import FrustumChunks
-from gsvis.simulate.rivals.layers import LayerByLayer, Layers
-from gsvis.simulate.rivals.leaves import LeafFiles, LeafStream
-from gsvis.simulate.rivals.pieces import Pieces, Sender
-from gsvis.simulate.rivals.segments import Segments
+from paper.rivals.frustum import FrustumChunks
+from paper.rivals.layers import LayerByLayer, Layers
+from paper.rivals.leaves import LeafFiles, LeafStream
+from paper.rivals.pieces import Pieces, Sender
+from paper.rivals.segments import Segments
 
 __all__ = [
     "RIVALS",
