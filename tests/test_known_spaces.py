@@ -53,10 +53,12 @@ def test_other_facts_and_other_options_are_searched_anew(scene: Path, found: lis
 
 
 def test_the_likely_up_axis_is_the_one_that_is_found_anew(scene: Path) -> None:
-    g = load_scene(scene).with_facts(replace(load_scene(scene).facts, up=None))
-    plain = upright.find_up(g)
+    def load() -> Gaussians:
+        return load_scene(scene).with_facts(replace(load_scene(scene).facts, up=None))
+
+    plain = upright.find_up(load())
     with known_spaces.remember_spaces():
         for _ in range(2):
-            found = upright.find_up(g)
+            found = upright.find_up(load())
             assert (found.up == plain.up).all()
             assert (found.confidence, found.reason) == (plain.confidence, plain.reason)

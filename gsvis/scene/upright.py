@@ -6,6 +6,7 @@ Up is any unit vector in the scene's frame, with a confidence in it. This module
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,6 +28,7 @@ SURE = 0.8
 
 _NOTHING = 0.25  # confidence in the convention of most files, where nothing else is known
 _CONTRADICTION = 40.0  # degrees
+_likely: WeakKeyDictionary[Gaussians, Likely | None] = WeakKeyDictionary()  # scenes do not change; goes with its scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,8 +99,7 @@ def doubt_up(g: Gaussians, up: ArrayLike, *, cameras: Cameras | None = None) -> 
     level = level_cameras(cameras) if cameras is not None else None
     if level is not None and level.confidence >= SURE and tilt_of(axis, level.up) > _CONTRADICTION:
         return _disagree(axis, level.up, "the cameras are")
-    sample = sample_surface(g)
-    likely = find_likely(sample) if sample is not None else None
+    likely = _find_once(g)
     if likely is None or likely.geometry < SURE or tilt_of(axis, likely.up) <= _CONTRADICTION:
         return ""
     return _disagree(axis, likely.up, "ground and walls are" if likely.ground else "the object is")
@@ -110,12 +111,20 @@ def _disagree(axis: F64, other: F64, witness: str) -> str:
     return f"up is {describe_direction(axis)}, but {witness} level with {describe_direction(other)} up: {how}?"
 
 
+def _find_once(g: Gaussians) -> Likely | None:
+    """Return the likely up axis of a scene, None if it has too few Gaussians; commands ask for it several times."""
+    if g not in _likely:
+        sample = sample_surface(g)
+        _likely[g] = find_likely(sample) if sample is not None else None
+    return _likely[g]
+
+
 def _from_gaussians(g: Gaussians) -> Upright:
-    sample = sample_surface(g)
-    if sample is None:
+    likely = _find_once(g)
+    if likely is None:
         return Upright(axis_vector("-y"), _NOTHING, "what most files use; too few Gaussians to tell")
-    likely = find_likely(sample)
-    return Upright(likely.up, likely.confidence, _explain(likely), other=likely.other)
+    other = None if likely.other is None else likely.other.copy()
+    return Upright(likely.up.copy(), likely.confidence, _explain(likely), other=other)
 
 
 def _explain(likely: Likely) -> str:

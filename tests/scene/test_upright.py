@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from gsvis.scene import upright
+from gsvis.scene._up_sample import Sample, sample_surface
 from gsvis.scene.axes import describe_direction, nearest_axis, tilt_of
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.facts import SceneFacts
@@ -274,3 +279,33 @@ def test_words_for_directions() -> None:
     assert nearest_axis((1.0, 1.0, 1.0)) == "+x"
     with pytest.raises(ValueError, match="direction: expected non-zero"):
         nearest_axis((0, 0, 0))
+
+
+def test_the_gaussians_are_searched_once_whoever_asks(monkeypatch: pytest.MonkeyPatch) -> None:
+    searched: list[Gaussians] = []
+
+    def sample(g: Gaussians) -> Sample | None:
+        searched.append(g)
+        return sample_surface(g)
+
+    monkeypatch.setattr(upright, "sample_surface", sample)
+    g, other = two_rooms(1000).gaussians, two_rooms(1200).gaussians
+    first = find_up(g)
+    first.up[:] = 0.0  # what a caller does with the answer
+    again = find_up(g)
+    assert np.linalg.norm(again.up) == pytest.approx(1.0)
+    assert (again.confidence, again.reason) == (first.confidence, first.reason)
+    assert doubt_up(g, -again.up) == doubt_up(g.with_facts(SceneFacts(up_source="said")), -again.up)
+    assert [len(each) for each in searched] == [len(g), len(g)]  # the second object could be another scene
+    find_up(other)
+    assert searched[-1] is other
+
+
+def test_what_was_found_goes_with_its_scene() -> None:
+    g = two_rooms(1000).gaussians
+    find_up(g)
+    assert g in upright._likely
+    scene = weakref.ref(g)
+    del g
+    gc.collect()
+    assert scene() is None
