@@ -16,13 +16,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from gsvis.cli import source
 from gsvis.scene import upright
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.stated import stated_space
 
 __all__ = ["coarse_spaces", "remember_spaces"]
 
-_MOST = 192  # three for a scene
+_MOST = 256  # four for a scene
 _from_scene = NavigableSpace.from_scene
 _found: dict[str, Any] = {}
 _sample_surface = upright.sample_surface
@@ -31,13 +33,18 @@ _find_likely = upright.find_likely
 
 @contextmanager
 def remember_spaces(folder: Path | None = None) -> Iterator[None]:
-    """Let the space and the likely up axis be what they were for the same arrays and options; errors come anew.
+    """Let spaces, found or stated, and the likely up axis be what they were for the same arrays and options.
 
-    Processes that name the same folder share what they find.
+    Errors come anew. Processes that name the same folder share what they find.
     """
 
     def remember(g: Gaussians, **options: Any) -> NavigableSpace:
         space: NavigableSpace = _remember(_name(g, options), folder, lambda: _from_scene(g, **options))
+        return space
+
+    def remember_stated(g: Gaussians, *, up: Any = None) -> NavigableSpace | None:
+        key = f"stated-{_name(g, {'up': up})}"
+        space: NavigableSpace | None = _remember(key, folder, lambda: stated_space(g, up=up))
         return space
 
     def remember_sample(g: Gaussians) -> Any:
@@ -48,6 +55,7 @@ def remember_spaces(folder: Path | None = None) -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(NavigableSpace, "from_scene", staticmethod(remember))
+        patch.setattr(source, "stated_space", remember_stated)
         patch.setattr(upright, "sample_surface", remember_sample)
         patch.setattr(upright, "find_likely", remember_likely)
         yield

@@ -22,6 +22,7 @@ from gsvis.scene.upright import find_up
 __all__ = ["stated_space"]
 
 F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 _RESOLUTION = 160
@@ -93,22 +94,36 @@ def _search(
         max_alpha=_MAX_ALPHA,
         clearance=_CLEARANCE,
     )
-    inside = np.zeros(space.clear.shape, bool)
-    inside[tuple(slice(int(a), int(a + n)) for a, n in zip(before, counts, strict=True))] = True
-    free = _reached(space, inside & _far_enough(space, clearance), eye)
+    free = _reached(space, _far_enough(space, before.astype(np.int64), counts.astype(np.int64), clearance), eye)
     if not free.any():
         raise SceneError("no navigable space: nothing in the box that the scene states is free", "give a box")
     return space, free
 
 
-def _far_enough(space: Occupancy, clearance: float | None) -> Mask:
-    """Return (X, Y, Z) the clear voxels that lie farther than a distance from what stops light, to half a voxel."""
-    if clearance is None or not space.occupied.any():
-        return space.clear
+def _far_enough(space: Occupancy, start: I64, counts: I64, clearance: float | None) -> Mask:
+    """Return (X, Y, Z) the clear voxels of a box that lie farther than a distance from what stops light.
+
+    Args:
+        space: The grid.
+        start: (3,) the first voxel of the box.
+        counts: (3,) its voxels along each side.
+        clearance: The distance, held to half a voxel; None asks for none.
+    """
+    free = np.zeros(space.clear.shape, bool)
+    box = tuple(slice(a, a + n) for a, n in zip(start, counts, strict=True))
+    free[box] = space.clear[box]
+    if clearance is None:
+        return free
     from scipy import ndimage  # here: it takes long to import, and few need it
 
-    apart = ndimage.distance_transform_edt(~space.occupied, sampling=space.voxel_size)
-    return np.asarray(space.clear & (apart + 0.5 * space.voxel_size > clearance), bool)
+    reach = int(min(np.ceil(clearance / space.voxel_size), max(free.shape))) + 1  # what lies beyond changes nothing
+    low = np.maximum(start - reach, 0)
+    occupied = space.occupied[tuple(slice(a, b) for a, b in zip(low, start + counts + reach, strict=True))]
+    if occupied.any():
+        apart = ndimage.distance_transform_edt(~occupied, sampling=space.voxel_size)
+        mine = tuple(slice(a, a + n) for a, n in zip(start - low, counts, strict=True))
+        free[box] &= apart[mine] + 0.5 * space.voxel_size > clearance
+    return free
 
 
 def _reached(space: Occupancy, free: Mask, eye: ArrayLike | None) -> Mask:
