@@ -46,6 +46,11 @@ SETUP := pyproject.toml constraints.txt tools/setup.sh
 	@bash tools/setup.sh docs
 	@touch .venv/.gsvis $@
 
+# All that the checks need, in one go of pip, which takes half a minute to see that nothing is missing.
+.venv/.gsvis-check: $(SETUP)
+	@bash tools/setup.sh dev,docs
+	@touch .venv/.gsvis .venv/.gsvis-dev .venv/.gsvis-docs $@
+
 demo: .venv/.gsvis
 	@$(BIN)/gsvis analyze $(SCENE) -o $(OUT) --views 12
 	@echo "The report with its pictures: $(OUT)/report.html"
@@ -94,7 +99,7 @@ viewer-check:
 check: others test
 
 # All checks but the tests, two at a time: most of them use one core.
-others: .venv/.gsvis-dev .venv/.gsvis-docs
+others: .venv/.gsvis-check
 	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target examples lint types viewer-check docs doctests
 
 # Tests that start processes, listen on sockets, lock files or wait for others.

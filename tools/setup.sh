@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Makes .venv ready: python, the system's shared libraries, gsvis itself. Called by the Makefile as
-#   tools/setup.sh [EXTRA]     EXTRA: a group of pyproject.toml that is wanted besides `all`, such as dev
+#   tools/setup.sh [EXTRA]     EXTRA: groups of pyproject.toml that are wanted besides `all`, such as dev or dev,docs
 # As root it installs what the system lacks through apt-get; otherwise it prints the one line to run and stops.
 set -euo pipefail
 cd "$(dirname "$0")/.."
