@@ -84,7 +84,7 @@ def judge(g: Gaussians, space: NavigableSpace, chosen: Chosen) -> dict[str, Any]
     held = float((CellGrid.over(space).cell_at(chosen.eyes) >= 0).mean())
     row: dict[str, Any] = {"chosen_eyes_in_cells": round(held, 3), "kept": round(float(kept.mean()), 3)}
     try:
-        found = judge_cleaning(g, kept, VIEWS.cameras(g, space), VIEWS, space)
+        found = judge_cleaning(g, kept, g, VIEWS, space)
     except SceneError as error:
         return row | {"warned": True, "error": error.problem}
     mine, theirs = float(np.median(found.builder)), float(np.median(found.judge)) if len(found.judge) else None

@@ -25,4 +25,4 @@ def take_few_judges(patch: pytest.MonkeyPatch) -> None:
     from gsvis.cli import analyze, pvs_report
 
     for home in (analyze, pvs_report):
-        patch.setattr(home, "_JUDGES", 4)
+        patch.setattr(home, "JUDGES", 4)

@@ -26,6 +26,7 @@ from gsvis.cli.terminal import Status, facts, print_json, show
 from gsvis.cli.where import WORDS, check_where, find_place, space_document, spell, suspect_views
 from gsvis.errors import SceneError
 from gsvis.raycast import CrossCheck, describe_check
+from gsvis.render.judges import JUDGES
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
@@ -39,7 +40,7 @@ PICTURE = 400
 
 _COMPARABLE = 50  # least views of a capture whose mean is compared with the paper's
 _VIEWS, _WIDTH, _HEIGHT, _FOV = 16, 256, 192, 60.0
-_JUDGES, _SMALL, _STREAM = 50, (96, 72), 3  # views by each rule, their pixels, and a stream of the seed
+_SMALL, _STREAM = (96, 72), 3  # pixels of views that judge, and a stream of the seed
 
 
 def run_analyze(command: Analyze) -> None:
@@ -131,7 +132,7 @@ def _judge(command: Analyze, g: Gaussians, space: NavigableSpace, status: Status
     from gsvis.pvs.judged import judge_shares
     from gsvis.scene.view_sampling import ViewSampling
 
-    views = ViewSampling(_JUDGES, *_SMALL, command.fov or _FOV, command.seed, _STREAM)
+    views = ViewSampling(JUDGES, *_SMALL, command.fov or _FOV, command.seed, _STREAM)
     try:
         return judge_shares(g, space, views, command.tau, progress=status).as_dict()
     except SceneError:

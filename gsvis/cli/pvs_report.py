@@ -28,6 +28,7 @@ from gsvis.cli.where import Place, check_cameras
 from gsvis.errors import SceneError
 from gsvis.pvs.store import VisibilityStore
 from gsvis.pvs.viewpoints import CellViewpoints
+from gsvis.render.judges import JUDGES
 from gsvis.scene.content import space_hash
 from gsvis.scene.levels import as_levels
 from gsvis.scene.navigable import NavigableSpace
@@ -37,7 +38,7 @@ from gsvis.scene.witnesses import Witnesses, hold_out
 
 __all__ = ["run_pvs_report"]
 
-_JUDGES, _SMALL, _STREAM = 50, (160, 120), 3  # views by each rule, their pixels, and a stream of the seed
+_SMALL, _STREAM = (160, 120), 3  # pixels of views that judge, and a stream of the seed
 _OPTIONS = (
     "lod",
     "cameras",
@@ -131,7 +132,7 @@ def _judge(
     """Return what eyes of two rules see of the sets, or a remark why nothing judges them."""
     from gsvis.pvs.judged import judge_sets
 
-    views = ViewSampling(_JUDGES, *_SMALL, command.fov, command.seed, _STREAM)
+    views = ViewSampling(JUDGES, *_SMALL, command.fov, command.seed, _STREAM)
     try:
         return judge_sets(as_levels(source.whole), space, store, views, progress=status).as_dict(), []
     except SceneError as error:  # the report stands without judges

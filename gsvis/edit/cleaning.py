@@ -15,6 +15,7 @@ from gsvis.edit.places import find_in_parcels
 from gsvis.edit.shape import Shape
 from gsvis.errors import SceneError
 from gsvis.progress import Progress, silent
+from gsvis.render.judges import count_views
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.judged import Judged
@@ -26,7 +27,7 @@ __all__ = ["Cleaning", "clean", "core_of", "held_out_cameras", "judge"]
 _WIDTH, _HEIGHT, _FOV = 320, 240, 75.0  # of held-out views
 _STREAM = 2  # of the seed, for held-out views; the next two are for further ones
 _SMALL = (96, 72)  # pixels of views that are judged
-_JUDGES, _JUDGE_FROM = 50, 8  # views by each rule; and held-out views from which there are as many
+_USUAL = 8  # held-out views from which there are as many to judge as elsewhere
 _DRAWN, _MOST = 12_000_000, 256  # Gaussians drawn in further views of the guard, and most of these views
 
 
@@ -160,10 +161,8 @@ def _judge_eyes(
     progress: Progress,
 ) -> Judged:
     """Return what eyes of two rules see; few where few views are held out, such as in tests."""
-    count = _JUDGES if config.held_out >= _JUDGE_FROM else config.held_out
-    views = ViewSampling(count, *_SMALL, _FOV, config.seed, _STREAM + 2)
-    mine = views.cameras(core_of(g, shape), navigable)
-    return judge_cleaning(g, kept, mine, views, navigable, progress=progress)
+    views = ViewSampling(count_views(config.held_out, _USUAL), *_SMALL, _FOV, config.seed, _STREAM + 2)
+    return judge_cleaning(g, kept, core_of(g, shape), views, navigable, progress=progress)
 
 
 def core_of(g: Gaussians, shape: Shape | None = None) -> Gaussians:

@@ -14,7 +14,7 @@ from gsvis.edit.guard import PSNR_CAP
 from gsvis.progress import Progress, silent
 from gsvis.pvs.cells import CellGrid
 from gsvis.render import psnr, rasterize
-from gsvis.render.judges import find_judges
+from gsvis.render.judges import judging_views
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.judged import Judged
@@ -34,7 +34,7 @@ _STAGE = "judge"
 def judge_cleaning(
     g: Gaussians,
     kept: NDArray[np.bool_],
-    mine: Cameras,
+    core: Gaussians,
     views: ViewSampling,
     navigable: NavigableSpace,
     *,
@@ -45,14 +45,14 @@ def judge_cleaning(
     Args:
         g: The scene, N Gaussians.
         kept: (N,) those that stay.
-        mine: Views in navigable space, of the size of `views`.
-        views: Number, size, field of view and seed of the judge's views.
+        core: What makes its surfaces, in which no eye stands.
+        views: Number by each rule, size, field of view and seed.
         navigable: Where eyes may be.
         progress: Called with stage "judge".
     """
     progress(_STAGE, 0, 1)
     with one_thread():
-        judges = find_judges(g, views, navigable.witnesses)
+        mine, judges = judging_views(g, views, navigable, whole=core)
         ids, few = thin(g, _MOST, seed=views.seed)
         ours, theirs = (_compare(few, kept[ids], cameras) for cameras in (mine, judges.cameras))
     progress(_STAGE, 1, 1)

@@ -12,28 +12,26 @@ from gsvis.prepare.surroundings import Surroundings
 from gsvis.progress import Progress, silent
 from gsvis.pvs.judged import judge_images
 from gsvis.pvs.store import VisibilityStore
-from gsvis.render.judges import Judges, find_judges
+from gsvis.render.judges import JUDGES, Judges, count_views, judging_views
 from gsvis.scene.judged import Judged
 from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.view_sampling import ViewSampling
 
-__all__ = ["judge_tile", "judging_views"]
+__all__ = ["judge_tile", "small_views"]
 
-_JUDGES = 50  # views by each rule, at least a hundred together
 _OF_TILE = 26  # of a tile: two of them have more than a hundred
 _FROM = 12  # views of what a client gets from which there are so many
 
 
-def judging_views(views: ViewSampling, *, of_tile: bool) -> ViewSampling:
+def small_views(views: ViewSampling, *, of_tile: bool) -> ViewSampling:
     """Return the builder's views for judging, half as large as those that measure what a client gets.
 
     Args:
         views: The latter; where they are few, such as in tests, so are these.
         of_tile: Whether the scene is a tile of a world.
     """
-    many = _OF_TILE if of_tile else _JUDGES
-    count = views.count if views.count < _FROM else many
+    count = count_views(views.count, _FROM, _OF_TILE if of_tile else JUDGES)
     small = {name: max(1, getattr(views, name) // 2) for name in ("width", "height")}
     return replace(views, count=count, stream=views.stream + 2, **small)
 
@@ -60,8 +58,8 @@ def judge_tile(
         progress: Called with stage "judge", in views.
     """
     top, own = len(levels) - 1, levels.level(len(levels) - 1)
-    judges = _within(find_judges(own, views, space.witnesses), space)
-    mine = views.cameras(levels, space)
+    mine, judges = judging_views(own, views, space, whole=levels)
+    judges = _within(judges, space)
     joint = levels if around is None else around[0].joined(levels)
     member = joint.member(top)
     first = len(levels.union)

@@ -11,6 +11,7 @@ import numpy as np
 
 from gsvis.files.resume import folder_beside
 from gsvis.progress import Progress, silent
+from gsvis.render.judges import count_views
 from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.judged import Judged
@@ -23,7 +24,7 @@ from gsvis.train.levels import LevelsConfig, TrainedLevels, train_levels
 __all__ = ["MadeLevels", "find_levels_work", "make_levels"]
 
 
-_JUDGES, _JUDGE_FROM = 50, 12  # views by each rule; and held-out views from which there are as many
+_USUAL = 12  # held-out views from which there are as many to judge as elsewhere
 _WIDTH, _FOV = 160, 75.0  # pixels and degrees of these views
 _STREAM = 7  # of the seed
 
@@ -94,7 +95,7 @@ def _judge(levels: Levels, views: LevelViews, seed: int, progress: Progress) -> 
     """Return what eyes of two rules see of the levels; few where few views are held out, such as in tests."""
     assert views.held_out is not None
     held_out = views.held_out.cameras
-    count = _JUDGES if len(held_out) >= _JUDGE_FROM else len(held_out)
+    count = count_views(len(held_out), _USUAL)
     width = min(_WIDTH, held_out.width)
     small = ViewSampling(count, width, max(1, round(held_out.height * width / held_out.width)), _FOV, seed, _STREAM)
     if views.space is None:

@@ -33,7 +33,7 @@ from gsvis.package.active_terms import colors_hash
 from gsvis.package.cell_terms import CellTerms
 from gsvis.prepare.colors import find_kept, prepare_colors
 from gsvis.prepare.config import PrepareConfig
-from gsvis.prepare.judged import judge_tile, judging_views
+from gsvis.prepare.judged import judge_tile, small_views
 from gsvis.prepare.levels import make_levels
 from gsvis.prepare.memory import left_for_sets
 from gsvis.prepare.surroundings import Surroundings
@@ -278,7 +278,7 @@ class Stages:
 
     def judged(self, levels: Levels, store: VisibilityStore) -> dict[str, Any]:
         """Return how good the sets are at eyes that navigable space did not choose."""
-        views = judging_views(self.config.fidelity_views, of_tile=self.one_level)
+        views = small_views(self.config.fidelity_views, of_tile=self.one_level)
         around = None if self.around is None else (self.around, self.work.at(around_of(store.path.name)))
         witnesses = None if self.space.witnesses is None else self.space.witnesses.digest
         key = self._key(

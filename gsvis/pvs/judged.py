@@ -16,7 +16,7 @@ from gsvis.progress import Progress, silent
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.store import VisibilityStore
 from gsvis.render import psnr, rasterize, view_weights
-from gsvis.render.judges import Judges, find_judges
+from gsvis.render.judges import Judges, judging_views
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.judged import Judged
@@ -53,8 +53,8 @@ def judge_sets(
         seen[store.visible_ids(cell)] = True
         return seen[member]
 
-    judges = find_judges(g, views, space.witnesses)
-    return judge_images(g, store.grid, held, views.cameras(scene, space), judges, progress=progress)
+    mine, judges = judging_views(g, views, space, whole=scene)
+    return judge_images(g, store.grid, held, mine, judges, progress=progress)
 
 
 def judge_images(
@@ -148,7 +148,7 @@ def judge_shares(
         tau: Least weight of a visible Gaussian.
         progress: Called with stage "judge", in views.
     """
-    judges, mine = find_judges(g, views, space.witnesses), views.cameras(g, space)
+    mine, judges = judging_views(g, views, space)
     total, shares = len(mine) + len(judges), list[float]()
     progress("judge", 0, total)
     for cameras in (mine, judges.cameras):

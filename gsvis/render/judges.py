@@ -11,14 +11,19 @@ from gsvis.render.rasterizer import rasterize
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.judging import draw_judges
+from gsvis.scene.levels import Levels
+from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.solid import buried
 from gsvis.scene.thinned import thin
 from gsvis.scene.view_sampling import ViewSampling
 from gsvis.scene.witnesses import Witnesses
 
-__all__ = ["Judges", "find_judges"]
+__all__ = ["JUDGES", "Judges", "count_views", "find_judges", "judging_views"]
 
 F32 = NDArray[np.float32]
+
+JUDGES = 50
+"""Views by each of the two rules: a hundred together."""
 
 _MOST = 12_000  # Gaussians of the scene in which an eye is tried
 
@@ -39,6 +44,31 @@ class Judges:
 
     def __len__(self) -> int:
         return len(self.cameras)
+
+
+def count_views(held_out: int, usual: int, most: int = JUDGES) -> int:
+    """Return how many views each rule draws: few where few views are held out, such as in tests.
+
+    Args:
+        held_out: Views that are held out for other checks.
+        usual: Number of these from which there are `most`.
+        most: Number of views.
+    """
+    return most if held_out >= usual else held_out
+
+
+def judging_views(
+    g: Gaussians, views: ViewSampling, space: NavigableSpace, *, whole: Gaussians | Levels | None = None
+) -> tuple[Cameras, Judges]:
+    """Return the views by both rules: builder's eyes in navigable space, and judge's eyes that do not know of it.
+
+    Args:
+        g: The scene that judge's eyes look at.
+        views: Number by each rule, size, field of view and seed.
+        space: Where the builder's eyes are; its witnesses judge too.
+        whole: The scene in which the builder's eyes are in nothing solid; `g` by default.
+    """
+    return views.cameras(g if whole is None else whole, space), find_judges(g, views, space.witnesses)
 
 
 def find_judges(g: Gaussians, views: ViewSampling, witnesses: Witnesses | None = None) -> Judges:
