@@ -82,9 +82,8 @@ def order_records(
     picture = index.highest_within(config.picture)
     table = offsets(policy, view.regime, index.num_levels, utility, picture)
     top = max(lowest_last(view.regime, index.num_levels), picture + 1)
-    active, ahead = _active(index, _cells(shared, view)), set[int]()
-    if index.cones is not None:
-        active = set(range(index.num_terms))
+    active = set(range(index.num_terms)) if index.cones is not None else _active(index, _cells(shared, view))
+    ahead = set[int]()
     if view.cell_ahead is not None and view.cell_ahead != view.cell:
         ahead = set(index.sets.classes(view.cell_ahead)[0].tolist())
         active |= _active(index, [view.cell_ahead])

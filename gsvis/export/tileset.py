@@ -156,15 +156,20 @@ def tileset_document(
     root = _tile(turn, box + origin, widest) | {"refine": "REPLACE", "children": children}
     if meters != 1.0:
         root["transform"] = np.diag([meters, meters, meters, 1.0]).ravel().tolist()
-    extensions = [SPLATS, SPZ] if packed else [SPLATS]
-    used = {"extensionsUsed": extensions} | ({"extensionsRequired": extensions} if packed else {})
     return {
         "asset": {"version": "1.1", "generator": GENERATOR},
         "extensionsUsed": ["3DTILES_content_gltf"],
-        "extensions": {"3DTILES_content_gltf": used},
+        "extensions": {"3DTILES_content_gltf": _extensions_of(packed)},
         "geometricError": _rounded(widest * meters),
         "root": root,
     }
+
+
+def _extensions_of(packed: bool) -> dict[str, list[str]]:
+    """Return which extensions of glTF contents use; viewers need those of packed ones."""
+    if packed:
+        return {"extensionsUsed": [SPLATS, SPZ], "extensionsRequired": [SPLATS, SPZ]}
+    return {"extensionsUsed": [SPLATS]}
 
 
 def _tile(turn: F64, box: F64, error: float) -> dict[str, Any]:
