@@ -51,13 +51,13 @@ def refused(capsys: Capture, *words: object) -> str:
 
 def test_a_store_is_written_and_summarized(ply: Path, tmp_path: Path, capsys: Capture) -> None:
     out = tmp_path / "new" / "rooms.pvs"
-    assert main(["pvs", str(ply), "-o", str(out), *QUICK]) == 0
+    assert main(["pvs", str(ply), "-o", str(out), *QUICK, *BOX]) == 0
     text = capsys.readouterr().out
     assert max(map(len, text.replace(str(tmp_path), "").splitlines())) <= 80
     for label in ("visible from a cell", "viewpoints a cell", "light missed", "proven to miss", "two tracers agree"):
         assert label in text
     assert [path.name for path in out.parent.iterdir()] == ["rooms.pvs"]
-    found = document(capsys, ply, "-o", out, *QUICK)
+    found = document(capsys, ply, "-o", out, *QUICK, *BOX)
     assert (found["format"], found["version"], found["out"]) == ("gsvis-pvs", 2, str(out))
     with VisibilityStore.open(out) as store:
         assert found["cells"] == len(store) <= 8
@@ -252,10 +252,8 @@ def test_the_time_left_does_not_count_what_was_done_before(monkeypatch: pytest.M
 
 
 def test_killed_interrupted_and_finished(ply: Path, tmp_path: Path, capsys: Capture) -> None:
-    out, long = (
-        tmp_path / "rooms.pvs",
-        [str(ply), "--cells", "16", "--face-size", "24", "--certify", "256", "--max-inner", "1"],
-    )
+    out = tmp_path / "rooms.pvs"
+    long = [str(ply), "--cells", "8", "--face-size", "16", "--certify", "256", "--max-inner", "1", *BOX]
     killed = Halted("cells", 2, "pvs", *long, "-o", out, "--workers", "2")
     killed.wait()
     assert len(killed.members()) > 1
