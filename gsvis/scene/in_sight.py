@@ -69,12 +69,13 @@ class InSight:
         seen = self.voxels < 0
         if seen.all():
             return seen
+        last = int(self.reaches[~seen].max())
         space = self.space
         near = np.zeros(space.occupied.shape, bool)
         eye = (camera.viewpoints[0] - space.origin) / space.voxel_size
         mark_crossed(np.ascontiguousarray(space.occupied), eye, _directions(camera), self.walls, near)
         grown = 0
-        for index, reach in enumerate(_REACHES):
+        for index, reach in enumerate(_REACHES[: last + 1]):
             near = _grow(near, reach - grown)
             grown = reach
             mine = np.flatnonzero((self.reaches == index) & (self.voxels >= 0))
