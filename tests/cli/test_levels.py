@@ -26,6 +26,7 @@ from gsvis.scene.procedural import BUILTIN_SCENES, two_rooms, wall_with_hole
 from gsvis.train.images import PosedImages
 from gsvis.train.levels import LevelsConfig
 from tests.cli.halted import Halted
+from tests.known_spaces import coarse_spaces
 
 Capture = pytest.CaptureFixture[str]
 BUILTIN = "builtin:wall_with_hole"  # the smallest
@@ -37,9 +38,9 @@ WRITTEN = [*PLYS[:1], "levels.arrow", *PLYS[1:]]
 
 @pytest.fixture(scope="module", autouse=True)
 def small_scene() -> Iterator[None]:
-    """The built-in scene of these tests has 2,000 Gaussians, not 20,000: training more is no matter of theirs."""
+    """The built-in scene of these tests has 2,000 Gaussians, not 20,000, and few voxels: more is not theirs."""
     made = wall_with_hole(2000)
-    with pytest.MonkeyPatch.context() as patch:
+    with pytest.MonkeyPatch.context() as patch, coarse_spaces():
         patch.setitem(BUILTIN_SCENES, "wall_with_hole", lambda: made)
         yield
 
