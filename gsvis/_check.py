@@ -158,6 +158,27 @@ def _and(remedy: str) -> str:
     return f"; {remedy}" if remedy else ""
 
 
+def not_rising(
+    values: NDArray[Any], *, first: float | None = None, last: float | None = None, strictly: bool = False
+) -> str:
+    """Return what keeps (n,) values from rising from `first` to `last`, such as "3 after 7 at index 2"; "" if they do.
+
+    Args:
+        values: At least one value.
+        first: What the first value has to be; None allows any.
+        last: What the last value has to be; None allows any.
+        strictly: Whether equal neighbors count as a fall.
+    """
+    style = "," if values.dtype.kind in "iu" else "g"
+    if first is not None and values[0] != first:
+        return f"{values[0]:{style}} at index 0"
+    falls = np.flatnonzero(~(np.diff(values) > 0 if strictly else np.diff(values) >= 0))
+    if len(falls):
+        at = int(falls[0])
+        return f"{values[at + 1]:{style}} after {values[at]:{style}} at index {at + 1}"
+    return "" if last is None or values[-1] == last else f"{values[-1]:{style}} at the end"
+
+
 def same_length(**arrays: NDArray[Any]) -> int:
     """Return the common first length of the arrays, given by their names."""
     lengths = {name: len(array) for name, array in arrays.items()}

@@ -214,3 +214,19 @@ def test_paths_are_coerced(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> N
     for value, got in ((3, "got int"), (None, "got NoneType"), ("", "got an empty text"), ("a\0", "with a NUL in it")):
         with pytest.raises(ValueError, match=f"file: expected a path, {got}|file: expected a path, got a text {got}"):
             _check.path("file", value)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("values", "rules", "found"),
+    [
+        ([0, 2, 2, 7], {"first": 0, "last": 7}, ""),
+        ([1, 2], {"first": 0}, "1 at index 0"),
+        ([0, 5, 3, 1], {}, "3 after 5 at index 2"),
+        ([0, 2, 2], {"strictly": True}, "2 after 2 at index 2"),
+        ([0, 2], {"last": 3}, "2 at the end"),
+        ([0.5, np.nan], {}, "nan after 0.5 at index 1"),
+        ([0, 1_500_000, 2], {}, "2 after 1,500,000 at index 2"),
+    ],
+)
+def test_what_keeps_values_from_rising_is_said(values: list[float], rules: dict[str, Any], found: str) -> None:
+    assert _check.not_rising(np.array(values), **rules) == found

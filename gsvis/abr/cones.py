@@ -45,7 +45,8 @@ class TermCones:
         places = _check.integers("places", self.places, ("T",), np.int32)
         cosines = np.asarray(self.cosines, np.float32)
         if cosines.shape != places.shape or np.isnan(cosines).any():
-            raise ValueError(f"cosines: expected ({len(places)},) numbers without NaN, got others")
+            got = f"shape {cosines.shape}" if cosines.shape != places.shape else "NaN"
+            raise ValueError(f"cosines: expected ({len(places)},) numbers without NaN, got {got}")
         widths = _check.floats("widths", np.asarray(self.widths, np.float32), (len(places),))
         _check.in_range("widths", widths, 0.0, np.inf)
         cosines = np.clip(cosines, -1e30, 1e30)  # so that adding a multiple of a width gives a number

@@ -134,8 +134,12 @@ class Holdings:
             values = _check.integers(name, ids, ("M",))
             _check.in_range(name, values, 0, size - 1)
             some, masks = pack_some(np.sort(values))
-            if np.any(masks & ~np.bitwise_or.reduce([words[some] for words in sets])):
-                raise ValueError(f"{name}: expected such as are held, got others")
+            lost = masks & ~np.bitwise_or.reduce([words[some] for words in sets])
+            if np.any(lost):
+                k = int(np.flatnonzero(lost)[0])
+                mask = int(lost[k])
+                first = 64 * int(some[k]) + (mask & -mask).bit_length() - 1
+                raise ValueError(f"{name}: expected ids that are held, got {first:,}, which is not")
             found += [(words, some, masks) for words in sets]
         for words, some, masks in found:
             words[some] &= ~masks
@@ -198,7 +202,7 @@ def _words_of(data: bytes, size: int) -> Words:
     try:
         bitmap = BitMap.deserialize(data)
         if bitmap.serialize() != data:  # with extra bytes, or not in normal form
-            raise ValueError("another spelling")
+            raise ValueError("not as the reference libraries write it")
     except (ValueError, IndexError) as error:  # IndexError if there are no bytes
         raise ValueError(f"data: expected a roaring bitmap, got other bytes ({str(error)[:60]})") from error
     if len(bitmap) and (bitmap.max() >= size or len(bitmap) > size):

@@ -155,7 +155,8 @@ class SceneIndex:
             raise ValueError(f"level_names: expected 1 to 16 levels, got {levels}")
         offsets = _check.integers("term_offsets", self.term_offsets, (n + 1,))
         if offsets[0] != 0 or np.any(np.diff(offsets) < 0) or offsets[-1] >= 1 << 31:
-            raise ValueError("term_offsets: expected to start at 0, never to fall, and to end below 2^31, got others")
+            got = _check.not_rising(offsets, first=0) or f"{offsets[-1]:,} at the end"
+            raise ValueError(f"term_offsets: expected to start at 0, never to fall, and to end below 2^31, got {got}")
         arrays: dict[str, NDArray[Any]] = {"means": means, "term_offsets": offsets}
         for name in ("radii", "areas", "importance"):
             arrays[name] = _check.floats(name, getattr(self, name), (n,))
@@ -173,11 +174,15 @@ class SceneIndex:
         starts = _check.integers("replacement_offsets", self.replacement_offsets, (n + 1,))
         ids = _check.integers("replacement_ids", self.replacement_ids, ("M",), np.int32)
         if starts[0] != 0 or np.any(np.diff(starts) < 0) or starts[-1] != len(ids):
-            raise ValueError(f"replacement_offsets: expected to rise from 0 to {len(ids)}, got others")
+            got = _check.not_rising(starts, first=0, last=len(ids))
+            raise ValueError(f"replacement_offsets: expected to rise from 0 to {len(ids)}, got {got}")
         _check.in_range("replacement_ids", ids, 0, n - 1)
         replaced = np.repeat(np.arange(n), np.diff(starts))
-        if np.any(arrays["first"][ids] != arrays["last"][replaced].astype(np.int64) + 1):
-            raise ValueError("replacement_ids: expected Gaussians that enter at the level above, got others")
+        enters, above = arrays["first"][ids], arrays["last"][replaced].astype(np.int64) + 1
+        if np.any(enters != above):
+            k = int(np.argmax(enters != above))
+            got = f"Gaussian {ids[k]}, which enters at level {enters[k]}, for level {above[k]}"
+            raise ValueError(f"replacement_ids: expected Gaussians that enter at the level above, got {got}")
         arrays["replacement_offsets"], arrays["replacement_ids"] = starts, ids
         arrays["class_weights"] = _check.floats("class_weights", self.class_weights, ("K",))
         _check.in_range("class_weights", arrays["class_weights"], 0.0, np.inf)

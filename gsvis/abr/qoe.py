@@ -152,7 +152,8 @@ def stall(times: ArrayLike, psnr: ArrayLike, least: float = 25.0, end: float | N
     last = at[-1] + (at[-1] - at[-2] if len(at) > 1 else 0.0) if end is None else end
     lengths = np.diff(np.append(at, last))
     if lengths.min() < 0:
-        raise ValueError("times: expected rising times up to the end, got others")
+        got = _check.not_rising(np.append(at, last))
+        raise ValueError(f"times: expected rising times up to the end, got {got}")
     return float(lengths[(values < least) & (at >= first_frame(at, values))].sum())
 
 

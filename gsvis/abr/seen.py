@@ -19,6 +19,7 @@ __all__ = ["SeenSets"]
 
 Words = NDArray[np.uint64]
 
+_STRANGERS = "the set belongs to a different scene"
 _FEW = 32  # words of a scene for each listed one, above which sorting takes less time than a pass over all
 
 
@@ -43,13 +44,14 @@ class SeenSets:
         if found is None:
             sets, n = self._index.sets, len(self._index)
             if isinstance(sets, SparseSets):
-                found, whole = Seen(*sets.visible_masks(cell)), True
+                found = Seen(*sets.visible_masks(cell))
             else:
                 packed = sets.visible_words(cell)
+                if len(packed) != word_count(n):
+                    got = f"one of {64 * len(packed):,} ids"
+                    raise ValueError(f"words: expected a set of {n:,} Gaussians, got {got}; {_STRANGERS}")
                 words = np.flatnonzero(packed).astype(np.int32)
-                found, whole = Seen(words, packed[words]), len(packed) == word_count(n)
-            if not whole:
-                raise ValueError(f"words: expected a set of {n:,} Gaussians, got another")
+                found = Seen(words, packed[words])
             self._cache.keep(("words", cell), self._checked(found), sum(array.nbytes for array in found))
         return found
 
@@ -93,7 +95,8 @@ class SeenSets:
         n = len(self._index)
         last = 64 * int(seen.words[-1]) + int(seen.masks[-1]).bit_length() if len(seen.words) else 0
         if last > n:
-            raise ValueError(f"words: expected a set of {n:,} Gaussians, got another")
+            got = f"one with ids up to {last - 1:,}"
+            raise ValueError(f"words: expected a set of {n:,} Gaussians, got {got}; {_STRANGERS}")
         return seen
 
     def _scratch(self) -> tuple[Words, Words]:

@@ -52,7 +52,8 @@ class BandwidthTrace:
         if _check.same_length(times=times, mbit_per_s=rates) == 0:
             raise ValueError("times: expected at least one rate, got none")
         if times[0] <= 0 or np.any(np.diff(times) <= 0):
-            raise ValueError("times: expected strictly rising times > 0, got others; each is when its rate ends")
+            got = f"{times[0]:g} at index 0" if times[0] <= 0 else _check.not_rising(times, strictly=True)
+            raise ValueError(f"times: expected strictly rising times > 0, got {got}; each is when its rate ends")
         _check.in_range("mbit_per_s", rates, 0.0, 1e9)
         edges = np.concatenate([[0.0], times])
         carried = np.concatenate([[0.0], np.cumsum(np.diff(edges) * rates * BYTES)])

@@ -268,8 +268,9 @@ def _check_replaced(command: Levels, g: Gaussians) -> None:
         held = load_levels(folder)
     except FormatError as error:
         raise ValueError(f"{wanted}, which cannot be read ({error}); name another, or delete it") from None
-    if scene_hash(held.level(len(held) - 1)) != scene_hash(g):
-        raise ValueError(f"{wanted}, which holds those of another; name another")
+    found = scene_hash(held.level(len(held) - 1))
+    if found != scene_hash(g):
+        raise ValueError(f"{wanted}, which holds levels of the scene with the hash {found[:12]}...; name a new folder")
 
 
 def _draw_views(

@@ -148,8 +148,8 @@ def _check_replaced(command: Pvs, source: Source) -> None:
         return
     if whole != scene_hash(source.union):
         raise ValueError(
-            f"--out: expected a new file, or a store of this scene to replace, got {command.out}, which is of another"
-            " scene; name another"
+            f"--out: expected a new file, or a store of this scene to replace, got {command.out}, which is of the scene"
+            f" with the hash {whole[:12]}...; name a new file"
         )
 
 

@@ -46,7 +46,8 @@ def check_views(command: Render) -> HeadPath | None:
             raise ValueError(f"--{name}: expected none with --cameras, whose file states it; leave it out")
     parse_up(command.up)
     if command.eye is not None and command.eye == command.target:
-        raise ValueError("--target: expected another point than --eye, got the same")
+        point = " ".join(f"{value:g}" for value in command.eye)
+        raise ValueError(f"--target: expected a point that is not --eye, got {point} for both")
     return check_where(command, f"--{way}" if way else "")
 
 

@@ -185,7 +185,8 @@ def _refuse(counts: NDArray[np.int32], start: int) -> None:
     if len(bad):
         name = "signals" if counts[bad[0]] == kernels.BAD_SIGNAL else "weights"
         wanted = "finite values in the range of float32" + (" and not negative" if name == "weights" else "")
-        raise ValueError(f"{name}: expected {wanted}, got others in row {start + bad[0]}")
+        got = "a value that is infinite, NaN or too large" + (", or negative" if name == "weights" else "")
+        raise ValueError(f"{name}: expected {wanted}, got {got} in row {start + bad[0]}")
 
 
 def _atoms(columns: F64, shared: F64, own: bool, least_share: float) -> kernels.Atoms:

@@ -204,7 +204,7 @@ class QuantizedColors:
         n = len(self.base)
         offsets = _check.integers("offsets", self.offsets, (n + 1,))
         if offsets[0] != 0 or np.any(np.diff(offsets) < 0):
-            raise ValueError("offsets: expected ascending values from 0, got another order")
+            raise ValueError(f"offsets: expected ascending values from 0, got {_check.not_rising(offsets, first=0)}")
         t = int(offsets[-1])
         arrays: dict[str, NDArray[Any]] = {"offsets": offsets}
         for name, shape, most in (

@@ -96,7 +96,7 @@ class SrbfColors:
         n = len(base)
         offsets = _check.integers("offsets", self.offsets, (n + 1,))
         if offsets[0] != 0 or np.any(np.diff(offsets) < 0):
-            raise ValueError("offsets: expected ascending values from 0, got another order")
+            raise ValueError(f"offsets: expected ascending values from 0, got {_check.not_rising(offsets, first=0)}")
         t = int(offsets[-1])
         functions = _check.integers("functions", self.functions, (t,), np.uint8)
         arrays: dict[str, NDArray[Any]] = {

@@ -140,7 +140,7 @@ def load_srbf(path: str | os.PathLike[str]) -> tuple[Gaussians, SrbfColors]:
     except ValueError as error:
         where, _, rest = str(error).partition(": expected ")
         expected, _, got = rest.partition(", got ")
-        raise FormatError(path, where, expected or "valid values", got or "others") from error
+        raise FormatError(path, where, expected or "valid values", got or "values that do not fit") from error
     return scene, colors
 
 

@@ -219,7 +219,7 @@ def cut(g: Gaussians, eyes: Eyes, config: CutConfig | None = None, *, progress: 
     looks, lost = growing.look(progress)
     certificates = growing.certify(certifier, progress)
     if looks == 0 and not certificates:
-        raise SceneError(f"all of {lost} places to look from lie inside something solid; give others")
+        raise SceneError(f"all of {lost} places to look from lie inside something solid; give eyes in the open")
     if not growing.kept.any():
         raise SceneError("everything would go: no eye sees any of the scene; are they in its frame?")
     check = None

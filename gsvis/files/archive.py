@@ -76,7 +76,8 @@ def load_arrays(path: str | os.PathLike[str], *, sealed: bool = False) -> dict[s
 def _read(archive: zipfile.ZipFile, info: zipfile.ZipInfo, most: int) -> NDArray[Any]:
     """Return one array; it needs no more memory than the file has bytes."""
     if info.compress_type != zipfile.ZIP_STORED or info.file_size != info.compress_size or info.file_size > most:
-        raise ValueError(f"{info.filename}: expected an array stored as it is, got another entry")
+        got = f"{info.file_size:,} bytes in {info.compress_size:,}, by method {info.compress_type}"
+        raise ValueError(f"{info.filename}: expected an array stored as it is, got {got}")
     with archive.open(info) as stream:
         major, _ = npy.read_magic(stream)
         read_header = npy.read_array_header_1_0 if major == 1 else npy.read_array_header_2_0

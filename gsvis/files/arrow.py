@@ -109,7 +109,8 @@ class ArrowFile:
         self.nbytes = self._buffer.size
         data = memoryview(self._buffer)
         if data[-len(_MAGIC) :] != _MAGIC:
-            raise FormatError(self.path, "", f"{_MAGIC.decode()} at the end", "another end", f"it was cut; {DAMAGED}")
+            got = repr(bytes(data[-len(_MAGIC) :]))
+            raise FormatError(self.path, "", f"{_MAGIC.decode()} at the end", got, f"it was cut; {DAMAGED}")
         self.header, self.schema = self._read_header(_schema_end(self.path, data), version, seal)
         if seal == "whole":
             places = _places(self.path, data)
@@ -194,7 +195,10 @@ class ArrowFile:
         good &= (blocks["body"] <= start) & (at + length + np.minimum(blocks["body"], start) <= start)
         if not good.all():
             first = int(np.argmin(good))
-            raise FormatError(self.path, "footer", f"a place of batch {first} within the file", "another", DAMAGED)
+            got = (
+                f"{int(length[first]) + int(blocks['body'][first]):,} bytes at byte {int(at[first]):,} of {len(data):,}"
+            )
+            raise FormatError(self.path, "footer", f"a place of batch {first} within the file", got, DAMAGED)
         return blocks
 
     def _message(self, number: int) -> pa.Message:
@@ -218,7 +222,8 @@ class ArrowFile:
         if text is None or (seal == "header" and _HEADER_CHECKSUM not in metadata):
             raise FormatError(self.path, "metadata", f"those of format {self._name}", "an Arrow file without them")
         if seal == "header" and metadata[_HEADER_CHECKSUM] != _crc_text(text):
-            raise FormatError(self.path, "metadata", "a header that fits its checksum", "another header", DAMAGED)
+            got = f"{_crc_text(text)!r} for {metadata[_HEADER_CHECKSUM][:16]!r}"
+            raise FormatError(self.path, "metadata", "a header that fits its checksum", got, DAMAGED)
         header = parse_object(self.path, text)
         if header.raw("format") != self._name:
             raise FormatError(self.path, "format", self._name, repr(header.raw("format"))[:60])

@@ -195,13 +195,13 @@ class MappedArrays:
         try:
             name, kind, shape, place, writable = row
             if not isinstance(kind, str) or not _TYPE.fullmatch(kind):  # NumPy parses other text as Python
-                raise ValueError("another type")
+                raise ValueError(f"type {kind!r}")
             dtype = np.dtype(kind)
             good = isinstance(name, str) and type(writable) is bool
             good = good and type(place) is int and place >= 0 and place % _PAGE == 0
             good = good and all(type(length) is int and length >= 0 for length in shape)
             if not good or place + dtype.itemsize * math.prod(shape) > self.nbytes:
-                raise ValueError("another row")
+                raise ValueError(f"no array of {self.nbytes:,} bytes")
             flat = np.frombuffer(self._map, dtype, math.prod(shape), self._start + place)
             found = flat.reshape(shape)
         except (TypeError, ValueError, OverflowError) as error:
@@ -218,7 +218,9 @@ class MappedArrays:
         end = self._start + self.nbytes
         sums = unseal(self._map[end:])
         if sums is None:
-            raise FormatError(self.path, f"byte {end:,}", "checksums of the arrays", "others", DAMAGED)
+            raise FormatError(
+                self.path, f"byte {end:,}", "checksums of the arrays", "bytes that do not fit their own", DAMAGED
+            )
         known = np.frombuffer(sums, np.uint64)
         for low in range(0, self.nbytes, _AT_ONCE):
             words = np.frombuffer(self._map, np.uint64, min(_AT_ONCE, self.nbytes - low) // 8, self._start + low)
@@ -227,7 +229,9 @@ class MappedArrays:
             bad = np.flatnonzero(found != known[first : first + len(found)])
             if len(bad):
                 place = self._start + low + 8 * PIECE * int(bad[0])
-                raise FormatError(self.path, f"byte {place:,}", "the bytes that were written", "others", DAMAGED)
+                k = int(bad[0])
+                got = f"bytes with checksum {found[k]:016x}, not {known[first + k]:016x}"
+                raise FormatError(self.path, f"byte {place:,}", "the bytes that were written", got, DAMAGED)
             self._give_back(self._start + low, self._start + low + 8 * len(words))
 
     def release(self, shares: Sequence[tuple[float, float]] | None = None) -> None:
@@ -297,5 +301,6 @@ def _read_head(path: Path, head: bytes, read: Any) -> tuple[int, Fields]:
     sealed = read(length) if magic == _MAGIC and length <= _MOST_HEAD else b""
     data = unseal(sealed)
     if data is None:
-        raise FormatError(path, "byte 0", "a file of arrays", "another file", "remove it; it is made again")
+        got = "a damaged head" if magic == _MAGIC else f"a file that begins {head[:8]!r}"
+        raise FormatError(path, "byte 0", "a file of arrays", got, "remove it; it is made again")
     return -(-(_HEAD.size + length) // _PAGE) * _PAGE, parse_object(path, data)

@@ -234,7 +234,7 @@ class RemoteStore(ObjectStore):
                 if attempt < _TRIES - 1:
                     continue
                 if type(error).__name__ == _CHECKSUM:
-                    got = f"another, when {what}"
+                    got = f"bytes that do not fit it, when {what}"
                     raise FormatError(
                         self.address, "", "content that fits its checksum", got, "run the same again"
                     ) from error
@@ -250,12 +250,14 @@ def _compare(path: Path, wanted: StoredObject, name: str = "") -> None:
     """Raise unless a file has the content of an object; a file with another content is removed."""
     shown = name or str(path)
     try:
-        good = path.stat().st_size == wanted[1] and digest_of(path) == wanted[0]
+        size = path.stat().st_size
+        digest = digest_of(path) if size == wanted[1] else ""
     except FileNotFoundError as error:
         raise FormatError(shown, "", "an object of the store", "no such file", "run the same again") from error
-    if not good:
+    if digest != wanted[0]:
         path.unlink(missing_ok=True)  # so that the next run makes it again
-        raise FormatError(shown, "", "content that fits its name", "another content", _AGAIN)
+        got = f"content with the hash {digest[:12]}..." if digest else f"{size:,} bytes, not {wanted[1]:,}"
+        raise FormatError(shown, "", "content that fits its name", got, _AGAIN)
 
 
 def _checked(name: str) -> str:

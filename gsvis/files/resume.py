@@ -197,7 +197,7 @@ class KeptWork:
         if key != _digest(self.plan):
             raise ValueError(
                 f"{self._argument}: expected {os.fspath(self.folder)} to be of the same input and settings, got"
-                " another run's; delete it to start again, or name another folder"
+                " work of a run with different ones; delete it to start again, or name another folder"
             )
         return found
 

@@ -159,8 +159,8 @@ class SectionFile:
         if version != self.kind.version:
             remedy = "update gsvis, or make it again" if version > self.kind.version else "make it again"
             raise FormatError(self.path, "byte 8", f"version {self.kind.version}", f"version {version}", remedy)
-        if zlib.crc32(head[16:]) != crc:
-            raise FormatError(self.path, "byte 16", "a head that fits its checksum", "another checksum", DAMAGED)
+        if (found := zlib.crc32(head[16:])) != crc:
+            raise FormatError(self.path, "byte 16", f"a head with checksum {crc:08x}", f"{found:08x}", DAMAGED)
         if size != total:
             raise FormatError(self.path, "byte 16", f"a file of {total} bytes", f"{size} bytes", DAMAGED)
         if not (HEAD_BYTES <= place <= total and place + length == total):
@@ -173,10 +173,8 @@ class SectionFile:
 
     def _read_header(self, place: int, length: int, crc: int) -> Fields:
         data = self._bytes(place, length)
-        if zlib.crc32(data) != crc:
-            raise FormatError(
-                self.path, f"byte {place}", "a header that fits its checksum", "another checksum", DAMAGED
-            )
+        if (found := zlib.crc32(data)) != crc:
+            raise FormatError(self.path, f"byte {place}", f"a header with checksum {crc:08x}", f"{found:08x}", DAMAGED)
         return parse_object(self.path, data)
 
     def _read_list(self, end: int) -> dict[str, Section]:

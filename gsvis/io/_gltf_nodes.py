@@ -101,7 +101,9 @@ def _decompose(node: Fields, matrix: F64) -> Placed | None:
     last = np.array_equal(matrix[3], [0.0, 0.0, 0.0, 1.0])
     if not (good and straight and last and np.allclose(lengths, scale, rtol=_STRAIGHT)):
         remedy = "apply the transform of the node in the program that made it"
-        raise FormatError(node.path, node.trail, "a rotation, a translation and one scale above 0", "another", remedy)
+        along = ", ".join(f"{length:.4g}" for length in lengths)
+        got = f"axes of lengths {along}, or a shear or a mirror" if (lengths > 0).all() else "zero or huge numbers"
+        raise FormatError(node.path, node.trail, "a rotation, a translation and one scale above 0", got, remedy)
     left, _, right = np.linalg.svd(rotation)
     whole, rotation = np.rint(rotation), left @ right
     rotation = whole if np.allclose(whole, rotation, atol=_SNAP) else rotation

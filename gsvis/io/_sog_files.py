@@ -148,7 +148,8 @@ class ZipStore:
         self.file_bytes([name])
         info = self._entries[name]
         if info.flag_bits & 1 or info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-            raise FormatError(self.path, name, "a stored or deflated entry", "encryption or another compression")
+            got = "an encrypted one" if info.flag_bits & 1 else f"one compressed by method {info.compress_type}"
+            raise FormatError(self.path, name, "a stored or deflated entry", got)
         budget.claim(info.file_size, name)
         try:
             with self._zip.open(info) as stream:

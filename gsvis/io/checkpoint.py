@@ -449,7 +449,7 @@ class _Records:
         """
         storage, shape, stored = tensor.storage, tensor.shape, tensor.storage.values
         if not storage.kind:
-            raise FormatError(self.path, name, "float16, bfloat16, float32 or float64", "another type")
+            raise FormatError(self.path, name, "float16, bfloat16, float32 or float64", "integers or other values")
         dtype = np.dtype(self.order + storage.kind)
         record = f"{self.folder}data/{storage.key}"
         if record not in self.names:

@@ -75,5 +75,7 @@ def _similarity(path: Path | str, key: str, matrix: F64, scale: float) -> Simila
     rotation = matrix[:, :3]
     own = float(np.cbrt(max(np.linalg.det(rotation), 0.0)))  # some tools put the scale into the matrix too
     if not own > 0.0 or not np.allclose(rotation @ rotation.T, own**2 * np.eye(3), atol=_ROTATION * own**2):
-        raise FormatError(path, key, "a rotation and a translation, 3 x 4", "another matrix")
+        got = f"a matrix with determinant {np.linalg.det(rotation):.4g} and axes that are not at right angles"
+        got = got if own > 0.0 else f"a matrix with determinant {np.linalg.det(rotation):.4g}"
+        raise FormatError(path, key, "a rotation and a translation, 3 x 4", got)
     return Similarity.from_rotation(scale * own, rotation / own, scale * matrix[:, 3])

@@ -202,8 +202,11 @@ def _columns(file: ArrowFile, info: LevelsInfo) -> tuple[NDArray[Any], NDArray[A
     if rows != info.gaussians:
         raise FormatError(file.path, "rows", f"{info.gaussians:,} as the header says", f"{rows:,}", _AGAIN)
     first, last, scales, opacities = (np.concatenate(piece) for piece in pieces)
-    if (first > last).any() or last.max() >= len(info.names):
-        raise FormatError(file.path, "rows", f"levels in order, below {len(info.names)}", "others", _AGAIN)
+    wrong = (first > last) | (last >= len(info.names))
+    if wrong.any():
+        k = int(np.argmax(wrong))
+        expected, got = f"levels in order, below {len(info.names)}", f"{first[k]} to {last[k]} in row {k:,}"
+        raise FormatError(file.path, "rows", expected, got, _AGAIN)
     return first, last, scales, opacities
 
 

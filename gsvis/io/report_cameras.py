@@ -67,7 +67,8 @@ def read_own_cameras(path: Path, content: dict[str, Any]) -> Views:
         with np.errstate(all="ignore"):  # huge numbers become infinity or NaN, which is rejected
             defect = float(np.abs(pose[:3, :3] @ pose[:3, :3].T - np.eye(3)).max())
         if not defect <= _RIGID or (pose[3] != (0, 0, 0, 1)).any():
-            raise FormatError(path, f"{where}.viewmat", "a rigid matrix, camera from world", "another")
+            got = f"a rotation off by {defect:.2g}" if not defect <= _RIGID else f"a last row of {pose[3].tolist()}"
+            raise FormatError(path, f"{where}.viewmat", "a rigid matrix, camera from world", got)
         size = (int(sides[0]), int(sides[1]))
         k = to_numbers(path, f"{where}.K", entry.get("K"), (3, 3))
         pinhole(path, f"{where}.K", k[[0, 1], [0, 1]], k[:2, 2], size)  # checks

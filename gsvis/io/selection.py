@@ -117,4 +117,5 @@ def _check_note(path: Path, g: Gaussians) -> None:
     if not isinstance(note, dict) or note.get("format") != _FORMAT:
         return
     if note.get("scene") != scene_hash(g):
-        raise FormatError(path, "scene", "a selection of this scene", "one of another, or of this one before a change")
+        got = f"one of the scene with the hash {str(note.get('scene'))[:12]}..., or of this one before a change"
+        raise FormatError(path, "scene", "a selection of this scene", got)

@@ -240,7 +240,7 @@ def _decode(path: Path, nodes: U32, blocks: NDArray[np.uint64], depth: int, shap
         if level == 0:
             within = (places < found.shape).all(axis=1)
             if (values >= len(blocks)).any():
-                raise FormatError(path, "", f"blocks below {len(blocks):,}", "another", "write it again")
+                raise FormatError(path, "", f"blocks below {len(blocks):,}", f"{values.max():,}", "write it again")
             found[tuple(places[within].T)] = blocks[values[within]]
             break
         held = (values[:, None] >> 24 >> np.arange(8)) & 1 == 1
@@ -249,9 +249,8 @@ def _decode(path: Path, nodes: U32, blocks: NDArray[np.uint64], depth: int, shap
         places = (2 * places[:, None] + _OCTANTS[None])[held]
         behind = wave > np.repeat(parents, held.sum(axis=1))
         if not behind.all() or (wave >= len(nodes)).any() or len(wave) > len(nodes):
-            raise FormatError(
-                path, "", f"children behind their parent, below {len(nodes):,}", "another", "write it again"
-            )
+            got = f"one before it, {wave[~behind][0]:,}" if not behind.all() else f"{len(wave):,} up to {wave.max():,}"
+            raise FormatError(path, "", f"children behind their parent, below {len(nodes):,}", got, "write it again")
     bits = np.unpackbits(found.astype("<u8")[..., None].view(np.uint8), axis=3, bitorder="little")
     x, y, z = found.shape
     voxels = bits.reshape(x, y, z, _SIDE, _SIDE, _SIDE).transpose(0, 5, 1, 4, 2, 3)

@@ -244,13 +244,15 @@ class ActiveTerms:
         batch = self._batch(group, where)
         number, count, of_visible, crc, data = (batch.column(k)[place].as_py() for k in range(len(_SCHEMA)))
         if number != cell or crc != zlib.crc32(data, zlib.crc32(_CRC.pack(number, count, of_visible))):
-            raise self._fault(where, "terms that fit their checksum", "others")
+            got = f"cell {number}" if number != cell else "terms that do not"
+            raise self._fault(where, f"cell {cell} with terms that fit their checksum", got)
         try:
             found = BitMap.deserialize(data)
         except (ValueError, IndexError) as error:
             raise self._fault(where, "a roaring bitmap", f"other bytes ({error})") from error
         if len(found) != count or count > of_visible or (count and found.max() >= self.info.terms):
-            raise self._fault(where, f"{count} of {of_visible} terms below {self.info.terms}", "others")
+            got = f"{len(found)} up to {found.max()}" if found else "none"
+            raise self._fault(where, f"{count} of {of_visible} terms below {self.info.terms}", got)
         return found, of_visible
 
     def _batch(self, group: int, where: str) -> pa.RecordBatch:

@@ -81,7 +81,9 @@ def read_blocks(
         return [_read_columns(parts, block, (RECORD_BYTES, layout.nbytes), budget) for block in manifest.blocks]
     heads = np.searchsorted(table.starts, starts)
     if not np.array_equal(table.starts[heads], starts):
-        raise FormatError(parts.folder, "chunks", "chunks that end where blocks end", "others", DAMAGED)
+        start = int(starts[int(np.argmax(table.starts[heads] != starts))])
+        got = f"a block that begins inside a chunk, at Gaussian {start:,}"
+        raise FormatError(parts.folder, "chunks", "chunks that end where blocks end", got, DAMAGED)
     of_records = RecordLayout.from_variant(manifest.grids.variant)
 
     def read(k: int) -> Rows:

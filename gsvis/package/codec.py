@@ -164,7 +164,7 @@ def chunk_starts(g: Gaussians, *, cuts: ArrayLike = (), finest: float = 0.0, lat
     n = len(g)
     bounds = np.concatenate([[0], _check.integers("cuts", np.asarray(cuts, np.int64), ("K",)), [n]])
     if (np.diff(bounds) < 0).any():
-        raise ValueError(f"cuts: expected rising ids from 0 to {n}, got others")
+        raise ValueError(f"cuts: expected rising ids from 0 to {n}, got {_check.not_rising(bounds)}")
     if lattices is not None:
         bounds = np.sort(np.concatenate([bounds, 1 + np.flatnonzero(np.diff(lattices.of))]))
     largest = kernels.log_scales(g.scales, np.empty((n, 3), np.int32))
@@ -205,8 +205,12 @@ def build_chunks(
     if n == 0:
         return ChunkTable.concatenate([])
     counts = np.diff(np.append(heads, n))
-    if len(heads) == 0 or heads[0] != 0 or counts.min() < 1 or counts.max() > CHUNK:
-        raise ValueError(f"starts: expected chunks of 1 to {CHUNK} Gaussians from 0 on, got others")
+    if len(heads) == 0 or heads[0] != 0:
+        got = f"{heads[0]} at index 0" if len(heads) else "none"
+        raise ValueError(f"starts: expected chunks from 0 on, got {got}")
+    if counts.min() < 1 or counts.max() > CHUNK:
+        got = f"{counts.min()} to {counts.max()}"
+        raise ValueError(f"starts: expected chunks of 1 to {CHUNK} Gaussians, got {got}")
     levels = np.empty((n, 3), np.int32)
     kernels.log_scales(g.scales, levels)
     places = (1 << layout.position) - 1

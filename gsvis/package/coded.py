@@ -73,8 +73,9 @@ def decode_gaussians(data: bytes, count: int, table: ChunkTable, layout: RecordL
     low, pairs = np.empty((count, 3), np.uint16), np.empty((count, 2), np.uint64)
     coded_records.unpack(rest, bits, low.reshape(-1))
     counts = np.empty(count, np.uint8)
-    if coded_records.code(pairs, counts, low, _rows(table), _fields(layout, count_bits), words, False) != len(words):
-        raise ValueError(f"expected {count:,} Gaussians in {len(words):,} words, got others")
+    used = coded_records.code(pairs, counts, low, _rows(table), _fields(layout, count_bits), words, False)
+    if used != len(words):
+        raise ValueError(f"expected {count:,} Gaussians in {len(words):,} words, got {_used(used)}")
     return pairs.astype("<u8", copy=False).view(np.uint8).reshape(-1, RECORD_BYTES), counts
 
 
@@ -104,9 +105,16 @@ def decode_terms(data: bytes, firsts: NDArray[np.bool_], layout: TermLayout) -> 
     """
     words, rest, _ = _split(data, _TERMS, len(firsts))
     out = np.empty((len(firsts), layout.nbytes), np.uint8)
-    if len(rest) or coded_terms.code(out, firsts, term_fields(layout), words, False) != len(words):
-        raise ValueError(f"expected {len(firsts):,} terms in {len(words):,} words, got others")
+    if len(rest):
+        raise ValueError(f"expected nothing behind the words of terms, got {len(rest):,} bytes")
+    used = coded_terms.code(out, firsts, term_fields(layout), words, False)
+    if used != len(words):
+        raise ValueError(f"expected {len(firsts):,} terms in {len(words):,} words, got {_used(used)}")
     return out
+
+
+def _used(words: int) -> str:
+    return f"{words:,} words" if words >= 0 else "damaged words"
 
 
 def _joined(kind: int, count_bits: int, words: U32, count: int) -> bytes:

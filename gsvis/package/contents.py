@@ -79,7 +79,9 @@ class Contents:
         TermLayout.from_grids(colors.grids)
         order = PackageOrder.from_levels(levels)
         if not np.array_equal(order.permutation, np.arange(len(g))):
-            raise ValueError("levels: expected the order of a package, got another; pass them through in_package_order")
+            k = int(np.argmax(order.permutation != np.arange(len(g))))
+            got = f"Gaussian {k} in place of {order.permutation[k]}"
+            raise ValueError(f"levels: expected the order of a package, got {got}; pass them through in_package_order")
         counts = np.diff(colors.offsets)
         _check.in_range("colors", counts, 0, 255)
         layout = RecordLayout.from_variant(colors.grids.variant)

@@ -276,8 +276,10 @@ class Package:
         tables = [self._parts.read_columns(part, "chunks", types, rows, budget) for part, rows in m.tables]
         pairs = [np.stack([columns["first_level"], columns["last_level"]], axis=1) for columns in tables]
         levels = np.concatenate([np.zeros((0, 2), np.uint8), *pairs])
-        if (levels[:, 0] > levels[:, 1]).any() or levels.max(initial=0) >= len(m.names):
-            raise self._fault("chunks", f"levels in order, below {len(m.names)}", "others")
+        wrong = (levels[:, 0] > levels[:, 1]) | (levels.max(axis=1, initial=0) >= len(m.names))
+        if wrong.any():
+            first, last = levels[int(np.argmax(wrong))].tolist()
+            raise self._fault("chunks", f"levels in order, below {len(m.names)}", f"{first} to {last}")
         return ChunkTable.concatenate([self._table(columns) for columns in tables]), levels
 
     def _decode(self, m: Manifest, table: ChunkTable, levels: U8, budget: Budget) -> Contents:

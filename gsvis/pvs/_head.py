@@ -40,7 +40,7 @@ def read_header(file: SectionFile) -> tuple[StoreInfo, CellGrid]:
     try:
         boxes = decompress(file.read("coords"), 12 * cells)
     except CodecError as error:
-        raise _fault(file, "section 'coords'", "bytes that can be decoded", f"others ({error})") from error
+        raise _fault(file, "section 'coords'", "bytes that can be decoded", f"damaged ones ({error})") from error
     coords = np.frombuffer(boxes, "<i4").reshape(-1, 3).astype(np.int32)
     try:
         return StoreInfo(n, scene, tau, edges, config), CellGrid(origin, size, (x, y, z), coords, up)
@@ -61,17 +61,27 @@ def read_rows(file: SectionFile, cells: int, gaussians: int) -> NDArray[Any]:
     for kind, name in (("set", "sets"), ("class", "classes")):
         lengths = rows[f"{kind}_length"].astype(np.int64)
         starts = np.cumsum(lengths) - lengths
-        whole = int(lengths.sum()) == file.section(name).length
-        if not whole or not np.array_equal(rows[f"{kind}_offset"].astype(np.int64), starts):
-            raise _fault(file, "section 'cells'", f"cells that fill section {name!r} in order", "others")
+        size, offsets = file.section(name).length, rows[f"{kind}_offset"].astype(np.int64)
+        if int(lengths.sum()) != size:
+            got = f"{int(lengths.sum()):,}"
+            raise _fault(file, "section 'cells'", f"cells of {size:,} bytes, the size of section {name!r}", got)
+        if not np.array_equal(offsets, starts):
+            k = int(np.argmax(offsets != starts))
+            raise _fault(
+                file, "section 'cells'", f"cell {k} at byte {starts[k]:,} of section {name!r}", f"{offsets[k]:,}"
+            )
     at = np.arange(len(rows))
     for _ in range(MAX_DEPTH + 1):  # every valid chain of parents ends within these steps
         parents = rows["parent"][at].astype(np.int64)
         if len(at) and (parents.min() < -1 or parents.max() >= len(rows)):
-            raise _fault(file, "section 'cells'", "parents that are cells", "others")
+            worst = parents.min() if parents.min() < -1 else parents.max()
+            raise _fault(file, "section 'cells'", f"parents from -1 to {len(rows) - 1}", f"{worst}")
         at = parents[parents >= 0]
-    if len(at) or (len(rows) and rows["visible"].max() > gaussians):
-        raise _fault(file, "section 'cells'", "short chains of parents and sets of the scene", "others")
+    if len(at):
+        raise _fault(file, "section 'cells'", f"chains of at most {MAX_DEPTH} parents", "a longer one, or a circle")
+    if len(rows) and rows["visible"].max() > gaussians:
+        got = f"{int(rows['visible'].max()):,}"
+        raise _fault(file, "section 'cells'", f"sets of at most {gaussians:,} Gaussians", got)
     return rows
 
 

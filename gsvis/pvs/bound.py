@@ -68,7 +68,9 @@ def upper_bound(part: ArrayLike, whole: ArrayLike | None = None, *, error: float
     if not 0.0 < error < 1.0:
         raise ValueError(f"error: expected a probability in (0, 1), got {error!r}")
     if len(parts) and (parts.min() < 0.0 or wholes.max() > 1.0 or (parts > wholes).any()):
-        raise ValueError("part: expected values in [0, whole] and whole in [0, 1], got others; clip them")
+        k = int(np.argmax((parts < 0.0) | (wholes > 1.0) | (parts > wholes)))
+        got = f"{parts[k]:g} of {wholes[k]:g} at index {k}"
+        raise ValueError(f"part: expected values in [0, whole] and whole in [0, 1], got {got}; clip them")
     if not wholes.any():
         return 1.0
     lit = wholes > 0.0

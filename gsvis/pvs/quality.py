@@ -104,7 +104,8 @@ def measure_quality(
     member = levels.member(len(levels) - 1)
     g, places = (levels.union if member.all() else levels.union[member]), np.where(member, member.cumsum() - 1, -1)
     if len(viewpoints.grid) != len(store) or not np.array_equal(viewpoints.grid.coords, store.grid.coords):
-        raise ValueError("viewpoints: expected those of the store's cells, got others; make them from store.grid")
+        got = f"those of {len(viewpoints.grid)} cells that are not its {len(store)}"
+        raise ValueError(f"viewpoints: expected those of the store's cells, got {got}; make them from store.grid")
     tracer = Tracer(EllipsoidProxies.from_scene(g)) if config.rays or config.certify else None
     meter = _Meter(store, g, places, viewpoints, config, tracer)
     wanted = len(store) if config.cells is None else min(config.cells, len(store))

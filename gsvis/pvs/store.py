@@ -349,7 +349,8 @@ class VisibilityStore:
             self._levels(cell)
             progress("verify", cell + 1, len(self))
         if not np.array_equal(ever, self._ever):
-            raise self._fault("section 'ever'", "the union of all cells", "another set")
+            differ = int(np.unpackbits((ever ^ self._ever).view(np.uint8)).sum())
+            raise self._fault("section 'ever'", "the union of all cells", f"a set that differs in {differ:,} Gaussians")
 
     def check_cell(self, cell: int) -> int:
         """Return the number of a cell; raise unless the grid has it.
@@ -492,7 +493,7 @@ class VisibilityStore:
         return FormatError(self.path, where, expected, got, DAMAGED)
 
     def _undecodable(self, where: str, error: _codec.CodecError) -> FormatError:
-        return FormatError(self.path, where, "bytes that can be decoded", f"others ({error})", DAMAGED)
+        return FormatError(self.path, where, "bytes that can be decoded", f"damaged ones ({error})", DAMAGED)
 
 
 def _has(words: Words, place: int) -> bool:

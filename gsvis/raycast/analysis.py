@@ -340,7 +340,8 @@ def analyze(
     if len(cameras) == 0:
         raise ValueError("cameras: expected at least one camera, got none")
     if tracer is not None and tracer.proxies.gaussians is not g:
-        raise ValueError("tracer: expected a tracer of this scene, got one of another; omit it to build one")
+        got = f"one of a scene of {len(tracer.proxies.gaussians):,} Gaussians"
+        raise ValueError(f"tracer: expected a tracer of these {len(g):,} Gaussians, got {got}; omit it to build one")
     progress("structure", 0, 1)
     tracer = tracer or Tracer(EllipsoidProxies.from_scene(g))
     _ = tracer.hierarchy

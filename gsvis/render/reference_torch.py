@@ -358,11 +358,13 @@ def _camera(
     if not torch.allclose(rotation @ rotation.T, eye, atol=1e-4) or torch.linalg.det(rotation) < 0:
         raise ValueError("viewmat: expected a rotation (orthonormal, determinant 1), got a pose that is not rigid")
     if not torch.allclose(view[3].detach().double(), view.new_tensor([0.0, 0.0, 0.0, 1.0]).double(), atol=1e-6):
-        raise ValueError("viewmat: expected a last row of 0 0 0 1, got another; is the matrix transposed?")
+        got = " ".join(f"{value:g}" for value in view[3].tolist())
+        raise ValueError(f"viewmat: expected a last row of 0 0 0 1, got {got}; is the matrix transposed?")
     intrinsic = _small_tensor("K", K, (3, 3), tensors.means).detach()
     (fx, skew, _), (zero, fy, _), last = intrinsic.tolist()
     if min(fx, fy) <= 0 or skew != 0 or zero != 0 or last != [0.0, 0.0, 1.0]:
-        raise ValueError("K: expected focal lengths > 0, no skew and a last row of 0 0 1, got another matrix")
+        got = str(intrinsic.tolist())
+        raise ValueError(f"K: expected focal lengths > 0, no skew and a last row of 0 0 1, got {got}")
     return view, intrinsic
 
 

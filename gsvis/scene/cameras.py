@@ -79,8 +79,10 @@ class Cameras:
             len(poses) and np.linalg.det(rotations).min() < 0
         ):
             raise ValueError("viewmats: expected rotations (orthonormal, determinant 1), got a pose that is not rigid")
-        if not np.allclose(poses[:, 3], [0.0, 0.0, 0.0, 1.0], atol=1e-6):
-            raise ValueError("viewmats: expected a last row of 0 0 0 1, got another; are the matrices transposed?")
+        lasts = np.isclose(poses[:, 3], [0.0, 0.0, 0.0, 1.0], atol=1e-6).all(axis=1)
+        if not lasts.all():
+            got = " ".join(f"{value:g}" for value in poses[int(np.argmin(lasts)), 3])
+            raise ValueError(f"viewmats: expected a last row of 0 0 0 1, got {got}; are the matrices transposed?")
         if len(ks) and (min(ks[:, 0, 0].min(), ks[:, 1, 1].min()) <= 0 or not np.allclose(ks[:, 2], [0.0, 0.0, 1.0])):
             raise ValueError("Ks: expected focal lengths > 0 and a last row of 0 0 1, got a matrix without one or both")
         names = tuple(names) if names is not None else tuple(f"{i:05d}" for i in range(len(poses)))

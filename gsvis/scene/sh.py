@@ -112,7 +112,10 @@ def rotation_of_sh(rotation: ArrayLike, degree: int) -> NDArray[np.float64]:
     """
     r = _check.floats("rotation", rotation, (3, 3), np.float64)
     if not np.allclose(r @ r.T, np.eye(3), atol=1e-6) or np.linalg.det(r) < 0:
-        raise ValueError("rotation: expected an orthonormal matrix with determinant 1, got another matrix")
+        got = (
+            f"determinant {np.linalg.det(r):.4g}, R R^T up to {np.abs(r @ r.T - np.eye(3)).max():.2g} from the identity"
+        )
+        raise ValueError(f"rotation: expected an orthonormal matrix with determinant 1, got {got}")
     golden = np.pi * (3.0 - np.sqrt(5.0))
     i = np.arange(64)
     z = 1.0 - (2.0 * i + 1.0) / len(i)

@@ -96,7 +96,8 @@ class AppConfig:
         Proxies(self.proxies)
         parse_origins("opens", self.opens)
         if self.token is not None and not (self.token and self.token.isascii() and self.token.isprintable()):
-            raise ValueError("token: expected printable ASCII characters, got none or others")
+            got = "an empty text" if not self.token else "a character that is none"  # never the token itself
+            raise ValueError(f"token: expected printable ASCII characters, got {got}")
 
 
 class _App:

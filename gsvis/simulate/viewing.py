@@ -225,7 +225,10 @@ def watch(
         if p.seconds < config.watched - 1e-9:
             raise ValueError(f"playbacks: expected at least {config.watched:g} seconds, got {p.seconds:g}")
         if (len(p.gaussian_at), len(p.term_at)) != stage.size:
-            raise ValueError(f"playbacks: expected those of {stage.contents!r}, got {p.name} of another scene")
+            raise ValueError(
+                f"playbacks: expected {stage.size[0]:,} Gaussians and {stage.size[1]:,} terms, as the scene has, got"
+                f" {len(p.gaussian_at):,} and {len(p.term_at):,} in {p.name}"
+            )
     times: F64 = config.ticks.astype(np.float64) * config.tick
     positions, quats = path.at(times)
     cameras = HeadPath(times, positions, quats).cameras(config.width, config.height, config.fov)

@@ -125,7 +125,8 @@ class Sections:
             ProtocolError: If the message is not a BATCH, or does not fit the scene.
         """
         if len(data) < _ROWS_AT or data[0] != BATCH:
-            raise ProtocolError(f"message: expected BATCH, got {len(data):,} bytes of another kind")
+            kind = f" of kind {data[0]}" if data else ""
+            raise ProtocolError(f"message: expected BATCH, got {len(data):,} bytes{kind}")
         if len(data) > MOST_BYTES:
             raise ProtocolError(f"BATCH: expected at most {MOST_BYTES:,} bytes, got {len(data):,}", FAULTS["too-large"])
         sequence = HEAD.unpack_from(data)[3]
@@ -135,7 +136,7 @@ class Sections:
         _NUMBER.pack_into(head, HEAD.size + _DATA_AT, ends[-1])
         whole = _ROWS_AT + ends[-1] + -ends[-1] % 8 == len(data)
         if data[: len(head)] != head or ends[0] != 0 or any(b < a for a, b in pairwise(ends)) or not whole:
-            _refuse(sequence, "four rows that fill the message", "others")
+            _refuse(sequence, "four rows that fill the message", f"rows that end at {ends[1:]} of {len(data):,} bytes")
         rows = [np.frombuffer(data, np.uint8, stop - start, _ROWS_AT + start) for start, stop in pairwise(ends)]
         width = CHUNK_ROW.itemsize
         if len(rows[1]) % width:
@@ -163,14 +164,14 @@ def _ids_of(sequence: int, data: U8, chunks: int, about: SceneHeader) -> list[I6
         values, ids = np.empty(lengths[k], np.int64), np.empty(lengths[k], np.int64)
         bit = kernels.read(data, bit, orders[k], values)
         if bit < 0:
-            _refuse(sequence, f"{lengths[k]:,} ids", "another string of bits")
+            _refuse(sequence, f"{lengths[k]:,} ids", f"{len(data):,} bytes, which end before them")
         good = (
             kernels.owners_from(values, found[2], _share(about), n, ids)
             if k == 3
             else kernels.ids_from(values, limits[k], ids)
         )
         if not good:
-            _refuse(sequence, f"ids below {limits[k]:,}", "others")
+            _refuse(sequence, f"ids below {limits[k]:,} that rise", "one that falls or is too high")
         found.append(ids)
     if -(-bit // 8) != len(data):
         _refuse(sequence, f"{-(-bit // 8)} bytes of ids", f"{len(data)}")

@@ -145,7 +145,8 @@ class Drawn:
         self._made = None
         slots = self._slots[ids] - 1
         if (slots < 0).any():
-            raise ValueError("ids: expected Gaussians that are drawn, got others")
+            got = f"{int(ids[int(np.argmax(slots < 0))]):,}, which is not"
+            raise ValueError(f"ids: expected Gaussians that are drawn, got {got}")
         self._slots[ids] = 0
         _, holes = self._gaussians.drop(slots.astype(np.int64))
         self._slots[self.ids[holes]] = holes + 1

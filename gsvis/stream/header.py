@@ -145,7 +145,8 @@ class SceneHeader:
             ProtocolError: If the message is not a WELCOME, is of another version, or contradicts itself.
         """
         if len(data) < HEAD.size or len(data) > _MOST_BYTES or data[0] != WELCOME:
-            raise ProtocolError(f"message: expected WELCOME, got {len(data):,} bytes of another kind")
+            kind = f" of kind {data[0]}" if data else ""
+            raise ProtocolError(f"message: expected WELCOME, got {len(data):,} bytes{kind}")
         if data[1] != PROTOCOL:
             raise ProtocolError(f"WELCOME: expected version {PROTOCOL}, got {data[1]}; update", FAULTS["version"])
         try:
@@ -163,7 +164,7 @@ class SceneHeader:
         colors, identity = said.child("colors"), said.text("identity")
         name = colors.text("variant", PACKED_VARIANTS)
         if not _IDENTITY.fullmatch(identity):
-            raise ProtocolError("WELCOME: expected an identity of 64 hexadecimal digits, got another")
+            raise ProtocolError(f"WELCOME: expected an identity of 64 hexadecimal digits, got {identity[:64]!r}")
         levels = [Fields(_WHERE, "levels", row) for row in said.items("levels")]
         if not 1 <= len(levels) <= 16:
             raise ProtocolError(f"WELCOME: expected 1 to 16 levels, got {len(levels)}")
@@ -178,8 +179,11 @@ class SceneHeader:
             "antialiased" in said and said.raw("antialiased") is True,
         )  # fmt: skip
         sizes = RECORD_BYTES, found.term_bits
-        if tuple(said.integer(key, 0, 64) for key in ("record_bytes", "term_bits")) != sizes:
-            raise ProtocolError(f"WELCOME: expected records and terms of {sizes}, got others")
+        got = tuple(said.integer(key, 0, 64) for key in ("record_bytes", "term_bits"))
+        if got != sizes:
+            raise ProtocolError(
+                f"WELCOME: expected records of {sizes[0]} bytes and terms of {sizes[1]} bits, got {got}"
+            )
         _ = found.coding  # raises if the tables are wrong
         return found
 

@@ -131,7 +131,8 @@ def check_kept(package: Package, folder: str | os.PathLike[str]) -> list[Path]:
         sets = path.with_suffix(_SETS)
         if sets.exists():
             if not _are_sets(sets, mapped):
-                raise FormatError(sets, "", "the visible sets of the package", "others", _AGAIN)
+                got = "sets that are damaged, or of a different package"
+                raise FormatError(sets, "", "the visible sets of the package", got, _AGAIN)
             found.append(sets)
     return found
 
@@ -180,8 +181,10 @@ def _find(path: Path, package: Package) -> MappedArrays | None:
     """Return the tables of a file; None if there are none, they are damaged, or those of another package."""
     try:
         found = MappedArrays(path)
-        if identity_of(package.manifest, None) != found.facts.get("identity"):
-            raise FormatError(path, "identity", "that of the package", "another", _AGAIN)
+        identity = identity_of(package.manifest, None)
+        if identity != found.facts.get("identity"):
+            got = repr(found.facts.get("identity"))[:80]
+            raise FormatError(path, "identity", f"{identity!r}, that of the package", got, _AGAIN)
         found.check()
     except FileNotFoundError:
         return None

@@ -162,11 +162,19 @@ class Receiver:
         starts = np.insert(self._starts, places, first)
         rows = np.insert(self._rows, places, np.arange(len(self._table), len(table), dtype=np.int32))
         ends = starts + table.counts[rows]
-        if (ends[:-1] > starts[1:]).any() or ends[-1] > self.about.gaussians:
-            raise ValueError("chunks: expected such as do not overlap, got others")
+        if (ends[:-1] > starts[1:]).any():
+            k = int(np.argmax(ends[:-1] > starts[1:]))
+            raise ValueError(
+                f"chunks: expected none that overlap, got one to id {ends[k]:,} and one from {starts[k + 1]:,}"
+            )
+        if ends[-1] > self.about.gaussians:
+            raise ValueError(f"chunks: expected ids below {self.about.gaussians:,}, got {ends[-1] - 1:,}")
         levels = len(self.about.names)
-        if (r["first_level"] > r["last_level"]).any() or int(r["last_level"].max()) >= levels:
-            raise ValueError(f"chunks: expected levels in order and below {levels}, got others")
+        wrong = (r["first_level"] > r["last_level"]) | (r["last_level"] >= levels)
+        if wrong.any():
+            row = r[int(np.argmax(wrong))]
+            got = f"{row['first_level']} to {row['last_level']}"
+            raise ValueError(f"chunks: expected levels in order and below {levels}, got {got}")
         return starts, rows, table
 
     def _are_new(self, chunks: I64) -> NDArray[np.bool_]:
@@ -205,8 +213,10 @@ class Receiver:
             held.evict(s.evicted, self._drawn.terms_of(s.evicted))
         was_gone = held.gone.copy()
         held.add(s.gaussians, s.terms, s.gone)
-        if len(s.terms) and not _are_in(held.sent, s.owners).all():
-            raise ValueError("terms: expected those of Gaussians that have come, got others")
+        came = _are_in(held.sent, s.owners)
+        if not came.all():
+            owner = int(s.owners[int(np.argmin(came))])
+            raise ValueError(f"terms: expected those of Gaussians that have come, got one of Gaussian {owner:,}")
         if np.any(_are_in(was_gone, s.gaussians)):
             raise ValueError("gaussians: expected none that is replaced, got one")
         if np.any(_are_in(was_gone, s.gone)):

@@ -121,7 +121,8 @@ class Tables:
                 break
             at += size
         if bit < 0 or -(-bit // 8) != len(data):
-            raise ProtocolError("tables: expected levels of all symbols, got others")
+            got = f"{len(data):,} bytes that hold less, more, or levels out of range"
+            raise ProtocolError(f"tables: expected levels of all symbols, from 1 to {MOST_LEVEL}, got {got}")
         return cls.from_levels(levels, sizes)
 
 

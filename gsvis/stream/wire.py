@@ -167,7 +167,8 @@ class Token:
             ValueError: If the text has another length or other characters.
         """
         if not _is_token(self.text.encode("utf-8", "replace")):
-            raise ValueError(f"text: expected 1 to {_MOST_LINE} printable ASCII characters, got others")
+            got = f"{len(self.text):,}, or characters that are none"  # never the token itself
+            raise ValueError(f"text: expected 1 to {_MOST_LINE} printable ASCII characters, got {got}")
         return _TOKEN.pack(TOKEN, 0, len(self.text)) + self.text.encode()
 
 
@@ -235,12 +236,12 @@ def parse_client(data: bytes, *, most_hello: int = MOST_HELLO) -> Hello | PoseAt
             if len(data) != layout.size:
                 raise ProtocolError(f"{name}: expected {layout.size} bytes, got {len(data)}")
             if data[1:4] != b"\0\0\0":
-                raise ProtocolError(f"{name}: expected zeros in bytes 1 to 3, got others")
+                raise ProtocolError(f"{name}: expected zeros in bytes 1 to 3, got {data[1:4].hex()}")
     if kind == POSE:
         _, time_ms, x, y, z, *quat = _POSE.unpack(data)
         a, b, c, d = quat
         if not all(map(math.isfinite, (x, y, z, *quat))):
-            raise ProtocolError("POSE: expected finite numbers, got others")
+            raise ProtocolError(f"POSE: expected finite numbers, got {(x, y, z)} and {tuple(quat)}")
         if not 1e-12 < a * a + b * b + c * c + d * d < 1e12:
             raise ProtocolError("POSE: expected a rotation, got a quaternion of no sensible length")
         return PoseAt(time_ms, (x, y, z), (a, b, c, d))
@@ -259,7 +260,8 @@ def _token(data: bytes) -> Token:
     _, zero, length = _TOKEN.unpack_from(data)
     text = data[_TOKEN.size :]
     if zero or length != len(text) or not _is_token(text):
-        raise ProtocolError("TOKEN: expected its length and printable ASCII characters, got others")
+        got = f"length {length} for {len(text)} bytes" if length != len(text) else "bytes that are none"
+        raise ProtocolError(f"TOKEN: expected its length and printable ASCII characters, got {got}")
     return Token(text.decode())
 
 
@@ -275,7 +277,7 @@ def _hello(data: bytes, most: int) -> Hello:
     if zero or len(data) != _HELLO.size + length:
         raise ProtocolError(f"HELLO: expected {_HELLO.size + length:,} bytes, got {len(data):,}")
     if not np.abs(np.array(numbers)).max() < 1e6:  # worded so that NaN fails
-        raise ProtocolError("HELLO: expected a field of view of sensible numbers, got others")
+        raise ProtocolError(f"HELLO: expected a field of view of numbers below 1e6, got {tuple(numbers)}")
     try:
         view = FieldOfView(*numbers)
         view.planes((0, 0, 0), (1, 0, 0, 0))

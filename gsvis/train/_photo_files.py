@@ -70,7 +70,7 @@ def find_views(path: Path, images: Path | None) -> tuple[Views, list[Path]]:
         return read_colmap(model), given or [place for folder in above for place in (folder / "images", folder)]
     file = path / "transforms.json" if path.is_dir() else path
     if not file.is_file() or file.suffix.lower() != ".json":
-        got = "a folder without either" if path.is_dir() else "another file"
+        got = "a folder without either" if path.is_dir() else f"the file {path.name}"
         remedy = cameras_remedy(path) if path.is_dir() else ""
         raise FormatError(path, "", _KNOWN, got, remedy or "make one with COLMAP, and name its folder")
     content = read_json(file)

@@ -80,7 +80,7 @@ def load_checkpoint(path: str | os.PathLike[str], trainer: Trainer) -> None:
     if header.get("run") != trainer.key:
         raise ValueError(
             f"checkpoint: expected {os.fspath(path)} to belong to the same images, Gaussians and configuration, "
-            f"got another run's; {_AGAIN}, or name another file"
+            f"got the checkpoint of a run with different ones; {_AGAIN}, or name another file"
         )
     try:
         p = trainer.parameters

@@ -232,12 +232,12 @@ def read_rounds(
     try:
         rounds, left, values = found["rounds"], found["left"], found["values"]
         if rounds.shape != (1,) or (rounds.dtype.kind, left.dtype.kind, values.dtype.kind) != ("i", "i", "f"):
-            raise ValueError("arrays of another kind")
+            raise ValueError(f"arrays of {rounds.dtype} {rounds.shape}, {left.dtype} and {values.dtype}")
         done = int(rounds[0])
         if not 0 < done <= len(schedule) or left.shape != (n,) or not -1 <= left.min() <= left.max() < done:
-            raise ValueError("rounds of another schedule")
+            raise ValueError(f"round {done} of {len(schedule)}, and {left.shape} of {n:,} Gaussians")
         if values.shape != ((left < 0).sum(),) or len(values) != min(schedule[done - 1], n) or np.isnan(values).any():
-            raise ValueError("values of another size")
+            raise ValueError(f"{values.shape} values, or NaN among them")
     except (LookupError, ValueError) as error:
         got = f"{type(error).__name__}: {error}"
         raise FormatError(work.folder / ROUNDS, "", "the finished rounds", got, "delete it to start again") from error

@@ -353,10 +353,11 @@ class _Reader:
         squares = [tile.coords for tile in tiles]
         inner = [coords for coords in squares if coords is not None]
         if any(a >= b for a, b in pairwise(inner)):
-            again = next(b for a, b in pairwise(inner) if a >= b)
-            raise self._fault("tiles", "each square once, in order", f"square {again} after another or twice")
+            before, again = next((a, b) for a, b in pairwise(inner) if a >= b)
+            raise self._fault("tiles", "each square once, in order", f"square {again} after {before}")
         if None in squares[:-1]:
-            raise self._fault("tiles", "what lies outside as the last tile", "another order")
+            got = f"it as tile {squares.index(None)} of {len(squares)}"
+            raise self._fault("tiles", "what lies outside as the last tile", got)
         taken = np.zeros(grid.shape, bool)
         for tile in tiles:
             if tile.coords is not None:

@@ -369,8 +369,9 @@ def _fits(world: World, node: int, m: Manifest, first: Manifest, strict: bool) -
     if same and m.grids.precision == first.grids.precision and len(m.names) <= len(first.names):
         return True
     if strict:
-        expected, remedy = "the axes, levels and colors of the tiles", "prepare the world again"
-        raise FormatError(world.path, f"node {node}", expected, "others", remedy)
+        expected = f"up {first.info.up}, at most {len(first.names)} levels and the colors of the tiles"
+        got = f"up {m.info.up}, {len(m.names)} levels, colors {m.grids.variant}"
+        raise FormatError(world.path, f"node {node}", expected, got, "prepare the world again")
     _leave_out(world, node, "its axes, levels or colors are not those of the tiles; prepare the world again")
     return False
 

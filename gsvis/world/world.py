@@ -136,8 +136,9 @@ class World:
         where = f"node {node}"
         if not (folder / MANIFEST).is_file():
             raise FormatError(self.path, where, f"a package in {folder.name[:12]}...", "no such package", _REMEDY)
-        if not self.alone and digest_of(folder / MANIFEST) != expected.package:
-            raise FormatError(folder / MANIFEST, "", "content that fits the name of the folder", "another", DAMAGED)
+        if not self.alone and (found := digest_of(folder / MANIFEST)) != expected.package:
+            name = f"content with the hash {expected.package[:12]}..., the name of the folder"
+            raise FormatError(folder / MANIFEST, "", name, f"{found[:12]}...", DAMAGED)
         package = Package.open(folder)
         if package.manifest.gaussians != expected.gaussians:
             got = f"{package.manifest.gaussians:,}"

@@ -183,7 +183,7 @@ def test_nothing_of_the_users_is_replaced(ply: Path, photos: Path, tmp_path: Pat
     assert "whose high.ply is read" in refused(capsys, out / "high.ply", "-o", out, *base)
     g = load_scene(ply)
     save_scene(g[:-1], tmp_path / "other.ply")
-    assert "which holds those of another" in refused(capsys, tmp_path / "other.ply", "-o", out, *base)
+    assert "which holds levels of the scene with the hash" in refused(capsys, tmp_path / "other.ply", "-o", out, *base)
     document(capsys, ply, "-o", out, *base)
     with (out / "low.ply").open("ab") as file:
         file.write(b"edited")

@@ -317,7 +317,7 @@ def test_defaults_are_those_the_help_states() -> None:
         (["-o", "a.png", "--radius", "1"], "--radius"),
         (["-o", "a.png", "--elevation", "1", "--eye", "1", "2", "3"], "--elevation"),
         (["-o", "a.png", "--target", "1", "2", "3"], "--target"),
-        (["-o", "a.png", "--eye", "1", "2", "3", "--target", "1", "2", "3"], "another point"),
+        (["-o", "a.png", "--eye", "1", "2", "3", "--target", "1", "2", "3"], "a point that is not --eye, got 1 2 3"),
         (["-o", "a.png", "--fps", "10"], "--fps"),
         (["-o", "a/", "--orbit", "2", "--contributors", "1,1"], "one camera, got 2"),
         (["-o", "a.png", "--contributors", "24,1", *TINY], "24 x 18"),

@@ -144,7 +144,7 @@ def test_results_of_another_scene_stay(world: dict[str, Path], tmp_path: Path, c
     save_scene(two_rooms(1100, sh_degree=1).gaussians, other)
     before = world["pvs"].read_bytes()
     assert main(["pvs", str(other), "-o", str(world["pvs"]), "--workers", "1"]) == 2
-    assert "another scene" in capsys.readouterr().err
+    assert "of the scene with the hash" in capsys.readouterr().err
     assert world["pvs"].read_bytes() == before
     assert main(["unpack", str(world["package"]), "-o", str(tmp_path / "out")]) == 0
     assert main(["unpack", str(world["package"]), "-o", str(tmp_path / "out")]) == 0  # its own

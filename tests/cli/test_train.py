@@ -120,7 +120,7 @@ def test_a_run_that_is_stopped_is_resumed(
     kept = tmp_path / "scene.ply.checkpoint"
     copy = shutil.copy(kept, tmp_path / "copy")
 
-    assert "got another run's; delete it" in refused(capsys, *words, "--seed", "1")
+    assert "a run with different ones; delete it" in refused(capsys, *words, "--seed", "1")
     assert kept.read_bytes() == Path(copy).read_bytes()
     record = document(capsys, *words)
     assert record["timing"]["resumed_from"] == 13

@@ -317,14 +317,14 @@ BAD = {
     "dictionary: expected finite": {"dictionary": lambda d: broken(d, np.nan)},
     "dictionary: expected at least one": {"dictionary": lambda d: d[:, :0]},
     "signals: expected shape": {"signals": lambda s: s[:, :-1]},
-    "signals: expected finite values in the range of float32, got others in row 3": {
+    "signals: expected finite values .* got a value that is infinite, NaN or too large in row 3": {
         "signals": lambda s: broken(s, np.inf)
     },
     "signals: expected finite values": {"signals": lambda s: broken(s, 1e300)},
     "signals: expected numbers": {"signals": lambda s: s.astype(complex)},
     "weights: expected shape": {"weights": lambda w: w[:, 1:]},
     "weights: expected finite values in the range of float32 and not negative": {"weights": lambda w: broken(w, -1.0)},
-    "weights: expected finite values .* got others in row 3": {"weights": lambda w: broken(w, np.nan)},
+    "weights: expected finite values .* got a value .* or negative in row 3": {"weights": lambda w: broken(w, np.nan)},
     "weights: expected values": {"weights": lambda w: -w[0] - 1.0},
     "max_terms: expected 0 to 70, the number of atoms, got 71": {"max_terms": lambda _: 71},
     "max_terms: expected an integer": {"max_terms": lambda _: -1},

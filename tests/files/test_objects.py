@@ -100,7 +100,7 @@ def test_a_sweep_keeps_what_is_named(tmp_path: Path) -> None:
         ("down", "reading an object failed 3 times: ConnectionError: connection refused"),
         ("slow", "reading an object: no answer within 0.2 s"),
         ("wrong", "content that fits its name"),
-        ("checksum", "content that fits its checksum, got another, when reading an object"),
+        ("checksum", "content that fits its checksum, got bytes that do not fit it, when reading an object"),
     ],
 )
 def test_a_store_that_fails_gives_one_line(faulty: type[Faulty], tmp_path: Path, fault: str, message: str) -> None:

@@ -86,7 +86,7 @@ def test_mutators_change_and_do_not_fail(name: str) -> None:
 @pytest.mark.parametrize(
     ("message", "verdict"),
     [
-        ("checkpoint: expected x to be of the same images, got another run's", "refused"),
+        ("checkpoint: expected x to be of the same images, got the checkpoint of a run with different ones", "refused"),
         ("checkpoint is no array", "found"),
         ("", "found"),
         ("a: checkpoint: expected x", "found"),

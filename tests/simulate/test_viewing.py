@@ -150,7 +150,7 @@ def test_playbacks_that_do_not_fit_are_refused(made: tuple[StreamedScene, Stage]
     with pytest.raises(ValueError, match="playbacks: expected at least 3 seconds"):
         watch(stage, [short], walk(), QUICK)
     other = Playback(**{**vars(short), "seconds": 3.0, "term_at": short.term_at[:-1]})
-    with pytest.raises(ValueError, match="of another scene"):
+    with pytest.raises(ValueError, match="terms, as the scene has, got"):
         watch(stage, [other], walk(), QUICK)
 
 

@@ -101,7 +101,7 @@ def test_a_batch_that_evicts_what_the_client_does_not_have_changes_nothing(scene
     never = np.setdiff1d(np.arange(scene.about.gaussians), message.batch.gaussians)[:3]
     changed = replace(Sections.parse(message.data, scene.about), evicted=never).to_message(scene.about)
     before = receiver.holdings.to_bytes()
-    with pytest.raises(ProtocolError, match="expected such as are held"):
+    with pytest.raises(ProtocolError, match="expected ids that are held, got"):
         receiver.receive(changed)
     assert receiver.holdings.to_bytes() == before
     receiver.receive(message.data)

@@ -249,5 +249,5 @@ def test_damaged_rounds_are_refused(change: dict[str, np.ndarray], tmp_path: Pat
     kept.keep_own(ROUNDS, {**found, **change})
     with pytest.raises(FormatError, match=r"rounds\.npz.*delete it to start again"):
         pruned(kept)
-    with pytest.raises(ValueError, match="another run's"):
+    with pytest.raises(ValueError, match="work of a run with different ones"):
         pruned(KeptWork(tmp_path, {"other": 1}))

@@ -259,7 +259,7 @@ def test_other_cameras_may_choose(scene: Gaussians, views: PosedImages, brief: L
     other = train_levels(scene, views, replace(BRIEF, looks=3), choose_by=below, work=tmp_path).levels
     assert other.counts == brief.counts
     assert not np.array_equal(other.first, brief.first)
-    with pytest.raises(ValueError, match=r"work: expected .* got another run's"):
+    with pytest.raises(ValueError, match=r"work: expected .* got work of a run with different ones"):
         train_levels(scene, views, replace(BRIEF, looks=3), work=tmp_path)
 
 
@@ -274,10 +274,14 @@ def test_work_of_another_run_is_refused(scene: Gaussians, views: PosedImages, tm
     ]
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     for other in others:
-        with pytest.raises(ValueError, match=r"work: expected .* of the same input and settings, got another run's"):
+        with pytest.raises(
+            ValueError, match=r"work: expected .* of the same input and settings, got work of a run with different ones"
+        ):
             train_levels(*other, work=tmp_path)
     for change in ({"iterations": 7}, {"seed": 1}, {"threshold": 0.5}):
-        with pytest.raises(ValueError, match=r"checkpoint: expected .* got another run's"):
+        with pytest.raises(
+            ValueError, match=r"checkpoint: expected .* got the checkpoint of a run with different ones"
+        ):
             train_levels(scene, views, replace(BRIEF, **change), work=tmp_path)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
