@@ -5,17 +5,15 @@ turned at random, scaled between 1e-3 and 1e3, with a shell of large outliers ou
 A kind or an up axis is right, or gsvis says that it is not sure; confidently wrong is counted apart.
 
 Given: scenes, eyes chosen by hand, seeds of the transforms.
-Measured: share of the eyes in cells; kind and up axis with their confidences; with --images the PSNR of a cell's set.
+Measured: share of the eyes in cells; kind and up axis with their confidences. `chosen_images.py` draws what they see.
 Defaults chosen on: other seeds; the eyes were chosen from renders before anything was measured.
 """
 
 from __future__ import annotations
 
 import argparse
-import tempfile
 import time
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -53,7 +51,6 @@ def main() -> None:
     parser.add_argument("--scenes", nargs="*", help="names; all by default")
     parser.add_argument("--bonsai", help="a scene trained on the photographs of bonsai")
     parser.add_argument("--as-is", action="store_true", help="without transforms")
-    parser.add_argument("--images", type=int, default=0, help="images a scene, from a cell's set")
     options = parser.parse_args()
     folder = realdata()
     every = [*CHOSEN, *([bonsai(options.bonsai, folder)] if options.bonsai else [])]
@@ -66,7 +63,7 @@ def main() -> None:
         if not options.as_is:
             tries.append(move(g, chosen, np.random.default_rng([options.seed, number])))
         for tried in tries:
-            row = judge(tried, options.images)
+            row = judge(tried)
             rows.append(row)
             print(" ".join(f"{key}={value}" for key, value in row.items()), flush=True)
     write_result(options.out, QUESTION, summarize(rows), {"seed": options.seed, "scenes": rows})
@@ -122,7 +119,7 @@ def shell(g: Gaussians, rng: np.random.Generator) -> Gaussians:
     )
 
 
-def judge(tried: Moved, images: int) -> dict[str, Any]:
+def judge(tried: Moved) -> dict[str, Any]:
     """Return what gsvis says of a scene beside what a person says."""
     g, chosen = tried.gaussians, tried.chosen
     began = time.perf_counter()
@@ -143,37 +140,7 @@ def judge(tried: Moved, images: int) -> dict[str, Any]:
     grid = CellGrid.over(space)
     held = grid.cell_at(chosen.eyes) >= 0
     row |= {"cells": len(grid), "eyes_in_cells": round(float(held.mean()), 3)}
-    if images:
-        row |= measure_images(g, space, grid, chosen, held, images)
     return row
-
-
-def measure_images(
-    g: Gaussians, space: NavigableSpace, grid: CellGrid, chosen: Chosen, held: NDArray[np.bool_], images: int
-) -> dict[str, Any]:
-    """Return the worst and the median PSNR of 1080p images from the sets of the eyes' cells."""
-    from gsvis.pvs.build import build_pvs
-    from gsvis.pvs.store import VisibilityStore
-    from gsvis.render import rasterize
-    from gsvis.scene.cameras import Cameras
-
-    some = np.flatnonzero(held)[:: max(1, held.sum() // images)][:images]
-    if len(some) == 0:
-        return {"worst_db": 0.0}
-    found = []
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "sets.gsvis"
-        build_pvs(g, grid, space, path)
-        with VisibilityStore.open(path) as store:
-            for k in some:
-                camera = Cameras.look_at(
-                    chosen.eyes[[k]], chosen.targets[[k]], up=space.up, width=1920, height=1080, fov=75.0
-                )
-                ids = store.visible_ids(store.cell_at(chosen.eyes[k]))
-                full, kept = (rasterize(each, camera, backend="cpu").images[0] for each in (g, g[ids]))
-                error = float(np.mean((np.clip(full, 0, 1) - np.clip(kept, 0, 1)) ** 2))
-                found.append(-10.0 * np.log10(max(error, 1e-10)))
-    return {"worst_db": round(min(found), 1), "median_db": round(float(np.median(found)), 1), "images": len(found)}
 
 
 def verdict(right: bool, confidence: float) -> str:
