@@ -14,6 +14,7 @@ Defaults chosen on: nothing; the options of `gsvis pvs` are the product's.
 from __future__ import annotations
 
 import argparse
+import json
 import tempfile
 import time
 from collections.abc import Iterator
@@ -66,22 +67,33 @@ def main() -> None:
     parser = add_arguments(argparse.ArgumentParser(description=__doc__))
     parser.add_argument("--seed", type=int, default=20261128)
     parser.add_argument("--eyes", type=int, default=4, help="eyes a scene, in different cells")
-    parser.add_argument("--scenes", nargs="*", help="names; all by default")
+    parser.add_argument("--scenes", nargs="*", help="names, or 'NAME, moved' for that alone; all by default")
+    parser.add_argument("--earlier", type=Path, help="result with the rows of scenes that are not tried now")
     parser.add_argument("--bonsai", help="a scene trained on the photographs of bonsai")
     parser.add_argument("--as-is", action="store_true", help="without transforms")
     options = parser.parse_args()
     folder, rows = realdata(), []
     every = [*CHOSEN, *([bonsai(options.bonsai, folder)] if options.bonsai else [])]
     for number, chosen in enumerate(every):
-        if options.scenes and chosen.name not in options.scenes:
+        if options.scenes and not {chosen.name, f"{chosen.name}, moved"} & set(options.scenes):
             continue
         for tried, source in read_scenes(chosen, folder, [options.seed, number], options.as_is):
+            if options.scenes and not {chosen.name, tried.name} & set(options.scenes):
+                continue
             began = time.process_time()
             row = {"scene": tried.name, **judge(tried.chosen, source, options)}
             row["processor_seconds"] = round(time.process_time() - began, 1)
             rows.append(row)
             print(" ".join(f"{key}={value}" for key, value in row.items() if key != "views"), flush=True)
+    if options.earlier:
+        rows += read_earlier(options.earlier, {row["scene"] for row in rows})
     write_result(options.out, QUESTION, summarize(rows), {"seed": options.seed, "scenes": rows})
+
+
+def read_earlier(path: Path, known: set[str]) -> list[dict[str, Any]]:
+    """Return the rows of an earlier result whose scenes are not known, marked as such."""
+    rows = json.loads(path.read_text(encoding="utf-8"))["details"]["scenes"]
+    return [{"earlier": True, **row} for row in rows if row["scene"] not in known]
 
 
 def read_scenes(chosen: Chosen, folder: Path, seed: list[int], as_is: bool) -> Iterator[tuple[Moved, Source]]:

@@ -217,7 +217,7 @@ class Pvs(WhereSeen):
     """Up in the scene: an axis such as -y, or three numbers."""
     method: Annotated[Literal["hybrid", "raster", "raycast"], PLAIN] = "hybrid"
     """z-buffer and hidden points, cubemap images, or rays. (default: hybrid)"""
-    face_size: Annotated[int | None, FACE_PIXELS, hint("512")] = None
+    face_size: Annotated[int | None, FACE_PIXELS, hint("768")] = None
     """Pixels along a side of the six faces around a viewpoint of a cell."""
     tau: Annotated[float, TAU, hint("1/255")] = 1.0 / 255.0
     """Weight from which a Gaussian counts as visible."""

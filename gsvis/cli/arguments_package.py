@@ -70,7 +70,7 @@ class Prepare(WhereSeen):
     """Largest number of cells. They are as small as it allows."""
     cell_size: Annotated[float | None, DISTANCE, hint("the smallest that --cells allows")] = None
     """Side of a cell, scene units."""
-    face_size: Annotated[int | None, FACE_PIXELS, hint("512")] = None
+    face_size: Annotated[int | None, FACE_PIXELS, hint("768")] = None
     """Pixels along a side of the six faces around a viewpoint of a cell."""
     limit: Annotated[float | None, SHARE, hint("0.0015")] = None
     """The set of a cell is finished when rays prove that it misses at most this share of the light."""

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from gsvis.pvs._kernels.aim import mark_directions
 from gsvis.raycast import Tracer
 
-__all__ = ["Aim"]
+__all__ = ["Aim", "share_of_centers"]
 
 F64 = NDArray[np.float64]
 
@@ -67,6 +67,31 @@ class Aim:
             found.append(_directions(some[kept, 0], u[kept] / lengths[kept], v[kept] / lengths[kept]))
             left -= len(kept)
         return np.concatenate(found or [np.zeros((0, 3))])
+
+
+def share_of_centers(centers: ArrayLike, eye: F64, size: int) -> float:
+    """Return the part of all directions in which centers (P, 3) lie from an eye (3,), with a pixel around each.
+
+    Args:
+        centers: (P, 3) points; those at the eye do not count.
+        eye: (3,) the eye.
+        size: Pixels along a side of the faces of a cube.
+    """
+    ways = np.asarray(centers, np.float64) - eye
+    ways = ways[np.any(ways != 0.0, axis=1)]
+    axes = np.abs(ways).argmax(axis=1)
+    rows = np.arange(len(ways))
+    depths = ways[rows, axes]
+    faces = 2 * axes + (depths < 0.0)
+    columns, lines = (
+        np.minimum(((ways[rows, other[axes]] / np.abs(depths) + 1.0) * 0.5 * size).astype(np.int64), size - 1)
+        for other in (np.array([1, 0, 0]), np.array([2, 2, 1]))
+    )
+    marked = np.zeros((6, size + 2, size + 2), bool)
+    for line in range(3):
+        for column in range(3):
+            marked[faces, lines + line, columns + column] = True
+    return float(marked[:, 1:-1, 1:-1].mean())
 
 
 def _directions(faces: NDArray[np.int64], u: F64, v: F64) -> F64:

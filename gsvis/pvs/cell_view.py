@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.pvs._kernels import cell as kernels
-from gsvis.pvs.aim import Aim
+from gsvis.pvs.aim import Aim, share_of_centers
 from gsvis.pvs.certificate import Certificate, CertificateConfig
 from gsvis.pvs.config import PvsConfig
 from gsvis.pvs.prepared import PreparedLevels
-from gsvis.pvs.probes import farthest_points
+from gsvis.pvs.probes import Tips, farthest_points
 from gsvis.pvs.tiles import probe_tiles
 from gsvis.pvs.viewpoints import FreeVoxels
 from gsvis.raycast import Tracer
@@ -41,16 +41,17 @@ _FAINT, _UNSEEN = -1, -2  # classes of what is faint, and of what no look found
 _AIM_SIZE = 32  # pixels along a side of the faces on which a viewpoint marks where something may lie
 _FILLED = 0.25  # share of its directions below which its faces are finer, so that as many pixels meet something
 _FINEST = 4.0  # times
+_SMALLER = 2.0 / 3.0  # of that for fine looks, which are finer where all directions show something
 _TILES = 8  # worst rays whose tiles are traced
 _LOOKED = 0.1  # part of the limit that the estimate must exceed for a look; below, more rays prove more than looks find
 _SPARSE = 16  # largest factor by which rays are more where few meet something
 _TURNS = 4  # most probes of these tiles in one stage
-_COARSE = 0.75  # size of faces over that of fine looks, for up to half of the shared viewpoints of a cell
+_COARSE = 0.5  # size of faces over that of fine looks, for up to half of the shared viewpoints of a cell
 _PROBE_SIZE = 128  # pixels along a side of the faces of a probe
 _PROBE_FLOOR = 0.05  # least weight of a missing Gaussian that a probe counts
 _PROBE_LOSS = 0.1  # sum of these weights from which the eye looks finely
 _FINE_FLOOR = 4.0  # least weight, over tau, of what a fine look after a probe adds: a set should stay small
-_CLEAN = 4  # probes in a row that find nothing, after which there are no more
+_CLEAN = 2  # probes in a row that find nothing, after which there are no more
 _CHECKED = 8  # rays of a cell that a second tracer may trace again
 
 
@@ -185,21 +186,29 @@ class Finder:
         self, level: int, viewpoint: F64, *, fine: bool = True, floor: float | None = None
     ) -> tuple[I64, NDArray[np.int8]]:
         """Return the union ids that a viewpoint sees in a level, and their classes."""
-        size = self.config.size
+        finer, size = self._finer(level, viewpoint), self.config.size
         if level < len(self.levels) - 1:
-            size = min(size, self.config.lower_size)
-        elif not fine:
-            size = max(4, round(_COARSE * size))
+            pixels = finer * min(size, self.config.lower_size)
+        elif fine:
+            pixels = max(1.0, _SMALLER * finer) * size
+        else:
+            pixels = max(4.0, _COARSE * finer * size)
         faint = _FAINTEST * self.config.tau if floor is None else None
-        finer, prepared = self._finer(level, viewpoint), self._prepared[level]
-        ids, weights = prepared.look(viewpoint, size=round(finer * size), floor=floor, faint=faint, hull=finer == 1.0)
+        prepared = self._prepared[level]
+        ids, weights = prepared.look(viewpoint, size=round(pixels), floor=floor, faint=faint, hull=finer == 1.0)
         return prepared.ids[ids], self._classify(weights)
 
     def _finer(self, level: int, viewpoint: F64) -> float:
-        """Return how many times finer the faces around a viewpoint are, because it sees the void in most directions."""
+        """Return how many times finer the faces around a viewpoint are, because most directions show the void.
+
+        A shell of outliers fills all directions. It does not count: the scene lies in as few as without it.
+        """
         if self.config.method != "hybrid":
             return 1.0  # there pixels of the void cost time
-        share = Aim.of_box(self._prepared[level].certifier.tracer, viewpoint, viewpoint, _AIM_SIZE).share
+        prepared = self._prepared[level]
+        share = Aim.of_box(prepared.certifier.tracer, viewpoint, viewpoint, _AIM_SIZE).share
+        if len(prepared.core):
+            share = min(share, share_of_centers(prepared.core, viewpoint, _AIM_SIZE))
         return 1.0 if share == 0.0 else float(np.clip(np.sqrt(_FILLED / share), 1.0, _FINEST))
 
     def _classify(self, weights: F32) -> NDArray[np.int8]:
@@ -207,27 +216,45 @@ class Finder:
         return (np.searchsorted(self._edges, weights, side="right") - 1).astype(np.int8)
 
     def _probe(self, voxels: FreeVoxels, sightings: Sequence[Sighting], view: _Growing) -> int:
-        """Add what the points farthest from all viewpoints see and the set lacks; return the fine looks taken.
+        """Add what the tips of the cell and the points farthest from all eyes see and the set lacks.
 
         Probes are coarse looks at the highest level. Where one finds light missing, its eye looks finely, and at lower
         levels coarsely.
+
+        Returns:
+            The fine looks taken.
         """
-        top, looks, clean = len(self.levels) - 1, 0, 0
-        certifier = self._prepared[top].certifier
-        eyes = np.array([each.viewpoint for each in sightings if each.looks]).reshape(-1, 3)
-        points = farthest_points(voxels, eyes, lambda some: certifier.buries(voxels, some))
-        for eye in itertools.islice(points, self.config.probes):
-            if self._glance(top, eye, view) < _PROBE_LOSS:
-                clean += 1
-                if clean == _CLEAN:
-                    break
-                continue
-            looks, clean = looks + 1, 0
-            view.add(*self._see(top, eye, floor=_FINE_FLOOR * self.config.tau), eye[None])
-            for level in range(top):
-                if not self._prepared[level].certifier.solid.buries(eye[None])[0]:
-                    self._glance(level, eye, view)
+        certifier = self._prepared[len(self.levels) - 1].certifier
+
+        def buries(some: F64) -> NDArray[np.bool_]:
+            return certifier.buries(voxels, some)
+
+        eyes = [each.viewpoint for each in sightings if each.looks]
+        tips, shared, looks, clean = Tips(voxels, _points(eyes), buries), len(eyes), 0, 0
+        while len(eyes) < shared + self.config.probes and (eye := tips.farthest()) is not None:
+            found = self._look_closer(eye, view)
+            tips.stand(eye, found=found)
+            eyes.append(eye)
+            looks += found
+        left = max(0, shared + self.config.probes - len(eyes))
+        for eye in itertools.islice(farthest_points(voxels, _points(eyes), buries), left):
+            found = self._look_closer(eye, view)
+            looks += found
+            clean = 0 if found else clean + 1
+            if clean == _CLEAN:
+                break
         return looks
+
+    def _look_closer(self, eye: F64, view: _Growing) -> bool:
+        """Add what an eye sees and the set lacks; return whether that was enough for a fine look."""
+        top = len(self.levels) - 1
+        if self._glance(top, eye, view) < _PROBE_LOSS:
+            return False
+        view.add(*self._see(top, eye, floor=_FINE_FLOOR * self.config.tau), eye[None])
+        for level in range(top):
+            if not self._prepared[level].certifier.solid.buries(eye[None])[0]:
+                self._glance(level, eye, view)
+        return True
 
     def _glance(self, level: int, eye: F64, view: _Growing) -> float:
         """Add what an eye sees coarsely in a level and the set lacks; return the sum of its weights."""
@@ -308,6 +335,11 @@ class _Mended:
     certificates: list[Certificate]
     inner: int
     tile: float
+
+
+def _points(eyes: Sequence[F64]) -> F64:
+    """Return eyes as an array (E, 3)."""
+    return np.array(eyes, np.float64).reshape(-1, 3)
 
 
 class _Growing:

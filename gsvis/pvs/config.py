@@ -26,7 +26,7 @@ class PvsConfig:
         method: "hybrid" (z-buffer and hidden point removal), "raster" (weights of cubemap images) or "raycast".
         tau: Weight in (0, 1) from which a Gaussian is visible.
         size: Pixels or rays along a side of the six faces around a viewpoint; up to half of the shared viewpoints of a
-            cell use three quarters of it. Coarse pixels close gaps through which finer pixels see. So do not make it
+            cell use half of it. Coarse pixels close gaps through which finer pixels see. So do not make it
             much coarser than the images that a viewer shows.
         lower_size: The same on lower levels, whose Gaussians are larger, if it is below `size`.
         limit: A cell is finished when the upper 95% confidence bound of the share of light that its set misses is at
@@ -35,20 +35,20 @@ class PvsConfig:
         rays: Most rays of a certificate.
         max_inner: Most times that a set is mended and certified again. A set that is still above the limits is kept,
             with its bound.
-        probes: Most coarse looks at the highest level from the points of a cell that are farthest from its viewpoints.
-            Where one finds light missing, its eye looks at `size`. 0 for none.
+        probes: Most coarse looks at the highest level, from the tips of a cell and from the points that are farthest
+            from its viewpoints. Where one finds light missing, its eye looks at `size`. 0 for none.
         class_ratio: Lowest weight of a class over that of the class below. The lowest class begins at tau.
     """
 
     method: str = "hybrid"
     tau: float = TAU
-    size: int = 512
+    size: int = 768
     lower_size: int = 320
     limit: float = 0.0015
     tile_limit: float = 0.1
     rays: int = 8192
     max_inner: int = 16
-    probes: int = 12
+    probes: int = 16
     class_ratio: float = 4.0
 
     def __post_init__(self) -> None:

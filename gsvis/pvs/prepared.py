@@ -13,11 +13,15 @@ from gsvis.files.shelf import Shelf
 from gsvis.pvs.certificate import Certifier
 from gsvis.pvs.config import PvsConfig
 from gsvis.pvs.look import Look
+from gsvis.scene.core import find_core
+from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 
 __all__ = ["PreparedLevel", "PreparedLevels"]
 
 _Thing = TypeVar("_Thing")
+
+_SOME = 20_000  # Gaussians that tell in which directions a scene lies
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,11 +32,13 @@ class PreparedLevel:
         ids: (n,) int64, its Gaussians in the union of levels, ascending.
         look: What viewpoints see of it.
         certifier: Its tracer, and what is solid.
+        core: (P, 3) centers of some Gaussians that are no outliers; (0, 3) in a level without outliers.
     """
 
     ids: NDArray[np.int64]
     look: Look
     certifier: Certifier
+    core: NDArray[np.float32]
 
 
 class PreparedLevels:
@@ -74,7 +80,16 @@ class PreparedLevels:
         tracer = Tracer(EllipsoidProxies.from_scene(look.gaussians))
         if self._shelf is not None:
             _ = tracer.hierarchy  # it is to lie on the shelf too
-        return PreparedLevel(ids, look, self._keep(Certifier(tracer)))
+        return PreparedLevel(ids, look, self._keep(Certifier(tracer)), _core_of(look.gaussians))
 
     def _keep(self, thing: _Thing) -> _Thing:
         return thing if self._shelf is None else self._shelf.put(thing)
+
+
+def _core_of(g: Gaussians) -> NDArray[np.float32]:
+    """Return (P, 3) centers of some Gaussians that are no outliers; (0, 3) where there are no outliers."""
+    members = find_core(g).members
+    if members.all():
+        return np.zeros((0, 3), np.float32)
+    centers = g.means[members]
+    return centers[:: -(-len(centers) // _SOME)]

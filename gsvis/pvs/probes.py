@@ -1,11 +1,13 @@
-"""Points of a cell that are farthest from its viewpoints: from there an eye sees past edges that hid light before.
+"""Points of a cell from which an eye sees past edges that hid light before: its tips, and what is far from viewpoints.
 
-Held-out eyes whose images had holes stood about half a cell from the nearest viewpoint. Eight such points
-find nearly all of what eight random points leave (docs/design/053). Scene frame and units.
+A tip is a point of the free voxels that lies farthest in some direction. Through a door or past a corner, most is
+seen from there, and merged viewpoints may stand two voxels beside it. Held-out eyes inside whose images had holes
+stood about half a cell from the nearest viewpoint (docs/design/053). Scene frame and units.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -13,14 +15,53 @@ from numpy.typing import NDArray
 
 from gsvis.pvs.viewpoints import FreeVoxels
 
-__all__ = ["farthest_points"]
+__all__ = ["Tips", "farthest_points"]
 
 F64 = NDArray[np.float64]
 
 _SKIPPED = 16  # most points inside something solid
+_NEAR = 1.5  # voxels within which an eye stands for a tip
+_SHORTER = 0.5  # times that, of an eye that found something
+_WAYS = np.array([way for way in itertools.product((-1, 0, 1), repeat=3) if any(way)])
+_OUT = 0.45  # voxels from the center of a voxel to its tip, along each axis of a way
+
+Buries = Callable[[F64], NDArray[np.bool_]]
+"""Returns which points (P, 3) lie inside something solid."""
 
 
-def farthest_points(voxels: FreeVoxels, viewpoints: F64, buries: Callable[[F64], NDArray[np.bool_]]) -> Iterator[F64]:
+class Tips:
+    """The points of a cell that lie farthest in one of 26 directions, to be looked from where nobody stood nearby.
+
+    An eye stands for the tips within a voxel and a half of it; half as far if it found something.
+
+    Args:
+        voxels: Where eyes may be in the cell.
+        viewpoints: (V, 3) what was looked from.
+        buries: Tells which points lie inside something solid; these are left out.
+    """
+
+    def __init__(self, voxels: FreeVoxels, viewpoints: F64, buries: Buries) -> None:
+        farthest = voxels.voxels[np.argmax(voxels.voxels @ _WAYS.T, axis=0)]  # of equal ones the first
+        points = voxels.origin + voxels.voxel_size * (farthest + 0.5 + _OUT * _WAYS)
+        self._points = points[~buries(points)]
+        self._near = _NEAR * voxels.voxel_size
+        self._apart = np.full(len(self._points), np.inf)
+        for each in viewpoints:
+            self.stand(each)
+
+    def farthest(self) -> F64 | None:
+        """Return the tip (3,) that is farthest from all eyes; None if eyes stand for all."""
+        if len(self._points) == 0 or self._apart.max() <= self._near:
+            return None
+        return np.asarray(self._points[int(self._apart.argmax())])
+
+    def stand(self, eye: F64, *, found: bool = False) -> None:
+        """Take note of an eye (3,) that looked, and whether it found something."""
+        apart = np.linalg.norm(self._points - eye, axis=1)
+        np.minimum(self._apart, apart / _SHORTER if found else apart, out=self._apart)
+
+
+def farthest_points(voxels: FreeVoxels, viewpoints: F64, buries: Buries) -> Iterator[F64]:
     """Yield points (3,) of a cell, each as far as possible from the viewpoints and the points before it.
 
     Args:

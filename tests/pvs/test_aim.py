@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from gsvis.pvs.aim import Aim
+from gsvis.pvs.aim import Aim, share_of_centers
 from gsvis.pvs.reference import marked_reference
 from gsvis.raycast import EllipsoidProxies, Tracer
 from gsvis.scene.gaussians import Gaussians
@@ -97,3 +97,22 @@ def test_from_within_all_directions_count_and_in_a_void_too() -> None:
     nothing = Aim.of_box(Tracer(EllipsoidProxies.from_scene(Gaussians.empty())), np.zeros(3), np.ones(3), 8)
     assert nothing.share == 0.0
     assert nothing.draw(5, np.random.default_rng(0)).shape == (5, 3)
+
+
+@given(st.integers(0, 1000), st.sampled_from([4, 16, 32]))
+def test_the_share_of_centers_is_that_of_their_directions(seed: int, size: int) -> None:
+    rng = np.random.default_rng(seed)
+    eye, ways = rng.normal(size=3), rng.normal(size=(50, 3))
+    share = share_of_centers(eye + ways, eye, size)
+    assert 50 / (6 * size * size) * 0.1 < share <= min(1.0, 50 * 9 / (6 * size * size))
+    assert share_of_centers(eye + rng.uniform(0.1, 9.0, (50, 1)) * ways, eye, size) == pytest.approx(share, abs=0.02)
+    turned = ways[:, [1, 2, 0]] * [1.0, -1.0, 1.0]
+    assert share_of_centers(turned, np.zeros(3), size) == pytest.approx(share, abs=0.02)
+
+
+def test_centers_on_one_side_fill_little_and_all_around_everything() -> None:
+    ball = np.random.default_rng(0).normal(size=(2000, 3))
+    ball /= np.linalg.norm(ball, axis=1, keepdims=True)
+    assert share_of_centers(ball, np.zeros(3), 16) > 0.99
+    assert share_of_centers(ball, np.array([-30.0, 0.0, 0.0]), 16) <= 16 / (6 * 16 * 16)
+    assert share_of_centers(np.zeros((3, 3)), np.zeros(3), 16) == 0.0

@@ -438,3 +438,18 @@ def test_where_few_rays_meet_anything_there_are_more_of_them_and_no_looks() -> N
     assert view.figures.inner == 0
     assert view.figures.bound <= 0.05
     assert view.figures.rays > 8 * QUICK.rays  # in fewer stages than these
+
+
+def test_a_shell_of_outliers_makes_no_look_at_a_small_object_coarser() -> None:
+    rng = np.random.default_rng(0)
+    ball, shell = rng.normal(size=(400, 3)), rng.normal(size=(8, 3))
+    far = shell / np.linalg.norm(shell, axis=1, keepdims=True) * np.geomspace(60.0, 3000.0, 8)[:, None]
+    means, scales = np.concatenate([0.1 * ball, far]), np.repeat([0.002, 0.0], [400, 8])
+    scales[400:] = 0.3 * np.linalg.norm(far, axis=1)
+    count = len(means)
+    quats, sizes, opacities = np.tile([1.0, 0, 0, 0], (count, 1)), np.tile(scales[:, None], (1, 3)), np.full(count, 0.6)
+    whole = Gaussians(means, quats, sizes, opacities, np.zeros((count, 1, 3)))
+    config, eye = PvsConfig(size=96), np.array([4.0, 0.3, 0.2])
+    alone, within = (Finder(Levels.single(g), config).look(eye).ids for g in (whole[np.arange(400)], whole))
+    assert len(alone) > 300
+    assert np.isin(alone, within).mean() > 0.95
