@@ -62,6 +62,7 @@ PAGES = {
             "lowest",
             "compare",
             "chosen_eyes",
+            "chosen_images",
             "upright",
             "judge_eyes",
             "same_anywhere",
