@@ -1,10 +1,11 @@
 """Draw how a scene arrives over a slow link: gsvis beside streamed SOG and one whole file. It heads the README.
 
     gsvis convert builtin:flat scene.ply
-    gsvis prepare scene.ply -o scene.gsvis --cells 24 --limit 0.4
-    python tools/arriving.py scene.gsvis scene.ply
+    gsvis prepare scene.ply -o scene.gsvis --levels none --cells 24 --limit 0.4
+    gsvis prepare scene.ply -o leveled.gsvis --cells 24 --limit 0.4
+    python tools/arriving.py scene.gsvis leveled.gsvis scene.ply
 
-All ways are simulated over the same link with the same walk. Streamed SOG has the levels of the package, and leaves
+All ways are simulated over the same link with the same walk. Streamed SOG has the levels of the second package; leaves
 are loaded by the rule of PlayCanvas' engine; `benchmarks/paper/rivals/leaves.py` says how it is simplified. The whole
 file is a compact SPZ in Morton order, the smallest of those that `gsvis simulate` tries. Every image stands beside its
 PSNR against the scene.
@@ -19,13 +20,13 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from paper.rivals.leaves import LeafFiles, LeafStream, leaf_sizes
 from PIL import Image, ImageDraw, ImageFont
 
 from gsvis.abr import BandwidthTrace, FieldOfView
@@ -37,13 +38,13 @@ from gsvis.package.contents import Contents
 from gsvis.package.package import Package
 from gsvis.package.unpack import unpack_levels
 from gsvis.scene.cameras import Cameras
-from gsvis.scene.gaussians import quats_from_rotations
+from gsvis.scene.gaussians import Gaussians, quats_from_rotations
 from gsvis.scene.paths import HeadPath
-from gsvis.simulate import Link, ViewingConfig, morton_order
+from gsvis.simulate import Delivery, Link, ViewingConfig, morton_order
 from gsvis.simulate.baselines import WholeFile
 from gsvis.simulate.delivery import Adaptive
 from gsvis.simulate.frames import Stage, psnr_of
-from gsvis.simulate.playback import Playback, play
+from gsvis.simulate.playback import play
 from gsvis.simulate.viewing import show_at
 from gsvis.simulate.visits import Place
 
@@ -51,6 +52,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "benchmarks"))
 
 from _harness import write_result  # noqa: E402
+from paper.rivals.leaves import LeafFiles, LeafStream, leaf_sizes  # noqa: E402
 
 QUESTION = "What does a viewer of the built-in flat see over a slow link, by gsvis, streamed SOG and one whole file?"
 MBIT, ROUND_TRIP = 5.0, 0.05
@@ -93,58 +95,81 @@ def leaf_stream(package: Package, contents: Contents, view: FieldOfView, folder:
     return LeafStream(contents, files, view)
 
 
-def simulate(package: Path, scene: Path) -> tuple[list[list[Image3]], dict[str, Any]]:
-    """Return rows of images, of gsvis, streamed SOG and the whole file, and what the labels say."""
-    reference = load_scene(scene)
+@dataclass(frozen=True, eq=False)
+class Way:
+    """What a viewer sees of one way to deliver the scene.
+
+    Attributes:
+        images: An image for each time, black where there is none yet.
+        quality: PSNR of each against the scene, dB.
+        nbytes: Bytes that have arrived at each time.
+        first: Seconds until the first image.
+    """
+
+    images: list[Image3]
+    quality: list[float]
+    nbytes: list[int]
+    first: float
+
+
+def watch(place: Place, reference: Gaussians, delivery: Delivery, config: ViewingConfig) -> Way:
+    """Return what a viewer sees who stands in a scene while it is delivered."""
+    stage = Stage(place.contents, reference, place.highest)
     path = standing(max(TIMES) + 1.0)
+    playback = play(delivery, Link(BandwidthTrace.constant(MBIT), ROUND_TRIP), path, stage.size, seconds=40.0)
+    black = np.zeros((SIZE[1], SIZE[0], 3), np.float32)
+    images, quality = [], []
+    for t in TIMES:
+        full, (seen,) = show_at(stage, [playback], path, t, config)
+        image = black if seen is None else seen
+        images.append(image)
+        quality.append(round(min(psnr_of(image, full), 99.0), 1))
+    return Way(images, quality, playback.bytes_at(np.array(TIMES)).astype(int).tolist(), round(playback.first, 2))
+
+
+def simulate(package: Path, leveled: Path, scene: Path) -> tuple[list[Way], dict[str, Any]]:
+    """Return what is seen by gsvis, by streamed SOG and of the whole file, and what the labels say."""
+    reference = load_scene(scene)
     config = ViewingConfig(seconds=max(TIMES), width=SIZE[0], height=SIZE[1], fov=80.0)
-    with TemporaryDirectory() as folder, Package.open(package) as opened:
+    with TemporaryDirectory() as folder:
         whole = Path(folder) / "whole.spz"
         save_spz(reference[morton_order(reference.means)], whole, compact=True)
-        place = Place.open(opened, reference=reference, whole_file=whole, as_is=True)
-        contents = place.contents
-        stage = Stage(contents, place.reference, place.highest)
-        link = Link(BandwidthTrace.constant(MBIT), ROUND_TRIP)
-        ways = (
-            Adaptive(place.scene, config.view),
-            leaf_stream(opened, contents, config.view, Path(folder) / "sog"),
-            WholeFile(contents, *place.whole_file, ids=np.flatnonzero(place.highest)),
-        )
-        played = [play(way, link, path, stage.size, seconds=40.0) for way in ways]
-        shown = [show_at(stage, played, path, t, config) for t in TIMES]
-    black = np.zeros((SIZE[1], SIZE[0], 3), np.float32)
-    rows = [[black if images[k] is None else images[k] for _, images in shown] for k in range(len(played))]
-    quality = [[psnr_of(image, full) for image, (full, _) in zip(row, shown, strict=True)] for row in rows]
-    return rows, summarize(played, quality, place)
-
-
-def summarize(played: list[Playback], quality: list[list[float]], place: Place) -> dict[str, Any]:
-    """Return the facts of the picture, ready for JSON."""
-    return {
+        with Package.open(package) as opened:
+            place = Place.open(opened, whole_file=whole, as_is=True)
+            ours = watch(place, reference, Adaptive(place.scene, config.view), config)
+            nbytes, measured = place.whole_file or (0, "")
+            file = WholeFile(place.contents, nbytes, measured, ids=np.flatnonzero(place.highest))
+            alone = watch(place, reference, file, config)
+        with Package.open(leveled) as opened:
+            place = Place.open(opened, as_is=True)
+            leaves = leaf_stream(opened, place.contents, config.view, Path(folder) / "sog")
+            streamed = watch(place, reference, leaves, config)
+    facts = {
         "mbit": MBIT,
         "round_trip_s": ROUND_TRIP,
-        "gaussians": len(place.contents),
-        "whole_file_bytes": place.whole_file[0],
-        "whole_file_complete_s": round(played[2].first, 2),
+        "gaussians": len(reference),
+        "whole_file_bytes": nbytes,
+        "whole_file_complete_s": alone.first,
         "times_s": list(TIMES),
-        "gsvis_db": [round(min(value, 99.0), 1) for value in quality[0]],
-        "streamed_sog_db": [round(min(value, 99.0), 1) for value in quality[1]],
-        "streamed_sog_bytes": [int(value) for value in played[1].bytes_at(np.array(TIMES))],
-        "whole_file_db": [round(min(value, 99.0), 1) for value in quality[2]],
-        "gsvis_bytes": [int(value) for value in played[0].bytes_at(np.array(TIMES))],
-        "gsvis_first_image_s": round(played[0].first, 2),
+        "gsvis_first_image_s": ours.first,
+        "streamed_sog_first_image_s": streamed.first,
     }
+    for name, way in (("gsvis", ours), ("streamed_sog", streamed)):
+        facts[f"{name}_db"] = way.quality
+        facts[f"{name}_bytes"] = way.nbytes
+    facts["whole_file_db"] = alone.quality
+    return [ours, streamed, alone], facts
 
 
-def compose(rows: list[list[Image3]], facts: dict[str, Any]) -> Image.Image:
+def compose(ways: list[Way], facts: dict[str, Any]) -> Image.Image:
     """Return the picture: a row for each way, a column for each time."""
     wide = len(TIMES) * (SIZE[0] + GAP) - GAP
-    tall = len(rows) * (SIZE[1] + LABEL + GAP) - GAP
+    tall = len(ways) * (SIZE[1] + LABEL + GAP) - GAP
     sheet = Image.new("RGB", (wide, tall), "white")
     pen, font = ImageDraw.Draw(sheet), ImageFont.load_default(17)
-    for k, row in enumerate(rows):
+    for k, way in enumerate(ways):
         top = k * (SIZE[1] + LABEL + GAP)
-        for i, image in enumerate(row):
+        for i, image in enumerate(way.images):
             left = i * (SIZE[0] + GAP)
             sheet.paste(Image.fromarray((image * 255).round().astype(np.uint8)), (left, top + LABEL))
             pen.text((left + 4, top + 6), f"{TIMES[i]:g} s   {label(k, i, facts)}", "#222222", font)
@@ -166,12 +191,13 @@ def label(row: int, column: int, facts: dict[str, Any]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("package", type=Path)
+    parser.add_argument("leveled", type=Path, help="package with levels, which streamed SOG has")
     parser.add_argument("scene", type=Path)
     parser.add_argument("--picture", type=Path, default=ROOT / "docs" / "images" / "arriving.jpg")
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "results" / "arriving.json")
     given = parser.parse_args()
-    rows, facts = simulate(given.package, given.scene)
-    compose(rows, facts).save(given.picture, quality=88, optimize=True)
+    ways, facts = simulate(given.package, given.leveled, given.scene)
+    compose(ways, facts).save(given.picture, quality=88, optimize=True)
     figures = [
         figure("PSNR after 0.5 s, 5 Mbit/s", facts["gsvis_db"][0], "dB", "higher"),
         figure("PSNR after 1 s, 5 Mbit/s", facts["gsvis_db"][1], "dB", "higher"),
