@@ -145,7 +145,8 @@ def in_range(
     """Raise unless low <= array <= high everywhere (low < array with `open_low`)."""
     if array.size == 0:
         return
-    least, most = array.min(), array.max()
+    least = array.min()
+    most = array.max()
     above = least > low if open_low else least >= low
     if not (above and most <= high):  # NaN fails this test too
         worst = most if above else least

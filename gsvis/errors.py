@@ -51,7 +51,9 @@ class ArgumentError(ValueError):
     """
 
     def __init__(self, name: str, problem: str, remedy: str = "") -> None:
-        self.name, self.problem, self.remedy = name, problem, remedy
+        self.name = name
+        self.problem = problem
+        self.remedy = remedy
         super().__init__(f"{name}: {problem}" + (f"; {remedy}" if remedy else ""))
 
     def renamed(self, name: str, remedy: str = "") -> ArgumentError:
@@ -80,7 +82,11 @@ class FormatError(GsvisError):
 
     def __init__(self, path: str | PathLike[str], where: str, expected: str, got: str, remedy: str = "") -> None:
         where, expected, got, remedy = (_one_line(text) for text in (where, expected, got, remedy))
-        self.path, self.where, self.expected, self.got, self.remedy = fspath(path), where, expected, got, remedy
+        self.path = fspath(path)
+        self.where = where
+        self.expected = expected
+        self.got = got
+        self.remedy = remedy
         place = f"{self.path}: {where}" if where else self.path
         super().__init__(f"{place}: expected {expected}, got {got}" + (f"; {remedy}" if remedy else ""))
 
@@ -103,7 +109,8 @@ class SceneError(GsvisError):
     """
 
     def __init__(self, problem: str, remedy: str = "") -> None:
-        self.problem, self.remedy = problem, remedy
+        self.problem = problem
+        self.remedy = remedy
         super().__init__(problem + (f"; {remedy}" if remedy else ""))
 
     def __reduce__(self) -> tuple[type[SceneError], tuple[str, str]]:
@@ -128,7 +135,9 @@ class ProtocolError(GsvisError):
     """
 
     def __init__(self, message: str, code: int = 1, remedy: str = "") -> None:
-        self.message, self.code, self.remedy = message, code, remedy
+        self.message = message
+        self.code = code
+        self.remedy = remedy
         super().__init__(message + (f"; {remedy}" if remedy else ""))
 
     def __reduce__(self) -> tuple[type[ProtocolError], tuple[str, int, str]]:
@@ -154,7 +163,9 @@ class MissingExtraError(BackendError, ImportError):
     """
 
     def __init__(self, what: str, package: str, extra: str) -> None:
-        self.what, self.package, self.extra = what, package, extra
+        self.what = what
+        self.package = package
+        self.extra = extra
         super().__init__(f'{what}: expected the package {package}, got none; pip install "gsvis[{extra}]"')
 
     def __reduce__(self) -> tuple[type[MissingExtraError], tuple[str, str, str]]:
@@ -189,7 +200,8 @@ class OutputError(GsvisError, OSError):
 
     def __init__(self, path: str | PathLike[str], code: int, kept: str = "", remedy: str = "") -> None:
         super().__init__(code, os.strerror(code), fspath(path))
-        self.path, self.kept = fspath(path), kept
+        self.path = fspath(path)
+        self.kept = kept
         self.remedy = remedy or _REMEDIES.get(code, f"check the disk, {_ELSEWHERE}")
 
     def keeping(self, kept: str) -> OutputError:

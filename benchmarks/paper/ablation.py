@@ -53,7 +53,8 @@ def ablated(
         sh_bytes: Without terms: measured bytes of the SH coefficients of a Gaussian beyond its base color.
     """
     _check.one_of("left_out", left_out, tuple(ABLATIONS))
-    config, name = config or AbrConfig(), f"gsvis without {left_out}"
+    config = config or AbrConfig()
+    name = f"gsvis without {left_out}"
     if left_out == "terms":
         return _FullSh(scene, view, config, sh_bytes)
     if left_out == "prediction":
@@ -63,7 +64,8 @@ def ablated(
 
 def without_sets(scene: StreamedScene) -> StreamedScene:
     """Return a scene whose cells see all Gaussians, each with its opacity as weight."""
-    index, every = scene.index, EveryCell(len(scene), len(scene.contents.term_records))
+    index = scene.index
+    every = EveryCell(len(scene), len(scene.contents.term_records))
     opacities = scene.contents.gaussians().opacities
     plain = replace(index, sets=every, class_weights=np.ones(1, np.float32), importance=opacities)
     return scene.with_index(plain if index.active is None else replace(plain, active=every))
@@ -75,10 +77,15 @@ def without_levels(scene: StreamedScene) -> StreamedScene:
     highest = np.asarray(contents.last == len(contents.names) - 1)
     nothing = np.zeros(len(contents), np.uint8)
     index = replace(
-        scene.index, first=nothing, last=nothing, level_names=contents.names[-1:],
-        replacement_offsets=np.zeros(len(contents) + 1, np.int64), replacement_ids=np.zeros(0, np.int32),
-        sets=_Some(scene.index.sets, highest), sent=highest,
-    )  # fmt: skip
+        scene.index,
+        first=nothing,
+        last=nothing,
+        level_names=contents.names[-1:],
+        replacement_offsets=np.zeros(len(contents) + 1, np.int64),
+        replacement_ids=np.zeros(0, np.int32),
+        sets=_Some(scene.index.sets, highest),
+        sent=highest,
+    )
     if index.active is not None:
         index = replace(index, active=_SomeTerms(scene.index, highest[scene.owners]))
     return scene.with_index(index)
@@ -95,9 +102,13 @@ def without_terms(scene: StreamedScene, sh_bytes: float) -> StreamedScene:
         raise ValueError(f"sh_bytes: expected a finite number >= 0, got {sh_bytes!r}")
     n = len(scene)
     index = replace(
-        scene.index, term_offsets=np.zeros(n + 1, np.int64), term_bytes=np.zeros(0, np.float32), active=None,
-        cones=None, gaussian_bytes=np.full(n, RECORD_BYTES + sh_bytes, np.float32),
-    )  # fmt: skip
+        scene.index,
+        term_offsets=np.zeros(n + 1, np.int64),
+        term_bytes=np.zeros(0, np.float32),
+        active=None,
+        cones=None,
+        gaussian_bytes=np.full(n, RECORD_BYTES + sh_bytes, np.float32),
+    )
     return scene.with_index(index)
 
 
@@ -105,7 +116,8 @@ class _Some:
     """Visible sets, restricted to some Gaussians."""
 
     def __init__(self, sets: CellSets, some: NDArray[np.bool_]) -> None:
-        self._sets, self._some = sets, some
+        self._sets = sets
+        self._some = some
         self._words = pack(np.flatnonzero(some), len(some))
 
     def classes(self, cell: int) -> tuple[I64, NDArray[np.uint8]]:
@@ -124,7 +136,8 @@ class _SomeTerms:
 
     def __init__(self, index: SceneIndex, some: NDArray[np.bool_]) -> None:
         assert index.active is not None
-        self._active, self._some = index.active, some
+        self._active = index.active
+        self._some = some
 
     def active_ids(self, cell: int) -> I64:
         """Return ids; see `ActiveSets`."""
@@ -142,7 +155,8 @@ class _FullSh(Adaptive):
     def __init__(self, scene: StreamedScene, view: FieldOfView, config: AbrConfig, sh_bytes: float) -> None:
         share = RECORD_BYTES / (RECORD_BYTES + sh_bytes)
         super().__init__(scene, view, replace(config, start_rate=config.start_rate * share), name="gsvis without terms")
-        self._contents, self._sh_bytes = scene.contents, sh_bytes
+        self._contents = scene.contents
+        self._sh_bytes = sh_bytes
 
     def next(self, t: float) -> Parcel | None:
         """Return the next parcel with its coefficients; see `Delivery`."""

@@ -179,7 +179,8 @@ def _by_two_eyes(cloud: F64, eye: F64, recall: float | None) -> tuple[Callable[[
     """Return the judge for points without weights, and the smallest radius valid for both eyes."""
     if recall is not None:
         raise ValueError(f"recall: expected weights to measure it by, got {recall!r} without weights; give weights")
-    corner, opposite_corner = cloud.min(axis=0), cloud.max(axis=0)
+    corner = cloud.min(axis=0)
+    opposite_corner = cloud.max(axis=0)
     if np.all((eye >= corner) & (eye <= opposite_corner)):
         raise ValueError(
             "viewpoint: expected an eye outside the box of the points, got one inside, which no second eye is opposite "
@@ -189,7 +190,8 @@ def _by_two_eyes(cloud: F64, eye: F64, recall: float | None) -> tuple[Callable[[
     low = max(float(np.linalg.norm(cloud - place, axis=1).max()) for place in (eye, other)) * (1.0 + 1e-9)
 
     def judge(radius: float) -> Trial:
-        here, there = hidden_point_removal(cloud, eye, radius), hidden_point_removal(cloud, other, radius)
+        here = hidden_point_removal(cloud, eye, radius)
+        there = hidden_point_removal(cloud, other, radius)
         both = len(np.intersect1d(here, there, assume_unique=True))
         once = len(here) + len(there) - 2 * both  # seen by exactly one: the measure to maximize
         return _Disjoint(radius, once / len(cloud), 1.0 - both / max(len(here), 1), len(here))

@@ -151,7 +151,8 @@ def measure_walk(
     if count is None:
         raise ValueError("gaussians: expected their number with cells, got None; pass gaussians=len(scene)")
     _check.positive_int("gaussians", count)
-    visible, seen = np.zeros(len(walk)), np.zeros(len(walk))
+    visible = np.zeros(len(walk))
+    seen = np.zeros(len(walk))
     first_seen = np.full(count, np.inf, np.float32)
     ever = np.zeros(count, bool)
     outside = 0

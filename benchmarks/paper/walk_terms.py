@@ -135,11 +135,15 @@ def terms_over_walk(
     config = config or WalkConfig()
     walk = (path.cut(0.0, config.seconds) if path.duration > config.seconds else path).resample(config.rate)
     look, threshold, by = _looker(colors, scene, epsilon, sets, walk, config, weighted)
-    count, counts, size = len(scene), colors.counts, len(walk)
+    count = len(scene)
+    counts = colors.counts
+    size = len(walk)
     curves = {name: np.zeros(size) for name in ("gaussians", "terms", "active", "of_visible", "unpruned")}
     first_active = np.full(colors.num_terms, np.inf, np.float32)
-    ever, sent = np.zeros(count, bool), np.zeros(colors.num_terms, bool)
-    outside, all_terms = 0, max(1, colors.num_terms)
+    ever = np.zeros(count, bool)
+    sent = np.zeros(colors.num_terms, bool)
+    outside = 0
+    all_terms = max(1, colors.num_terms)
     progress("walk", 0, size)
     for i, time in enumerate(walk.times):
         found_here = look(i)
@@ -158,9 +162,15 @@ def terms_over_walk(
         curves["unpruned"][i] = int(counts[ever].sum()) / all_terms
         progress("walk", i + 1, size)
     return WalkTerms(
-        walk.times, **curves, first_active=first_active, term_bytes=bytes_per_term(colors.variant),
-        epsilon=threshold, outside=outside, by=by, config=config,
-    )  # fmt: skip
+        walk.times,
+        **curves,
+        first_active=first_active,
+        term_bytes=bytes_per_term(colors.variant),
+        epsilon=threshold,
+        outside=outside,
+        by=by,
+        config=config,
+    )
 
 
 _Look = Callable[[int], tuple[I64, Mask] | None]
@@ -168,9 +178,14 @@ _Look = Callable[[int], tuple[I64, Mask] | None]
 
 
 def _looker(
-    colors: SrbfColors, scene: Gaussians, epsilon: float | ActiveTerms, sets: VisibleCells | Tracer | None,
-    walk: HeadPath, config: WalkConfig, weighted: bool,
-) -> tuple[_Look, float, str]:  # fmt: skip
+    colors: SrbfColors,
+    scene: Gaussians,
+    epsilon: float | ActiveTerms,
+    sets: VisibleCells | Tracer | None,
+    walk: HeadPath,
+    config: WalkConfig,
+    weighted: bool,
+) -> tuple[_Look, float, str]:
     """Return the look function, epsilon, and `by`."""
     if isinstance(epsilon, ActiveTerms):
         if not isinstance(sets, VisibilityStore):

@@ -14,11 +14,13 @@ from gsvis._kernels.compiled import njit
 @njit(cache=True)
 def face_of(x, y, z, centers, planes):
     """The face in [0, 80) that holds the direction (x, y, z), of any length."""
-    best, most = 0, -np.inf
+    best = 0
+    most = -np.inf
     for f in range(20):
         along = x * centers[f, 0] + y * centers[f, 1] + z * centers[f, 2]
         if along > most:
-            best, most = f, along
+            best = f
+            most = along
     for k in range(3):
         if x * planes[best, k, 0] + y * planes[best, k, 1] + z * planes[best, k, 2] > 0.0:
             return 4 * best + k

@@ -53,5 +53,6 @@ def _sum(a, b, sums):
 @inner(forceinline=True)
 def weight(middle, smallest, opacity, stride, logs, sums):
     """Return 64 log2 of the strength of a Gaussian whose largest scale is 1; scales are steps below it."""
-    a, b = -middle * stride, -smallest * stride
+    a = -middle * stride
+    b = -smallest * stride
     return logs[opacity] + _sum(_sum(a, b, sums), a + b, sums)

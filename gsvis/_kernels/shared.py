@@ -15,7 +15,8 @@ from numba.extending import intrinsic
 
 __all__ = ["raise_to", "share", "take_next"]
 
-_I64, _BYTES = ir.IntType(64), ir.IntType(8).as_pointer()
+_I64 = ir.IntType(64)
+_BYTES = ir.IntType(8).as_pointer()
 _PART = ir.FunctionType(ir.VoidType(), [_BYTES.as_pointer(), _I64.as_pointer(), _I64.as_pointer(), _BYTES])
 """What numba's threads call: arrays, their lengths and steps, of which there are none here, and anything else."""
 _RUN = ir.FunctionType(ir.VoidType(), [_BYTES] * 5 + [_I64] * 3)
@@ -38,7 +39,8 @@ def share(typing_context: Any, function: Any, units: Any, arguments: Any) -> Any
         place = cgutils.alloca_once(builder, given)
         for k, value in enumerate((_I64(0), count, args[2])):
             builder.store(value, cgutils.gep_inbounds(builder, place, 0, k))
-        data, none = builder.bitcast(place, _BYTES), _BYTES(None)
+        data = builder.bitcast(place, _BYTES)
+        none = _BYTES(None)
         with builder.if_else(builder.icmp_signed(">", count, _I64(1))) as (several, one):
             with several:
                 ask = cgutils.get_or_insert_function(builder.module, ir.FunctionType(_I64, []), "get_num_threads")
@@ -61,7 +63,8 @@ def _build_part(context: Any, module: Any, given: Any, compiled: Any, call: Any)
     take, work, end = (part.append_basic_block(name) for name in ("take", "work", "end"))
     place = builder.bitcast(part.args[3], given.as_pointer())
     counter, count, values = (cgutils.gep_inbounds(builder, place, 0, k) for k in range(3))
-    count, values = builder.load(count), cgutils.unpack_tuple(builder, builder.load(values))
+    count = builder.load(count)
+    values = cgutils.unpack_tuple(builder, builder.load(values))
     builder.branch(take)
     builder.position_at_end(take)
     unit = builder.atomic_rmw("add", counter, _I64(1), "monotonic")

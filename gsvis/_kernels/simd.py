@@ -22,7 +22,8 @@ class Vector:
     """Lanes of one type, with arithmetic and comparison; a comparison gives a mask."""
 
     def __init__(self, home: Builder, value: Any) -> None:
-        self.home, self.value = home, value
+        self.home = home
+        self.value = value
 
     def _pair(self, other: Vector | float) -> tuple[Any, Any]:
         return self.value, (other if isinstance(other, Vector) else self.home.constant(other)).value
@@ -100,7 +101,9 @@ class Vector:
         return self._fold(lambda a, b: a.most(b))
 
     def _fold(self, join: Any) -> Any:
-        home, value, lanes = self.home, self, self.home.lanes
+        home = self.home
+        value = self
+        lanes = self.home.lanes
         while lanes > 1:
             lanes //= 2
             swap = [i ^ lanes for i in range(home.lanes)]
@@ -113,7 +116,8 @@ class Builder:
     """Makes vectors of `lanes` lanes of `element` ("float32" or "float64") in the function that `builder` builds."""
 
     def __init__(self, builder: Any, lanes: int, element: str) -> None:
-        self.ir, self.lanes = builder, lanes
+        self.ir = builder
+        self.lanes = lanes
         self.element = ir.FloatType() if element == "float32" else ir.DoubleType()
         self.type = ir.VectorType(self.element, lanes)
 

@@ -30,7 +30,8 @@ def upper_bits(value, bits, most):
 def near(value, bits):
     """Return a difference, which is modulo 2^bits, cut to -6 to 6, plus 6; of its upper six bits if it has more."""
     if bits > 6:
-        value, bits = value >> (bits - 6), 6
+        value = value >> (bits - 6)
+        bits = 6
     if value >> (bits - 1):
         value -= 1 << bits
     return min(max(value, -6), 6) + 6

@@ -27,7 +27,10 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
 
-FOV, PERIPHERAL, ADJACENT, NONE = 0, 1, 2, 255
+FOV = 0
+PERIPHERAL = 1
+ADJACENT = 2
+NONE = 255
 
 _WIDEST = np.radians(89.0)
 _NEAREST = 1.0 / 16.0  # most of the side of a cell at which a frustum begins
@@ -70,7 +73,8 @@ class FieldOfView:
         for name, angle in (("horizontal", horizontal), ("vertical", vertical)):
             if not 0.0 < angle < 180.0:
                 raise ValueError(f"{name}: expected degrees in (0, 180), got {angle!r}")
-        x, y = np.tan(np.radians(horizontal) / 2), np.tan(np.radians(vertical) / 2)
+        x = np.tan(np.radians(horizontal) / 2)
+        y = np.tan(np.radians(vertical) / 2)
         return cls(float(x), float(x), float(y), float(y), float(np.radians(margin)), near)
 
     def in_cells(self, cell_size: float) -> FieldOfView:
@@ -94,15 +98,21 @@ class FieldOfView:
         eye, (w, x, y, z) = finite_vector("position", position, 3), finite_vector("quat", quat, 4).tolist()
         if not (length := math.hypot(w, x, y, z)) > 0:
             raise ValueError("quat: expected a rotation, got a zero quaternion")
-        w, x, y, z = w / length, x / length, y / length, z / length
-        turn = np.array([
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ])  # fmt: skip
+        w = w / length
+        x = x / length
+        y = y / length
+        z = z / length
+        turn = np.array(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+            ]
+        )
         out = np.empty((5, 4), np.float32)
         normals = self._normals @ turn.T
-        out[:, :3], out[:, 3] = normals, -normals @ eye
+        out[:, :3] = normals
+        out[:, 3] = -normals @ eye
         out[4, 3] -= self.near
         return out
 
@@ -110,7 +120,8 @@ class FieldOfView:
     def _normals(self) -> F64:
         """(5, 3) unit normals of the planes, in the frame of the camera."""
         angles = np.arctan([self.left, self.right, self.top, self.bottom]) + self.margin
-        sines, cosines = np.sin(np.minimum(angles, _WIDEST)), np.cos(np.minimum(angles, _WIDEST))
+        sines = np.sin(np.minimum(angles, _WIDEST))
+        cosines = np.cos(np.minimum(angles, _WIDEST))
         local = np.zeros((5, 3))
         local[[0, 1], 0], local[[2, 3], 1] = [cosines[0], -cosines[1]], [cosines[2], -cosines[3]]
         local[:4, 2] = sines
@@ -151,7 +162,8 @@ def classify(index: SceneIndex, cell: int, planes: ArrayLike) -> Classes:
     """
     frusta = np.asarray(planes, np.float32)
     frusta = _check.floats("planes", frusta[None] if frusta.ndim == 2 else frusta, ("F", 5, 4))
-    classes, distances = np.full(len(index), NONE, np.uint8), np.full(len(index), np.inf, np.float32)
+    classes = np.full(len(index), NONE, np.uint8)
+    distances = np.full(len(index), np.inf, np.float32)
     rings = ring_cells(index.grid, cell)
     for ring in range(RINGS - 1, 0, -1):
         for other in rings[ring]:
@@ -160,5 +172,6 @@ def classify(index: SceneIndex, cell: int, planes: ArrayLike) -> Classes:
     ids = ids_of(index.sets.visible_words(cell))
     inside = np.zeros(len(ids), np.bool_)
     kernels.in_view(frusta, index.means[ids], index.radii[ids], inside)
-    classes[ids], distances[ids] = np.where(inside, FOV, PERIPHERAL), 0.0
+    classes[ids] = np.where(inside, FOV, PERIPHERAL)
+    distances[ids] = 0.0
     return Classes(classes, distances)

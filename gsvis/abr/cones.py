@@ -86,7 +86,8 @@ class TermCones:
             eyes: (P, 3) positions.
             gain: Logarithm of what the change of the color is multiplied by.
         """
-        ids, toward = np.asarray(terms, np.int64), directions(mean, eyes)
+        ids = np.asarray(terms, np.int64)
+        toward = directions(mean, eyes)
         least = self.cosines[ids] - np.float32(gain) * self.widths[ids]
         found = self.centers[self.places[ids]] @ toward.T >= least[:, None]
         return np.asarray(found.any(axis=1))

@@ -45,7 +45,8 @@ class Ewma:
     def __init__(self, fast: float = 3.0, slow: float = 8.0, start: float = DEFAULT_START) -> None:
         self._half_lives = _positive("fast", fast), _positive("slow", slow)
         self._start = _positive("start", start)
-        self._means, self._seconds = [0.0, 0.0], 0.0
+        self._means = [0.0, 0.0]
+        self._seconds = 0.0
 
     def observe(self, sent: float, seconds: float) -> None:
         """Take in a transfer; see `ThroughputEstimator`."""

@@ -184,7 +184,8 @@ class Holdings:
             )
         if _HEAD.size + sum(lengths) != len(data):
             raise ValueError(f"data: expected {_HEAD.size + sum(lengths)} bytes, got {len(data)}")
-        start, found = _HEAD.size, []
+        start = _HEAD.size
+        found = []
         for length, size in zip(lengths, (n, t, n), strict=True):
             found.append(_words_of(data[start : start + length], size))
             start += length

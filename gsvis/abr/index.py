@@ -150,7 +150,8 @@ class SceneIndex:
 
     def __post_init__(self) -> None:
         means = _check.floats("means", self.means, ("N", 3))
-        n, levels = len(means), len(self.level_names)
+        n = len(means)
+        levels = len(self.level_names)
         if not 1 <= levels <= 16:
             raise ValueError(f"level_names: expected 1 to 16 levels, got {levels}")
         offsets = _check.integers("term_offsets", self.term_offsets, (n + 1,))
@@ -178,12 +179,14 @@ class SceneIndex:
             raise ValueError(f"replacement_offsets: expected to rise from 0 to {len(ids)}, got {got}")
         _check.in_range("replacement_ids", ids, 0, n - 1)
         replaced = np.repeat(np.arange(n), np.diff(starts))
-        enters, above = arrays["first"][ids], arrays["last"][replaced].astype(np.int64) + 1
+        enters = arrays["first"][ids]
+        above = arrays["last"][replaced].astype(np.int64) + 1
         if np.any(enters != above):
             k = int(np.argmax(enters != above))
             got = f"Gaussian {ids[k]}, which enters at level {enters[k]}, for level {above[k]}"
             raise ValueError(f"replacement_ids: expected Gaussians that enter at the level above, got {got}")
-        arrays["replacement_offsets"], arrays["replacement_ids"] = starts, ids
+        arrays["replacement_offsets"] = starts
+        arrays["replacement_ids"] = ids
         arrays["class_weights"] = _check.floats("class_weights", self.class_weights, ("K",))
         _check.in_range("class_weights", arrays["class_weights"], 0.0, np.inf)
         if not 1 <= len(arrays["class_weights"]) <= 255:
@@ -215,7 +218,8 @@ class SceneIndex:
             class_weights: (K,) representative weight of each class of a cell; None means one class, with the opacity of
                 a Gaussian as its weight.
         """
-        union, n = levels.union, len(levels.union)
+        union = levels.union
+        n = len(levels.union)
         (radii, areas), (starts, ids) = extents(union), nearest_replacements(levels)
         known = SceneTerms(np.zeros(n + 1, np.int64)) if terms is None else terms
         plain = class_weights is None
@@ -299,7 +303,9 @@ class SceneIndex:
 
     def box_of(self, cell: int) -> tuple[list[float], float]:
         """Return the lowest corner (x, y, z) of the box of a cell, and its side."""
-        origin, box, side = self.grid.origin.tolist(), self.grid.coords[cell].tolist(), float(self.grid.cell_size)
+        origin = self.grid.origin.tolist()
+        box = self.grid.coords[cell].tolist()
+        side = float(self.grid.cell_size)
         return [low + side * place for low, place in zip(origin, box, strict=True)], side
 
     def standing(self, cell: int) -> I64:
@@ -333,7 +339,8 @@ def extents(g: Gaussians) -> tuple[F32, F32]:
     s = g.scales.astype(np.float64)
     pairs = s[:, 0] * s[:, 1] + s[:, 1] * s[:, 2] + s[:, 2] * s[:, 0]
     most = float(np.finfo(np.float32).max)
-    radii, areas = EXTENT * s.max(axis=1, initial=0.0), 2.0 * np.pi * pairs / 3.0
+    radii = EXTENT * s.max(axis=1, initial=0.0)
+    areas = 2.0 * np.pi * pairs / 3.0
     return np.minimum(radii, most).astype(np.float32), np.minimum(areas, most).astype(np.float32)
 
 
@@ -349,10 +356,12 @@ def nearest_replacements(levels: Levels) -> tuple[I64, I32]:
     """
     from scipy.spatial import cKDTree  # slow to import, and seldom needed
 
-    means, n = levels.union.means, len(levels.union)
+    means = levels.union.means
+    n = len(levels.union)
     pairs = [np.zeros((0, 2), np.int64)]
     for level in range(1, len(levels)):
-        enters, ends = np.flatnonzero(levels.first == level), np.flatnonzero(levels.last == level - 1)
+        enters = np.flatnonzero(levels.first == level)
+        ends = np.flatnonzero(levels.last == level - 1)
         if len(enters) == 0 or len(ends) == 0:
             continue
         nearest = cKDTree(means[ends]).query(means[enters])[1]

@@ -23,15 +23,24 @@ def links_of(index: SceneIndex) -> plan.Links:
     starts = np.append(index.replacement_offsets[ending], len(index.replacement_ids))
     offsets, owners = index.replaced
     ranks = np.searchsorted(ending, owners).astype(np.int32)
-    areas, counts = np.maximum(index.areas, np.float32(1e-30)).astype(np.float64), np.diff(offsets)
+    areas = np.maximum(index.areas, np.float32(1e-30)).astype(np.float64)
+    counts = np.diff(offsets)
     theirs = areas[index.replacement_ids]
     every = np.add.reduceat(theirs, starts[:-1]) if len(ending) else np.zeros(0)
     units = np.ceil(plan.UNITS * np.repeat(areas, counts) / every[ranks]).astype(np.int32)
     only, firsts = only_links(counts, ranks, units)
     return plan.Links(
-        only=only, firsts=firsts, offsets=offsets, ranks=ranks, units=units, ending=ending, starts=starts,
-        ids=index.replacement_ids, areas=theirs.astype(np.float32), every=every,
-    )  # fmt: skip
+        only=only,
+        firsts=firsts,
+        offsets=offsets,
+        ranks=ranks,
+        units=units,
+        ending=ending,
+        starts=starts,
+        ids=index.replacement_ids,
+        areas=theirs.astype(np.float32),
+        every=every,
+    )
 
 
 def only_links(counts: I64, ranks: I32, units: I32) -> tuple[NDArray[np.uint32], I32]:
@@ -42,7 +51,9 @@ def only_links(counts: I64, ranks: I32, units: I32) -> tuple[NDArray[np.uint32],
         ranks: Their numbers, for each.
         units: Area of the Gaussian, for each of `ranks`.
     """
-    one, starts, padded = counts == 1, np.cumsum(counts) - counts, -(-len(counts) // 64) * 64
+    one = counts == 1
+    starts = np.cumsum(counts) - counts
+    padded = -(-len(counts) // 64) * 64
     number = np.full(padded, np.iinfo(np.int32).max, np.int32)
     number[: len(counts)][one] = ranks[starts[one]]
     firsts = number.reshape(-1, 64).min(axis=1)

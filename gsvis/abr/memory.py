@@ -45,7 +45,9 @@ class ClientMemory:
     def __init__(self, candidates: CandidateIndex, holdings: Holdings, most_bytes: float) -> None:
         if not most_bytes > 0:
             raise ValueError(f"most_bytes: expected bytes > 0, got {most_bytes!r}")
-        self._shared, self._holdings, self.most_bytes = candidates, holdings, float(most_bytes)
+        self._shared = candidates
+        self._holdings = holdings
+        self.most_bytes = float(most_bytes)
         self.held_bytes = self._bytes_of(holdings.shown)
 
     @property
@@ -77,11 +79,14 @@ class ClientMemory:
         Returns:
             (E,) ids that the client forgets, among them Gaussians that evicted ones had replaced.
         """
-        shared, held = self._shared, self._holdings.words
+        shared = self._shared
+        held = self._holdings.words
         some = np.flatnonzero(held.gaussians)
-        shown, spheres = held.gaussians[some] & ~held.gone[some], shared.spheres[some]
+        shown = held.gaussians[some] & ~held.gone[some]
+        spheres = shared.spheres[some]
         apart = np.square(spheres[:, :3] - eye).sum(axis=1)
-        out, found = np.empty(self._holdings.gaussians, np.int32), [np.zeros(0, np.int32)]
+        out = np.empty(self._holdings.gaussians, np.int32)
+        found = [np.zeros(0, np.int32)]
         needed = max(needed, _AT_ONCE * self.most_bytes)
         for masks in _stages(shown, near[some], spheres, planes, for_view=for_view):
             words = np.flatnonzero(masks)

@@ -76,9 +76,13 @@ class PieceNumbers:
 
 
 def write_gaussians(
-    out: ArrayFiles, means: F32, radii: F32, areas: F32, levels: tuple[NDArray[np.uint8], NDArray[np.uint8]],
+    out: ArrayFiles,
+    means: F32,
+    radii: F32,
+    areas: F32,
+    levels: tuple[NDArray[np.uint8], NDArray[np.uint8]],
     numbers: PieceNumbers,
-) -> None:  # fmt: skip
+) -> None:
     """Append the Gaussians of a piece: bodies, levels, strengths."""
     for k in range(3):
         out.append(f"body_{k}", means[:, k])
@@ -135,7 +139,9 @@ def write_reversed(
     out.append("link_starts", np.array([out.count("link_ids")], np.int64))
     out.append("link_offsets", np.zeros(1, np.int64))
     for (low, high), some in zip(ranges, sources, strict=True):
-        every, ranks, ids = [], [], []
+        every = []
+        ranks = []
+        ids = []
         for k in sorted(some):
             (first, end), known = ranges[k], (ends[k - 1] if k else 0, ends[k])
             offsets = out.rows("replacement_offsets", first, end + 1)
@@ -148,7 +154,8 @@ def write_reversed(
             every.append(out.rows("link_every", *known)[places])
         order = np.argsort(np.concatenate(ids), kind="stable")  # pieces ascend, so equal ids stay in order of owners
         counts = np.bincount(np.concatenate(ids), minlength=high - low)
-        ranked, sums = np.concatenate(ranks)[order].astype(np.int32), np.concatenate(every)[order]
+        ranked = np.concatenate(ranks)[order].astype(np.int32)
+        sums = np.concatenate(every)[order]
         areas = np.maximum(out.rows("record_areas", low, high), np.float32(1e-30)).astype(np.float64)
         units = np.ceil(plan.UNITS * np.repeat(areas, counts) / sums).astype(np.int32)
         out.append("link_offsets", out.count("link_ranks") + np.cumsum(counts) if low else np.cumsum(counts))
@@ -158,13 +165,17 @@ def write_reversed(
 
 def write_words(out: ArrayFiles, numbers: PieceNumbers) -> dict[str, Any]:
     """Append everything about words of 64 Gaussians, and return the numbers of `CandidateIndex.from_arrays`."""
-    n, owed, last_pair = numbers.gaussians, 0, None
+    n = numbers.gaussians
+    owed = 0
+    last_pair = None
     for low in range(0, word_count(n) * 64, _BLOCK):
         high = min(low + _BLOCK, n)
         terms = np.diff(out.rows("record_term_offsets", low, high + 1))
         means = np.stack([out.rows(f"body_{k}", low, high) for k in range(3)], axis=1)
-        radii, areas = out.rows("body_3", low, high), out.rows("record_areas", low, high)
-        pairs, lasts = out.rows("pairs", low, high), out.rows("last", low, high)
+        radii = out.rows("body_3", low, high)
+        areas = out.rows("record_areas", low, high)
+        pairs = out.rows("pairs", low, high)
+        lasts = out.rows("last", low, high)
         mixed = np.zeros(_BLOCK // 64, np.bool_)
         before = pairs[0] if last_pair is None else last_pair
         mixed[np.flatnonzero(np.diff(pairs, prepend=before)) >> 6], last_pair = True, pairs[-1]
@@ -177,11 +188,15 @@ def write_words(out: ArrayFiles, numbers: PieceNumbers) -> dict[str, Any]:
         rows = int(links[0]), int(links[-1])
         only, firsts = only_links(np.diff(links), out.rows("link_ranks", *rows), out.rows("link_units", *rows))
         named: dict[str, NDArray[Any]] = {
-            "link_only": only, "link_firsts": firsts,
-            "mixed": mixed, "highest": pack(np.flatnonzero(lasts == numbers.levels - 1), _BLOCK), "owing": owing,
-            "word_bytes": word_means(sizes, _BLOCK // 64), "word_terms": word_means(terms, _BLOCK // 64),
+            "link_only": only,
+            "link_firsts": firsts,
+            "mixed": mixed,
+            "highest": pack(np.flatnonzero(lasts == numbers.levels - 1), _BLOCK),
+            "owing": owing,
+            "word_bytes": word_means(sizes, _BLOCK // 64),
+            "word_terms": word_means(terms, _BLOCK // 64),
             "all_union": pack(np.arange(high - low), _BLOCK),
-        }  # fmt: skip
+        }
         for name, array in named.items():
             out.append(name, array)
         own.write(out, numbers, owing, named["word_bytes"])
@@ -209,8 +224,10 @@ class _Block:
 
     def write(self, out: ArrayFiles, numbers: PieceNumbers, owing: NDArray[np.uint64], nbytes: F32) -> None:
         """Append the spheres and the units of the words."""
-        words, n = _BLOCK // 64, len(self.means)
-        spheres, spreads = np.zeros((words, 4), np.float32), np.zeros(words, np.float32)
+        words = _BLOCK // 64
+        n = len(self.means)
+        spheres = np.zeros((words, 4), np.float32)
+        spreads = np.zeros(words, np.float32)
         kernels.word_spheres(*_check.read_only(self.means, self.radii, self.areas), spheres, spreads)
         out.append("spheres", spheres)
         out.append("spreads", spreads)
@@ -248,7 +265,8 @@ def _areas_of(out: ArrayFiles, ids: NDArray[np.int32]) -> NDArray[np.float64]:
     """Return the areas of Gaussians whose ids lie in a few ranges."""
     if not len(ids):
         return np.zeros(0)
-    low, high = int(ids.min()), int(ids.max()) + 1
+    low = int(ids.min())
+    high = int(ids.max()) + 1
     if high - low <= 4 * len(ids) + _BLOCK:
         found = out.rows("record_areas", low, high)[ids - low]
     else:  # districts of tiles that lie apart

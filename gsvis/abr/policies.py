@@ -127,7 +127,8 @@ def lowest_last(regime: str, levels: int) -> int:
 
 def caps(regime: str, levels: int, picture: int = -1) -> tuple[int, int]:
     """Return the highest level to send first in a regime, in view and elsewhere; higher levels go last."""
-    middle, low = max(levels - 2, 0), min(picture + 1, levels - 1)
+    middle = max(levels - 2, 0)
+    low = min(picture + 1, levels - 1)
     return {"high": (levels - 1, levels - 1), "medium": (middle, middle), "low": (max(middle, low), low)}[regime]
 
 
@@ -206,8 +207,11 @@ def table(
     and Gaussians that end below `lowest_last` or at level `picture` or below. Of these, those in view that enter at
     level `picture` or below are sent without terms: the first picture.
     """
-    found, least = offsets(policy, regime, levels, config, picture), lowest_last(regime, levels)
-    least, later, edge = max(least, picture + 1), first_offset(policy, config), edge_offset(policy, config)
+    found = offsets(policy, regime, levels, config, picture)
+    least = lowest_last(regime, levels)
+    least = max(least, picture + 1)
+    later = first_offset(policy, config)
+    edge = edge_offset(policy, config)
     out = np.full((RINGS, levels, levels, 1 + kinds, 3), NEVER, np.int32)
     both = slice(0, kernels.STRONG)
     for last in range(least, levels):

@@ -39,7 +39,8 @@ class Pose:
         Raises:
             ValueError: If a shape is wrong, a value is not finite, or the quaternion is 0.
         """
-        place, turn = finite_vector("position", position, 3), finite_vector("quat", quat, 4)
+        place = finite_vector("position", position, 3)
+        turn = finite_vector("quat", quat, 4)
         return cls(place, np.array(_normalized(turn.tolist())))
 
     def distance_to(self, other: Pose) -> float:
@@ -48,7 +49,8 @@ class Pose:
 
     def turn_to(self, other: Pose) -> float:
         """Return the angle between the orientations, radians in [0, pi]."""
-        a, b = self.quat.tolist(), other.quat.tolist()
+        a = self.quat.tolist()
+        b = other.quat.tolist()
         chord = min(math.dist(a, b), math.dist(a, [-value for value in b]))
         return 4.0 * math.asin(min(1.0, 0.5 * chord))
 
@@ -69,13 +71,15 @@ class LastPose:
     """Predict that the head stays where it is."""
 
     def __init__(self) -> None:
-        self._time, self._pose = -np.inf, Pose(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
+        self._time = -np.inf
+        self._pose = Pose(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
 
     def observe(self, t: float, position: ArrayLike, quat: ArrayLike) -> None:
         """Take in a pose; see `PosePredictor`."""
         pose = Pose.from_arrays(position, quat)
         if _time(t) > self._time:
-            self._time, self._pose = t, pose
+            self._time = t
+            self._pose = pose
 
     def predict(self, t: float) -> Pose:
         """Return the pose at time t."""
@@ -93,7 +97,8 @@ class LinearPose:
     def __init__(self, window: float = 0.1, longest: float = 1.0) -> None:
         if not (window > 0 and longest >= 0):
             raise ValueError(f"window, longest: expected seconds > 0 and >= 0, got {window!r}, {longest!r}")
-        self._window, self._longest = window, longest
+        self._window = window
+        self._longest = longest
         self._seen: list[tuple[float, Pose]] = []
 
     def observe(self, t: float, position: ArrayLike, quat: ArrayLike) -> None:
@@ -143,13 +148,19 @@ class KalmanPose:
         longest: float = 1.0,
     ) -> None:
         for name, value in (
-            ("acceleration", acceleration), ("noise", noise), ("turning", turning), ("turn_noise", turn_noise),
-        ):  # fmt: skip
+            ("acceleration", acceleration),
+            ("noise", noise),
+            ("turning", turning),
+            ("turn_noise", turn_noise),
+        ):
             if not (np.isfinite(value) and value > 0):
                 raise ValueError(f"{name}: expected a finite number > 0, got {value!r}")
-        self._place, self._turn = _Filter(acceleration**2, noise**2), _Filter(turning**2, turn_noise**2)
+        self._place = _Filter(acceleration**2, noise**2)
+        self._turn = _Filter(turning**2, turn_noise**2)
         self._longest = longest
-        self._time, self._at, self._quat = -math.inf, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
+        self._time = -math.inf
+        self._at = (0.0, 0.0, 0.0)
+        self._quat = (1.0, 0.0, 0.0, 0.0)
 
     def observe(self, t: float, position: ArrayLike, quat: ArrayLike) -> None:
         """Take in a pose; see `PosePredictor`."""
@@ -158,18 +169,22 @@ class KalmanPose:
         if _time(t) <= self._time:
             return
         if self._time == -math.inf:
-            self._time, self._at, self._quat = t, (x, y, z), turned
+            self._time = t
+            self._at = (x, y, z)
+            self._quat = turned
             return
         step = t - self._time
         (a, b, c), (p, q, r, s) = self._ahead(step)
         da, db, dc = self._place.update(step, (x - a, y - b, z - c))
         turn = self._turn.update(step, _rotation_vector(*_product((p, -q, -r, -s), turned)))
-        self._at, self._quat = (a + da, b + db, c + dc), _product((p, q, r, s), _exponential(*turn))
+        self._at = (a + da, b + db, c + dc)
+        self._quat = _product((p, q, r, s), _exponential(*turn))
         self._time = t
 
     def predict(self, t: float) -> Pose:
         """Return the pose at time t."""
-        place, quat = self._at, self._quat
+        place = self._at
+        quat = self._quat
         if self._time > -math.inf:
             place, quat = self._ahead(min(max(t - self._time, 0.0), self._longest))
         return Pose(np.array(place), np.array(quat))
@@ -185,7 +200,8 @@ class _Filter:
     """Velocity of three alike axes, and the covariance of value and velocity of each."""
 
     def __init__(self, density: float, noise: float) -> None:
-        self.density, self.noise = density, noise
+        self.density = density
+        self.noise = noise
         self.velocity: Vector = (0.0, 0.0, 0.0)
         self.covariance = noise, 0.0, 1e3  # of value, of both, of velocity, which is unknown at first
 
@@ -195,7 +211,8 @@ class _Filter:
         value += step * (2.0 * both + step * speed) + self.density * step**3 / 3.0
         both += step * speed + self.density * step**2 / 2.0
         speed += self.density * step
-        gain, push = value / (value + self.noise), both / (value + self.noise)
+        gain = value / (value + self.noise)
+        push = both / (value + self.noise)
         (u, v, w), (x, y, z) = self.velocity, innovation
         self.velocity = u + push * x, v + push * y, w + push * z
         self.covariance = value - gain * value, both - gain * both, speed - push * both

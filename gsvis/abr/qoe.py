@@ -100,7 +100,8 @@ def quality_of_experience(psnr: ArrayLike, latency: ArrayLike, config: QoeConfig
         (0.5, 0.75, 0.05)
     """
     config = config or QoeConfig()
-    values, delays = _steps("psnr", psnr), _steps("latency", latency)
+    values = _steps("psnr", psnr)
+    delays = _steps("latency", latency)
     if _check.same_length(psnr=values, latency=delays) == 0:
         raise ValueError("psnr: expected at least one step, got none")
     quality = float(np.clip(values / config.psnr_scale, 0.0, 1.0).mean())
@@ -131,7 +132,8 @@ def latencies(times: ArrayLike, arrivals: ArrayLike, timeout: float = 1.0) -> F6
 
 def first_frame(times: ArrayLike, psnr: ArrayLike, least: float = FIRST_FRAME_DB) -> float:
     """Return the seconds of the first step whose image has at least this PSNR; inf if none has."""
-    at, values = _check.floats("times", times, ("S",), np.float64), _steps("psnr", psnr)
+    at = _check.floats("times", times, ("S",), np.float64)
+    values = _steps("psnr", psnr)
     _check.same_length(times=at, psnr=values)
     good = np.flatnonzero(values >= least)
     return float(at[good[0]]) if len(good) else np.inf
@@ -146,7 +148,8 @@ def stall(times: ArrayLike, psnr: ArrayLike, least: float = 25.0, end: float | N
         least: dB of an acceptable image.
         end: Seconds at which the last step ends; None means that it lasts as long as the one before.
     """
-    at, values = _check.floats("times", times, ("S",), np.float64), _steps("psnr", psnr)
+    at = _check.floats("times", times, ("S",), np.float64)
+    values = _steps("psnr", psnr)
     if _check.same_length(times=at, psnr=values) == 0:
         return 0.0
     last = at[-1] + (at[-1] - at[-2] if len(at) > 1 else 0.0) if end is None else end
@@ -224,7 +227,8 @@ def paired_difference(
 
         error = float(apart.std(ddof=1)) / np.sqrt(len(apart))
         reach = float(stats.t.ppf(0.5 + confidence / 2.0, len(apart) - 1)) * error
-        low, high = mean - reach, mean + reach
+        low = mean - reach
+        high = mean + reach
     else:
         rng = np.random.default_rng(seed)
         picks = rng.integers(len(apart), size=(_check.positive_int("resamples", resamples), len(apart)))

@@ -74,7 +74,8 @@ def order_records(
         ("gaussian", id), ("term", id), and ("drop", id) right after the Gaussian that completes its replacement.
     """
     index = shared.index
-    units, strength = _units(shared, view), strengths(index, shared.pixel_area)
+    units = _units(shared, view)
+    strength = strengths(index, shared.pixel_area)
     in_view = _in_view(index, view.planes)
     in_middle = in_view if view.middle is None else _in_view(index, view.middle)
     weights = weights_of(index.class_weights, view.step) if view.step else index.class_weights
@@ -96,7 +97,8 @@ def order_records(
         weight = np.float32(np.mean(index.class_weights)) if ring else weights[kind]
         alike = _alike(index, word, enters, ends) if ring else members
         gain = _gain(shared, word, [strength[g] for g in alike], view.eye, weight)
-        bucket, log = int(kernels.bucket_of(gain)), float(np.log(weight))
+        bucket = int(kernels.bucket_of(gain))
+        log = float(np.log(weight))
         near = [g for g in members if (in_view[g] if ring == 0 else g in ahead)]
         core = [g for g in near if ring or in_middle[g]]
         parts = core, [g for g in members if g not in near], [g for g in near if g not in core]
@@ -158,7 +160,8 @@ def _entries_of(
     keys: _Keys, place: int, ring: int, enters: int, bucket: int, log: float, parts: tuple[list[int], ...]
 ) -> Iterator[tuple[tuple[int, ...], Entry]]:
     """Yield the entries of a unit, each with the passes that it belongs to."""
-    table, kinds = keys.table, 2 + len(keys.bounds)
+    table = keys.table
+    kinds = 2 + len(keys.bounds)
     for part, members in enumerate(parts):
         if part == (kernels.EDGE if ring else kernels.OUTSIDE if keys.is_picture else -1):
             continue
@@ -180,7 +183,8 @@ def _shells(
     shared: CandidateIndex, view: View, strength: F32, table: NDArray[np.int64]
 ) -> Iterator[tuple[list[Entry], set[int], set[int]]]:
     """Yield what fills an idle link: the entries of each shell, all terms, and what it sees."""
-    index, weight = shared.index, np.float32(np.mean(shared.index.class_weights))
+    index = shared.index
+    weight = np.float32(np.mean(shared.index.class_weights))
     terms = set(range(index.num_terms)) if index.cones is not None or index.active is not None else set()
     shells = shared.shells.count(view.cell)
     for shell in range(shared.count_shells(view.cell)):
@@ -234,10 +238,12 @@ def _cells(shared: CandidateIndex, view: View) -> list[int]:
 
 def _units(shared: CandidateIndex, view: View) -> list[Unit]:
     """Return the members of one word, ring, weight class and pair of levels, in the order of unit numbers."""
-    index, cell = shared.index, view.cell
+    index = shared.index
+    cell = view.cell
     found: dict[tuple[int, int, int, int, int], list[int]] = {}
     placed: set[int] = set()
-    standing, top = set(index.standing(cell).tolist()), index.num_levels - 1
+    standing = set(index.standing(cell).tolist())
+    top = index.num_levels - 1
     for ring, cells in zip(range(RINGS), ring_cells(index.grid, cell), strict=True):
         here: dict[int, int] = {}
         for other in cells:
@@ -276,8 +282,10 @@ class _Walk:
     def __init__(self, shared: CandidateIndex, holdings: Holdings, view: View, shares: NDArray[np.float64]) -> None:
         self.out: list[tuple[str, int]] = []
         self._shares = shares
-        self._index, self._pixel = shared.index, shared.pixel_area
-        self._held, self._held_terms = set(holdings.received.tolist()), set(holdings.received_terms.tolist())
+        self._index = shared.index
+        self._pixel = shared.pixel_area
+        self._held = set(holdings.received.tolist())
+        self._held_terms = set(holdings.received_terms.tolist())
         self._gone = set(ids_of(holdings.gone).tolist())
         others = np.zeros((0, 3), np.float32) if view.eyes is None else view.eyes
         self._eyes = np.concatenate([np.asarray(view.eye)[None], others]).astype(np.float32)
@@ -314,7 +322,8 @@ class _Walk:
         for t in range(int(index.term_offsets[g]), int(index.term_offsets[g + 1])):
             if t not in active or t in self._held_terms:
                 continue
-            cones, eyes = index.cones, self._eyes
+            cones = index.cones
+            eyes = self._eyes
             apart = np.maximum(((eyes - index.means[g]) ** 2).sum(axis=1), 1e-30)
             sizes = 0.5 * np.log(np.minimum(index.areas[g] / apart + self._pixel, 4.0 * np.pi))
             pairs = zip(eyes, sizes, strict=True)

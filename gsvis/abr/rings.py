@@ -34,7 +34,9 @@ class Shells:
     """
 
     def __init__(self, grid: Any, cache: Cache[Any]) -> None:
-        self._grid, self._cache, self._counts = grid, cache, dict[int, int]()
+        self._grid = grid
+        self._cache = cache
+        self._counts = dict[int, int]()
         self.recent: Cache[Any] = Cache(None if cache.max_bytes is None else cache.max_bytes // _RECENT)
 
     def count(self, cell: int) -> int:
@@ -59,7 +61,8 @@ class Shells:
 
     def _nearest(self, cell: int, most: int) -> NDArray[np.int64]:
         """Return the nearest cells around the rings of a cell, at most so many, the nearest first."""
-        centers, near = self._grid.centers, self.cells(cell, 0)
+        centers = self._grid.centers
+        near = self.cells(cell, 0)
         apart = np.linalg.norm(centers - centers[cell], axis=1)
         apart[near] = np.inf
         count = min(most, len(apart) - len(near))

@@ -28,7 +28,8 @@ class Scratch:
     """
 
     def __init__(self, replaced: int) -> None:
-        self._replaced, self._local = replaced, threading.local()
+        self._replaced = replaced
+        self._local = threading.local()
 
     def taken(self) -> list[I32]:
         """Return two (E,) int32 arrays, with room for all that a batch replaces."""
@@ -56,12 +57,16 @@ class Scratch:
         return made[key]
 
     def _work(self, slots: int, units: int, keys: int, terms: int) -> plan.Work:
-        local, entries, sizes = self._local, 3 * (1 + terms) * units, []
+        local = self._local
+        entries = 3 * (1 + terms) * units
+        sizes = []
         for name, size, kinds in (
             ("slots", slots, (*3 * (np.uint64,), *2 * (np.uint8,), np.float32, np.int32)),
-            ("due", terms * slots, (np.uint64,)), ("units", units, (np.int32, np.int32)),
-            ("entries", entries, (np.int32, np.int32, np.uint64, np.int32)), ("keys", keys, (np.int64, np.float64)),
-        ):  # fmt: skip
+            ("due", terms * slots, (np.uint64,)),
+            ("units", units, (np.int32, np.int32)),
+            ("entries", entries, (np.int32, np.int32, np.uint64, np.int32)),
+            ("keys", keys, (np.int64, np.float64)),
+        ):
             if not hasattr(local, name) or len(getattr(local, name)[0]) < size:
                 local.made.clear()  # they have the memory before
                 setattr(local, name, tuple(np.empty(size, kind) for kind in kinds))

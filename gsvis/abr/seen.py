@@ -32,7 +32,9 @@ class SeenSets:
     """
 
     def __init__(self, index: SceneIndex, cache: Cache[Any]) -> None:
-        self._index, self._cache, self._local = index, cache, threading.local()
+        self._index = index
+        self._cache = cache
+        self._local = threading.local()
 
     def of_cell(self, cell: int) -> Seen:
         """Return the visible set of a cell; cache it, since cells share neighbors.
@@ -42,7 +44,8 @@ class SeenSets:
         """
         found: Seen | None = self._cache.find(("words", cell))
         if found is None:
-            sets, n = self._index.sets, len(self._index)
+            sets = self._index.sets
+            n = len(self._index)
             if isinstance(sets, SparseSets):
                 found = Seen(*sets.visible_masks(cell))
             else:
@@ -70,9 +73,12 @@ class SeenSets:
         """Return what the sets of each ring have that those of earlier rings lack, and all together."""
         before, fresh = self._scratch()
         sizes = [sum(len(seen.words) for seen in ring) for ring in rings]
-        union, known, found = np.empty(sum(sizes), np.int32), 0, []
+        union = np.empty(sum(sizes), np.int32)
+        known = 0
+        found = []
         for ring, size in zip(rings, sizes, strict=True):
-            listed, count = np.empty(size, np.int32), 0
+            listed = np.empty(size, np.int32)
+            count = 0
             for seen in ring:
                 count = kernels.add_fresh(seen, before, fresh, listed, count)
             words = _sort_words(listed[:count], fresh)

@@ -115,7 +115,8 @@ class BandwidthTrace:
             return max(self._when(self._until(within) + size) - within, 0.0)
         more, rest = divmod(size - left, self._total)
         if rest == 0.0:  # the last byte arrives before a silent end of the period
-            more, rest = more - 1.0, self._total
+            more = more - 1.0
+            rest = self._total
         whole = self.period - within
         return float(whole + max(more, 0.0) * self.period + self._when(rest)) if more >= 0 else float(whole)
 
@@ -128,7 +129,8 @@ class BandwidthTrace:
         edges = np.concatenate([self.times[later] - within, self.times[~later] + self.period - within])
         rates = np.concatenate([self.mbit_per_s[later], self.mbit_per_s[~later]])
         if edges[-1] < self.period:  # the rest of the segment that `start` cut
-            edges, rates = np.append(edges, self.period), np.append(rates, self.mbit_per_s[later][0])
+            edges = np.append(edges, self.period)
+            rates = np.append(rates, self.mbit_per_s[later][0])
         return BandwidthTrace(edges, rates, self.name)
 
     def scaled(self, factor: float) -> BandwidthTrace:

@@ -39,7 +39,8 @@ def room(count: int) -> Units:
 
 def word_means(values: NDArray[Any], words: int) -> F32:
     """Return the (W,) mean of values (N,) over the Gaussians of each word."""
-    out, starts = np.ones(words, np.float32), np.arange(0, len(values), 64)
+    out = np.ones(words, np.float32)
+    starts = np.arange(0, len(values), 64)
     sums = np.add.reduceat(values, starts) if len(values) else np.zeros(0, np.float32)
     out[: len(starts)] = sums / np.minimum(64, len(values) - starts)
     return out

@@ -134,7 +134,8 @@ def _axes_as_values(arguments: Sequence[str]) -> list[str]:
 
     A space goes before -y, and the three numbers of a direction become one word.
     """
-    words, rest = list[str](), list(arguments)
+    words = list[str]()
+    rest = list(arguments)
     while rest:
         word = rest.pop(0)
         option, equals, value = word.partition("=")

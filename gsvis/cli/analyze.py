@@ -39,8 +39,13 @@ PICTURE = 400
 """Pixels of the longer side of the pictures."""
 
 _COMPARABLE = 50  # least views of a capture whose mean is compared with the paper's
-_VIEWS, _WIDTH, _HEIGHT, _FOV = 16, 256, 192, 60.0
-_SMALL, _STREAM = (96, 72), 3  # pixels of views that judge, and a stream of the seed
+_VIEWS = 16
+_WIDTH = 256
+_HEIGHT = 192
+_FOV = 60.0
+# pixels of views that judge, and a stream of the seed
+_SMALL = (96, 72)
+_STREAM = 3
 
 
 def run_analyze(command: Analyze) -> None:
@@ -91,7 +96,8 @@ def _write_report(
     for each in framed:
         status.line(each.strip())
     place = find_place(source, command, None, walk, given)
-    navigable, no_space = place.space, place.why_not
+    navigable = place.space
+    no_space = place.why_not
     cameras = given if given is not None else _sample_cameras(command, navigable, no_space)
     status("space", 1, 1)
     remarks = (
@@ -233,7 +239,9 @@ def _command_line(command: Analyze) -> str:
 
 def _tables(document: dict[str, Any]) -> list[Any]:
     """Return two tables: what was analyzed, and the figures beside those of the paper."""
-    visible, rays, found = document["visible_fraction"], document["rays"], document["directions"]
+    visible = document["visible_fraction"]
+    rays = document["rays"]
+    found = document["directions"]
     low, high = rays["horizontal_fov_degrees"]
     angle = f"{low:.0f}" if high - low < 0.5 else f"{low:.0f} to {high:.0f}"
     about = [

@@ -41,8 +41,18 @@ __all__ = ["run_clean"]
 
 _CAMERAS = 200  # most photographs whose viewpoints are eyes
 _SEARCH = (
-    "report", "select", "cameras", "strength", "eyes", "held_out", "min_psnr", "max_changed", "up", "show", "seed",
-)  # fmt: skip
+    "report",
+    "select",
+    "cameras",
+    "strength",
+    "eyes",
+    "held_out",
+    "min_psnr",
+    "max_changed",
+    "up",
+    "show",
+    "seed",
+)
 
 
 def run_clean(command: Clean) -> None:
@@ -93,9 +103,14 @@ def _check_arguments(command: Clean) -> CleanConfig:
     check_show(command)
     try:
         config = CleanConfig(
-            classes=command.classes or CLASSES, strength=command.strength, eyes=command.eyes,
-            held_out=command.held_out, least_db=command.min_psnr, most_changed=command.max_changed, seed=command.seed,
-        )  # fmt: skip
+            classes=command.classes or CLASSES,
+            strength=command.strength,
+            eyes=command.eyes,
+            held_out=command.held_out,
+            least_db=command.min_psnr,
+            most_changed=command.max_changed,
+            seed=command.seed,
+        )
     except ValueError as error:
         raise ValueError(f"--{str(error).replace('_', '-', 1)}") from None
     if command.apply is not None:
@@ -230,10 +245,18 @@ def _apply(command: Clean, config: CleanConfig, source: Source, status: Status) 
     status("writing", 1, 1)
     if command.json:
         counts = {name: int(np.count_nonzero(~kept & (classes == class_of(name)))) for name in CLASSES}
-        print_json({
-            "format": "gsvis-clean", "version": 1, "in": command.scene, "out": command.out, "apply": command.apply,
-            "gaussians": len(kept), "kept": int(np.count_nonzero(kept)), "removed": counts,
-        })  # fmt: skip
+        print_json(
+            {
+                "format": "gsvis-clean",
+                "version": 1,
+                "in": command.scene,
+                "out": command.out,
+                "apply": command.apply,
+                "gaussians": len(kept),
+                "kept": int(np.count_nonzero(kept)),
+                "removed": counts,
+            }
+        )
         return
     show(_written(command.out, int(np.count_nonzero(kept)), len(kept)))
 
@@ -246,7 +269,8 @@ def _tables(document: dict[str, Any], source: Source) -> list[Any]:
     """Return the table of the classes."""
     rows = []
     for name, each in document["classes"].items():
-        goes, back = each["removed"], each["found"] - each["removed"]
+        goes = each["removed"]
+        back = each["found"] - each["removed"]
         share = f"{goes / document['gaussians']:.2%}"
         rows.append((name, f"{goes:,}", share, f"{back:,}", *_cost_cells(each["cost"])))
     gone = document["gaussians"] - document["kept"]
@@ -285,8 +309,22 @@ def _lines(command: Clean, document: dict[str, Any]) -> list[str]:
 def _command_line(command: Clean) -> str:
     """Return the command line that gives the same result."""
     words = ["gsvis", "clean", command.scene]
-    names = ("out", "lod", *WORDS, "report", "select", "strength", "cameras", "cameras_frame", "eyes",
-             "held_out", "min_psnr", "max_changed", "up", "seed")  # fmt: skip
+    names = (
+        "out",
+        "lod",
+        *WORDS,
+        "report",
+        "select",
+        "strength",
+        "cameras",
+        "cameras_frame",
+        "eyes",
+        "held_out",
+        "min_psnr",
+        "max_changed",
+        "up",
+        "seed",
+    )
     for name in names:
         value = getattr(command, name)
         if value is not None and value != getattr(Clean, name):

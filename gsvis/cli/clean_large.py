@@ -73,9 +73,13 @@ def clean_in_tiles(command: Clean, config: CleanConfig) -> None:
         status.line(f"{command.scene}: does not fit {size_of(command.max_memory)}, so it is cleaned in tiles")
         with _store(command) as store:
             found = clean_large(
-                (command.scene, command.lod), config, tiling, store,
-                workers=Workers(1, command.max_memory), progress=status,
-            )  # fmt: skip
+                (command.scene, command.lod),
+                config,
+                tiling,
+                store,
+                workers=Workers(1, command.max_memory),
+                progress=status,
+            )
             for each in found.build.grid["remarks"]:
                 status.line(f"{command.scene}: {each}")
             if remark := remark_on_unseen(found.removed, found.gaussians):
@@ -158,8 +162,16 @@ def _document(command: Clean, found: LargeCleaning) -> dict[str, Any]:
         for name, gone in found.removed.items()
     }
     return {
-        "format": "gsvis-clean", "version": 1, "gsvis": version(), "in": command.scene, "lod": command.lod,
-        "out": command.out, "gaussians": found.gaussians, "kept": found.kept, "tiles": found.tiles,
-        "classes": classes, "worst_db": found.worst_db.get("all"),
+        "format": "gsvis-clean",
+        "version": 1,
+        "gsvis": version(),
+        "in": command.scene,
+        "lod": command.lod,
+        "out": command.out,
+        "gaussians": found.gaussians,
+        "kept": found.kept,
+        "tiles": found.tiles,
+        "classes": classes,
+        "worst_db": found.worst_db.get("all"),
         "judged": None if found.judged is None else {k: v for k, v in found.judged.as_dict().items() if k != "psnr"},
-    }  # fmt: skip
+    }

@@ -49,7 +49,8 @@ if TYPE_CHECKING:
 __all__ = ["fit_config", "run_color"]
 
 _HELD_OUT = 1  # stream of random numbers of the held-out views; that of the fit is 0
-_HEAD, _PAGE = 4096, b"<title>Can you see it?"
+_HEAD = 4096
+_PAGE = b"<title>Can you see it?"
 _FOV = 60.0
 _PATHS = ("scene", "out", "lod", "pvs", "active", "report", "staircase")
 _SPELLED = {("epsilon", 0.0): "auto", ("mean_terms", math.inf): "all"}
@@ -180,10 +181,12 @@ def _plan(
     remarks: list[str] = []
     space: NavigableSpace | None
     if store is not None:
-        space, why_not = _space_of(store, source), ""
+        space = _space_of(store, source)
+        why_not = ""
     else:
         place = find_place(source, command, command.up, walk)
-        space, why_not = place.space, place.why_not
+        space = place.space
+        why_not = place.why_not
         remarks += place.remarks
         remarks += [] if space is None else suspect_views(g, space)
     status("space", 1, 1)
@@ -219,7 +222,8 @@ def _run(command: Color, plan: _Plan, status: Status) -> FittedColors:
     """Fit the colors and write all files; return the fitted colors."""
     from gsvis.prepare.scene_colors import color_scene
 
-    source, out = plan.source, command.out
+    source = plan.source
+    out = command.out
     if source.union.sh_degree > 0:
         warm_colors(plan.config, status)
     outputs = _outputs(command)
@@ -284,7 +288,9 @@ def _write_staircase(command: Color, plan: _Plan, fitted: FittedColors, status: 
     from gsvis.prepare.approximations import Approximations
     from gsvis.report.staircase import PERSON_RULE, write_staircase_page
 
-    source, space, colors = plan.source, plan.space, fitted.colors
+    source = plan.source
+    space = plan.space
+    colors = fitted.colors
     assert command.staircase is not None
     assert space is not None
     pictures = Approximations(*fitted.drawn, _observed(command).cameras(source.whole, space))

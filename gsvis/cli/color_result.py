@@ -73,7 +73,9 @@ def print_result(
 
 
 def _rows(command: Color, source: Source, document: dict[str, Any]) -> list[tuple[str, str]]:
-    terms, sizes, seen = document["terms"], document["bytes_per_gaussian"], document["directions"]
+    terms = document["terms"]
+    sizes = document["bytes_per_gaussian"]
+    seen = document["directions"]
     rows = [
         ("Gaussians", f"{document['gaussians']:,}{levels_spelled(source)}, SH degree {document['sh_degree']}"),
         ("directions", f"{seen['from']}; {seen['mean_share']:.1%} on average"),

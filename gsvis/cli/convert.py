@@ -127,7 +127,8 @@ def _convert_batches(
 def _print_result(
     command: Convert, out: str, target: Path, inputs: list[_Input], gaussians: int, sh_degree: int
 ) -> None:
-    size, before = target.stat().st_size, sum(each.gaussians for each in inputs)
+    size = target.stat().st_size
+    before = sum(each.gaussians for each in inputs)
     if command.json:
         print_json(_document(command, out, inputs, gaussians, sh_degree) | {"bytes": size})
         return
@@ -206,7 +207,9 @@ def _read(
     scenes: tuple[str, ...], lods: list[int | None], status: Status
 ) -> tuple[list[_Input], Gaussians, NDArray[np.float64]]:
     """Return what was read, the scenes merged to one, and the axis that points upwards in it."""
-    inputs, parts, axes = [], [], []
+    inputs = []
+    parts = []
+    axes = []
     status("reading", 0, len(scenes))
     for k, (scene, lod) in enumerate(zip(scenes, lods, strict=True)):
         source = load_source(scene, lod)

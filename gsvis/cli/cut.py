@@ -190,7 +190,8 @@ def _spell_views(found: Found) -> str:
     assert views is not None
     added = f"; {views.added:,} Gaussians were added because of views before" if views.added else ""
     which = "views that were not looked from" if views.fresh else "of the cameras"
-    mean, worst = float(np.mean(views.psnr)), float(views.psnr.min())
+    mean = float(np.mean(views.psnr))
+    worst = float(views.psnr.min())
     return (
         f"{len(views.psnr)} {which}: {mean:.1f} dB against the scene in the mean, {worst:.1f} dB in the worst{added}."
     )

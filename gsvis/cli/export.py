@@ -76,7 +76,8 @@ def run_export(command: Export) -> None:
             found = write_site(command.out, scene, options, opens=opens, progress=status)
         else:
             found = write_html(command.out, scene, options, progress=status)
-    made, remarks = found.scene, [] if visit is None else visit.remarks
+    made = found.scene
+    remarks = [] if visit is None else visit.remarks
     if command.json:
         facts: dict[str, Any] = {
             "format": "gsvis-export",
@@ -102,7 +103,9 @@ def run_export(command: Export) -> None:
 
 def _check_options(command: Export) -> HeadPath | None:
     """Raise if an option is given that the format does not know, or that needs another; return the walk of --path."""
-    leaves, gltf, pages = ("streamed-sog", "3dtiles"), ("3dtiles", "glb"), ("static", "html", "streamed-sog")
+    leaves = ("streamed-sog", "3dtiles")
+    gltf = ("3dtiles", "glb")
+    pages = ("static", "html", "streamed-sog")
     given = {
         "--pvs": (command.pvs, leaves),
         "--leaf": (command.leaf, leaves),
@@ -165,7 +168,8 @@ def _check_target(command: Export) -> None:
 
 def _check_apart(command: Export) -> None:
     """Raise if the result would be SCENE itself, or lie in the folder of SCENE."""
-    scene, out = Path(command.scene).resolve(), Path(command.out).resolve()
+    scene = Path(command.scene).resolve()
+    out = Path(command.out).resolve()
     inner = command.format == "streamed-sog" and scene.name == "lod-meta.json" and scene.parent == out
     inner = inner or (command.format == "3dtiles" and out in scene.parents)
     if not is_builtin(command.scene) and (out == scene or inner or (scene.is_dir() and scene in out.parents)):

@@ -155,7 +155,8 @@ def _for_print(kind: type, hidden: set[str]) -> type:
     from tyro import conf
 
     hide: Any = conf.Suppress
-    hints, replaced = get_type_hints(kind, include_extras=True), []
+    hints = get_type_hints(kind, include_extras=True)
+    replaced = []
     texts = option_texts(kind)
     for each in sorted(fields(kind), key=partial(_importance, command_name(kind))):
         hint = hints[each.name]

@@ -11,7 +11,8 @@ from gsvis.scene.histograms import Band, Histogram
 __all__ = ["TITLES", "band_lines", "can_draw_blocks", "histogram_lines", "line_width"]
 
 _EIGHTHS = "▏▎▍▌▋▊▉█"
-_LABEL, _SHARE = 20, 7
+_LABEL = 20
+_SHARE = 7
 
 TITLES = {
     "opacity": "opacity",
@@ -73,7 +74,8 @@ def band_lines(bands: Sequence[Band], *, width: int = 79, blocks: bool = True) -
 
 
 def _bars(rows: list[tuple[str, int]], width: int, blocks: bool) -> Iterator[str]:
-    total, most = sum(n for _, n in rows) or 1, max((n for _, n in rows), default=0) or 1
+    total = sum(n for _, n in rows) or 1
+    most = max((n for _, n in rows), default=0) or 1
     size = width - _LABEL - _SHARE - 4
     for label, n in rows:
         share = "0" if n == 0 else "<0.1%" if n / total < 0.0005 else f"{n / total:.1%}"

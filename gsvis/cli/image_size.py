@@ -25,7 +25,8 @@ def image_size(command: _Sized, usual: tuple[int, int] | None) -> tuple[int, int
     Raises:
         ValueError: If one is given and the other is needed.
     """
-    width, height = command.width, command.height
+    width = command.width
+    height = command.height
     if width is None and height is None:
         return None
     if usual is None and (width is None or height is None):

@@ -56,7 +56,8 @@ def run_inspect(command: Inspect) -> None:
 
 def _draw(spread: dict[str, Histogram], bands: list[Band]) -> list[str]:
     """Return the lines of all histograms, an empty one behind each; none without histograms."""
-    width, blocks = line_width(), can_draw_blocks()
+    width = line_width()
+    blocks = can_draw_blocks()
     lines = []
     for name in TITLES:
         if name in spread:

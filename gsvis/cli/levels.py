@@ -45,7 +45,11 @@ __all__ = [
     "view_sampling",
 ]
 
-_VIEWS, _HELD_OUT, _WIDTH, _HEIGHT, _FOV = 400, 12, 480, 360, 2.0 * math.degrees(math.atan(240.0 / 300.0))
+_VIEWS = 400
+_HELD_OUT = 12
+_WIDTH = 480
+_HEIGHT = 360
+_FOV = 2.0 * math.degrees(math.atan(240.0 / 300.0))
 _NAMES = {1: ("low", "high"), 2: ("low", "medium", "high")}
 _REUSE = (0.90, 0.96)  # for each level; the last repeats
 _LEAST_SIDE = 16  # pixels; SSIM needs 11
@@ -116,7 +120,8 @@ def _check_arguments(command: Levels) -> LevelsConfig:
             raise FileNotFoundError(2, "no such file or folder", command.photos)
         for name in ("views", "held_out", "up", "show"):
             if getattr(command, name) is not None:
-                spelled, value = name.replace("_", "-"), str(getattr(command, name)).strip()
+                spelled = name.replace("_", "-")
+                value = str(getattr(command, name)).strip()
                 raise ValueError(f"--{spelled}: expected none with --photos, got {value}; leave it out")
     parse_up(command.up)
     check_show(command)
@@ -147,9 +152,13 @@ def _check_arguments(command: Levels) -> LevelsConfig:
         " --until levels"
     )
     check_memory(
-        "levels", [(command.scene, command.lod)], command.max_memory, remedy, more=images,
+        "levels",
+        [(command.scene, command.lod)],
+        command.max_memory,
+        remedy,
+        more=images,
         grows=training_grows(command.levels),
-    )  # fmt: skip
+    )
     return config
 
 
@@ -325,7 +334,8 @@ def _run(command: Levels, plan: _Plan, status: Status) -> tuple[TrainedLevels, d
     """Train the levels, measure them and write all files; return the levels and their record."""
     from gsvis.prepare.levels import make_levels
 
-    g, work = plan.source.gaussians, plan.work
+    g = plan.source.gaussians
+    work = plan.work
     try:
         with between_steps() as stop_if_asked:
             said = "", 0

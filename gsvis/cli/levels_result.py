@@ -54,7 +54,9 @@ def record_of(
         judged: What eyes of two rules see of each level below the highest; empty without held-out views.
     """
     plan: _Run = run
-    levels, g, drawn = trained.levels, plan.source.gaussians, plan.drawn
+    levels = trained.levels
+    g = plan.source.gaussians
+    drawn = plan.drawn
     # Renders to train on are smaller than what was asked for.
     cameras = drawn.views.cameras if drawn.choose_by is None else drawn.choose_by
     rows = []
@@ -116,7 +118,8 @@ def print_result(
         more = {"out": command.out, "levels": rows, "remarks": [each.strip() for each in remarks], "seconds": times}
         print_json({"format": "gsvis-levels", "version": 1, **about, **more})
         return
-    views, photographs = record["views"], record["views"]["photographs"]
+    views = record["views"]
+    photographs = record["views"]["photographs"]
     header = ["level", "Gaussians", "share", "reuse"]
     if views["held_out"]:
         header += ["PSNR", "photos", "brightness"] if photographs else ["PSNR", "brightness"]
@@ -152,7 +155,8 @@ def _cells(row: Mapping[str, Any], top: Mapping[str, Any], views: Mapping[str, A
 
 def _explain(record: Mapping[str, Any]) -> list[str]:
     """Return lines that explain the columns and say what went wrong."""
-    views, top = record["views"], record["levels"][-1]["name"]
+    views = record["views"]
+    top = record["levels"][-1]["name"]
     lines = [
         f" Reuse is the share of a level that stands unchanged in the next; {top} is the scene itself, bit by bit."
     ]

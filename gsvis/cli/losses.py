@@ -31,7 +31,8 @@ def losses_on_stderr() -> Iterator[None]:
     """Print the lines of the logger of readers and writers inside the context."""
     from gsvis.io.losses import LOGGER
 
-    logger, lines = logging.getLogger(LOGGER), _Lines()
+    logger = logging.getLogger(LOGGER)
+    lines = _Lines()
     before = logger.propagate
     logger.addHandler(lines)
     logger.propagate = False

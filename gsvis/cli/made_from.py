@@ -65,7 +65,8 @@ def about_files(scenes: Sequence[tuple[str, int | None]], package: str) -> dict[
     """
     rows = []
     for scene, lod in scenes:
-        made, file = MadeFrom(_name_of(scene), lod=lod, path=path_from_package(scene, package)), _file_of(Path(scene))
+        made = MadeFrom(_name_of(scene), lod=lod, path=path_from_package(scene, package))
+        file = _file_of(Path(scene))
         if file.is_file():
             made = replace(made, sha256=digest_of(file), nbytes=file.stat().st_size)
         rows.append(made.as_dict())

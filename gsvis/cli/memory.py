@@ -151,7 +151,8 @@ def check_preparation(
     if not count:
         return
     lower = [] if config.levels is None else config.levels.sizes(count)
-    counts, union = (*(total for total, *_ in lower), count), count + sum(total - own for total, own, _ in lower)
+    counts = (*(total for total, *_ in lower), count)
+    union = count + sum(total - own for total, own, _ in lower)
     need = sets_memory(counts, union, degree, config.sets) + kept_memory(union, degree)
     if config.levels is not None:
         training = expected_memory("levels", count, degree, training_grows(config.levels.shares)) + images

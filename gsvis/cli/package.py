@@ -49,7 +49,8 @@ def run_verify(command: Verify) -> None:
         found = package.verify(progress=status)
         kept = check_kept(package, _tables_of(command))
         manifest = package.manifest
-        fidelity, name = manifest.info.fidelity, "the scene"
+        fidelity = manifest.info.fidelity
+        name = "the scene"
         remarks: list[str] = []
         if command.scene is not None:
             fidelity, name, remarks = _compare(command.scene, command.lod, package, status)
@@ -131,7 +132,8 @@ def _compare(scene: str, lod: int | None, package: Package, status: Status) -> t
     from gsvis.prepare.config import PrepareConfig
 
     status("reading", 0, 1)
-    source, recorded = load_source(scene, lod), package.manifest.info.fidelity
+    source = load_source(scene, lod)
+    recorded = package.manifest.info.fidelity
     if len(source.gaussians) == 0:
         raise SceneError(f"{scene}: the scene has no Gaussian: there is nothing to compare with")
     status("reading", 1, 1)
@@ -142,7 +144,8 @@ def _compare(scene: str, lod: int | None, package: Package, status: Status) -> t
         if space is None:
             raise SceneError(f"{scene}: {why_not}")
         cameras = PrepareConfig.fidelity_views.cameras(source.whole, space)
-    has_sets, has_active = package.manifest.visibility is not None, package.epsilon is not None
+    has_sets = package.manifest.visibility is not None
+    has_active = package.epsilon is not None
     found = measure_fidelity(
         source.gaussians,
         package.contents,
@@ -248,7 +251,8 @@ def _check_replaced(folder: Path, manifest: Manifest) -> None:
 
 def size_rows(manifest: Manifest) -> list[tuple[str, str]]:
     """Return table rows with the bytes of each kind of part of a package."""
-    sizes, n = manifest.sizes(), max(1, manifest.gaussians)
+    sizes = manifest.sizes()
+    n = max(1, manifest.gaussians)
     records = sizes["records"] + sizes["chunks"]
     rows = [("  records", f"{size_of(records)}, {records / n:.1f} bytes a Gaussian")]
     for name, label in (("terms", "terms"), ("visibility", "visible sets"), ("active_terms", "lists of active terms")):

@@ -129,7 +129,8 @@ def write_frames(target: Target, frames: Iterable[Frame], *, depth: bool, fps: f
     with ExitStack() as stack:
         place = stack.enter_context(_partial_paths(target, depth))
         kept = Path(stack.enter_context(temporary_folder())) if depth else Path()
-        near, far = np.inf, -np.inf
+        near = np.inf
+        far = -np.inf
         for i, frame in enumerate(frames):
             picture = Image.fromarray(eight_bit(frame.image))
             if target.kind == "gif":
@@ -142,7 +143,8 @@ def write_frames(target: Target, frames: Iterable[Frame], *, depth: bool, fps: f
                     (kept / f"{i}.npy").write_bytes(_npy(z))
                 if z.any():
                     low, high = np.quantile(z[z > 0.0], _RANGE).tolist()
-                    near, far = min(near, low), max(far, high)
+                    near = min(near, low)
+                    far = max(far, high)
         if animation:
             _save_animation(place(target.path), animation, fps, "")
         if not depth:
@@ -185,15 +187,21 @@ def _save_animation(path: Path, frames: list[Image.Image], fps: float, comment: 
     hundredths = max(2, round(100.0 / fps))  # GIF counts in 1/100 s; browsers slow down frames below 2
     out = io.BytesIO()  # if Pillow writes the file itself, it loses the reason of an error
     frames[0].save(
-        out, "gif", save_all=True, append_images=frames[1:], duration=10 * hundredths, loop=0,
+        out,
+        "gif",
+        save_all=True,
+        append_images=frames[1:],
+        duration=10 * hundredths,
+        loop=0,
         comment=f"{_MARK} {comment}".strip().encode(),
-    )  # fmt: skip
+    )
     path.write_bytes(out.getbuffer())
 
 
 def _png(picture: Image.Image, **texts: str) -> bytes:
     """Return the bytes of a PNG that names gsvis as its software."""
-    info, out = PngInfo(), io.BytesIO()
+    info = PngInfo()
+    out = io.BytesIO()
     for name, text in {"Software": _MARK, **texts}.items():
         info.add_text(name, text)
     picture.save(out, "png", pnginfo=info)

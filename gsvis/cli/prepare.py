@@ -72,7 +72,8 @@ def run_prepare(command: Prepare) -> None:
         settled = settle(
             command, source, lambda c: find_place(source, c, c.up, walk, _photo_cameras(c)), status, beside=beside
         )
-        command, space = settled.command, settled.place.required("say where eyes may be with --box or --around")
+        command = settled.command
+        space = settled.place.required("say where eyes may be with --box or --around")
         remarks = [*settled.remarks, *suspect_views(source.gaussians, space)]
         status("space", 1, 1)
         work = WorkFolder(command.out).folder
@@ -200,7 +201,9 @@ class _Progress:
     """
 
     def __init__(self, config: PrepareConfig, status: Status) -> None:
-        self._config, self._status, self._said = config, status, ("", 0)
+        self._config = config
+        self._status = status
+        self._said = ("", 0)
         self._warm = {"views", "photos", "cells", "importance"}
         self._training: ExitStack | None = None
         self._stop_if_asked: Callable[[], None] | None = None

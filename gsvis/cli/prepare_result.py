@@ -34,7 +34,8 @@ def print_result(
 ) -> None:
     """Print the package and its stages, as a JSON document or as tables."""
     m = prepared.manifest
-    cost, seconds = m.info.cost, sum(stage.seconds for stage in prepared.stages)
+    cost = m.info.cost
+    seconds = sum(stage.seconds for stage in prepared.stages)
     levels = [{"name": n, "gaussians": c} for n, c in zip(m.names, m.counts, strict=True)]
     for row, spread in zip(levels, (prepared.quality or {}).get("psnr", ()), strict=False):
         row["psnr"] = spread

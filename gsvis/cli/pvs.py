@@ -109,9 +109,13 @@ def _check_arguments(command: Pvs) -> PvsConfig:
 
         check_address(command.scheduler)
     config = sets_config(
-        method=command.method, tau=command.tau, size=command.face_size, limit=command.limit, rays=command.certify,
+        method=command.method,
+        tau=command.tau,
+        size=command.face_size,
+        limit=command.limit,
+        rays=command.certify,
         max_inner=command.max_inner,
-    )  # fmt: skip
+    )
     check_sets(command.scene, command.lod, config, command.max_memory)
     return config
 
@@ -209,7 +213,8 @@ def _built(command: Pvs, plan: _Plan, workers: Workers, status: Status) -> Visib
             kept[stage] = done, total
         status(stage, done, total)
 
-    g, report = plan.source.whole, progress
+    g = plan.source.whole
+    report = progress
     try:
         return build_pvs(g, plan.grid, plan.space, command.out, plan.config, workers=workers, progress=report)
     except KeyboardInterrupt:
@@ -236,7 +241,8 @@ def _about(plan: _Plan) -> dict[str, Any]:
 
 def _rows(plan: _Plan) -> list[tuple[str, str]]:
     x, y, z = plan.grid.shape
-    shown, meters = plan.config, plan.source.gaussians.facts.meters_per_unit
+    shown = plan.config
+    meters = plan.source.gaussians.facts.meters_per_unit
     return [
         ("Gaussians", f"{len(plan.source.union):,}{levels_spelled(plan.source)}"),
         kind_row(plan.space),
@@ -266,7 +272,9 @@ def spell_certificates(certified: StoredCertificates, twice: Any) -> list[tuple[
     known = certified.known
     if not known.any():
         return [("light missed", "not certified: the store is of an older version")]
-    missed, bound, tile = certified.missed[known], certified.bound[known], certified.tile[known]
+    missed = certified.missed[known]
+    bound = certified.bound[known]
+    tile = certified.tile[known]
     rows = [
         ("light missed", f"{missed.mean():.3%} on average, {missed.max():.3%} in the worst cell, by fresh rays"),
         ("proven to miss", f"at most {bound.max():.3%} in any cell, with 95% confidence each"),
@@ -277,8 +285,12 @@ def spell_certificates(certified: StoredCertificates, twice: Any) -> list[tuple[
 
 
 def _print_result(command: Pvs, plan: _Plan, store: VisibilityStore, seconds: float) -> None:
-    n, cells, sizes = store.gaussians, len(store), store.sizes()
-    shares, viewpoints, certified = store.visible_counts / n, store.viewpoints, store.certificates
+    n = store.gaussians
+    cells = len(store)
+    sizes = store.sizes()
+    shares = store.visible_counts / n
+    viewpoints = store.viewpoints
+    certified = store.certificates
     blind = int(np.count_nonzero((viewpoints == 0) & (certified.rays == 0)))
     above = int(np.count_nonzero(certified.bound > plan.config.limit))
     twice = store.info.config.get("traced_twice")

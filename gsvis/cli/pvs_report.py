@@ -38,7 +38,9 @@ from gsvis.scene.witnesses import Witnesses, hold_out
 
 __all__ = ["run_pvs_report"]
 
-_SMALL, _STREAM = (160, 120), 3  # pixels of views that judge, and a stream of the seed
+# pixels of views that judge, and a stream of the seed
+_SMALL = (160, 120)
+_STREAM = 3
 _OPTIONS = (
     "lod",
     "cameras",
@@ -174,9 +176,12 @@ def _tables(document: dict[str, Any]) -> list[Any]:
     """Return three tables: what was measured, the figures beside their targets, and the value of faint classes."""
     from gsvis.report.pvs_page import format_label, format_target, format_value
 
-    store, quality = document["store"], document["quality"]
-    config, share = quality["config"], store["visible_share"]
-    count, cells = quality["cells_measured"], store["grid"]["cells"]
+    store = document["store"]
+    quality = document["quality"]
+    config = quality["config"]
+    share = store["visible_share"]
+    count = quality["cells_measured"]
+    cells = store["grid"]["cells"]
     measured = f"{count:,} of {cells:,} cells, {config['viewpoints']} fresh viewpoints in each"
     about = [
         ("Gaussians", f"{store['gaussians']:,}"),

@@ -104,7 +104,8 @@ def _render(
     status("kernels", 0, 1)
     _warm_up(backend)
     status("kernels", 1, 1)
-    start, depth_range = time.perf_counter(), None
+    start = time.perf_counter()
+    depth_range = None
     if target:
         frames = _frames(command, source.gaussians, cameras, backend, status)
         depth_range = write_frames(target, frames, depth=command.depth, fps=command.fps or _FPS)
@@ -186,7 +187,8 @@ def _check_pixel(pixel: tuple[int, int], cameras: Cameras) -> None:
 
 def _lines(command: Render, target: Target, done: _Done) -> list[str]:
     """Return lines that say what was written."""
-    count, size = target.count, f"{done.cameras.width} x {done.cameras.height}"
+    count = target.count
+    size = f"{done.cameras.width} x {done.cameras.height}"
     took = f"{len(done.source.gaussians):,} Gaussians, {done.seconds / count:.2f} s"
     if count == 1:
         lines = [f"{target.files[0]}: {size}, {took}"]
@@ -231,7 +233,8 @@ def _table(command: Render, found: PixelContributors) -> list[Any]:
 
 
 def _document(command: Render, target: Target | None, done: _Done) -> dict[str, Any]:
-    cameras, found = done.cameras, done.found
+    cameras = done.cameras
+    found = done.found
     files = target.files if target else []
     document: dict[str, Any] = {
         "format": "gsvis-rendering",

@@ -77,11 +77,18 @@ def _serve(command: Serve, child: Child | None) -> None:
     from gsvis.stream import Quality
 
     limits = Limits(
-        connections=command.clients, message_bytes=command.message_bytes, messages_per_s=float(command.messages),
-        poses_per_s=float(command.poses), handshake_s=command.handshake, idle_s=command.idle, stall_s=command.stall,
-        keep_alive_s=command.keep_alive, per_address=command.per_address, close_s=command.close,
+        connections=command.clients,
+        message_bytes=command.message_bytes,
+        messages_per_s=float(command.messages),
+        poses_per_s=float(command.poses),
+        handshake_s=command.handshake,
+        idle_s=command.idle,
+        stall_s=command.stall,
+        keep_alive_s=command.keep_alive,
+        per_address=command.per_address,
+        close_s=command.close,
         tables_bytes=command.tables_memory,
-    )  # fmt: skip
+    )
     token = command.token if command.token is not None else os.environ.get("GSVIS_TOKEN") or None
     abr = AbrConfig(policy=command.policy, fill=not command.no_fill)
     opens = parse_origins("--page-origins", command.page_origins)
@@ -165,11 +172,13 @@ def log_to_stderr(form: logging.Formatter, level: int) -> Iterator[None]:
     loggers = [logging.getLogger(name) for name in least]
     before = [(logger.handlers, logger.propagate, logger.level) for logger in loggers]
     for logger in loggers:
-        logger.handlers, logger.propagate = [handler], False
+        logger.handlers = [handler]
+        logger.propagate = False
         logger.setLevel(least[logger.name])
     try:
         yield
     finally:
         for logger, (handlers, propagate, was) in zip(loggers, before, strict=True):
-            logger.handlers, logger.propagate = handlers, propagate
+            logger.handlers = handlers
+            logger.propagate = propagate
             logger.setLevel(was)

@@ -117,7 +117,8 @@ def find_choices(place: Place) -> list[Choice]:
     """
     assert place.space is not None
     assert place.upright is not None
-    kind, upright = place.space.kind, place.upright
+    kind = place.space.kind
+    upright = place.upright
     choices = [Choice(kind.kind, place.space.up if upright.sure else upright.up)]
     if not place.doubt:
         return choices

@@ -44,7 +44,9 @@ def run_simulate(command: Simulate) -> None:
     """
     _check(command)
     check_report(command.out)
-    walk, trace, originals = load_path(command.path), _trace(command), _originals(command)
+    walk = load_path(command.path)
+    trace = _trace(command)
+    originals = _originals(command)
     with Status() as status:
         document = _write_report(command, walk, trace, originals, status)
     from gsvis.report.session_page import content_remarks
@@ -84,7 +86,8 @@ def _check(command: Simulate) -> None:
 
 def _originals(command: Simulate) -> list[Original]:
     """Return the scene that each package or world was made from, before any is read; check the memory for all."""
-    found, sizes = [], []
+    found = []
+    sizes = []
     for k, package in enumerate(command.package):
         size, provenance = _manifest_of(package)
         sizes.append(size)
@@ -149,20 +152,34 @@ def _write_report(
 
     link = Link(trace, command.round_trip / 1000.0)
     config = ViewingConfig(
-        seconds=command.seconds, fine=min(3.0, command.seconds), every=min(command.every, command.seconds),
-        width=command.width, height=command.height, fov=command.fov,
-    )  # fmt: skip
+        seconds=command.seconds,
+        fine=min(3.0, command.seconds),
+        every=min(command.every, command.seconds),
+        width=command.width,
+        height=command.height,
+        fov=command.fov,
+    )
     with ExitStack() as opened:
         visits = simulate_visits(
-            _places(command, walk, originals, opened, status), walk, link, config,
-            count=command.visits, abr=AbrConfig(policy=command.policy, fill=not command.no_fill), seed=command.seed,
+            _places(command, walk, originals, opened, status),
+            walk,
+            link,
+            config,
+            count=command.visits,
+            abr=AbrConfig(policy=command.policy, fill=not command.no_fill),
+            seed=command.seed,
             progress=status,
-        )  # fmt: skip
+        )
     simulation = Simulation(
-        visits, link, _command_line(command), version(),
+        visits,
+        link,
+        _command_line(command),
+        version(),
         {name: _plain(value) for name, value in vars(command).items() if name not in ("json", "debug")},
-        dict(status.seconds), _kind_of_walk(command), _kind_of_link(command),
-    )  # fmt: skip
+        dict(status.seconds),
+        _kind_of_walk(command),
+        _kind_of_link(command),
+    )
     return write_session_report(command.out, simulation, progress=status)
 
 

@@ -163,7 +163,8 @@ def load_source(scene: str, lod: int | None) -> Source:
     if is_levels(scene):
         from gsvis.io.levels import levels_info, load_levels
 
-        levels, up = load_levels(scene), _unit_vector(levels_info(scene).extra.get("up"))
+        levels = load_levels(scene)
+        up = _unit_vector(levels_info(scene).extra.get("up"))
         return Source(title_of(scene), levels.level(len(levels) - 1), Path(scene), levels=levels, known_up=up)
     from gsvis.io import load_scene
     from gsvis.io.streamed_sog import list_lods

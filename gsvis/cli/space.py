@@ -44,7 +44,8 @@ def run_space(command: Space) -> None:
         status("space", 0, 1)
         if command.resolution is None:
             place = find_place(source, command, command.up, walk)
-            space, remarks = place.required(_REMEDY), place.remarks
+            space = place.required(_REMEDY)
+            remarks = place.remarks
         else:
             up = source.known_up if command.up is None else parse_up(command.up)
             remarks = flyaway_remarks(source.gaussians)
@@ -63,7 +64,8 @@ def run_space(command: Space) -> None:
         status("writing", 1, 1)
     origin = source.gaussians.facts.origin
     nbytes = sum(file.stat().st_size for file in files)
-    low, high = space.origin, space.origin + np.array(space.free.shape) * space.voxel_size
+    low = space.origin
+    high = space.origin + np.array(space.free.shape) * space.voxel_size
     said: dict[str, Any] = {
         "format": "gsvis-space",
         "version": 1,

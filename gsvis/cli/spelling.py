@@ -90,7 +90,9 @@ def paths_first(arguments: Sequence[str]) -> list[str]:
         return list(arguments)
     kind = next(kind for kind in _kinds() if command_name(kind) == "convert")
     words = {name: option.words for option in _options(kind) for name in option.names}
-    paths, options, rest = [], [], list(arguments[1:])
+    paths = []
+    options = []
+    rest = list(arguments[1:])
     while rest:
         word = rest.pop(0)
         if word == "--":

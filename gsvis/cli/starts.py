@@ -59,7 +59,8 @@ def thin(source: Source, most: int | None = None) -> Source:
         source: The scene.
         most: Gaussians that remain, at most; by default as many as a view to begin with needs.
     """
-    g, most = source.gaussians, most or _PART
+    g = source.gaussians
+    most = most or _PART
     if len(g) > most:
         some = np.sort(np.random.default_rng(0).choice(len(g), most, replace=False))
         g = replace(g[some], scales=g.scales[some] * np.float32(np.sqrt(len(g) / most)))

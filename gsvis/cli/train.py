@@ -125,7 +125,8 @@ def _config(command: Train) -> TrainConfig:
     from gsvis.train.densify import DensifyConfig
     from gsvis.train.trainer import TrainConfig
 
-    steps, usual = command.steps, DensifyConfig()
+    steps = command.steps
+    usual = DensifyConfig()
     densify = replace(
         usual,
         start=min(usual.start, steps // 14),
@@ -150,13 +151,18 @@ def _plan(command: Train, config: TrainConfig, status: Status) -> _Plan:
 
     device = _device(command.backend)
     photos = load_photos(
-        command.source, images=command.images, downscale=command.downscale, size=image_size(command, None),
+        command.source,
+        images=command.images,
+        downscale=command.downscale,
+        size=image_size(command, None),
         progress=status,
-    )  # fmt: skip
-    views, held_out = photos.views, None
+    )
+    views = photos.views
+    held_out = None
     if command.test_every:
         views, held_out = photos.views.split(command.test_every)
-    points, text = photos.points, ""
+    points = photos.points
+    text = ""
     if points is not None:
         text = f"{len(points):,} points of the reconstruction"
     if points is None or command.random_points is not None:
@@ -276,10 +282,12 @@ def _reporter(trainer: Trainer, status: Status, begun: list[int], stop_if_asked:
             if done:
                 status.line(f"resuming from step {done:,} of {total:,}")
         count = len(trainer.parameters)
-        brief, whole = f"loss {trainer.loss:.3f}, {_thousands(count)}", f"loss {trainer.loss:.4f}, {count:,} Gaussians"
+        brief = f"loss {trainer.loss:.3f}, {_thousands(count)}"
+        whole = f"loss {trainer.loss:.4f}, {count:,} Gaussians"
         measured = [record.psnr for record in trainer.history if not math.isnan(record.psnr)]
         if measured:
-            brief, whole = f"{brief}, {measured[-1]:.1f} dB", f"{whole}, {measured[-1]:.2f} dB held out"
+            brief = f"{brief}, {measured[-1]:.1f} dB"
+            whole = f"{whole}, {measured[-1]:.2f} dB held out"
         if done and not math.isnan(trainer.loss):
             status.note(stage, brief, whole)
         for record in trainer.history[shown:]:
@@ -306,7 +314,8 @@ def _print_result(command: Train, plan: _Plan, document: dict[str, Any]) -> None
     if command.json:
         print_json(document)
         return
-    photographs, quality = document["photographs"], document["quality"]
+    photographs = document["photographs"]
+    quality = document["quality"]
     kept = photographs["all"] - photographs["trained_on"]
     which = f"{quality['views']} {'held out' if kept else 'of those trained on'}"
     steps = f"{document['config']['iterations']:,}"

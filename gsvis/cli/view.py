@@ -49,7 +49,8 @@ def run_view(command: View) -> None:
         stack.enter_context(log_to_stderr(TextLines(), logging.DEBUG if command.debug else logging.WARNING))
         command, folder, name, remarks = _folder_of(command, stack)
         scene = open_scene(folder, name, max_cache_bytes=_CACHE)
-        scenes, name = stack.enter_context(Scenes([scene])), scene.name
+        scenes = stack.enter_context(Scenes([scene]))
+        name = scene.name
         server = _listen(command, scenes)
         stack.enter_context(_preparing(command, scenes, name))
         page = server.page(name)

@@ -23,7 +23,10 @@ __all__ = ["camera_count", "check_buried", "check_views", "given_cameras", "plac
 
 F64 = NDArray[np.float64]
 
-_WIDTH, _HEIGHT, _FOV, _ELEVATION = 640, 480, 60.0, 20.0
+_WIDTH = 640
+_HEIGHT = 480
+_FOV = 60.0
+_ELEVATION = 20.0
 _SHOWN = 0.9  # share of the centers that an orbit shows
 
 

@@ -53,7 +53,9 @@ PLACING = tuple(each.name for each in fields(WhereSeen))
 
 _BOX_VOXELS = 96  # along the longest side of a box
 _TRIED = 256  # eyes tested for lying inside something solid
-_LOOKS, _WIDTH, _HEIGHT = 8, 96, 72
+_LOOKS = 8
+_WIDTH = 96
+_HEIGHT = 72
 _LEAST_SEEN = 0.01  # share of the Gaussians
 _LEAST_LIGHT = 0.05  # mean alpha of a view that does not look into the void
 _VISIBLE = 1.0 / 255.0
@@ -250,9 +252,11 @@ def _find(
         space = NavigableSpace.from_box(low, high, _BOX_VOXELS, up=upright.up)
         return Place(space, "", [*remarks, *_check_buried(source, space, "box")])
     if where.around is not None:
-        center, radius = None, None
+        center = None
+        radius = None
         if where.around:
-            center, radius = SourceFrame.from_scene(source.gaussians).points([where.around[:3]])[0], where.around[3]
+            center = SourceFrame.from_scene(source.gaussians).points([where.around[:3]])[0]
+            radius = where.around[3]
         try:
             space = NavigableSpace.around(source.gaussians, center, radius, up=upright.up)
         except SceneError as error:

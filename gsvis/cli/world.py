@@ -61,7 +61,8 @@ def run_world(command: World) -> None:
     from gsvis.world.prepare import prepare_world
     from gsvis.world.stages import write_tiles
 
-    scenes, config = _check_scenes(command), _check_arguments(command)
+    scenes = _check_scenes(command)
+    config = _check_arguments(command)
     config = _in_frame(config, scenes, command.meters_per_unit is None)
     cameras = evidence_cameras(command)
     remarks: list[str] = []
@@ -106,7 +107,8 @@ def _check_scenes(command: World) -> list[tuple[str, int | None]]:
     """Raise unless each scene is there and of a known format; return its path and LOD."""
     if not command.scenes:
         raise ValueError("SCENE: expected at least one scene, got none; gsvis world SCENE [SCENE ...] -o DIR")
-    streamed, seen = [], set[str]()
+    streamed = []
+    seen = set[str]()
     for scene in command.scenes:
         if os.path.realpath(scene) in seen:
             raise ValueError(f"SCENE: expected each scene once, got {scene} twice; leave one out")
@@ -222,9 +224,14 @@ def _print_estimate(command: World, estimate: WorldEstimate, remarks: list[str])
     if command.json:
         document = {"format": "gsvis-world-estimate", "version": 1, **asdict(estimate), "remarks": remarks}
         times = {str(count): estimate.seconds_with(count) for count in (estimate.workers, *_more_workers(estimate))}
-        print_json({
-            **document, "core_hours": estimate.core_hours, "seconds": estimate.seconds, "seconds_by_workers": times,
-        })  # fmt: skip
+        print_json(
+            {
+                **document,
+                "core_hours": estimate.core_hours,
+                "seconds": estimate.seconds,
+                "seconds_by_workers": times,
+            }
+        )
         return
     workers = "1 worker" if estimate.workers == 1 else f"{estimate.workers} workers"
     rows = [
@@ -259,7 +266,8 @@ def _more_workers(estimate: WorldEstimate) -> list[int]:
 
 def _how_found(estimate: WorldEstimate) -> str:
     """Return what the times rest on, and what it took to find them."""
-    trial, spent = estimate.trial, clock(estimate.spent)
+    trial = estimate.trial
+    spent = clock(estimate.spent)
     if trial.eyes == 0.0:
         return f"no tile that was tried has room for eyes, so it takes longer if others have; in {spent} of a core"
     if not trial.tiles:
@@ -271,10 +279,16 @@ def _how_found(estimate: WorldEstimate) -> str:
 def _print_tiles(command: World, tiles: list[WrittenTile]) -> None:
     count = sum(tile.gaussians for tile in tiles)
     if command.json:
-        print_json({
-            "format": "gsvis-written-tiles", "version": 1, "folder": command.out, "stage": command.until,
-            "gaussians": count, "tiles": len(tiles),
-        })  # fmt: skip
+        print_json(
+            {
+                "format": "gsvis-written-tiles",
+                "version": 1,
+                "folder": command.out,
+                "stage": command.until,
+                "gaussians": count,
+                "tiles": len(tiles),
+            }
+        )
         return
     of = ", all levels together" if command.until == "levels" else ""
     show(f"{command.out}: {len(tiles):,} tiles, {count:,} Gaussians{of}")
@@ -294,12 +308,20 @@ def _print_result(command: World, made: PreparedWorld, remarks: list[str]) -> No
     if command.json:
         print_json(
             {
-                "format": "gsvis-prepared-world", "version": 1, "world": command.out, "gaussians": m.gaussians,
-                "tiles": len(m.tiles), "districts": len(m.districts), "cells": cells, "bytes": made.nbytes,
-                "core_seconds": seconds, "peak_memory_of_a_worker": peak,
-                "judged": judged, "remarks": remarks,
+                "format": "gsvis-prepared-world",
+                "version": 1,
+                "world": command.out,
+                "gaussians": m.gaussians,
+                "tiles": len(m.tiles),
+                "districts": len(m.districts),
+                "cells": cells,
+                "bytes": made.nbytes,
+                "core_seconds": seconds,
+                "peak_memory_of_a_worker": peak,
+                "judged": judged,
+                "remarks": remarks,
             }
-        )  # fmt: skip
+        )
         return
     empty = sum(not tile.cells for tile in m.tiles)
     rows = [

@@ -56,7 +56,9 @@ def assemble(config: FitConfig, fitted: SplitFit, directions: F32) -> Terms:
         fitted: The lobes of all functions.
         directions: (3, D) eye to Gaussian.
     """
-    kind, split, lobes = VARIANTS[config.variant], fitted.split, fitted.lobes
+    kind = VARIANTS[config.variant]
+    split = fitted.split
+    lobes = fitted.lobes
     n, most = lobes[0].v.shape[:2]
     counts = np.stack([lobe.counts for lobe in lobes])
     v = np.stack([lobe.v for lobe in lobes])
@@ -65,7 +67,8 @@ def assemble(config: FitConfig, fitted: SplitFit, directions: F32) -> Terms:
     amplitudes = np.stack([_amplitudes(kind, fitted, f, lobe) for f, lobe in enumerate(lobes)])
     linear = kind.space in ("rgb", "yuv") and len(lobes) == 1
     if not linear:
-        order, kept = np.zeros((n, len(lobes) * most), np.int64), np.zeros(n, np.int64)
+        order = np.zeros((n, len(lobes) * most), np.int64)
+        kept = np.zeros(n, np.int64)
         order_lobes(
             SPACES[kind.space], directions, fitted.colors, fitted.weights, split.base, split.scales, v, amplitudes,
             counts, order, kept,
@@ -73,12 +76,14 @@ def assemble(config: FitConfig, fitted: SplitFit, directions: F32) -> Terms:
     rows = np.repeat(np.arange(n), kept)
     places = np.arange(len(rows)) - np.repeat(np.cumsum(kept) - kept, kept)
     chosen = order[rows, places]
-    function, k = chosen // max(most, 1), chosen % max(most, 1)
+    function = chosen // max(most, 1)
+    k = chosen % max(most, 1)
     moved = v[function, rows, k].astype(np.float64)
     decays = np.linalg.norm(moved, axis=1)
     intensities = np.stack([lobe.intensities for lobe in lobes])[function, rows, k]
     units = np.stack([f.unit for f in split.functions])[function, rows]
-    base_errors, errors = np.empty(n, np.float32), np.empty(n, np.float32)
+    base_errors = np.empty(n, np.float32)
+    errors = np.empty(n, np.float32)
     measure_shown_errors(
         SPACES[kind.space], directions, fitted.colors, fitted.weights, split.base, split.scales, v, amplitudes,
         order, kept, base_errors, errors,

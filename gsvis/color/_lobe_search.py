@@ -72,10 +72,13 @@ class LobeSearch:
     """
 
     def __init__(self, values: F64, directions: F64, weights: F64, config: SphereConfig, most_decay: float) -> None:
-        self.points, self.roots = np.ascontiguousarray(directions.T), np.sqrt(weights)
+        self.points = np.ascontiguousarray(directions.T)
+        self.roots = np.sqrt(weights)
         self.target = values * self.roots
         self.total = float(self.target @ self.target)
-        self.ridge, self.most_decay, self.config = config.ridge, most_decay, config
+        self.ridge = config.ridge
+        self.most_decay = most_decay
+        self.config = config
         self.starts = atoms(config.subdivisions, most_decay)
         self.dictionary = self._rows(self.starts)
         self.squares = np.einsum("ad,ad->a", self.dictionary, self.dictionary)
@@ -112,7 +115,8 @@ class LobeSearch:
         now = self._solve(rows) if len(v) else None
         if now is None:
             return self.nothing
-        damping, slow = 1e-2, 0
+        damping = 1e-2
+        slow = 0
         for _ in range(self.config.steps):
             error = now.cost
             if error <= 1e-13 * self.total:
@@ -126,7 +130,8 @@ class LobeSearch:
                 moved = self._move(v, normal, slopes @ now.left, damping)
                 if moved is not None and moved[2].cost < error:
                     break
-                moved, damping = None, 5.0 * damping
+                moved = None
+                damping = 5.0 * damping
             if moved is None:
                 break
             v, rows, now = moved

@@ -22,7 +22,8 @@ __all__ = ["LobeFit", "Pursuit", "SplitFit"]
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
-_LEAST_DECAY, _MOST_DECAY = 0.1, 60.0
+_LEAST_DECAY = 0.1
+_MOST_DECAY = 60.0
 """Range of decays: from a nearly linear lobe to one narrower than a face (half width 9 degrees)."""
 
 
@@ -73,7 +74,8 @@ class Pursuit:
     """
 
     def __init__(self, config: FitConfig) -> None:
-        self.config, self.kind = config, VARIANTS[config.variant]
+        self.config = config
+        self.kind = VARIANTS[config.variant]
         centers = icosphere(1 if config.refine else 2)[0]
         decays = np.asarray(config.decays, np.float64)
         self.starts = (decays[:, None, None] * centers).reshape(-1, 3)
@@ -82,8 +84,13 @@ class Pursuit:
         self.dictionary = np.exp(exponents).astype(np.float32)
         self.directions = np.ascontiguousarray(towards_gaussian.T, np.float32)
         self.limits = (
-            config.ridge, _LEAST_DECAY, _MOST_DECAY, config.tolerance, float(config.steps), config.emphasis,
-        )  # fmt: skip
+            config.ridge,
+            _LEAST_DECAY,
+            _MOST_DECAY,
+            config.tolerance,
+            float(config.steps),
+            config.emphasis,
+        )
 
     def fit(self, colors: F32, weights: F32, importance: F64, price: float, nowhere: NDArray[np.bool_]) -> SplitFit:
         """Find the terms of n Gaussians.
@@ -111,9 +118,20 @@ class Pursuit:
             np.zeros((n, k + 1), np.float32),
         )
         kernels.fit_lobes(
-            self.directions, self.dictionary, self.starts, function.targets, function.weights, importance, most,
-            price, self.limits, found.v, found.intensities, found.counts, found.curves,
-        )  # fmt: skip
+            self.directions,
+            self.dictionary,
+            self.starts,
+            function.targets,
+            function.weights,
+            importance,
+            most,
+            price,
+            self.limits,
+            found.v,
+            found.intensities,
+            found.counts,
+            found.curves,
+        )
         return found
 
     def _on_atoms(self, function: Function, importance: F64, price: float, most: NDArray[np.int64]) -> LobeFit:
@@ -126,7 +144,8 @@ class Pursuit:
         )
         total = np.maximum(function.weights.sum(axis=1, dtype=np.float64), 1e-300)[:, None]
         curves = (codes.errors / total).astype(np.float32)
-        n, k = len(most), self.config.max_terms
+        n = len(most)
+        k = self.config.max_terms
         curves = np.pad(curves, ((0, 0), (0, k + 1 - curves.shape[1])), mode="edge")
         costs = importance[:, None] * curves.astype(np.float64) + price * np.arange(k + 1)
         counts = np.minimum(costs.argmin(axis=1), codes.counts)
@@ -134,7 +153,13 @@ class Pursuit:
         v[:, : codes.atoms.shape[1]] = self.starts[codes.atoms]
         intensities = np.zeros((n, k, function.targets.shape[1]), np.float32)
         kernels.settle_lobes(
-            self.directions, function.targets, function.weights, self.limits, counts, v, intensities,
+            self.directions,
+            function.targets,
+            function.weights,
+            self.limits,
+            counts,
+            v,
+            intensities,
             np.empty(n, np.float32),
-        )  # fmt: skip
+        )
         return LobeFit(v, intensities, counts, curves)

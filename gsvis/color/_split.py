@@ -57,7 +57,8 @@ def split_colors(kind: Variant, colors: F32, weights: F32) -> Split:
         weights: (n, D) >= 0, some above 0 in each row.
     """
     n, _, directions = colors.shape
-    base, scales = np.empty((n, 3), np.float32), np.ones(n, np.float32)
+    base = np.empty((n, 3), np.float32)
+    scales = np.ones(n, np.float32)
     axes = np.zeros((n, kind.num_axes, 3), np.float32)
     ones = np.ones(n, np.float32)
     if kind.space in ("hsl", "hsv"):

@@ -51,7 +51,8 @@ class Activation:
             raise ValueError(f"colors: expected SrbfColors, got {type(colors).__name__}")
         if not (isinstance(epsilon, int | float | np.floating) and 0.0 <= epsilon < np.inf):
             raise ValueError(f"epsilon: expected a finite change of color of at least 0, got {epsilon!r}")
-        self.colors, self.epsilon = colors, float(epsilon)
+        self.colors = colors
+        self.epsilon = float(epsilon)
         self._means = _check.floats("means", means, ("N", 3))
         _check.same_length(colors=colors.base, means=self._means)
         self._centers = unit_vectors(colors.centers).astype(np.float32)
@@ -66,7 +67,8 @@ class Activation:
 
     def contributions(self, eye: ArrayLike) -> F32:
         """Return (T,) the largest channel change of each term as an eye (3,) sees it; see `contributions`."""
-        at, colors = _check.floats("eye", eye, (3,), np.float64), self.colors
+        at = _check.floats("eye", eye, (3,), np.float64)
+        colors = self.colors
         additive = colors.kind.space == "rgb"
         factors = self._reaches if additive else np.ones(colors.num_terms)
         found = np.zeros(colors.num_terms)
@@ -115,7 +117,8 @@ class Activation:
         Raises:
             ValueError: If a corner is not below the other, an id is not in [0, N), or a weight is not in [0, 1].
         """
-        first, last = _check.floats("low", low, (3,), np.float64), _check.floats("high", high, (3,), np.float64)
+        first = _check.floats("low", low, (3,), np.float64)
+        last = _check.floats("high", high, (3,), np.float64)
         if (first > last).any():
             raise ValueError(f"low: expected at most high, {last.tolist()}, got {first.tolist()}")
         ids, factors = self._select(visible, weights)
@@ -216,7 +219,8 @@ def _reaches(colors: SrbfColors, amplitudes: F32) -> F64:
     (0, 1].
     """
     sizes = np.abs(amplitudes.astype(np.float64))
-    kind, ids = colors.kind, colors.gaussian_ids
+    kind = colors.kind
+    ids = colors.gaussian_ids
     if kind.space == "rgb":
         return np.asarray(sizes.max(axis=1, initial=0.0))
     scaled = colors.scales.astype(np.float64)[ids]
@@ -231,7 +235,8 @@ def _reaches(colors: SrbfColors, amplitudes: F32) -> F64:
         return np.asarray(np.clip(ends, 0.0, 1.0)[ids])
 
     by_lightness = 1.0 + bound(1, 1.0)
-    darkest, lightest = bound(2, -1.0), bound(2, 1.0)
+    darkest = bound(2, -1.0)
+    lightest = bound(2, 1.0)
     middle = np.clip(0.5, darkest, lightest)
     by_saturation = np.minimum(middle, 1.0 - middle)
     return np.asarray(scaled * np.maximum(sizes[:, 1] * by_saturation, sizes[:, 2] * by_lightness))

@@ -55,5 +55,6 @@ def srbf_dictionary(directions: ArrayLike, centers: ArrayLike, decays: ArrayLike
     around = _check.unit_vectors("centers", centers)
     rising = np.sort(_check.floats("decays", decays, ("L",), np.float64))
     _check.in_range("decays", rising, 0.0, np.inf)
-    places, widths = np.tile(around, (len(rising), 1)), np.repeat(rising, len(around))
+    places = np.tile(around, (len(rising), 1))
+    widths = np.repeat(rising, len(around))
     return Dictionary(places, widths, srbf(along[:, None], places, widths))

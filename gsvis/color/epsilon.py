@@ -267,7 +267,8 @@ class Staircase:
         epsilons = self._rungs[visited]
         at = visited[counted]
         at_bound = float(((at == 0) | (at == len(self._rungs) - 1)).mean()) if len(at) else 0.0
-        found, error = self.epsilon, math.nan
+        found = self.epsilon
+        error = math.nan
         if self._stuck >= STUCK:
             seen = self._answers[-1]
             reason = f"noticed even at the {'lowest' if seen else 'highest'} epsilon, {found:g}"
@@ -280,8 +281,10 @@ class Staircase:
             reason = "converged"
         if len(at) and self._stuck < STUCK:
             logarithms = np.log(epsilons[counted])
-            found, error = float(np.exp(logarithms.mean())), _standard_error(logarithms, self.rule.down_step)
-        answers, turns = np.asarray(self._answers, bool), np.asarray(self.reversals, np.int64)
+            found = float(np.exp(logarithms.mean()))
+            error = _standard_error(logarithms, self.rule.down_step)
+        answers = np.asarray(self._answers, bool)
+        turns = np.asarray(self.reversals, np.int64)
         provenance = {} if provenance is None else provenance
         return EpsilonCalibration(
             found, error, reason == "converged", reason, epsilons, answers, turns, len(at), self.rule, provenance
@@ -370,9 +373,16 @@ class MetricObserver:
     """
 
     def __init__(
-        self, difference: Callable[[float], float], threshold: float, slope: float | None = None, guess: float = 0.0,
-        rng: np.random.Generator | int = 0, *, name: str = "flip", images: Mapping[str, Any] | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        difference: Callable[[float], float],
+        threshold: float,
+        slope: float | None = None,
+        guess: float = 0.0,
+        rng: np.random.Generator | int = 0,
+        *,
+        name: str = "flip",
+        images: Mapping[str, Any] | None = None,
+    ) -> None:
         if not (_number(threshold) and threshold > 0.0):
             raise ValueError(f"threshold: expected a finite number > 0, got {threshold!r}")
         if slope is not None and not (_number(slope) and slope > 0.0):
@@ -384,7 +394,10 @@ class MetricObserver:
         if slope is not None or guess > 0.0:
             self.provenance["seed"] = rng if isinstance(rng, int) else "a generator"
         self.provenance["images"] = {} if images is None else dict(images)
-        self._difference, self._threshold, self._slope, self._guess = difference, float(threshold), slope, float(guess)
+        self._difference = difference
+        self._threshold = float(threshold)
+        self._slope = slope
+        self._guess = float(guess)
         self._rng = np.random.default_rng(rng)
         self._known: dict[float, float] = {}
 

@@ -51,7 +51,8 @@ class Evaluator:
         slots = np.zeros((int(starts[-1]) * _kernels_srbf.SLOT, _kernels_srbf.LANES), np.float32)
         terms = _check.read_only(colors.centers, colors.decays, np.ascontiguousarray(colors.amplitudes()))
         _kernels_srbf.pack(order, colors.offsets, starts, terms, slots)
-        base, scales = _in_windows(colors.base, order), _in_windows(colors.scales[:, None], order)
+        base = _in_windows(colors.base, order)
+        scales = _in_windows(colors.scales[:, None], order)
         self._packed = order, colors.offsets, starts, slots, base, np.ascontiguousarray(scales[:, 0])
 
     def __len__(self) -> int:
@@ -166,7 +167,8 @@ def _mask(active: ArrayLike | None, terms: int) -> NDArray[np.bool_]:
 
 def _layout(counts: I64) -> tuple[NDArray[np.uint8], I64]:
     """Return (N,) order within windows by falling number of terms, and (groups + 1,) first slots of the groups."""
-    window, lanes = _kernels_srbf.WINDOW, _kernels_srbf.LANES
+    window = _kernels_srbf.WINDOW
+    lanes = _kernels_srbf.LANES
     n = len(counts)
     kind = np.int16 if counts.max(initial=0) < 2**15 else np.int64  # NumPy sorts short integers by radix
     padded = np.full(-(-n // window) * window, -1, kind)

@@ -57,7 +57,8 @@ class SrbfTensors:
 
     def __post_init__(self) -> None:
         kind = variant(self.variant)
-        n, t = len(self.base), len(self.functions)
+        n = len(self.base)
+        t = len(self.functions)
         shapes = ((n, 3), (n,), (n, kind.num_axes, 3), (t, 2), (t,), (t, kind.intensities), (n + 1,), (t,))
         for name, shape in zip(_FLOATS + _INTEGERS, shapes, strict=True):
             value = getattr(self, name)
@@ -137,7 +138,8 @@ class SrbfTensors:
 
     def amplitudes(self) -> Tensor:
         """Return (T, 3) what each term adds to the base, in the variant's space, where its SRBF is 1."""
-        kind, ids = self.kind, self.gaussian_ids
+        kind = self.kind
+        ids = self.gaussian_ids
         if kind.components:
             component = torch.tensor(kind.components, device=self.base.device)[self.functions]
             chosen = torch.nn.functional.one_hot(component, 3).to(self.base)
@@ -176,13 +178,19 @@ def evaluate_torch(
     squares = offsets.square().sum(dim=1, keepdim=True)
     ahead = offsets.new_tensor([0.0, 0.0, 1.0])
     directions = torch.where(squares > 0, offsets / torch.where(squares > 0, squares, 1.0).sqrt(), ahead)
-    ids, centers, decays, amplitudes = colors.gaussian_ids, colors.centers, colors.decays, colors.amplitudes()
+    ids = colors.gaussian_ids
+    centers = colors.centers
+    decays = colors.decays
+    amplitudes = colors.amplitudes()
     if active is not None:
         mask = torch.as_tensor(active, device=ids.device)
         if mask.dtype != torch.bool or tuple(mask.shape) != (colors.num_terms,):
             got = f"{mask.dtype} of {tuple(mask.shape)}"
             raise ValueError(f"active: expected bool of shape ({colors.num_terms},), got {got}")
-        ids, centers, decays, amplitudes = ids[mask], centers[mask], decays[mask], amplitudes[mask]
+        ids = ids[mask]
+        centers = centers[mask]
+        decays = decays[mask]
+        amplitudes = amplitudes[mask]
     # decay (x.c - 1) from the chord: x.c would lose the digits that a narrow lobe needs.
     chords = directions[ids] - _unit_vectors(centers)
     lobes = torch.exp(-0.5 * decays * chords.square().sum(dim=1))

@@ -209,7 +209,9 @@ def _price(pursuit: Pursuit, g: Gaussians, faces: F32, importance: F64, mean_ter
     ids = np.sort(order[np.linspace(0, len(g) - 1, min(len(g), _SAMPLE)).astype(np.int64)])
     few = max(4, int(np.ceil(2 * mean_terms)))
     stages = [few, pursuit.config.max_terms] if few < pursuit.config.max_terms else [pursuit.config.max_terms]
-    price, done, total = 0.0, 0, len(ids) * len(stages)
+    price = 0.0
+    done = 0
+    total = len(ids) * len(stages)
     progress("price", 0, total)
     for most in stages:
         limited = Pursuit(replace(pursuit.config, max_terms=most))
@@ -257,8 +259,14 @@ def _join(config: FitConfig, parts: list[Terms], price: float, unseen: int) -> S
 
     counts = np.concatenate([part.counts for part in parts])
     colors = SrbfColors(
-        config.variant, join("base"), join("scales"), join("axes"),
+        config.variant,
+        join("base"),
+        join("scales"),
+        join("axes"),
         np.concatenate([np.zeros(1, np.int64), np.cumsum(counts)]),
-        np.concatenate([part.functions for part in parts]), join("centers"), join("decays"), join("intensities"),
-    )  # fmt: skip
+        np.concatenate([part.functions for part in parts]),
+        join("centers"),
+        join("decays"),
+        join("intensities"),
+    )
     return SrbfFit(colors, join("base_errors"), join("errors"), price, unseen)

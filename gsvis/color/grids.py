@@ -67,7 +67,8 @@ def circle(low: float, turn: float, count: int) -> F32:
 
 def _with_ends(values: F64, low: float, high: float) -> F32:
     table: F32 = np.clip(values, low, high).astype(np.float32)
-    table[0], table[-1] = low, high
+    table[0] = low
+    table[-1] = high
     return table
 
 
@@ -89,7 +90,8 @@ def octahedral(vectors: NDArray[np.floating[Any]], bits: int) -> U16:
     """
     v = np.asarray(vectors, np.float64)
     v = v / np.maximum(np.abs(v).sum(axis=-1, keepdims=True), np.finfo(np.float64).tiny)
-    xy, below = v[..., :2], v[..., 2:] < 0
+    xy = v[..., :2]
+    below = v[..., 2:] < 0
     folded = (1.0 - np.abs(xy[..., ::-1])) * np.where(xy < 0, -1.0, 1.0)
     cells = np.floor((np.where(below, folded, xy) + 1.0) * (1 << bits) / 2.0)
     return np.asarray(np.clip(cells, 0, (1 << bits) - 1), np.uint16)

@@ -35,7 +35,9 @@ _LAB = np.array(
 )
 """OKLab of the cube roots of the responses."""
 
-_DARK, _BRIGHT = 0.28, 0.93  # lightness at the ends of the ramp
+# lightness at the ends of the ramp
+_DARK = 0.28
+_BRIGHT = 0.93
 _HUES = (305.0, 100.0)  # degrees: purple, over blue and green, to yellow
 _CHROMA = 0.13
 _GOLDEN = 137.50776405003785  # degrees: hues of neighbors in number are far apart
@@ -94,10 +96,12 @@ def palette(count: int) -> F64:
 def _shown(lightness: F64, chroma: F64, hues: F64) -> F64:
     """Return sRGB of lightness, chroma and hue (degrees), with as much of the chroma as a display can show."""
     around = np.stack([np.cos(np.radians(hues)), np.sin(np.radians(hues))], axis=1)
-    low, high = np.zeros(len(hues)), chroma.astype(np.float64)
+    low = np.zeros(len(hues))
+    high = chroma.astype(np.float64)
     for _ in range(_STEPS):
         middle = 0.5 * (low + high)
         rgb = oklab_to_srgb(np.column_stack([lightness, middle[:, None] * around]))
         fits = np.all((rgb >= 0.0) & (rgb <= 1.0), axis=1)
-        low, high = np.where(fits, middle, low), np.where(fits, high, middle)
+        low = np.where(fits, middle, low)
+        high = np.where(fits, high, middle)
     return np.clip(oklab_to_srgb(np.column_stack([lightness, low[:, None] * around])), 0.0, 1.0)

@@ -100,7 +100,8 @@ def orthogonal_matching_pursuit(
     if 0 in columns.shape:
         raise ValueError(f"dictionary: expected at least one direction and one atom, got shape {columns.shape}")
     values = _signals(signals, depth)
-    number, channels = len(values), values.shape[2] if values.ndim == 3 else 1
+    number = len(values)
+    channels = values.shape[2] if values.ndim == 3 else 1
     own, shared = _weights(weights, number, depth)
     limits = _limits(max_terms, number, number_of_atoms)
     tolerances = np.full(number, tolerance) if np.ndim(tolerance) == 0 else tolerance
@@ -191,7 +192,8 @@ def _refuse(counts: NDArray[np.int32], start: int) -> None:
 
 def _atoms(columns: F64, shared: F64, own: bool, least_share: float) -> kernels.Atoms:
     """Return the prepared dictionary."""
-    number, depth = columns.shape[1], columns.shape[0]
+    number = columns.shape[1]
+    depth = columns.shape[0]
     largest = np.abs(columns).max(axis=0)
     unit = np.ascontiguousarray((columns / np.where(largest > 0.0, largest, 1.0)).T)
     lengths = np.sqrt(np.einsum("ad,ad->a", unit, unit))

@@ -131,9 +131,13 @@ class Grids:
         turns = [bool(colors.kind.space in ("hsl", "hsv") and k == 0) for k in range(3)]
         ranges = [(0.0, 1.0) if turns[k] else _range(colors.base[:, k]) for k in range(3)]
         return cls(
-            colors.variant, _precision(precision), (ranges[0], ranges[1], ranges[2]),
-            _range(colors.scales, 1.0), _range(colors.decays, 1.0), _largest(colors.intensities),
-        )  # fmt: skip
+            colors.variant,
+            _precision(precision),
+            (ranges[0], ranges[1], ranges[2]),
+            _range(colors.scales, 1.0),
+            _range(colors.decays, 1.0),
+            _largest(colors.intensities),
+        )
 
     @property
     def kind(self) -> Variant:
@@ -142,7 +146,8 @@ class Grids:
 
     def base_table(self, component: int) -> F32:
         """Return (2^bits,) values of a component of base colors."""
-        bits, space = self.precision.base, self.kind.space
+        bits = self.precision.base
+        space = self.kind.space
         if space in ("hsl", "hsv") and component == 0:
             return _grids.circle(0.0, 1.0, 1 << bits)[:-1]
         center = 0.0 if space == "yuv" and component > 0 else 0.5
@@ -200,7 +205,8 @@ class QuantizedColors:
     intensities: U16
 
     def __post_init__(self) -> None:
-        kind, p = self.grids.kind, self.grids.precision
+        kind = self.grids.kind
+        p = self.grids.precision
         n = len(self.base)
         offsets = _check.integers("offsets", self.offsets, (n + 1,))
         if offsets[0] != 0 or np.any(np.diff(offsets) < 0):
@@ -229,7 +235,8 @@ class QuantizedColors:
         return len(self.base)
 
     def __repr__(self) -> str:
-        g, sizes = self.grids, f"{len(self):,} Gaussians, {self.num_terms:,} terms"
+        g = self.grids
+        sizes = f"{len(self):,} Gaussians, {self.num_terms:,} terms"
         return f"QuantizedColors({g.variant!r}, {g.precision.name!r}, {sizes})"
 
     @property
@@ -249,9 +256,16 @@ class QuantizedColors:
         scales = g.scale_table()[self.scales] if has_scales(g.kind) else np.ones(len(self), np.float32)
         centers = np.stack([g.theta_table()[self.centers[:, 0]], g.phi_table()[self.centers[:, 1]]], axis=1)
         return SrbfColors(
-            g.variant, base, scales, _grids.unoctahedral(self.axes, g.precision.axis), self.offsets, self.functions,
-            centers, g.decay_table()[self.decays], g.intensity_table()[self.intensities],
-        )  # fmt: skip
+            g.variant,
+            base,
+            scales,
+            _grids.unoctahedral(self.axes, g.precision.axis),
+            self.offsets,
+            self.functions,
+            centers,
+            g.decay_table()[self.decays],
+            g.intensity_table()[self.intensities],
+        )
 
 
 def quantize(
@@ -334,12 +348,20 @@ def quantize_centers(colors: SrbfColors, precision: Precision | str = "wire", *,
     """
     g = Grids.from_colors(colors, precision)
     places, decay_places = _round_lobes(colors, g)
-    centers, decays = _centers_of(places, g), g.decay_table()[decay_places]
+    centers = _centers_of(places, g)
+    decays = g.decay_table()[decay_places]
     intensities = _project(colors, _lobes(centers, decays)) if refit else colors.intensities
     return SrbfColors(
-        colors.variant, colors.base, colors.scales, colors.axes, colors.offsets, colors.functions, centers, decays,
+        colors.variant,
+        colors.base,
+        colors.scales,
+        colors.axes,
+        colors.offsets,
+        colors.functions,
+        centers,
+        decays,
         np.asarray(intensities, np.float32),
-    )  # fmt: skip
+    )
 
 
 def bytes_per_term(name: str, precision: Precision | str | None = "wire") -> float:
@@ -411,7 +433,8 @@ def _base_bits(kind: Variant, p: Precision | None) -> int:
 
 def _pack(kind: Variant, p: Precision | None, offsets: NDArray[np.int64]) -> int:
     count_bits = int(np.diff(offsets).max(initial=0)).bit_length()
-    n, t = len(offsets) - 1, int(offsets[-1])
+    n = len(offsets) - 1
+    t = int(offsets[-1])
     return -(-(n * (_base_bits(kind, p) + count_bits) + t * _term_bits(kind, p)) // 8)
 
 
@@ -426,7 +449,8 @@ def _largest(intensities: NDArray[np.floating[Any]]) -> float:
 def _within(own: Grids, given: Grids) -> None:
     if own.variant != given.variant:
         raise ValueError(f"grids: expected those of {own.variant!r}, got those of {given.variant!r}")
-    mine, theirs = asdict(own), asdict(given)
+    mine = asdict(own)
+    theirs = asdict(given)
     pairs = [("base", a, b) for a, b in zip(mine["base"], theirs["base"], strict=True)]
     pairs += [(name, mine[name], theirs[name]) for name in ("scales", "decays")]
     pairs.append(("intensities", (0.0, mine["intensity"]), (0.0, theirs["intensity"])))

@@ -53,19 +53,23 @@ def orthogonal_matching_pursuit(
     least_share: float = LEAST_SHARE,
 ) -> SparseCodes:
     """Solve signal by signal; arguments as in `gsvis.color`, with one limit for all."""
-    columns, values = np.asarray(dictionary, np.float64), np.asarray(signals, np.float64)
+    columns = np.asarray(dictionary, np.float64)
+    values = np.asarray(signals, np.float64)
     number, depth = values.shape[:2]
     shared = np.ones(depth) if weights is None else np.asarray(weights, np.float64)
     roots = np.sqrt(np.broadcast_to(shared, (number, depth)))
     atoms = np.full((number, max_terms), -1, np.int32)
     coefficients = np.zeros((number, max_terms, *values.shape[2:]))
-    counts, errors = np.zeros(number, np.int32), np.zeros((number, max_terms + 1))
+    counts = np.zeros(number, np.int32)
+    errors = np.zeros((number, max_terms + 1))
     for n in range(number):
-        seen, target = columns * roots[n][:, None], (values[n].T * roots[n]).T.reshape(depth, -1)
+        seen = columns * roots[n][:, None]
+        target = (values[n].T * roots[n]).T.reshape(depth, -1)
         squares = (seen**2).sum(axis=0)
         usable = squares > least_share * (columns**2).sum(axis=0) * roots[n].max() ** 2
         chosen: list[int] = []
-        residual, energy = target, (target**2).sum()
+        residual = target
+        energy = (target**2).sum()
         errors[n] = energy
         while len(chosen) < max_terms and errors[n, -1] > tolerance:
             scores = np.where(usable, ((seen.T @ residual) ** 2).sum(axis=1) / np.where(usable, squares, 1.0), 0.0)
@@ -101,7 +105,8 @@ def refine(
     """
     from scipy.optimize import least_squares  # here: it takes long to import, and few need it
 
-    points, root = np.asarray(directions, np.float64), np.sqrt(np.asarray(weights, np.float64))
+    points = np.asarray(directions, np.float64)
+    root = np.sqrt(np.asarray(weights, np.float64))
     goal = np.asarray(targets, np.float64) * root[:, None]
 
     def residuals(flat: F64) -> F64:

@@ -159,7 +159,8 @@ def sh_colors_along(
     Raises:
         ValueError: If a shape is wrong, a value is not finite or a direction is zero.
     """
-    base, higher = _check.floats("sh0", sh0, ("N", 1, 3)), _check.floats("shN", shN, ("N", "K-1", 3))
+    base = _check.floats("sh0", sh0, ("N", 1, 3))
+    higher = _check.floats("shN", shN, ("N", "K-1", 3))
     count = _check.same_length(sh0=base, shN=higher)
     size = 1 + higher.shape[1]
     basis = sh_basis(_check.unit_vectors("directions", directions), sh_degree_of(size))

@@ -28,11 +28,14 @@ def sh_basis_torch(directions: Tensor, degree: int) -> Tensor:
         c = math.sqrt(3 / (4 * pi))
         columns += [-c * y, c * z, -c * x]
     if degree >= 2:
-        c, c0 = math.sqrt(15 / (4 * pi)), math.sqrt(5 / (16 * pi))
+        c = math.sqrt(15 / (4 * pi))
+        c0 = math.sqrt(5 / (16 * pi))
         columns += [c * x * y, -c * y * z, c0 * (2 * z * z - x * x - y * y), -c * x * z, c / 2 * (x * x - y * y)]
     if degree >= 3:
-        c3, c2 = math.sqrt(35 / (32 * pi)), math.sqrt(105 / (4 * pi))
-        c1, c0 = math.sqrt(21 / (32 * pi)), math.sqrt(7 / (16 * pi))
+        c3 = math.sqrt(35 / (32 * pi))
+        c2 = math.sqrt(105 / (4 * pi))
+        c1 = math.sqrt(21 / (32 * pi))
+        c0 = math.sqrt(7 / (16 * pi))
         columns += [
             -c3 * y * (3 * x * x - y * y),
             c2 * x * y * z,

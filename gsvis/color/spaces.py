@@ -34,7 +34,9 @@ __all__ = [
 
 Floats = NDArray[np.floating[Any]]
 
-_RED, _GREEN, _BLUE = 0.299, 0.587, 0.114
+_RED = 0.299
+_GREEN = 0.587
+_BLUE = 0.114
 """Weights of luma: ITU-R BT.601-7, section 2.5.1."""
 _INF = float("inf")
 _SCALE = "divide the colors of each Gaussian by their largest value and keep that scale"
@@ -169,9 +171,11 @@ def rgb_to_yuv(rgb: Any) -> Any:
     """
     xp, r, g, b = channels("rgb", rgb, (-_INF,) * 3, (_INF,) * 3, "")
     # Differences to green: a gray of any value has U and V exactly 0.
-    red, blue = r - g, b - g
+    red = r - g
+    blue = b - g
     above_green = _RED * red + _BLUE * blue
-    u, v = (blue - above_green) / (2 - 2 * _BLUE), (red - above_green) / (2 - 2 * _RED)
+    u = (blue - above_green) / (2 - 2 * _BLUE)
+    v = (red - above_green) / (2 - 2 * _RED)
     return xp.concatenate([g + above_green, u, v], -1)
 
 
@@ -192,7 +196,8 @@ def yuv_to_rgb(yuv: Any) -> Any:
         ValueError: If the shape is wrong or an array has values that are not finite.
     """
     xp, y, u, v = channels("yuv", yuv, (-_INF,) * 3, (_INF,) * 3, "")
-    red, blue = (2 - 2 * _RED) * v, (2 - 2 * _BLUE) * u
+    red = (2 - 2 * _RED) * v
+    blue = (2 - 2 * _BLUE) * u
     return xp.concatenate([y + red, y - (_RED * red + _BLUE * blue) / _GREEN, y + blue], -1)
 
 

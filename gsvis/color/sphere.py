@@ -159,7 +159,9 @@ def fit_function(
     seen = shares > 0.0
     if not seen.any():
         raise ValueError("weights: expected some above 0, got none; a function needs at least one direction")
-    y, along, shares = y[seen], along[seen], shares[seen] / shares.max()
+    y = y[seen]
+    along = along[seen]
+    shares = shares[seen] / shares.max()
     shares /= shares.sum()
     base = float(shares @ y)
     variance = float(shares @ (y - base) ** 2)
@@ -224,8 +226,11 @@ def _pursue(search: LobeSearch, limit: int) -> list[Fit]:
 
 def _stack(base: float, variance: float, fits: list[Fit], most: int) -> SphereFit:
     """Return the fits as arrays; if more lobes are not better, the row repeats the previous fit."""
-    centers, decays, intensities = np.zeros((most + 1, most, 3)), np.zeros((most + 1, most)), np.zeros((most + 1, most))
-    counts, errors = np.zeros(most + 1, np.int64), np.full(most + 1, variance)
+    centers = np.zeros((most + 1, most, 3))
+    decays = np.zeros((most + 1, most))
+    intensities = np.zeros((most + 1, most))
+    counts = np.zeros(most + 1, np.int64)
+    errors = np.full(most + 1, variance)
     best: Fit | None = None
     for k in range(most + 1):
         if k < len(fits) and (best is None or fits[k].error < best.error):
@@ -235,7 +240,8 @@ def _stack(base: float, variance: float, fits: list[Fit], most: int) -> SphereFi
         order = np.argsort(-np.abs(best.intensities), kind="stable")
         lengths = np.maximum(np.linalg.norm(best.v[order], axis=1), LEAST_DECAY)
         used = slice(len(best))
-        centers[k, used], decays[k, used] = best.v[order] / lengths[:, None], lengths
+        centers[k, used] = best.v[order] / lengths[:, None]
+        decays[k, used] = lengths
         intensities[k, used] = best.intensities[order]
         counts[k], errors[k] = len(best), variance * best.error
     return SphereFit(base, centers, decays, intensities, counts, errors)

@@ -129,10 +129,13 @@ class SrbfColors:
         """
         base = _check.floats("rgb", rgb, ("N", 3))
         n = len(base)
-        counts, none = np.zeros(n + 1, np.int64), np.zeros(0, np.float32)
+        counts = np.zeros(n + 1, np.int64)
+        none = np.zeros(0, np.float32)
         functions = np.zeros(0, np.uint8)
-        pairs, triples = none.reshape(0, 2), none.reshape(0, 3)
-        ones, axes = np.ones(n, np.float32), np.zeros((n, 0, 3), np.float32)
+        pairs = none.reshape(0, 2)
+        triples = none.reshape(0, 3)
+        ones = np.ones(n, np.float32)
+        axes = np.zeros((n, 0, 3), np.float32)
         return cls("rgb", base, ones, axes, counts, functions, pairs, none, triples)
 
     def __len__(self) -> int:
@@ -168,7 +171,8 @@ class SrbfColors:
 
     def amplitudes(self) -> F32:
         """Return (T, 3), what each term adds to the base, in the variant's space, where its SRBF is 1."""
-        kind, ids = self.kind, self.gaussian_ids
+        kind = self.kind
+        ids = self.gaussian_ids
         if kind.components:  # multiplicative: ref * (1 + sum)
             component = np.asarray(kind.components, np.int64)[self.functions]
             added = np.zeros((self.num_terms, 3), np.float32)
@@ -190,9 +194,16 @@ class SrbfColors:
         offsets = np.concatenate([np.zeros(1, np.int64), np.cumsum(counts)])
         terms = np.arange(offsets[-1]) + np.repeat(self.offsets[chosen] - offsets[:-1], counts)
         return SrbfColors(
-            self.variant, self.base[chosen], self.scales[chosen], self.axes[chosen], offsets, self.functions[terms],
-            self.centers[terms], self.decays[terms], self.intensities[terms],
-        )  # fmt: skip
+            self.variant,
+            self.base[chosen],
+            self.scales[chosen],
+            self.axes[chosen],
+            offsets,
+            self.functions[terms],
+            self.centers[terms],
+            self.decays[terms],
+            self.intensities[terms],
+        )
 
     def keep(self, terms: ArrayLike) -> SrbfColors:
         """Return the same Gaussians with some of their terms, in the same order.
@@ -208,9 +219,16 @@ class SrbfColors:
             raise ValueError(f"terms: expected bool of shape ({self.num_terms},), got {mask.dtype} of {mask.shape}")
         kept = np.concatenate([np.zeros(1, np.int64), np.cumsum(mask, dtype=np.int64)])
         return SrbfColors(
-            self.variant, self.base, self.scales, self.axes, kept[self.offsets], self.functions[mask],
-            self.centers[mask], self.decays[mask], self.intensities[mask],
-        )  # fmt: skip
+            self.variant,
+            self.base,
+            self.scales,
+            self.axes,
+            kept[self.offsets],
+            self.functions[mask],
+            self.centers[mask],
+            self.decays[mask],
+            self.intensities[mask],
+        )
 
     def first(self, count: int) -> SrbfColors:
         """Return the first terms of each Gaussian: 0 leaves the base colors, more refine them.

@@ -30,7 +30,8 @@ from gsvis.scene.sh import SH_C0
 
 __all__ = ["SrbfInfo", "grids_of", "load_srbf", "save_srbf", "srbf_info"]
 
-FORMAT, VERSION = "gsvis-srbf", 1
+FORMAT = "gsvis-srbf"
+VERSION = 1
 ROWS = 1 << 16
 """Maximum number of Gaussians in a batch; bounds the memory of writing."""
 
@@ -253,7 +254,8 @@ def _nothing(schema: pa.Schema) -> dict[str, NDArray[Any]]:
 def _colors(
     kind: Variant, grids: Grids | None, columns: Mapping[str, NDArray[Any]], offsets: NDArray[np.int64]
 ) -> SrbfColors:
-    n, t = len(offsets) - 1, int(offsets[-1])
+    n = len(offsets) - 1
+    t = int(offsets[-1])
     width = 3 if grids is None else 2
     dtype = np.float32 if grids is None else np.uint16
     axes: NDArray[Any] = np.zeros((n, 0, width), dtype)
@@ -261,7 +263,8 @@ def _colors(
         axes = columns["axes"].reshape(n, kind.num_axes, width)
     scales: NDArray[Any] = columns["color_scales"][:, 0] if "color_scales" in columns else np.zeros(0, dtype)
     centers = np.concatenate([columns["terms.theta"].astype(dtype), columns["terms.phi"].astype(dtype)], axis=1)
-    functions, decays = columns["terms.function"][:, 0], columns["terms.decay"][:, 0]
+    functions = columns["terms.function"][:, 0]
+    decays = columns["terms.decay"][:, 0]
     intensities = columns["terms.intensities"].reshape(t, kind.intensities)
     if grids is None:
         return SrbfColors(kind.name, columns["base"], scales, axes, offsets, functions, centers, decays, intensities)
@@ -271,7 +274,8 @@ def _colors(
 
 def _info(file: ArrowFile) -> SrbfInfo:
     header = file.header
-    name, scene = header.text("variant", VARIANTS), header.raw("scene")
+    name = header.text("variant", VARIANTS)
+    scene = header.raw("scene")
     if not isinstance(scene, str) or len(scene) > 1000:
         raise FormatError(file.path, "scene", "the hash of a scene", repr(scene)[:60])
     return SrbfInfo(

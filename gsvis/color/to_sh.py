@@ -94,7 +94,8 @@ def to_sh(
         seen = evaluate_along(colors[part], points)
         # Differences from the first direction: for a constant color they are 0, and so are all varying coefficients.
         apart = seen - seen[:, :1]
-        found, chosen = _per_channel(apart, everywhere), np.broadcast_to(shared, (len(seen), d))
+        found = _per_channel(apart, everywhere)
+        chosen = np.broadcast_to(shared, (len(seen), d))
         if own is not None:
             chosen = np.where(own[part].any(axis=1, keepdims=True), own[part], shared)
             found += _improvement(apart - _per_channel(found, basis.T), basis, chosen, ridge * varying)

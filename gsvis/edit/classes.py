@@ -33,7 +33,9 @@ CLASSES = ("flyaways", "interior", "unseen", "fog", "floaters")
 HIDDEN = ("flyaways", "interior", "unseen")
 """Classes that no picture from navigable space should show."""
 
-_FOG_SHARE, _FLOATER_SHARE = 0.35, 0.75  # least share of the mass in air, at strength 1
+# least share of the mass in air, at strength 1
+_FOG_SHARE = 0.35
+_FLOATER_SHARE = 0.75
 _FOG_OPACITY = 0.3  # most opacity of fog, at strength 1
 _FACES = 40  # most of the 80 directions from which a floater is seen, at strength 1
 
@@ -104,7 +106,8 @@ def classify(found: Evidence, config: CleanConfig) -> U8:
         config: Which classes, and how readily. A higher strength never finds fewer.
     """
     s = config.strength
-    fog_share, floater_share = 1.0 - (1.0 - _FOG_SHARE) * min(s, 1.5), 1.0 - (1.0 - _FLOATER_SHARE) * s
+    fog_share = 1.0 - (1.0 - _FOG_SHARE) * min(s, 1.5)
+    floater_share = 1.0 - (1.0 - _FLOATER_SHARE) * s
     unseen = ~found.seen & ~found.far
     misty = found.seen & found.large & (found.opacities <= min(1.0, _FOG_OPACITY * s)) & (found.air >= fog_share)
     alone = found.seen & ~found.large & found.alone & (found.air >= floater_share) & (found.faces <= _FACES * s)

@@ -24,11 +24,16 @@ from gsvis.scene.view_sampling import ViewSampling
 
 __all__ = ["Cleaning", "clean", "core_of", "held_out_cameras", "judge"]
 
-_WIDTH, _HEIGHT, _FOV = 320, 240, 75.0  # of held-out views
+# of held-out views
+_WIDTH = 320
+_HEIGHT = 240
+_FOV = 75.0
 _STREAM = 2  # of the seed, for held-out views; the next two are for further ones
 _SMALL = (96, 72)  # pixels of views that are judged
 _USUAL = 8  # held-out views from which there are as many to judge as elsewhere
-_DRAWN, _MOST = 12_000_000, 256  # Gaussians drawn in further views of the guard, and most of these views
+# Gaussians drawn in further views of the guard, and most of these views
+_DRAWN = 12_000_000
+_MOST = 256
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +147,10 @@ def judge(
     """
     found = np.zeros(len(g), np.uint8)
     found[: len(evidence.seen)] = classify(evidence, config)
-    classes, costs, held_out, judged = found, dict[str, Cost](), None, None
+    classes = found
+    costs = dict[str, Cost]()
+    held_out = None
+    judged = None
     if config.held_out:
         held_out = held_out_cameras(g, shape, navigable, config.held_out, config.seed)
         count = int(np.clip(_DRAWN // len(g), 0, _MOST))  # as many as take a few seconds

@@ -238,7 +238,9 @@ class _Growing:
     """
 
     def __init__(self, g: Gaussians, eyes: Eyes, config: CutConfig) -> None:
-        self.g, self.eyes, self.config = g, eyes, config
+        self.g = g
+        self.eyes = eyes
+        self.config = config
         self.weights = np.zeros(len(g), np.float32)
         self._see = Look(g, "hybrid", config.size, config.tau)
 
@@ -255,7 +257,9 @@ class _Growing:
 
     def look(self, progress: Progress) -> tuple[int, int]:
         """Look from all places; return how many there were outside and inside something solid."""
-        total, seen, lost = self.eyes.count_looks(), 0, 0
+        total = self.eyes.count_looks()
+        seen = 0
+        lost = 0
         progress("viewpoints", 0, total)
         for done, found in enumerate(self.eyes.iter_looks(self._see, self.config.seed), 1):
             self.add(found)
@@ -301,13 +305,15 @@ class _Growing:
 
     def hold_out(self, progress: Progress) -> HeldOut:
         """Draw views of the scene and of the set, and add what bad ones lack, round by round."""
-        config, before = self.config, int(np.count_nonzero(self.kept))
+        config = self.config
+        before = int(np.count_nonzero(self.kept))
         total = config.rounds * config.views.count
         progress("held_out", 0, total)
         for k in range(config.rounds):
             sampling = replace(config.views, seed=config.seed, stream=_STREAM + k)
             views = self.eyes.draw_views(self.g, sampling)
-            kept, values = self.g[self.kept], np.zeros(len(views))
+            kept = self.g[self.kept]
+            values = np.zeros(len(views))
             for c in range(len(views)):
                 values[c] = _compare(self.g, kept, views[c])
                 progress("held_out", k * config.views.count + c + 1, total)

@@ -133,7 +133,8 @@ def gather_evidence(
     voxels, within = _voxels_of(g.means, air)
     enclosed = within & ~air.open_air[tuple(voxels.T)]
     progress("air", 1, 1)
-    seen, faces = np.zeros(len(g), bool), np.zeros(len(g), np.uint8)
+    seen = np.zeros(len(g), bool)
+    faces = np.zeros(len(g), np.uint8)
     seen[ids], faces[ids] = _look(core, air.eyes, config, progress)
     rest = np.flatnonzero(~seen[ids] & (ids < count))
     seen[ids[rest]] = _look_outward(core, navigable, rest, config.tau, progress)
@@ -208,8 +209,10 @@ def _find_passed(
     """
     voxels = np.argwhere(navigable.free)
     corners = navigable.origin + navigable.voxel_size * np.stack([voxels.min(axis=0), voxels.max(axis=0) + 1])
-    low, high = np.minimum(low, corners[0]), np.maximum(high, corners[1])
-    resolution, longest = config.resolution, float((high - low).max())
+    low = np.minimum(low, corners[0])
+    high = np.maximum(high, corners[1])
+    resolution = config.resolution
+    longest = float((high - low).max())
     if navigable.parcels > 1:
         resolution = max(resolution, int(np.ceil(longest / (_FINE * navigable.voxel_size))))
     resolution = affordable_resolution(high - low, min(resolution, MOST_RESOLUTION))

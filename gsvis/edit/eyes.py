@@ -239,7 +239,8 @@ class EyesOfCameras:
 
     def _draw_rays(self, count: int, rng: np.random.Generator, solid: Solid | None) -> tuple[F64, F64] | None:
         """Return (count, 3) origins and directions; with a margin none begins inside something solid."""
-        origins, directions = np.zeros((0, 3)), np.zeros((0, 3))
+        origins = np.zeros((0, 3))
+        directions = np.zeros((0, 3))
         for _ in range(_TRIES):
             chosen = rng.integers(len(self.cameras), size=count)
             pixels = np.ones((count, 3))

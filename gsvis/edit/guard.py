@@ -96,7 +96,8 @@ def measure_cost(g: Gaussians, kept: NDArray[np.bool_], cameras: Cameras) -> Cos
         kept: (N,) those that stay.
         cameras: C > 0 cameras of one size.
     """
-    views, gone = _Views.draw(g, cameras), ~np.asarray(kept, bool)
+    views = _Views.draw(g, cameras)
+    gone = ~np.asarray(kept, bool)
     return views.cost_of(gone, views.light_of([gone])[..., 0])
 
 
@@ -163,7 +164,8 @@ def _rescue(g: Gaussians, classes: U8, cameras: list[Cameras], tau: float) -> tu
     if not hidden.any():
         return classes, {}
     stays = np.flatnonzero(hidden | (classes == KEPT))
-    part, seen = g[stays], np.zeros(len(g), bool)
+    part = g[stays]
+    seen = np.zeros(len(g), bool)
     for camera in (some[c] for some in cameras for c in range(len(some))):
         seen[stays[view_weights(part, camera).largest[0] >= tau]] = True
     rescued = hidden & seen

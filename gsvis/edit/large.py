@@ -89,7 +89,8 @@ class LargeCleaning:
             yield g[self._classes_of(k, g) == KEPT]
 
     def _classes_of(self, number: int, g: Gaussians) -> NDArray[np.uint8]:
-        keys, classes = tiles_of(g.means, self.build.grid), np.zeros(len(g), np.uint8)
+        keys = tiles_of(g.means, self.build.grid)
+        classes = np.zeros(len(g), np.uint8)
         for key in np.unique(keys).tolist():
             name = OUTSIDE if key < 0 else self._names[key]
             with temporary_folder() as cache:
@@ -156,7 +157,8 @@ class _Tasks:
     """
 
     def __init__(self, build: WorldBuild, config: Facts) -> None:
-        self._build, self._config = build, config
+        self._build = build
+        self._config = config
 
     def rows(self, rect: Rect | None) -> Task:
         """Return the task that joins the rows of a tile."""
@@ -175,7 +177,8 @@ class _Tasks:
 
     def parcel(self, number: int, survey: Facts) -> Task:
         """Return the task that finds where eyes may be in a parcel, by the facts of the survey."""
-        build, square = self._build, survey["parcels"][number]
+        build = self._build
+        square = survey["parcels"][number]
         near = [rect for rect in build.tiles if rect is None or _meets(build.square_of(rect), square)]
         params = {"square": square, "is_object": survey["kind"]["kind"] == "object"}
         params |= {name: survey[name] for name in ("low", "high")}
@@ -194,7 +197,8 @@ class _Tasks:
     def merge(self, rect: Rect | None) -> Task:
         """Return the task that merges a tile to few Gaussians; all tiles together are fewer than `most`."""
         build = self._build
-        most, touching = build.config.tiling.most, [len(build.touching(each)) for each in build.tiles if each]
+        most = build.config.tiling.most
+        touching = [len(build.touching(each)) for each in build.tiles if each]
         params = {"near": max(1, most // (4 * max(1, *touching))), "far": max(1, most // (8 * len(build.tiles)))}
         return Task(_name("merge", rect), "gsvis.edit.tiles:merge_tile", params, (_name("rows", rect), "whole"))
 
@@ -211,9 +215,10 @@ class _Tasks:
                 (len(rows) + 1 + i, "near" if k in touching or build.tiles[k] is None else "far", k in touching)
                 for i, k in enumerate(others)
             ],
-            **{name: square[name] for name in ("low", "high", "axes")}, "room": int(JOINT * build.config.tiling.most),
+            **{name: square[name] for name in ("low", "high", "axes")},
+            "room": int(JOINT * build.config.tiling.most),
             **self._common(rect),
-        }  # fmt: skip
+        }
         merged = (_name("merge", build.tiles[k]) for k in others)
         return Task(_name("clean", rect), "gsvis.edit.tiles:clean_tile", params, (*rows, "whole", *merged))
 
@@ -239,7 +244,8 @@ class _Tasks:
 
 def _meets(tile: Facts, square: Facts) -> bool:
     """Return whether a tile reaches into a parcel or into what is looked at around it."""
-    low, high = np.array(square["low"]), np.array(square["high"])
+    low = np.array(square["low"])
+    high = np.array(square["high"])
     reach = AROUND * (high - low).max()
     return bool(np.all((np.array(tile["low"]) < high + reach) & (np.array(tile["high"]) > low - reach)))
 

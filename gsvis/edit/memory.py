@@ -7,7 +7,9 @@ __all__ = ["BASE", "cleaning_memory", "most_gaussians"]
 BASE = 600 << 20
 """Bytes of a process that cleans, grids and libraries included, whatever the scene."""
 
-_GAUSSIAN, _HARMONIC = 500, 12  # bytes for each, and for each of its SH coefficients above degree 0, rounded up
+# bytes for each, and for each of its SH coefficients above degree 0, rounded up
+_GAUSSIAN = 500
+_HARMONIC = 12
 
 
 def cleaning_memory(gaussians: int, sh_degree: int) -> int:

@@ -30,8 +30,13 @@ UNSEEN = (0.5, 0.5, 0.5)
 _BANDS = 6  # of a ramp
 _CELLS = 8  # of a palette: those with most Gaussians
 _TICKS = 5
-_WIDTH, _BAR, _MARGIN, _LINE = 720, 36, 24, 30  # pixels of the picture
-_INK, _PAPER = (28, 36, 48), (255, 255, 255)
+# pixels of the picture
+_WIDTH = 720
+_BAR = 36
+_MARGIN = 24
+_LINE = 30
+_INK = (28, 36, 48)
+_PAPER = (255, 255, 255)
 
 
 @dataclass(frozen=True)
@@ -113,7 +118,8 @@ def draw_legend(quantity: Quantity) -> bytes:
     listed = bands if quantity.cells else bands[-1:]
     height = 2 * _MARGIN + _LINE * (1 + len(listed)) + (0 if quantity.cells else _BAR + 2 * _LINE)
     picture = Image.new("RGB", (_WIDTH, height), _PAPER)
-    pen, font = ImageDraw.Draw(picture), ImageFont.load_default(18)
+    pen = ImageDraw.Draw(picture)
+    font = ImageFont.load_default(18)
     title = f"{quantity.name}: {quantity.label}"
     pen.text((_MARGIN, _MARGIN), title, _INK, font)
     top = _MARGIN + _LINE

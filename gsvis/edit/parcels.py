@@ -84,7 +84,8 @@ def lay_parcels(sample: Gaussians, every: int, up: str, most: int = PARCEL) -> l
         Of each square `low` and `high` on the two `axes` that are level, and `up`.
     """
     across, low, _ = _footprint(sample, up)
-    side, bound = find_side(sample, every, up, most), _MOST_PARCELS * (1.0 + every * len(across) / most)
+    side = find_side(sample, every, up, most)
+    bound = _MOST_PARCELS * (1.0 + every * len(across) / most)
     if side == 0.0:
         return []
     while True:
@@ -146,7 +147,11 @@ def join_spaces(spaces: Iterable[NavigableSpace], below: NavigableSpace | None =
         below: A space that is free too, but whose walls count only where none of the others is known.
     """
     lasts = [] if below is None else [below]
-    lows, highs, sizes, looked_at, count = [], [], list[float](), [], 0
+    lows = []
+    highs = []
+    sizes = list[float]()
+    looked_at = []
+    count = 0
     for each in chain(spaces, lasts):
         count += 1
         lows.append(each.origin)
@@ -154,7 +159,8 @@ def join_spaces(spaces: Iterable[NavigableSpace], below: NavigableSpace | None =
         if each is not below:
             sizes.append(each.voxel_size)
             looked_at.append(each.targets)
-    low, high = np.min(lows, axis=0), np.max(highs, axis=0)
+    low = np.min(lows, axis=0)
+    high = np.max(highs, axis=0)
     finest = float(np.cbrt((high - low).prod() / _MOST_JOINED))
     size = max(float(np.median(sizes)), finest)
     x, y, z = (int(n) for n in np.ceil((high - low) / size - 1e-6))

@@ -59,7 +59,8 @@ def find_in_parcels(
         progress: Called with stage "space", in parcels.
     """
     every = sampling_interval(len(core))
-    is_object, parcels = whole.kind.kind == "object", list[Parcel]()
+    is_object = whole.kind.kind == "object"
+    parcels = list[Parcel]()
     squares = parcels_of(whole, thin_out(core, every), every, nearest_axis(whole.up), most)
     for done, square in enumerate(squares):
         progress("space", done, len(squares))
@@ -113,11 +114,15 @@ def join_parcels(whole: NavigableSpace, parcels: Iterable[Parcel]) -> NavigableS
         whole: The space of the scene.
         parcels: The space of each parcel within its squares; iterated over three times.
     """
-    volumes, count, held, places = np.zeros(4), 0, 0, 0
+    volumes = np.zeros(4)
+    count = 0
+    held = 0
+    places = 0
     for gaussians, space in parcels:
         count += gaussians
         if space is not None:
-            held, places = held + gaussians, places + 1
+            held = held + gaussians
+            places = places + 1
             volumes += _volumes(space, whole)
     volume, shown, inside, inside_shown = volumes.tolist()
     if shown >= _SHOWN * volume and (inside < _NOTABLE * volume or inside_shown >= _SHOWN * inside):
@@ -129,7 +134,8 @@ def join_parcels(whole: NavigableSpace, parcels: Iterable[Parcel]) -> NavigableS
 
 def _volumes(parcel: NavigableSpace, whole: NavigableSpace) -> F64:
     """Return (4,) the volume of a parcel's space, of it in the space of the whole scene, and the same indoors."""
-    voxels, inside = np.argwhere(parcel.free), indoors(parcel)[parcel.free]
+    voxels = np.argwhere(parcel.free)
+    inside = indoors(parcel)[parcel.free]
     shown = whole.contains(parcel.origin + parcel.voxel_size * (voxels + 0.5))
     counts = [len(voxels), np.count_nonzero(shown), np.count_nonzero(inside), np.count_nonzero(inside & shown)]
     return np.array(counts) * parcel.voxel_size**3
@@ -151,7 +157,8 @@ def _join(whole: NavigableSpace, spaces: _Spaces, count: int) -> NavigableSpace:
     """Return the space of a scene and those of a number of its parcels as one."""
     places = f"in rooms and on open ground of {count} parcels of it"
     if whole.kind.kind == "object":  # it is none, so nobody looks from around it
-        kind, found = SpaceKind("rooms", "many places", whole.kind.evidence, places), join_spaces(spaces)
+        kind = SpaceKind("rooms", "many places", whole.kind.evidence, places)
+        found = join_spaces(spaces)
         return replace(found, rule="by parcels", kind=kind, parcels=1 + found.parcels)
     kind = replace(whole.kind, eyes=f"{whole.kind.eyes}, and {places}")
     return replace(join_spaces(spaces, whole), rule=f"{whole.rule}; and by parcels", kind=kind)

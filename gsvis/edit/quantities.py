@@ -35,9 +35,13 @@ Mask = NDArray[np.bool_]
 QUANTITIES = ("visibility", "directions", "weight", "importance", "cell")
 
 _TRIES = 32  # draws of places until enough lie outside everything solid
-_PLACES, _OF_CELLS = 1, 2  # random streams of the seed
+# random streams of the seed
+_PLACES = 1
+_OF_CELLS = 2
 _VIEWS = ViewSampling(96, 480, 360, 90.0, stream=7)
-_TOP, _DECADES = 0.999, 6  # colors of importance span so many powers of ten below this quantile
+# colors of importance span so many powers of ten below this quantile
+_TOP = 0.999
+_DECADES = 6
 
 _LABELS = {
     "visibility": "share of the eyes that see it",
@@ -163,8 +167,11 @@ def stored_quantity(store: VisibilityStore, name: str, *, progress: Progress = s
     """
     known = tuple(each for each in QUANTITIES if each != "importance")
     _check.one_of("name", name, known)
-    count, cells = store.gaussians, len(store)
-    seen_by, best, owner = np.zeros(count, np.int64), np.full(count, -1), np.zeros(count, np.int64)
+    count = store.gaussians
+    cells = len(store)
+    seen_by = np.zeros(count, np.int64)
+    best = np.full(count, -1)
+    owner = np.zeros(count, np.int64)
     progress("cells", 0, cells)
     for cell in range(cells):
         ids, classes = store.classes(cell)
@@ -187,7 +194,9 @@ def stored_quantity(store: VisibilityStore, name: str, *, progress: Progress = s
 def _from_eyes(g: Gaussians, name: str, eyes: F64, cells: int, config: QuantityConfig, progress: Progress) -> Quantity:
     """Return what eyes (V, 3) see; eye k belongs to cell k."""
     look = Look(g, "hybrid", config.size, config.tau)
-    times, best, owner = np.zeros(len(g), np.int64), np.zeros(len(g), np.float32), np.zeros(len(g), np.int64)
+    times = np.zeros(len(g), np.int64)
+    best = np.zeros(len(g), np.float32)
+    owner = np.zeros(len(g), np.int64)
     sets = np.zeros((len(g), NUM_FACES // 8), np.uint8)
     progress("viewpoints", 0, len(eyes))
     for k, eye in enumerate(eyes):
@@ -242,7 +251,8 @@ def _finish(
 
 def _random_eyes(g: Gaussians, space: NavigableSpace, config: QuantityConfig) -> F64:
     """Return places (V, 3) drawn in a space, outside everything solid."""
-    rng, solid = np.random.default_rng([config.seed, _PLACES]), Solid.from_scene(g)
+    rng = np.random.default_rng([config.seed, _PLACES])
+    solid = Solid.from_scene(g)
     found = np.zeros((0, 3))
     for _ in range(_TRIES):
         drawn = space.sample_viewpoints(config.eyes, rng)
@@ -257,7 +267,8 @@ def _random_eyes(g: Gaussians, space: NavigableSpace, config: QuantityConfig) ->
 def _cell_eyes(g: Gaussians, space: NavigableSpace, config: QuantityConfig) -> tuple[F64, int]:
     """Return a place (C, 3) in each box over a space, NaN where all tried lie inside something solid, and C."""
     viewpoints = CellViewpoints(CellGrid.over(space, max_cells=config.eyes), space)
-    rng, solid = np.random.default_rng([config.seed, _OF_CELLS]), Solid.from_scene(g)
+    rng = np.random.default_rng([config.seed, _OF_CELLS])
+    solid = Solid.from_scene(g)
     eyes = np.full((len(viewpoints.grid), 3), np.nan)
     for cell in range(len(eyes)):
         drawn = viewpoints.draw(cell, _TRIES, rng)

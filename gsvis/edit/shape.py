@@ -95,7 +95,8 @@ class Shape:
 
 def far_from(means: NDArray[np.float32], low: F64, high: F64) -> Mask:
     """Return which centers (N, 3) lie outside 5 times a robust box; none if the box is a point."""
-    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    middle = 0.5 * (low + high)
+    half = 0.5 * (high - low)
     far = np.any(np.abs(means - middle) > FLOATER_EXTENT * np.maximum(half, 0.02 * half.max()), axis=1)
     return np.asarray(far & bool(half.max() > 0.0))
 

@@ -45,9 +45,14 @@ __all__ = [
 ]
 
 VERSIONS = {
-    "clean_tile": 4, "find_flyaways": 2, "find_parcel": 1, "find_whole": 1, "gather_rows": 1, "merge_tile": 2,
+    "clean_tile": 4,
+    "find_flyaways": 2,
+    "find_parcel": 1,
+    "find_whole": 1,
+    "gather_rows": 1,
+    "merge_tile": 2,
     "survey_scene": 3,
-}  # fmt: skip
+}
 
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
@@ -92,7 +97,9 @@ def find_parcel(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     Params: `low` and `high`, the robust box of the whole scene; `square`, see `lay_parcels`; `is_object`, whether the
     whole was taken for one. Facts: its Gaussians, and whether it has a space.
     """
-    low, high, square = np.array(params["low"]), np.array(params["high"]), params["square"]
+    low = np.array(params["low"])
+    high = np.array(params["high"])
+    square = params["square"]
     tiles = _Tiles(given, len(given))
     count = sum(int(np.count_nonzero(near_tile(g.means, square, 0.0))) for g in tiles)
     near = core_within(rows_near(tiles, square), low, high) if count else None
@@ -145,8 +152,10 @@ def clean_tile(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     removed of each class, the cost of each, and what eyes of two rules see.
     """
     own, around = _load(params, given)
-    config, whole = config_of(params["config"]), _whole(given, params["whole"])
-    eyes, navigable = whole.air.eyes, whole.navigable
+    config = config_of(params["config"])
+    whole = _whole(given, params["whole"])
+    eyes = whole.air.eyes
+    navigable = whole.navigable
     if given.inputs[params["whole"]].facts["parcels"] > 1:  # those of other parcels see little of this one
         away = _away(eyes, params)
         eyes = eyes[np.argsort(away, kind="stable")[: config.eyes]]

@@ -78,7 +78,8 @@ def find_space(parts: Iterable[Gaussians], sample: Gaussians, *, up: ArrayLike |
         SceneError: If nothing but haze is there, or no eye can be anywhere.
     """
     low, high = sample.bounds(0.98)
-    core, some = _Filtered(parts, lambda g: core_within(g, low, high)), core_within(sample, low, high)
+    core = _Filtered(parts, lambda g: core_within(g, low, high))
+    some = core_within(sample, low, high)
     if not (len(some) and np.any(high > low)):
         raise SceneError("the scene has nothing but haze and Gaussians far outside: no surface is left to look at")
     found = Surfaces.over(core, low, high)

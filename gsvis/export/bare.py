@@ -72,7 +72,8 @@ class Harmonics:
 
     def decode(self, data: U8) -> F32:
         """Return (M, K, 3) coefficients of bytes (M, 3 K)."""
-        low, high = self.low.astype(np.float64), self.high.astype(np.float64)
+        low = self.low.astype(np.float64)
+        high = self.high.astype(np.float64)
         places = data.reshape(len(data), len(self.high), 3) / 255.0
         return np.asarray(low[:, None] + places * (high - low)[:, None], np.float32)
 
@@ -117,16 +118,21 @@ def encode_scene(levels: Levels) -> BareScene:
     grids, places = _base_colors(g.sh0[:, 0])
     degree = union.sh_degree
     return BareScene(
-        ids, g, table, np.stack([levels.first[heads], levels.last[heads]], axis=1),
-        encode_records(g, places, table, layout), grids,
+        ids,
+        g,
+        table,
+        np.stack([levels.first[heads], levels.last[heads]], axis=1),
+        encode_records(g, places, table, layout),
+        grids,
         Harmonics.from_coefficients(union.shN, degree) if degree else None,
-    )  # fmt: skip
+    )
 
 
 def _base_colors(sh0: F32) -> tuple[Grids, U8]:
     """Return the tables for constant coefficients (N, 3), and the (N, 3) places of their colors."""
     rgb = (0.5 + SH_C0 * sh0.astype(np.float64)).astype(np.float32)
-    low, high = rgb.min(axis=0).tolist(), rgb.max(axis=0).tolist()
+    low = rgb.min(axis=0).tolist()
+    high = rgb.max(axis=0).tolist()
     base = (low[0], high[0]), (low[1], high[1]), (low[2], high[2])
     grids = Grids("rgb", PRECISIONS["wire"], base, (1.0, 1.0), (1.0, 1.0), 0.0)
     places = [tables.nearest(rgb[:, k], grids.base_table(k)) for k in range(3)]

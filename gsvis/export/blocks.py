@@ -61,7 +61,8 @@ class Blocks:
         strata = np.arange(len(chunks)) - np.repeat(np.cumsum(parts) - parts, parts)
         runs = np.concatenate([[0], np.cumsum((levels[1:] != levels[:-1]).any(axis=1))])[: len(table)]
         order = np.lexsort((chunks, strata, runs[chunks]))
-        chunks, strata = chunks[order], strata[order]
+        chunks = chunks[order]
+        strata = strata[order]
         firsts = table.starts[chunks] + BLOCK * strata
         return cls(chunks, firsts, np.minimum(table.counts[chunks] - BLOCK * strata, BLOCK), ids)
 

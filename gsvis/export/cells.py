@@ -73,7 +73,9 @@ def gains_of_package(package: Package, g: Gaussians) -> F64 | None:
     """
     if package.manifest.visibility is None:
         return None
-    sets, weights, found = package.visibility, class_weights(package.visibility), np.zeros(len(g))
+    sets = package.visibility
+    weights = class_weights(package.visibility)
+    found = np.zeros(len(g))
     for cell in range(len(sets)):
         ids, classes = sets.classes(cell)
         found[ids] += weights[classes]
@@ -94,8 +96,11 @@ def rows_of_package(
     """
     if package.manifest.visibility is None:
         return rows_of_scene(g, blocks)
-    sets, areas, weights = package.visibility, _areas(g), class_weights(package.visibility)
-    grid, near = sets.grid, sets.grid.cell_size / 2.0
+    sets = package.visibility
+    areas = _areas(g)
+    weights = class_weights(package.visibility)
+    grid = sets.grid
+    near = sets.grid.cell_size / 2.0
     worth = None if package.epsilon is None else _TermWorth(package, g, items, len(blocks))
     top = _top(np.array([BLOCK * _SPHERE]))
     rows = []
@@ -117,10 +122,12 @@ class _TermWorth:
     """What the items of a package are worth in its cells."""
 
     def __init__(self, package: Package, g: Gaussians, items: NDArray[np.int64], count: int) -> None:
-        contents, self._active = package.contents, package.active_terms
+        contents = package.contents
+        self._active = package.active_terms
         self._changes = Activation(contents.colors().dequantize(), g.means, self._active.epsilon)
         self._owners = np.repeat(np.arange(len(g)), contents.term_counts)
-        self._items, self._count = items, count
+        self._items = items
+        self._count = count
 
     def of_cell(self, cell: int, middle: F64, lights: F64) -> U8:
         """Return (LAYERS, B) octaves above 2^-128 of the sums over active terms of squared change times light (N,)."""
@@ -156,7 +163,9 @@ def replaced_rows(levels: Levels, blocks: Blocks) -> list[bytes]:
         blocks: The blocks.
     """
     offsets, ids = nearest_replacements(levels)
-    areas, ends, rows = _areas(levels.union), levels.last < len(levels) - 1, [b""] * len(blocks)
+    areas = _areas(levels.union)
+    ends = levels.last < len(levels) - 1
+    rows = [b""] * len(blocks)
     for block in np.flatnonzero(ends[blocks.order[blocks.starts[:-1]]]).tolist():
         members = blocks.order[blocks.starts[block] : blocks.starts[block + 1]].tolist()
         rows[block] = _spell([_main_blocks(ids[offsets[i] : offsets[i + 1]], blocks, areas) for i in members])
@@ -165,7 +174,8 @@ def replaced_rows(levels: Levels, blocks: Blocks) -> list[bytes]:
 
 def _spell(lists: list[NDArray[np.int32]]) -> bytes:
     """Return the length of each list, and its numbers as differences from the one before, 7 bits a byte."""
-    out, last = bytearray(), 0
+    out = bytearray()
+    last = 0
     for found in lists:
         out.append(len(found))
         for block in found.tolist():

@@ -24,10 +24,15 @@ I64 = NDArray[np.int64]
 
 HEAD = np.dtype(
     [
-        ("origin", "<f4", 3), ("step", "<f4", 3), ("low", "<i2"), ("bits", "<u2"), ("words", "<u2"), ("stride", "u1"),
+        ("origin", "<f4", 3),
+        ("step", "<f4", 3),
+        ("low", "<i2"),
+        ("bits", "<u2"),
+        ("words", "<u2"),
+        ("stride", "u1"),
         ("zero", "u1"),
     ]
-)  # fmt: skip
+)
 """Type of the head of a block, 32 bytes: the row of its chunk, and how many words of u16 its records take."""
 
 UNIT = 16
@@ -58,9 +63,16 @@ def in_order(contents: Contents, ids: I64) -> Contents:
     before = np.cumsum(counts, dtype=np.int64) - counts
     rows = np.repeat(contents.term_offsets[ids] - before, counts) + np.arange(len(contents.term_records))
     return Contents(
-        contents.names, contents.table, contents.chunk_levels, contents.records[ids], counts,
-        contents.term_records[rows], contents.grids, contents.starts, contents.facts,
-    )  # fmt: skip
+        contents.names,
+        contents.table,
+        contents.chunk_levels,
+        contents.records[ids],
+        counts,
+        contents.term_records[rows],
+        contents.grids,
+        contents.starts,
+        contents.facts,
+    )
 
 
 def code_records(contents: Contents, blocks: Blocks, coding: Coding, replaced: list[bytes]) -> Coded:
@@ -72,7 +84,8 @@ def code_records(contents: Contents, blocks: Blocks, coding: Coding, replaced: l
         coding: The code of its records.
         replaced: (B,) what stands behind the records of each block, from `replaced_rows`.
     """
-    parts, chunks = coding.split_records(contents), chunks_of(contents.table)
+    parts = coding.split_records(contents)
+    chunks = chunks_of(contents.table)
     bodies = []
     for chunk, first, count in zip(blocks.chunks.tolist(), blocks.firsts.tolist(), blocks.counts.tolist(), strict=True):
         ids = np.arange(first, first + count, dtype=np.int32)
@@ -90,9 +103,12 @@ def pack_records(table: ChunkTable, blocks: Blocks, records: U8, replaced: list[
 def _join(table: ChunkTable, blocks: Blocks, bodies: list[bytes], replaced: list[bytes]) -> Coded:
     heads = np.zeros(len(blocks), HEAD)
     for name, values in (
-        ("origin", table.origins), ("step", table.steps), ("low", table.lows), ("stride", table.strides),
+        ("origin", table.origins),
+        ("step", table.steps),
+        ("low", table.lows),
+        ("stride", table.strides),
         ("bits", packed_bits(table.bits)),
-    ):  # fmt: skip
+    ):
         heads[name] = values[blocks.chunks]
     heads["words"] = [len(body) // 2 for body in bodies]
     rows = heads.tobytes()
@@ -122,7 +138,8 @@ def code_terms(contents: Contents, blocks: Blocks, coding: Coding, items: I64) -
     owners = np.repeat(places, contents.term_counts)
     order = np.lexsort((owners, items))
     counts = np.bincount(items, minlength=LAYERS * len(blocks))
-    ends, words = np.cumsum(counts), np.zeros(len(counts), np.int64)
+    ends = np.cumsum(counts)
+    words = np.zeros(len(counts), np.int64)
     pieces: list[bytes] = []
     for item in np.flatnonzero(counts).tolist():
         some = order[ends[item] - counts[item] : ends[item]]

@@ -55,8 +55,10 @@ class Spheres:
         """Return spheres that hold the centers of all Gaussians of a chunk and three times the largest deviation."""
         starts = table.starts[:-1]
         means = g.means.astype(np.float64)
-        lows, highs = np.minimum.reduceat(means, starts), np.maximum.reduceat(means, starts)
-        centers, halves = (lows + highs) / 2, np.linalg.norm(highs - lows, axis=1) / 2
+        lows = np.minimum.reduceat(means, starts)
+        highs = np.maximum.reduceat(means, starts)
+        centers = (lows + highs) / 2
+        halves = np.linalg.norm(highs - lows, axis=1) / 2
         # Both are read from text by everybody who decodes: numbers of few digits stay what they are.
         middle = np.median(centers, axis=0).astype(np.float32).astype(np.float64)
         least = 1e-6 * float(max(halves.max(initial=0.0), np.ptp(centers, axis=0).max(initial=0.0))) or 1e-6

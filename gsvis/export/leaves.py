@@ -60,7 +60,8 @@ class Leaves:
         """(M,) ids of all Gaussians in leaves: leaf by leaf, along a Morton curve in each."""
         ids = np.flatnonzero(self.of_ids >= 0)
         means = self.levels.union.means[ids]
-        low, high = means.min(axis=0).astype(np.float64), means.max(axis=0).astype(np.float64)
+        low = means.min(axis=0).astype(np.float64)
+        high = means.max(axis=0).astype(np.float64)
         codes = morton_codes(means, (low + high) / 2.0, max(float((high - low).max()) / 2.0, 1e-30))
         return np.asarray(ids[np.lexsort((ids, codes, self.of_ids[ids]))], np.int64)
 
@@ -103,7 +104,8 @@ class Leaves:
     def environment_box(self, deviations: float) -> F64:
         """Return the (2, 3) box of the environment, as `boxes`; it must have a Gaussian."""
         far = self.levels.union[self.environment]
-        reach, means = deviations * _reach(far), far.means.astype(np.float64)
+        reach = deviations * _reach(far)
+        means = far.means.astype(np.float64)
         return np.stack([(means - reach).min(axis=0), (means + reach).max(axis=0)])
 
     def as_scene(self) -> LeafScene:
@@ -134,7 +136,8 @@ def cut_leaves(levels: Levels, *, most: int = LEAF, kept: NDArray[np.bool_] | No
     far = some & _far(union)
     near = some & ~far
     if far.sum() > _MOST_FAR * some.sum() or not near.any():
-        far, near = np.zeros_like(some), some
+        far = np.zeros_like(some)
+        near = some
     of_ids = np.full(len(union), -1, np.int32)
     counter = [0]
     members = [levels.member(k) for k in range(lowest, len(levels))]

@@ -29,7 +29,8 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-FORMAT, VERSION = "gsvis-leaves", 1
+FORMAT = "gsvis-leaves"
+VERSION = 1
 
 LOST = 1e-4
 """Most light of a cell that the leaves left out may have, as a share of all its light."""
@@ -130,19 +131,23 @@ def find_needs(
     """
     if not 0.0 <= lost < 1.0:
         raise ValueError(f"lost: expected a share in [0, 1), got {lost!r}")
-    g, count = leaves.levels.union, len(leaves)
+    g = leaves.levels.union
+    count = len(leaves)
     areas = np.minimum(extents(g)[1].astype(np.float64), 1e30)
     inside = leaves.of_ids >= 0
     if store is None:
         everywhere = _sums(leaves.of_ids[inside], (areas * g.opacities)[inside], count)
         return LeafNeeds(np.zeros(3), 0.0, np.zeros((0, 3), np.int64), np.zeros((0, count)), everywhere)
-    weights, centers, near = class_weights(store), store.grid.centers, store.grid.cell_size / 2.0
+    weights = class_weights(store)
+    centers = store.grid.centers
+    near = store.grid.cell_size / 2.0
     lights = np.zeros((len(store), count))
     progress("sets", 0, len(store))
     for cell in range(len(store)):
         ids, classes = store.classes(cell)
         use = inside[ids]
-        ids, classes = ids[use], classes[use]
+        ids = ids[use]
+        classes = classes[use]
         squared = np.square(g.means[ids] - centers[cell]).sum(axis=1)
         light = weights[classes] * np.minimum(areas[ids] / np.maximum(squared, near * near), _SPHERE)
         lights[cell] = _largest(_sums(leaves.of_ids[ids], light, count), lost)

@@ -49,7 +49,9 @@ __all__ = ["VIEWER", "SiteReport", "check_site", "check_viewer", "write_html", "
 VIEWER = Path(__file__).parents[1] / "viewer"
 """Folder of the built files of the viewer."""
 
-PAGE, SETTINGS, FOLDER = "index.html", "settings.json", "scene"
+PAGE = "index.html"
+SETTINGS = "settings.json"
+FOLDER = "scene"
 
 _SCRIPTS = ("page.js", "sort.js", "static.js", "network.js", "tour.js", "xr.js")
 _WORKERS = ("sort.js", "static.js", "network.js")
@@ -185,7 +187,8 @@ def write_html(
         BackendError: If the viewer is not built.
         OSError: If the file cannot be written.
     """
-    target, files = _check.path("path", path), _viewer_files(VIEWER if viewer is None else Path(viewer))
+    target = _check.path("path", path)
+    files = _viewer_files(VIEWER if viewer is None else Path(viewer))
     with temporary_folder() as made_in:
         with output_errors(made_in, remedy=TEMPORARY):
             found = write_static(Path(made_in) / FOLDER, scene, options, progress=progress)

@@ -19,7 +19,9 @@ __all__ = ["Mode", "Start", "rich_poses", "start_poses"]
 F64 = NDArray[np.float64]
 Mode = Literal["orbit", "fly"]
 
-_CELLS, _TURNS = 12, 4  # cells that are tried, and directions in each
+# cells that are tried, and directions in each
+_CELLS = 12
+_TURNS = 4
 _SEEN = 0.25  # least summed weight, pixels, of a Gaussian that counts
 
 
@@ -67,7 +69,8 @@ def start_poses(bounds: F64, grid: CellGrid | None, up: ArrayLike) -> tuple[Star
     """
     above = np.asarray(up, np.float64) / np.linalg.norm(up)
     if grid is None:
-        middle, size = bounds.mean(axis=0), float(np.linalg.norm(bounds[1] - bounds[0]))
+        middle = bounds.mean(axis=0)
+        size = float(np.linalg.norm(bounds[1] - bounds[0]))
         if size == 0.0:  # a single point
             size = 1e-3 * float(np.linalg.norm(middle)) or 1e-3
         first = _across(above)

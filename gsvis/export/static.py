@@ -57,7 +57,8 @@ __all__ = [
 
 U8 = NDArray[np.uint8]
 
-FORMAT, VERSION = "gsvis-static", 3
+FORMAT = "gsvis-static"
+VERSION = 3
 SCENE = "scene.json"
 KINDS = ("index", "grid", "cells", "records", "blocks", "terms", "harmonics", "facts")
 """Files of a scene besides `scene.json`, in the order in which a page needs them."""
@@ -155,14 +156,16 @@ def write_static(
         FormatError: If the folder holds something else, or the package is damaged.
         OSError: If the folder cannot be written.
     """
-    target, said = _check.path("folder", folder), options or StaticOptions()
+    target = _check.path("folder", folder)
+    said = options or StaticOptions()
     check_target(target)
     parts = _package_parts(scene, said, progress) if isinstance(scene, Package) else _bare_parts(scene, progress)
     if parts.blocks.starts[-1] == 0:
         raise ValueError("scene: expected at least one Gaussian, got none; name another scene")
     target.mkdir(parents=True, exist_ok=True)
     remove_all_partials(target)
-    files, contents = {}, parts.contents
+    files = {}
+    contents = parts.contents
     progress("export", 0, len(contents))
     for k, (kind, data) in enumerate(contents.items()):
         files[kind] = _keep(target, kind, data)
@@ -223,12 +226,15 @@ class _Parts:
 
 
 def _package_parts(package: Package, options: StaticOptions, progress: Progress) -> _Parts:
-    contents, manifest = package.contents, package.manifest
-    table, g = contents.table, contents.gaussians()
+    contents = package.contents
+    manifest = package.manifest
+    table = contents.table
+    g = contents.gaussians()
     blocks = Blocks.from_chunks(table, contents.chunk_levels, gains_of_package(package, g))
     items = items_of(contents, blocks)
     cells = rows_of_package(package, g, blocks, items, progress)
-    placed, spheres = in_order(contents, blocks.ids), Spheres.from_chunks(table, g)
+    placed = in_order(contents, blocks.ids)
+    spheres = Spheres.from_chunks(table, g)
     coding = Coding.from_contents(placed)
     replaced = replaced_rows(Levels(g, contents.first, contents.last, contents.names), blocks)
     records = code_records(placed, blocks, coding, replaced)
@@ -248,10 +254,22 @@ def _package_parts(package: Package, options: StaticOptions, progress: Progress)
         data["facts"] = _facts(package.visibility.grid, meters)
     levels = tuple(zip(manifest.names, manifest.counts, strict=True))
     return _Parts(
-        blocks, cells, data, manifest.grids, levels, len(table), manifest.terms, None, spheres, coding, g.bounds(0.9),
-        manifest.info.up, manifest.info.meters_per_unit, tuple(Start.from_dict(view) for view in manifest.views),
+        blocks,
+        cells,
+        data,
+        manifest.grids,
+        levels,
+        len(table),
+        manifest.terms,
+        None,
+        spheres,
+        coding,
+        g.bounds(0.9),
+        manifest.info.up,
+        manifest.info.meters_per_unit,
+        tuple(Start.from_dict(view) for view in manifest.views),
         manifest.info.facts.antialiased,
-    )  # fmt: skip
+    )
 
 
 def _facts(grid: CellGrid, meters_per_unit: float) -> bytes:
@@ -269,8 +287,10 @@ def _bare_parts(scene: Levels | Gaussians, progress: Progress) -> _Parts:
     found: BareScene = encode_scene(levels)
     progress("order", 1, 1)
     blocks = Blocks.from_chunks(found.table, found.chunk_levels)
-    ids, g = found.ids[blocks.order], found.gaussians
-    cells, spheres = rows_of_scene(g, blocks), Spheres.from_chunks(found.table, g)
+    ids = found.ids[blocks.order]
+    g = found.gaussians
+    cells = rows_of_scene(g, blocks)
+    spheres = Spheres.from_chunks(found.table, g)
     placed = Levels(g, levels.first[found.ids], levels.last[found.ids], levels.names)
     replaced = replaced_rows(placed, blocks)
     records = pack_records(found.table, blocks, found.records[blocks.order], replaced)
@@ -286,9 +306,19 @@ def _bare_parts(scene: Levels | Gaussians, progress: Progress) -> _Parts:
     counts = tuple(zip(levels.names, levels.counts, strict=True))
     said = None if harmonics is None else harmonics.as_dict()
     return _Parts(
-        blocks, cells, data, found.grids, counts, len(found.table), 0, said, spheres, None, g.bounds(0.9),
+        blocks,
+        cells,
+        data,
+        found.grids,
+        counts,
+        len(found.table),
+        0,
+        said,
+        spheres,
+        None,
+        g.bounds(0.9),
         antialiased=g.facts.antialiased,
-    )  # fmt: skip
+    )
 
 
 def _keep(folder: Path, kind: str, data: Any) -> StaticFile:
@@ -316,7 +346,8 @@ def remove_other_files(scene: StaticScene) -> None:
 
 
 def _document(parts: _Parts, files: dict[str, StaticFile], options: StaticOptions) -> dict[str, Any]:
-    layout, grid = TermLayout.from_grids(parts.grids), parts.cells.grid
+    layout = TermLayout.from_grids(parts.grids)
+    grid = parts.cells.grid
     up = parts.up if options.up is None else options.up
     named = [files[kind].sha256 for kind in sorted(files)]
     poses = parts.poses or start_poses(parts.bounds, grid, up) if options.poses is None else options.poses

@@ -121,7 +121,8 @@ def write_streamed_sog(
         FormatError: If the visible sets belong to another scene, or the package is damaged.
         OSError: If the folder cannot be written.
     """
-    target, said = _check.path("folder", folder), options or StreamedOptions()
+    target = _check.path("folder", folder)
+    said = options or StreamedOptions()
     check_streamed_target(target, overwrite)
     levels, store, known = open_levels(scene, visibility, progress)
     seen = None if store is None else ever_seen(store, len(levels.union))

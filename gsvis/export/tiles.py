@@ -198,7 +198,8 @@ def write_tiles(
         FormatError: If the visible sets belong to another scene, or the package is damaged.
         OSError: If the folder cannot be written.
     """
-    target, said = _check.path("folder", folder), options or TilesOptions()
+    target = _check.path("folder", folder)
+    said = options or TilesOptions()
     check_tiles_target(target, overwrite)
     drop = said.never_seen == "drop"
     sets = visibility is not None or (isinstance(scene, Package) and scene.manifest.visibility is not None)
@@ -210,7 +211,8 @@ def write_tiles(
     if drop and seen is not None and not seen.any():
         raise SceneError("everything would go: no cell sees a Gaussian; nothing written")
     leaves = cut_leaves(levels, most=said.leaf, kept=seen if drop else None, lowest=levels.previews)
-    volumes, needs = None, None
+    volumes = None
+    needs = None
     if said.request_volumes:
         needs = find_needs(leaves, store, lost=said.lost, progress=progress)
         volumes = find_volumes(needs)
@@ -266,7 +268,10 @@ class _TileFiles:
     def __init__(
         self, leaves: Leaves, upright: NDArray[np.float64], compression: Compression, skipped: NDArray[np.bool_] | None
     ) -> None:
-        self._leaves, self._upright, self._compression, self._skipped = leaves, upright, compression, skipped
+        self._leaves = leaves
+        self._upright = upright
+        self._compression = compression
+        self._skipped = skipped
         self.contents: dict[tuple[int, int], str] = {}
         self.environment: str | None = None
         self.sizes = np.zeros(leaves.counts.shape, np.int64)
@@ -274,7 +279,8 @@ class _TileFiles:
 
     def write(self, folder: Path, progress: Progress) -> None:
         """Write all files; a level of a leaf that is the same as the next finer one has none."""
-        leaves, union = self._leaves, self._leaves.levels.union
+        leaves = self._leaves
+        union = self._leaves.levels.union
         pieces = np.argwhere(leaves.counts > 0).tolist()
         progress("export", 0, len(pieces))
         for k, (lod, leaf) in enumerate(pieces):

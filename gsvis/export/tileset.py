@@ -115,7 +115,8 @@ def tileset_document(
         meters: Length of a scene unit.
         packed: Whether contents are SPZ-compressed.
     """
-    turn, origin = _FROM_GLTF @ upright, np.asarray(leaves.levels.union.facts.origin)
+    turn = _FROM_GLTF @ upright
+    origin = np.asarray(leaves.levels.union.facts.origin)
     boxes = leaves.boxes(DEVIATIONS)
     whole = np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
     widest = float(np.linalg.norm(whole[1] - whole[0]))

@@ -100,7 +100,9 @@ def _read(archive: zipfile.ZipFile, info: zipfile.ZipInfo, most: int) -> NDArray
 def _checksum(file: BufferedReader, size: int) -> bytes:
     """Return the CRC-32 of the first `size` bytes of a file, as 8 hexadecimal digits."""
     file.seek(0)
-    crc, left = 0, size
+    crc = 0
+    left = size
     while left > 0 and (block := file.read(min(_BLOCK, left))):
-        crc, left = zlib.crc32(block, crc), left - len(block)
+        crc = zlib.crc32(block, crc)
+        left = left - len(block)
     return b"%08x" % crc

@@ -35,7 +35,9 @@ Seal = Literal["whole", "header"]
 _Read = TypeVar("_Read")
 
 _MAGIC = b"ARROW1"
-_HEADER, _CHECKSUM, _HEADER_CHECKSUM = b"gsvis", b"checksum", b"gsvis-crc32"
+_HEADER = b"gsvis"
+_CHECKSUM = b"checksum"
+_HEADER_CHECKSUM = b"gsvis-crc32"
 _MARK = b'{"crc32" : "'  # compact JSON cannot contain this text, because of the space
 _DIGITS = 8
 _TAIL = 10  # length of the footer and magic
@@ -98,9 +100,11 @@ class ArrowFile:
     """
 
     def __init__(self, path: str | os.PathLike[str], name: str, version: int, *, seal: Seal = "whole") -> None:
-        self.path, self._name = _check.path("path", path), name
+        self.path = _check.path("path", path)
+        self._name = name
         with open_regular(self.path) as file:
-            head, self.nbytes = file.read(len(_MAGIC)), os.fstat(file.fileno()).st_size
+            head = file.read(len(_MAGIC))
+            self.nbytes = os.fstat(file.fileno()).st_size
         if head != _MAGIC or self.nbytes < 16 + _TAIL:
             got = f"{self.nbytes} bytes" if _MAGIC.startswith(head) else f"a file that begins {head!r}"
             raise FormatError(self.path, "byte 0", f"an Arrow file of format {name}", got)
@@ -187,10 +191,12 @@ class ArrowFile:
     def _blocks(self) -> NDArray[Any]:
         """Places of the batches in the file, from the footer."""
         data = memoryview(self._opened())
-        start, end = _footer_start(self.path, data), len(data) - _TAIL
+        start = _footer_start(self.path, data)
+        end = len(data) - _TAIL
         footer = bytes(data[start:end])
         blocks: NDArray[Any] = self._guard("footer", "a list of batches", lambda: _list_blocks(footer))
-        at, length = blocks["offset"], blocks["metadata"].astype(np.int64)
+        at = blocks["offset"]
+        length = blocks["metadata"].astype(np.int64)
         good = (at >= 8) & (at % 8 == 0) & (at <= start) & (length >= 8) & (blocks["body"] >= 0)
         good &= (blocks["body"] <= start) & (at + length + np.minimum(blocks["body"], start) <= start)
         if not good.all():
@@ -296,7 +302,8 @@ def _places(path: Path, data: memoryview) -> list[int]:
 
 def _checksum(data: memoryview, places: list[int]) -> int:
     """Return the CRC-32 of the file, with zeros in place of the checksum's digits."""
-    crc, start = 0, 0
+    crc = 0
+    start = 0
     for end in [*places, len(data)]:
         for chunk in range(start, end, _CHUNK):
             crc = zlib.crc32(data[chunk : min(chunk + _CHUNK, end)], crc)
@@ -333,7 +340,8 @@ def _count_uncompressed_bytes(message: pa.Message) -> int:
     batch = _follow(data, _field(data, _follow(data, 0), 2))  # Message.header
     compressed = _field(data, batch, 3) != 0
     buffers = _follow(data, _field(data, batch, 2))
-    body, total = message.body, 0
+    body = message.body
+    total = 0
     for k in range(struct.unpack_from("<I", data, buffers)[0]):
         offset, length = struct.unpack_from("<qq", data, buffers + 4 + 16 * k)
         total += length

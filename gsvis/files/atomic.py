@@ -262,7 +262,8 @@ def _remove(target: Path, *, with_notes: bool) -> None:
 
 def _partials(target: Path, host: str) -> list[Path]:
     """Return the paths beside the target with a hidden name for it; `host` is a pattern of four digits."""
-    file, folder = f".{target.stem}.gsvis-", f".{target.name}.gsvis-"
+    file = f".{target.stem}.gsvis-"
+    folder = f".{target.name}.gsvis-"
     ours = re.compile(
         rf"{re.escape(file)}{host}[0-9a-f]{{8}}{re.escape(target.suffix)}|{re.escape(folder)}{host}[0-9a-f]{{8}}"
     )

@@ -26,7 +26,9 @@ class Cache(Generic[_Value]):
     """
 
     def __init__(self, max_bytes: int | None = None, *, max_items: int | None = None, keep_last: bool = False) -> None:
-        self.max_bytes, self.max_items, self.nbytes = max_bytes, max_items, 0
+        self.max_bytes = max_bytes
+        self.max_items = max_items
+        self.nbytes = 0
         self._keep_last = keep_last
         self._values: OrderedDict[Hashable, tuple[_Value, int]] = OrderedDict()
         self._lock = threading.Lock()
@@ -96,7 +98,8 @@ class _Named(Cache[_Value]):
 
     def __init__(self, of: Cache[_Value], name: Hashable) -> None:
         super().__init__()
-        self._of, self._name = of, name
+        self._of = of
+        self._name = name
 
     def find(self, key: Hashable) -> _Value | None:
         return self._of.find((self._name, key))

@@ -20,7 +20,10 @@ from gsvis.files.limits import Budget
 __all__ = ["Fields", "estimate_parsed_bytes", "parse_json", "parse_object"]
 
 # Most bytes of memory for each kind of JSON value and for each character (measured in tests).
-_OBJECT, _LIST, _VALUE, _CHARACTER = 256, 128, 88, 8
+_OBJECT = 256
+_LIST = 128
+_VALUE = 88
+_CHARACTER = 8
 
 
 def estimate_parsed_bytes(data: bytes) -> int:
@@ -81,7 +84,8 @@ class Fields:
     """
 
     def __init__(self, path: str | os.PathLike[str], trail: str, value: Any) -> None:
-        self.path, self.trail = path, trail
+        self.path = path
+        self.trail = trail
         if not isinstance(value, dict):
             raise FormatError(path, trail, "an object", _spell(value))
         self.value: dict[str, Any] = value

@@ -25,7 +25,8 @@ class JoinedFiles:
     """
 
     def __init__(self, paths: Sequence[Path], sizes: Sequence[int]) -> None:
-        self._paths, self._starts = list(paths), [0, *accumulate(sizes)]
+        self._paths = list(paths)
+        self._starts = [0, *accumulate(sizes)]
         self.size = self._starts[-1]
 
     def read(self, start: int, length: int) -> bytes:
@@ -35,7 +36,8 @@ class JoinedFiles:
             FormatError: If a file that is read is no file, or shorter than it should be.
             OSError: If it cannot be read.
         """
-        end, found = min(start + length, self.size), []
+        end = min(start + length, self.size)
+        found = []
         while start < end:
             k = bisect_right(self._starts, start) - 1
             stop = min(end, self._starts[k + 1])

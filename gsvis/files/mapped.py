@@ -36,7 +36,8 @@ _MAGIC = b"\x93gsvis2\n"
 _HEAD = struct.Struct("<8sQ")  # magic, bytes of the sealed JSON after it
 _TYPE = re.compile(r"[<>|][biuf]\d{1,2}")
 _PAGE = 1 << 12
-_MOST_HEAD, _MOST_BYTES = 64 << 20, 1 << 50
+_MOST_HEAD = 64 << 20
+_MOST_BYTES = 1 << 50
 _AT_ONCE = 64 * 8 * PIECE  # bytes that are checked at once
 
 
@@ -51,7 +52,10 @@ def write_arrays(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]
     Raises:
         OutputError: If the file cannot be written.
     """
-    rows, blocks, places, end = [], [], dict[int, int](), 0
+    rows = []
+    blocks = []
+    places = dict[int, int]()
+    end = 0
     for name, array in arrays.items():
         whole = np.ascontiguousarray(array)
         place = places.get(id(array))
@@ -108,7 +112,8 @@ class ArrayFiles:
     def rows(self, name: str, first: int = 0, end: int | None = None) -> NDArray[Any]:
         """Return some rows of an array, read from its file."""
         kind, shape, count = self._rows[name]
-        size, end = kind.itemsize * int(np.prod(shape)), count if end is None else end
+        size = kind.itemsize * int(np.prod(shape))
+        end = count if end is None else end
         file = self._files[name]
         file.seek(size * first)
         data = file.read(size * (end - first))
@@ -136,10 +141,13 @@ class ArrayFiles:
         Raises:
             OutputError: If the file cannot be written.
         """
-        joined, same = joined or {}, same or {}
+        joined = joined or {}
+        same = same or {}
         inner = {part for parts in joined.values() for part in parts}
         groups = {name: [name] for name in self._rows if name not in inner} | {k: list(v) for k, v in joined.items()}
-        rows, places, end = [], dict[str, int](), 0
+        rows = []
+        places = dict[str, int]()
+        end = 0
         for name, parts in groups.items():
             kind, shape, count = self._rows[parts[0]]
             whole = [count, *shape] if name not in joined else [len(parts), count, *shape]

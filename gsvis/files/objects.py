@@ -31,7 +31,8 @@ StoredObject = tuple[str, int]
 """SHA-256 of an object, 64 hexadecimal digits, and its size in bytes."""
 
 _Answer = TypeVar("_Answer")
-_OBJECTS, _NOTES = "objects", "notes"
+_OBJECTS = "objects"
+_NOTES = "notes"
 _NAME = re.compile(r"[0-9a-z][0-9a-z.-]{0,120}")
 _TRIES = 3
 _CHECKSUM = "FlexibleChecksumError"  # name of botocore's error of an answer that does not fit its checksum
@@ -161,7 +162,8 @@ class RemoteStore(ObjectStore):
         require(f"a store at {address.split('://')[0]}://", "fsspec")
         import fsspec
 
-        self.address, self.patience = address.rstrip("/"), patience
+        self.address = address.rstrip("/")
+        self.patience = patience
         try:
             self._files, self._root = fsspec.core.url_to_fs(self.address)
         except Exception as error:  # fsspec raises what its backends raise

@@ -20,7 +20,8 @@ def cache_folder() -> Path:
     A user without a home gets a folder among temporary files that nobody else can enter, or one that cannot be made if
     there is no place for those.
     """
-    named, shared = os.environ.get("GSVIS_CACHE"), os.environ.get("XDG_CACHE_HOME")
+    named = os.environ.get("GSVIS_CACHE")
+    shared = os.environ.get("XDG_CACHE_HOME")
     if named:
         return Path(named)
     home = os.path.expanduser("~")

@@ -73,7 +73,9 @@ class KeptWork:
     """Name of the lock file."""
 
     def __init__(self, folder: str | os.PathLike[str], plan: Mapping[str, Any], *, argument: str = "path") -> None:
-        self.folder, self.plan, self._argument = Path(folder), dict(plan), argument
+        self.folder = Path(folder)
+        self.plan = dict(plan)
+        self._argument = argument
 
     @classmethod
     def beside(cls, target: str | os.PathLike[str], plan: Mapping[str, Any]) -> KeptWork:

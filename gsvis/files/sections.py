@@ -66,7 +66,8 @@ class SectionWriter:
     """
 
     def __init__(self, file: BinaryIO, kind: FileKind) -> None:
-        self._file, self._kind = file, kind
+        self._file = file
+        self._kind = kind
         self._sections: dict[str, Section] = {}
         self._start = self._end = HEAD_BYTES
         self._crc = 0
@@ -88,7 +89,8 @@ class SectionWriter:
     def close_section(self, name: str) -> None:
         """Close the section that holds everything appended since the last call, and name it."""
         self._sections[name] = Section(self._start, self._end - self._start, self._crc)
-        self._start, self._crc = self._end, 0
+        self._start = self._end
+        self._crc = 0
 
     def finish(self, header: Mapping[str, Any]) -> None:
         """Write the header with the list of sections, then the head."""
@@ -116,7 +118,9 @@ class SectionFile:
     """
 
     def __init__(self, path: str | os.PathLike[str], kind: FileKind, joined: JoinedFiles | None = None) -> None:
-        self.path, self.kind, self._joined = _check.path("path", path), kind, joined
+        self.path = _check.path("path", path)
+        self.kind = kind
+        self._joined = joined
         self._map: mmap.mmap | None = None
         if joined is not None:
             size = joined.size
@@ -178,7 +182,8 @@ class SectionFile:
         return parse_object(self.path, data)
 
     def _read_list(self, end: int) -> dict[str, Section]:
-        sections, place = {}, HEAD_BYTES
+        sections = {}
+        place = HEAD_BYTES
         for row in self.header.items("sections"):
             good = isinstance(row, list) and len(row) == 4 and isinstance(row[0], str)
             if not good or not all(isinstance(v, int) and 0 <= v < 1 << 62 for v in row[1:]) or row[1] != place:

@@ -121,7 +121,8 @@ def _exchange(a: Path, b: Path) -> bool:
     call = _call()
     if call is None:
         return False
-    first, second = os.fsencode(a), os.fsencode(b)
+    first = os.fsencode(a)
+    second = os.fsencode(b)
     if sys.platform == "darwin":
         return bool(call(first, second, _EXCHANGE) == 0)
     return bool(call(_HERE, first, _HERE, second, _EXCHANGE) == 0)

@@ -20,7 +20,8 @@ from gsvis.files.locks import try_lock
 
 __all__ = ["private_folder", "remove_abandoned", "temporary_folder"]
 
-_PREFIX, _LOCK = "gsvis-tmp-", ".gsvis-lock"
+_PREFIX = "gsvis-tmp-"
+_LOCK = ".gsvis-lock"
 _OURS = re.compile(rf"{_PREFIX}[a-z0-9_]+")
 _LOG = logging.getLogger(__name__)
 

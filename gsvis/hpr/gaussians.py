@@ -95,7 +95,9 @@ class OcclusionHull:
             raise ValueError(f"spent: expected a transmittance in (0, 1), got {spent!r}")
         if not 0.0 < margin <= 1.0:
             raise ValueError(f"margin: expected a share in (0, 1], got {margin!r}")
-        toward, shapes, faces = np.empty((len(g), 3)), np.empty((len(g), 5)), np.empty(len(g), np.int64)
+        toward = np.empty((len(g), 3))
+        shapes = np.empty((len(g), 5))
+        faces = np.empty(len(g), np.int64)
         _kernels.shapes_from_eye(g.means, g.quats, g.scales, g.opacities, MIN_ALPHA, eye, toward, faces, shapes)
         depths = _light_ends(g, toward, shapes, faces, size, spent)
         return cls(eye, size, _through_hull(depths, size, margin, shapes[:, 0]), g, toward, shapes)
@@ -119,7 +121,9 @@ class OcclusionHull:
         ends = _check.floats("depths", depths, (6, "S", "S"), np.float64, finite=False)
         if not 0.0 < margin <= 1.0:
             raise ValueError(f"margin: expected a share in (0, 1], got {margin!r}")
-        toward, shapes, faces = np.empty((len(g), 3)), np.empty((len(g), 5)), np.empty(len(g), np.int64)
+        toward = np.empty((len(g), 3))
+        shapes = np.empty((len(g), 5))
+        faces = np.empty(len(g), np.int64)
         _kernels.shapes_from_eye(g.means, g.quats, g.scales, g.opacities, MIN_ALPHA, eye, toward, faces, shapes)
         size = ends.shape[1]
         return cls(eye, size, _through_hull(ends.reshape(-1), size, margin, shapes[:, 0]), g, toward, shapes)
@@ -188,7 +192,8 @@ def _light_ends(g: Gaussians, toward: F64, shapes: F64, faces: I64, size: int, s
     if len(distances) == 0:
         return np.full(6 * size * size, np.inf)
     sample = distances[:: max(len(distances) // 20_000, 1)]
-    nearest, farthest = 0.5 * np.quantile(sample, 0.001), 1.01 * np.quantile(sample, 0.999)
+    nearest = 0.5 * np.quantile(sample, 0.001)
+    farthest = 1.01 * np.quantile(sample, 0.999)
     steps = (_BINS - 3) / np.log(farthest / nearest)
     order = np.empty(len(g), np.int64)
     begins = in_order_of_cells(faces, 8, order)
@@ -213,7 +218,8 @@ def _through_hull(depths: F64, size: int, margin: float, distances: F64) -> F64:
     directions = np.empty((len(depths), 3))
     _kernels.centers_of_cells(size, directions)
     gamma = -((np.pi / (2.0 * size)) ** 2) / (8.0 * margin)
-    sky, dark = _SKY * float(away.max()), _DARK * float(np.median(away))
+    sky = _SKY * float(away.max())
+    dark = _DARK * float(np.median(away))
     flips = directions * np.clip(depths, dark, sky)[:, None] ** gamma
     flips *= 1.0 + _NOISE * np.random.default_rng(0).random((len(flips), 1))
     hull, _ = Hull.around(flips, exact=False)

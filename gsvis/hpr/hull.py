@@ -87,7 +87,8 @@ class Hull:
     def radial(self, directions: F64) -> F64:
         """Return the distance of the boundary from the origin along unit directions (D, 3); 0 if unknown."""
         starts = np.empty(6 * self.size * self.size, np.int32)
-        hull, slack = (self.places, self.corners, self.neighbors), _SLACK * self.reach**3
+        hull = (self.places, self.corners, self.neighbors)
+        slack = _SLACK * self.reach**3
         _kernels.facets_of_cells(*hull, self.inner, slack, self.reach, self.size, starts)
         out = np.empty(len(directions))
         _kernels.radial(directions, *hull, starts, self.size, self.inner, slack, out)
@@ -98,7 +99,9 @@ class _Builder:
     """A growing hull."""
 
     def __init__(self, places: F64, simplex: I64, reach: float, capacity: int) -> None:
-        self.places, self.band, self.slack = places, BAND * reach, _SLACK * reach**3
+        self.places = places
+        self.band = BAND * reach
+        self.slack = _SLACK * reach**3
         self.inner = places[simplex].mean(axis=0) / 64.0  # near the origin: seen from both, places lie in one order
         self._corners = np.zeros((capacity, 3), np.int32)
         self._neighbors = np.zeros((capacity, 3), np.int32)
@@ -153,7 +156,8 @@ def _sort_by_cells(flips: F64) -> tuple[int, I64, F64, I64, F64]:
     """
     wanted = len(flips) / 8
     size = _power_of_two(np.sqrt(wanted / 6))
-    cells, order = np.empty(len(flips), np.int64), np.empty(len(flips), np.int64)
+    cells = np.empty(len(flips), np.int64)
+    order = np.empty(len(flips), np.int64)
     while True:
         _kernels.cells_of(flips, size, cells)
         begins = _kernels.in_order_of_cells(cells, 6 * size * size, order)
@@ -161,7 +165,8 @@ def _sort_by_cells(flips: F64) -> tuple[int, I64, F64, I64, F64]:
         if finer < 4 * size or size >= _FINEST:
             break
         size = finer
-    farthest, squared = np.empty(6 * size * size, np.int64), np.empty(6 * size * size)
+    farthest = np.empty(6 * size * size, np.int64)
+    squared = np.empty(6 * size * size)
     places = np.zeros((len(flips) + 1, 3))
     _kernels.gather(flips, order, places)
     _kernels.farthest_in_cells(places, begins, farthest, squared)

@@ -72,7 +72,8 @@ def hybrid(
         raise ValueError(f"faint: expected a weight in (0, {tau:g}], got {faint!r}")
     pixels = _check.positive_int("size", size, at_least=4)
     seen = look_around(splats, viewpoint, size=pixels, spent=_DOUBT * tau, buffer=hull)
-    weights, limit = seen.weights, np.float32(tau)
+    weights = seen.weights
+    limit = np.float32(tau)
     peak = seen.light * g.opacities[seen.ids]
     doubtful = np.flatnonzero((weights < limit) & (weights >= np.float32(_DOUBT) * limit) & (peak >= limit))
     if len(doubtful) and hull:

@@ -77,7 +77,8 @@ def flip_points(points: F64, eye: F64, radius: float) -> tuple[F64, I64 | None]:
     elsewhere = None
     if len(points) and lengths.min() == 0.0:
         elsewhere = np.flatnonzero(lengths > 0.0)
-        points, lengths = points[elsewhere], lengths[elsewhere]
+        points = points[elsewhere]
+        lengths = lengths[elsewhere]
     flips = np.empty_like(points)
     _kernels.flip(points, eye, lengths, float(radius), flips)
     return flips, elsewhere

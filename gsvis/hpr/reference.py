@@ -54,8 +54,10 @@ def look_around_reference(
         Largest weight (N,), largest light in front over the covered pixels (N,), and depths (6, size, size) at which
         light is spent.
     """
-    weights, lights = np.zeros(len(g)), np.zeros(len(g))
-    depths, left = np.full((6, size, size), np.inf), np.ones((6, size, size))
+    weights = np.zeros(len(g))
+    lights = np.zeros(len(g))
+    depths = np.full((6, size, size), np.inf)
+    left = np.ones((6, size, size))
     toward = g.means.astype(np.float64) - viewpoint
     far = np.linalg.norm(toward, axis=1)
     centers = np.arange(size) + 0.5
@@ -64,7 +66,9 @@ def look_around_reference(
             axis = face // 2
             u, v = (a for a in range(3) if a != axis)
             frame = np.zeros((3, 3))  # rows: columns of the image, rows of the image, forward
-            frame[0, u], frame[1, v], frame[2, axis] = 1.0, 1.0, 1.0 if face % 2 == 0 else -1.0
+            frame[0, u] = 1.0
+            frame[1, v] = 1.0
+            frame[2, axis] = 1.0 if face % 2 == 0 else -1.0
             x, y, z = frame @ toward[i]
             if z <= 0.01:
                 continue

@@ -69,7 +69,8 @@ class Splats:
             full = g[ids[start : start + step]].covars()
             covars[start : start + step] = full[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]] * np.float32(factor**2)
         count = -(-len(ids) // CLUSTER)
-        bounds, columns = np.empty((count, 8), np.float32), np.empty((count, 5, CLUSTER), np.float32)
+        bounds = np.empty((count, 8), np.float32)
+        columns = np.empty((count, 5, CLUSTER), np.float32)
         clusters.bound_clusters(near, bounds, columns)
         return cls(ids, near, covars, bounds, columns, len(g), factor)
 
@@ -136,7 +137,8 @@ class ZBuffer:
         for start, level in zip(first, levels, strict=False):
             stacked[:, start : start + level.shape[1], : level.shape[2]] = level
         hidden = np.zeros(len(splats.near), bool)
-        eye, depths = self.viewpoint * splats.factor, stacked * np.float32(splats.factor)
+        eye = self.viewpoint * splats.factor
+        depths = stacked * np.float32(splats.factor)
         hidden_behind(splats.near, eye, depths, first[:-1], self.size, hidden)
         return hidden
 
@@ -182,17 +184,29 @@ def look_around(
     if not 0.0 < spent < 1.0:
         raise ValueError(f"spent: expected a transmittance in (0, 1), got {spent!r}")
     at = (eye * splats.factor).astype(np.float32)
-    nearest, rectangles = np.empty(len(splats.bounds), np.float32), np.empty((6, len(splats.bounds), 4), np.int16)
+    nearest = np.empty(len(splats.bounds), np.float32)
+    rectangles = np.empty((6, len(splats.bounds), 4), np.int16)
     clusters.place_clusters(splats.bounds, at, size, nearest, rectangles)
-    lists, counts = np.empty((6, len(nearest)), np.int64), np.empty(6, np.int64)
+    lists = np.empty((6, len(nearest)), np.int64)
+    counts = np.empty(6, np.int64)
     clusters.list_clusters(np.argsort(nearest, kind="stable"), rectangles, lists, counts)
     side = size if buffer else 0
-    light, depths = np.empty((6, side, side), np.float32), np.empty((6, side, side), np.float32)
+    light = np.empty((6, side, side), np.float32)
+    depths = np.empty((6, side, side), np.float32)
     best = np.zeros(2 * splats.total, np.float32)
     kernels.splat_squares(
-        (splats.near, splats.covars, splats.columns, splats.ids), at, size, np.float32(spent), nearest, rectangles,
-        lists, counts, best, light, depths,
-    )  # fmt: skip
+        (splats.near, splats.covars, splats.columns, splats.ids),
+        at,
+        size,
+        np.float32(spent),
+        nearest,
+        rectangles,
+        lists,
+        counts,
+        best,
+        light,
+        depths,
+    )
     ids, (weights, clear) = kernels.take_found(best)
     if splats.factor != 1.0:
         depths /= np.float32(splats.factor)
@@ -204,7 +218,8 @@ def _in_order(g: Gaussians, ids: I64) -> I64:
     if len(ids) == 0:
         return ids
     means = g.means[ids].astype(np.float64)
-    low, high = means.min(axis=0), means.max(axis=0)
+    low = means.min(axis=0)
+    high = means.max(axis=0)
     steps = ((means - low) / np.maximum(high - low, 1e-300) * ((1 << 21) - 1)).astype(np.uint64)
     code = np.zeros(len(ids), np.uint64)
     for axis in range(3):

@@ -130,7 +130,8 @@ def _mended(
     path: str | os.PathLike[str], arrays: dict[str, NDArray[Any]], facts: SceneFacts, refused: ValueError
 ) -> Gaussians:
     """Return the scene without the rows that no Gaussian can have, if they may be dropped; raise otherwise."""
-    choice, bad = is_dropping(), find_invalid(arrays)
+    choice = is_dropping()
+    bad = find_invalid(arrays)
     with np.errstate(all="ignore"):
         unturned = ~bad & (np.einsum("ij,ij->i", arrays["quats"], arrays["quats"], dtype=np.float64) < 1e-24)
     if unturned.any():

@@ -21,7 +21,8 @@ F32 = NDArray[np.float32]
 
 SPLATS = "KHR_gaussian_splatting"
 SPZ = "KHR_gaussian_splatting_compression_spz_2"
-SRGB, LINEAR = "srgb_rec709_display", "lin_rec709_display"
+SRGB = "srgb_rec709_display"
+LINEAR = "lin_rec709_display"
 
 _WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
 _KINDS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5126: "<f4"}
@@ -43,7 +44,8 @@ class Accessors:
     """
 
     def __init__(self, root: Fields, binary: memoryview | None, budget: Budget) -> None:
-        self._root, self._budget = root, budget
+        self._root = root
+        self._budget = budget
         self._buffers: dict[int, memoryview] = {} if binary is None else {0: binary}
         self._chunk = binary is not None
 
@@ -60,7 +62,8 @@ class Accessors:
             raise FormatError(accessor.path, accessor.where("componentType"), "8 or 16 bits, or a float", f"{code}")
         if "sparse" in accessor:
             raise FormatError(accessor.path, accessor.where("sparse"), "none", "a sparse accessor", "write it in full")
-        count, dtype = accessor.integer("count", 1, _MOST), np.dtype(_KINDS[code])
+        count = accessor.integer("count", 1, _MOST)
+        dtype = np.dtype(_KINDS[code])
         view, stride = self._slice(accessor, "bufferView")
         start = accessor.integer("byteOffset", 0, _MOST) if "byteOffset" in accessor else 0
         packed = width * dtype.itemsize

@@ -105,7 +105,8 @@ def _decompose(node: Fields, matrix: F64) -> Placed | None:
         got = f"axes of lengths {along}, or a shear or a mirror" if (lengths > 0).all() else "zero or huge numbers"
         raise FormatError(node.path, node.trail, "a rotation, a translation and one scale above 0", got, remedy)
     left, _, right = np.linalg.svd(rotation)
-    whole, rotation = np.rint(rotation), left @ right
+    whole = np.rint(rotation)
+    rotation = left @ right
     rotation = whole if np.allclose(whole, rotation, atol=_SNAP) else rotation
     scale = 1.0 if abs(scale - 1.0) < _SNAP else scale
     if scale == 1.0 and np.array_equal(rotation, np.eye(3)) and not shift.any():

@@ -34,7 +34,9 @@ SAMPLE = 1024
 _HALF_STEP = 2.0**-24  # largest error of float32, relative
 _FINE = 1e-3  # of a Gaussian's size: an error that a scene given in double precision must not have
 _COARSE = 1e-2  # the same for a scene that is given in float32 and has the error already
-_AWAY, _FAR_AWAY = 4.0, 16.0  # extents between a scene and (0, 0, 0), for double precision and for float32
+# extents between a scene and (0, 0, 0), for double precision and for float32
+_AWAY = 4.0
+_FAR_AWAY = 16.0
 
 
 def sample_rows(count: int) -> NDArray[np.int64]:
@@ -85,7 +87,8 @@ def choose_origin(points: ArrayLike, scales: ArrayLike, *, double: bool) -> Trip
     if not good.any():
         return 0.0, 0.0, 0.0
     middle = np.median(places[good], axis=0)
-    extent, size = _extent(places[good]), size_of_gaussians(scales)
+    extent = _extent(places[good])
+    size = size_of_gaussians(scales)
     reach = float(np.abs(middle).max())
     if reach <= (_AWAY if double else _FAR_AWAY) * extent or reach >= 1e30:
         return 0.0, 0.0, 0.0
@@ -108,7 +111,8 @@ def place_scene(scene: Gaussians, rotation: ArrayLike, translation: ArrayLike, s
     Returns:
         The scene with an origin only where float32 could not resolve its Gaussians without one.
     """
-    shift, turn = np.asarray(translation, np.float64), np.asarray(rotation, np.float64)
+    shift = np.asarray(translation, np.float64)
+    turn = np.asarray(rotation, np.float64)
     moved = scale * (turn @ np.asarray(scene.facts.origin)) + shift
     here = scene.with_facts(replace(scene.facts, origin=(0.0, 0.0, 0.0)))
     if not needs_origin(moved, here, scale):

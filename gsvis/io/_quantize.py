@@ -80,7 +80,9 @@ def palette_of(vectors: F32, entries: int) -> tuple[F32, NDArray[np.int64]]:
     ends = np.concatenate([[0], np.cumsum(np.bincount(group, minlength=groups))])
     members = [order[a:b] for a, b in pairwise(ends) if b > a]
     shares = _shares([float(np.var(vectors[rows], axis=0).sum() * len(rows)) for rows in members], members, entries)
-    palette, labels, used = [], np.empty(len(vectors), np.int64), 0
+    palette = []
+    labels = np.empty(len(vectors), np.int64)
+    used = 0
     for rows, share in zip(members, shares, strict=True):
         centers = _lloyd(vectors[rows], share, rng)
         labels[rows] = used + _assign(vectors[rows], centers)[1]
@@ -122,7 +124,8 @@ def _lloyd(vectors: F32, entries: int, rng: np.random.Generator) -> F32:
 def _assign(vectors: F32, centers: F32) -> tuple[F32, NDArray[np.int64]]:
     """Return (N,) squared distances to the nearest center, and its index."""
     half = 0.5 * np.einsum("ij,ij->i", centers, centers)
-    label, score = np.empty(len(vectors), np.int64), np.empty(len(vectors), np.float32)
+    label = np.empty(len(vectors), np.int64)
+    score = np.empty(len(vectors), np.float32)
     rows = max(1, _BLOCK // len(centers))
     for start in range(0, len(vectors), rows):
         some = slice(start, start + rows)

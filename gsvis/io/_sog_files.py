@@ -53,7 +53,8 @@ class FolderStore:
     """
 
     def __init__(self, folder: Path, path: str | os.PathLike[str], root: Path | None = None) -> None:
-        self.folder, self.path = folder, os.fspath(path)
+        self.folder = folder
+        self.path = os.fspath(path)
         self._root = folder if root is None else root
 
     def _file(self, name: str) -> Path:

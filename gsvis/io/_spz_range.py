@@ -47,7 +47,8 @@ def fit_coordinates(scene: Gaussians, usual_bits: int, path: str | os.PathLike[s
     """
     if len(scene) == 0:
         raise ValueError("scene: expected at least one Gaussian, got none")
-    reaches, size = np.abs(scene.means).max(axis=1).astype(np.float64), size_of_gaussians(scene.scales)
+    reaches = np.abs(scene.means).max(axis=1).astype(np.float64)
+    size = size_of_gaussians(scene.scales)
     wanted = next((bits for bits in range(usual_bits, _MOST_BITS) if 2.0**-bits <= _FINE * size), _MOST_BITS)
     whole = _bits(float(reaches.max()), wanted)
     if whole is not None and 2.0**-whole <= _FINE * size:
@@ -97,23 +98,30 @@ def _with_flyaways_inside(
     if not beyond.any():
         return scene
     share = np.where(beyond, border / np.maximum(reaches, border), 1.0)[:, None]
-    count, far = int(beyond.sum()), float(reaches.max())
+    count = int(beyond.sum())
+    far = float(reaches.max())
     text = (
         f"{count:,} flyaways, up to {far:.4g} away, are moved to {border:.4g} and shrunk; others keep their precision"
     )
     report_loss(path, "centers", text, count)
     scales = np.maximum(scene.scales * share, np.finfo(np.float32).tiny)
     return Gaussians(
-        (scene.means * share).astype(np.float32), scene.quats, scales.astype(np.float32), scene.opacities, scene.sh0,
-        scene.shN, facts=replace(scene.facts),
-    )  # fmt: skip
+        (scene.means * share).astype(np.float32),
+        scene.quats,
+        scales.astype(np.float32),
+        scene.opacities,
+        scene.sh0,
+        scene.shN,
+        facts=replace(scene.facts),
+    )
 
 
 def report_spz_losses(scene: Gaussians, path: str | os.PathLike[str]) -> None:
     """Log which scales and colors SPZ clips."""
     low, high = LOG_SCALES
     scales = scene.scales.astype(np.float64)
-    thin, wide = np.exp(low - 0.5 / 16.0), np.exp(high + 0.5 / 16.0)
+    thin = np.exp(low - 0.5 / 16.0)
+    wide = np.exp(high + 0.5 / 16.0)
     limits = f"{np.exp(low):.2g} to {np.exp(high):.3g}"
     report_clipped(path, "scales", np.where(scales > wide, scales - np.exp(high), 0.0), limits)
     _report_thin(path, int((scales < thin).any(axis=1).sum()), float(np.exp(low)))

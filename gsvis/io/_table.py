@@ -26,7 +26,9 @@ __all__ = ["Table", "join_names", "read_table"]
 
 _CHUNK = 1 << 20
 _LONGEST_LINE = 1 << 16
-_CELL, _ROW = 72, 144  # largest overhead in memory of a cell besides its text, and of a row besides its cells
+# largest overhead in memory of a cell besides its text, and of a row besides its cells
+_CELL = 72
+_ROW = 144
 
 
 class Table:
@@ -40,7 +42,10 @@ class Table:
     """
 
     def __init__(self, path: Path, header: list[str], rows: list[list[str]], lines: list[int]) -> None:
-        self.path, self.header, self.rows, self.lines = path, header, rows, lines
+        self.path = path
+        self.header = header
+        self.rows = rows
+        self.lines = lines
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -129,7 +134,8 @@ def read_table(path: str | os.PathLike[str]) -> Table:
                 lines.append(reader.line_num)
                 continue
             if len(cells) != len(header):
-                where, remedy = f"line {reader.line_num}", "is the file truncated?"
+                where = f"line {reader.line_num}"
+                remedy = "is the file truncated?"
                 raise FormatError(path, where, f"{len(header)} cells, as in the header", f"{len(cells)}", remedy)
             rows.append(cells)
             lines.append(reader.line_num)

@@ -43,9 +43,11 @@ def plane_size(path: str | os.PathLike[str], where: str, data: bytes) -> tuple[i
     if len(data) < 25 or data[:4] != b"RIFF" or data[8:12] != b"WEBP":
         check_pointer(path, data[:HEAD], where)
         raise FormatError(path, where, _LOSSLESS, f"{len(data):,} bytes that begin {data[:12]!r}")
-    at, canvas = 12, None
+    at = 12
+    canvas = None
     while at + 8 <= len(data):
-        kind, length = data[at : at + 4], struct.unpack_from("<I", data, at + 4)[0]
+        kind = data[at : at + 4]
+        length = struct.unpack_from("<I", data, at + 4)[0]
         body = data[at + 8 : at + 18]
         if kind == b"VP8X" and len(body) == 10:
             if body[0] & _ANIMATED:

@@ -131,7 +131,8 @@ def _counted(batches: list[Batch]) -> list[Batch]:
     Raises:
         FormatError: If no row is valid.
     """
-    found, dropped = [], 0
+    found = []
+    dropped = 0
     for batch in batches:
         with dropping_invalid(quiet=True):
             try:

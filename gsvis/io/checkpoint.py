@@ -61,7 +61,8 @@ _PREFIXES = ("module.", "_model.", "gauss_params.")
 _MOST_STRUCTURE = 512 << 10  # bytes of the pickle; checkpoints of both trainers have about 20 kB
 _MOST_ARGUMENTS = 64  # of a call; a tensor has eight
 _KNOWN = "a checkpoint of gsplat ('splats') or of nerfstudio's splatfacto ('pipeline')"
-_CONFIGS, _MOST_CONFIG = ("cfg.yml", "cfg.yaml", "config.yml"), 1 << 20
+_CONFIGS = ("cfg.yml", "cfg.yaml", "config.yml")
+_MOST_CONFIG = 1 << 20
 _ANTIALIASED = re.compile(
     rb"^\s*(?:antialiased:\s*true|rasterize_mode:\s*(?:&\S+\s+)?['\"]?antialiased)\b", re.M | re.I
 )
@@ -121,8 +122,11 @@ def _raw(splats: Mapping[str, ArrayLike]) -> tuple[dict[str, Any], tuple[str, st
 def _activated(raw: Mapping[str, Any], colors: tuple[str, str]) -> dict[str, F32]:
     """Return the arrays of `Gaussians` of raw ones, copied; only shapes are checked."""
     shapes: dict[str, tuple[str | int, ...]] = {
-        "means": ("N", 3), "quats": ("N", 4), "scales": ("N", 3), "opacities": ("N",)
-    }  # fmt: skip
+        "means": ("N", 3),
+        "quats": ("N", 4),
+        "scales": ("N", 3),
+        "opacities": ("N",),
+    }
     found = {name: _check.floats(name, raw[name], shape, finite=False).copy() for name, shape in shapes.items()}
     higher = None
     if colors[1] in raw:
@@ -329,7 +333,8 @@ class _Unpickler(pickle._Unpickler):
         return self.pop_mark()  # type: ignore[attr-defined,no-any-return]
 
     def _set_item(self) -> None:
-        value, key = self.stack.pop(), self.stack.pop()
+        value = self.stack.pop()
+        key = self.stack.pop()
         self._keep([key, value])
 
     def _set_items(self) -> None:
@@ -361,7 +366,8 @@ class _Unpickler(pickle._Unpickler):
         self.stack.pop()  # the state of an object that is no tensor
 
     def _call(self) -> None:
-        arguments, maker = self.stack.pop(), self.stack.pop()
+        arguments = self.stack.pop()
+        maker = self.stack.pop()
         few = isinstance(arguments, tuple) and len(arguments) <= _MOST_ARGUMENTS
         self.stack.append(maker(*arguments) if few and callable(maker) else _Ignored())
 
@@ -435,7 +441,9 @@ class _Records:
     """
 
     def __init__(self, path: str | os.PathLike[str], archive: zipfile.ZipFile, folder: str) -> None:
-        self.path, self.archive, self.folder = path, archive, folder
+        self.path = path
+        self.archive = archive
+        self.folder = folder
         self.names = frozenset(archive.namelist())
         order = f"{folder}byteorder"
         big = order in self.names and _record(path, archive, order)[:16] == b"big"
@@ -447,14 +455,17 @@ class _Records:
         Raises:
             FormatError: If they are not floating-point numbers, or exceed their record.
         """
-        storage, shape, stored = tensor.storage, tensor.shape, tensor.storage.values
+        storage = tensor.storage
+        shape = tensor.shape
+        stored = tensor.storage.values
         if not storage.kind:
             raise FormatError(self.path, name, "float16, bfloat16, float32 or float64", "integers or other values")
         dtype = np.dtype(self.order + storage.kind)
         record = f"{self.folder}data/{storage.key}"
         if record not in self.names:
             raise FormatError(self.path, name, f"its values in {record}", "no such record", _DAMAGED)
-        size, count = self.archive.getinfo(record).file_size, prod(shape)
+        size = self.archive.getinfo(record).file_size
+        count = prod(shape)
         last = tensor.offset + sum((n - 1) * step for n, step in zip(shape, tensor.strides, strict=True))
         if count and not (
             last < storage.values and count <= storage.values and storage.values * dtype.itemsize <= size

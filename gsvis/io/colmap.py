@@ -149,7 +149,9 @@ class _Bytes:
     """A file read from front to back, never past its end."""
 
     def __init__(self, path: Path, data: mmap.mmap | bytes) -> None:
-        self.path, self.data, self.at = path, data, 0
+        self.path = path
+        self.data = data
+        self.at = 0
 
     def take(self, form: str, what: str) -> tuple[Any, ...]:
         self.need(struct.calcsize(form), what)
@@ -256,7 +258,8 @@ def _images_txt(path: Path) -> Iterator[Image]:
         fields = line.split(maxsplit=9)
         try:
             _, *pose = [float(f) for f in fields[:8]]
-            camera_id, name = int(fields[8]), fields[9]
+            camera_id = int(fields[8])
+            name = fields[9]
         except (ValueError, IndexError) as error:
             expected = "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"
             raise FormatError(path, f"line {number}", expected, repr(line[:80])) from error
@@ -282,12 +285,14 @@ def _are_points(line: str) -> bool:
 def _points_bin(path: Path) -> tuple[F64, NDArray[np.uint8]]:
     with _open(path) as data:
         number = data.count(51, "points")
-        positions, colors = np.empty((number, 3)), np.empty((number, 3), np.uint8)
+        positions = np.empty((number, 3))
+        colors = np.empty((number, 3), np.uint8)
         for i in range(number):
             _, *position, red, green, blue, _ = data.take("<Q3d3Bd", f"point {i:,}")
             images = data.count(8, f"images that see point {i:,}")
             data.at += 8 * images
-            positions[i], colors[i] = position, (red, green, blue)
+            positions[i] = position
+            colors[i] = (red, green, blue)
     return positions, colors
 
 

@@ -55,20 +55,23 @@ def read_compressed(header: PlyHeader, stream: BinaryIO) -> Gaussians:
         raise FormatError(
             header.path, "element chunk", f"{chunks:,} chunks for {vertex.count:,} Gaussians", f"{chunk.count:,}"
         )
-    rows, ranges = _rows(header, vertex, stream), _rows(header, chunk, stream)
+    rows = _rows(header, vertex, stream)
+    ranges = _rows(header, chunk, stream)
     position, rotation, scale, color = (np.ascontiguousarray(rows[name], np.uint32) for name in _VERTEX)
     means, log_scales, rgb = (np.empty((vertex.count, 3), np.float32) for _ in range(3))
     position, rotation, scale, color = _check.read_only(position, rotation, scale, color)
     spread_111011(position, *_ends(ranges, "min_", "max_", "xyz"), _CHUNK, means)
     spread_111011(scale, *_ends(ranges, "min_scale_", "max_scale_", "xyz"), _CHUNK, log_scales)
-    opacities, quats = np.empty(vertex.count, np.float32), np.empty((vertex.count, 4), np.float32)
+    opacities = np.empty(vertex.count, np.float32)
+    quats = np.empty((vertex.count, 4), np.float32)
     colored = all(f"{end}_{c}" in chunk.properties for end in ("min", "max") for c in "rgb")
     whole = np.zeros((chunks, 3), np.float32), np.ones((chunks, 3), np.float32)
     spread_8888(color, *(_ends(ranges, "min_", "max_", "rgb") if colored else whole), _CHUNK, rgb, opacities)
     table = (np.arange(1024, dtype=np.float32) / np.float32(1023.0) - 0.5) * np.float32(np.sqrt(2.0))
     unpack_quats(rotation, table, np.arange(4), np.ones(4, np.float32), quats)
     scales = exp_scales(log_scales, out=log_scales)
-    higher, facts = _higher(header, vertex.count, stream), facts_of(header.comments)
+    higher = _higher(header, vertex.count, stream)
+    facts = facts_of(header.comments)
     return gaussians_from(header.path, means, quats, scales, opacities, sh0_from_rgb(rgb), higher, facts)
 
 

@@ -142,10 +142,15 @@ def rotation_about_axes(degrees: ArrayLike) -> NDArray[np.float64]:
     """
     turn = np.eye(3)
     for axis, angle in enumerate(_check.floats("rotate", degrees, (3,), np.float64).tolist()):
-        c, s = _cosine(angle), _cosine(angle - 90.0)
+        c = _cosine(angle)
+        s = _cosine(angle - 90.0)
         about = np.eye(3)
-        i, j = (axis + 1) % 3, (axis + 2) % 3
-        about[i, i], about[i, j], about[j, i], about[j, j] = c, -s, s, c
+        i = (axis + 1) % 3
+        j = (axis + 2) % 3
+        about[i, i] = c
+        about[i, j] = -s
+        about[j, i] = s
+        about[j, j] = c
         turn = about @ turn
     return turn + 0.0  # turns -0.0 into 0.0
 
@@ -164,7 +169,8 @@ def rotation_between_axes(old: str, new: str) -> NDArray[np.float64]:
         >>> (rotation_between_axes("-y", "+z") @ [0, -1, 0]).tolist()
         [0.0, 0.0, 1.0]
     """
-    a, b = _axis("up", old), _axis("up", new)
+    a = _axis("up", old)
+    b = _axis("up", new)
     if np.array_equal(a, b):
         return np.eye(3)
     if np.array_equal(a, -b):

@@ -90,8 +90,11 @@ def _headers(scenes: Sequence[Sequence[Batch]]) -> Converted:
 
 def _survey(scenes: Sequence[Sequence[Batch]], convert: Convert | None, progress: Progress) -> Converted:
     """Read all batches and count; without a conversion all Gaussians are left."""
-    total, done, left = sum(map(len, scenes)), 0, 0
-    counts, degrees = [0] * len(scenes), [0] * len(scenes)
+    total = sum(map(len, scenes))
+    done = 0
+    left = 0
+    counts = [0] * len(scenes)
+    degrees = [0] * len(scenes)
     progress("reading", 0, total)
     for k, scene in enumerate(scenes):
         for batch in scene:

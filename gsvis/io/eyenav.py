@@ -116,7 +116,8 @@ def read_scene_settings(path: str | os.PathLike[str]) -> dict[str, SceneSetting]
         FormatError: If it is malformed.
     """
     table = read_table(path)
-    name, quat = table.column("Scene_Name"), table.column("Quaternion")
+    name = table.column("Scene_Name")
+    quat = table.column("Quaternion")
     scales = table.numbers(("Scale",))[:, 0]
     found: dict[str, SceneSetting] = {}
     for row, cells in enumerate(table.rows):
@@ -140,7 +141,10 @@ def path_of_recording(table: Table, setting: SceneSetting | None = None) -> Head
     values = table.numbers((*COLUMNS, time), known=(*_UNREAD, *TIMES))
     if len(values) == 0:
         raise FormatError(table.path, f"line {table.lines[0] + 1}", "at least one pose", "the end of the file")
-    eyes, positions, quats, stamps = values[:, 0], values[:, 1:4], values[:, [7, 4, 5, 6]], values[:, 8]
+    eyes = values[:, 0]
+    positions = values[:, 1:4]
+    quats = values[:, [7, 4, 5, 6]]
+    stamps = values[:, 8]
     _check_cells(table, eyes, quats)
     turns = quats / np.linalg.norm(quats, axis=1, keepdims=True)
     rows, heads = _heads(eyes, positions, turns)
@@ -181,7 +185,8 @@ def _check_cells(table: Table, eyes: F64, quats: F64) -> None:
         lengths = np.linalg.norm(quats, axis=1)
     bad = np.flatnonzero(np.abs(lengths - 1.0) > _ROUNDING)
     if len(bad):
-        where, got = table.where(int(bad[0]), "QuaternionX to QuaternionW"), f"length {lengths[bad[0]]:.3g}"
+        where = table.where(int(bad[0]), "QuaternionX to QuaternionW")
+        got = f"length {lengths[bad[0]]:.3g}"
         raise FormatError(table.path, where, "a quaternion of length 1", got, "was tracking lost there?")
 
 
@@ -213,7 +218,8 @@ def _rising(table: Table, stamps: F64, rows: NDArray[np.int64], heads: F64) -> t
     dropped = int(np.count_nonzero(~keep))
     if dropped > _MOST_DROPPED * len(rows):
         row = int(rows[np.flatnonzero(~keep)[0]])
-        got, remedy = f"{dropped} of {len(rows)} that do not", "are these several recordings in one file?"
+        got = f"{dropped} of {len(rows)} that do not"
+        remedy = "are these several recordings in one file?"
         where = table.where(row, _time_column(table))
         raise FormatError(table.path, where, "times that rise", got, remedy)
     if dropped:
@@ -237,7 +243,8 @@ def _setting_of(path: Path) -> SceneSetting:
     for name in names:
         if name in settings:
             return settings[name]
-    known, got = join_names(sorted(settings)), " or ".join(map(repr, dict.fromkeys(names)))
+    known = join_names(sorted(settings))
+    got = " or ".join(map(repr, dict.fromkeys(names)))
     raise FormatError(path, "", f"the name of a scene of {SETTINGS} ({known})", got, "pass setting=SceneSetting(...)")
 
 

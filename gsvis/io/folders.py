@@ -53,7 +53,8 @@ def _parts(path: Path) -> list[str]:
 
 def _walk(folder: Path) -> Iterator[tuple[str, list[str]]]:
     """Yield folders, this one first, with the names of their files; limited in depth and number."""
-    seen, base = 0, len(folder.parts)
+    seen = 0
+    base = len(folder.parts)
     for parent, folders, names in os.walk(folder):
         seen += len(folders) + len(names)
         if seen > _MOST_ENTRIES:

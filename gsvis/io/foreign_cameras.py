@@ -19,13 +19,18 @@ _REALITY = "Export > Registration, type COLMAP, in RealityScan or RealityCapture
 _ANY = "the COLMAP model or transforms.json that the scene was trained from"
 
 _BY_NAME = {
-    ".psx": ("a project of Metashape", _METASHAPE), ".psz": ("a project of Metashape", _METASHAPE),
-    ".rcproj": ("a project of RealityCapture", _REALITY), ".rsproj": ("a project of RealityScan", _REALITY),
-    ".rcalign": ("an alignment of RealityCapture", _REALITY), ".rsalign": ("an alignment of RealityScan", _REALITY),
+    ".psx": ("a project of Metashape", _METASHAPE),
+    ".psz": ("a project of Metashape", _METASHAPE),
+    ".rcproj": ("a project of RealityCapture", _REALITY),
+    ".rsproj": ("a project of RealityScan", _REALITY),
+    ".rcalign": ("an alignment of RealityCapture", _REALITY),
+    ".rsalign": ("an alignment of RealityScan", _REALITY),
     ".xmp": ("an XMP sidecar of one photograph, as RealityCapture writes it", _REALITY),
-    ".p4d": ("a project of Pix4D", _ANY), ".abc": ("cameras in Alembic", _ANY), ".fbx": ("cameras in FBX", _ANY),
+    ".p4d": ("a project of Pix4D", _ANY),
+    ".abc": ("cameras in Alembic", _ANY),
+    ".fbx": ("cameras in FBX", _ANY),
     ".db": ("a database of COLMAP, which holds no poses", "the model in sparse/0 beside it"),
-}  # fmt: skip
+}
 _BY_START = (
     (rb"<document[^>]*>\s*<chunk|<document[^>]*version=\"[0-9.]+\"", ("cameras of Metashape (XML)", _METASHAPE)),
     (rb"<BlocksExchange", ("cameras in BlocksExchange (XML)", _METASHAPE)),
@@ -34,7 +39,7 @@ _BY_START = (
     (rb"^NVM_V3", ("cameras of VisualSFM (NVM)", _ANY)),
     (rb"(?i)^#(cameras [0-9]|name,? ?x,? ?y,? ?(alt|z))", ("a registration of RealityCapture (CSV)", _REALITY)),
     (rb"(?i)^#? ?(photoid|imagename)[, \t]+x[, \t]+y[, \t]+z", ("cameras in omega, phi, kappa", _ANY)),
-)  # fmt: skip
+)
 _SUFFIXES = (".xml", ".out", ".nvm", ".csv", *_BY_NAME)
 _MOST = 64
 

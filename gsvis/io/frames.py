@@ -71,7 +71,8 @@ def fit_cameras(
         FormatError: If there is a `dataparser_transforms.json` that is malformed and the cameras need it.
     """
     _check.one_of("frame", frame, ("auto", "scene", "capture"))
-    lost, forced = _share(g, cameras), frame == "capture"
+    lost = _share(g, cameras)
+    forced = frame == "capture"
     looked = forced or (frame == "auto" and lost > 0.0)
     found = find_dataparser(path, scene) if looked else None
     if found is None and forced:
@@ -79,12 +80,14 @@ def fit_cameras(
         raise ArgumentError(
             "frame", f"expected a {NAME} beside {where} for capture, got none", "copy it there, or leave this out"
         )
-    best, moved = 2.0 if forced else lost, None
+    best = 2.0 if forced else lost
+    moved = None
     if found is not None:
         for each in _candidates(found, path, inverted=not forced):
             share = _share(g, move_cameras(cameras, each))
             if share < best:
-                best, moved = share, each
+                best = share
+                moved = each
     if moved is not None and (forced or lost - best >= _GAIN):
         count = len(cameras)
         line = (

@@ -36,7 +36,8 @@ __all__ = ["MAGIC", "SPLATS", "SPZ", "load_gltf_splats"]
 
 F32 = NDArray[np.float32]
 MAGIC = b"glTF"
-_HEAD, _CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
+_HEAD = struct.Struct("<4sII")
+_CHUNK = struct.Struct("<I4s")
 _KNOWN = {SPLATS, SPZ, "KHR_mesh_quantization"}
 _TURN = np.diag([1.0, -1.0, -1.0])  # right-down-front, as SPZ is decoded, to what the stream holds
 
@@ -87,7 +88,8 @@ def _stated(root: Fields, scene: Gaussians) -> Gaussians:
     asset = root.raw("asset") if "asset" in root else None
     extras = asset.get("extras") if isinstance(asset, dict) else None
     stated = facts_from_json(extras.get(KEY) if isinstance(extras, dict) else None)
-    origin, own = scene.facts.origin, scene.facts
+    origin = scene.facts.origin
+    own = scene.facts
     up = (stated.up, stated.up_source) if stated.up else ((0.0, 1.0, 0.0), "glTF")
     flagged = own.antialiased or stated.antialiased
     facts = replace(stated, origin=origin, up=up[0], up_source=up[1], antialiased=flagged)
@@ -130,7 +132,8 @@ def _chunks(path: str | os.PathLike[str], data: bytes) -> tuple[bytes, memoryvie
 
 def _primitive(fields: Fields, accessors: Accessors, budget: Budget) -> Gaussians:
     """Return the Gaussians of one primitive in the frame of its mesh."""
-    path, splats = fields.path, fields.child("extensions").child(SPLATS)
+    path = fields.path
+    splats = fields.child("extensions").child(SPLATS)
     if "mode" not in fields or fields.integer("mode", 0, 6) != 0:
         raise FormatError(path, fields.where("mode"), "0, points", str(fields.raw("mode")))
     if "kernel" in splats:

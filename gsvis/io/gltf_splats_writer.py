@@ -39,7 +39,9 @@ Compression = Literal["none", "spz"]
 MOST_BYTES = 2**32 - 1
 """Most bytes of a GLB, which has 32 bits for its length."""
 
-_FLOAT, _BYTE, _VERTICES = 5126, 5121, 34962
+_FLOAT = 5126
+_BYTE = 5121
+_VERTICES = 34962
 _TURN = np.diag([1.0, -1.0, -1.0])  # SPZ streams are turned by it: half a turn about x
 _JSON_ROOM = 16384  # more than the JSON of any scene
 

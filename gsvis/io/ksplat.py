@@ -36,18 +36,24 @@ __all__ = ["load_ksplat", "save_ksplat"]
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
-_HEADER, _HEADER_BYTES = struct.Struct("<BB2xIIIIH2x5f"), 4096
-_SECTION, _SECTION_BYTES = struct.Struct("<IIIIfH2xIIIIH"), 1024
+_HEADER = struct.Struct("<BB2xIIIIH2x5f")
+_HEADER_BYTES = 4096
+_SECTION = struct.Struct("<IIIIfH2xIIIIH")
+_SECTION_BYTES = 1024
 _CENTER_BYTES = 12
 _COMPONENTS = (0, 9, 24)
 _RANGE = 32767  # steps from the center of a block to its side
 _HALF_RANGE = 1.5  # of SH in bytes, where the header has 0
 _BUCKET = 256
-_CORE, _STRETCHED = 0.9, 16.0  # share of the centers, and how much wider than them blocks may be laid out
+# share of the centers, and how much wider than them blocks may be laid out
+_CORE = 0.9
+_STRETCHED = 16.0
 _BLOCKS = 8  # along the longest side of the middle 98%: a viewer searches buckets in turn, so they are few
 _COARSE = 0.25  # of a Gaussian's size: a step that may show
-_FACTS_AT, _FACTS = 256, b"gsvis facts "
-_LEAST_HALF, _MOST_HALF = 2.0**-24, 65504.0
+_FACTS_AT = 256
+_FACTS = b"gsvis facts "
+_LEAST_HALF = 2.0**-24
+_MOST_HALF = 65504.0
 
 
 @dataclass(frozen=True)
@@ -220,14 +226,26 @@ def save_ksplat(scene: Gaussians, path: str | os.PathLike[str], *, compression: 
         report_loss(target, "centers", f"centers are rounded to steps of {step:.3g}; Gaussians have {size:.3g}")
     low, high = _sh_limits(scene.shN)
     records = _encode(scene if buckets is None else scene[buckets.order], compression, buckets, (low, high))
-    n, head = len(scene), b""
+    n = len(scene)
+    head = b""
     fields: tuple[float, ...] = (n, n, 0, 0, 0.0, 0, 0, records.nbytes, 0, 0, scene.sh_degree)
     if buckets is not None:
         head = buckets.lengths[buckets.full :].astype("<u4").tobytes() + buckets.centers.astype("<f4").tobytes()
         made = len(buckets.lengths)
         stored = len(head) + records.nbytes
-        fields = (n, n, _BUCKET, made, buckets.block, _CENTER_BYTES, _RANGE, stored & 0xFFFFFFFF, buckets.full,
-                  made - buckets.full, scene.sh_degree)  # fmt: skip
+        fields = (
+            n,
+            n,
+            _BUCKET,
+            made,
+            buckets.block,
+            _CENTER_BYTES,
+            _RANGE,
+            stored & 0xFFFFFFFF,
+            buckets.full,
+            made - buckets.full,
+            scene.sh_degree,
+        )
     with atomic_path(target) as partial, open(partial, "wb") as out:
         fixed = _HEADER.pack(0, 1, 1, 1, n, n, compression, 0.0, 0.0, 0.0, low, high)
         out.write(_with_facts(fixed, scene.facts).ljust(_HEADER_BYTES, b"\0"))
@@ -286,7 +304,8 @@ def _sort_into_buckets(scene: Gaussians) -> _Buckets:
     low, high = scene.bounds()  # a grid from the corner of all centers would be as coarse as its floaters are far
     core_low, core_high = scene.bounds(_CORE)
     if (high - low).max() > _STRETCHED * (core_high - core_low).max() > 0.0:  # a few flyaways in a small scene
-        low, high = core_low, core_high
+        low = core_low
+        high = core_high
     side = float((high - low).max()) or _BLOCKS
     block = float(max(np.float32(side / _BLOCKS), np.finfo(np.float32).tiny))
     cells = np.floor((scene.means.astype(np.float64) - low) / block)
@@ -325,7 +344,8 @@ def _encode(scene: Gaussians, level: int, buckets: _Buckets | None, limits: tupl
         records["means"] = np.clip(steps + _RANGE, 0, 2 * _RANGE + 1)
         records["scales"] = np.clip(scene.scales, _LEAST_HALF, _MOST_HALF)
         values = np.clip(values, -_MOST_HALF, _MOST_HALF) if level == 1 else _to_bytes(values, *limits)
-    records["quats"], records["sh"] = scene.quats, values
+    records["quats"] = scene.quats
+    records["sh"] = values
     records["rgba"][:, :3] = np.rint(np.clip(0.5 + SH_C0 * scene.sh0[:, 0], 0.0, 1.0) * 255.0)
     records["rgba"][:, 3] = np.rint(scene.opacities * 255.0)
     return records

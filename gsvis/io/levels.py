@@ -33,7 +33,8 @@ __all__ = ["MAP", "LevelsInfo", "check_names", "levels_info", "load_levels", "sa
 MAP = "levels.arrow"
 """Name of the map in the folder."""
 
-FORMAT, VERSION = "gsvis-levels", 1
+FORMAT = "gsvis-levels"
+VERSION = 1
 _ROWS = 1 << 16
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 _AGAIN = "write the levels again"
@@ -108,8 +109,12 @@ def save_levels(levels: Levels, folder: str | os.PathLike[str], extra: Mapping[s
             digest = digest_of(partial / f"{name}.ply")
             rows.append({"name": name, "file": f"{name}.ply", "count": levels.counts[k], "sha256": digest})
         header = {
-            "format": FORMAT, "version": VERSION, "gaussians": len(levels.union), "levels": rows, "extra": kept,
-        }  # fmt: skip
+            "format": FORMAT,
+            "version": VERSION,
+            "gaussians": len(levels.union),
+            "levels": rows,
+            "extra": kept,
+        }
         write_arrow(partial / MAP, _FIELDS, header, _batches(levels))
 
 
@@ -160,7 +165,8 @@ def levels_info(folder: str | os.PathLike[str]) -> LevelsInfo:
 
 
 def _batches(levels: Levels) -> Iterator[pa.RecordBatch]:
-    schema, union = pa.schema(_FIELDS), levels.union
+    schema = pa.schema(_FIELDS)
+    union = levels.union
     for start in range(0, len(union), _ROWS):
         some = slice(start, min(start + _ROWS, len(union)))
         scales = pa.FixedSizeListArray.from_arrays(pa.array(union.scales[some].reshape(-1)), type=_FIELDS[2].type)
@@ -173,9 +179,12 @@ def _info(file: ArrowFile) -> LevelsInfo:
     rows = [Fields(file.path, f"levels[{k}]", row) for k, row in enumerate(header.items("levels"))]
     if not 1 <= len(rows) <= 16:
         raise FormatError(file.path, "levels", "1 to 16 levels", f"{len(rows)}")
-    names, files, digests = [], [], []
+    names = []
+    files = []
+    digests = []
     for row in rows:
-        name, digest = row.raw("name"), row.raw("sha256")
+        name = row.raw("name")
+        digest = row.raw("sha256")
         if not isinstance(name, str) or name in names:
             raise FormatError(file.path, row.where("name"), "a unique name", repr(name)[:60])
         if not isinstance(digest, str) or not re.fullmatch("[0-9a-f]{64}", digest):
@@ -205,7 +214,8 @@ def _columns(file: ArrowFile, info: LevelsInfo) -> tuple[NDArray[Any], NDArray[A
     wrong = (first > last) | (last >= len(info.names))
     if wrong.any():
         k = int(np.argmax(wrong))
-        expected, got = f"levels in order, below {len(info.names)}", f"{first[k]} to {last[k]} in row {k:,}"
+        expected = f"levels in order, below {len(info.names)}"
+        got = f"{first[k]} to {last[k]} in row {k:,}"
         raise FormatError(file.path, "rows", expected, got, _AGAIN)
     return first, last, scales, opacities
 
@@ -218,6 +228,7 @@ def _check_ply(file: Path, info: LevelsInfo, level: int) -> Path:
     except FileNotFoundError as error:
         raise FormatError(path, "", f"the PLY of level {info.names[level]!r}", "no such file", _AGAIN) from error
     if digest != info.digests[level]:
-        wanted, got = f"a content of SHA-256 {info.digests[level][:12]}...", f"{digest[:12]}..."
+        wanted = f"a content of SHA-256 {info.digests[level][:12]}..."
+        got = f"{digest[:12]}..."
         raise FormatError(path, "", wanted, got, f"it was changed since the map was written: {_AGAIN}")
     return path

@@ -165,14 +165,19 @@ def _read(header: PlyHeader, columns: Columns, facts: SceneFacts, stream: Binary
     assert vertex is not None
     n = vertex.count
     means = np.empty((n, 3), np.float64 if any(facts.origin) else np.float32)
-    quats, scales = np.empty((n, 4), np.float32), np.empty((n, len(columns.scales)), np.float32)
+    quats = np.empty((n, 4), np.float32)
+    scales = np.empty((n, len(columns.scales)), np.float32)
     opacities = np.empty((n, 1), np.float32)
-    sh0, sh_rest = np.empty((n, 3), np.float32), np.empty((n, len(columns.higher)), np.float32)
+    sh0 = np.empty((n, 3), np.float32)
+    sh_rest = np.empty((n, len(columns.higher)), np.float32)
     filters = np.empty((n, 1 if columns.filter else 0), np.float32)
     groups: list[tuple[NDArray[np.floating[Any]], tuple[str, ...]]] = [
-        (means, columns.means), (quats, columns.quats), (scales, columns.scales), (opacities, (columns.opacity,)),
+        (means, columns.means),
+        (quats, columns.quats),
+        (scales, columns.scales),
+        (opacities, (columns.opacity,)),
         (sh0, columns.sh0),
-    ]  # fmt: skip
+    ]
     groups += [(sh_rest, columns.higher)] if columns.higher else []
     groups += [(filters, (columns.filter,))] if columns.filter else []
     gather = _Gather(vertex, [names for _, names in groups])
@@ -283,10 +288,12 @@ def save_ply_parts(
     stated = SceneFacts() if facts is None else facts
     double = any(stated.origin)
     lines = [
-        "ply", "format binary_little_endian 1.0", *(f"comment {line}" for line in comments_of(stated)),
+        "ply",
+        "format binary_little_endian 1.0",
+        *(f"comment {line}" for line in comments_of(stated)),
         f"element vertex {count}",
         *(f"property {'double' if double and p in _MEANS else 'float'} {p}" for p in names),
-    ]  # fmt: skip
+    ]
     left = count
     with atomic_path(path) as partial, open(partial, "wb") as stream:
         stream.write(("\n".join(lines) + "\nend_header\n").encode("ascii"))
@@ -315,7 +322,8 @@ def _with_doubles(scene: Gaussians, some: slice, table: F32) -> bytes:
 
 def _tables(scene: Gaussians, names: tuple[str, ...], k: int) -> Iterator[NDArray[np.float32]]:
     """Yield the rows of a scene in columns of these names, some at a time; k SH coefficients above degree 0."""
-    at, own = {name: i for i, name in enumerate(names)}, scene.shN.shape[1]
+    at = {name: i for i, name in enumerate(names)}
+    own = scene.shN.shape[1]
     per_chunk = max(1, CHUNK_BYTES // (4 * len(names)))
     for start in range(0, len(scene), per_chunk):
         some = slice(start, min(start + per_chunk, len(scene)))

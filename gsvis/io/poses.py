@@ -101,7 +101,8 @@ def _path_of(table: Table) -> HeadPath:
     values = table.numbers(COLUMNS)
     if len(values) == 0:
         raise FormatError(table.path, f"line {table.lines[0] + 1}", "at least one pose", "the end of the file")
-    times, quats = values[:, 0] - values[0, 0], values[:, 4:]
+    times = values[:, 0] - values[0, 0]
+    quats = values[:, 4:]
     _check_times(table, times)
     with np.errstate(over="ignore"):
         lengths = np.linalg.norm(quats, axis=1)

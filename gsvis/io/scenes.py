@@ -182,7 +182,8 @@ def _check_content(path: Path) -> None:
 
 def _load_gzip(path: str | os.PathLike[str]) -> Gaussians:
     """Read a gzipped scene: SPZ of version 1 to 3, PLY, or `.splat`."""
-    head, name = peek_gzip(path), os.fspath(path).lower()
+    head = peek_gzip(path)
+    name = os.fspath(path).lower()
     if head.startswith(b"NGSP") or name.endswith(".spz"):
         return load_spz(path)
     if head.startswith(b"ply"):
@@ -229,7 +230,8 @@ def _reader(path: Path) -> Callable[[str | os.PathLike[str]], Gaussians]:
             return load_checkpoint if magic == b"PK" and is_checkpoint(path) else _READERS[suffix]
     reader = _READERS.get(path.suffix.lower())
     if reader is None and head.startswith(b"\x80"):
-        expected, remedy = "a zip, as torch writes checkpoints since 1.6", "load it with torch and torch.save it again"
+        expected = "a zip, as torch writes checkpoints since 1.6"
+        remedy = "load it with torch and torch.save it again"
         raise FormatError(path, "", expected, "a bare pickle, perhaps of torch before 1.6", remedy)
     if reader is None:
         # nerfstudio and gsplat write a config.yml or cfg.yml beside their checkpoints

@@ -59,7 +59,8 @@ def load_sog(path: str | os.PathLike[str]) -> Gaussians:
             return read_sog(SogMeta(parse_object(where, archive.read("meta.json", budget), budget)), archive, budget)
     if is_folder:
         inside(where, "", where.parent, where.name)
-    store, data = FolderStore(where.parent, where), read_whole(where)
+    store = FolderStore(where.parent, where)
+    data = read_whole(where)
     budget = Budget(where, len(data))
     meta = SogMeta(parse_object(where, data, budget))
     budget.file_bytes += store.file_bytes(meta.names)
@@ -77,7 +78,8 @@ class SogMeta:
     """
 
     def __init__(self, fields: Fields) -> None:
-        self.fields, self.path = fields, fields.path
+        self.fields = fields
+        self.path = fields.path
         self.version = fields.integer("version", 2, 2) if "version" in fields else 1
         if self.version == 2:
             self.count = fields.integer("count", 1, MAX_PIXELS)
@@ -152,9 +154,11 @@ def read_sog(meta: SogMeta, store: Store, budget: Budget) -> Gaussians:
     color = _plane(meta, store, budget, "sh0")
     if meta.version == 1:
         values = _look_up(meta, "sh0", color, 4)
-        sh0, opacities = np.ascontiguousarray(values[:, :3]), sigmoid(values[:, 3])
+        sh0 = np.ascontiguousarray(values[:, :3])
+        opacities = sigmoid(values[:, 3])
     else:
-        sh0, opacities = _look_up(meta, "sh0", color[:, :3], 3), color[:, 3].astype(np.float32) / np.float32(255.0)
+        sh0 = _look_up(meta, "sh0", color[:, :3], 3)
+        opacities = color[:, 3].astype(np.float32) / np.float32(255.0)
     higher = _higher(meta, store, budget) if "shN" in meta.files else None
     facts = meta.facts()
     scene = gaussians_from(store.path, means, quats, scales, opacities, sh0[:, None, :], higher, facts)
@@ -197,7 +201,8 @@ def _check_index(meta: SogMeta, key: str, most: int, entries: int, what: str) ->
 
 def _means(meta: SogMeta, store: Store, budget: Budget) -> F32:
     part = meta.fields.child("means")
-    low, high = part.numbers("mins", 3), part.numbers("maxs", 3)
+    low = part.numbers("mins", 3)
+    high = part.numbers("maxs", 3)
     fine, coarse = (_plane(meta, store, budget, "means", i)[:, :3] for i in range(2))
     steps = fine.astype(np.uint16) | coarse.astype(np.uint16) << np.uint16(8)
     means = np.empty((meta.count, 3), np.float32)

@@ -162,7 +162,8 @@ def _as_plane(values: U8) -> U8:
 
 def _means(scene: Gaussians, planes: dict[str, U8]) -> dict[str, Any]:
     position = symlog(scene.means)
-    low, high = position.min(axis=0), position.max(axis=0)
+    low = position.min(axis=0)
+    high = position.max(axis=0)
     unit = (position - low) / np.where(high > low, high - low, 1.0)
     steps = np.rint(unit * 65535.0).astype(np.uint16)
     planes["means_l"] = _as_plane((steps & np.uint16(0xFF)).astype(np.uint8))

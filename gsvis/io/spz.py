@@ -40,10 +40,29 @@ _GZIP = b"\x1f\x8b"
 _HEADER = struct.Struct("<4sIIBBBB")
 _V4_REST = struct.Struct("<I12x")
 _COEFFICIENTS = (0, 3, 8, 15, 24)
-_ANTIALIASED, _HAS_EXTENSIONS = 0x1, 0x2
-_COORDINATE_SYSTEM, _FACTS = 0xADBE0003, 0x47530001
-_FRAMES = ("", "LDB", "RDB", "LUB", "RUB", "LDF", "RDF", "LUF", "RUF", "LBD", "RBD", "LBU", "RBU", "LFD", "RFD", "LFU",
-           "RFU")  # fmt: skip
+_ANTIALIASED = 0x1
+_HAS_EXTENSIONS = 0x2
+_COORDINATE_SYSTEM = 0xADBE0003
+_FACTS = 0x47530001
+_FRAMES = (
+    "",
+    "LDB",
+    "RDB",
+    "LUB",
+    "RUB",
+    "LDF",
+    "RDF",
+    "LUF",
+    "RUF",
+    "LBD",
+    "RBD",
+    "LBU",
+    "RBU",
+    "LFD",
+    "RFD",
+    "LFU",
+    "RFU",
+)
 _MOST_EXTENSIONS = 1 << 16
 _COMPACT_FRACTION_BITS = 12
 _COMPACT_SH_BITS = (5, 4)  # of degree 1, and of all above; multiples of 8 and of 16 of the 256 codes, and 255
@@ -206,7 +225,9 @@ def _unzstd(path: str | os.PathLike[str], name: str, packed: bytes, size: int) -
 
 def _extended(path: str | os.PathLike[str], header: _Header, block: bytes) -> _Header:
     """Return the header with what extensions state: the frame, and the facts that gsvis wrote; others are skipped."""
-    frame, facts, at = "", SceneFacts(), 0
+    frame = ""
+    facts = SceneFacts()
+    at = 0
     while at + 8 <= len(block):
         kind, length = struct.unpack_from("<II", block, at)
         body = block[at + 8 : at + 8 + length]
@@ -239,7 +260,8 @@ def _framed(scene: Gaussians, frame: str) -> Gaussians:
     turn = np.array([axes[letter] for letter in frame], np.float64).T @ _TURN
     if np.array_equal(turn, np.eye(3)):
         return scene
-    facts, plain = scene.facts, scene.with_facts(SceneFacts())
+    facts = scene.facts
+    plain = scene.with_facts(SceneFacts())
     if np.linalg.det(turn) > 0.0:
         return plain.transform(turn).with_facts(facts)
     flipped = plain.transform(-turn)  # and through (0, 0, 0): harmonics of odd degree change their sign
@@ -251,7 +273,8 @@ def _framed(scene: Gaussians, frame: str) -> Gaussians:
 
 
 def _decode(path: str | os.PathLike[str], header: _Header, streams: dict[str, U8]) -> Gaussians:
-    n, degree = header.count, header.sh_degree
+    n = header.count
+    degree = header.sh_degree
     means = _positions(header, streams["positions"])
     quats = _smallest_three(streams["rotations"]) if header.version >= 3 else _first_three(streams["rotations"])
     codes = np.arange(256, dtype=np.float32)

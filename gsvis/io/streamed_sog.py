@@ -176,7 +176,8 @@ class _Tree:
                     raise FormatError(self.path, "tree.lods", "levels 0, 1, 2, ...", repr(key[:40]))
                 run = Fields(self.path, f"tree.lods.{key}", value)
                 file = run.integer("file", 0, len(self.files) - 1)
-                offset, count = run.integer("offset", 0, _MAX_COUNT), run.integer("count", 0, _MAX_COUNT)
+                offset = run.integer("offset", 0, _MAX_COUNT)
+                count = run.integer("count", 0, _MAX_COUNT)
                 if count:
                     self.runs[int(key)][file].append((offset, count))
 

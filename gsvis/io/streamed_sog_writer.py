@@ -95,11 +95,13 @@ def save_streamed_sog(
         ValueError: If a leaf is empty at every level.
         OSError: If the folder cannot be written.
     """
-    target, counts = _check.path("folder", folder), scene.counts
+    target = _check.path("folder", folder)
+    counts = scene.counts
     if (counts.sum(axis=0) == 0).any():
         raise ValueError("counts: expected a Gaussian in every leaf, got an empty leaf")
     pieces = np.argwhere(counts > 0).tolist()
-    sizes, names = np.zeros(counts.shape, np.int64), {}
+    sizes = np.zeros(counts.shape, np.int64)
+    names = {}
     losses = list[_PaletteLoss]()
     progress("export", 0, len(pieces))
     with atomic_folder(target, last=(META,)) as partial:

@@ -19,7 +19,8 @@ __all__ = ["read_transforms"]
 _DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
 # Names of camera models that are pinholes where all distortion is 0.
 _PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "OPENCV", "FULL_OPENCV", "SIMPLE_RADIAL", "RADIAL")
-_ACROSS, _DOWN = ("fl_x", "camera_angle_x"), ("fl_y", "camera_angle_y")
+_ACROSS = ("fl_x", "camera_angle_x")
+_DOWN = ("fl_y", "camera_angle_y")
 _UNDISTORT = "undistort the images, for example with `colmap image_undistorter`, and use the model that it writes"
 
 
@@ -80,7 +81,8 @@ def _merge(content: dict[str, Any], frame: dict[str, Any]) -> dict[str, Any]:
 
 def _pixel_shape(values: dict[str, Any]) -> float | None:
     """Return fl_y over fl_x; None where one is missing or no number above 0."""
-    across, down = values.get("fl_x"), values.get("fl_y")
+    across = values.get("fl_x")
+    down = values.get("fl_y")
     if not isinstance(across, int | float) or not isinstance(down, int | float) or not (across > 0 and down > 0):
         return None
     return float(down) / float(across)
@@ -116,13 +118,15 @@ def _intrinsics(
         return None if values.get(key) is None else float(to_numbers(path, f"{where}: {key}", values[key], ()))
 
     _check_pinhole(path, where, values, [key for key in _DISTORTION if number(key)])
-    width, height = number("w"), number("h")
+    width = number("w")
+    height = number("h")
     if width is None or height is None:
         if size is None:
             remedy = "give one, size=(width, height) or --width and --height"
             raise FormatError(path, where, "an image size (w, h)", "none", remedy)
         width, height = size
-    focal_x, focal_y = number("fl_x"), number("fl_y")
+    focal_x = number("fl_x")
+    focal_y = number("fl_y")
     if focal_x is None:
         focal_x = _focal(path, where, width, number("camera_angle_x"))
     if focal_y is None:
@@ -133,7 +137,8 @@ def _intrinsics(
         focal_x = focal_y
     if focal_x is None or focal_y is None:
         raise FormatError(path, where, "fl_x or camera_angle_x", "neither")
-    center_x, center_y = number("cx"), number("cy")
+    center_x = number("cx")
+    center_y = number("cy")
     center = [width / 2 if center_x is None else center_x, height / 2 if center_y is None else center_y]
     pixels = (int(width), int(height))
     return pinhole(path, where, np.array([focal_x, focal_y]), np.array(center), pixels), pixels

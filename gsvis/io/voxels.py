@@ -40,7 +40,8 @@ _SIDE = 4  # voxels of a block
 _MOST = 1 << 24  # nodes, and blocks
 _MOST_DEPTH = 12
 _MOST_VOXELS = 1 << 28
-_MOST_JSON, _MOST_BIN = 1 << 20, 1 << 28
+_MOST_JSON = 1 << 20
+_MOST_BIN = 1 << 28
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,15 +140,18 @@ def _binary(target: Path) -> Path:
 def _encode(solid: Mask, depth: int) -> tuple[U32, NDArray[np.uint64], int]:
     """Return the nodes, the blocks of mixed leaves, and the number of inner nodes."""
     levels = _pyramid(_blocks_of(solid), depth)
-    states, masks = [level[0] for level in levels], levels[0][1]
+    states = [level[0] for level in levels]
+    masks = levels[0][1]
     nodes: list[NDArray[np.int64]] = []
     kept: list[NDArray[np.uint64]] = []
-    inner, leaves = 0, 0
+    inner = 0
+    leaves = 0
     wave = np.zeros((1 if states[-1][0, 0, 0] else 0, 3), np.int64)  # places of the nodes of a level
     start = len(wave)  # index of the first node of the next level
     for level in range(depth, -1, -1):
         place = tuple(wave.T)
-        full, values = states[level][place] == 2, np.zeros(len(wave), np.int64)
+        full = states[level][place] == 2
+        values = np.zeros(len(wave), np.int64)
         values[full] = SOLID
         if level == 0:
             mixed = masks[place][~full]
@@ -192,7 +196,8 @@ def _pyramid(blocks: NDArray[np.uint64], depth: int) -> list[tuple[NDArray[np.ui
     for _ in range(depth):
         side //= 2
         eight = state.reshape(side, 2, side, 2, side, 2)
-        low, high = eight.min(axis=(1, 3, 5)), eight.max(axis=(1, 3, 5))
+        low = eight.min(axis=(1, 3, 5))
+        high = eight.max(axis=(1, 3, 5))
         state = np.where(high == 0, 0, np.where(low == 2, 2, 1)).astype(np.uint8)
         levels.append((state, whole[:0]))
     return levels
@@ -207,7 +212,8 @@ def _header(path: Path) -> tuple[F64, float, tuple[int, int, int], int, int, int
     try:
         said = json.loads(read_whole(path, _MOST_JSON))
         bounds = np.array([said["gridBounds"]["min"], said["gridBounds"]["max"]], np.float64)
-        size, sides = float(said["voxelResolution"]), said["leafSize"]
+        size = float(said["voxelResolution"])
+        sides = said["leafSize"]
         depth, count, words = (said[key] for key in ("treeDepth", "nodeCount", "leafDataCount"))
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         raise FormatError(path, "", "the header of voxels", str(error)[:80], "write it again") from None
@@ -229,14 +235,17 @@ def _header(path: Path) -> tuple[F64, float, tuple[int, int, int], int, int, int
 def _decode(path: Path, nodes: U32, blocks: NDArray[np.uint64], depth: int, shape: tuple[int, int, int]) -> Mask:
     """Return the (X, Y, Z) solid voxels of an octree."""
     found = np.zeros([n // _SIDE for n in shape], np.uint64)
-    wave, places = (np.zeros(min(len(nodes), 1), np.int64), np.zeros((min(len(nodes), 1), 3), np.int64))
+    wave = np.zeros(min(len(nodes), 1), np.int64)
+    places = np.zeros((min(len(nodes), 1), 3), np.int64)
     for level in range(depth, -1, -1):
         values = nodes[wave]
         full = values == SOLID
         for place in places[full].tolist():
             part = tuple(slice(n << level, (n + 1) << level) for n in place)
             found[part] = 0xFFFFFFFFFFFFFFFF
-        values, places, parents = values[~full].astype(np.int64), places[~full], wave[~full]
+        values = values[~full].astype(np.int64)
+        places = places[~full]
+        parents = wave[~full]
         if level == 0:
             within = (places < found.shape).all(axis=1)
             if (values >= len(blocks)).any():

@@ -217,7 +217,8 @@ class ActiveTerms:
             ("sets", "visible sets", self.info.sets, None if sets is None else sets_hash(sets)),
         ):
             if given is not None and given != made:
-                wanted, got = f"active terms of {part} {given[:12]}...", f"those of {made[:12]}..."
+                wanted = f"active terms of {part} {given[:12]}..."
+                got = f"those of {made[:12]}..."
                 raise FormatError(
                     self.path, name, wanted, got, f"open it with the {part} it was built for, or {_AGAIN}"
                 )
@@ -240,7 +241,9 @@ class ActiveTerms:
         """Return the active terms of a cell, and the number of terms of the Gaussians that it sees."""
         if isinstance(cell, bool) or not isinstance(cell, int | np.integer) or not 0 <= cell < len(self):
             raise ValueError(f"cell: expected a number in [0, {len(self) - 1}], got {cell!r}")
-        where, group, place = f"cell {cell}", int(cell) // _GROUP, int(cell) % _GROUP
+        where = f"cell {cell}"
+        group = int(cell) // _GROUP
+        place = int(cell) % _GROUP
         batch = self._batch(group, where)
         number, count, of_visible, crc, data = (batch.column(k)[place].as_py() for k in range(len(_SCHEMA)))
         if number != cell or crc != zlib.crc32(data, zlib.crc32(_CRC.pack(number, count, of_visible))):

@@ -38,8 +38,11 @@ def write_blocks(parts: PartFolder, contents: Contents, progress: Progress) -> I
         contents: The scene.
         progress: Called with stage "package", in blocks.
     """
-    total, width = len(contents.starts) - 1, max(1, contents.term_records.shape[1])
-    of_terms, rows, chunks = TermLayout.from_grids(contents.grids), MOST_BYTES // width, contents.table.starts
+    total = len(contents.starts) - 1
+    width = max(1, contents.term_records.shape[1])
+    of_terms = TermLayout.from_grids(contents.grids)
+    rows = MOST_BYTES // width
+    chunks = contents.table.starts
     progress("package", 0, total)
     for k in range(total):
         some = slice(int(contents.starts[k]), int(contents.starts[k + 1]))
@@ -47,7 +50,8 @@ def write_blocks(parts: PartFolder, contents: Contents, progress: Progress) -> I
         table = contents.table[slice(*np.searchsorted(chunks, [some.start, some.stop]).tolist())]
         gaussians = parts.write_bytes(encode_gaussians(contents.records[some], counts, table, contents.layout))
         low, high = contents.term_offsets[[some.start, some.stop]].tolist()
-        firsts, terms = _firsts(counts), []
+        firsts = _firsts(counts)
+        terms = []
         for start in range(low, high, rows):
             end = min(start + rows, high)
             data = encode_terms(contents.term_records[start:end], firsts[start - low : end - low], of_terms)
@@ -71,7 +75,8 @@ def read_blocks(
     Raises:
         FormatError: If a part is missing, damaged, or does not fit the others.
     """
-    layout, coded = TermLayout.from_grids(manifest.grids), manifest.version > 2
+    layout = TermLayout.from_grids(manifest.grids)
+    coded = manifest.version > 2
     for block in manifest.blocks if coded else ():
         budget.claim(memory_of(block.count, block.num_terms, layout.nbytes), "manifest")
     if int(table.starts[-1]) != manifest.gaussians:
@@ -87,7 +92,8 @@ def read_blocks(
     of_records = RecordLayout.from_variant(manifest.grids.variant)
 
     def read(k: int) -> Rows:
-        block, rows = manifest.blocks[k], table[slice(int(heads[k]), int(heads[k + 1]))]
+        block = manifest.blocks[k]
+        rows = table[slice(int(heads[k]), int(heads[k + 1]))]
         return _read_coded(parts, block, rows, of_records, layout)
 
     with ThreadPoolExecutor(max(1, min(8, os.cpu_count() or 1))) as pool:  # kernels run without the GIL
@@ -101,7 +107,9 @@ def _read_coded(
         part = block.gaussians
         records, counts = decode_gaussians(parts.content_of(part), block.count, table, of_records)
         _check_terms(parts, block, counts)
-        firsts, pieces, low = _firsts(counts), [np.zeros((0, of_terms.nbytes), np.uint8)], 0
+        firsts = _firsts(counts)
+        pieces = [np.zeros((0, of_terms.nbytes), np.uint8)]
+        low = 0
         for part, count in block.terms:
             pieces.append(decode_terms(parts.content_of(part), firsts[low : low + count], of_terms))
             low += count
@@ -128,9 +136,11 @@ def _read_columns(parts: PartFolder, block: Block, widths: tuple[int, int], budg
 
 def _check_terms(parts: PartFolder, block: Block, counts: U8) -> None:
     """Raise unless a block has as many terms as its Gaussians and its parts have."""
-    found, listed = int(counts.sum(dtype=np.int64)), sum(count for _, count in block.terms)
+    found = int(counts.sum(dtype=np.int64))
+    listed = sum(count for _, count in block.terms)
     if found != block.num_terms or listed != block.num_terms:
-        path, got = parts.folder / block.gaussians.name, f"{found:,}, and {listed:,} in parts"
+        path = parts.folder / block.gaussians.name
+        got = f"{found:,}, and {listed:,} in parts"
         raise FormatError(path, "terms", f"{block.num_terms:,} terms", got, DAMAGED)
 
 

@@ -27,7 +27,8 @@ class CellTerms:
     """
 
     def __init__(self, g: Gaussians, colors: SrbfColors, sets: VisibilityStore, epsilon: float) -> None:
-        self._activation, self._sets = Activation(colors, g.means, epsilon), sets
+        self._activation = Activation(colors, g.means, epsilon)
+        self._sets = sets
 
     @property
     def epsilon(self) -> float:

@@ -51,7 +51,9 @@ SPREAD = 10 * 64
 _CUT_PLACES = (1 << 13) - 1  # from the layout with the fewest bits, so that chunks do not depend on the variant
 _MOST_BITS = 14  # of a place on an axis
 _ON_LATTICE = (1 << _MOST_BITS) - 1  # a layout with fewer bits leaves wider chunks linear
-_MORE, _ALONE = 2.0, 8  # most chunks that a lattice may need: a multiple of those without it, and one for 8 Gaussians
+# most chunks that a lattice may need: a multiple of those without it, and one for 8 Gaussians
+_MORE = 2.0
+_ALONE = 8
 _MOST_SYMLOG = 88.0  # of a coordinate in a logarithmic chunk; the largest float32 has 88.7
 _ROOTS = np.exp2(np.arange(64) / 64.0)
 
@@ -105,7 +107,9 @@ class ChunkTable:
         """Return one table with the rows of several; an empty list gives a table without rows."""
         if not parts:
             none = np.zeros((0, 3), np.float32)
-            low, stride, count = np.zeros(0, np.int16), np.zeros(0, np.uint8), np.zeros(0, np.uint16)
+            low = np.zeros(0, np.int16)
+            stride = np.zeros(0, np.uint8)
+            count = np.zeros(0, np.uint16)
             return cls(none, none, low, stride, count, np.zeros((0, 3), np.uint8))
         names = ("origins", "steps", "lows", "strides", "counts", "bits")
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
@@ -115,7 +119,10 @@ class ChunkTable:
 
     def __getitem__(self, rows: slice | NDArray[np.integer]) -> ChunkTable:
         """Return the rows at a slice or an index array."""
-        origins, steps, lows, strides = self.origins[rows], self.steps[rows], self.lows[rows], self.strides[rows]
+        origins = self.origins[rows]
+        steps = self.steps[rows]
+        lows = self.lows[rows]
+        strides = self.strides[rows]
         return ChunkTable(origins, steps, lows, strides, self.counts[rows], self.bits[rows])
 
     @property
@@ -281,7 +288,8 @@ def _places(centers: F32, table: ChunkTable, rows: NDArray[np.int32], layout: Re
     Raises:
         ValueError: If one is outside of its chunk.
     """
-    curved, steps = table.logarithmic[rows], np.abs(table.steps[rows].astype(np.float64))
+    curved = table.logarithmic[rows]
+    steps = np.abs(table.steps[rows].astype(np.float64))
     means = centers.astype(np.float64)
     means[curved] = symlog(means[curved])
     away = means - table.origins[rows]
@@ -312,13 +320,19 @@ def decode_records(
     m = len(packed)
     rows = _rows(table, chunks, m)
     found = Geometry(
-        np.empty((m, 3), np.float32), np.empty((m, 4), np.float32), np.empty((m, 3), np.float32),
+        np.empty((m, 3), np.float32),
+        np.empty((m, 4), np.float32),
+        np.empty((m, 3), np.float32),
         np.empty(m, np.float32),
-    )  # fmt: skip
+    )
     kernels.decode(
-        rows, *_check.read_only(table.origins, table.steps, table.lows, table.strides, packed), layout.bits,
-        layout.packed_from, _ROOTS, *found,
-    )  # fmt: skip
+        rows,
+        *_check.read_only(table.origins, table.steps, table.lows, table.strides, packed),
+        layout.bits,
+        layout.packed_from,
+        _ROOTS,
+        *found,
+    )
     return found
 
 
@@ -336,7 +350,9 @@ def lay_linear(records: U8, table: ChunkTable, layout: RecordLayout) -> tuple[U8
     rows = table.of_all()
     some = np.flatnonzero(table.logarithmic[rows])
     means = decode_records(records[some], table, layout, chunks=rows[some]).means
-    origins, steps, bits = table.origins.copy(), table.steps.copy(), table.bits.copy()
+    origins = table.origins.copy()
+    steps = table.steps.copy()
+    bits = table.bits.copy()
     counts = table.counts[heads].astype(np.int64)
     origins[heads], steps[heads] = _boxes(means, np.cumsum(counts) - counts, (1 << layout.position) - 1)
     bits[heads] = layout.position

@@ -24,8 +24,10 @@ U8 = NDArray[np.uint8]
 U32 = NDArray[np.uint32]
 
 _HEAD = struct.Struct("<4sBBBBII")
-_MAGIC, _VERSION = b"GSVc", 1
-_GAUSSIANS, _TERMS = 0, 1
+_MAGIC = b"GSVc"
+_VERSION = 1
+_GAUSSIANS = 0
+_TERMS = 1
 _LEVELS = coded_records.DEPTH // 3
 
 
@@ -43,11 +45,13 @@ def encode_gaussians(records: U8, counts: U8, table: ChunkTable, layout: RecordL
         table: Rows of their chunks.
         layout: Layout of the records.
     """
-    low, bits = np.zeros((len(records), 3), np.uint16), _low_bits(table)
+    low = np.zeros((len(records), 3), np.uint16)
+    bits = _low_bits(table)
     pairs = np.ascontiguousarray(records).view("<u8").reshape(-1, 2)
     words = np.zeros(64 * len(records) + 8, np.uint32)
     count_bits = int(counts.max(initial=0)).bit_length()
-    rows, fields = _rows(table), _fields(layout, count_bits)
+    rows = _rows(table)
+    fields = _fields(layout, count_bits)
     used = coded_records.code(pairs, np.ascontiguousarray(counts), low, rows, fields, words, True)
     packed = np.zeros(_bytes_of(bits), np.uint8)
     coded_records.pack(low.reshape(-1), bits, packed)
@@ -70,7 +74,8 @@ def decode_gaussians(data: bytes, count: int, table: ChunkTable, layout: RecordL
     bits = _low_bits(table)
     if len(bits) != 3 * count or len(rest) != _bytes_of(bits):
         raise ValueError(f"expected the places of {count:,} Gaussians, got {len(rest):,} bytes")
-    low, pairs = np.empty((count, 3), np.uint16), np.empty((count, 2), np.uint64)
+    low = np.empty((count, 3), np.uint16)
+    pairs = np.empty((count, 2), np.uint64)
     coded_records.unpack(rest, bits, low.reshape(-1))
     counts = np.empty(count, np.uint8)
     used = coded_records.code(pairs, counts, low, _rows(table), _fields(layout, count_bits), words, False)

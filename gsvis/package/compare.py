@@ -95,11 +95,15 @@ class _Drawing:
         sets: VisibilityStore | None,
         active: CellTerms | None,
     ) -> None:
-        self._scene, self._exact, self._sets, self._active = scene, exact, sets, active
+        self._scene = scene
+        self._exact = exact
+        self._sets = sets
+        self._active = active
         if exact is not None and len(exact.gaussians) != len(exact.colors):
             raise ValueError(f"exact: expected colors of {len(exact.gaussians):,} Gaussians, got {len(exact.colors):,}")
         self._before = None if exact is None else Evaluator(exact.colors)
-        self._decoded, self._highest = contents.gaussians(), contents.last == len(contents.names) - 1
+        self._decoded = contents.gaussians()
+        self._highest = contents.last == len(contents.names) - 1
         self._after = Evaluator(contents.colors().dequantize())
 
     def __call__(self, camera: Cameras) -> dict[str, F32]:
@@ -113,7 +117,8 @@ class _Drawing:
         images["rounding"] = self._draw_records(camera, eye, self._highest, None)
         if self._sets is not None:
             cell = _cell_of(self._sets.grid, eye)
-            seen, terms = np.zeros(len(self._decoded), bool), np.zeros(self._after.source.num_terms, bool)
+            seen = np.zeros(len(self._decoded), bool)
+            terms = np.zeros(self._after.source.num_terms, bool)
             seen[self._sets.visible_ids(cell)] = True
             if self._active is not None:
                 terms[self._active.active_ids(cell)] = True

@@ -91,10 +91,16 @@ class Contents:
         if layout.color_scale:
             base = np.concatenate([base, colors.scales.astype(np.uint8)[:, None]], axis=1)
         return cls(
-            levels.names, table, np.stack([levels.first[heads], levels.last[heads]], axis=1),
-            encode_records(g, base, table, layout), counts.astype(np.uint8), encode_terms(colors),
-            colors.grids, order.starts, g.facts,
-        )  # fmt: skip
+            levels.names,
+            table,
+            np.stack([levels.first[heads], levels.last[heads]], axis=1),
+            encode_records(g, base, table, layout),
+            counts.astype(np.uint8),
+            encode_terms(colors),
+            colors.grids,
+            order.starts,
+            g.facts,
+        )
 
     def __len__(self) -> int:
         """Return N, the number of Gaussians."""
@@ -134,11 +140,13 @@ class Contents:
         Args:
             ids: (M,) ids of the Gaussians; None means all.
         """
-        records, chunks = self.records, self.chunks
+        records = self.records
+        chunks = self.chunks
         if ids is not None:
             chosen = _check.integers("ids", ids, ("M",))
             _check.in_range("ids", chosen, 0, len(self) - 1)
-            records, chunks = records[chosen], chunks[chosen]
+            records = records[chosen]
+            chunks = chunks[chosen]
         found = decode_records(records, self.table, self.layout, chunks=chunks)
         sh0 = ((base_rgb(records, self.grids).astype(np.float64) - 0.5) / SH_C0)[:, None]
         return Gaussians(*found, sh0, facts=self.facts)
@@ -149,7 +157,8 @@ class Contents:
 
     def colors(self) -> QuantizedColors:
         """Return the base colors and all terms, as places in their tables; a place past the end becomes the last."""
-        n, base = len(self), base_places(self.records, self.grids).astype(np.uint16)
+        n = len(self)
+        base = base_places(self.records, self.grids).astype(np.uint16)
         scales = base[:, 3] if self.layout.color_scale else np.zeros(0, np.uint16)
         terms = decode_terms(self.term_records, self.grids)
         axes = np.zeros((n, 0, 2), np.uint16)  # empty: no packed variant has axes
@@ -163,7 +172,8 @@ def base_places(records: U8, grids: Grids) -> U8:
         records: (M, 16) uint8.
         grids: The tables of the scene.
     """
-    places, bits = base_colors(records, RecordLayout.from_variant(grids.variant)), grids.precision
+    places = base_colors(records, RecordLayout.from_variant(grids.variant))
+    bits = grids.precision
     most = np.array([bits.base, bits.base, bits.base, bits.scale][: places.shape[1]])
     return places if most.min() >= 8 else np.minimum(places, ((1 << most) - 1).astype(np.uint8))
 
@@ -178,9 +188,11 @@ def base_rgb(records: U8, grids: Grids) -> F32:
     base = base_places(records, grids).astype(np.uint16)
     if not has_scales(grids.kind):
         return np.stack([np.maximum(grids.base_table(k), 0.0)[base[:, k]] for k in range(3)], axis=1)
-    n, none = len(records), np.zeros(0, np.uint16)
+    n = len(records)
+    none = np.zeros(0, np.uint16)
     empty = none.reshape(0, grids.kind.intensities)
-    offsets, axes = np.zeros(n + 1, np.int64), np.zeros((n, 0, 2), np.uint16)
+    offsets = np.zeros(n + 1, np.int64)
+    axes = np.zeros((n, 0, 2), np.uint16)
     flat = QuantizedColors(
         grids, base[:, :3], base[:, 3], axes, offsets, none.astype(np.uint8), none.reshape(0, 2), none, empty
     )

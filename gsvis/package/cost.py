@@ -51,7 +51,8 @@ def measure_cost(
     found = []
     progress("cost", 0, len(cameras))
     for c in range(len(cameras)):
-        camera, eye = cameras[c], cameras[c].viewpoints[0]
+        camera = cameras[c]
+        eye = cameras[c].viewpoints[0]
         images = [
             np.clip(rasterize(g, camera, colors=e.colors(g.means, eye)).images[0], 0.0, 1.0)
             for g, e in zip(scenes, evaluators, strict=True)

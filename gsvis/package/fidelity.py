@@ -148,7 +148,8 @@ class Fidelity:
 
 
 def _pose(row: Fields) -> dict[str, Any]:
-    position, rotation = row.numbers("position", 3), row.numbers("rotation", 4)
+    position = row.numbers("position", 3)
+    rotation = row.numbers("rotation", 4)
     if not 0.99 < float(np.linalg.norm(rotation)) < 1.01:
         raise FormatError(row.path, row.where("rotation"), "a unit quaternion", f"{rotation.tolist()}")
     return {"position": position.tolist(), "rotation": rotation.tolist()}

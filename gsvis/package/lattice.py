@@ -62,8 +62,11 @@ def find_lattices(means: NDArray[np.float32]) -> Lattices:
         means: (N, 3) centers, in an order in which neighbors are near each other.
     """
     n = len(means)
-    of, places = np.full(n, -1, np.int16), np.zeros((n, 3), np.int32)
-    logs, rest, found = symlog(means), np.arange(n), list[tuple[F64, F64]]()
+    of = np.full(n, -1, np.int16)
+    places = np.zeros((n, 3), np.int32)
+    logs = symlog(means)
+    rest = np.arange(n)
+    found = list[tuple[F64, F64]]()
     while len(found) < _MOST and len(rest) >= _RUN:
         lattice = _common(logs[rest])
         if lattice is None:
@@ -129,7 +132,8 @@ def _fit(u: F64, run: F64, step: float) -> tuple[float, float]:
         some = u[np.abs(u - offset) < reach * step]
         times = np.rint((some - offset) / step)
         on = np.abs((some - offset) / step - times) < far
-        x, y = times[on], some[on] - offset
+        x = times[on]
+        y = some[on] - offset
         spread = float(((x - x.mean()) ** 2).sum())
         if spread > 0.0:
             step = float(((x - x.mean()) * (y - y.mean())).sum()) / spread

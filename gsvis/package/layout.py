@@ -105,7 +105,8 @@ class TermLayout:
         Raises:
             ValueError: If a term needs more than 64 bits, or a part of a base color more than 8.
         """
-        p, kind = grids.precision, grids.kind
+        p = grids.precision
+        kind = grids.kind
         function = (len(kind.functions) - 1).bit_length()
         layout = cls(function, p.center, p.center + 1, p.decay, p.intensity, kind.intensities)
         if p.base > 8 or (has_scales(kind) and p.scale > 8):

@@ -154,7 +154,9 @@ def _parse(row: Any) -> MadeFrom | None:
     """Return a scene from JSON; None if something is missing or of another kind."""
     if not isinstance(row, dict):
         return None
-    name, path, hashes = row.get("name"), row.get("path"), {key: row.get(key) for key in ("sha256", "scene")}
+    name = row.get("name")
+    path = row.get("path")
+    hashes = {key: row.get(key) for key in ("sha256", "scene")}
     if not (isinstance(name, str) and 0 < len(name) <= _MOST_NAME and (path is None or _is_near(path))):
         return None
     if any(value is not None and not (isinstance(value, str) and len(value) == _DIGITS) for value in hashes.values()):

@@ -29,7 +29,8 @@ from gsvis.scene.facts import SceneFacts
 
 __all__ = ["MANIFEST", "VERSION", "Blob", "Block", "Cost", "Manifest", "PackageInfo"]
 
-FORMAT, VERSION = "gsvis-package", 3
+FORMAT = "gsvis-package"
+VERSION = 3
 _OLDEST = 2
 MANIFEST = "manifest.json"
 _MOST_BYTES = 1 << 30
@@ -198,7 +199,8 @@ class Manifest:
 
     def to_json(self) -> bytes:
         """Return the bytes of the file, in the newest version; the same manifest gives the same bytes."""
-        layout, sets = RecordLayout.from_variant(self.grids.variant), self.visibility
+        layout = RecordLayout.from_variant(self.grids.variant)
+        sets = self.visibility
         value = {
             "format": FORMAT,
             "version": VERSION,
@@ -264,7 +266,8 @@ class Manifest:
 
     @classmethod
     def _of(cls, fields: Fields, version: int) -> Manifest:
-        scene, quantized = fields.text("scene"), fields.child("quantization")
+        scene = fields.text("scene")
+        quantized = fields.child("quantization")
         colors = quantized.child("colors")
         name = colors.text("variant", PACKED_VARIANTS)
         grids = grids_of(colors, name)
@@ -284,16 +287,23 @@ class Manifest:
             measured = Cost(cost.number("psnr"), cost.number("worst"), *sizes)
         up = fields.numbers("up", 3).tolist()
         fidelity = Fidelity.from_fields(fields.child("fidelity")) if "fidelity" in fields else None
-        meters, provenance = fields.number("meters_per_unit"), fields.child("provenance").value
+        meters = fields.number("meters_per_unit")
+        provenance = fields.child("provenance").value
         epsilon = fields.number("epsilon") if "epsilon" in fields else None
         facts = facts_from_json(fields.raw("facts")) if "facts" in fields else SceneFacts()
         info = PackageInfo((up[0], up[1], up[2]), meters, measured, provenance, fidelity, epsilon, facts)
         found = cls(
-            info, scene, names, tuple(level.integer("count", 1, _MOST) for level in levels), grids,
+            info,
+            scene,
+            names,
+            tuple(level.integer("count", 1, _MOST) for level in levels),
+            grids,
             tuple((Part.from_fields(row), row.integer("count", 1, _MOST)) for row in _objects(fields, "chunks")),
             tuple(_block(row, "arrow" if version == 2 else "bin") for row in _objects(fields, "blocks")),
-            _blob(fields, "visibility"), _blob(fields, "active_terms") if version == 2 else None, version,
-        )  # fmt: skip
+            _blob(fields, "visibility"),
+            _blob(fields, "active_terms") if version == 2 else None,
+            version,
+        )
         for key, claimed, counted in (("gaussians", "gaussians", found.gaussians), ("terms", "terms", found.terms)):
             if fields.integer(claimed, 0, _MOST) != counted:
                 raise FormatError(fields.path, key, f"{counted:,} as the parts have", f"{fields.raw(key)}", DAMAGED)

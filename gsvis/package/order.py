@@ -58,7 +58,8 @@ class PackageOrder:
         order = _by_content(union, codes, keys, order)
         lattices = find_lattices(union.means[order])
         order, lattices = _by_lattice(order, keys[order], lattices)
-        codes, keys = codes[order], keys[order] * (len(lattices) + 1) + lattices.of
+        codes = codes[order]
+        keys = keys[order] * (len(lattices) + 1) + lattices.of
         cuts = [0]
         groups = np.append(np.flatnonzero(np.diff(keys, prepend=-2)), len(keys)).tolist()
         for low, high in pairwise(groups):

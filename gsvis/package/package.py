@@ -86,9 +86,11 @@ class Package:
         """Read the manifest; see `open`."""
         self.path = _check.path("path", path)
         if self.path.is_dir() and not (self.path / MANIFEST).is_file():
-            got, remedy = "a folder without", _REMEDY
+            got = "a folder without"
+            remedy = _REMEDY
             if (self.path / "world.json").is_file():
-                got, remedy = "a world", "give one of its tiles, which are in packages"
+                got = "a world"
+                remedy = "give one of its tiles, which are in packages"
             raise FormatError(self.path, "", f"a package with a {MANIFEST}", got, remedy)
         self.manifest = Manifest.read(self.path / MANIFEST)
         self._parts = PartFolder(self.path / PARTS)
@@ -135,7 +137,8 @@ class Package:
         Raises:
             FormatError: If a part is missing, damaged, or does not fit the others.
         """
-        m, budget = self.manifest, self._budget()
+        m = self.manifest
+        budget = self._budget()
         table, levels = self._read_chunks(budget)
         found = self._decode(m, table, levels, budget)
         members = [int(((found.first <= k) & (k <= found.last)).sum()) for k in range(len(m.names))]
@@ -152,7 +155,8 @@ class Package:
         """
         if not 0 <= gaussian < len(self):
             raise ValueError(f"gaussian: expected an id below {len(self):,}, got {gaussian}")
-        m, budget = self.manifest, self._budget()
+        m = self.manifest
+        budget = self._budget()
         starts = np.cumsum([0, *(block.count for block in m.blocks)])
         k = int(np.searchsorted(starts, gaussian, "right")) - 1
         table, levels = self._read_chunks(budget)

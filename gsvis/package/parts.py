@@ -27,7 +27,8 @@ from gsvis.files.output import output_errors
 
 __all__ = ["MOST_BYTES", "Part", "PartFolder"]
 
-FORMAT, VERSION = "gsvis-part", 1
+FORMAT = "gsvis-part"
+VERSION = 1
 
 MOST_BYTES = 1 << 20
 """Most bytes of a part, before compression."""

@@ -21,10 +21,14 @@ def decode_one(
 ) -> tuple[list[float], list[float], list[float], float]:
     """Return mean, quaternion, scales and opacity of one record, before rounding to float32."""
     opacity = record[0] / 255.0
-    low, stride = int(table.lows[row]), int(table.strides[row])
+    low = int(table.lows[row])
+    stride = int(table.strides[row])
     bits = int.from_bytes(record[layout.packed_from :], "little")
-    width, half = sum(layout.bits), (1 << (layout.rotation - 1)) - 1
-    mean, vector, scales = [], [], []
+    width = sum(layout.bits)
+    half = (1 << (layout.rotation - 1)) - 1
+    mean = []
+    vector = []
+    scales = []
     for axis in range(3):
         word = bits >> (axis * width)
         place = word & ((1 << layout.position) - 1)
@@ -55,15 +59,19 @@ def encode_one(
     table, row = chunk
     logs = [min(max(round(math.log2(float(s)) * 64.0), -126 * 64), 128 * 64 - 1) for s in scales]
     logs = [max(level, max(logs) - 11 * 64) for level in logs]
-    low, stride = int(table.lows[row]), int(table.strides[row])
+    low = int(table.lows[row])
+    stride = int(table.strides[row])
     head = bytes([round(float(opacity) * 255.0), *color])
     w, x, y, z = (float(v) for v in quat)
     forms = [(w, x, y, z), (-x, w, z, -y), (-y, -z, w, x), (-z, y, -x, w)]
     best = max(forms, key=lambda form: abs(form[0]))  # the first of equals
     sign = -1.0 if best[0] < 0 else 1.0
-    half, bits = (1 << (layout.rotation - 1)) - 1, 0
+    half = (1 << (layout.rotation - 1)) - 1
+    bits = 0
     for axis in range(3):
-        step, place, x = float(table.steps[row, axis]), 0, float(mean[axis])
+        step = float(table.steps[row, axis])
+        place = 0
+        x = float(mean[axis])
         if step != 0:
             along = math.copysign(math.log1p(abs(x)), x) if step < 0 else x
             place = round((along - float(table.origins[row, axis])) / abs(step))

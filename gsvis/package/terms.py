@@ -44,7 +44,8 @@ def encode_terms(colors: QuantizedColors) -> U8:
     """
     layout = TermLayout.from_grids(colors.grids)
     parts = [colors.functions, colors.centers[:, 0], colors.centers[:, 1], colors.decays, *colors.intensities.T]
-    words, shift = np.zeros(colors.num_terms, "<u8"), 0
+    words = np.zeros(colors.num_terms, "<u8")
+    shift = 0
     for part, width in zip(parts, layout.widths.tolist(), strict=True):
         words |= part.astype(np.uint64) << np.uint64(shift) if width else np.uint64(0)
         shift += width
@@ -65,12 +66,14 @@ def decode_terms(records: ArrayLike, grids: Grids) -> Terms:
     packed = _check.integers("records", records, ("T", layout.nbytes), np.uint8)
     padded = np.zeros((len(packed), 8), np.uint8)
     padded[:, : layout.nbytes] = packed
-    words, shift = padded.view("<u8")[:, 0], 0
+    words = padded.view("<u8")[:, 0]
+    shift = 0
     parts: list[U16] = []
     for width in layout.widths.tolist():
         parts.append(((words >> np.uint64(shift)) & np.uint64((1 << width) - 1)).astype(np.uint16))
         shift += width
-    last, most = len(grids.kind.functions) - 1, (1 << layout.intensity) - 2
+    last = len(grids.kind.functions) - 1
+    most = (1 << layout.intensity) - 2
     functions, theta, phi, decays, *intensities = parts
     values = np.minimum(np.stack(intensities, axis=1), most)
     return Terms(np.minimum(functions, last).astype(np.uint8), np.stack([theta, phi], axis=1), decays, values)

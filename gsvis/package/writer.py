@@ -71,7 +71,8 @@ def write_package(
     tables = []
     for start in range(0, len(contents.table), _ROWS):
         rows = slice(start, min(start + _ROWS, len(contents.table)))
-        table, first_last = contents.table[rows], contents.chunk_levels[rows]
+        table = contents.table[rows]
+        first_last = contents.chunk_levels[rows]
         tables.append((parts.write_columns("chunks", columns_of(table, first_last)), len(table)))
     sets = None if visibility is None else _blob(parts, _check.path("visibility", visibility))
     known = info or PackageInfo()

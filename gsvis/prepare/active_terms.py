@@ -63,9 +63,17 @@ def build_active_terms(
     store.check_scene(g)
     activation = Activation(colors, g.means, epsilon)
     info = ActiveTermsInfo(
-        len(store), colors.num_terms, len(colors), colors.variant, activation.epsilon, str(provenance), bool(weighted),
-        store.info.scene, colors_hash(colors), sets_hash(store),
-    )  # fmt: skip
+        len(store),
+        colors.num_terms,
+        len(colors),
+        colors.variant,
+        activation.epsilon,
+        str(provenance),
+        bool(weighted),
+        store.info.scene,
+        colors_hash(colors),
+        sets_hash(store),
+    )
     write_active_terms(path, info, _cells(activation, store, weighted, progress))
     return ActiveTerms(path)
 

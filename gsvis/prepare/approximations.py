@@ -45,7 +45,8 @@ class Approximations:
             raise ValueError(f"colors: expected those of {len(g)} Gaussians, got {len(colors)}")
         if len(cameras) == 0:
             raise ValueError("cameras: expected at least one, got none")
-        self._gaussians, self._cameras = g, cameras
+        self._gaussians = g
+        self._cameras = cameras
         self._evaluator = Evaluator(colors)
         activation = Activation(colors, g.means, 0.0)
         self._eyes = cameras.viewpoints

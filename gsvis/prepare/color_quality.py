@@ -173,17 +173,20 @@ def measure_colors(
         raise ValueError("cameras: expected at least one, got none")
     most = int(colors.counts.max(initial=0))
     counts = np.array(sorted({0, most, *(k for k in config.counts if k < most)}), np.int64)
-    ranks, evaluator = colors.ranks, Evaluator(colors)
+    ranks = colors.ranks
+    evaluator = Evaluator(colors)
     activation = Activation(colors, g.means, 0.0)
     measured: dict[str, list[Any]] = {name: [] for name in ("all", "base", "count", "share", "active")}
     progress("colors", 0, len(cameras))
     for c in range(len(cameras)):
-        camera, eye = cameras[c], cameras[c].viewpoints[0]
+        camera = cameras[c]
+        eye = cameras[c].viewpoints[0]
 
         def shown(active: NDArray[np.bool_] | None, camera: Cameras = camera, eye: F64 = eye) -> F32:
             return _image(g, camera, evaluator.colors(g.means, eye, active=active))
 
-        exact, fitted = _image(g, camera, None), shown(None)
+        exact = _image(g, camera, None)
+        fitted = shown(None)
         firsts = {int(k): shown(ranks < k) for k in counts[:-1]} | {most: fitted}
         measured["all"].append(_likeness(fitted, exact, config.flip))
         measured["base"].append(_likeness(firsts[0], exact, config.flip))
@@ -195,10 +198,17 @@ def measure_colors(
         progress("colors", c + 1, len(cameras))
     mean_terms = np.array([np.minimum(colors.counts, k).mean() if len(g) else 0.0 for k in counts])
     return ColorQuality(
-        cameras, _join(measured["all"]), _join(measured["base"]), counts, mean_terms,
-        np.array(measured["count"]).T, np.array(config.epsilons), np.array(measured["share"]).T,
-        np.array(measured["active"]).T, config,
-    )  # fmt: skip
+        cameras,
+        _join(measured["all"]),
+        _join(measured["base"]),
+        counts,
+        mean_terms,
+        np.array(measured["count"]).T,
+        np.array(config.epsilons),
+        np.array(measured["share"]).T,
+        np.array(measured["active"]).T,
+        config,
+    )
 
 
 def _image(g: Gaussians, camera: Cameras, colors: F32 | None) -> F32:

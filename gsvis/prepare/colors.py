@@ -118,7 +118,8 @@ def prepare_colors(
     given = None if sets is None else _check_sets(sets, len(union))
     if union.sh_degree == 0 or len(union) == 0:
         fit = fit_srbf(union, None, replace(config.fit, max_terms=0), progress=progress)
-        everywhere, ones = np.full((len(union), NUM_FACES // 8), 255, np.uint8), np.ones(len(union))
+        everywhere = np.full((len(union), NUM_FACES // 8), 255, np.uint8)
+        ones = np.ones(len(union))
         return ColorPreparation(fit, everywhere, ones, None, "none needed: no color depends on direction")
     if navigable is None:
         raise ValueError("navigable: expected the space where eyes may be, got None; give one, such as a box")
@@ -127,9 +128,11 @@ def prepare_colors(
     kept = None if keep is None else KeptWork.beside(keep, _plan(g, navigable, config, given))
     n = len(union)
     like: dict[str, Any] = {
-        "sets": ((n, NUM_FACES // 8), np.uint8), "traced": ((1,), np.int64), "importance": ((n,), np.float64),
+        "sets": ((n, NUM_FACES // 8), np.uint8),
+        "traced": ((1,), np.int64),
+        "importance": ((n,), np.float64),
         "shares": ((n, NUM_FACES), np.uint8),
-    }  # fmt: skip
+    }
     found = {} if kept is None else kept.read_arrays(_FOUND, like)
     if given is None and config.rays_per_face > 0:
         _trace(as_levels(g), navigable, config.rays_per_face, kept, found, progress)
@@ -217,7 +220,8 @@ def _trace(
     progress("directions", done, total)
     end = 0
     for scene, places in level_scenes(levels):
-        begin, end = end, end + len(scene)
+        begin = end
+        end = end + len(scene)
         if done >= end:
             continue
         tracer = Tracer(EllipsoidProxies.from_scene(scene))

@@ -43,15 +43,24 @@ _clock = time.perf_counter  # tests set another
 # view of the scene.
 _WIDE_VIEW = 0.8  # a view to train on: smaller, but wide
 _PRUNED_VIEW = 1.0  # a look that chooses by photos, which are taken to be as many as views
-_LOOK, _LOOK_SHARE = 0.7, 2.8  # a look that chooses without photos; added to it if all Gaussians are in sight
-_STEP_VIEW, _STEP_SHARE, _STEP_SH = 0.25, 1.0, 1.6  # a training step, one of all Gaussians, what 16 SH coefficients add
+# a look that chooses without photos; added to it if all Gaussians are in sight
+_LOOK = 0.7
+_LOOK_SHARE = 2.8
+# a training step, one of all Gaussians, what 16 SH coefficients add
+_STEP_VIEW = 0.25
+_STEP_SHARE = 1.0
+_STEP_SH = 1.6
 _WEIGHED_VIEW = 0.75  # a view that measures importance
-_COST_VIEW, _CLIENT_VIEW = 6.0, 12.0  # a view that measures what rounding costs, and one of what a client gets
+# a view that measures what rounding costs, and one of what a client gets
+_COST_VIEW = 6.0
+_CLIENT_VIEW = 12.0
 
 _LEVELS_START = 3.0  # seconds until torch and the kernels of training are loaded
 _STEP = 0.01  # seconds of each training step
 # Seconds for each Gaussian and core.
-_BASE_FIT, _TERMS_FIT, _RECORDS = 2e-5, 3e-4, 6e-6
+_BASE_FIT = 2e-5
+_TERMS_FIT = 3e-4
+_RECORDS = 6e-6
 
 _CODED = 1 << 15  # Gaussians that are coded for the size of records
 _PACKED_TERM = 0.78  # size of coded terms over their raw size
@@ -135,7 +144,9 @@ class _Estimator:
     """The estimate of one run."""
 
     def __init__(self, stages: Stages, workers: Workers) -> None:
-        self.stages, self.workers, self.config = stages, workers, stages.config
+        self.stages = stages
+        self.workers = workers
+        self.config = stages.config
         self.load = machine_load()
         self.cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
         self.known = stages.reuse_levels()
@@ -172,7 +183,8 @@ class _Estimator:
         )
 
     def _levels(self) -> None:
-        stages, config = self.stages, self.config.levels
+        stages = self.stages
+        config = self.config.levels
         sizes = ", ".join(f"{n} {c:,}" for n, c in zip(self.levels.names, self.counts, strict=True))
         if not stages.trains or config is None:
             self.found.append(StageEstimate("levels", "given", sizes, 0.0, 0))
@@ -196,7 +208,8 @@ class _Estimator:
 
     def _choice(self, config: LevelsConfig) -> float:
         """Return what the choice of frozen Gaussians costs, in views."""
-        stages, views = self.stages, self.config.level_views
+        stages = self.stages
+        views = self.config.level_views
         counts = frozen_sizes(_sizes(stages))
         if stages.photos is not None:
             rounds = math.ceil(math.log(counts[-1] / self.counts[-1]) / math.log(1 - config.prune_share))
@@ -208,7 +221,8 @@ class _Estimator:
 
     def _sets(self) -> tuple[VisibilityStore | None, int, int]:
         """Return the store if it exists, bytes on disk, and memory."""
-        stages, grid = self.stages, self.stages.grid()
+        stages = self.stages
+        grid = self.stages.grid()
         kept = kept_memory(self.union, self.levels.union.sh_degree)
         name = stages.sets_name(self.levels, grid) if self.known is not None else "none"
         what = f"{len(grid):,} cells of side {grid.cell_size:.3g}"
@@ -219,9 +233,14 @@ class _Estimator:
             self.found.append(StageEstimate("sets", "done", what, 0.0, size))
             return store, size, kept + expected_memory(self.levels, self.config.sets, 1)
         cost = estimate_pvs(
-            self.levels, grid, stages.space, stages.work.at(name), self.config.sets,
-            workers=left_for_sets(self.workers, self.levels, self.union, self.config.sets), progress=stages.progress,
-        )  # fmt: skip
+            self.levels,
+            grid,
+            stages.space,
+            stages.work.at(name),
+            self.config.sets,
+            workers=left_for_sets(self.workers, self.levels, self.union, self.config.sets),
+            progress=stages.progress,
+        )
         disk = int(cost.disk * self.union / len(self.levels.union))
         state = "begun" if cost.finished or cost.looked else "to do"
         if cost.finished:
@@ -231,7 +250,9 @@ class _Estimator:
 
     def _colors(self, store: VisibilityStore | None) -> SrbfColors | None:
         """Return the colors if they exist."""
-        stages, fit, degree = self.stages, self.config.colors.fit, self.levels.union.sh_degree
+        stages = self.stages
+        fit = self.config.colors.fit
+        degree = self.levels.union.sh_degree
         terms = self._expect_terms()
         aim = f"up to {terms:,} terms" if terms else "no terms: no color depends on direction"
         what = f"{self.union:,} colors, variant {fit.variant}; {aim}"
@@ -261,7 +282,8 @@ class _Estimator:
         self.found.append(StageEstimate("cost", "to do", what, seconds, 100))
 
     def _fidelity(self, exact: SrbfColors | None, store: VisibilityStore | None) -> None:
-        stages, views = self.stages, self.config.fidelity_views
+        stages = self.stages
+        views = self.config.fidelity_views
         what = f"{views.count:,} views of {views.width} x {views.height}, {_IMAGES} images of each"
         if (
             exact is not None
@@ -318,7 +340,8 @@ def _own(stages: Stages) -> int:
 
 def _stand_in(stages: Stages) -> Levels:
     """Return levels of about the right sizes, from the Gaussians that cover most, to try a few cells with."""
-    g, config = stages.scene, stages.config.levels
+    g = stages.scene
+    config = stages.config.levels
     assert isinstance(g, Gaussians)
     assert config is not None
     order = np.argsort(-g.opacities * np.sort(g.scales, axis=1)[:, 1:].prod(axis=1), kind="stable")

@@ -93,7 +93,8 @@ class FittedColors:
     def sizes(self) -> dict[str, float]:
         """Return sizes in bytes: a Gaussian's color as records and as SH, a base color, and a term."""
         bits = None if self.precision == "exact" else self.precision
-        name, degree = self.colors.variant, self.gaussians.sh_degree
+        name = self.colors.variant
+        degree = self.gaussians.sh_degree
         return {
             "records": record_bytes(self.colors, bits) / max(1, len(self.colors)),
             "base": bytes_per_base(name, bits),
@@ -103,7 +104,8 @@ class FittedColors:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the figures as plain numbers, strings and lists for JSON."""
-        found, shares = self.preparation, self.by_count
+        found = self.preparation
+        shares = self.by_count
         seen = direction_fractions(found.sets)
         cells = self.cell_shares
         active = None

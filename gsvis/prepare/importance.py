@@ -100,7 +100,8 @@ def importance_from_views(g: Gaussians | Levels, cameras: Cameras, *, progress: 
     if len(faces) == 0:
         return ViewImportance(faces)
     levels = as_levels(g)
-    pixels, looks = len(cameras) * cameras.width * cameras.height, len(cameras) * len(levels)
+    pixels = len(cameras) * cameras.width * cameras.height
+    looks = len(cameras) * len(levels)
     progress("importance", 0, looks)
     for k, (scene, places) in enumerate(level_scenes(levels)):
         for c in range(len(cameras)):
@@ -109,7 +110,8 @@ def importance_from_views(g: Gaussians | Levels, cameras: Cameras, *, progress: 
             ids = np.flatnonzero(squared)
             towards_eye = cameras[c].viewpoints - scene.means[ids].astype(np.float64)
             away = np.linalg.norm(towards_eye, axis=1)
-            ids, towards_eye = ids[away > 0], towards_eye[away > 0] / away[away > 0, None]
+            ids = ids[away > 0]
+            towards_eye = towards_eye[away > 0] / away[away > 0, None]
             faces[places[ids], face_of(towards_eye)] += squared[ids] / np.float32(pixels)
             progress("importance", k * len(cameras) + c + 1, looks)
     faces /= (levels.last - levels.first + np.uint8(1))[:, None]

@@ -57,7 +57,8 @@ def judge_tile(
         around: What stands around the tile, and the store of what of it is seen.
         progress: Called with stage "judge", in views.
     """
-    top, own = len(levels) - 1, levels.level(len(levels) - 1)
+    top = len(levels) - 1
+    own = levels.level(len(levels) - 1)
     mine, judges = judging_views(own, views, space, whole=levels)
     judges = _within(judges, space)
     joint = levels if around is None else around[0].joined(levels)

@@ -25,7 +25,9 @@ __all__ = ["MadeLevels", "find_levels_work", "make_levels"]
 
 
 _USUAL = 12  # held-out views from which there are as many to judge as elsewhere
-_WIDTH, _FOV = 160, 75.0  # pixels and degrees of these views
+# pixels and degrees of these views
+_WIDTH = 160
+_FOV = 75.0
 _STREAM = 7  # of the seed
 
 
@@ -84,7 +86,8 @@ def make_levels(
         work=work,
         progress=progress,
     )
-    quality, judged = None, tuple[Judged, ...]()
+    quality = None
+    judged = tuple[Judged, ...]()
     if held_out is not None:
         quality = measure_levels(trained.levels, held_out, photographs=views.photographs, progress=progress)
         judged = _judge(trained.levels, views, config.seed, progress)

@@ -11,7 +11,9 @@ from gsvis.scene.levels import Levels
 __all__ = ["kept_memory", "left_for_sets"]
 
 # Measured on flowers LOD 2, nika LOD 1, showroom LOD 3 and biker and rounded up (docs/design/070).
-_BASE, _GAUSSIAN, _HARMONIC = 256 << 20, 200, 14
+_BASE = 256 << 20
+_GAUSSIAN = 200
+_HARMONIC = 14
 
 
 def kept_memory(gaussians: int, sh_degree: int) -> int:

@@ -140,7 +140,10 @@ def finish_package(
         ValueError: If another process prepares the same package.
         OSError: If a file cannot be written; finished work is kept.
     """
-    work, config, target, space = stages.work, stages.config, _check.path("out", out), stages.space
+    work = stages.work
+    config = stages.config
+    target = _check.path("out", out)
+    space = stages.space
     with work.opened():
         before = _parts_of(target)
         levels, quality = stages.levels()
@@ -151,7 +154,8 @@ def finish_package(
             cost = stages.cost(levels, exact, packed)
             fidelity = stages.fidelity(levels, exact, packed, store)
             judged = stages.judged(levels, store)
-            certificates, twice = store.certificates, store.info.config.get("traced_twice")
+            certificates = store.certificates
+            twice = store.info.config.get("traced_twice")
         began = time.perf_counter()
         views = choose_start_views(levels.level(len(levels) - 1), space, seed=config.level_views.seed)
         found = {"levels": quality, "directions": directions, "views": describe_poses(views), "judged": judged}

@@ -105,7 +105,8 @@ def color_scene(
         OutputError: If a file cannot be written; the message says what is kept.
         KeyboardInterrupt: If it is interrupted; the message says what is kept.
     """
-    outputs, config = outputs or ColorOutputs(), config or ColorConfig()
+    outputs = outputs or ColorOutputs()
+    config = config or ColorConfig()
     sets = None if store is None else store.direction_sets
     kept = find_kept(scene, space, config, out, sets=sets)
     with _keeping(kept):

@@ -114,8 +114,10 @@ class Stages:
         config = self.config
         if self.photos is None:
             views: dict[str, Any] = {
-                "drawn": asdict(config.level_views), "held_out": config.level_held_out, "space": space_hash(self.space),
-            }  # fmt: skip
+                "drawn": asdict(config.level_views),
+                "held_out": config.level_held_out,
+                "space": space_hash(self.space),
+            }
         else:
             views = {"photographs": digest_of_folder(self.photos), "size": config.level_size}
         training = None if config.levels is None else asdict(config.levels)
@@ -161,7 +163,8 @@ class Stages:
     def sets_name(self, levels: Levels, grid: CellGrid) -> str:
         """Return the name of the file of visible sets."""
         cells = {**grid.as_dict(), "coords": hashlib.sha256(grid.coords.astype("<i4").tobytes()).hexdigest()}
-        space, config = space_hash(self.space), self.config.sets.as_dict()
+        space = space_hash(self.space)
+        config = self.config.sets.as_dict()
         around = {} if self.around is None else {"around": self.around.digest}
         return (
             f"sets-{self._key('sets', levels=_content(levels), grid=cells, space=space, config=config, **around)}.pvs"
@@ -180,18 +183,26 @@ class Stages:
 
     def _find_sets(self, levels: Levels, grid: CellGrid, name: str, workers: Workers | None) -> None:
         """Write the store of visible sets, and that of what is seen around the scene."""
-        path, around = self.work.at(name), self.around
+        path = self.work.at(name)
+        around = self.around
 
         def build(seen: Levels, target: Path) -> VisibilityStore:
             return build_pvs(
-                seen, grid, self.space, target, self.config.sets,
-                workers=workers, one_level=self.one_level, progress=self.progress,
-            )  # fmt: skip
+                seen,
+                grid,
+                self.space,
+                target,
+                self.config.sets,
+                workers=workers,
+                one_level=self.one_level,
+                progress=self.progress,
+            )
 
         if around is None:
             build(levels, path).close()
         else:
-            both, joint = self.work.at(f"joint-{name}"), around.joined(levels)
+            both = self.work.at(f"joint-{name}")
+            joint = around.joined(levels)
             around = self.around = replace(around, gaussians=joint.union[len(levels.union) :])  # the same, once
             with build(joint, both) as store:
                 around.split(store, levels, path, self.work.at(around_of(name)), progress=self.progress)
@@ -202,13 +213,15 @@ class Stages:
     def colors_name(self, levels: Levels, store: VisibilityStore) -> str:
         """Return the name of the file of colors."""
         seen = hashlib.sha256(store.direction_sets.tobytes()).hexdigest() if levels.union.sh_degree else None
-        space, config = space_hash(self.space), asdict(self.config.colors)
+        space = space_hash(self.space)
+        config = asdict(self.config.colors)
         key = self._key("colors", levels=_content(levels), seen=seen, space=space if seen else None, config=config)
         return f"colors-{key}.arrow"
 
     def colors(self, levels: Levels, store: VisibilityStore) -> tuple[SrbfColors, str]:
         """Return the colors of the union before rounding, and a phrase for the source of their directions."""
-        name, sets = self.colors_name(levels, store), store.direction_sets
+        name = self.colors_name(levels, store)
+        sets = store.direction_sets
         found_so_far = self.work.at("directions")  # serves every variant: see `prepare_colors`
         kept = find_kept(levels, self.space, self.config.colors, found_so_far, sets=sets)
         if kept is not None:
@@ -227,7 +240,8 @@ class Stages:
 
     def cost_name(self, levels: Levels, exact: SrbfColors) -> str:
         """Return the name of the file of the cost of rounding."""
-        views, space = asdict(self.config.cost_views), space_hash(self.space)
+        views = asdict(self.config.cost_views)
+        space = space_hash(self.space)
         key = self._key("cost", levels=_content(levels), colors=colors_hash(exact), views=views, space=space)
         return f"cost-{key}.json"
 
@@ -264,13 +278,18 @@ class Stages:
         with self._stage("fidelity") as done:
             if not self.work.whole(name):
                 done.append(True)
-                member, contents = levels.member(len(levels) - 1), Contents.from_levels(levels, packed)
+                member = levels.member(len(levels) - 1)
+                contents = Contents.from_levels(levels, packed)
                 terms = CellTerms(contents.gaussians(), packed.dequantize(), store, self.config.epsilon)
                 found = measure_fidelity(
-                    self.highest, contents, self.config.fidelity_views.cameras(levels, self.space),
-                    exact=ExactLevel(levels.union[member], exact[member]), sets=store, active=terms,
+                    self.highest,
+                    contents,
+                    self.config.fidelity_views.cameras(levels, self.space),
+                    exact=ExactLevel(levels.union[member], exact[member]),
+                    sets=store,
+                    active=terms,
                     progress=self.progress,
-                )  # fmt: skip
+                )
                 with atomic_path(self.work.at(name)) as partial:
                     partial.write_text(json.dumps(found.as_dict()), encoding="ascii")
                 self.work.seal_file(name)
@@ -329,8 +348,12 @@ class Stages:
         record: dict[str, Any] = {"cameras": views.cameras_from}
         quality = made.quality
         if views.held_out is not None and quality is not None:
-            record |= {"views": len(views.held_out), "width": views.held_out.cameras.width,
-                       "height": views.held_out.cameras.height, "psnr": _spreads(quality.scene_psnr)}  # fmt: skip
+            record |= {
+                "views": len(views.held_out),
+                "width": views.held_out.cameras.width,
+                "height": views.held_out.cameras.height,
+                "psnr": _spreads(quality.scene_psnr),
+            }
             if quality.photo_psnr is not None:
                 record["psnr_photographs"] = _spreads(quality.photo_psnr)
         record["judged"] = [each.as_dict() for each in made.judged]
@@ -351,7 +374,8 @@ class Stages:
     @contextmanager
     def _stage(self, name: str) -> Iterator[list[bool]]:
         """Record a stage. Yields a list; the caller appends to it if the stage had work to do."""
-        began, done = time.perf_counter(), list[bool]()
+        began = time.perf_counter()
+        done = list[bool]()
         yield done
         self.records.append(StageRecord(name, not done, time.perf_counter() - began))
 

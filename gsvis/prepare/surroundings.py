@@ -79,7 +79,8 @@ class Surroundings:
             SceneError: If no cell sees anything.
             OSError: If a file cannot be written.
         """
-        n, m = len(levels.union), len(self)
+        n = len(levels.union)
+        m = len(self)
         config = {name: value for name, value in joint.info.config.items() if name != "levels"}
         record = levels_record(levels)
         own_config = config if record is None else {**config, "levels": record}

@@ -28,15 +28,20 @@ def read_header(file: SectionFile) -> tuple[StoreInfo, CellGrid]:
     header = file.header
     if header.raw("format") != FORMAT:
         raise _fault(file, "format", repr(FORMAT), repr(header.raw("format"))[:60])
-    scene, grid = header.raw("scene"), header.child("grid")
+    scene = header.raw("scene")
+    grid = header.child("grid")
     if not isinstance(scene, str):
         raise _fault(file, "scene", "the hash of a scene", repr(scene)[:60])
-    n, cells = header.integer("gaussians", 0, (1 << 31) - 1), grid.integer("cells", 1, MAX_CELLS)
+    n = header.integer("gaussians", 0, (1 << 31) - 1)
+    cells = grid.integer("cells", 1, MAX_CELLS)
     Budget(file.path, file.size).claim(beyond_free(n) + 12 * cells, "header")
     config = header.child("config").value
     x, y, z = (int(side) for side in grid.numbers("shape", 3))
-    origin, size, up = grid.numbers("origin", 3), grid.number("cell_size"), grid.numbers("up", 3)
-    tau, edges = header.number("tau"), header.numbers("class_edges")
+    origin = grid.numbers("origin", 3)
+    size = grid.number("cell_size")
+    up = grid.numbers("up", 3)
+    tau = header.number("tau")
+    edges = header.numbers("class_edges")
     try:
         boxes = decompress(file.read("coords"), 12 * cells)
     except CodecError as error:
@@ -61,7 +66,8 @@ def read_rows(file: SectionFile, cells: int, gaussians: int) -> NDArray[Any]:
     for kind, name in (("set", "sets"), ("class", "classes")):
         lengths = rows[f"{kind}_length"].astype(np.int64)
         starts = np.cumsum(lengths) - lengths
-        size, offsets = file.section(name).length, rows[f"{kind}_offset"].astype(np.int64)
+        size = file.section(name).length
+        offsets = rows[f"{kind}_offset"].astype(np.int64)
         if int(lengths.sum()) != size:
             got = f"{int(lengths.sum()):,}"
             raise _fault(file, "section 'cells'", f"cells of {size:,} bytes, the size of section {name!r}", got)

@@ -82,7 +82,8 @@ def unpack_view(data: bytes, gaussians: int) -> CellView | None:
     count, checked, *figures = _VIEW.unpack_from(data)
     if count > gaussians or checked > _MOST_CHECKED:
         return None
-    first, second = _SEEN * count, (_SEEN + _DIRECTIONS) * count
+    first = _SEEN * count
+    second = (_SEEN + _DIRECTIONS) * count
     body = _expand(data[_VIEW.size :], second + _CHECKED * checked)
     seen = None if body is None else _unpack_seen(body[:first], count, gaussians)
     if body is None or seen is None:

@@ -61,11 +61,13 @@ def choose_labels(n: int, cells: int, read: Callable[[int], U64]) -> U16:
     for bit, cell in enumerate(keys.tolist()):
         kernels.add_signature(read(cell), bit, signatures)
     trials = [read(cell) for cell in keys[:: -(-len(keys) // _TRIAL_CELLS)].tolist()]
-    best, least = np.zeros(n, np.uint16), np.inf
+    best = np.zeros(n, np.uint16)
+    least = np.inf
     for labels in _candidates(signatures):
         size = len(_codec.encode_labels(labels)) + cells / len(trials) * _trial_size(trials, labels)
         if size < least:
-            best, least = labels, size
+            best = labels
+            least = size
     return best
 
 
@@ -137,10 +139,13 @@ def _cluster(signatures: U64, side: int) -> U16:
         return np.zeros(len(signatures), np.uint16)
     sample = signatures[seen[np.arange(count) * len(seen) // count]]
     centers = _centers(sample, side)
-    of_sample, of_all = _nearest(sample, centers), _nearest(signatures, centers)
-    labels, used = np.zeros(len(signatures), np.uint16), 0
+    of_sample = _nearest(sample, centers)
+    of_all = _nearest(signatures, centers)
+    labels = np.zeros(len(signatures), np.uint16)
+    used = 0
     for cluster in range(side):
-        members, part = np.flatnonzero(of_all == cluster), sample[of_sample == cluster]
+        members = np.flatnonzero(of_all == cluster)
+        part = sample[of_sample == cluster]
         fine = round(side * side * len(part) / count)
         if fine > 1:
             labels[members] = used + _nearest(signatures[members], _centers(part, fine))
@@ -192,7 +197,8 @@ def _chain(centers: U64) -> NDArray[np.int64]:
     left = np.ones(len(centers), bool)
     at = int(counts.argmin())
     for place in range(len(centers)):
-        chain[place], left[at] = at, False
+        chain[place] = at
+        left[at] = False
         apart = np.where(left, counts - 2 * (bits @ bits[at]), np.iinfo(np.int32).max)
         at = int(apart.argmin())
     return chain
@@ -213,7 +219,8 @@ def parents_of(edges: list[tuple[int, int, int]], cells: int) -> NDArray[np.int3
         if shared > 0:
             beside[a].append((shared, b))
             beside[b].append((shared, a))
-    parents, depths = np.full(cells, -1, np.int32), np.full(cells, -1)
+    parents = np.full(cells, -1, np.int32)
+    depths = np.full(cells, -1)
     strength = [sum(shared for shared, _ in pairs) for pairs in beside]
     for root in sorted(range(cells), key=lambda cell: (-strength[cell], cell)):
         if depths[root] >= 0:

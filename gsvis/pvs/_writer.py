@@ -138,7 +138,9 @@ class StoreWriter:
     """
 
     def __init__(self, path: str | PathLike[str], grid: CellGrid, info: StoreInfo) -> None:
-        self.path, self.grid, self.info = _check.path("path", path), grid, info
+        self.path = _check.path("path", path)
+        self.grid = grid
+        self.info = info
         self.path.parent.mkdir(parents=True, exist_ok=True)
         self._rows = np.zeros(len(grid), CELL_ROW)
         self._certified = np.zeros(len(grid), CERTIFIED_ROW)
@@ -164,7 +166,8 @@ class StoreWriter:
         Raises:
             ValueError: If all cells were added already, or the set is not as `CellSet` describes.
         """
-        number, n = len(self), self.info.gaussians
+        number = len(self)
+        n = self.info.gaussians
         if number >= len(self.grid):
             raise ValueError(f"cell: expected {len(self.grid)} cells, got one more")
         ids = _check.integers("ids", cell.ids, ("V",))
@@ -174,7 +177,8 @@ class StoreWriter:
             raise ValueError(f"ids: expected rising ids in [0, {n}), each once; sort them with np.unique")
         if len(classes) and classes.max() >= len(self.info.class_edges):
             raise ValueError(f"classes: expected numbers below {len(self.info.class_edges)}, got {classes.max()}")
-        row, certified = self._rows[number], self._certified[number]
+        row = self._rows[number]
+        certified = self._certified[number]
         row["visible"] = len(ids)
         row["viewpoints"] = _check.positive_int("viewpoints", cell.viewpoints, at_least=0)
         for name in ("inner", "rays"):
@@ -218,7 +222,8 @@ class StoreWriter:
 
     def _write_sets(self, container: SectionWriter, labels: NDArray[np.uint16], progress: Progress) -> None:
         """Write the sets of all cells, then their classes, then the set that any cell sees."""
-        n, order = self.info.gaussians, _order.order_of(labels)
+        n = self.info.gaussians
+        order = _order.order_of(labels)
         places = np.empty(n, np.int32)
         places[order] = np.arange(n, dtype=np.int32)
         everything = np.zeros(_codec.word_count(n), np.uint64)

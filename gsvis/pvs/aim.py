@@ -55,7 +55,8 @@ class Aim:
         if self.share in (0.0, 1.0):
             vectors = rng.normal(size=(count, 3))
             return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
-        size, places = self.marked.shape[1], np.argwhere(self.marked)
+        size = self.marked.shape[1]
+        places = np.argwhere(self.marked)
         found: list[F64] = []
         left = count
         while left > 0:
@@ -97,7 +98,8 @@ def share_of_centers(centers: ArrayLike, eye: F64, size: int) -> float:
 def _directions(faces: NDArray[np.int64], u: F64, v: F64) -> F64:
     """Return unit vectors (K, 3) of places on faces, whose coordinates are those of unit vectors."""
     out = np.empty((len(faces), 3))
-    axes, toward = faces >> 1, 1.0 - 2.0 * (faces & 1)
+    axes = faces >> 1
+    toward = 1.0 - 2.0 * (faces & 1)
     rows = np.arange(len(faces))
     out[rows, axes] = toward * np.sqrt(np.maximum(1.0 - u * u - v * v, 0.0))
     out[rows, np.where(axes == 0, 1, 0)] = u

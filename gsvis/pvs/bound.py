@@ -74,12 +74,16 @@ def upper_bound(part: ArrayLike, whole: ArrayLike | None = None, *, error: float
     if not wholes.any():
         return 1.0
     lit = wholes > 0.0
-    parts, wholes = parts[lit], wholes[lit]  # samples of 0 change no capital
+    # samples of 0 change no capital
+    parts = parts[lit]
+    wholes = wholes[lit]
     wanted = -math.log(error)
-    low, high = float(min(1.0, parts.sum() / wholes.sum())), 1.0
+    low = float(min(1.0, parts.sum() / wholes.sum()))
+    high = 1.0
     step = 2.0 * wanted / float(wholes.sum())
     while low + step < 1.0 and _log_capital(parts, wholes, low + step) < wanted:
-        low, step = low + step, 2.0 * step
+        low = low + step
+        step = 2.0 * step
     high = min(1.0, low + step)
     while high - low > _PRECISION * high:
         middle = 0.5 * (low + high)

@@ -173,7 +173,8 @@ def build_pvs(
         ValueError: If `max_memory` is too small, or the grid was made from another space.
         OSError: If the disk is full or cannot be written; finished work is kept.
     """
-    config, workers = config or PvsConfig(), workers or Workers()
+    config = config or PvsConfig()
+    workers = workers or Workers()
     count = fitting_workers(_check_levels(g), config, workers)
     work = plan_work(g, grid, space, path, config)
     try:
@@ -293,7 +294,8 @@ def _begin_work(
         else:
             yield from run_in_processes(stored, list(tasks), processes)
 
-    stored, processes = None, Processes(min(count, most))
+    stored = None
+    processes = Processes(min(count, most))
     if workers.executor is not None or processes.count < 2:
         yield run
     else:
@@ -303,7 +305,9 @@ def _begin_work(
 
 def _write(work: Work, twice: dict[str, Any] | None, progress: Progress) -> None:
     """Write the store from the kept views of all cells; `twice` is what a second tracer found."""
-    plan, grid, config = work.plan, work.grid, work.config
+    plan = work.plan
+    grid = work.grid
+    config = work.config
     count = plan["gaussians"]
     how = {**config.as_dict(), "space": plan["space"], **{name: plan[name] for name in ("levels",) if name in plan}}
     directions: NDArray[np.uint8] = np.zeros((count, NUM_FACES // 8), np.uint8)

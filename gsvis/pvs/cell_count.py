@@ -54,7 +54,8 @@ def fitting_cells(g: Gaussians, space: NavigableSpace, most: int) -> int:
     look = Look(g, "hybrid", _SIZE, TAU)
     if _count_seen_by_one(look, space) >= _MUCH * bright:
         return most // _FEWER
-    eyes, counts = _spread_eyes(space), (most, most // _FEWER)
+    eyes = _spread_eyes(space)
+    counts = (most, most // _FEWER)
     all_cells, fewer = (_count_seen(look, CellGrid.over(space, max_cells=n), space, eyes) for n in counts)
     return most // _FEWER if fewer <= _LARGER * all_cells else most
 
@@ -76,7 +77,8 @@ def _spread_eyes(space: NavigableSpace) -> NDArray[np.float64]:
 
 def _count_seen(look: Look, grid: CellGrid, space: NavigableSpace, eyes: NDArray[np.float64]) -> int:
     """Return how many Gaussians the cells of some eyes see from a few viewpoints, added up."""
-    viewpoints, total = CellViewpoints(grid, space), 0
+    viewpoints = CellViewpoints(grid, space)
+    total = 0
     for cell in grid.cell_at(eyes).tolist():
         seen = [look(each)[0] for each in viewpoints.spread(cell, _VIEWPOINTS)]
         total += len(np.unique(np.concatenate(seen)))

@@ -37,7 +37,9 @@ I64 = NDArray[np.int64]
 U8 = NDArray[np.uint8]
 
 _FAINTEST = 0.25  # least weight, over tau, of what looks find too faint for a set; one that misses light takes it
-_FAINT, _UNSEEN = -1, -2  # classes of what is faint, and of what no look found
+# classes of what is faint, and of what no look found
+_FAINT = -1
+_UNSEEN = -2
 _AIM_SIZE = 32  # pixels along a side of the faces on which a viewpoint marks where something may lie
 _FILLED = 0.25  # share of its directions below which its faces are finer, so that as many pixels meet something
 _FINEST = 4.0  # times
@@ -124,7 +126,8 @@ class Finder:
     """
 
     def __init__(self, levels: Levels, config: PvsConfig, folder: Path | None = None) -> None:
-        self.levels, self.config = levels, config
+        self.levels = levels
+        self.config = config
         self._prepared = PreparedLevels(levels, config, folder)
         self._edges = config.class_edges.astype(np.float32)
         self._planes = face_planes()
@@ -144,13 +147,15 @@ class Finder:
     def look(self, viewpoint: F64, *, fine: bool = True) -> Sighting:
         """Return what a viewpoint (3,) sees in each level drawn alone; unless `fine`, coarsely in the highest alone."""
         best = np.full(len(self.levels.union), _UNSEEN, np.int8)
-        looks, top = 0, len(self.levels) - 1
+        looks = 0
+        top = len(self.levels) - 1
         for level in range(0 if fine else top, top + 1):
             if not self._prepared[level].certifier.solid.buries(viewpoint[None])[0]:
                 ids, classes = self._see(level, viewpoint, fine=fine)
                 best[ids] = np.maximum(best[ids], classes)
                 looks += 1
-        found, faint = np.flatnonzero(best >= 0), np.flatnonzero(best == _FAINT)
+        found = np.flatnonzero(best >= 0)
+        faint = np.flatnonzero(best == _FAINT)
         return Sighting(viewpoint, looks, found.astype(np.int32), best[found].astype(np.uint8), faint.astype(np.int32))
 
     def find_cell(self, voxels: FreeVoxels, sightings: Sequence[Sighting]) -> CellView:
@@ -164,7 +169,9 @@ class Finder:
         for sighting in sightings:
             view.add(sighting.ids, sighting.classes.view(np.int8), sighting.viewpoint[None])
         shared = sum(sighting.looks > 0 for sighting in sightings)
-        inner, rays, checked = self._probe(voxels, sightings, view), 0, np.zeros((0, 6))
+        inner = self._probe(voxels, sightings, view)
+        rays = 0
+        checked = np.zeros((0, 6))
         missed, bound, tile = (np.full(len(self.levels), np.nan) for _ in range(3))
         for level in reversed(range(len(self.levels))):
             found = self._mend(level, voxels, sightings, view)
@@ -186,7 +193,8 @@ class Finder:
         self, level: int, viewpoint: F64, *, fine: bool = True, floor: float | None = None
     ) -> tuple[I64, NDArray[np.int8]]:
         """Return the union ids that a viewpoint sees in a level, and their classes."""
-        finer, size = self._finer(level, viewpoint), self.config.size
+        finer = self._finer(level, viewpoint)
+        size = self.config.size
         if level < len(self.levels) - 1:
             pixels = finer * min(size, self.config.lower_size)
         elif fine:
@@ -230,7 +238,10 @@ class Finder:
             return certifier.buries(voxels, some)
 
         eyes = [each.viewpoint for each in sightings if each.looks]
-        tips, shared, looks, clean = Tips(voxels, _points(eyes), buries), len(eyes), 0, 0
+        tips = Tips(voxels, _points(eyes), buries)
+        shared = len(eyes)
+        looks = 0
+        clean = 0
         while len(eyes) < shared + self.config.probes and (eye := tips.farthest()) is not None:
             found = self._look_closer(eye, view)
             tips.stand(eye, found=found)
@@ -267,12 +278,16 @@ class Finder:
 
     def _mend(self, level: int, voxels: FreeVoxels, sightings: Sequence[Sighting], view: _Growing) -> _Mended:
         """Certify a level of a cell and add what is missed, stage by stage."""
-        config, certifier, places = self.config, self._prepared[level].certifier, self._prepared[level].ids
+        config = self.config
+        certifier = self._prepared[level].certifier
+        places = self._prepared[level].ids
         options = CertificateConfig(
             limit=config.limit, rays=config.rays, sparse=_SPARSE, checked=_CHECKED, worst=_TILES, tau=config.tau
         )
         certificates: list[Certificate] = []
-        inner, tile, faint = 0, 0.0, True
+        inner = 0
+        tile = 0.0
+        faint = True
         while True:
             held = view.best[places] >= 0
             stage = 1 + len(certificates) + (level << 16)
@@ -311,7 +326,9 @@ class Finder:
 
         Rays find what is missing. If rays at other places of the tiles find more, the eye of the worst tile looks.
         """
-        config, tracer, places = self.config, self._prepared[level].certifier.tracer, self._prepared[level].ids
+        config = self.config
+        tracer = self._prepared[level].certifier.tracer
+        places = self._prepared[level].ids
         looks = 0
         for turn in range(_TURNS):
             held = view.best[places] >= 0
@@ -351,7 +368,8 @@ class _Growing:
     """
 
     def __init__(self, finder: Finder) -> None:
-        self._means, self._planes = finder.levels.union.means, finder._planes
+        self._means = finder.levels.union.means
+        self._planes = finder._planes
         self.best = np.full(len(self._means), -1, np.int8)
         self.sets = np.zeros((len(self._means), NUM_FACES // 8), np.uint8)
 

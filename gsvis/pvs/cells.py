@@ -100,7 +100,9 @@ class CellGrid:
                     f" {side * space.voxel_size:.3g}; make them larger or raise max_cells"
                 )
         else:
-            low, high = 1, max(space.free.shape)  # larger cells are fewer, except at odd borders
+            # larger cells are fewer, except at odd borders
+            low = 1
+            high = max(space.free.shape)
             while low < high:
                 middle = (low + high) // 2
                 if len(_boxes(space.free, middle)) <= max_cells:

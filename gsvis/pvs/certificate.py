@@ -252,7 +252,9 @@ class Certifier:
         missing[self.tracer.check_ids(ids)] = False
         before = None if earlier is None else [(each.missed_weights, each.weights) for each in earlier]
         rounds: list[_Round] = []
-        drawn, bound, factor = 0, 1.0, 1
+        drawn = 0
+        bound = 1.0
+        factor = 1
         while drawn < factor * config.rays:
             count = min(factor * config.round_rays, factor * config.rays - drawn)
             rng = np.random.default_rng([config.seed, name, _RAYS, stage, len(rounds)])
@@ -316,7 +318,8 @@ def _trace_round(tracer: Tracer, missing: NDArray[np.bool_], origins: F64, direc
     rows = order[hits.ray_ids]
     weights = np.minimum(np.bincount(rows, hits.weights, count), 1.0)
     missed = np.minimum(np.bincount(rows[lost], hits.weights[lost], count), weights)
-    hit_ids, hit_weights = hits.gaussian_ids[lost], hits.weights[lost]
+    hit_ids = hits.gaussian_ids[lost]
+    hit_weights = hits.weights[lost]
     return _Round(origins, directions, missed, weights, hit_ids, hit_weights, origins[rows[lost]])
 
 

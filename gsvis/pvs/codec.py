@@ -76,7 +76,8 @@ def pack(ids: NDArray[Any], n: int) -> Words:
 
 def pack_some(ids: NDArray[Any]) -> tuple[NDArray[np.int32], Words]:
     """Return the packed words of the set of the given ascending ids that are not empty: their numbers, and masks."""
-    words, masks = np.empty(len(ids), np.int32), np.empty(len(ids), np.uint64)
+    words = np.empty(len(ids), np.int32)
+    masks = np.empty(len(ids), np.uint64)
     count = kernels.mark_some(ids, words, masks)
     return words[:count].copy(), masks[:count].copy()
 
@@ -84,7 +85,8 @@ def pack_some(ids: NDArray[Any]) -> tuple[NDArray[np.int32], Words]:
 def used_words(words: Words, first: int = 0) -> tuple[NDArray[np.int32], Words]:
     """Return the words of a set that are not empty: their numbers, from `first` on, and masks."""
     size = kernels.used(words, first, np.empty(0, np.int32), words[:0])
-    numbers, masks = np.empty(size, np.int32), np.empty(size, np.uint64)
+    numbers = np.empty(size, np.int32)
+    masks = np.empty(size, np.uint64)
     kernels.used(words, first, numbers, masks)
     return numbers, masks
 
@@ -115,10 +117,12 @@ def portable(words: Words) -> bytes:
         Roaring bitmap format specification, https://github.com/RoaringBitmap/RoaringFormatSpec.
     """
     containers = len(words) // _CHUNK
-    keys, cards = np.empty(containers, np.int64), np.empty(containers, np.int64)
+    keys = np.empty(containers, np.int64)
+    cards = np.empty(containers, np.int64)
     content = np.empty(4 * len(words), np.uint16)
     found, end = kernels.roaring(words, keys, cards, content)
-    keys, cards = keys[:found], cards[:found]
+    keys = keys[:found]
+    cards = cards[:found]
     sizes = np.where(cards > _ARRAY, 8 * _CHUNK, 2 * cards)
     offsets = 8 + 8 * found + np.cumsum(sizes) - sizes
     head = np.array([_COOKIE, found], "<u4").tobytes()
@@ -187,7 +191,8 @@ def decode_set(data: bytes, n: int, visible: int | None = None) -> Words:
     found = count(words)
     if visible is not None and found != visible:
         raise CodecError(f"expected {visible} visible Gaussians, got {found}")
-    last, spare = n // 64, n % 64
+    last = n // 64
+    spare = n % 64
     if last < length and (int(words[last]) >> spare or words[last + 1 :].any()):
         raise CodecError(f"expected ids below {n}, got higher ones")
     return words

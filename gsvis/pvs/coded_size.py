@@ -22,7 +22,8 @@ def bytes_of_cell(ids: NDArray[np.integer], classes: NDArray[np.uint8], count: i
         count: N, the Gaussians of the store.
         num_classes: Number of classes.
     """
-    words, ranks = codec.pack(ids.astype(np.int64), count), np.zeros(count, np.uint8)
+    words = codec.pack(ids.astype(np.int64), count)
+    ranks = np.zeros(count, np.uint8)
     ranks[ids] = classes + np.uint8(1)
     return len(codec.encode_set(words)) + len(codec.encode_classes(words, ranks, None, num_classes))
 

@@ -115,10 +115,13 @@ def estimate_pvs(
         SceneError: If the scene or a level has nothing to see.
         ValueError: If `max_memory` is too small, or the grid was made from another space.
     """
-    config, workers, load = config or PvsConfig(), workers or Workers(), machine_load()
+    config = config or PvsConfig()
+    workers = workers or Workers()
+    load = machine_load()
     _check.positive_int("sample", sample)
     work = plan_work(g, grid, space, path, config)
-    levels, cells = work.levels, len(grid)
+    levels = work.levels
+    cells = len(grid)
     count = fitting_workers(levels, config, workers)
     seen, finished = work.find_kept()
     tried = _try_cells(work, min(sample, cells), progress)
@@ -178,7 +181,8 @@ def _try_cells(work: Work, least: int, progress: Progress) -> _Tried:
     progress("trying", 0, len(some))
     finder = work.scene.finder()
     finder.warm()  # loads the kernels and makes the tracers before the timing starts
-    shared, tried = work.shared, _Tried(threads=_gain_of_threads(finder, work.shared.points[0]))
+    shared = work.shared
+    tried = _Tried(threads=_gain_of_threads(finder, work.shared.points[0]))
     start = _clock()
     while tried.cells < len(some):
         began = _clock()
@@ -206,7 +210,8 @@ def _try_cells(work: Work, least: int, progress: Progress) -> _Tried:
 
 def _gain_of_threads(finder: Finder, viewpoint: F64) -> float:
     """Return how much faster a look is with all threads of this process than with one; at least 1."""
-    taken, before = [], get_num_threads()
+    taken = []
+    before = get_num_threads()
     try:
         for threads in (before, 1):
             set_num_threads(threads)

@@ -49,14 +49,16 @@ def floor_of_cells(grid: Any, meters_per_unit: float, *, corners: F64 | None = N
     up = grid.up
     first, second = _level_axes(up)
     along = corners @ np.stack([first, second, up], axis=1)
-    low, high = along.min(axis=0), along.max(axis=0)
+    low = along.min(axis=0)
+    high = along.max(axis=0)
     slanted = float(np.abs(up).max()) < _LEVEL
     size = grid.cell_size / _FINER if slanted else grid.cell_size
     side = max(size, float(np.sqrt((high[0] - low[0]) * (high[1] - low[1]) / _MOST_SQUARES)))
     columns, rows = (max(1, int(np.ceil((high[k] - low[k]) / side - 1e-6))) for k in range(2))
     step = grid.cell_size / _LOOKS
     levels = np.arange(low[2] + step / 2, high[2], step)
-    x, y = low[0] + side * (np.arange(columns) + 0.5), low[1] + side * (np.arange(rows) + 0.5)
+    x = low[0] + side * (np.arange(columns) + 0.5)
+    y = low[1] + side * (np.arange(rows) + 0.5)
     flat = (x[None, :, None] * first + y[:, None, None] * second).reshape(-1, 3)
     free = np.stack([grid.cell_at(flat + level * up) >= 0 for level in levels], axis=1)
     eye = _EYE_M / meters_per_unit if meters_per_unit > 0 else np.inf
@@ -65,10 +67,15 @@ def floor_of_cells(grid: Any, meters_per_unit: float, *, corners: F64 | None = N
         bottom, top = _even_out(bottom.reshape(rows, columns), top.reshape(rows, columns))
     heights = np.minimum((bottom + top) / 2, bottom + eye)
     return {
-        "origin": (low[0] * first + low[1] * second).tolist(), "side": side, "first": first.tolist(),
-        "second": second.tolist(), "up": up.tolist(), "columns": columns, "rows": rows,
+        "origin": (low[0] * first + low[1] * second).tolist(),
+        "side": side,
+        "first": first.tolist(),
+        "second": second.tolist(),
+        "up": up.tolist(),
+        "columns": columns,
+        "rows": rows,
         "heights": [None if np.isnan(value) else round(value, 4) for value in heights.tolist()],
-    }  # fmt: skip
+    }
 
 
 def _lowest_runs(free: NDArray[np.bool_], levels: F64, step: float) -> tuple[F64, F64]:
@@ -77,7 +84,8 @@ def _lowest_runs(free: NDArray[np.bool_], levels: F64, step: float) -> tuple[F64
     start = free.argmax(axis=1)
     later = np.arange(free.shape[1]) > start[:, None]
     ends = np.where((later & ~free).any(axis=1), (later & ~free).argmax(axis=1), free.shape[1])
-    bottom, top = levels[start] - step / 2, levels[ends - 1] + step / 2
+    bottom = levels[start] - step / 2
+    top = levels[ends - 1] + step / 2
     return np.where(ever, bottom, np.nan), np.where(ever, top, np.nan)
 
 
@@ -89,11 +97,14 @@ def _even_out(bottom: F64, top: F64) -> tuple[F64, F64]:
     """
     longest = np.nanmax(_around(top - bottom), axis=0, initial=0.0)
     short = ~(top - bottom >= _LONG * longest)
-    bottom, top = np.where(short, np.nan, bottom), np.where(short, np.nan, top)
+    bottom = np.where(short, np.nan, bottom)
+    top = np.where(short, np.nan, top)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # squares without any run around them stay without
-        low, high = np.nanquantile(_around(bottom), 1.0 - _OUT, axis=0), np.nanquantile(_around(top), _OUT, axis=0)
-    low, high = np.where(short, np.nan, low), np.where(short, np.nan, high)
+        low = np.nanquantile(_around(bottom), 1.0 - _OUT, axis=0)
+        high = np.nanquantile(_around(top), _OUT, axis=0)
+    low = np.where(short, np.nan, low)
+    high = np.where(short, np.nan, high)
     return low.ravel(), np.maximum(high, low).ravel()
 
 

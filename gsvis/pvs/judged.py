@@ -77,7 +77,8 @@ def judge_images(
         for c in range(len(cameras)):
             found.append(_measure(g, grid, held, cameras[c]))
             progress("judge", len(found), total)
-    eyes, values = judges.cameras.viewpoints, np.array(found)
+    eyes = judges.cameras.viewpoints
+    values = np.array(found)
     inside = grid.cell_at(eyes) >= 0 if len(eyes) else np.zeros(0, bool)
     return Judged(values[: len(mine)], values[len(mine) :], inside, judges.named, judges.given)
 
@@ -116,8 +117,10 @@ class JudgedShares:
         if self.in_cells is None or len(self.builder) == 0:
             line = "no eye around the detail is free: not checked by other eyes"
             return {"views": len(self.builder), "line": line, "warning": None, "judge_eyes_in_cells": None}
-        mine, theirs = float(np.median(self.builder)), float(np.median(self.judge))
-        low, least = float(np.percentile(self.judge, 5)), float(self.judge.min())
+        mine = float(np.median(self.builder))
+        theirs = float(np.median(self.judge))
+        low = float(np.percentile(self.judge, 5))
+        least = float(self.judge.min())
         also = f", also of {self.named}" if self.named else ""
         line = (
             f"their views see {theirs:.1%} of the Gaussians in the median, 5th percentile {low:.1%}, least"
@@ -130,10 +133,15 @@ class JudgedShares:
             f" {mine:.1%}: give --cameras, --box or --around if people stand elsewhere."
         )
         return {
-            "views": len(self.builder) + len(self.judge), "builder_median": mine, "judge_median": theirs,
-            "judge_p5": low, "judge_least": least, "judge_eyes_in_cells": self.in_cells, "line": line,
+            "views": len(self.builder) + len(self.judge),
+            "builder_median": mine,
+            "judge_median": theirs,
+            "judge_p5": low,
+            "judge_least": least,
+            "judge_eyes_in_cells": self.in_cells,
+            "line": line,
             "warning": warning if apart else None,
-        }  # fmt: skip
+        }
 
 
 def judge_shares(
@@ -149,12 +157,14 @@ def judge_shares(
         progress: Called with stage "judge", in views.
     """
     mine, judges = judging_views(g, views, space)
-    total, shares = len(mine) + len(judges), list[float]()
+    total = len(mine) + len(judges)
+    shares = list[float]()
     progress("judge", 0, total)
     for cameras in (mine, judges.cameras):
         for c in range(len(cameras)):
             shares.append(float((view_weights(g, cameras[c]).largest[0] >= np.float32(tau)).mean()))
             progress("judge", len(shares), total)
-    eyes, values = judges.cameras.viewpoints, np.array(shares)
+    eyes = judges.cameras.viewpoints
+    values = np.array(shares)
     inside = float((CellGrid.over(space).cell_at(eyes) >= 0).mean()) if len(eyes) else None
     return JudgedShares(values[: len(mine)], values[len(mine) :], inside, judges.named)

@@ -48,7 +48,9 @@ class Look:
         _check.one_of("method", method, METHODS)
         if not (g.opacities >= MIN_ALPHA).any():
             raise SceneError("the scene has no Gaussian with an opacity of at least 1/255: there is nothing to see")
-        self.gaussians, self.size, self.floor = g, size, floor
+        self.gaussians = g
+        self.size = size
+        self.floor = floor
         see: dict[str, Callable[[Gaussians], _See]] = {"hybrid": _Hybrid, "raster": _Raster, "raycast": _Raycast}
         self._see = see[method](g)
 
@@ -74,7 +76,8 @@ class _Hybrid:
     def __init__(self, g: Gaussians) -> None:
         from gsvis.hpr import Splats
 
-        self.gaussians, self.splats = g, Splats.from_gaussians(g)
+        self.gaussians = g
+        self.splats = Splats.from_gaussians(g)
 
     def __call__(self, viewpoint: F64, size: int, floor: float, faint: float, hull: bool) -> Sight:
         from gsvis.hpr import hybrid

@@ -51,7 +51,8 @@ class PreparedLevels:
     """
 
     def __init__(self, levels: Levels, config: PvsConfig, folder: Path | None = None) -> None:
-        self._levels, self._config = levels, config
+        self._levels = levels
+        self._config = config
         self._ready: dict[int, PreparedLevel] = {}
         self._shelf = None if folder is None or len(levels) == 1 else Shelf(folder)
         self._held: int | None = None  # the level asked for last
@@ -68,7 +69,8 @@ class PreparedLevels:
     def _prepare(self, level: int) -> PreparedLevel:
         from gsvis.raycast import EllipsoidProxies, Tracer
 
-        ids, union = np.flatnonzero(self._levels.member(level)), self._levels.union
+        ids = np.flatnonzero(self._levels.member(level))
+        union = self._levels.union
         look = self._keep(
             Look(
                 union if len(ids) == len(union) else union[ids],

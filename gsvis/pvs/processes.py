@@ -57,7 +57,8 @@ class Processes:
 
     def end(self, *, kill: bool) -> None:
         """End the processes; `kill` does not wait for their tasks."""
-        pool, self._pool = self._pool, None
+        pool = self._pool
+        self._pool = None
         if pool is None:
             return
         if kill:

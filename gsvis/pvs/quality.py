@@ -102,10 +102,9 @@ def measure_quality(
     store.check_scene(scene)
     levels = as_levels(scene)
     member = levels.member(len(levels) - 1)
-    g, places = (levels.union if member.all() else levels.union[member]), np.where(member, member.cumsum() - 1, -1)
-    if len(viewpoints.grid) != len(store) or not np.array_equal(viewpoints.grid.coords, store.grid.coords):
-        got = f"those of {len(viewpoints.grid)} cells that are not its {len(store)}"
-        raise ValueError(f"viewpoints: expected those of the store's cells, got {got}; make them from store.grid")
+    g = levels.union if member.all() else levels.union[member]
+    places = np.where(member, member.cumsum() - 1, -1)
+    _check_cells(store, viewpoints)
     tracer = Tracer(EllipsoidProxies.from_scene(g)) if config.rays or config.certify else None
     meter = _Meter(store, g, places, viewpoints, config, tracer)
     wanted = len(store) if config.cells is None else min(config.cells, len(store))
@@ -150,6 +149,13 @@ def measure_quality(
         light=meter.certify(cells, progress),
         **{**absent, **stacked},  # type: ignore[arg-type]
     )
+
+
+def _check_cells(store: VisibilityStore, viewpoints: CellViewpoints) -> None:
+    """Raise unless viewpoints are those of the cells of a store."""
+    if len(viewpoints.grid) != len(store) or not np.array_equal(viewpoints.grid.coords, store.grid.coords):
+        got = f"those of {len(viewpoints.grid)} cells that are not its {len(store)}"
+        raise ValueError(f"viewpoints: expected those of the store's cells, got {got}; make them from store.grid")
 
 
 def dense_union(g: Gaussians, eyes: F64, tau: float, *, size: int = 128, progress: Progress = silent) -> Mask:
@@ -228,7 +234,9 @@ class _Meter:
 
     def measure(self, cell: int, eyes: F64, progress: Progress) -> _Measured:
         """Return the measurements of one cell; progress counts viewpoints."""
-        store, g, config = self.store, self.g, self.config
+        store = self.store
+        g = self.g
+        config = self.config
         ids, classes = self.find_held(cell)
         subsets = [ids[classes >= k] for k in range(len(store.info.class_edges))]
         held = np.zeros(len(g), bool)
@@ -236,15 +244,18 @@ class _Meter:
         ever = np.zeros(len(g), bool)
         if config.dense:
             around = self.eyes(cell, config.dense, _DENSE)
-            eyes_of_all, size = eyes if around is None else around, config.dense_size or config.size
+            eyes_of_all = eyes if around is None else around
+            size = config.dense_size or config.size
             ever = dense_union(g, eyes_of_all, store.tau, size=size, progress=progress)
         union = np.flatnonzero(ever)
         shared = int(np.count_nonzero(held[union]))
         shape = {"width": config.width, "height": config.height, "fov": config.fov}
         rng = np.random.default_rng([config.seed, cell, _AIMS])
         cameras = self.viewpoints.space.cameras_at(eyes, rng, **shape)  # type: ignore[arg-type]
-        count, tau = len(eyes), np.float32(store.tau)
-        weighted, images = np.empty((count, len(subsets))), np.empty((count, len(subsets)))
+        count = len(eyes)
+        tau = np.float32(store.tau)
+        weighted = np.empty((count, len(subsets)))
+        images = np.empty((count, len(subsets)))
         recall, by_rays, ceiling, dense_psnr = (np.zeros(count) for _ in range(4))
         exact = np.empty(count, np.int64)
         for v in range(count):
@@ -282,7 +293,8 @@ class _Meter:
 
 def _around(g: Gaussians, eye: F64, size: int) -> tuple[F32, F64]:
     """Return (N,) the largest weight of each Gaussian around an eye, and (N,) the sum of its weights over pixels."""
-    largest, summed = np.zeros(len(g), np.float32), np.zeros(len(g))
+    largest = np.zeros(len(g), np.float32)
+    summed = np.zeros(len(g))
     faces = Cameras.cubemap(eye[None], size)
     for c in range(len(faces)):
         seen = view_weights(g, faces[c])

@@ -106,7 +106,8 @@ class Figure:
 
     def met(self, which: int) -> bool | None:
         """Return whether the mean (0) or the worst (1) reaches its target; None without a target."""
-        target, value = self.targets[which], (self.mean, self.worst)[which]
+        target = self.targets[which]
+        value = (self.mean, self.worst)[which]
         if target is None or value is None:
             return None
         return value >= target if self.better == "higher" else value <= target
@@ -217,13 +218,16 @@ class Quality:
 
     def camera(self, m: int, v: int) -> Cameras:
         """Return the camera of the image at viewpoint v of row m."""
-        width, height = self.config.width, self.config.height
+        width = self.config.width
+        height = self.config.height
         return Cameras(self.viewmats[m, v][None], intrinsics(width, height, self.config.fov)[None], width, height)
 
     def figures(self) -> tuple[Figure, ...]:
         """Return the figures of the summary."""
-        whole, images = self.weighted_recall[..., 0], self.psnr[..., 0]
-        cell, eye = whole.mean(axis=1), "viewpoint"
+        whole = self.weighted_recall[..., 0]
+        images = self.psnr[..., 0]
+        cell = whole.mean(axis=1)
+        eye = "viewpoint"
         found = [
             *self._light_figures(),
             _figure("weighted_recall", "light that the set keeps", cell, "cell", "higher", "share"),
@@ -256,8 +260,10 @@ class Quality:
         """Return the figures of the certificates; the means are over the rays of all cells."""
         if self.light is None:
             return []
-        missed, bound = self.light.missed_by_cell, self.light.bound_by_cell
-        key, percent = "missed_light", f"{1.0 - self.light.error:.0%}"
+        missed = self.light.missed_by_cell
+        bound = self.light.bound_by_cell
+        key = "missed_light"
+        percent = f"{1.0 - self.light.error:.0%}"
         shown = (
             (key, "light missed on random rays", self.light.missed, float(missed.max())),
             (f"{key}_bound", f"{percent} upper bound of it", self.light.bound, float(bound.max())),
@@ -274,7 +280,8 @@ class Quality:
     def trades(self) -> tuple[Trade, ...]:
         """Return one trade for each class: from the whole set to the highest class alone."""
         kept = self.kept.mean(axis=0)
-        recall, psnr = self.weighted_recall.mean(axis=(0, 1)), self.psnr.mean(axis=(0, 1))
+        recall = self.weighted_recall.mean(axis=(0, 1))
+        psnr = self.psnr.mean(axis=(0, 1))
         size = float(self.bytes_per_gaussian)
         return tuple(
             Trade(

@@ -68,7 +68,8 @@ class VisibilityStore:
         unless it is known: `order` is what `order` of another store of this file has returned.
         """
         self.path = _check.path("path", path)
-        self._order, self._keeps_order = order, cache is None
+        self._order = order
+        self._keeps_order = cache is None
         self.cache = Cache[Any](_check.positive_int("max_cache", max_cache, at_least=0)) if cache is None else cache
         self._known_scene: weakref.ref[Gaussians | Levels] | None = None
         self._file = SectionFile(path, FILE_KIND, joined)
@@ -214,7 +215,8 @@ class VisibilityStore:
 
         Sets are as from `visible_masks`. They are joined as they are stored, and only what is new is put in order.
         """
-        before, found = np.zeros(_codec.word_count(self.gaussians), np.uint64), []
+        before = np.zeros(_codec.word_count(self.gaussians), np.uint64)
+        found = []
         for ring in rings:
             fresh = np.zeros_like(before)
             for cell in ring:
@@ -231,7 +233,9 @@ class VisibilityStore:
 
     def classes(self, cell: int) -> tuple[NDArray[np.int64], U8]:
         """Return the (V,) ids that a cell sees, ascending, and the (V,) weight class of each."""
-        levels, words, order = self._levels(self.check_cell(cell)), self._words(cell), self.order
+        levels = self._levels(self.check_cell(cell))
+        words = self._words(cell)
+        order = self.order
         of_scene = np.empty(self.gaussians, np.uint8)  # pages that hold none of the set stay untouched
         kernels.scatter_levels(words, order, levels, of_scene)
         ids = np.empty(int(self._rows["visible"][cell]), np.int64)
@@ -381,16 +385,20 @@ class VisibilityStore:
         """
         if self._known_scene is not None and self._known_scene() is scene:
             return
-        union, own = union_of(scene), self.info.config.get("levels")
+        union = union_of(scene)
+        own = self.info.config.get("levels")
         of_union = "" if own is None else ", the union of levels"
-        wanted, got = f"a store of {len(union):,} Gaussians", f"one of {self.gaussians:,}{of_union}"
+        wanted = f"a store of {len(union):,} Gaussians"
+        got = f"one of {self.gaussians:,}{of_union}"
         same = len(union) == self.gaussians
         if same:
             content = scene_hash(union)
-            wanted, got = f"a store of scene {content[:12]}...", f"one of scene {self.info.scene[:12]}..."
+            wanted = f"a store of scene {content[:12]}..."
+            got = f"one of scene {self.info.scene[:12]}..."
             same = content == self.info.scene
         if same and isinstance(scene, Levels):
-            wanted, got = f"a store of the levels {', '.join(scene.names)}", "one of other levels, or of none"
+            wanted = f"a store of the levels {', '.join(scene.names)}"
+            got = "one of other levels, or of none"
             same = own == levels_record(scene)
         if not same:
             remedy = "open it with the scene it was built from, or build it again"

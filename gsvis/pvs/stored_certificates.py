@@ -53,7 +53,8 @@ class StoredCertificates:
     @classmethod
     def none(cls, cells: int) -> StoredCertificates:
         """Return no certificate for C cells."""
-        zero, nan = np.zeros(cells, np.int64), np.full(cells, np.nan)
+        zero = np.zeros(cells, np.int64)
+        nan = np.full(cells, np.nan)
         return cls(zero, zero, nan, nan, nan)
 
     @property

@@ -71,7 +71,8 @@ def probe_tiles(
     starts = np.repeat(origins, count, axis=0)
     hits = tracer.contributions(starts, directions.reshape(-1, 3))
     lost = ~held[hits.gaussian_ids]
-    rays, weights = hits.ray_ids[lost], hits.weights[lost]
+    rays = hits.ray_ids[lost]
+    weights = hits.weights[lost]
     missed = np.bincount(rays // count, weights, len(origins)) / count
     ids, heaviest = heaviest_hits(hits.gaussian_ids[lost], weights)
     listed = weights[heaviest] >= np.float32(tau)

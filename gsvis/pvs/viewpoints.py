@@ -46,7 +46,8 @@ class FreeVoxels:
 
     def bounds(self) -> tuple[F64, F64]:
         """Return the lowest and the highest corner (3,) of the box around the voxels."""
-        low, high = self.voxels.min(axis=0), self.voxels.max(axis=0) + 1
+        low = self.voxels.min(axis=0)
+        high = self.voxels.max(axis=0) + 1
         return self.origin + self.voxel_size * low, self.origin + self.voxel_size * high
 
     def rim(self) -> F64:
@@ -74,7 +75,8 @@ class CellViewpoints:
     """
 
     def __init__(self, grid: CellGrid, space: NavigableSpace) -> None:
-        self.grid, self.space = grid, space
+        self.grid = grid
+        self.space = space
         voxels = np.argwhere(space.free)
         cells = grid.cell_at(space.origin + space.voxel_size * (voxels + 0.5))
         order = np.argsort(cells, kind="stable")
@@ -141,7 +143,8 @@ class SharedViewpoints:
     fine: NDArray[np.bool_]
 
     def __init__(self, viewpoints: CellViewpoints, *, merged: float = MERGED) -> None:
-        space, cells = viewpoints.space, len(viewpoints.grid)
+        space = viewpoints.space
+        cells = len(viewpoints.grid)
         own = np.concatenate([_near_corners(viewpoints, cell) for cell in range(cells)])  # voxel units
         stands_for = _merge(own, merged)
         kept, numbers = np.unique(stands_for, return_inverse=True)
@@ -160,7 +163,8 @@ class SharedViewpoints:
 
 def _near_corners(viewpoints: CellViewpoints, cell: int) -> F64:
     """Return (8, 3) the points in the free voxels of a cell that are nearest to its corners, voxel units."""
-    grid, space = viewpoints.grid, viewpoints.space
+    grid = viewpoints.grid
+    space = viewpoints.space
     voxels = viewpoints.voxels(cell).voxels
     corners = (grid.origin + grid.cell_size * (grid.coords[cell] + _CORNERS) - space.origin) / space.voxel_size
     found = np.empty((len(corners), 3))

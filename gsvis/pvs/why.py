@@ -65,12 +65,14 @@ class Why:
                 f"{name} is visible from cell {self.cell} and missing in its set: a ray to its center finds weight"
                 f" {self.weight:.4g}, and the views that made the set stepped over it."
             ]
-            none, nearest = "No set holds it", "Nearest cell whose set holds it"
+            none = "No set holds it"
+            nearest = "Nearest cell whose set holds it"
         else:
             lines = [
                 f"{name} is not visible from cell {self.cell}: its largest weight there is {_span(self.interval)}."
             ]
-            none, nearest = "No cell sees it", "Nearest cell that sees it"
+            none = "No cell sees it"
+            nearest = "Nearest cell that sees it"
         if self.rays:
             lines.append(self._in_front())
         lines.append(
@@ -142,7 +144,8 @@ def _viewpoints(store: VisibilityStore, cell: int) -> NDArray[np.float64]:
     """Return (9, 3) the center of a cell and points near its corners."""
     low, high = (np.asarray(corner, np.float64) for corner in store.grid.bounds(cell))
     signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(8, 3)
-    center, half = 0.5 * (low + high), 0.5 * (high - low)
+    center = 0.5 * (low + high)
+    half = 0.5 * (high - low)
     return np.asarray(np.concatenate([center[None], center + _INSET * signs * half]))
 
 
@@ -157,8 +160,11 @@ def _in_front_of(
     ray_ids = found.ray_ids
     own = found.gaussian_ids == gaussian
     weight = float(found.weights[own].max()) if own.any() else 0.0
-    ends, met = found.ray_offsets[1:].copy(), np.zeros(len(eyes), bool)
-    ends[ray_ids[own]], met[ray_ids[own]] = np.flatnonzero(own), True  # front to back: earlier hits are in front
+    ends = found.ray_offsets[1:].copy()
+    met = np.zeros(len(eyes), bool)
+    # front to back: earlier hits are in front
+    ends[ray_ids[own]] = np.flatnonzero(own)
+    met[ray_ids[own]] = True
     in_front = met[ray_ids] | (found.depths <= distances[ray_ids])
     before = in_front & (np.arange(len(own)) < ends[ray_ids])
     blockers, place = np.unique(found.gaussian_ids[before], return_inverse=True)

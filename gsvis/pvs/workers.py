@@ -168,7 +168,8 @@ def memory_error(need: int, limit: int, what: str, remedy: str) -> ArgumentError
         what: What needs them.
         remedy: What to do.
     """
-    least, got = math.ceil(need / 1e6) / 1e3, math.floor(limit / 1e6) / 1e3
+    least = math.ceil(need / 1e6) / 1e3
+    got = math.floor(limit / 1e6) / 1e3
     return ArgumentError("max_memory", f"expected at least {least:.10g} GB for {what}, got {got:.10g} GB", remedy)
 
 

@@ -252,7 +252,8 @@ class Analysis:
     @property
     def field_of_view(self) -> tuple[float, float]:
         """Smallest and largest horizontal field of view of the cameras, degrees."""
-        fx, cx = self.cameras.Ks[:, 0, 0], self.cameras.Ks[:, 0, 2]
+        fx = self.cameras.Ks[:, 0, 0]
+        cx = self.cameras.Ks[:, 0, 2]
         angles = np.degrees(np.arctan2(cx, fx) + np.arctan2(self.cameras.width - cx, fx))
         return float(angles.min()), float(angles.max())
 
@@ -380,7 +381,8 @@ def _from_cameras(
     tracer: Tracer, cameras: Cameras, tau: float, order: NDArray[np.int64], progress: Progress
 ) -> tuple[NDArray[np.int64], U8, tuple[Settling, ...]]:
     """Return visible counts (C,), direction sets (N, 10) and how they settled, cameras in the given order."""
-    g, total = tracer.proxies.gaussians, len(cameras)
+    g = tracer.proxies.gaussians
+    total = len(cameras)
     visible = np.zeros(total, np.int64)
     sets = np.zeros((len(g), directions.NUM_FACES // 8), np.uint8)
     stops = {-(-total // part) for part in (8, 4, 2, 1)}

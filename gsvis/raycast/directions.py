@@ -180,7 +180,8 @@ def solid_angle_fractions(
         ValueError: If an id is out of range.
     """
     chosen = tracer.check_ids(ids)
-    rays, areas = face_directions(rays_per_face), face_shares(rays_per_face)
+    rays = face_directions(rays_per_face)
+    areas = face_shares(rays_per_face)
     fractions = np.zeros(len(chosen))
     progress("directions", 0, rays_per_face)
     for k in range(rays_per_face):
@@ -218,7 +219,8 @@ def seen_from_space(
     Raises:
         ValueError: If an id is out of range.
     """
-    chosen, hierarchy = tracer.check_ids(ids), tracer.hierarchy
+    chosen = tracer.check_ids(ids)
+    hierarchy = tracer.hierarchy
     rays = face_directions(rays_per_face).reshape(-1, 3)
     rays = np.ascontiguousarray(rays[np.random.default_rng(0).permutation(len(rays))])  # neighbors fail together
     grid = (*_check.read_only(navigable.free, np.asarray(navigable.origin, np.float64)), float(navigable.voxel_size))
@@ -293,7 +295,8 @@ def jaccard(left: ArrayLike, right: ArrayLike) -> F64:
     Returns:
         (N,) float64 in [0, 1]; 1 if both are empty.
     """
-    a, b = _sets("left", left), _sets("right", right)
+    a = _sets("left", left)
+    b = _sets("right", right)
     _check.same_length(left=a, right=b)
     either = _counts(a | b)
     return np.where(either == 0, 1.0, _counts(a & b) / np.maximum(either, 1))

@@ -102,7 +102,8 @@ class Open3dEngine:
         if len(faces) == 0:
             return
         self._faces_per_body = len(faces) // bodies
-        corners, triangles = vertices.reshape(bodies, -1, 3), faces.reshape(bodies, -1, 3)
+        corners = vertices.reshape(bodies, -1, 3)
+        triangles = faces.reshape(bodies, -1, 3)
         self._repeats = _Repeats.from_bodies(corners)
         traced = self._repeats.first
         dealt = np.random.default_rng(0).integers(_GEOMETRIES, size=len(traced))
@@ -127,7 +128,8 @@ class Open3dEngine:
     def all_faces(self, rays_o: F64, rays_d: F64) -> tuple[I64, I64]:
         """Return all hits; see `Engine`."""
         answer = self._scene.list_intersections(_rays32(rays_o, rays_d))
-        ray_ids, faces = answer["ray_ids"].numpy().astype(np.int64), self._faces(answer)
+        ray_ids = answer["ray_ids"].numpy().astype(np.int64)
+        faces = self._faces(answer)
         if len(faces) == 0:
             return ray_ids, faces
         hits, bodies = self._repeats.expand(faces // self._faces_per_body)

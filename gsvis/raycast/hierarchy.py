@@ -43,8 +43,10 @@ class Hierarchy:
     @classmethod
     def from_proxies(cls, proxies: EllipsoidProxies) -> Hierarchy:
         """Build the hierarchy; takes some seconds for 1.5 million Gaussians."""
-        g, m = proxies.gaussians, len(proxies)
-        low, high = np.empty((m, 3), np.float32), np.empty((m, 3), np.float32)
+        g = proxies.gaussians
+        m = len(proxies)
+        low = np.empty((m, 3), np.float32)
+        high = np.empty((m, 3), np.float32)
         for part in _parts(m):
             some = g[proxies.ids[part]]
             half = np.linalg.norm(some.rotations() * proxies.radii[part, None, :], axis=2)
@@ -54,7 +56,8 @@ class Hierarchy:
             high[part] = np.nextafter((means + half).astype(np.float32), np.float32(np.inf))
         order, boxes, children = _kernels_bvh.build(low, high)
         ids = proxies.ids[order]
-        table, content = np.zeros((m, 16), np.float64), np.empty((m, 14 if g.sh_degree else 11), np.float32)
+        table = np.zeros((m, 16), np.float64)
+        content = np.empty((m, 14 if g.sh_degree else 11), np.float32)
         for part in _parts(m):
             some = g[ids[part]]
             table[part, :3] = some.means

@@ -138,7 +138,8 @@ class EllipsoidProxies:
         """
         unit, unit_faces = self.template
         chosen = range(*slice(start, stop).indices(len(self)))
-        m, v = len(chosen), len(unit)
+        m = len(chosen)
+        v = len(unit)
         _check.positive_int("proxies", m, at_least=0)
         vertices = np.empty((m, v, 3), np.float32)
         for first in range(0, m, _CHUNK):

@@ -203,7 +203,8 @@ class Tracer:
             yield start, traced
 
     def _trace_hierarchy(self, rays_o: F64, rays_d: F64, rows: Columns, max_memory: int) -> Contributions:
-        arrays, counts = self.hierarchy.arrays, np.empty(len(rays_o), np.int64)
+        arrays = self.hierarchy.arrays
+        counts = np.empty(len(rays_o), np.int64)
         _kernels.trace_rays(*arrays, rays_o, rays_d, self.limits, counts, *rows)
         offsets = np.concatenate([[0], np.cumsum(counts)])
         total = int(offsets[-1])
@@ -235,7 +236,8 @@ class Tracer:
         """
         _check.positive_int("proxies", proxies)
         rays_o, rays_d = _rays(rays_o, rays_d)
-        pairs, near = [np.zeros(0, np.int64)], np.flatnonzero(self.proxies.near(rays_o, rays_d))
+        pairs = [np.zeros(0, np.int64)]
+        near = np.flatnonzero(self.proxies.near(rays_o, rays_d))
         for start in range(0, len(near), proxies):
             some = near[start : start + proxies]
             part = ENGINES[self.engine](*self.proxies[some].meshes(), bodies=len(some))

@@ -115,11 +115,14 @@ def _largest(tracer: Tracer, rays_o: F64, rays_d: F64) -> F32:
 
 def _to_gaussians(tracer: Tracer, eye: F64, rays: GaussianRays, ids: NDArray[np.int64]) -> F32:
     """Return weights (M,) from one eye along rays to the center and the ring of the Gaussians ids (M,)."""
-    hierarchy, g = tracer.hierarchy, tracer.proxies.gaussians
+    hierarchy = tracer.hierarchy
+    g = tracer.proxies.gaussians
     there = np.flatnonzero(hierarchy.positions[ids] >= 0)  # the others are too faint to be visible
     targets = np.sort(hierarchy.positions[ids[there]])  # neighbors in sequence: their paths share memory
-    table, owners = hierarchy.table[targets], hierarchy.ids[targets]
-    best, out = np.zeros(len(targets)), np.empty(len(targets))
+    table = hierarchy.table[targets]
+    owners = hierarchy.ids[targets]
+    best = np.zeros(len(targets))
+    out = np.empty(len(targets))
     for offset in _offsets(table, g.quats[owners], g.scales[owners], eye, rays.ring):
         toward = table[:, :3] + offset - eye
         length = np.linalg.norm(toward, axis=1)

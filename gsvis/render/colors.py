@@ -45,7 +45,8 @@ def camera_colors(colors: Colors, means: F32, cameras: Cameras) -> Callable[[int
         each = given if given.ndim == 3 else given[None]
         return lambda c: each[c if len(each) > 1 else 0]
     check_count(colors, len(means))
-    evaluator, eyes = colors if isinstance(colors, Evaluator) else Evaluator(colors), cameras.viewpoints
+    evaluator = colors if isinstance(colors, Evaluator) else Evaluator(colors)
+    eyes = cameras.viewpoints
     return lambda c: evaluator.colors(means, eyes[c])
 
 

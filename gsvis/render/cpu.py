@@ -78,7 +78,8 @@ class _Rasterize(torch.autograd.Function):
         v_opacities, v_sh0, v_shN = (np.zeros_like(a) for a in (scene.opacities, scene.sh0, scene.shN))
         v_means2d = np.empty((len(projected.ids), 2))
         stand = int(np.searchsorted(projected.ids, frozen))  # ids ascend
-        ids, moved = projected.ids[stand:], sums[stand:]
+        ids = projected.ids[stand:]
+        moved = sums[stand:]
         v_means2d[:stand] = _by_centers(projected.splats[:stand], sums[:stand])
         factor = length_factor(scene.means)
         means, scales, viewmat = in_usual_units(scene, view, factor)
@@ -115,11 +116,9 @@ class _Rasterize(torch.autograd.Function):
 
 def _by_centers(splats: F64, sums: F64) -> F64:
     """Return (M, 2) gradients by projected centers from the sums of the tiles, the same as `project_backward`."""
-    a, b, c = (
-        splats[:, 2] * (2.0 / _kernels_project.LOG2E),
-        splats[:, 3] / _kernels_project.LOG2E,
-        splats[:, 4] * (2.0 / _kernels_project.LOG2E),
-    )
+    a = splats[:, 2] * (2.0 / _kernels_project.LOG2E)
+    b = splats[:, 3] / _kernels_project.LOG2E
+    c = splats[:, 4] * (2.0 / _kernels_project.LOG2E)
     return np.stack([a * sums[:, 5] + b * sums[:, 6], b * sums[:, 5] + c * sums[:, 6]], axis=1)
 
 

@@ -64,16 +64,27 @@ def rasterize_cuda(
     near = 0.01 / length_factor(some.cpu().numpy())
     coefficients = torch.cat([tensors.sh0, tensors.shN], dim=1)[:, : (sh_degree + 1) ** 2]
     images, alphas, info = gsplat.rasterization(
-        tensors.means, tensors.quats, tensors.scales, tensors.opacities,
+        tensors.means,
+        tensors.quats,
+        tensors.scales,
+        tensors.opacities,
         coefficients if colors is None else colors,
-        there(camera.viewmats), there(camera.Ks), camera.width, camera.height,
-        near_plane=near, eps2d=0.3, sh_degree=sh_degree if colors is None else None, packed=False,
-        backgrounds=there(background[None]), render_mode="RGB+ED",
+        there(camera.viewmats),
+        there(camera.Ks),
+        camera.width,
+        camera.height,
+        near_plane=near,
+        eps2d=0.3,
+        sh_degree=sh_degree if colors is None else None,
+        packed=False,
+        backgrounds=there(background[None]),
+        render_mode="RGB+ED",
         rasterize_mode="antialiased" if antialiased else "classic",
-    )  # fmt: skip
+    )
     if probe.requires_grad:
         _forward_gradient(info["means2d"], probe)
-    image, alpha = images[0, ..., :3], alphas[0, ..., 0]
+    image = images[0, ..., :3]
+    alpha = alphas[0, ..., 0]
     return image, alpha, images[0, ..., 3], torch.full_like(alpha, float("nan"))
 
 

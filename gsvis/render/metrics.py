@@ -96,7 +96,8 @@ def ssim(image: Any, target: Any, data_range: float = 1.0, *, padding: str = "va
     a, b = _pair(image, target)
     check_window(a.shape, padding)
     white = check_white(data_range)
-    c1, c2 = (0.01 * white) ** 2, (0.03 * white) ** 2
+    c1 = (0.01 * white) ** 2
+    c2 = (0.03 * white) ** 2
     values = np.empty(len(a))
     for c in range(len(a)):
         x, y = (np.ascontiguousarray(v[c].transpose(2, 0, 1)) for v in (a, b))
@@ -196,7 +197,8 @@ def _is_tensor(image: Any, target: Any) -> bool:
 
 def _pair(image: Any, target: Any) -> tuple[F64, F64]:
     """Return both as checked (C, H, W, 3) arrays."""
-    a, b = _stack("image", image), _stack("target", target)
+    a = _stack("image", image)
+    b = _stack("target", target)
     check_pair(a.shape, b.shape, image, target)
     return a, b
 

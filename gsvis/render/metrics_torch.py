@@ -36,7 +36,8 @@ def ssim_torch(image: Any, target: Any, data_range: float, padding: str) -> Tens
     a, b = _pair(image, target)
     check_window(a.shape, padding)
     white = check_white(data_range)
-    c1, c2 = (0.01 * white) ** 2, (0.03 * white) ** 2
+    c1 = (0.01 * white) ** 2
+    c2 = (0.03 * white) ** 2
     count, height, width, _ = a.shape
     x, y = (v.permute(0, 3, 1, 2).reshape(3 * count, height, width) for v in (a, b))
     means = _blur(torch.cat([x, y, x * x, y * y, x * y]), WINDOW // 2 if padding == "same" else 0)
@@ -66,7 +67,8 @@ def lpips_torch(image: Any, target: Any, net: str) -> Tensor:
 
 def _pair(image: Any, target: Any) -> tuple[Tensor, Tensor]:
     """Return both as checked (C, H, W, 3) tensors of one float type."""
-    a, b = _stack("image", image), _stack("target", target)
+    a = _stack("image", image)
+    b = _stack("target", target)
     check_pair(tuple(a.shape), tuple(b.shape), image, target)
     if isinstance(image, Tensor):
         b = b.to(a)
@@ -112,7 +114,8 @@ class _Blur(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, planes: Tensor, window: Tensor, margin: int) -> Tensor:
-        ctx.window, ctx.margin = window, margin
+        ctx.window = window
+        ctx.margin = margin
         less = 2 * margin - len(window) + 1
         count, height, width = planes.shape
         out = planes.new_empty(count, height + less, width + less)

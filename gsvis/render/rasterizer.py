@@ -149,9 +149,15 @@ def rasterize(
     if isinstance(gaussians, Gaussians):
         gaussians = GaussianTensors.from_gaussians(gaussians, device="cuda" if backend == "cuda" else "cpu")
     drawn = rasterize_tensors(
-        gaussians, cameras, backend=backend, background=behind, sh_degree=degree, antialiased=antialiased,
-        colors=colors, frozen=frozen,
-    )  # fmt: skip
+        gaussians,
+        cameras,
+        backend=backend,
+        background=behind,
+        sh_degree=degree,
+        antialiased=antialiased,
+        colors=colors,
+        frozen=frozen,
+    )
     if of_tensors or _are_tensors(colors):
         return drawn
     return Rendering(*(_check.plain(part) for part in (drawn.images, drawn.alphas, drawn.depths, drawn.median_depths)))

@@ -112,24 +112,41 @@ _Draw = Callable[..., tuple[Tensor, Tensor, Tensor, Tensor]]
 
 
 def _draw_cpu(
-    tensors: GaussianTensors, camera: Cameras, background: NDArray[np.float32], degree: int, antialiased: bool,
-    colors: Tensor | None, probe: Tensor, frozen: int = 0,
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:  # fmt: skip
+    tensors: GaussianTensors,
+    camera: Cameras,
+    background: NDArray[np.float32],
+    degree: int,
+    antialiased: bool,
+    colors: Tensor | None,
+    probe: Tensor,
+    frozen: int = 0,
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     if tensors.means.device.type != "cpu":
         raise BackendError(
             f"backend 'cpu': expected tensors on the CPU, got {tensors.means.device}; use backend='cuda'"
         )
     view = View.from_matrices(camera.viewmats[0], camera.Ks[0], camera.width, camera.height)
     return rasterize_cpu(
-        tensors, view, background=background, sh_degree=degree, antialiased=antialiased, colors=colors, probe=probe,
+        tensors,
+        view,
+        background=background,
+        sh_degree=degree,
+        antialiased=antialiased,
+        colors=colors,
+        probe=probe,
         frozen=frozen,
-    )  # fmt: skip
+    )
 
 
 def _draw_reference(
-    tensors: GaussianTensors, camera: Cameras, background: NDArray[np.float32], degree: int, antialiased: bool,
-    colors: Tensor | None, probe: Tensor,
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:  # fmt: skip
+    tensors: GaussianTensors,
+    camera: Cameras,
+    background: NDArray[np.float32],
+    degree: int,
+    antialiased: bool,
+    colors: Tensor | None,
+    probe: Tensor,
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     size = camera.width, camera.height
     projection = project_reference(
         tensors, camera.viewmats[0], camera.Ks[0], *size, sh_degree=degree, antialiased=antialiased, colors=colors
@@ -140,9 +157,14 @@ def _draw_reference(
 
 
 def _draw_cuda(
-    tensors: GaussianTensors, camera: Cameras, background: NDArray[np.float32], degree: int, antialiased: bool,
-    colors: Tensor | None, probe: Tensor,
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:  # fmt: skip
+    tensors: GaussianTensors,
+    camera: Cameras,
+    background: NDArray[np.float32],
+    degree: int,
+    antialiased: bool,
+    colors: Tensor | None,
+    probe: Tensor,
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     reason = is_available()
     if reason:
         raise BackendError(reason)

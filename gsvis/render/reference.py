@@ -68,7 +68,9 @@ class Projection:
     def alphas(self, pixels: F64) -> F64:
         """Return the (P, M) alphas at (P, 2) pixel centers, 0 where below 1/255."""
         dx, dy = (self.means2d[:, axis] - pixels[:, axis, None] for axis in (0, 1))
-        a, b, c = 0.5 * self.conics[:, 0], self.conics[:, 1], 0.5 * self.conics[:, 2]
+        a = 0.5 * self.conics[:, 0]
+        b = self.conics[:, 1]
+        c = 0.5 * self.conics[:, 2]
         sigma = a * dx * dx + b * dx * dy + c * dy * dy
         alphas = np.minimum(self.opacities * np.exp(-sigma), MAX_ALPHA)
         return np.where((alphas >= MIN_ALPHA) & (sigma >= 0.0), alphas, 0.0)
@@ -95,17 +97,21 @@ def project_reference(
         Zwicker et al., "EWA splatting", TVCG 2002, section 4; Yu et al., "Mip-Splatting", CVPR 2024, equation 9.
     """
     fx, fy, cx, cy = view.intrinsics
-    rotation, translation = view.viewmat[:3, :3], view.viewmat[:3, 3]
+    rotation = view.viewmat[:3, :3]
+    translation = view.viewmat[:3, 3]
     centers = g.means.astype(np.float64) @ rotation.T + translation
     ids = np.flatnonzero(centers[:, 2] > NEAR / length_factor(g.means))
     x, y, z = centers[ids].T
     # The Jacobian of the projection; its point is clamped to 0.3 half images outside the view.
-    beyond_x, beyond_y = 0.15 * view.width / fx, 0.15 * view.height / fy
+    beyond_x = 0.15 * view.width / fx
+    beyond_y = 0.15 * view.height / fy
     slope_x = np.clip(x / z, -cx / fx - beyond_x, (view.width - cx) / fx + beyond_x)
     slope_y = np.clip(y / z, -cy / fy - beyond_y, (view.height - cy) / fy + beyond_y)
     jacobian = np.zeros((len(ids), 2, 3))
-    jacobian[:, 0, 0], jacobian[:, 0, 2] = fx / z, -fx * slope_x / z
-    jacobian[:, 1, 1], jacobian[:, 1, 2] = fy / z, -fy * slope_y / z
+    jacobian[:, 0, 0] = fx / z
+    jacobian[:, 0, 2] = -fx * slope_x / z
+    jacobian[:, 1, 1] = fy / z
+    jacobian[:, 1, 2] = -fy * slope_y / z
     # With A = J W R S the covariance on the screen is A A^T. Its determinant is the squared area that its rows span.
     some = g[ids]
     half = jacobian @ rotation @ (some.rotations().astype(np.float64) * some.scales[:, None, :])

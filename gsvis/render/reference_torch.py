@@ -111,7 +111,8 @@ def project_reference(
     """
     view, intrinsic = _camera(tensors, viewmat, K, width, height)
     (fx, _, cx), (_, fy, cy), _ = intrinsic.tolist()
-    rotation, translation = view[:3, :3], view[:3, 3]
+    rotation = view[:3, :3]
+    translation = view[:3, 3]
 
     x, y, z = ((tensors.means[:, None, :] * rotation).sum(dim=2) + translation).unbind(dim=1)
     valid = z.detach() > NEAR / length_factor(tensors.means.detach().cpu().numpy())
@@ -119,7 +120,8 @@ def project_reference(
     means2d = torch.stack([fx * x / z + cx, fy * y / z + cy], dim=1)
 
     # The Jacobian of the projection; its point is clamped to 0.3 half images outside the view.
-    beyond_x, beyond_y = 0.3 * 0.5 * width / fx, 0.3 * 0.5 * height / fy
+    beyond_x = 0.3 * 0.5 * width / fx
+    beyond_y = 0.3 * 0.5 * height / fy
     slope_x = (x / z).clamp(-cx / fx - beyond_x, (width - cx) / fx + beyond_x)
     slope_y = (y / z).clamp(-cy / fy - beyond_y, (height - cy) / fy + beyond_y)
     zero = torch.zeros_like(z)
@@ -131,7 +133,9 @@ def project_reference(
     # Computed this way, it cannot be negative for a needle.
     half = jacobian @ rotation @ (rotations_from_quats(tensors.quats) * tensors.scales[:, None, :])
     u, v = half.unbind(dim=1)
-    xx, xy, yy = (u * u).sum(dim=1), (u * v).sum(dim=1), (v * v).sum(dim=1)
+    xx = (u * u).sum(dim=1)
+    xy = (u * v).sum(dim=1)
+    yy = (v * v).sum(dim=1)
     sharp = torch.linalg.cross(u, v).square().sum(dim=1)
     det = sharp + BLUR * (xx + yy) + BLUR * BLUR
     conics = torch.stack([(yy + BLUR) / det, -xy / det, (xx + BLUR) / det], dim=1)
@@ -213,7 +217,8 @@ def blend_reference(
         *drawn, weights = checkpoint(_blend, front_to_back, hit, some, behind, use_reentrant=False)
         parts.append(drawn)
         if weights.numel():
-            weights, ids = weights.detach(), order[hit]
+            weights = weights.detach()
+            ids = order[hit]
             largest[ids] = torch.maximum(largest[ids], weights.amax(dim=0))
             summed[ids] += weights.sum(dim=0)
     image, alpha, depth, median_depth = (torch.cat(part) for part in zip(*parts, strict=True))
@@ -288,7 +293,9 @@ def _front_to_back(tensors: GaussianTensors, projection: Projection) -> Tensor:
 def _sigmas(projection: Projection, ids: Tensor | slice, pixels: Tensor) -> Tensor:
     """Return (P, M) exponents of the Gaussians `ids` at (P, 2) pixel centers: the response is exp(-sigma)."""
     dx, dy = (projection.means2d[ids, axis] - pixels[:, axis, None] for axis in (0, 1))
-    a, b, c = (0.5 * projection.conics[ids, 0], projection.conics[ids, 1], 0.5 * projection.conics[ids, 2])
+    a = 0.5 * projection.conics[ids, 0]
+    b = projection.conics[ids, 1]
+    c = 0.5 * projection.conics[ids, 2]
     return a * dx * dx + b * dx * dy + c * dy * dy
 
 

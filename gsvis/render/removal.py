@@ -107,9 +107,16 @@ def removal_effects(
             residual = _blend(view, projected, features, behind) - _target(images[c])
         pairs = np.empty((len(projected.members), 4), np.float32)
         _kernels_removal.remove_tiles(
-            projected.splats, features, projected.offsets, projected.members, projected.pair_of, view.tiles[0],
-            behind, residual, pairs,
-        )  # fmt: skip
+            projected.splats,
+            features,
+            projected.offsets,
+            projected.members,
+            projected.pair_of,
+            view.tiles[0],
+            behind,
+            residual,
+            pairs,
+        )
         if len(pairs):
             met = np.flatnonzero(np.diff(projected.first_pair))  # reduceat needs non-empty ranges
             ids = projected.ids[projected.order[met]]

@@ -49,7 +49,10 @@ class View:
     @classmethod
     def from_matrices(cls, viewmat: F64, K: F64, width: int, height: int) -> View:  # noqa: N803
         """Return the view of a (4, 4) pose and (3, 3) intrinsics; callers check that there is no skew."""
-        fx, fy, cx, cy = float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])
+        fx = float(K[0, 0])
+        fy = float(K[1, 1])
+        cx = float(K[0, 2])
+        cy = float(K[1, 2])
         return cls(np.ascontiguousarray(viewmat, np.float64), (fx, fy, cx, cy), width, height)
 
     @property
@@ -101,15 +104,24 @@ def project(scene: Any, view: View, *, antialiased: bool, pairs: bool) -> Projec
     n = len(scene.means)
     blocks = -(-n // _BLOCK)
     counts = np.zeros(blocks, np.int64)
-    ids, splats, depths = np.empty(n, np.int32), np.empty((n, 8)), np.empty(n, np.float32)
+    ids = np.empty(n, np.int32)
+    splats = np.empty((n, 8))
+    depths = np.empty(n, np.float32)
     size = (view.width, view.height)
     factor = length_factor(scene.means)
     means, scales, viewmat = in_usual_units(scene, view, factor)
     shapes = _check.read_only(means, scene.quats, scales, scene.opacities)
     _kernels_project.project(
-        *shapes, viewmat, view.intrinsics, *size, antialiased,
-        ids, splats, depths, counts,
-    )  # fmt: skip
+        *shapes,
+        viewmat,
+        view.intrinsics,
+        *size,
+        antialiased,
+        ids,
+        splats,
+        depths,
+        counts,
+    )
     starts = np.concatenate([[0], np.cumsum(counts)])
     m = int(starts[-1])
     packed = np.empty(m, np.int32), np.empty((m, 8)), np.empty(m, np.float32)
@@ -137,10 +149,13 @@ def _sort_splats(scene: Any, ids: I32, depths: F32) -> I32:
     least = bits.min(initial=np.iinfo(np.uint32).max)
     width = int(bits.max(initial=least) - least).bit_length()
     passes = -(-width // _kernels_order.DIGIT)
-    keys, moved, order = np.empty(m, np.uint64), np.empty(m, np.uint64), np.empty(m, np.int32)
+    keys = np.empty(m, np.uint64)
+    moved = np.empty(m, np.uint64)
+    order = np.empty(m, np.int32)
     _kernels_order.join_keys(bits, least, keys)
     for k in range(passes):
-        first, last = width * k // passes, width * (k + 1) // passes
+        first = width * k // passes
+        last = width * (k + 1) // passes
         counts = np.zeros((-(-m // _kernels_order.BLOCK), 1 << (last - first)), np.int32)
         shift = np.uint64(32 + first)
         _kernels_order.count_digits(keys, shift, counts)
@@ -158,11 +173,13 @@ def _list_tiles(splats: F64, order: I32, view: View, *, pairs: bool) -> tuple[I6
     room = np.zeros(-(-m // _kernels_tiles.BLOCK) + 1, np.int64)
     _kernels_tiles.count_candidates(splats, tiles_x, tiles_y, room[1:])
     np.cumsum(room, out=room)
-    met, spans = np.empty(int(room[-1]) + 1, np.int32), np.empty((m, 2), np.int32)
+    met = np.empty(int(room[-1]) + 1, np.int32)
+    spans = np.empty((m, 2), np.int32)
     met[-1] = 0  # read, and not used, for a last splat that meets no tile
     _kernels_tiles.meet_tiles(splats, room, tiles_x, tiles_y, met, spans)
     chunks = max(1, min(_CHUNKS * get_num_threads(), m // _BLOCK))
-    places, sums = np.zeros((chunks, tiles_x * tiles_y), np.int32), np.zeros(chunks + 1, np.int64)
+    places = np.zeros((chunks, tiles_x * tiles_y), np.int32)
+    sums = np.zeros(chunks + 1, np.int64)
     _kernels_tiles.count_tiles(order, spans, room, met, places, sums[1:])
     offsets = np.zeros(tiles_x * tiles_y + 1, np.int64)
     _kernels_order.place_blocks(places, offsets[1:])

@@ -79,7 +79,8 @@ def view_weights(
         _kernels_tiles.weigh_tiles(projected.splats, colorless, *lists, view.width, view.height, pairs)
         if len(pairs):
             met = np.flatnonzero(np.diff(projected.first_pair))  # reduceat needs non-empty ranges
-            starts, ids = projected.first_pair[met], projected.ids[projected.order[met]]
+            starts = projected.first_pair[met]
+            ids = projected.ids[projected.order[met]]
             largest[c, ids] = np.maximum.reduceat(pairs[:, 0], starts)
             summed[c, ids] = np.add.reduceat(pairs[:, 1], starts)
         progress("views", c + 1, len(cameras))
@@ -111,11 +112,13 @@ def contributors(
     tile = (y // side) * view.tiles[0] + x // side
     members = projected.members[projected.offsets[tile] : projected.offsets[tile + 1]]
     splats = projected.splats[members]
-    dx, dy = x + 0.5 - splats[:, 0], y + 0.5 - splats[:, 1]
+    dx = x + 0.5 - splats[:, 0]
+    dy = y + 0.5 - splats[:, 1]
     log2_alpha = splats[:, 5] + splats[:, 2] * dx * dx + splats[:, 3] * dx * dy + splats[:, 4] * dy * dy
     alphas = np.exp2(log2_alpha)
     seen = alphas >= MIN_ALPHA
-    members, alphas = members[seen], np.minimum(alphas[seen], MAX_ALPHA)
+    members = members[seen]
+    alphas = np.minimum(alphas[seen], MAX_ALPHA)
     transmittance = np.cumprod(np.concatenate([[1.0], 1.0 - alphas]))
     lit = np.cumprod(transmittance[1:] > MIN_TRANSMITTANCE).astype(bool)
     return PixelContributors(

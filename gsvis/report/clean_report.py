@@ -207,9 +207,15 @@ def _around(g: Gaussians, up: NDArray[np.float64]) -> Cameras:
     low, high = g.bounds(0.98)
     width, height = _OUTSIDE
     return Cameras.orbit(
-        0.5 * (low + high), 0.8 * float(np.linalg.norm(high - low)), 2, elevation=35.0, up=up, width=width,
-        height=height, fov=60.0,
-    )  # fmt: skip
+        0.5 * (low + high),
+        0.8 * float(np.linalg.norm(high - low)),
+        2,
+        elevation=35.0,
+        up=up,
+        width=width,
+        height=height,
+        fov=60.0,
+    )
 
 
 def _share(count: int, of: int) -> str:
@@ -230,9 +236,12 @@ def _tiles(document: dict[str, Any]) -> str:
     shown += [(f"{each['removed']:,}", name, _MEANING[name]) for name, each in document["classes"].items()]
     if document["cost"]:
         shown.append(
-            (f"{document['cost']['mean_db']:.1f} dB", "held-out views, after against before",
-             f"worst {document['cost']['worst_db']:.1f} dB")
-        )  # fmt: skip
+            (
+                f"{document['cost']['mean_db']:.1f} dB",
+                "held-out views, after against before",
+                f"worst {document['cost']['worst_db']:.1f} dB",
+            )
+        )
     return tiles(shown)
 
 
@@ -257,7 +266,8 @@ def _classes(document: dict[str, Any]) -> str:
 
 
 def _inside(figures: dict[str, Figure]) -> str:
-    text, k = "", 0
+    text = ""
+    k = 0
     captions = {"before": "Before.", "classes": "What would go, in the colors of the classes.", "after": "After."}
     while f"before_{k}" in figures:
         parts = (figure(figures[f"{name}_{k}"], caption, caption) for name, caption in captions.items())

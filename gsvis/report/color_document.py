@@ -104,7 +104,8 @@ def _views(quality: ColorQuality) -> dict[str, int]:
 
 def _figures(fitted: FittedColors, progress: Progress) -> dict[str, Figure]:
     """Return all plots and pictures by name, plots for light and for dark pages."""
-    quality, epsilon = _quality(fitted), fitted.epsilon
+    quality = _quality(fitted)
+    epsilon = fitted.epsilon
     plots: dict[str, tuple[Any, tuple[float, float]]] = {"bytes": (partial(draw_bytes, fitted=fitted), (5.2, 2.4))}
     if fitted.colors.num_terms:
         plots["term_counts"] = (partial(draw_term_counts, fitted=fitted), (5.2, 3.3))

@@ -42,7 +42,8 @@ def color_page(fitted: FittedColors, document: dict[str, Any], figures: dict[str
 
 
 def _lead(document: dict[str, Any]) -> str:
-    terms, quality = document["terms"], document["quality"]
+    terms = document["terms"]
+    quality = document["quality"]
     if not terms["total"]:
         return (
             f"<p class='lead'>The {document['gaussians']:,} Gaussians of this scene have base colors and no terms:"
@@ -57,8 +58,11 @@ def _lead(document: dict[str, Any]) -> str:
 
 
 def _tiles(document: dict[str, Any]) -> str:
-    quality, sizes, terms = document["quality"], document["bytes_per_gaussian"], document["terms"]
-    whole, base = quality["all_terms"]["psnr"], quality["base_only"]["psnr"]
+    quality = document["quality"]
+    sizes = document["bytes_per_gaussian"]
+    terms = document["terms"]
+    whole = quality["all_terms"]["psnr"]
+    base = quality["base_only"]["psnr"]
     shown = [
         (f"{whole['mean']:.1f} dB", "PSNR against SH, on average", f"worst view: {whole['worst']:.1f} dB"),
         (f"{base['mean']:.1f} dB", "with base colors alone", f"worst view: {base['worst']:.1f} dB"),
@@ -111,7 +115,8 @@ def _pictures(role: str, row: dict[str, Any], figures: dict[str, Figure]) -> str
 
 
 def _terms(document: dict[str, Any], figures: dict[str, Figure]) -> str:
-    terms, seen = document["terms"], document["directions"]
+    terms = document["terms"]
+    seen = document["directions"]
     text = ""
     if "term_counts" in figures:
         caption = (
@@ -132,7 +137,8 @@ def _terms(document: dict[str, Any], figures: dict[str, Figure]) -> str:
 
 
 def _active(document: dict[str, Any], figures: dict[str, Figure]) -> str:
-    quality, epsilon = document["quality"], document["epsilon"]
+    quality = document["quality"]
+    epsilon = document["epsilon"]
     if "active" not in figures:
         return "<p>The colors have no terms.</p>"
     shares = "Share of all terms that change a channel of their Gaussian by more than epsilon, as an eye sees it."
@@ -168,7 +174,8 @@ def _active(document: dict[str, Any], figures: dict[str, Figure]) -> str:
 
 
 def _bytes(document: dict[str, Any], figures: dict[str, Figure]) -> str:
-    sizes, count = document["bytes_per_gaussian"], document["gaussians"]
+    sizes = document["bytes_per_gaussian"]
+    count = document["gaussians"]
     rows = [
         (name, f"{size:.2f}", f"{size * count / 1e6:.2f}", f"{size / sizes['sh_32']:.1%}")
         for name, size in (

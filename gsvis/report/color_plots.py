@@ -33,7 +33,8 @@ _PERCENT = FuncFormatter(lambda value, _: f"{100.0 * value:g}%")
 
 def draw_term_counts(axes: Axes, theme: Theme, fitted: FittedColors) -> None:
     """Draw the share of Gaussians with each number of terms, beside their share of the image content."""
-    gaussians, importance = fitted.by_count, fitted.importance_by_count
+    gaussians = fitted.by_count
+    importance = fitted.importance_by_count
     at = np.arange(len(gaussians))
     axes.bar(at - 0.2, gaussians, width=0.4, color=theme.gathered, label="of the Gaussians")
     axes.bar(at + 0.2, importance, width=0.4, color=theme.traced, label="of what images show of them")
@@ -61,8 +62,10 @@ def draw_term_counts(axes: Axes, theme: Theme, fitted: FittedColors) -> None:
 
 def draw_first_terms(axes: Axes, theme: Theme, quality: ColorQuality) -> None:
     """Draw PSNR against SH by the number of received terms of each Gaussian."""
-    counts, found = quality.counts, quality.psnr_by_count
-    mean, worst = found.mean(axis=1), found.min(axis=1)
+    counts = quality.counts
+    found = quality.psnr_by_count
+    mean = found.mean(axis=1)
+    worst = found.min(axis=1)
     x = np.arange(len(counts))
     axes.fill_between(x, worst, mean, color=theme.gathered, alpha=0.18, linewidth=0)
     axes.plot(x, mean, color=theme.gathered, marker="o", markersize=6, linewidth=2.0, label="mean of the views")
@@ -79,7 +82,8 @@ def draw_first_terms(axes: Axes, theme: Theme, quality: ColorQuality) -> None:
             fontweight="bold",
             color=theme.gathered,
         )
-    low, high = float(worst.min()), float(mean.max())
+    low = float(worst.min())
+    high = float(mean.max())
     axes.set_ylim(max(0.0, low - 0.12 * (high - low) - 1.0), high + 0.14 * (high - low) + 1.0)
     axes.set_xlim(-0.35, len(x) - 0.65)
     labels = [f"{k}\n{m:.2f}" for k, m in zip(counts, quality.mean_terms, strict=True)]
@@ -105,7 +109,8 @@ def draw_active_psnr(axes: Axes, theme: Theme, quality: ColorQuality, epsilon: f
     found = quality.active_psnr
     _by_epsilon(axes, theme, quality.epsilons, found.mean(axis=1), (found.min(axis=1), found.max(axis=1)))
     axes.axhline(ACTIVE_TARGET, color=theme.traced, linewidth=1.6, dashes=(5, 2))
-    low, high = min(float(found.min()), ACTIVE_TARGET), max(float(found.max()), ACTIVE_TARGET)
+    low = min(float(found.min()), ACTIVE_TARGET)
+    high = max(float(found.max()), ACTIVE_TARGET)
     axes.set_ylim(max(0.0, low - 0.1 * (high - low)), high + 0.08 * (high - low))
     axes.annotate(
         f"target {ACTIVE_TARGET:g} dB",

@@ -25,7 +25,9 @@ from gsvis.scene.icosphere import face_directions, face_shares
 __all__ = ["Spheres", "draw_spheres", "fit_spheres"]
 
 _SIDE = 180  # pixels of a sphere
-_STEP, _ROW = 195, 222  # pixels from one sphere to the next, with its figure below
+# pixels from one sphere to the next, with its figure below
+_STEP = 195
+_ROW = 222
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +53,8 @@ def fit_spheres(fitted: FittedColors, count: int = 3, variant: str | None = None
         count: Number of Gaussians; fewer if the scene has fewer.
         variant: How to split colors; None takes that of `fitted`.
     """
-    g, weight = fitted.gaussians, fitted.preparation.importance
+    g = fitted.gaussians
+    weight = fitted.preparation.importance
     shown = weight >= np.quantile(weight, 0.9) if len(weight) else np.zeros(0, bool)
     richness = np.where(shown, np.square(g.shN.astype(np.float64)).sum(axis=(1, 2)), -1.0)
     ids = _pick_different(np.argsort(-richness, kind="stable"), g, count)
@@ -59,7 +62,8 @@ def fit_spheres(fitted: FittedColors, count: int = 3, variant: str | None = None
     config = FitConfig(variant or fitted.colors.variant, max_terms=max(COUNTS), mean_terms=None, tolerance=1e-3)
     colors = fit_srbf(some, None, config).colors
     toward = sphere_directions(pixels=_SIDE)[1].reshape(-1, 3)
-    parts, shares = face_directions(4).reshape(-1, 3), face_shares(4).reshape(-1)
+    parts = face_directions(4).reshape(-1, 3)
+    shares = face_shares(4).reshape(-1)
     steps = [colors.first(k) for k in (0, *COUNTS)]
     exact = sh_colors_along(some.sh0, some.shN, towards_gaussian(parts))
     shape = (len(ids), _SIDE, _SIDE, 3)
@@ -81,7 +85,8 @@ def draw_spheres(axes: Axes, theme: Theme, spheres: Spheres) -> None:
     mosaic = np.empty((rows * _ROW, columns * _STEP, 3))
     mosaic[:] = paper
     for m, c in np.ndindex(rows, columns):
-        y, x = m * _ROW, c * _STEP + (_STEP - _SIDE) // 2
+        y = m * _ROW
+        x = c * _STEP + (_STEP - _SIDE) // 2
         shown = np.clip(spheres.images[m, c], 0.0, 1.0)
         mosaic[y : y + _SIDE, x : x + _SIDE] = cover * shown + (1.0 - cover) * paper
     axes.imshow(mosaic, interpolation="bilinear")

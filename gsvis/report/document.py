@@ -124,7 +124,8 @@ def _figures(
     analysis: Analysis, subject: Subject, pictures: list[ViewPicture], progress: Progress
 ) -> dict[str, Figure]:
     """Return all plots, maps and pictures by name, each plot drawn for light and for dark pages."""
-    cameras, comparable = analysis.cameras, not subject.differs
+    cameras = analysis.cameras
+    comparable = not subject.differs
     ground = Ground.from_scene(subject.gaussians, subject.up, cameras.viewpoints)
     plots: dict[str, tuple[Any, tuple[float, float]]] = {
         "visible": (partial(draw_visible, analysis=analysis, published=comparable), (5.2, 2.9)),

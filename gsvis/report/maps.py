@@ -66,7 +66,8 @@ class Ground:
         low, high = np.quantile(places, [0.01, 0.99], axis=0)
         if eyes is not None:
             standing = _check.floats("eyes", eyes, ("C", 3), np.float64) @ frame.T
-            low, high = np.minimum(low, standing.min(axis=0)), np.maximum(high, standing.max(axis=0))
+            low = np.minimum(low, standing.min(axis=0))
+            high = np.maximum(high, standing.max(axis=0))
         margin = 0.04 * max(float((high - low).max()), 1e-9)
         return cls(right, onward, places, np.stack([low - margin, high + margin]))
 
@@ -226,7 +227,8 @@ def _bridge(values: F64, gaps: NDArray[np.bool_]) -> F64:
 def _draw_camera(axes: Axes, theme: Theme, ground: Ground, camera: Cameras) -> None:
     """Draw a dot at the camera and a wedge over its horizontal field of view."""
     eye = ground.project(camera.viewpoints)[0]
-    focal, center = camera.Ks[0, 0, 0], camera.Ks[0, 0, 2]
+    focal = camera.Ks[0, 0, 0]
+    center = camera.Ks[0, 0, 2]
     reach = 0.16 * float((ground.box[1] - ground.box[0]).max())
     rotation = camera.viewmats[0, :3, :3]
     corners = [eye]

@@ -63,7 +63,8 @@ class Marks:
 
     def dots(self, points: F64, color: Color, radius: float) -> None:
         """Draw dots at points (P, 3); the radius is in pixels."""
-        pen, size = ImageDraw.Draw(self.image), _FINE * radius
+        pen = ImageDraw.Draw(self.image)
+        size = _FINE * radius
         for x, y in self._at(points):
             pen.ellipse((x - size, y - size, x + size, y + size), color, PAPER, 1)
 
@@ -83,7 +84,8 @@ class Marks:
             along = np.array([tip_x - x, tip_y - y])
             along /= np.linalg.norm(along)
             aside = np.array([-along[1], along[0]])
-            tip, size = np.array([tip_x, tip_y]), 7.0 * _FINE
+            tip = np.array([tip_x, tip_y])
+            size = 7.0 * _FINE
             for width, drawn in ((8, PAPER), (4, color)):
                 pen.line([(x, y), tuple(tip - 0.3 * size * along)], drawn, width * _FINE // 2)
                 grown = size + (width - 4) * 0.5 * _FINE
@@ -103,10 +105,13 @@ class Marks:
         unit = meters_per_unit or 1.0
         length = nice_length(_BAR * self.plan.side * unit)
         word = "m" if meters_per_unit else "unit" if length == 1.0 else "units"
-        pen, side = ImageDraw.Draw(self.image), self.image.size[0]
+        pen = ImageDraw.Draw(self.image)
+        side = self.image.size[0]
         across = length / unit / self.plan.side * side
-        x, y = 16.0 * _FINE, side - 16.0 * _FINE
-        text, size = f"{length:g} {word}", font(14 * _FINE)
+        x = 16.0 * _FINE
+        y = side - 16.0 * _FINE
+        text = f"{length:g} {word}"
+        size = font(14 * _FINE)
         wide = max(across, pen.textlength(text, size)) + 16 * _FINE
         pen.rounded_rectangle((x - 8 * _FINE, y - 28 * _FINE, x - 8 * _FINE + wide, y + 8 * _FINE), 4 * _FINE, PAPER)
         pen.text((x, y - 8 * _FINE), text, INK, size, anchor="ls")

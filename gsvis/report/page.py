@@ -69,7 +69,8 @@ def _tiles(analysis: Analysis, differs: str) -> str:
     for faces, limit, published in ((33, "41.25%", "below_33_faces"), (48, "60%", "below_48_faces")):
         more = [] if differs else [f"paper: {PAPER[published]:.1%}"]
         if analysis.traced is not None:
-            value, text = analysis.below_solid_angle(faces / 80.0), f"seen from less than {limit} of the sphere"
+            value = analysis.below_solid_angle(faces / 80.0)
+            text = f"seen from less than {limit} of the sphere"
             more.insert(0, f"by faces that a ray sees: {analysis.traced.below(faces):.1%}")
         elif analysis.has_settled:
             value = analysis.gathered.below(faces)
@@ -121,7 +122,8 @@ def _views(analysis: Analysis, figures: dict[str, Figure]) -> str:
     for role, index in places.items():
         if f"view_{role}" not in figures:
             continue
-        name, share = escape(analysis.cameras.names[index]), f"{analysis.visible_fractions[index]:.2%}"
+        name = escape(analysis.cameras.names[index])
+        share = f"{analysis.visible_fractions[index]:.2%}"
         seen = (
             f"Camera {name} needs {_ROLES[role]} of the scene: {analysis.visible[index]:,} Gaussians, {share}."
             " Every pixel is the sum of what its ray meets."
@@ -140,7 +142,8 @@ def _views(analysis: Analysis, figures: dict[str, Figure]) -> str:
 
 
 def _directions(analysis: Analysis, figures: dict[str, Figure], differs: str) -> str:
-    gathered, traced = analysis.gathered, analysis.traced
+    gathered = analysis.gathered
+    traced = analysis.traced
     count = f"{len(analysis.cameras):,} cameras"
     header = ["Gaussians seen from less than"]
     header += ["by solid angle", "faces that a ray sees", "the same, of seen"] if traced else []
@@ -182,7 +185,8 @@ def _both(cdf: DirectionCdf, faces: int) -> list[str]:
 
 
 def _explain_settling(analysis: Analysis, figures: dict[str, Figure]) -> str:
-    count, change = len(analysis.cameras), analysis.settling[-1].change
+    count = len(analysis.cameras)
+    change = analysis.settling[-1].change
     if analysis.has_settled:
         verdict = "What the cameras saw has settled"
         detail = f"twice the cameras moved no point of the curve by more than {change:.1%}."

@@ -29,7 +29,9 @@ Legend = list[tuple[Color | None, str]]
 READINGS = 3
 """Most readings of a scene that are shown."""
 
-_WIDTH, _EDGE, _GAP = 1280, 24, 16
+_WIDTH = 1280
+_EDGE = 24
+_GAP = 16
 _PLAN = 600  # pixels
 _VIEW = 616  # pixels across a view
 _HEIGHTS = {1: 346, 2: 300, 3: 270}  # pixels down each view, by their number

@@ -81,7 +81,8 @@ class Plan:
         frame = np.stack([right, onward])
         eyes = free_points(space)
         points = np.concatenate([eyes, np.reshape(np.asarray(more, np.float64), (-1, 3))]) @ frame.T
-        low, high = points.min(axis=0), points.max(axis=0)
+        low = points.min(axis=0)
+        high = points.max(axis=0)
         reach = _WIDER * float((high - low).max())
         box = np.quantile(g.means.astype(np.float64) @ frame.T, [_TAIL, 1.0 - _TAIL], axis=0)
         low = np.minimum(low, np.maximum(box[0], low - reach))
@@ -110,7 +111,8 @@ class Plan:
         middle = self.low + 0.5 * self.side
         ground = middle[0] * self.right + middle[1] * self.onward + float(np.median(heights[below])) * self.up
         fov = float(np.degrees(2.0 * np.arctan(0.5 / _FAR)))
-        eye, size = ground + _FAR * self.side * self.up, self.pixels
+        eye = ground + _FAR * self.side * self.up
+        size = self.pixels
         camera = Cameras.look_at([eye], ground, up=self.onward, width=size, height=size, fov=fov)
         drawn = rasterize(g[below], camera, backend="cpu", background=background, sh_degree=0)
         return np.asarray(np.clip(drawn.images[0], 0.0, 1.0), np.float32)

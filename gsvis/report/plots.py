@@ -27,7 +27,8 @@ def draw_visible(axes: Axes, theme: Theme, analysis: Analysis, *, published: boo
     else:
         axes.fill_between(np.arange(1, count + 1), fractions, step="mid", color=theme.gathered, linewidth=0)
         axes.set_xlim(1, count)
-    mean, paper = float(fractions.mean()), PAPER["mean_visible"]
+    mean = float(fractions.mean())
+    paper = PAPER["mean_visible"]
     top = max(float(fractions.max()), paper if published else 0.0, 1e-6)
     axes.set_ylim(0.0, 1.22 * top)
     apart = abs(mean - paper) > 0.08 * top or not published
@@ -57,7 +58,8 @@ def draw_visible(axes: Axes, theme: Theme, analysis: Analysis, *, published: boo
 
 def draw_cdf(axes: Axes, theme: Theme, analysis: Analysis, *, published: bool) -> None:
     """Draw the CDF of direction counts, gathered and traced; if `published`, with the paper's two points."""
-    gathered, traced = analysis.gathered, analysis.traced
+    gathered = analysis.gathered
+    traced = analysis.traced
     if traced is not None:
         _curve(axes, traced, theme.traced, "traced outward")
     if traced is None or analysis.has_settled:  # else it shows how many cameras there were

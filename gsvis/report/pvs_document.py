@@ -73,7 +73,8 @@ def _check_bounds(quality: Quality, store: VisibilityStore) -> dict[str, Any] | 
 def _describe_store(store: VisibilityStore) -> dict[str, Any]:
     """Return a description of the store, over all cells."""
     shares = store.visible_counts / max(store.gaussians, 1)
-    looked, certified = store.viewpoints, store.certificates
+    looked = store.viewpoints
+    certified = store.certificates
     return {
         "file": store.path.name,
         "gaussians": store.gaussians,
@@ -152,7 +153,8 @@ def _figures(
     shares = store.visible_counts / max(store.gaussians, 1)
     missing = np.full(len(grid), np.nan)
     missing[quality.cells] = np.maximum(1.0 - quality.weighted_recall[..., 0].mean(axis=1), LEAST_MISSING)
-    least, most = float(shares.min()), float(shares.max())
+    least = float(shares.min())
+    most = float(shares.max())
     seen = CellMap(grid, shares, "visible share", least, max(most, least + 1e-4), ticks=PercentFormatter(1.0))
     percent = FuncFormatter(lambda value, _: f"{100.0 * value:g}%")
     bounds = min(1e-4, float(np.nanmin(missing))), max(1e-2, float(np.nanmax(missing)))

@@ -159,7 +159,9 @@ def _tiles(quality: Quality, store: dict[str, Any]) -> str:
 
 
 def _cells(store: dict[str, Any], figures: dict[str, Figure]) -> str:
-    looked, certified, above = store["viewpoints"], store["certificates"], store["cells_above_limit"]
+    looked = store["viewpoints"]
+    certified = store["certificates"]
+    above = store["cells_above_limit"]
     from_above = (
         "The cells from above, colored by the share of the scene that each sees; of stacked cells the one that sees the"
         " most. The lines are the scene itself from above: darker where there are more Gaussians."
@@ -192,7 +194,8 @@ def _cells(store: dict[str, Any], figures: dict[str, Figure]) -> str:
 
 
 def _quality(quality: Quality, document: dict[str, Any], figures: dict[str, Figure]) -> str:
-    config, count = quality.config, quality.psnr[..., 0].size
+    config = quality.config
+    count = quality.psnr[..., 0].size
     rows = []
     for each in quality.figures():
         worst = f"{format_value(each.worst, each.unit)} ({each.worst_of})" if each.worst is not None else ""
@@ -236,7 +239,8 @@ def _quality(quality: Quality, document: dict[str, Any], figures: dict[str, Figu
 
 
 def _classes(quality: Quality, figures: dict[str, Figure]) -> str:
-    trades, whole = quality.trades(), quality.gaussians * quality.bytes_per_gaussian / 1e6
+    trades = quality.trades()
+    whole = quality.gaussians * quality.bytes_per_gaussian / 1e6
     rows = [("the whole scene", f"{quality.gaussians:,}", f"{whole:.2f}", "", "100%", "", "", "", "")]
     for each in trades:
         rate = each.lost_per_megabyte
@@ -298,7 +302,8 @@ def _worst(quality: Quality, figures: dict[str, Figure]) -> str:
 
 
 def _store(store: dict[str, Any]) -> str:
-    grid, sizes = store["grid"], store["bytes"]
+    grid = store["grid"]
+    sizes = store["bytes"]
     x, y, z = grid["shape"]
     rows = [
         ("Gaussians of the scene", f"{store['gaussians']:,}"),

@@ -51,7 +51,8 @@ def draw_viewpoints(axes: Axes, theme: Theme, shared: NDArray[np.int64], inner: 
         inner: (C,) number of further viewpoints that a certificate asked for.
     """
     total = shared + inner
-    low, high = int(total.min()), int(total.max())
+    low = int(total.min())
+    high = int(total.max())
     at = np.arange(low, high + 1)
     alone, more = (
         np.array([np.count_nonzero((total == v) & chosen) for v in at]) for chosen in (inner == 0, inner > 0)
@@ -118,11 +119,13 @@ def draw_trades(axes: Axes, theme: Theme, quality: Quality) -> None:
     """Draw PSNR by the megabytes sent for a cell, as faint classes are dropped, with the ceiling."""
     trades = quality.trades()
     x = [each.bytes / 1e6 for each in trades]
-    mean, worst = [each.psnr for each in trades], [each.psnr_worst for each in trades]
+    mean = [each.psnr for each in trades]
+    worst = [each.psnr_worst for each in trades]
     axes.fill_between(x, worst, mean, color=theme.gathered, alpha=0.18, linewidth=0)
     axes.plot(x, mean, color=theme.gathered, marker="o", markersize=6, linewidth=2.0, label="mean of the images")
     axes.plot(x, worst, color=theme.gathered, marker=".", linewidth=1.2, linestyle=(0, (3, 2)), label="worst image")
-    ceiling, top = float(quality.ceiling.mean()), max(mean)
+    ceiling = float(quality.ceiling.mean())
+    top = max(mean)
     target = TARGETS["psnr"][0]
     assert target is not None
     _level(axes, theme, ceiling, f"exactly what an image shows {ceiling:.1f} dB", theme.traced, left=True)

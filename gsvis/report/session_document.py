@@ -70,7 +70,8 @@ def session_document(simulation: Simulation) -> dict[str, Any]:
     Args:
         simulation: The simulation.
     """
-    link, config = simulation.link, simulation.visits[0].sessions[0].config
+    link = simulation.link
+    config = simulation.visits[0].sessions[0].config
     end = config.seconds * len(simulation.visits)
     return {
         "format": "gsvis-simulation",

@@ -92,7 +92,9 @@ def content_remarks(document: dict[str, Any]) -> list[str]:
         if visit["remark"]:
             remarks.append(f"{visit['scene']['name']}: {visit['remark']}.")
         remarks += _warn_of_eyes(visit)
-        count, some, name = visit["views"]["compared"], visit["views"]["with_content"], visit["scene"]["name"]
+        count = visit["views"]["compared"]
+        some = visit["views"]["with_content"]
+        name = visit["scene"]["name"]
         if some == 0:
             remarks.append(
                 f"The path sees nothing of {name} in any of {count:,} views: there is nothing to compare."
@@ -105,7 +107,8 @@ def content_remarks(document: dict[str, Any]) -> list[str]:
 
 def _warn_of_eyes(visit: dict[str, Any]) -> list[str]:
     """Return a warning where a walk lies outside of cells, and that of the check by other eyes; text."""
-    name, share = visit["scene"]["name"], visit["path"].get("in_cells")
+    name = visit["scene"]["name"]
+    share = visit["path"].get("in_cells")
     found = []
     if share is not None and share < WALKED:
         found.append(
@@ -120,7 +123,8 @@ def _warn_of_eyes(visit: dict[str, Any]) -> list[str]:
 
 def describe_eyes(visit: dict[str, Any]) -> str:
     """Return which share of a walk lies in cells, and which of the eyes that judged the package; text, or nothing."""
-    walked, judged = visit["path"].get("in_cells"), visit["scene"].get("judged")
+    walked = visit["path"].get("in_cells")
+    judged = visit["scene"].get("judged")
     if walked is None:
         return ""
     share = None if judged is None else judged["eyes_in_cells"]
@@ -130,7 +134,9 @@ def describe_eyes(visit: dict[str, Any]) -> str:
 
 def _lead(document: dict[str, Any]) -> str:
     remarks = "".join(f"<p class='lead'><strong>{escape(remark)}</strong></p>" for remark in content_remarks(document))
-    link, config, visits = document["link"], document["config"], document["visits"]
+    link = document["link"]
+    config = document["config"]
+    visits = document["visits"]
     first = visits[0]["systems"]
     others = " and ".join(escape(s["system"]) for s in first[1:])
     versus = f", beside {others}" if others else ""
@@ -157,7 +163,8 @@ def _tiles(document: dict[str, Any]) -> str:
     systems = next((v["systems"] for v in document["visits"] if v["views"]["with_content"]), None)
     if systems is None:
         return ""
-    ours, rest = systems[0], systems[1:]
+    ours = systems[0]
+    rest = systems[1:]
 
     def beside(key: str, spell: Any) -> str:
         return "; ".join(f"{s['system']}: {_or_never(s['figures'][key], spell)}" for s in rest)
@@ -248,7 +255,8 @@ def _explain_world(name: str, scene: dict[str, Any]) -> str:
     """Return what the systems mean for a world; nothing for a package."""
     if "tiles" not in scene:
         return ""
-    tiles, districts = scene["tiles"], scene["districts"]
+    tiles = scene["tiles"]
+    districts = scene["districts"]
     text = f"{name} is a world of {tiles:,} tile{'s' * (tiles != 1)}. The other systems send the highest level of all"
     text += " tiles, as one file or along one curve."
     if districts:
@@ -266,7 +274,8 @@ def _tables(document: dict[str, Any]) -> str:
 
 
 def _explain_assumptions(document: dict[str, Any]) -> str:
-    config, link = document["config"], document["link"]
+    config = document["config"]
+    link = document["link"]
     text = (
         "<ul>"
         f"<li>The link has a round trip of {1000 * link['round_trip']:g} ms and loses nothing; time begins when the"

@@ -75,14 +75,22 @@ def draw_start(axes: Axes, theme: Theme, visits: Visits) -> None:
     end = min(max(visits[0][0].config.fine, 1.0), visits[0][0].config.seconds)
     for session, (color, style) in zip(visits[0], _styles(theme), strict=False):
         seen = _with_content(session, session.psnr)
-        times, values = np.append(session.times, session.config.seconds), np.append(seen, seen[-1])
+        times = np.append(session.times, session.config.seconds)
+        values = np.append(seen, seen[-1])
         axes.step(times, values, where="post", color=color, linestyle=style, linewidth=2.0, label=session.playback.name)
     for level, label in ((FIRST_FRAME_DB, "a first image"), (GOOD_DB, "a good one")):
         axes.axhline(level, color=theme.muted, linewidth=1.2, dashes=(5, 2))
         axes.annotate(
-            f"{label}, {level:g} dB", (1.0, level), xycoords=("axes fraction", "data"), xytext=(-2, 3),
-            textcoords="offset points", ha="right", va="bottom", color=theme.muted, fontsize=9,
-        )  # fmt: skip
+            f"{label}, {level:g} dB",
+            (1.0, level),
+            xycoords=("axes fraction", "data"),
+            xytext=(-2, 3),
+            textcoords="offset points",
+            ha="right",
+            va="bottom",
+            color=theme.muted,
+            fontsize=9,
+        )
     axes.set_xlim(0.0, end)
     axes.set_ylim(-1.0, 1.06 * visits[0][0].config.qoe.psnr_scale)
     axes.set_xlabel("seconds since the scene was asked for")
@@ -115,10 +123,17 @@ def draw_shares(axes: Axes, theme: Theme, visits: Visits) -> None:
         axes.plot([x], [y], marker="D", markersize=7, color=theme.published, clip_on=False, zorder=5, linestyle="none")
         if label:
             axes.annotate(
-                f"{label} {y:.1%}", (x, y), xytext=(-9, 0), textcoords="offset points", ha="right", va="center",
-                color=theme.published, fontsize=9, fontweight="bold",
+                f"{label} {y:.1%}",
+                (x, y),
+                xytext=(-9, 0),
+                textcoords="offset points",
+                ha="right",
+                va="center",
+                color=theme.published,
+                fontsize=9,
+                fontweight="bold",
                 bbox={"facecolor": theme.paper, "edgecolor": "none", "alpha": 0.75, "pad": 0.5},
-            )  # fmt: skip
+            )
     axes.set_xlim(0.0, end)
     axes.set_ylim(0.0, 1.03)
     axes.yaxis.set_major_formatter(_PERCENT)
@@ -129,7 +144,8 @@ def draw_shares(axes: Axes, theme: Theme, visits: Visits) -> None:
 
 def draw_bytes(axes: Axes, theme: Theme, visits: Visits) -> None:
     """Draw the megabytes that have arrived, all systems (figure 14), and the capacity of the link."""
-    top, start = 0.0, 0.0
+    top = 0.0
+    start = 0.0
     for k, sessions in enumerate(visits):
         for session, (color, style) in zip(sessions, _styles(theme), strict=False):
             times = np.append(session.times, session.config.seconds)
@@ -154,9 +170,14 @@ def _over_time(axes: Axes, theme: Theme, visits: Visits, value: Callable[[Viewin
             times = np.append(session.times, session.config.seconds)
             values = _with_content(session, value(session))
             axes.step(
-                start + times, np.append(values, values[-1]), where="post", color=color, linestyle=style,
-                linewidth=2.0, label=session.playback.name if k == 0 else None,
-            )  # fmt: skip
+                start + times,
+                np.append(values, values[-1]),
+                where="post",
+                color=color,
+                linestyle=style,
+                linewidth=2.0,
+                label=session.playback.name if k == 0 else None,
+            )
         start += sessions[0].config.seconds
     _scenes(axes, theme, visits)
     axes.set_xlim(0.0, start)
@@ -176,9 +197,16 @@ def _scenes(axes: Axes, theme: Theme, visits: Visits) -> None:
         at = k * visits[0][0].config.seconds
         axes.axvline(at, color=theme.ink, linewidth=1.0, dashes=(2, 2))
         axes.annotate(
-            "a new scene", (at, 1.0), xycoords=("data", "axes fraction"), xytext=(3, 1), textcoords="offset points",
-            ha="left", va="bottom", fontsize=9, color=theme.muted,
-        )  # fmt: skip
+            "a new scene",
+            (at, 1.0),
+            xycoords=("data", "axes fraction"),
+            xytext=(3, 1),
+            textcoords="offset points",
+            ha="left",
+            va="bottom",
+            fontsize=9,
+            color=theme.muted,
+        )
 
 
 def _styles(theme: Theme) -> list[tuple[str, Any]]:

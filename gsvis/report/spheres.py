@@ -30,7 +30,9 @@ SIDES = (0.0, 120.0, 240.0)
 """Degrees of rotation about z, as in the paper's figure."""
 
 _SIDE = 240  # pixels of a sphere
-_STEP, _ROW = 262, 254  # pixels from one sphere to the next
+# pixels from one sphere to the next
+_STEP = 262
+_ROW = 254
 _HEIGHT = 20.0  # degrees of the eye above the equator
 _GAP = 46  # above the row of differences, for the errors
 
@@ -50,10 +52,12 @@ def sphere_directions(side: float = 0.0, pixels: int = _SIDE) -> tuple[F64, F64]
     right, up = np.meshgrid(at, -at)
     radius = np.hypot(right, up)
     toward = np.sqrt(np.maximum(1.0 - radius**2, 0.0))
-    right, up = right / np.maximum(radius, 1.0), up / np.maximum(radius, 1.0)
+    right = right / np.maximum(radius, 1.0)
+    up = up / np.maximum(radius, 1.0)
     forward, _, rise = _eye()
     turn = -np.radians(side)
-    out, z = toward * forward - up * rise, toward * rise + up * forward
+    out = toward * forward - up * rise
+    z = toward * rise + up * forward
     points = [out * np.cos(turn) - right * np.sin(turn), out * np.sin(turn) + right * np.cos(turn), z]
     return np.clip((1.0 - radius) * 0.5 * pixels + 0.5, 0.0, 1.0), np.stack(points, axis=-1)
 
@@ -109,7 +113,8 @@ def draw_sphere_figure(
     scale = Normalize(low - 0.1 * (high - low), high)  # nothing is drawn black
     spread = _spread(values[0, 1:, cover > 0.5] - values[0, 0, cover > 0.5][:, None])
     differences = Normalize(-spread, spread)
-    columns, rows = 1 + len(counts), len(SIDES) + 1
+    columns = 1 + len(counts)
+    rows = len(SIDES) + 1
     canvas = np.empty((rows * _ROW + _GAP, columns * _STEP, 3))
     canvas[:] = _rgb(theme.paper)
     lit = 0.8 + 0.2 * sphere_directions()[1] @ _eye()

@@ -112,7 +112,11 @@ def write_staircase_page(
     }
     document = {
         "rule": {
-            **rule.as_dict(), "rungs": rungs.tolist(), "first": rule.above, "up_steps": UP_STEPS, "stuck": STUCK,
+            **rule.as_dict(),
+            "rungs": rungs.tolist(),
+            "first": rule.above,
+            "up_steps": UP_STEPS,
+            "stuck": STUCK,
             "most_at_bound": MOST_AT_BOUND,
         },
         "prefix": "data:image/webp;base64,",
@@ -120,7 +124,7 @@ def write_staircase_page(
         "reference": first,
         "approximations": rest,
         "provenance": provenance,
-    }  # fmt: skip
+    }
     html = _page(document, title, rule, width, height, pixels_per_degree)
     encoded = html.encode("utf-8")
     with atomic_path(path) as partial:
@@ -194,7 +198,8 @@ def _encode(
     reference: NDArray[np.float32], approximations: NDArray[np.float32], pictures: dict[str, int], progress: Progress
 ) -> tuple[list[int], list[list[int]]]:
     """Return indices of the pictures of references (V,) and approximations (V, E); adds new ones to `pictures`."""
-    first, rest = [], []
+    first = []
+    rest = []
     total = len(reference) * (1 + approximations.shape[1])
     progress("pictures", 0, total)
     for view in range(len(reference)):

@@ -30,7 +30,9 @@ __all__ = [
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-EYES, TARGETS, OUTSIDE = 64, 2048, 96
+EYES = 64
+TARGETS = 2048
+OUTSIDE = 96
 _SHEET = 2.5  # voxels before a target at which a line of sight ends: a thin sheet fills up to three
 _FAR = 1.5  # radii of the box at which eyes outside of it are
 _LOWEST = -0.2  # sine of the lowest elevation of these eyes
@@ -54,7 +56,8 @@ def gather(space: Occupancy, within: Mask, seen: Gaussians, up: F64) -> Evidence
     """
     shape = np.array(space.depth.shape)
     targets = _spread_out(space.voxels_of(seen.means), TARGETS)
-    inner, outer = some_voxels(within), 0.5 * shape + _FAR * 0.5 * np.linalg.norm(shape) * _outside(up)
+    inner = some_voxels(within)
+    outer = 0.5 * shape + _FAR * 0.5 * np.linalg.norm(shape) * _outside(up)
     around = sphere_directions(_SPREAD)
     above = around[around @ up >= np.sqrt(0.5)]
     height, side = _sides(shape, up)
@@ -118,7 +121,8 @@ def stopped_share(space: Occupancy, eyes: F64, directions: F64) -> F64:
 def sphere_directions(count: int) -> F64:
     """Return (count, 3) unit vectors, evenly spread by the golden angle."""
     i = np.arange(count) + 0.5
-    z, turn = 1.0 - 2.0 * i / count, np.pi * (1.0 + np.sqrt(5.0)) * i
+    z = 1.0 - 2.0 * i / count
+    turn = np.pi * (1.0 + np.sqrt(5.0)) * i
     flat = np.sqrt(1.0 - z * z)
     return np.stack([np.cos(turn) * flat, np.sin(turn) * flat, z], axis=1)
 

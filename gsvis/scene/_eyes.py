@@ -47,7 +47,8 @@ F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Found = tuple[Occupancy, Mask, str, SpaceKind]
 
-NEAR, AROUND = 0.1, 0.5
+NEAR = 0.1
+AROUND = 0.5
 """Distance of eyes from the box of an object that is given by hand, in its longest side."""
 
 REACH = 1.5
@@ -127,12 +128,15 @@ class Around:
     def grid_box(self) -> tuple[F64, F64]:
         """Return the corners of the box that holds all eyes."""
         if self.given:
-            low, high = self.low - AROUND * self.longest, self.high + AROUND * self.longest
+            low = self.low - AROUND * self.longest
+            high = self.high + AROUND * self.longest
         else:
-            low, high = self.middle - REACH * self.longest, self.middle + REACH * self.longest
+            low = self.middle - REACH * self.longest
+            high = self.middle + REACH * self.longest
         if self.up is None:
             return low, high
-        foot, below = (self.low, self.high), _FOOT * self.longest
+        foot = (self.low, self.high)
+        below = _FOOT * self.longest
         axis = int(np.abs(self.up).argmax())
         if self.up[axis] > 0.0:
             low[axis] = foot[0][axis] - below
@@ -161,7 +165,8 @@ def find_eyes(look: Look) -> Found:
     """
     if len(look.seeds):
         return _hold_seeds(look)
-    core, up = look.core, look.up
+    core = look.core
+    up = look.up
     try:
         space = look.build(core.low, core.high)
     except SceneError as full:
@@ -211,18 +216,26 @@ def find_mixed(look: Look) -> Found:
     up = look.up
     low, high, near = box_with_seeds(look.core, look.seeds)
     space = look.build(low, high) if not near.any() else _build_somehow(look, low, high)
-    inside, standing = space.enclosed_parts(up), above_ground(space, up, look.person)
-    has_rooms, has_ground = bool(inside.any()), footprint(standing, up) >= WALKABLE
+    inside = space.enclosed_parts(up)
+    standing = above_ground(space, up, look.person)
+    has_rooms = bool(inside.any())
+    has_ground = footprint(standing, up) >= WALKABLE
     if has_rooms and has_ground:
         kind = SpaceKind("rooms", "enclosed space, and ground under the sky", None, "inside, and above the ground")
-        free, rule = inside | standing, "free, enclosed or with ground below"
+        free = inside | standing
+        rule = "free, enclosed or with ground below"
     elif has_rooms:
-        kind, free, rule = SpaceKind("rooms", "enclosed space", None, "inside"), inside, "free, enclosed"
+        kind = SpaceKind("rooms", "enclosed space", None, "inside")
+        free = inside
+        rule = "free, enclosed"
     elif has_ground:
         kind = SpaceKind("open place", "ground under the sky", None, "above the ground")
-        free, rule = standing, "free, ground below"
+        free = standing
+        rule = "free, ground below"
     elif near.any():  # cameras around a thing
-        kind, free, rule = SpaceKind("object", "cameras around it", None, _HELD), np.zeros_like(inside), "free"
+        kind = SpaceKind("object", "cameras around it", None, _HELD)
+        free = np.zeros_like(inside)
+        rule = "free"
         with suppress(SceneError):
             free, rule, _ = space.choose(up, look.seeds[near])
     else:
@@ -287,7 +300,8 @@ def _amid_surroundings(look: Look, kind: SpaceKind) -> Found:
         look: What is looked at.
         kind: What it is if there are no rooms.
     """
-    low, high = look.core.detail_low, look.core.detail_high
+    low = look.core.detail_low
+    high = look.core.detail_high
     try:
         space = look.build(low, high)
     except SceneError:
@@ -316,7 +330,8 @@ def _with_size(look: Look, kind: SpaceKind) -> SpaceKind:
 
 def _hold_seeds(look: Look) -> Found:
     """Return eyes near the positions that are known to be navigable, and in the free parts that hold them."""
-    up, seeds = look.up, look.seeds
+    up = look.up
+    seeds = look.seeds
     low, high, near = box_with_seeds(look.core, seeds)
     if not near.any():  # they say nothing
         doubt = doubt_far(len(seeds), len(seeds))
@@ -327,7 +342,8 @@ def _hold_seeds(look: Look) -> Found:
     try:
         free, rule, _ = space.choose(up, seeds[near])
     except SceneError:
-        free, rule = np.zeros(space.clear.shape, bool), "free, near the seeds"
+        free = np.zeros(space.clear.shape, bool)
+        rule = "free, near the seeds"
     space, free = hold_seeds(space, free, seeds[near])
     evidence = gather(space, free, look.seen, up)
     if not is_rooms(evidence):
@@ -359,7 +375,8 @@ def _solid(look: Look, full: SceneError) -> Found:
 
 def _region(space: Occupancy, around: Around) -> Mask:
     """Return the voxels (X, Y, Z) around a box: not below it, not too near, and not right above; or in it as well."""
-    middle, half = around.middle, 0.5 * (around.high - around.low)
+    middle = around.middle
+    half = 0.5 * (around.high - around.low)
     places = np.ogrid[tuple(slice(0.5, n) for n in space.clear.shape)]
     away = [space.origin[i] + space.voxel_size * at - middle[i] for i, at in enumerate(places)]  # broadcast together
     beside = np.sqrt(sum(np.maximum(np.abs(x) - half[i], 0.0) ** 2 for i, x in enumerate(away)))
@@ -450,7 +467,8 @@ def heights_above(occupied: Mask, up: F64) -> NDArray[np.float32]:
 
 def _oblique_heights(occupied: Mask, up: F64) -> NDArray[np.float32]:
     """Return `heights_above` along any direction: found on a grid that is upright, and brought back."""
-    frame, shape = level_frame(up), np.array(occupied.shape)
+    frame = level_frame(up)
+    shape = np.array(occupied.shape)
     middle = 0.5 * (shape - 1.0)
     counts = np.ceil(np.abs(frame) @ shape).astype(np.int64)
     first = middle - frame.T @ (0.5 * (counts - 1.0))

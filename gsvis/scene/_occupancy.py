@@ -33,7 +33,9 @@ F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Depth = NDArray[np.float32]
 
-MIN_ALPHA, MAX_ALPHA = 1.0 / 255.0, 0.999  # docs/conventions.md
+# docs/conventions.md
+MIN_ALPHA = 1.0 / 255.0
+MAX_ALPHA = 0.999
 INFLATION = 0.5  # standard deviation, in voxels, by which Gaussians are blurred so that no sheet slips between centers
 REACH = 3.0  # standard deviations
 SOLID = float(np.log(2.0))  # optical depth along a grid direction that counts as seeing something: half the light
@@ -223,7 +225,8 @@ def optical_depth(seen: Gaussians, origin: F64, voxel_size: float, shape: tuple[
         part = seen[start : start + _CHUNK]
         scales = np.minimum(part.scales.astype(np.float64) / voxel_size, 1e5)
         blurred = scales**2 + INFLATION**2
-        wide, wide_blurred = np.sort(scales, axis=1)[:, 1:], np.sort(blurred, axis=1)[:, 1:]
+        wide = np.sort(scales, axis=1)[:, 1:]
+        wide_blurred = np.sort(blurred, axis=1)[:, 1:]
         alphas = np.minimum(part.opacities, MAX_ALPHA) * (wide / np.sqrt(wide_blurred)).prod(axis=1)
         rotations = part.rotations()
         inverse = (rotations / blurred[:, None, :]) @ np.swapaxes(rotations, 1, 2)
@@ -252,8 +255,10 @@ def _dilate(mask: Mask, radius: float) -> Mask:
 
 def _surroundings(depth: Depth, up: F64) -> tuple[Depth, Depth]:
     """Return (X, Y, Z) shares of directions that stop half the light: within 60 degrees of down, and of all 26."""
-    below, around = np.zeros(depth.shape, np.uint8), np.zeros(depth.shape, np.uint8)
-    beyond, downward = np.empty_like(depth), 0
+    below = np.zeros(depth.shape, np.uint8)
+    around = np.zeros(depth.shape, np.uint8)
+    beyond = np.empty_like(depth)
+    downward = 0
     for step in np.array([step for step in itertools.product((-1, 0, 1), repeat=3) if any(step)]):
         sum_beyond(depth, step, beyond)
         solid = beyond >= SOLID
@@ -306,7 +311,8 @@ def _labels_near(labels: NDArray[np.int32], voxels: NDArray[np.int64]) -> list[s
     """Return the labels within two voxels of each of the given voxels."""
     found = []
     for voxel in voxels:
-        start, stop = np.maximum(voxel - 2, 0), np.maximum(voxel + 3, 0)
+        start = np.maximum(voxel - 2, 0)
+        stop = np.maximum(voxel + 3, 0)
         around = labels[tuple(slice(a, b) for a, b in zip(start, stop, strict=True))]
         found.append(set(np.unique(around).tolist()) - {0})
     return found

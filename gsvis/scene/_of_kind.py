@@ -33,7 +33,8 @@ def find_stated(look: Look, kind: Kind) -> tuple[Occupancy, NDArray[np.bool_], s
     Raises:
         SceneError: If no voxel is free.
     """
-    core, up = look.core, look.up
+    core = look.core
+    up = look.up
     if kind == "object":
         around = Around(core.detail_low, core.detail_high, up if look.up_sure else None)
         space, free = stand_around(look.build, around, widest=core.widest)

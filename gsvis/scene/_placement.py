@@ -160,9 +160,11 @@ def best_placement(walk: Walk, search: Search, scale: float, places: F64, standi
     """
     if standing is not None:
         places = places[standing]
-    places, navigable = places[: search.placements], search.navigable
+    places = places[: search.placements]
+    navigable = search.navigable
     probes = scale * np.einsum("yij,tj->yti", walk.rotations, walk.offsets[walk.probes])
-    best, chosen = None, 0
+    best = None
+    chosen = 0
     tried: list[tuple[float, int, int]] = []
     for first in range(0, len(places), _BLOCK):
         block = places[first : first + _BLOCK]
@@ -172,7 +174,8 @@ def best_placement(walk: Walk, search: Search, scale: float, places: F64, standi
         for index in np.flatnonzero(likely.any(axis=1)):
             found = _head(walk, navigable, scale, block[index], np.flatnonzero(likely[index]), search.enough)
             if found is not None:
-                best, chosen = found if best is None or found.look > best.look else best, chosen + 1
+                best = found if best is None or found.look > best.look else best
+                chosen = chosen + 1
                 if chosen == search.choices or best.look == 1.0:
                     return best
         for flat in np.argsort(-shares, axis=None, kind="stable")[:_FINALISTS]:

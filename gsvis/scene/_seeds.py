@@ -37,13 +37,16 @@ def box_with_seeds(core: Core, seeds: F64) -> tuple[F64, F64, Mask]:
         core: Where the scene is.
         seeds: (S, 3) positions.
     """
-    middle, longest = 0.5 * (core.low + core.high), float((core.high - core.low).max())
+    middle = 0.5 * (core.low + core.high)
+    longest = float((core.high - core.low).max())
     near = np.linalg.norm(seeds - middle, axis=1) <= _FARTHEST * longest
     if not near.any():
         return core.low, core.high, near
-    low, high = seeds[near].min(axis=0), seeds[near].max(axis=0)
+    low = seeds[near].min(axis=0)
+    high = seeds[near].max(axis=0)
     margin = _MARGIN * max(longest, float((high - low).max()))
-    low, high = np.minimum(core.low, low - margin), np.maximum(core.high, high + margin)
+    low = np.minimum(core.low, low - margin)
+    high = np.maximum(core.high, high + margin)
     return low, high, near
 
 

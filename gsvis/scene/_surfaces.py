@@ -36,7 +36,8 @@ OFFSETS = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.4])[
 ]  # standard deviations off a center, to look past a rim
 CLEAR = 1.2  # lattice steps off a rim from which a sheet no longer dims enough to matter
 # Least optical depth by lattice steps inside a rim; the true depth is 4.3 on the rim and 7.7 one step inside.
-RIM_STEPS, RIM_DEPTHS = (-1.5, -1.0, 0.0, 1.0), (0.0, 0.3, 3.4, 7.0)
+RIM_STEPS = (-1.5, -1.0, 0.0, 1.0)
+RIM_DEPTHS = (0.0, 0.3, 3.4, 7.0)
 SPENT = 6.0  # optical depth behind which everything is hidden: 0.6 of what 1/255 allows
 GRAZING = 0.08  # least cosine between a line and a normal for a verdict of visible
 GRAZING_SPHERE = 0.12
@@ -95,7 +96,8 @@ class Sheet:
     @property
     def snapped(self) -> list[tuple[F64, F64]]:
         """The holes with their rims moved to the nearest lattice lines."""
-        low, steps = np.array(self.low), self.steps
+        low = np.array(self.low)
+        steps = self.steps
         return [
             (low + np.round((a - low) / steps) * steps, low + np.round((b - low) / steps) * steps)
             for a, b in self.holes
@@ -147,8 +149,10 @@ class Sheet:
             means: (M, 3) centers of Gaussians of other surfaces.
             covars: (M, 3, 3) their covariances.
         """
-        step, axis = float(self.steps.max()), self.axis
-        eye_side, side = eye[axis] - self.at, means[:, axis] - self.at
+        step = float(self.steps.max())
+        axis = self.axis
+        eye_side = eye[axis] - self.at
+        side = means[:, axis] - self.at
         on_plane = np.abs(side) <= 4.0 * THICKNESS * step
         crossing = (eye_side * side < 0.0) & ~on_plane
         span = np.where(crossing, eye_side - side, 1.0)
@@ -219,7 +223,8 @@ class Shell:
 
     def verdict(self, eye: F64, means: F64, covars: F64) -> tuple[F64, Mask]:
         """Return the verdict for other Gaussians; see `Sheet.verdict`."""
-        start, ray = eye - self.center, means - eye
+        start = eye - self.center
+        ray = means - eye
         end = np.linalg.norm(means - self.center, axis=1)
         radial = (means - self.center) / np.maximum(end, 1e-12)[:, None]
         reach = REACH * np.sqrt(np.einsum("mi,mij,mj->m", radial, covars, radial))

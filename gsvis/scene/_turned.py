@@ -138,7 +138,8 @@ def bring_back(origin: F64, voxel_size: float, masks: list[Mask], pose: Pose) ->
     shape = np.array(masks[0].shape)
     ends = np.stack(np.meshgrid(*[[0.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     corners = pose.back(origin + voxel_size * shape * ends)
-    low, high = corners.min(axis=0), corners.max(axis=0)
+    low = corners.min(axis=0)
+    high = corners.max(axis=0)
     size = max(voxel_size, float((high - low).max()) / (_MOST * float(shape.max())))
     counts = np.ceil((high - low) / size).astype(int)
     start = 0.5 * (low + high) - 0.5 * size * counts

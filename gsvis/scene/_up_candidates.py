@@ -83,7 +83,8 @@ def find_plumb(sample: Sample, up: F64) -> F64:
         up: (3,) unit vector, the normal of the ground.
     """
     steep = np.flatnonzero(np.abs(sample.normals @ up) < _STEEP)
-    normals, weights = sample.normals[steep], (sample.standing)[steep]
+    normals = sample.normals[steep]
+    weights = (sample.standing)[steep]
     found = up
     for tolerance in _LEANS:
         near = np.exp(-0.5 * ((normals @ found) / np.sin(np.radians(tolerance))) ** 2) * weights

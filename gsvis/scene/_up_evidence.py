@@ -21,12 +21,10 @@ __all__ = ["AxisEvidence", "measure_axis"]
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_LEVEL, _SLOPED, _UPRIGHT, _LEANING = (
-    np.cos(np.radians(10.0)),
-    np.cos(np.radians(15.0)),
-    np.sin(np.radians(10.0)),
-    np.sin(np.radians(15.0)),
-)
+_LEVEL = np.cos(np.radians(10.0))
+_SLOPED = np.cos(np.radians(15.0))
+_UPRIGHT = np.sin(np.radians(10.0))
+_LEANING = np.sin(np.radians(15.0))
 _COLUMNS = 20  # columns along a side of the footprint
 _FEWEST_IN_COLUMN = 5
 _FLAT = 0.04  # height of a flat floor, in sides
@@ -136,7 +134,8 @@ def _spread(flat: F64, weights: F64) -> tuple[float, float]:
     if not weights.sum() > 0.0:
         return 0.01, 0.0
     turns = np.arctan2(flat[:, 1], flat[:, 0]) / np.pi % 1.0
-    evenness, fullest = 0.0, 0.0
+    evenness = 0.0
+    fullest = 0.0
     for shift in (0.0, 0.5):
         bins = (turns * _BINS + shift).astype(np.int64) % _BINS
         share = np.bincount(bins, weights=weights, minlength=_BINS) / weights.sum()
@@ -151,7 +150,8 @@ def _find_slabs(heights: F64, along: F64, surface: F64, thickness: float, height
     if len(level) == 0:
         return _Slabs(0.0, 0.0, 0.0, 0.0, thickness)
     level = level[np.argsort(heights[level], kind="stable")]
-    bottoms, filled = heights[level], np.append(0.0, np.cumsum(surface[level]))
+    bottoms = heights[level]
+    filled = np.append(0.0, np.cumsum(surface[level]))
     shares = filled[np.searchsorted(bottoms, bottoms + thickness, "right")] - filled[:-1]
     first = int(shares.argmax())
     apart = np.where(np.abs(bottoms - bottoms[first]) > max(0.25 * height, 2.0 * thickness), shares, 0.0)
@@ -226,9 +226,11 @@ def _flatness(heights: F64, across: F64) -> float:
     counts = np.minimum(np.ceil((high - low) / side), 10 * _COLUMNS).astype(np.int64)
     cells = np.floor((across - low) / side).astype(np.int64)
     inside = np.flatnonzero(((cells >= 0) & (cells < counts)).all(axis=1))
-    column, height = cells[inside, 0] * counts[1] + cells[inside, 1], heights[inside]
+    column = cells[inside, 0] * counts[1] + cells[inside, 1]
+    height = heights[inside]
     order = np.lexsort((height, column))
-    column, height = column[order], height[order]
+    column = column[order]
+    height = height[order]
     starts = np.flatnonzero(np.append(True, column[1:] != column[:-1]))
     sizes = np.diff(np.append(starts, len(column)))
     full = sizes >= _FEWEST_IN_COLUMN

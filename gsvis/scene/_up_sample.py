@@ -71,7 +71,8 @@ def sample_surface(g: Gaussians) -> Sample | None:
     opacities = chosen.opacities.astype(np.float64)
     normals, flatness, spacing = _fit_surface(places, _covariances(chosen, radius), opacities)
     area = np.minimum(spacing, np.quantile(spacing, 0.95)) * np.minimum(1.0, 2.0 * opacities)
-    surface, detail = area * flatness**2, opacities / opacities.sum()
+    surface = area * flatness**2
+    detail = opacities / opacities.sum()
     if not surface.sum() > 0.0:
         return None
     base = np.clip(0.5 + _SH_C0 * chosen.sh0[:, 0].astype(np.float64), 0.0, 1.5)
@@ -91,7 +92,8 @@ def _shuffle(g: Gaussians, index: NDArray[np.int64]) -> NDArray[np.int64]:
 
 def _find_core(means: F64, weights: F64) -> tuple[F64, float]:
     """Return the middle of a scene and the radius around it that holds its core: outliers do not move them."""
-    some, share = means[:_SOME], weights[:_SOME]
+    some = means[:_SOME]
+    share = weights[:_SOME]
     middle = np.median(some, axis=0)
     radius = np.inf
     for _ in range(3):
@@ -130,7 +132,9 @@ def _fit_surface(places: F64, covars: F64, weights: F64) -> tuple[F64, F64, F64]
     from scipy.spatial import cKDTree  # slow to import, and seldom needed
 
     tree = cKDTree(places)
-    normals, flatness, spacing = np.empty((len(places), 3)), np.empty(len(places)), np.empty(len(places))
+    normals = np.empty((len(places), 3))
+    flatness = np.empty(len(places))
+    spacing = np.empty(len(places))
     for start in range(0, len(places), _BLOCK):
         part = slice(start, start + _BLOCK)
         distances, near = tree.query(places[part], k=_NEIGHBORS)
@@ -140,7 +144,8 @@ def _fit_surface(places: F64, covars: F64, weights: F64) -> tuple[F64, F64, F64]
         spread = np.swapaxes(offsets * share[:, :, None], 1, 2) @ offsets
         spread += (share[:, None] @ covars[near].reshape(len(near), _NEIGHBORS, 9)).reshape(-1, 3, 3)
         sizes, axes = np.linalg.eigh(spread)
-        least, mid = np.sqrt(np.maximum(sizes[:, 0], 0.0)), np.sqrt(np.maximum(sizes[:, 1], 1e-300))
+        least = np.sqrt(np.maximum(sizes[:, 0], 0.0))
+        mid = np.sqrt(np.maximum(sizes[:, 1], 1e-300))
         normals[part], flatness[part] = axes[:, :, 0], np.clip(1.0 - least / mid, 0.0, 1.0)
         spacing[part] = distances[:, -1] ** 2
     return normals, flatness, spacing

@@ -62,7 +62,8 @@ def snap_to_axis(direction: ArrayLike) -> F64:
 
 def tilt_of(direction: ArrayLike, other: ArrayLike) -> float:
     """Return the angle between two directions (3,), degrees in [0, 180]."""
-    a, b = _unit(direction), _unit(other)
+    a = _unit(direction)
+    b = _unit(other)
     return float(np.degrees(2.0 * np.arctan2(np.linalg.norm(a - b), np.linalg.norm(a + b))))
 
 

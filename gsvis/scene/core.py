@@ -150,7 +150,8 @@ def _middle(places: F64, weights: F64) -> F64:
 def _edge(distances: F64, weights: F64) -> float:
     """Return the greatest distance at which a doubling still adds a share to the weight within."""
     order = np.argsort(distances)
-    ordered, total = distances[order], np.cumsum(weights[order])
+    ordered = distances[order]
+    total = np.cumsum(weights[order])
     inner = np.searchsorted(ordered, 0.5 * ordered, side="right") - 1
     within = np.where(inner >= 0, total[inner], 0.0)
     grows = total - within >= _ADDED * within
@@ -171,7 +172,8 @@ def _detail(places: F64, sizes: F64, low: F64, high: F64) -> tuple[F64, F64, flo
     weights = np.minimum(1.0, finest / sizes) ** 3
     corners = np.stack([_weighted_quantiles(places[:, i], weights, (_TAIL, 1.0 - _TAIL)) for i in range(3)], axis=1)
     margin = _MARGIN * float((corners[1] - corners[0]).max())
-    inner_low, inner_high = np.maximum(corners[0] - margin, low), np.minimum(corners[1] + margin, high)
+    inner_low = np.maximum(corners[0] - margin, low)
+    inner_high = np.minimum(corners[1] + margin, high)
     if (inner_high - inner_low).max() > _SMALLER * (high - low).max():
         return low, high, 0.0
     beyond = ~np.all((places >= inner_low) & (places <= inner_high), axis=1)

@@ -102,8 +102,10 @@ def space_along(
     if not (np.isfinite(margin) and margin > 0.0):
         raise ValueError(f"margin: expected a finite number > 0, got {margin!r}")
     space = NavigableSpace.from_scene(g, resolution=resolution, up=up, seeds=points)
-    clear, walk = np.asarray(~ndimage.binary_dilation(space.occupied)), cKDTree(points)
-    free, layers = np.zeros(clear.shape, bool), max(1, _AT_ONCE // clear[0].size)
+    clear = np.asarray(~ndimage.binary_dilation(space.occupied))
+    walk = cKDTree(points)
+    free = np.zeros(clear.shape, bool)
+    layers = max(1, _AT_ONCE // clear[0].size)
     for start in range(0, len(clear), layers):
         some = np.argwhere(clear[start : start + layers]) + np.array([start, 0, 0])
         centers = space.origin + space.voxel_size * (some + 0.5)

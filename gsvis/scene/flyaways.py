@@ -43,7 +43,8 @@ def find_flyaways(
         return found
     low, high = np.quantile(means, [0.25, 0.75], axis=0).astype(np.float64)
     longest = float((high - low).max())
-    least, most = low - _FAR * longest, high + _FAR * longest
+    least = low - _FAR * longest
+    most = high + _FAR * longest
     far = np.flatnonzero(np.any((means < least) | (means > most), axis=1))
     fewest = FEWEST * len(means)
     if longest == 0.0 or len(far) <= fewest:

@@ -112,7 +112,8 @@ def _log_edges(values: F64) -> list[float]:
     finite = values[np.isfinite(values)]
     low, high = np.quantile(finite, [_TAIL, 1.0 - _TAIL]).tolist() if len(finite) else (0.0, 0.0)
     for step in _STEPS:
-        first, last = int(np.floor(low / step)), int(np.ceil(high / step))
+        first = int(np.floor(low / step))
+        last = int(np.ceil(high / step))
         if last - first <= _MOST_BINS:
             break
     last = max(last, first + 1)
@@ -120,7 +121,8 @@ def _log_edges(values: F64) -> list[float]:
 
 
 def _count(values: F64, edges: list[float]) -> Histogram:
-    below, above = int((values < edges[0]).sum()), int((values > edges[-1]).sum())
+    below = int((values < edges[0]).sum())
+    above = int((values > edges[-1]).sum())
     counts = np.histogram(values[(values >= edges[0]) & (values <= edges[-1])], bins=edges)[0]
     middle = float(np.median(values)) if len(values) else np.inf
     return Histogram(edges, counts.tolist(), below, above, middle if np.isfinite(middle) else None)

@@ -98,7 +98,8 @@ def _grow(mask: Mask, steps: int) -> Mask:
     """
     for axis in range(3):
         wide = mask.copy()
-        low, high = [slice(None)] * 3, [slice(None)] * 3
+        low = [slice(None)] * 3
+        high = [slice(None)] * 3
         low[axis], high[axis] = slice(None, -steps), slice(steps, None)
         wide[tuple(low)] |= mask[tuple(high)]
         wide[tuple(high)] |= mask[tuple(low)]

@@ -91,14 +91,28 @@ def inspect_scene(g: Gaussians, *, up: ArrayLike | str | None = None) -> SceneRe
         The report; `problems` lists what to check first.
     """
     found = find_up(g) if up is None else _given_up(g, up)
-    name, vector = describe_direction(found.up), found.up.tolist()
+    name = describe_direction(found.up)
+    vector = found.up.tolist()
     if len(g) == 0:
         zeros = dict.fromkeys(_QUANTILES, 0.0)
         return SceneReport(
-            0, g.sh_degree, 0, [], [], name, vector, found.confidence, zeros, zeros,
-            *(0.0, 0.0), 0, 0.0, 0, *(0.0, 0.0, 0.0),
+            0,
+            g.sh_degree,
+            0,
+            [],
+            [],
+            name,
+            vector,
+            found.confidence,
+            zeros,
+            zeros,
+            *(0.0, 0.0),
+            0,
+            0.0,
+            0,
+            *(0.0, 0.0, 0.0),
             problems=["the scene has no Gaussians"],
-        )  # fmt: skip
+        )
     robust = g.bounds(0.98)
     middle, radius = find_ball(g)  # a box would depend on how the scene is turned
     away = np.linalg.norm(g.means.astype(np.float64) - middle, axis=1)

@@ -58,7 +58,8 @@ class Judged:
             records: What `as_dict` returned for each part. Given eyes of all parts stay apart from drawn ones.
         """
         builder = [value for record in records for value in record["psnr"]["builder"]]
-        drawn, given = list[float](), list[float]()
+        drawn = list[float]()
+        given = list[float]()
         inside: list[NDArray[np.bool_]] = [np.zeros(0, bool)]
         names: dict[str, None] = {}
         for record in records:
@@ -103,7 +104,8 @@ class Judged:
         """The figures as a line of text."""
         if len(self.judge) == 0:
             return "no eye around the detail is free: not checked by other eyes"
-        low, least = np.percentile(self.judge, 5), self.judge.min()
+        low = np.percentile(self.judge, 5)
+        least = self.judge.min()
         also = f", {self.given} of them of {self.named}" if self.given else ""
         return (
             f"{np.median(self.judge):.1f} dB in the median, 5th percentile {low:.1f}, worst {least:.1f},"

@@ -79,7 +79,8 @@ def draw_judges(
     few = thin(g, _FEW, seed=seed)[1]
     some, aims = _step_back(few, some, aims, radius, rng)
     free = ~buried(g, some)
-    some, aims = some[free], aims[free]
+    some = some[free]
+    aims = aims[free]
     eyes, targets = _choose(some, aims, count, above, radius, look, Enclosure(look, points, radius, axes))
     if len(eyes) == 0:
         return _no_cameras(width, height, fov)
@@ -152,7 +153,9 @@ def _step_back(few: Gaussians, eyes: F64, aims: F64, radius: float, rng: np.rand
     back = eyes - aims
     apart = np.linalg.norm(back, axis=1)
     steps = np.concatenate([radius * np.tile(_STEPS, (len(eyes), 1)), apart[:, None]], axis=1)
-    back, aims, steps = back[apart > 0.0], aims[apart > 0.0], steps[apart > 0.0]
+    back = back[apart > 0.0]
+    aims = aims[apart > 0.0]
+    steps = steps[apart > 0.0]
     back /= np.linalg.norm(back, axis=1, keepdims=True)
     free = _pass(few, aims, back, steps) >= _CLEAR
     outward = ~np.isclose(steps[:, -1:], steps[:, :-1]).any(axis=1)  # looks in or out along an axis: stays
@@ -222,7 +225,8 @@ def _are_free(eyes: F64, aims: F64, up: F64, radius: float, look: Look) -> NDArr
         return good
     views = Cameras.look_at(eyes[good], aims[good], up=up, width=_SMALL[0], height=_SMALL[1])
     alphas, depths = look(views)
-    rows, columns = slice(_SMALL[1] // 2 - 2, _SMALL[1] // 2 + 2), slice(_SMALL[0] // 2 - 2, _SMALL[0] // 2 + 2)
+    rows = slice(_SMALL[1] // 2 - 2, _SMALL[1] // 2 + 2)
+    columns = slice(_SMALL[0] // 2 - 2, _SMALL[0] // 2 + 2)
     there = alphas[:, rows, columns].mean(axis=(1, 2)) >= _FILLED
     sight = np.median(depths[:, rows, columns], axis=(1, 2))
     free = sight >= _NEAREST * apart[good]

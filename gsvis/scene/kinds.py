@@ -27,7 +27,9 @@ HEMMED = 0.5  # least share of level directions that are stopped in what can be 
 TALL = 1.0  # least height in sides of what nobody stands in
 TALLER = 2.0  # height in sides from which that is certain, unless more is seen from within
 MORE = 0.15  # how much more of such a thing is seen from outside, at least
-_CLEAR, _UNCLEAR = 0.95, 0.6  # confidences
+# confidences
+_CLEAR = 0.95
+_UNCLEAR = 0.6
 FLAT = 0.15  # most height of ground without surroundings, in sides
 
 
@@ -103,7 +105,8 @@ def find_kind(found: Evidence) -> SpaceKind:
     Args:
         found: What was measured.
     """
-    within, outside = f"{found.seen_within:.0%}", f"{found.seen_outside:.0%}"
+    within = f"{found.seen_within:.0%}"
+    outside = f"{found.seen_outside:.0%}"
     level = f"{found.surrounded:.0%} of level views"
     if is_rooms(found):
         reason = f"{within} of the Gaussians are seen from within, {outside} from outside"

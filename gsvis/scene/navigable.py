@@ -291,7 +291,8 @@ class NavigableSpace:
             shape: Its voxels along each axis.
         """
         corner = _check.floats("origin", origin, (3,), np.float64)
-        index, blocks = list[NDArray[np.int64]](), list[slice]()
+        index = list[NDArray[np.int64]]()
+        blocks = list[slice]()
         for axis, count in enumerate(shape):
             middles = corner[axis] + voxel_size * (np.arange(count) + 0.5)
             places = np.floor((middles - self.origin[axis]) / self.voxel_size).astype(np.int64)
@@ -395,7 +396,8 @@ class NavigableSpace:
         for count in range(1, 4 * int(shape.sum())):
             cells = np.floor((starts[going] + count * step * ahead[going] - self.origin) / self.voxel_size)
             within = np.all((cells >= 0) & (cells < shape), axis=1)
-            going, cells = going[within], cells[within].astype(np.int64)
+            going = going[within]
+            cells = cells[within].astype(np.int64)
             if len(going) == 0:
                 break
             hit = self.occupied[tuple(cells.T)]

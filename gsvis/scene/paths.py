@@ -229,7 +229,8 @@ def _continuous(quats: F64) -> F64:
 def _slerp(a: F64, b: F64, part: F64) -> F64:
     """Return (S, 4) unit quaternions on the shorter arc from a (S, 4) to b (S, 4), at the share `part` (S, 1)."""
     dot = np.sum(a * b, axis=1, keepdims=True)
-    b, dot = np.where(dot < 0, -b, b), np.clip(np.abs(dot), 0.0, 1.0)
+    b = np.where(dot < 0, -b, b)
+    dot = np.clip(np.abs(dot), 0.0, 1.0)
     angle = np.arctan2(np.linalg.norm(b - dot * a, axis=1, keepdims=True), dot)
     sine = np.sin(angle)
     close = sine < 1e-9

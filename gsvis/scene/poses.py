@@ -62,7 +62,8 @@ def describe_poses(cameras: Cameras | None, *, decimals: int | None = 6) -> list
         return []
     quats = quats_from_rotations(cameras.viewmats[:, :3, :3].transpose(0, 2, 1))
     if decimals is not None:
-        digits, places = decimals, decimals_of(cameras.viewpoints, decimals)
+        digits = decimals
+        places = decimals_of(cameras.viewpoints, decimals)
         return [
             {"position": [round(v, places) + 0.0 for v in eye], "rotation": [round(v, digits) + 0.0 for v in quat]}
             for eye, quat in zip(cameras.viewpoints.tolist(), quats.tolist(), strict=True)

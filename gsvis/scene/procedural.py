@@ -45,15 +45,13 @@ CLEARANCE = 0.25
 """Least distance of eyes of built-in scenes from what stops light, meters."""
 
 FINE = 0.4  # lattice step of occluders, relative to the rest: a finer rim leaves fewer Gaussians undecided
-_WARM, _COOL, _CLAY, _MOSS, _SAND, _SLATE, _PLUM = (
-    (0.78, 0.62, 0.46),
-    (0.50, 0.62, 0.76),
-    (0.76, 0.36, 0.26),
-    (0.40, 0.58, 0.34),
-    (0.84, 0.78, 0.64),
-    (0.36, 0.40, 0.46),
-    (0.58, 0.34, 0.52),
-)
+_WARM = (0.78, 0.62, 0.46)
+_COOL = (0.50, 0.62, 0.76)
+_CLAY = (0.76, 0.36, 0.26)
+_MOSS = (0.40, 0.58, 0.34)
+_SAND = (0.84, 0.78, 0.64)
+_SLATE = (0.36, 0.40, 0.46)
+_PLUM = (0.58, 0.34, 0.52)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -344,9 +342,12 @@ def _dress(patches: list[Patch], colors: Sequence[Triple], sh_degree: int) -> Ga
 
 def _judge(g: Gaussians, surfaces: Sequence[Surface], eyes: F64) -> tuple[Mask, Mask]:
     """Return (V, N) certainly visible and certainly hidden; every surface is tested against every Gaussian."""
-    means, covars, patches = g.means.astype(np.float64), g.covars(), [surface.patch() for surface in surfaces]
+    means = g.means.astype(np.float64)
+    covars = g.covars()
+    patches = [surface.patch() for surface in surfaces]
     starts = np.cumsum([0, *(len(patch.means) for patch in patches)])
-    visible, hidden = np.ones((len(eyes), len(g)), bool), np.zeros((len(eyes), len(g)), bool)
+    visible = np.ones((len(eyes), len(g)), bool)
+    hidden = np.zeros((len(eyes), len(g)), bool)
     for v, eye in enumerate(eyes):
         depth = np.repeat(0.5 * OFFSETS**2, len(g), axis=1)  # a Gaussian is fainter off its center
         for i, surface in enumerate(surfaces):

@@ -143,14 +143,17 @@ def _finish(
     if config.meters_per_unit is not None:
         there = replace(there, meters_per_unit=config.meters_per_unit)
     inside = navigable.contains(there.positions)
-    share, moved, farthest = float(inside.mean()), 0, 0.0
+    share = float(inside.mean())
+    moved = 0
+    farthest = 0.0
     if config.project and not inside.all():
         outside = np.flatnonzero(~inside)
         positions = there.positions.copy()
         positions[outside] = _nearest_inside(navigable, positions[outside])
         moves = np.linalg.norm(positions[outside] - there.positions[outside], axis=1)
         there = replace(there, positions=positions)
-        moved, farthest = len(outside), float(moves.max())
+        moved = len(outside)
+        farthest = float(moves.max())
         rule += "; positions outside moved into the nearest navigable voxel"
     some = probe_indices(len(there))
     looking = float(np.isfinite(navigable.free_distances(there.positions[some], there.forwards[some])).mean())
@@ -164,9 +167,11 @@ def _search(path: HeadPath, navigable: NavigableSpace, config: RetargetConfig) -
     order = np.random.default_rng(config.seed).permutation(len(voxels))[: 8 * config.placements]
     cells = np.stack(np.unravel_index(voxels[order], navigable.free.shape), axis=1)
     places = navigable.origin + navigable.voxel_size * (cells + 0.5)
-    scale, rule = config.scale, "given scale"
+    scale = config.scale
+    rule = "given scale"
     if scale is None and config.meters_per_unit is not None and path.meters_per_unit is not None:
-        scale, rule = path.meters_per_unit / config.meters_per_unit, "natural scale"
+        scale = path.meters_per_unit / config.meters_per_unit
+        rule = "natural scale"
     stand = None  # eye height in units of the walk
     if config.eye_height is not None and path.meters_per_unit is not None and config.scale is None:
         stand = config.eye_height / path.meters_per_unit
@@ -197,14 +202,16 @@ def _largest(
     walk: Walk, search: Search, shrink: float, places: F64, floors: Floors | None, stand: float | None
 ) -> Found | None:
     """Return a placement at about the largest scale with `enough` inside; None if there is none at that eye height."""
-    best, largest = None, 0.0
+    best = None
+    largest = 0.0
     for scale in walk.scales(search.navigable):
         if best is not None and (best.look == 1.0 or scale < shrink * largest):
             break
         standing = floors.at_height(stand, scale) if floors is not None else None
         found = best_placement(walk, search, scale, places, standing)
         if found is not None and found.share >= search.enough and (best is None or found.look > best.look):
-            best, largest = found, largest or scale
+            best = found
+            largest = largest or scale
     return best
 
 

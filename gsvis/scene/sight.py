@@ -37,7 +37,8 @@ def blind(g: Gaussians, cameras: Cameras) -> NDArray[np.bool_]:
     if len(means) == 0:
         return found
     for index in range(len(cameras)):
-        pose, k = cameras.viewmats[index], cameras.Ks[index]
+        pose = cameras.viewmats[index]
+        k = cameras.Ks[index]
         points = means @ pose[:3, :3].T + pose[:3, 3]
         inside = points[:, 2] > 0.0
         for axis, side in enumerate((cameras.width, cameras.height)):
@@ -52,7 +53,8 @@ def blind(g: Gaussians, cameras: Cameras) -> NDArray[np.bool_]:
 def _balls(g: Gaussians) -> tuple[F64, F64]:
     """Return centers (M, 3) and reaches (M,) of Gaussians that say where the scene is."""
     some = slice(None, None, max(1, -(-len(g) // _MOST)))
-    means, opacities = g.means[some].astype(np.float64), g.opacities[some].astype(np.float64)
+    means = g.means[some].astype(np.float64)
+    opacities = g.opacities[some].astype(np.float64)
     reach = np.sqrt(2.0 * np.log(np.maximum(opacities / _VISIBLE, 1.0))) * g.scales[some].max(axis=1)
     kept = opacities >= _VISIBLE
     if kept.any():

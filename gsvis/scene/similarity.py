@@ -103,7 +103,8 @@ class Similarity:
 
 def upright_matrix(up: F64, meters_per_unit: float = 1.0) -> F64:
     """Return the (4, 4) matrix that turns an up axis (3,) to +y by the shortest way and scales."""
-    a, b = np.asarray(up, np.float64) / np.linalg.norm(up), np.array([0.0, 1.0, 0.0])
+    a = np.asarray(up, np.float64) / np.linalg.norm(up)
+    b = np.array([0.0, 1.0, 0.0])
     turn = np.diag([1.0, -1.0, -1.0])  # half a turn about x, if the axis is -y
     if a @ b > -1.0 + 1e-12:
         v = np.cross(a, b)

@@ -59,7 +59,8 @@ class Solid:
         found = np.zeros(len(points), bool)
         if len(points) == 0 or len(self.ids) == 0:
             return found
-        low, high = points.min(axis=0), points.max(axis=0)
+        low = points.min(axis=0)
+        high = points.max(axis=0)
         side = max(1, min(_MOST_BINS, int(np.cbrt(len(points) / _IN_A_BIN))))
         per_unit = np.divide(side, high - low, out=np.zeros(3), where=high > low)
         numbers = np.empty(len(points), np.int64)

@@ -135,7 +135,8 @@ def _reached(space: Occupancy, free: Mask, eye: ArrayLike | None) -> Mask:
     sizes[0] = 0
     if eye is not None:
         voxel = np.floor((np.asarray(eye, np.float64) - space.origin) / space.voxel_size).astype(np.int64)
-        start, stop = np.maximum(voxel - _NEAR, 0), np.maximum(voxel + _NEAR + 1, 0)
+        start = np.maximum(voxel - _NEAR, 0)
+        stop = np.maximum(voxel + _NEAR + 1, 0)
         around = labels[tuple(slice(a, b) for a, b in zip(start, stop, strict=True))]
         if around.any():
             return np.asarray(labels == np.bincount(around[around > 0]).argmax(), bool)

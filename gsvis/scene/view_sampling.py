@@ -65,7 +65,8 @@ class ViewSampling:
         Raises:
             SceneError: If too few viewpoints lie outside of everything solid.
         """
-        rng, union = np.random.default_rng([self.seed, self.stream]), union_of(g)
+        rng = np.random.default_rng([self.seed, self.stream])
+        union = union_of(g)
         places = navigable.where_people_stand() if self.standing else None
         standing = 0 if places is None else round(self.standing * self.count)
         eyes = self._draw(union, navigable, self.count - standing, rng)

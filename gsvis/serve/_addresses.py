@@ -109,7 +109,8 @@ def is_known_host(host: str, names: Iterable[str]) -> bool:
         return True
     try:
         parts = urlsplit(f"//{host}")
-        name, _ = (parts.hostname or "").rstrip("."), parts.port
+        name = (parts.hostname or "").rstrip(".")
+        _ = parts.port
     except ValueError:
         return False
     if not name or parts.username is not None or parts.path or parts.query or parts.fragment:

@@ -57,8 +57,13 @@ class Door:
         is_ahead: Callable[[], bool] | None = None,
     ) -> None:
         self._is_ahead = is_ahead
-        self._listener, self._means, self._limits, self._log = listener, means, means.limits, means.log
-        self._inner, self._proxies, self._tls = inner, proxies, tls
+        self._listener = listener
+        self._means = means
+        self._limits = means.limits
+        self._log = means.log
+        self._inner = inner
+        self._proxies = proxies
+        self._tls = tls
         self.guards: set[Guard] = set()
         self._tasks: set[asyncio.Task[None]] = set()
         self._accepting: asyncio.Task[None] | None = None
@@ -100,7 +105,8 @@ class Door:
 
     async def _wait_for_some(self) -> None:
         """Wait until connections can be accepted, and then for a slot."""
-        loop, there = asyncio.get_running_loop(), asyncio.Event()
+        loop = asyncio.get_running_loop()
+        there = asyncio.Event()
         loop.add_reader(self._listener, there.set)
         try:
             await there.wait()

@@ -103,7 +103,8 @@ class Cors:
     """
 
     def __init__(self, inner: ASGIApp, entry: Entry) -> None:
-        self._inner, self._entry = inner, entry
+        self._inner = inner
+        self._entry = entry
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         path = scope.get("path", "")
@@ -111,7 +112,8 @@ class Cors:
             await self._inner(scope, receive, send)
             return
         request = Request(scope)
-        origins, origin = self._entry.origins, request.headers.get("origin")
+        origins = self._entry.origins
+        origin = request.headers.get("origin")
         is_open = origin is not None and ("*" in origins or origin in origins)
         if request.method == "OPTIONS" and "access-control-request-method" in request.headers:
             await self._answer(request, is_open)(scope, receive, send)

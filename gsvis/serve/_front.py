@@ -39,7 +39,11 @@ class Front:
         metrics: Metrics,
         log: EventLog,
     ) -> None:
-        self._inner, self._hosts, self._place, self._metrics, self._log = inner, hosts, place, metrics, log
+        self._inner = inner
+        self._hosts = hosts
+        self._place = place
+        self._metrics = metrics
+        self._log = log
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] not in ("http", "websocket"):

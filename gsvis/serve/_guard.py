@@ -101,7 +101,8 @@ class Wire:
     """
 
     def __init__(self, transport: Any, guard: Guard) -> None:
-        self._transport, self.guard = transport, guard
+        self._transport = transport
+        self.guard = guard
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._transport, name)
@@ -150,15 +151,26 @@ class Guard(asyncio.Protocol):
         inner: Callable[[], Any],
         seen: Callable[[str, list[str]], str],
         gone: Callable[[Guard], object],
-    ) -> None:  # fmt: skip
-        self._sock, self.peer, self._limits, self._clock = sock, peer, means.limits, means.clock
-        self._log, self._metrics, self._readings = means.log, means.metrics, means.readings
-        self._precedence, self._fd = means.precedence, sock.fileno()
-        self._make, self._seen, self._gone = inner, seen, gone
-        self.address, self.owner, self.is_cut = peer[0], owner_of(peer[0]), False
+    ) -> None:
+        self._sock = sock
+        self.peer = peer
+        self._limits = means.limits
+        self._clock = means.clock
+        self._log = means.log
+        self._metrics = means.metrics
+        self._readings = means.readings
+        self._precedence = means.precedence
+        self._fd = sock.fileno()
+        self._make = inner
+        self._seen = seen
+        self._gone = gone
+        self.address = peer[0]
+        self.owner = owner_of(peer[0])
+        self.is_cut = False
         self._transport: Any = None
         self._inner: _Inner | None = None
-        self._buffer, self._seen_bytes = bytearray(), 0
+        self._buffer = bytearray()
+        self._seen_bytes = 0
         self._deadline: Timer | None = None
         self._room: Timer | None = None
         self._is_over = self._is_upgraded = self._is_feeding = self._is_held = False
@@ -233,7 +245,10 @@ class Guard(asyncio.Protocol):
     def connection_lost(self, exc: Exception | None) -> None:
         """Handle the end of the connection."""
         self.end()
-        inner, self._inner, self._transport = self._inner, None, None  # break the cycle, which keeps 256 kB of TLS
+        # break the cycle, which keeps 256 kB of TLS
+        inner = self._inner
+        self._inner = None
+        self._transport = None
         if inner is not None:
             inner.connection_lost(exc)
 
@@ -257,7 +272,8 @@ class Guard(asyncio.Protocol):
 
     def upgrade(self, protocol: Any) -> None:
         """Switch the connection to a WebSocket."""
-        self._inner, self._is_upgraded = protocol, True
+        self._inner = protocol
+        self._is_upgraded = True
         if self.phase is Phase.ANSWERING:
             self._enter(Phase.GREETING)
 
@@ -340,7 +356,9 @@ class Guard(asyncio.Protocol):
             self._deadline.cancel()
         self._deadline = None if seconds is None else self._clock.call_later(seconds, self._too_late)
         self._precedence.put(self._fd, self, is_first=phase is Phase.STREAMING)
-        self.phase, self.since = phase, next(_numbers)  # last: who reads it from another thread finds the deadline set
+        # last: who reads it from another thread finds the deadline set
+        self.phase = phase
+        self.since = next(_numbers)
 
     def _rest(self) -> None:
         """Start the deadline of the next request after the answer is sent; until then check that the peer reads."""
@@ -369,7 +387,8 @@ class Guard(asyncio.Protocol):
             self.close()  # no error: the peer has no further request
             return
         if self.phase is Phase.ENDING:
-            left, self._left = self._left, self.unsent
+            left = self._left
+            self._left = self.unsent
             if left - self._left >= _PACE:  # the peer still reads
                 self._enter(Phase.ENDING, self._limits.stall_s)
                 return
@@ -396,7 +415,8 @@ class Guard(asyncio.Protocol):
         del self._buffer[:end]
         address = self._seen(self.peer[0], [value for name, value in head.headers if name == "x-forwarded-for"])
         if address != self.address:
-            self.address, self.owner = address, owner_of(address)
+            self.address = address
+            self.owner = owner_of(address)
         self._enter(Phase.ANSWERING)
         self._hand_over(raw)
         if self._is_upgraded and self._buffer:

@@ -49,7 +49,8 @@ class EventLog:
     """
 
     def __init__(self, per_s: float = 20.0, clock: Callable[[], float] = time.monotonic) -> None:
-        self._per_s, self._clock = per_s, clock
+        self._per_s = per_s
+        self._clock = clock
         self._buckets: dict[str, RateBucket] = {}
         self._left_out: dict[str, int] = {}
 

@@ -20,7 +20,9 @@ __all__ = ["GUARD", "Plain", "Socket"]
 GUARD = "gsvis.guard"
 
 _MOST_PIECES = 1024  # most frames of one message
-_MOST_WAITING, _SMALL = 16, 256  # messages that may wait for the application while more are read, and their bytes
+# messages that may wait for the application while more are read, and their bytes
+_MOST_WAITING = 16
+_SMALL = 256
 _NEVER = 1e6  # seconds; the guard has its own deadline
 
 

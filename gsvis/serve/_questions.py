@@ -37,7 +37,8 @@ class Questions:
     """
 
     def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
-        self._turn, self._now = asyncio.Semaphore(1), now
+        self._turn = asyncio.Semaphore(1)
+        self._now = now
         self._waiting = 0
         self._kept: Cache[bytes] = Cache(_KEPT_BYTES)
 

@@ -110,23 +110,34 @@ class _App:
         setting: Setting,
         siblings: Siblings | None,
     ) -> None:
-        self.siblings, others = siblings, {} if siblings is None else {"others": siblings.seats_of}
-        self.scenes, self.config, self.metrics, self.log, self.setting = scenes, config, metrics, log, setting
-        self.numbers, self.questions = itertools.count(1), Questions(setting.clock.now)
-        self.seats, self.proxies = Seats(config.limits, **others), Proxies(config.proxies)
-        self.entry, self.pages = Entry(config.token, config.origins), Pages(origins=config.origins, opens=config.opens)
+        self.siblings = siblings
+        others = {} if siblings is None else {"others": siblings.seats_of}
+        self.scenes = scenes
+        self.config = config
+        self.metrics = metrics
+        self.log = log
+        self.setting = setting
+        self.numbers = itertools.count(1)
+        self.questions = Questions(setting.clock.now)
+        self.seats = Seats(config.limits, **others)
+        self.proxies = Proxies(config.proxies)
+        self.entry = Entry(config.token, config.origins)
+        self.pages = Pages(origins=config.origins, opens=config.opens)
 
     async def stream(self, socket: WebSocket) -> None:
         """Serve one client, from its request to its end."""
-        number, clock = next(self.numbers), self.setting.clock
-        name, began = socket.path_params.get("name") or next(iter(self.scenes)), clock.now()
+        number = next(self.numbers)
+        clock = self.setting.clock
+        name = socket.path_params.get("name") or next(iter(self.scenes))
+        began = clock.now()
         await socket.accept()
         if not self.entry.allows(socket):
             line = "pages of this origin may not stream from here"
             return await self.turn_away(socket, number, "origin", line, why=_why_not_origin(socket))
         if not self.entry.admits(socket) and not await self.is_token_sent(socket, number):
             return None
-        served, owner = self.scenes.get(name), owner_of(self.address(socket))
+        served = self.scenes.get(name)
+        owner = owner_of(self.address(socket))
         if served is None:
             return await self.turn_away(socket, number, "unknown", "no such scene")
         if served.fault:
@@ -214,7 +225,8 @@ class _App:
 
     async def view(self, request: Request) -> Response:
         """Return the viewer's page of a scene."""
-        name, shown = request.path_params["name"], request.query_params
+        name = request.path_params["name"]
+        shown = request.query_params
         if not self.entry.admits(request):
             return self.unauthorized(request)
         if "token" in shown:  # the cookie has to come from the first folder, or it would not count there
@@ -260,7 +272,8 @@ class _App:
         """Return a file of a package, or of a world and its packages."""
 
         async def read(served: ServedScene) -> Response:
-            given, folder = request.path_params, served.path
+            given = request.path_params
+            folder = served.path
             if "node" in given:
                 try:
                     folder = node_folder(folder, given["node"])
@@ -363,7 +376,8 @@ def _row(served: ServedScene) -> dict[str, Any]:
 
 
 def _why_not_origin(socket: WebSocket) -> str:
-    origin, host = socket.headers.get("origin"), socket.headers.get("host")
+    origin = socket.headers.get("origin")
+    host = socket.headers.get("host")
     return (
         f"Origin is {origin}, Host is {host}; a proxy in front has to pass Host on, or name the origin with --origins"
     )
@@ -393,7 +407,9 @@ def build_app(
         siblings: Other processes of the server; None if there are none. `state.publish` of the result tells them of
             this one.
     """
-    config, metrics, log = config or AppConfig(), metrics or Metrics(), log or EventLog()
+    config = config or AppConfig()
+    metrics = metrics or Metrics()
+    log = log or EventLog()
     setting = Setting(config.limits, metrics, log, config.abr, clock or Clock(), planners=planners, pace=pace or Pace())
     app = _App(scenes, config, metrics, log, setting, siblings)
     found = Starlette(

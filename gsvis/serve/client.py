@@ -107,8 +107,13 @@ class StreamClient:
         receiver: Receiver | None = None,
         clock: Clock | None = None,
     ) -> None:
-        self.url, self.view, self.config, self.receiver = url, view, config or ClientConfig(), receiver
-        self.connections, self.nbytes, self.restarts = 0, 0, 0
+        self.url = url
+        self.view = view
+        self.config = config or ClientConfig()
+        self.receiver = receiver
+        self.connections = 0
+        self.nbytes = 0
+        self.restarts = 0
         self._clock = clock or Clock()
         self._stopped = asyncio.Event()
         self._began = 0.0
@@ -148,7 +153,8 @@ class StreamClient:
             await asyncio.gather(work, ended, return_exceptions=True)
 
     async def _keep_on(self, pose: Pose, on_batch: Callable[[Received], None] | None) -> None:
-        wait, lost = self.config.first_wait_s, self._clock.now()
+        wait = self.config.first_wait_s
+        lost = self._clock.now()
         while True:
             before = self.connections
             try:
@@ -159,17 +165,16 @@ class StreamClient:
                     raise
                 why = str(error)
             except InvalidStatus as error:
-                answer, status = (
-                    (error.response.body or b"").decode("utf-8", "replace").strip(),
-                    error.response.status_code,
-                )
+                answer = (error.response.body or b"").decode("utf-8", "replace").strip()
+                status = error.response.status_code
                 if status < 500:
                     raise ProtocolError(f"{self.url}: {status} {answer[:200]}", FAULTS["refused"]) from None
                 why = f"{status} {answer[:200]}"
             except (OSError, ConnectionClosed, InvalidHandshake) as error:
                 why = str(error) or type(error).__name__
             if self.connections > before:
-                wait, lost = self.config.first_wait_s, self._clock.now()
+                wait = self.config.first_wait_s
+                lost = self._clock.now()
             if self._clock.now() - lost > self.config.give_up_s:
                 raise ConnectionError(f"{self.url}: no stream for {self.config.give_up_s:g} s; {why}")
             await asyncio.sleep(wait * random.uniform(0.5, 1.0))
@@ -182,9 +187,15 @@ class StreamClient:
         if config.token is not None:
             options["additional_headers"] = {"Authorization": f"Bearer {config.token}"}
         opening = connect(
-            self.url, compression=None, max_size=config.message_bytes, open_timeout=None, close_timeout=1, proxy=None,
-            ping_interval=None, **options,
-        )  # fmt: skip
+            self.url,
+            compression=None,
+            max_size=config.message_bytes,
+            open_timeout=None,
+            close_timeout=1,
+            proxy=None,
+            ping_interval=None,
+            **options,
+        )
         async with await self._clock.within(_OPEN_S, _open(opening)) as socket:
             first = Hello(self.view, memory=config.memory_bytes)
             hello = first if self.receiver is None else self.receiver.hello(self.view)
@@ -243,7 +254,8 @@ class StreamClient:
 
     async def _send_poses(self, socket: ClientConnection, pose: Pose) -> None:
         """Send the viewer's pose at a steady rate."""
-        start, step = time.monotonic(), 1.0 / self.config.poses_per_s
+        start = time.monotonic()
+        step = 1.0 / self.config.poses_per_s
         for k in itertools.count():
             now = time.monotonic() - self._began
             position, quat = (np.asarray(values, np.float64) for values in pose(now))

@@ -49,7 +49,8 @@ class Clock:
         Raises:
             TimeoutError: If the work takes longer.
         """
-        task, late = asyncio.ensure_future(work), asyncio.get_running_loop().create_future()
+        task = asyncio.ensure_future(work)
+        late = asyncio.get_running_loop().create_future()
         timer = self.call_later(seconds, late.cancel)
         try:
             await asyncio.wait({task, late}, return_when=asyncio.FIRST_COMPLETED)
@@ -80,7 +81,9 @@ class ManualClock(Clock):
     """
 
     def __init__(self, start: float = 0.0) -> None:
-        self._now, self._lock, self._numbers = start, threading.Lock(), itertools.count()
+        self._now = start
+        self._lock = threading.Lock()
+        self._numbers = itertools.count()
         self._due: list[tuple[float, int, _Call]] = []
 
     def now(self) -> float:

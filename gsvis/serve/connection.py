@@ -104,7 +104,9 @@ class PoseClock:
 
     def __init__(self) -> None:
         self._offset: float | None = None
-        self._ms, self._turns, self._arrived = 0, 0, 0.0
+        self._ms = 0
+        self._turns = 0
+        self._arrived = 0.0
 
     def at(self, arrived: float, time_ms: int) -> float:
         """Return the server's seconds at which a pose was taken, never later than its arrival.
@@ -119,7 +121,9 @@ class PoseClock:
         offset = arrived - seconds
         if self._offset is not None:
             offset = min(offset, self._offset + self._CREEP * (arrived - self._arrived))
-        self._offset, self._ms, self._arrived = offset, time_ms, arrived
+        self._offset = offset
+        self._ms = time_ms
+        self._arrived = arrived
         return seconds + offset
 
 
@@ -150,7 +154,11 @@ class Connection:
         greet_s: float | None = None,
     ) -> None:
         self._greet_s = setting.limits.handshake_s if greet_s is None else greet_s
-        self._peer, self._served, self._setting, self.number, self._seat = peer, served, setting, number, seat
+        self._peer = peer
+        self._served = served
+        self._setting = setting
+        self.number = number
+        self._seat = seat
         self.session: Session | None = None
         self.reason = ""
         self._heard: list[tuple[float, PoseAt | Ack]] = []
@@ -162,8 +170,12 @@ class Connection:
         self._alive = self._moved = setting.clock.now()
         self._planned = setting.measure()
         self._alarm: Timer | None = None
-        self._has_pose, self._fresh, self._dry = False, False, False  # a pose; one not planned for; nothing to send
-        self._said_bye, self._uses = False, False
+        # a pose; one not planned for; nothing to send
+        self._has_pose = False
+        self._fresh = False
+        self._dry = False
+        self._said_bye = False
+        self._uses = False
         self._seat_gone = asyncio.Event()
 
     @property
@@ -177,7 +189,8 @@ class Connection:
 
     async def run(self) -> None:
         """Run the whole connection; raises only on cancellation."""
-        began, fault = self._setting.measure(), None
+        began = self._setting.measure()
+        fault = None
         loops: list[asyncio.Task[None]] = []
         try:
             await self._greet()
@@ -205,7 +218,8 @@ class Connection:
 
     async def _greet(self) -> None:
         """Read HELLO and send WELCOME."""
-        limits, clock = self._setting.limits, self._setting.clock
+        limits = self._setting.limits
+        clock = self._setting.clock
         try:
             said = await clock.within(self._greet_s, self._first())
         except TimeoutError:
@@ -215,7 +229,8 @@ class Connection:
         self._alive = clock.now()
         if self._seat is not None and (why := self._seat()):
             raise ProtocolError(f"no seat ({why}); try again later", FAULTS["too-many"])
-        scene, self._uses = await self._open(), True
+        scene = await self._open()
+        self._uses = True
         try:
             self.session = await self._apart(partial(Session.from_hello, scene, said, self._setting.config))
         except ValueError as error:
@@ -230,7 +245,8 @@ class Connection:
 
     async def _open(self) -> StreamedScene:
         """Return the scene, opened in a thread if it is closed."""
-        served, setting = self._served, self._setting
+        served = self._served
+        setting = self._setting
         if served.opened is not None:
             return served.use()
         opening = asyncio.ensure_future(asyncio.to_thread(served.use))
@@ -256,7 +272,8 @@ class Connection:
 
     async def _listen(self) -> None:
         """Read messages of the client until it leaves."""
-        clock, metrics = self._setting.clock, self._setting.metrics
+        clock = self._setting.clock
+        metrics = self._setting.metrics
         for turn in itertools.count(1):
             if turn % _IN_A_ROW == 0:
                 await asyncio.sleep(0)  # `receive` does not let others run while messages wait
@@ -298,14 +315,16 @@ class Connection:
                 await self._wait(wait)
                 continue
             if self._setting.planners is None:
-                pace, session = self._setting.pace, self._session
+                pace = self._setting.pace
+                session = self._session
                 if session.has_to_prepare:
                     await pace.preparations.make(session.prepare, is_new=self._is_new)
                 await pace.turns.take(is_new=self._is_new)
                 self._take_in()
                 if self._idle_for(self._setting.measure()) > 0.0:
                     continue
-            self._planned, self._fresh = now, False
+            self._planned = now
+            self._fresh = False
             message, seconds = await self._apart(self._plan)
             self._dry = message is None
             self._setting.metrics.planning.observe(seconds)
@@ -316,7 +335,8 @@ class Connection:
 
     def _idle_for(self, now: float) -> float:
         """Return the seconds until the next batch is due, if nothing happens before; 0 for now."""
-        session, tick = self._session, self._setting.limits.tick_s
+        session = self._session
+        tick = self._setting.limits.tick_s
         if not self._has_pose or (session.done and not self._fresh):
             return _ROUND
         if self._dry:
@@ -326,7 +346,8 @@ class Connection:
 
     def _plan(self) -> tuple[Message | None, float]:
         """Return the next batch and the seconds that planning took; may run in another thread."""
-        session, began = self._session, self._setting.measure()
+        session = self._session
+        began = self._setting.measure()
         budget = min(session.room(), float(self._setting.limits.batch_bytes))
         message = session.next_message(began, budget, sent_at=self._setting.measure)
         return message, self._setting.measure() - began
@@ -356,7 +377,8 @@ class Connection:
 
     def _look_after(self) -> None:
         """Raise if the client is silent or does not read; set an alarm for the next check."""
-        limits, now = self._setting.limits, self._setting.clock.now()
+        limits = self._setting.limits
+        now = self._setting.clock.now()
         if now - self._alive >= limits.idle_s - _SLACK:
             raise ProtocolError(f"no message within {limits.idle_s:g} s; closing", FAULTS["late"])
         if self._session.outstanding == 0:
@@ -403,7 +425,8 @@ class Connection:
     def _judge(self, error: Exception) -> ServerFault | None:
         """Log an error and return what to report to the client; None if the client has gone."""
         if isinstance(error, GoneError):
-            self.reason, self._said_bye = str(error) or "lost", isinstance(error, _ByeError)
+            self.reason = str(error) or "lost"
+            self._said_bye = isinstance(error, _ByeError)
             return None
         fault = ServerFault.from_error(error)
         if isinstance(error, ProtocolError):
@@ -427,9 +450,14 @@ class Connection:
             return
         self._setting.metrics.closed.add(of=self.reason or "ending")
         self._setting.log(
-            "closed", client=self.number, reason=self.reason or "ending", seconds=self._setting.measure() - began,
-            sent_bytes=self.session.wire_bytes, unacknowledged=self.session.outstanding, rate=self.session.rate,
-        )  # fmt: skip
+            "closed",
+            client=self.number,
+            reason=self.reason or "ending",
+            seconds=self._setting.measure() - began,
+            sent_bytes=self.session.wire_bytes,
+            unacknowledged=self.session.outstanding,
+            rate=self.session.rate,
+        )
 
     async def _farewell(self, fault: ServerFault | None) -> None:
         """Send the client the reason and close; cut the connection if it does not read."""

@@ -39,7 +39,8 @@ def explain(scene: StreamedScene, gaussian: int) -> dict[str, Any]:
     contents, start = scene.package.part_of(gaussian)
     place = gaussian - start
     one = contents.gaussians(np.array([place]))
-    names, chunk = contents.names, int(contents.chunks[place])
+    names = contents.names
+    chunk = int(contents.chunks[place])
     first, last = contents.chunk_levels[chunk].tolist()
     mean = one.means[0].astype(np.float64)
     found: dict[str, Any] = {
@@ -54,13 +55,15 @@ def explain(scene: StreamedScene, gaussian: int) -> dict[str, Any]:
         "directions": None,
     }
     sets: Any = scene.index.sets
-    own, first_cell = gaussian, 0
+    own = gaussian
+    first_cell = 0
     if isinstance(sets, WorldSets):  # the cells of its own tile
         tile = sets.of_gaussian(gaussian)
         sets, own, first_cell = tile or (None, 0, 0)
     if not isinstance(sets, VisibilityStore):
         return found  # prepared without visible sets: it is always sent
-    grid, cells = sets.grid, sets.seers(own)
+    grid = sets.grid
+    cells = sets.seers(own)
     eyes = grid.centers[cells] - mean
     distances = np.linalg.norm(eyes, axis=1)
     order = np.argsort(distances, kind="stable")
@@ -84,12 +87,18 @@ def _row(sets: VisibilityStore, gaussian: int, cell: int, eye: F64, distance: fl
 
 def describe_cells(scene: StreamedScene) -> dict[str, Any]:
     """Return the grid of cells: where eyes may be, and how many Gaussians each cell sees; and views to begin with."""
-    grid, sets = scene.index.grid, scene.index.sets
+    grid = scene.index.grid
+    sets = scene.index.sets
     counts = sets.visible_counts.tolist() if isinstance(sets, VisibilityStore) else [len(scene)] * len(grid)
     return {
-        "origin": grid.origin.tolist(), "size": grid.cell_size, "shape": list(grid.shape), "up": grid.up.tolist(),
-        "boxes": grid.coords.tolist(), "visible": counts, "views": scene.package.manifest.views,
-    }  # fmt: skip
+        "origin": grid.origin.tolist(),
+        "size": grid.cell_size,
+        "shape": list(grid.shape),
+        "up": grid.up.tolist(),
+        "boxes": grid.coords.tolist(),
+        "visible": counts,
+        "views": scene.package.manifest.views,
+    }
 
 
 def describe_sight(scene: StreamedScene) -> dict[str, Any] | None:
@@ -103,7 +112,8 @@ def describe_sight(scene: StreamedScene) -> dict[str, Any] | None:
     sets = scene.index.sets
     if not isinstance(sets, VisibilityStore) or sets.gaussians > _MOST_MARKED:
         return None
-    seers, classes = np.zeros(sets.gaussians, np.int64), np.zeros(sets.gaussians, np.int64)
+    seers = np.zeros(sets.gaussians, np.int64)
+    classes = np.zeros(sets.gaussians, np.int64)
     for cell in range(len(sets)):
         ids, found = sets.classes(cell)
         seers[ids] += 1

@@ -113,7 +113,8 @@ class Seats:
     """
 
     def __init__(self, limits: Limits, others: Callable[[str], tuple[int, int]] = lambda owner: (0, 0)) -> None:
-        self._limits, self._others = limits, others
+        self._limits = limits
+        self._others = others
         self._by_owner: dict[str, list[Viewer]] = {}
         self.taken = 0
 
@@ -176,8 +177,10 @@ class RateBucket:
     """
 
     def __init__(self, rate: float, burst: float) -> None:
-        self._rate, self._burst = rate, max(burst, 1.0)
-        self._left, self._time = self._burst, -np.inf
+        self._rate = rate
+        self._burst = max(burst, 1.0)
+        self._left = self._burst
+        self._time = -np.inf
 
     def take(self, t: float) -> bool:
         """Return whether an event at time t is within the rate, and count it if so; t must not decrease, seconds."""
@@ -217,7 +220,9 @@ class Pace:
     _MOST = 4.0  # largest factor, unless a client waits longer for its turn
 
     def __init__(self) -> None:
-        self._late, self.turns, self.preparations = 0.0, Turns(), Preparations()
+        self._late = 0.0
+        self.turns = Turns()
+        self.preparations = Preparations()
 
     def observe(self, late: float) -> None:
         """Record that something ran late by this many seconds."""

@@ -49,7 +49,8 @@ class JsonLines(logging.Formatter):
 
     def __init__(self, process: int | None = None) -> None:
         super().__init__()
-        self.converter, self._process = time.gmtime, process
+        self.converter = time.gmtime
+        self._process = process
 
     def format(self, record: logging.LogRecord) -> str:
         """Return the line of a record."""

@@ -32,7 +32,8 @@ class Counter:
     """
 
     def __init__(self, registry: CollectorRegistry, name: str, about: str, label: str = "") -> None:
-        self.name, self._label = name, label
+        self.name = name
+        self._label = label
         self._metric = prometheus_client.Counter(name, about, [label] if label else [], registry=registry)
         self._children: dict[str, prometheus_client.Counter] = {} if label else {"": self._metric}
 
@@ -85,7 +86,8 @@ class Histogram:
     """
 
     def __init__(self, registry: CollectorRegistry, name: str, about: str, bounds: Sequence[float] = _SECONDS) -> None:
-        self.name, self.bounds = name, tuple(bounds)
+        self.name = name
+        self.bounds = tuple(bounds)
         self._metric = prometheus_client.Histogram(name, about, buckets=self.bounds, registry=registry)
 
     def observe(self, value: float) -> None:

@@ -95,11 +95,20 @@ class Pages:
         self._streamed = None if view is None else _file(view.data.replace(b"<title>", _STREAMED, 1), view.kind)
         asks = f"connect-src {connect_sources(opens)}"
         frames = " ".join(["'self'", *(("*",) if "*" in origins else origins)])
-        self._policy = "; ".join([
-            "default-src 'none'", "script-src 'self'", "worker-src 'self'", "style-src 'self'",
-            "img-src 'self' data: blob:", asks, "manifest-src 'self'", "base-uri 'none'",
-            "form-action 'none'", f"frame-ancestors {frames}",
-        ])  # fmt: skip
+        self._policy = "; ".join(
+            [
+                "default-src 'none'",
+                "script-src 'self'",
+                "worker-src 'self'",
+                "style-src 'self'",
+                "img-src 'self' data: blob:",
+                asks,
+                "manifest-src 'self'",
+                "base-uri 'none'",
+                "form-action 'none'",
+                f"frame-ancestors {frames}",
+            ]
+        )
         self._script_policy = f"default-src 'none'; script-src 'self'; {asks}; base-uri 'none'; form-action 'none'"
         self._frames = frames
 
@@ -140,9 +149,12 @@ class Pages:
         packed = found.packed if "gzip" in _codings(request) else None
         tag = f'"{found.tag}{"-gz" if packed else ""}"'
         headers = {
-            "etag": tag, "cache-control": "no-cache", "vary": "Accept-Encoding", "x-content-type-options": "nosniff",
+            "etag": tag,
+            "cache-control": "no-cache",
+            "vary": "Accept-Encoding",
+            "x-content-type-options": "nosniff",
             "cross-origin-resource-policy": "same-origin",
-        }  # fmt: skip
+        }
         if is_known(request, tag):
             return Response(status_code=304, headers=headers)
         if packed is not None:

@@ -158,11 +158,15 @@ async def respond(request: Request, package: Path, name: str, *, private: bool) 
     try:
         if name in (MANIFEST, WORLD):
             data = await asyncio.to_thread(_read, package / name, _MOST_MANIFEST)
-            tag, kind, keep = f'"{hashlib.sha256(data).hexdigest()}"', "application/json", "no-cache"
+            tag = f'"{hashlib.sha256(data).hexdigest()}"'
+            kind = "application/json"
+            keep = "no-cache"
         else:
             read = _read_table if _TABLE.fullmatch(name) else read_part
             data = await asyncio.to_thread(read, package, name)
-            tag, kind, keep = f'"{name[:64]}"', "application/octet-stream", _FOREVER
+            tag = f'"{name[:64]}"'
+            kind = "application/octet-stream"
+            keep = _FOREVER
     except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
         return PlainTextResponse("no such file\n", 404)
     headers = {"accept-ranges": "bytes", "etag": tag, "x-content-type-options": "nosniff"}

@@ -63,7 +63,8 @@ class Precedence:
         """Note that the loop has handled what `choose` returned."""
         if self._began is not None:
             now = self._measure()
-            self._due, self._began = now + (now - self._began) * (1.0 / _SHARE - 1.0), None
+            self._due = now + (now - self._began) * (1.0 / _SHARE - 1.0)
+            self._began = None
 
     def choose(self, ready: Sequence[_Event], *, is_busy: bool) -> list[_Event]:
         """Return the events to handle in this turn.

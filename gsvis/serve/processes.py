@@ -29,7 +29,8 @@ __all__ = ["Child", "Supervisor"]
 
 _VARIABLE = "GSVIS_CHILD"
 _LOOK_S = 0.05
-_FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.5, 30.0
+_FIRST_PAUSE_S = 0.5
+_LONGEST_PAUSE_S = 30.0
 _STEADY_S = 60.0  # a child that lived so long is restarted at once
 _STOP_S = 10.0  # seconds that children have to end before they are killed
 _HUNG_S = 20.0  # a child that has served and says nothing for so long hangs
@@ -145,10 +146,14 @@ class Supervisor:
         clock: Callable[[], float] = time.monotonic,
         hung_s: float = _HUNG_S,
     ) -> None:
-        self._command, self._listener, self._log, self._clock = list(command), listener, log or EventLog(), clock
+        self._command = list(command)
+        self._listener = listener
+        self._log = log or EventLog()
+        self._clock = clock
         self._hung_s = hung_s
         self._places = [_Place(number) for number in range(count)]
-        self._stopped, self._signal = threading.Event(), 0
+        self._stopped = threading.Event()
+        self._signal = 0
 
     @property
     def pids(self) -> list[int]:

@@ -73,7 +73,8 @@ class ServedScene:
     sessions: set[Session] = field(default_factory=set, init=False)
 
     def __post_init__(self) -> None:
-        self._lock, self._is_world = threading.Lock(), False
+        self._lock = threading.Lock()
+        self._is_world = False
         self._facts: tuple[int, int, NDArray[np.float64]] | None = None
         if self.opened is not None:
             self._note(self.opened)
@@ -127,7 +128,8 @@ class ServedScene:
     def leave(self, now: float) -> None:
         """Say that the scene is no longer used, once for each `use`."""
         with self._lock:
-            self.users, self.used_at = self.users - 1, now
+            self.users = self.users - 1
+            self.used_at = now
 
     @contextmanager
     def in_use(self, now: Callable[[], float]) -> Iterator[StreamedScene]:
@@ -162,7 +164,8 @@ class ServedScene:
         self.openings += 1
         self._is_world = isinstance(scene.package, OwnIndex)
         grid = scene.index.grid
-        low, high = grid.centers.min(axis=0) - grid.cell_size, grid.centers.max(axis=0) + grid.cell_size
+        low = grid.centers.min(axis=0) - grid.cell_size
+        high = grid.centers.max(axis=0) + grid.cell_size
         reach = _REACH * float((high - low).max())
         self._facts = scene.about.gaussians, scene.most_hello, np.stack([low - reach, high + reach])
 
@@ -172,8 +175,10 @@ class ServedScene:
         Raises:
             FormatError: If a part that is read is damaged.
         """
-        scene, grid = self.scene, self.scene.index.grid
-        view, holdings = FieldOfView.from_degrees(90.0, 70.0, margin=8.0), b""
+        scene = self.scene
+        grid = self.scene.index.grid
+        view = FieldOfView.from_degrees(90.0, 70.0, margin=8.0)
+        holdings = b""
         for _ in range(2):  # a new viewer, and one that reconnects
             session = Session.from_hello(scene, Hello(view, bytes.fromhex(scene.about.identity), holdings))
             session.welcome(0.0)

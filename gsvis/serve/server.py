@@ -105,20 +105,28 @@ class Server:
         siblings: Siblings | None = None,
     ) -> None:
         self._scenes = scenes
-        self.config, self.address, self.clock = config or AppConfig(), address or Address(), clock or Clock()
+        self.config = config or AppConfig()
+        self.address = address or Address()
+        self.clock = clock or Clock()
         self.metrics, self._log = Metrics(), EventLog(clock=self.clock.now)
         self._threads = None
         if _check.positive_int("planners", planners, at_least=0):
             self._threads = ThreadPoolExecutor(planners, thread_name_prefix="gsvis-plan")
-        self._pace, self._precedence = Pace(), Precedence()
+        self._pace = Pace()
+        self._precedence = Precedence()
         self._upkeep = Upkeep(scenes, self.config.limits, self.metrics, self._log, self.clock.now)
         app = build_app(
             scenes,
             replace(self.config, hosts=(*self.config.hosts, self.address.host)),
-            metrics=self.metrics, log=self._log, planners=self._threads, pace=self._pace, clock=self.clock,
+            metrics=self.metrics,
+            log=self._log,
+            planners=self._threads,
+            pace=self._pace,
+            clock=self.clock,
             siblings=siblings,
-        )  # fmt: skip
-        self._siblings, self._publish = siblings, app.state.publish
+        )
+        self._siblings = siblings
+        self._publish = app.state.publish
         most_hello = max([served.most_hello for served in scenes.values()], default=1 << 16)
         settings = _settings(app, self.address, self.config.limits.message_bytes or most_hello)
         self._socket = listener or listen(self.address)
@@ -129,7 +137,8 @@ class Server:
         proxies = Proxies(self.config.proxies)
         readings = Readings(call=self._precedence.call)
         means = Means(self.config.limits, self.clock, self._log, self.metrics, readings, self._precedence)
-        siblings, clients = self._siblings, self.metrics.clients
+        siblings = self._siblings
+        clients = self.metrics.clients
         is_ahead = None if siblings is None else lambda: siblings.is_ahead(int(clients.value()))
         return Door(self._socket, means, inner, proxies, tls, is_ahead)
 
@@ -230,7 +239,9 @@ class _Uvicorn(uvicorn.Server):
         door: Callable[[Callable[[], Any], ssl.SSLContext | None], Door],
     ) -> None:
         super().__init__(settings)
-        self._clock, self._log, self._make_door = clock, log, door
+        self._clock = clock
+        self._log = log
+        self._make_door = door
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Start to accept connections."""
@@ -243,7 +254,8 @@ class _Uvicorn(uvicorn.Server):
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Announce the shutdown to all connections, wait a little, cut the rest."""
-        door, tasks = self._door, self.server_state.tasks
+        door = self._door
+        tasks = self.server_state.tasks
         door.close()
         await door.wait_closed()
         for guard in list(door.guards):
@@ -286,7 +298,8 @@ class _Few(logging.Filter):
 
     def __init__(self, clock: Clock) -> None:
         super().__init__()
-        self._clock, self._lock = clock, threading.Lock()
+        self._clock = clock
+        self._lock = threading.Lock()
         self._bucket = RateBucket(_LINES_PER_S, 10.0 * _LINES_PER_S)
 
     def filter(self, record: logging.LogRecord) -> bool:
@@ -333,7 +346,8 @@ def listen(address: Address) -> socket.socket:
     Raises:
         OSError: If the address cannot be taken.
     """
-    host, port = address.host, address.port
+    host = address.host
+    port = address.port
     try:
         family, kind, protocol, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
     except OSError as error:

@@ -57,7 +57,9 @@ class Siblings:
         age: Callable[[Path], float] | None = None,
         beat: Callable[[], None] = lambda: None,
     ) -> None:
-        self.folder, self.number, self._age = folder, number, age or _age_of
+        self.folder = folder
+        self.number = number
+        self._age = age or _age_of
         self.beat = beat
         self.path = folder / f"process-{number}-{os.getpid()}.json"
         self._others: list[_Said] = []
@@ -91,7 +93,8 @@ class Siblings:
 
     def text(self, metrics: Metrics) -> str:
         """Return the text of `/metrics` for all processes: sums, and for `process_*` a label `process`."""
-        living, found = self._living(), dict[str, _Family]()
+        living = self._living()
+        found = dict[str, _Family]()
         _add(found, _families_of(metrics), self.number, is_alive=True)
         for said in self._others:
             _add(found, said.value["families"], said.number, is_alive=said in living)
@@ -117,7 +120,9 @@ class _Family:
     """The samples of one metric, summed over processes."""
 
     def __init__(self, name: str, about: str, kind: str) -> None:
-        self.name, self.about, self.kind = name, about, kind
+        self.name = name
+        self.about = about
+        self.kind = kind
         self.samples: dict[str, tuple[str, dict[str, str], float]] = {}
 
     def add(self, name: str, labels: dict[str, str], value: float) -> None:

@@ -56,7 +56,8 @@ class Site:
         about = parse_json(path, read_whole(path, _MOST_JSON))
         if not isinstance(about, dict) or about.get("format") != FORMAT:
             raise FormatError(path, "format", FORMAT, repr(about.get("format") if isinstance(about, dict) else None))
-        self.folder, self.about = folder, about
+        self.folder = folder
+        self.about = about
         names = [name for name in _names(about.get("files")) if _NAME.fullmatch(name) and ".." not in name]
         self.names = frozenset([SCENE, *names])
 

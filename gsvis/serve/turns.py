@@ -28,8 +28,10 @@ class _Queue:
     """
 
     def __init__(self) -> None:
-        self._newcomers, self._others = deque[asyncio.Future[None]](), deque[asyncio.Future[None]]()
-        self._taken, self._row = False, 0
+        self._newcomers = deque[asyncio.Future[None]]()
+        self._others = deque[asyncio.Future[None]]()
+        self._taken = False
+        self._row = 0
 
     async def enter(self, *, is_new: bool) -> None:
         """Wait for the place, and take it."""
@@ -96,7 +98,8 @@ class Preparations:
     """
 
     def __init__(self) -> None:
-        self._queue, self._thread = _Queue(), ThreadPoolExecutor(1, "gsvis-prepare")
+        self._queue = _Queue()
+        self._thread = ThreadPoolExecutor(1, "gsvis-prepare")
 
     async def make(self, work: Callable[[], object], *, is_new: bool = False) -> None:
         """Call a function in a thread when it is its turn, and wait for it; raises what it raises.
@@ -127,7 +130,8 @@ class Readings:
         measure: Callable[[], float] = time.perf_counter,
         call: Callable[[Callable[[], object]], object] | None = None,
     ) -> None:
-        self._measure, self._call = measure, call
+        self._measure = measure
+        self._call = call
         self._waiting: deque[Callable[[], bool]] = deque()
 
     def add(self, read: Callable[[], bool]) -> None:
@@ -152,7 +156,8 @@ class Readings:
 
     def _read_for_a_while(self) -> None:
         """Read the first, and put it behind the others if it has more."""
-        end, has_more = self._measure() + _SHARE_S, False
+        end = self._measure() + _SHARE_S
+        has_more = False
         try:
             while has_more := self._waiting[0]():
                 if self._measure() >= end:

@@ -65,8 +65,12 @@ class Upkeep:
         *,
         resident: Callable[[], int] = resident_bytes,
     ) -> None:
-        self._scenes, self._limits, self._metrics, self._log = scenes, limits, metrics, log
-        self._now, self._resident = now, resident
+        self._scenes = scenes
+        self._limits = limits
+        self._metrics = metrics
+        self._log = log
+        self._now = now
+        self._resident = resident
         self._touched: dict[str, dict[int, tuple[float, float]]] = {}  # tiles that somebody has been near, by scene
         for served in scenes.values():
             served.used_at = now()
@@ -76,7 +80,8 @@ class Upkeep:
 
     def look(self) -> None:
         """Close scenes and give memory back where it is time."""
-        now, served = self._now(), list(self._scenes.values())
+        now = self._now()
+        served = list(self._scenes.values())
         for scene in served:
             if scene.close_unused(now, self._limits.close_s):
                 self._touched.pop(scene.name, None)

@@ -32,7 +32,8 @@ class _Unaware:
     exact: bool
 
     def __init__(self, parcels: list[Parcel]) -> None:
-        self._parcels, self._sent = parcels, 0
+        self._parcels = parcels
+        self._sent = 0
 
     def on_pose(self, t: float, position: ArrayLike, quat: ArrayLike) -> None:
         """Ignore the pose."""
@@ -60,10 +61,12 @@ class WholeFile(_Unaware):
         ids: Gaussians of the file; None means those of the highest level.
     """
 
-    name, exact = "whole file", True
+    name = "whole file"
+    exact = True
 
     def __init__(self, contents: Contents, nbytes: int, measured: str = "", *, ids: I64 | None = None) -> None:
-        self.nbytes, self.measured = _check.positive_int("nbytes", nbytes), measured
+        self.nbytes = _check.positive_int("nbytes", nbytes)
+        self.measured = measured
         none = np.zeros(0, np.int64)
         cuts = [*range(0, nbytes, CHUNK), nbytes]
         parcels = [Parcel(k + 1, cuts[k + 1] - cuts[k], none, none, none) for k in range(len(cuts) - 1)]
@@ -90,7 +93,8 @@ class MortonProgressive(_Unaware):
         ids: Gaussians that are sent; None means those of the highest level.
     """
 
-    name, exact = "Morton order", False
+    name = "Morton order"
+    exact = False
 
     def __init__(
         self,

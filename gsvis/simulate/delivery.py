@@ -93,7 +93,8 @@ class Adaptive:
         *,
         name: str = "gsvis",
     ) -> None:
-        self.name, self.config = name, config or AbrConfig()
+        self.name = name
+        self.config = config or AbrConfig()
         self.session = Session(scene, view, self.config)
         self._greeted = False
 
@@ -118,5 +119,13 @@ class Adaptive:
     def describe(self) -> dict[str, Any]:
         """Return facts for reports; see `Delivery`."""
         c = self.config
-        return {"policy": c.policy, "estimator": c.estimator, "predictor": c.predictor, "lead": c.lead,
-                "ahead": c.ahead, "window": c.window, "piece": c.piece, "fill": c.fill}  # fmt: skip
+        return {
+            "policy": c.policy,
+            "estimator": c.estimator,
+            "predictor": c.predictor,
+            "lead": c.lead,
+            "ahead": c.ahead,
+            "window": c.window,
+            "piece": c.piece,
+            "fill": c.fill,
+        }

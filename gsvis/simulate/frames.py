@@ -114,8 +114,10 @@ class Frame:
             shown: (M,) whether the client shows each of `ids`.
             terms: (T,) whether it has each term.
         """
-        p, v = self._projected, self._view
-        offsets, members = np.empty_like(p.offsets), np.empty_like(p.members)
+        p = self._projected
+        v = self._view
+        offsets = np.empty_like(p.offsets)
+        members = np.empty_like(p.members)
         count = kernels.keep_shown(p.offsets, p.members, shown, offsets, members)
         features = self._features
         evaluator = self._stage.evaluator

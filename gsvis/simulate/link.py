@@ -49,7 +49,8 @@ class Pipe:
     """
 
     def __init__(self, link: Link) -> None:
-        self.link, self.free = link, 0.0
+        self.link = link
+        self.free = 0.0
 
     def send(self, t: float, nbytes: float) -> float:
         """Return when the last of some bytes arrives, if they are sent at time t; inf on a dead link.

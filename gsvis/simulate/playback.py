@@ -25,7 +25,8 @@ __all__ = ["Playback", "play"]
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
-_POSE, _ACK = 0, 1
+_POSE = 0
+_ACK = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,11 +121,23 @@ def play(
                 entered.add(arrival, parcel)
                 heapq.heappush(events, (arrival + link.delay, _ACK, parcel.sequence))
     gaussians, gone, terms = entered.moments
-    times, sizes = np.array(entered.times), np.array(entered.sizes, np.int64)
+    times = np.array(entered.times)
+    sizes = np.array(entered.sizes, np.int64)
     return Playback(
-        delivery.name, delivery.exact, link, seconds, gaussians, gone, terms, times, sizes,
-        np.array(entered.filling, np.bool_), entered.filler, entered.twice, delivery.describe(),
-    )  # fmt: skip
+        delivery.name,
+        delivery.exact,
+        link,
+        seconds,
+        gaussians,
+        gone,
+        terms,
+        times,
+        sizes,
+        np.array(entered.filling, np.bool_),
+        entered.filler,
+        entered.twice,
+        delivery.describe(),
+    )
 
 
 class _Arrivals:

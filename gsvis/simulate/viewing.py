@@ -143,11 +143,14 @@ class Viewing:
 
     def figures(self) -> dict[str, float | int | None]:
         """Return the figures of the session; None if something never happened, or no view has content."""
-        p, end = self.playback, self.config.seconds
+        p = self.playback
+        end = self.config.seconds
         any_content = bool(self.content.any())
         qoe: Mapping[str, float | None] = self.qoe.as_dict() if any_content else dict.fromkeys(_QOE)
-        arrived, gone = p.gaussian_at <= end, p.gone_at <= end
-        count, chosen = int(np.count_nonzero(arrived)), arrived & ~p.filler
+        arrived = p.gaussian_at <= end
+        gone = p.gone_at <= end
+        count = int(np.count_nonzero(arrived))
+        chosen = arrived & ~p.filler
         return {
             **qoe,
             "seconds_to_first_image": _or_none(self.seconds_to(FIRST_FRAME_DB)),
@@ -172,7 +175,9 @@ class Viewing:
 
     def as_dict(self) -> dict[str, Any]:
         """Return figures and curves, ready for JSON."""
-        p, n, terms = self.playback, len(self.playback.gaussian_at), len(self.playback.term_at)
+        p = self.playback
+        n = len(self.playback.gaussian_at)
+        terms = len(self.playback.term_at)
         curves = {
             "times": self.times,
             "psnr": self.psnr,
@@ -233,7 +238,8 @@ def watch(
     positions, quats = path.at(times)
     cameras = HeadPath(times, positions, quats).cameras(config.width, config.height, config.fov)
     psnr, latency = np.zeros((2, len(playbacks), len(times)))
-    needed, content = np.zeros(stage.size[0], bool), np.zeros(len(times), bool)
+    needed = np.zeros(stage.size[0], bool)
+    content = np.zeros(len(times), bool)
     progress("watching", 0, len(times))
     for k, t in enumerate(times.tolist()):
         frame = Frame(stage, cameras[k])
@@ -272,13 +278,16 @@ class _Sight:
     """One pose and one playback: the quality of the pose's image with what has arrived by any time."""
 
     def __init__(self, frame: Frame, playback: Playback) -> None:
-        self._frame, self._playback = frame, playback
-        self._here, self._gone = playback.gaussian_at[frame.ids], playback.gone_at[frame.ids]
+        self._frame = frame
+        self._playback = playback
+        self._here = playback.gaussian_at[frame.ids]
+        self._gone = playback.gone_at[frame.ids]
         self._first = playback.first
         self._exact_from = float(self._here[frame.highest].max(initial=-np.inf)) if playback.exact else np.inf
 
     def psnr(self, t: float) -> float:
-        p, now = self._playback, np.float32(t + _HAIR)
+        p = self._playback
+        now = np.float32(t + _HAIR)
         if now < self._first:
             return 0.0
         if now >= self._exact_from:
@@ -286,7 +295,8 @@ class _Sight:
         return self._frame.psnr((self._here <= now) & (self._gone > now), p.term_at <= now)
 
     def image(self, t: float) -> F32 | None:
-        p, now = self._playback, np.float32(t + _HAIR)
+        p = self._playback
+        now = np.float32(t + _HAIR)
         if now < self._first:
             return None
         if now >= self._exact_from:
@@ -296,12 +306,15 @@ class _Sight:
 
 def _latency(seen: _Sight, t: float, config: ViewingConfig) -> float:
     """Return the seconds until the pose of time t is shown well enough, in ticks; the time-out if it is not by then."""
-    enough, last = config.qoe.shown_db, round(config.qoe.latency_scale / config.tick)
+    enough = config.qoe.shown_db
+    last = round(config.qoe.latency_scale / config.tick)
     if seen.psnr(t) >= enough:
         return 0.0
     if seen.psnr(t + last * config.tick) < enough:
         return config.qoe.latency_scale
-    low, high = 0, last  # not yet; by then
+    # not yet; by then
+    low = 0
+    high = last
     while high - low > 1:
         middle = (low + high) // 2
         low, high = (low, middle) if seen.psnr(t + middle * config.tick) >= enough else (middle, high)

@@ -172,9 +172,11 @@ class Place:
         if self.whole_file is not None:
             return WholeFileFound(*self.whole_file, ())
         if self.reference is not None:
-            scene, of = self.reference, "the scene that the package was made from"
+            scene = self.reference
+            of = "the scene that the package was made from"
         else:
-            scene, of = scene_with_sh(self.contents, np.flatnonzero(self.highest)), f"the highest level of {self.whole}"
+            scene = scene_with_sh(self.contents, np.flatnonzero(self.highest))
+            of = f"the highest level of {self.whole}"
         times = np.unique(np.linspace(0.0, min(walk.duration, config.seconds), _COMPARED))
         views = walk.resample(times=times).cameras(config.width, config.height, config.fov)
         sizes = measure_whole_files(scene, views, self.own_file, progress=progress)
@@ -248,7 +250,8 @@ def simulate_visits(
     Raises:
         SceneError: If the walk fits nowhere.
     """
-    visits, files = [], dict[int, WholeFileFound]()
+    visits = []
+    files = dict[int, WholeFileFound]()
     for k in range(len(places) if count is None else count):
         which = k % len(places)
         place = places[which]
@@ -269,7 +272,8 @@ def judged_in(provenance: Mapping[str, Any]) -> dict[str, Any]:
     found = provenance.get("judged")
     if not isinstance(found, dict):
         return {}
-    share, warning = found.get("judge_eyes_in_cells"), found.get("warning")
+    share = found.get("judge_eyes_in_cells")
+    warning = found.get("warning")
     known = float(share) if isinstance(share, float | int) and 0.0 <= share <= 1.0 else None
     return {
         "judged": {
@@ -328,7 +332,8 @@ def _simulate_visit(
 ) -> Visit:
     """Simulate one visit, with its scene sent in three ways."""
     contents, (path, facts) = place.contents, walk
-    stage, ids = Stage(contents, place.reference, place.highest, place.whole), np.flatnonzero(place.highest)
+    stage = Stage(contents, place.reference, place.highest, place.whole)
+    ids = np.flatnonzero(place.highest)
     deliveries: tuple[Delivery, ...] = (
         Adaptive(place.scene, config.view, abr),
         WholeFile(contents, file.nbytes, file.measured, ids=ids),

@@ -76,7 +76,8 @@ def measure_whole_files(
     Raises:
         OutputError: If the temporary folder cannot be written.
     """
-    full, ordered = _images(scene, cameras), scene[morton_order(scene.means)]
+    full = _images(scene, cameras)
+    ordered = scene[morton_order(scene.means)]
     found = [] if own is None else [WholeFileSize(*own, _MOST_DB)]
     progress("whole files", 0, len(_FORMATS))
     with temporary_folder() as folder, _quiet():

@@ -28,10 +28,16 @@ U8 = NDArray[np.uint8]
 
 CHUNK_ROW = np.dtype(
     [
-        ("origin", "<f4", 3), ("step", "<f4", 3), ("low", "<i2"), ("count", "<u2"), ("stride", "u1"),
-        ("first_level", "u1"), ("last_level", "u1"), ("bits", "<u2"),
+        ("origin", "<f4", 3),
+        ("step", "<f4", 3),
+        ("low", "<i2"),
+        ("count", "<u2"),
+        ("stride", "u1"),
+        ("first_level", "u1"),
+        ("last_level", "u1"),
+        ("bits", "<u2"),
     ]
-)  # fmt: skip
+)
 """Type of the row of a chunk, 33 bytes."""
 
 MOST_BYTES = 1 << 28
@@ -44,7 +50,9 @@ _ARROW = bytes.fromhex(
     "0000000000000000000000000000000014000000000000001800000000000000"
     "0000000000000000000000000100000004000000000000000000000000000000"
 )  # marker, length, and metadata of a record batch of four rows of bytes, without the two numbers below
-_BODY_AT, _DATA_AT = 40, 128  # int64: bytes of the body, and of the rows
+# int64: bytes of the body, and of the rows
+_BODY_AT = 40
+_DATA_AT = 128
 _NUMBER = struct.Struct("<q")
 _ENDS = struct.Struct("<5i4x")  # where the rows begin and end
 _IDS = struct.Struct("<4I6B")  # numbers of Gaussians, terms, gone, evicted; code orders of the six lists
@@ -107,7 +115,8 @@ class Sections:
         given = self.chunks, self.gaussians, self.terms, self.owners, self.gone, self.evicted
         lists = [np.ascontiguousarray(ids, kind) for ids, kind in zip(given, types, strict=True)]
         most = sum(len(ids) for ids in lists) * kernels.MOST_BITS // 8 + 8
-        out, orders = np.empty(_IDS.size + most, np.uint8), np.empty(6, np.uint8)
+        out = np.empty(_IDS.size + most, np.uint8)
+        orders = np.empty(6, np.uint8)
         bits = kernels.write_ids(*lists, _share(about), orders, out[_IDS.size :])
         counts = len(self.gaussians), len(self.terms), len(self.gone), len(self.evicted)
         out[: _IDS.size] = np.frombuffer(_IDS.pack(*counts, *orders.tolist()), np.uint8)
@@ -151,7 +160,8 @@ def _ids_of(sequence: int, data: U8, chunks: int, about: SceneHeader) -> list[I6
     if len(data) < _IDS.size:
         _refuse(sequence, f"at least {_IDS.size} bytes of ids", f"{len(data)}")
     gaussians, terms, gone, evicted, *orders = _IDS.unpack(data[: _IDS.size].tobytes())
-    n, t = about.gaussians, about.terms
+    n = about.gaussians
+    t = about.terms
     lengths = [chunks, gaussians, terms, terms, gone, evicted]
     limits = [n, n, t, n, n, n]
     if max(orders) > kernels.MOST_ORDER or sum(lengths) > 8 * len(data):
@@ -161,7 +171,8 @@ def _ids_of(sequence: int, data: U8, chunks: int, about: SceneHeader) -> list[I6
     for k in range(6):
         if k != 3 and lengths[k] > limits[k]:
             _refuse(sequence, f"at most {limits[k]:,} ids", f"{lengths[k]:,}")
-        values, ids = np.empty(lengths[k], np.int64), np.empty(lengths[k], np.int64)
+        values = np.empty(lengths[k], np.int64)
+        ids = np.empty(lengths[k], np.int64)
         bit = kernels.read(data, bit, orders[k], values)
         if bit < 0:
             _refuse(sequence, f"{lengths[k]:,} ids", f"{len(data):,} bytes, which end before them")

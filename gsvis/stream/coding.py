@@ -99,7 +99,8 @@ def chunks_of(table: ChunkTable) -> records.Chunks:
     """Return what coding needs of the rows of chunks."""
     bits = np.ascontiguousarray(np.abs(table.steps)).view(np.uint32).astype(np.int64)
     steps = (bits >> 23) - 127 + (bits & 0x7FFFFF > 0)
-    curved, wide = table.logarithmic, table.bits.astype(np.int64)
+    curved = table.logarithmic
+    wide = table.bits.astype(np.int64)
     ends = table.origins - table.steps.astype(np.float64) * ((np.int64(1) << wide) - 1)
     reach = np.ceil(np.maximum(np.abs(table.origins), np.abs(ends)) * math.log2(math.e))  # log2 of what stretches steps
     steps[curved] += reach[curved].astype(np.int64)
@@ -134,7 +135,9 @@ class Coding:
 
     def filled(self, counts: I64) -> Coding:
         """Return the code for symbols (S,) that occur so often."""
-        counts, offsets, leads = counts.copy(), self.tables.offsets, records.TABLES + terms.LEAD
+        counts = counts.copy()
+        offsets = self.tables.offsets
+        leads = records.TABLES + terms.LEAD
         for first, last in ((records.FIRST, records.ROTATION), (leads, leads + 9)):
             counts[offsets[first] : offsets[last]] += 1  # which symbol follows which depends on the batch
         return replace(self, tables=Tables.from_counts(counts, table_sizes(self.grids)))
@@ -142,7 +145,8 @@ class Coding:
     def count(self, contents: Contents) -> I64:
         """Return (S,) how often each symbol occurs in records, which were rounded by the same steps."""
         counts = np.zeros(len(self.tables.levels), np.int64)
-        ids, chunks = np.arange(len(contents)), chunks_of(contents.table)
+        ids = np.arange(len(contents))
+        chunks = chunks_of(contents.table)
         some = ids[:: 1 + len(ids) // _PIECE]
         places = some - contents.table.starts[contents.chunks[some]]
         apart = some[np.argsort(places, kind="stable")]  # neighbors are of other chunks
@@ -233,8 +237,10 @@ class Coding:
         """
         if not len(ids):
             return np.zeros(0, np.uint8)
-        out, code = np.empty(terms.MOST_OPERATIONS * len(ids) + 4, np.uint16), self.tables
-        offsets, spans = code.offsets[records.TABLES :], code.decoder.spans
+        out = np.empty(terms.MOST_OPERATIONS * len(ids) + 4, np.uint16)
+        code = self.tables
+        offsets = code.offsets[records.TABLES :]
+        spans = code.decoder.spans
         first = terms.write(rows, ids, owners, self.fields, offsets, code.inverses, spans, out)
         return out[first:].view(np.uint8)
 
@@ -254,7 +260,8 @@ class Coding:
         return out[: records.operations(parts, ids, of, chunks, self.layout, self.tables.offsets, out)]
 
     def _split(self, rows: U8, of: NDArray[np.int32], chunks: records.Chunks) -> NDArray[np.uint16]:
-        out, offsets = np.empty((len(rows), records.ROW), np.uint16), self.tables.offsets
+        out = np.empty((len(rows), records.ROW), np.uint16)
+        offsets = self.tables.offsets
         assert offsets[records.TABLES] <= 1 << 16, "symbols of records have 16 bits"
         records.split(_pairs(rows), of, chunks, self.layout, offsets, out)
         return out
@@ -321,10 +328,15 @@ def limits_for(quality: Quality, mean: float, area: float, light: float) -> Limi
         area: Median of the second row.
         light: `mean_light` of the third row.
     """
-    limits = np.array([
-        quality.place + mean + np.log2(255), quality.turn + area / 4,
-        quality.opacity + area / 4, quality.shape + light / 4, quality.color + light / 4,
-    ])  # fmt: skip
+    limits = np.array(
+        [
+            quality.place + mean + np.log2(255),
+            quality.turn + area / 4,
+            quality.opacity + area / 4,
+            quality.shape + light / 4,
+            quality.color + light / 4,
+        ]
+    )
     place, turn, *rounding = np.clip(np.rint(64 * limits), -MOST_STEP, MOST_STEP).astype(int).tolist()
     return Limits(Steps(place, turn), records.Rounding(*rounding))
 
@@ -334,14 +346,16 @@ def round_records(contents: Contents, limits: Limits) -> Contents:
     laid, table = lay_linear(contents.records, contents.table, contents.layout)
     contents = replace(contents, records=laid, table=table)
     out = np.empty((len(contents), 2), np.uint64)
-    layout, chunks = layout_of(contents.grids, limits.steps), chunks_of(contents.table)
+    layout = layout_of(contents.grids, limits.steps)
+    chunks = chunks_of(contents.table)
     records.coarsen(_pairs(contents.records), contents.chunks, chunks, layout, limits.rounding, out)
     return replace(contents, records=_bytes(out))
 
 
 def layout_of(grids: Grids, steps: Steps | None) -> records.Layout:
     """Return the layout of the records of a scene, for kernels."""
-    of, limits = RecordLayout.from_variant(grids.variant), steps or Steps(0, 0)
+    of = RecordLayout.from_variant(grids.variant)
+    limits = steps or Steps(0, 0)
     colors = of.packed_from - 1
     return records.Layout(
         *of.bits, colors, steps is not None, limits.place, limits.turn, *logarithms(), _differences(colors == 3)
@@ -358,14 +372,28 @@ def _differences(signed: bool) -> NDArray[np.int32]:
 
 def table_sizes(grids: Grids) -> list[int]:
     """Return the number of symbols of each table."""
-    of, term = RecordLayout.from_variant(grids.variant), TermLayout.from_grids(grids)
-    scale, turn, center = 1 << of.scale, 1 << of.rotation, min(term.theta, 6)
+    of = RecordLayout.from_variant(grids.variant)
+    term = TermLayout.from_grids(grids)
+    scale = 1 << of.scale
+    turn = 1 << of.rotation
+    center = min(term.theta, 6)
     strength = 1 << min(term.intensity, 6)
     return [
-        256, 6, scale, scale, scale, *[records.STEPS] * 6, *[turn] * (3 * records.TURNS), *[256] * 34,
-        1 << min(term.function, 6), *[strength] * 9, *[1 << min(term.decay, 6)] * 8, 1 << center,
-        *[1 << min(term.phi, 7)] * 8, *[strength] * 29,
-    ]  # fmt: skip
+        256,
+        6,
+        scale,
+        scale,
+        scale,
+        *[records.STEPS] * 6,
+        *[turn] * (3 * records.TURNS),
+        *[256] * 34,
+        1 << min(term.function, 6),
+        *[strength] * 9,
+        *[1 << min(term.decay, 6)] * 8,
+        1 << center,
+        *[1 << min(term.phi, 7)] * 8,
+        *[strength] * 29,
+    ]
 
 
 def _pairs(rows: U8) -> U64:

@@ -44,7 +44,8 @@ class Rows:
 
     def __init__(self, room: int, **like: NDArray[Any]) -> None:
         self._arrays = {name: np.empty((room, *array.shape[1:]), array.dtype) for name, array in like.items()}
-        self._room, self._count = room, 0
+        self._room = room
+        self._count = 0
 
     def __len__(self) -> int:
         return self._count
@@ -68,7 +69,8 @@ class Rows:
     def drop(self, places: I64) -> tuple[I64, I64]:
         """Remove rows and fill their places with the last rows; return the old and new places of the moved rows."""
         count = self._count - len(places)
-        holes, behind = places[places < count], np.ones(len(places), bool)
+        holes = places[places < count]
+        behind = np.ones(len(places), bool)
         behind[places[places >= count] - count] = False
         moved = count + np.flatnonzero(behind)
         for array in self._arrays.values():
@@ -85,8 +87,10 @@ class Drawn:
     """
 
     def __init__(self, about: SceneHeader) -> None:
-        grids, kind = about.grids, about.grids.kind
-        self._grids, self._layout = grids, RecordLayout.from_variant(grids.variant)
+        grids = about.grids
+        kind = about.grids.kind
+        self._grids = grids
+        self._layout = RecordLayout.from_variant(grids.variant)
         self._tables = [grids.base_table(k) for k in range(3)]
         self._scale_table = grids.scale_table() if has_scales(kind) else np.ones(1, np.float32)
         self._term_tables = grids.theta_table(), grids.phi_table(), grids.decay_table(), grids.intensity_table()
@@ -96,14 +100,24 @@ class Drawn:
 
         self._gaussians = Rows(
             min(about.gaussians, _ROOM),
-            ids=np.zeros(0, np.int32), means=none(3), quats=none(4), scales=none(3), opacities=none(), sh0=none(1, 3),
-            base=none(3), color_scales=none(),
-        )  # fmt: skip
+            ids=np.zeros(0, np.int32),
+            means=none(3),
+            quats=none(4),
+            scales=none(3),
+            opacities=none(),
+            sh0=none(1, 3),
+            base=none(3),
+            color_scales=none(),
+        )
         self._terms = Rows(
             min(about.terms, _ROOM),
-            ids=np.zeros(0, np.uint32), owners=np.zeros(0, np.int32), functions=np.zeros(0, np.uint8), centers=none(2),
-            decays=none(), intensities=none(kind.intensities),
-        )  # fmt: skip
+            ids=np.zeros(0, np.uint32),
+            owners=np.zeros(0, np.int32),
+            functions=np.zeros(0, np.uint8),
+            centers=none(2),
+            decays=none(),
+            intensities=none(kind.intensities),
+        )
         # Slot of each Gaussian, from 1; 0 if it is not drawn. Zeros take no memory.
         self._slots = np.zeros(about.gaussians, np.int32)
         self._facts = SceneFacts(antialiased=about.antialiased)
@@ -132,9 +146,13 @@ class Drawn:
             found, (theta, phi, decay, intensity) = decode_terms(s.term_records, self._grids), self._term_tables
             centers = np.stack([theta[found.centers[:, 0]], phi[found.centers[:, 1]]], axis=1)
             self._terms.append(
-                ids=s.terms, owners=s.owners, functions=found.functions, centers=centers, decays=decay[found.decays],
+                ids=s.terms,
+                owners=s.owners,
+                functions=found.functions,
+                centers=centers,
+                decays=decay[found.decays],
                 intensities=intensity[found.intensities],
-            )  # fmt: skip
+            )
 
     def drop(self, ids: I64) -> None:
         """Remove Gaussians and their terms.
@@ -173,21 +191,28 @@ class Drawn:
     def scene(self) -> tuple[Gaussians, SrbfColors]:
         """Return the Gaussians and their colors; see `Receiver.scene`."""
         if self._made is None:
-            g, t = self._gaussians, self._terms
-            n, names = len(g), ("functions", "centers", "decays", "intensities")
-            terms, offsets = tuple(t[name] for name in names), np.zeros(n + 1, np.int64)
+            g = self._gaussians
+            t = self._terms
+            n = len(g)
+            names = ("functions", "centers", "decays", "intensities")
+            terms = tuple(t[name] for name in names)
+            offsets = np.zeros(n + 1, np.int64)
             found = tuple(np.empty_like(array) for array in terms)
             count = kernels.group_terms(t["owners"], self._slots, terms, offsets, found)
             gaussians = _unchecked(
-                Gaussians, shN=np.zeros((n, 0, 3), np.float32),
+                Gaussians,
+                shN=np.zeros((n, 0, 3), np.float32),
                 **{name: g[name] for name in ("means", "quats", "scales", "opacities", "sh0")},
-            )  # fmt: skip
+            )
             gaussians = gaussians.with_facts(self._facts)
             colors = _unchecked(
-                SrbfColors, base=g["base"], scales=g["color_scales"], axes=np.zeros((n, 0, 3), np.float32),
+                SrbfColors,
+                base=g["base"],
+                scales=g["color_scales"],
+                axes=np.zeros((n, 0, 3), np.float32),
                 offsets=offsets,
                 **{name: array[:count] for name, array in zip(names, found, strict=True)},
-            )  # fmt: skip
+            )
             object.__setattr__(colors, "variant", self._grids.variant)
             self._made = gaussians, colors
         return self._made
@@ -201,9 +226,15 @@ class Drawn:
         factors = self._scale_table[places[:, 3]] if self._layout.color_scale else np.ones(len(base), np.float32)
         self._slots[s.gaussians] = 1 + len(self) + np.arange(len(base), dtype=np.int32)
         self._gaussians.append(
-            ids=s.gaussians, means=g.means, quats=g.quats, scales=g.scales, opacities=g.opacities, sh0=g.sh0, base=base,
+            ids=s.gaussians,
+            means=g.means,
+            quats=g.quats,
+            scales=g.scales,
+            opacities=g.opacities,
+            sh0=g.sh0,
+            base=base,
             color_scales=factors,
-        )  # fmt: skip
+        )
 
 
 def _unchecked(kind: Any, **arrays: NDArray[Any]) -> Any:

@@ -89,11 +89,19 @@ class SceneHeader:
             got = f"{manifest.gaussians:,} and {manifest.terms:,}"
             raise SceneError(f"expected at most {MOST:,} Gaussians and terms in a stream, got {got}; cut the scene")
         return cls(
-            manifest.gaussians, manifest.terms, sum(rows for _, rows in manifest.tables), manifest.names,
-            manifest.counts, manifest.grids, manifest.info.up, manifest.info.meters_per_unit,
-            identity_of(manifest, coding.steps), coding.tables.to_text(), coding.steps,
+            manifest.gaussians,
+            manifest.terms,
+            sum(rows for _, rows in manifest.tables),
+            manifest.names,
+            manifest.counts,
+            manifest.grids,
+            manifest.info.up,
+            manifest.info.meters_per_unit,
+            identity_of(manifest, coding.steps),
+            coding.tables.to_text(),
+            coding.steps,
             manifest.info.facts.antialiased,
-        )  # fmt: skip
+        )
 
     @cached_property
     def coding(self) -> Coding:
@@ -161,7 +169,8 @@ class SceneHeader:
 
     @classmethod
     def _of(cls, said: Fields) -> SceneHeader:
-        colors, identity = said.child("colors"), said.text("identity")
+        colors = said.child("colors")
+        identity = said.text("identity")
         name = colors.text("variant", PACKED_VARIANTS)
         if not _IDENTITY.fullmatch(identity):
             raise ProtocolError(f"WELCOME: expected an identity of 64 hexadecimal digits, got {identity[:64]!r}")
@@ -172,12 +181,19 @@ class SceneHeader:
         info = PackageInfo((up[0], up[1], up[2]), said.number("meters_per_unit"))  # checks both values
         n = said.integer("gaussians", 0, MOST)
         found = cls(
-            n, said.integer("terms", 0, min(255 * n, MOST)), said.integer("chunks", 0, n),
+            n,
+            said.integer("terms", 0, min(255 * n, MOST)),
+            said.integer("chunks", 0, n),
             tuple(level.text("name")[:100] for level in levels),
-            tuple(level.integer("count", 0, n) for level in levels), grids_of(colors, name), (up[0], up[1], up[2]),
-            info.meters_per_unit, identity, said.text("code"), _steps_of(said),
+            tuple(level.integer("count", 0, n) for level in levels),
+            grids_of(colors, name),
+            (up[0], up[1], up[2]),
+            info.meters_per_unit,
+            identity,
+            said.text("code"),
+            _steps_of(said),
             "antialiased" in said and said.raw("antialiased") is True,
-        )  # fmt: skip
+        )
         sizes = RECORD_BYTES, found.term_bits
         got = tuple(said.integer(key, 0, 64) for key in ("record_bytes", "term_bits"))
         if got != sizes:

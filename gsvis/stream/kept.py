@@ -40,7 +40,10 @@ _AGAIN = "remove the file; it is made again"
 _LOOK_S = 0.05
 _PIXEL = 2e-3  # radians
 _UNUSED_S = 30 * 86400.0  # after so many seconds without use, tables are removed when others are written
-_TABLES, _SETS, _LOCK, _MAKING = ".tables", ".pvs", ".lock", ".making"
+_TABLES = ".tables"
+_SETS = ".pvs"
+_LOCK = ".lock"
+_MAKING = ".making"
 
 
 class KeptTables:

@@ -33,7 +33,8 @@ class LinkMeter:
         self._round_trip = np.inf
         self._sent: deque[tuple[int, float, int, int]] = deque()  # the last: bytes in flight once it was sent
         self._acknowledged = -np.inf  # when the last acknowledgement came
-        self._bytes, self._seconds = 0, 0.0
+        self._bytes = 0
+        self._seconds = 0.0
 
     @property
     def round_trip(self) -> float:
@@ -68,10 +69,13 @@ class LinkMeter:
         """
         if sequence > self.last:
             raise ValueError(f"sequence: expected at most {self.last}, got {sequence}")
-        size, first, flight = 0, np.inf, 0
+        size = 0
+        first = np.inf
+        flight = 0
         while self._sent and self._sent[0][0] <= sequence:
             _, sent, nbytes, flight = self._sent.popleft()
-            size, first = size + nbytes, min(first, sent)
+            size = size + nbytes
+            first = min(first, sent)
         if size == 0:
             return None
         self.outstanding -= size
@@ -83,5 +87,6 @@ class LinkMeter:
         if self._bytes < _LEAST or self._seconds <= 0.0:
             return None
         found = self._bytes, max(self._seconds, 1e-4)
-        self._bytes, self._seconds = 0, 0.0
+        self._bytes = 0
+        self._seconds = 0.0
         return found

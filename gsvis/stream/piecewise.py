@@ -109,12 +109,14 @@ def write_tables(
     survey = _survey(package, quality)
     with ArrayFiles(work) as out:
         cells, box, weights = package.cell_arrays()
-        m, ranges = package.manifest, package.ranges()
+        m = package.manifest
+        ranges = package.ranges()
         about = SceneHeader.from_manifest(m, survey.coding)
         area = 2.0 * np.pi * 0.3 * pixel**2
         weight = float(np.mean(weights))
         numbers = piecewise.PieceNumbers(ranges[-1][1], about.terms, len(m.names), *survey.nbytes, area, weight)
-        ends, terms = _write_pieces(out, package, survey, numbers), about.terms
+        ends = _write_pieces(out, package, survey, numbers)
+        terms = about.terms
         piecewise.write_reversed(out, ranges, ends, [package.piece_sources(k) for k in range(len(ranges))])
         found = piecewise.write_words(out, numbers)
         for name, array in {**cells, "class_weights": weights}.items():
@@ -123,10 +125,14 @@ def write_tables(
         ratios = [size / each for size, each in zip(found["least_sizes"], stored, strict=True)]
         found |= {"pixel_area": area, "stored": stored, "sent_per_stored": min(ratios) if terms else ratios[0]}
         own = {
-            "numbers": found, "welcome": base64.b64encode(about.to_message()).decode(), "pixel": pixel, "box": box,
-            "level_counts": list(m.counts), "has_cones": package.epsilon is not None and terms > 0,
+            "numbers": found,
+            "welcome": base64.b64encode(about.to_message()).decode(),
+            "pixel": pixel,
+            "box": box,
+            "level_counts": list(m.counts),
+            "has_cones": package.epsilon is not None and terms > 0,
             "has_active": package.epsilon is not None,
-        }  # fmt: skip
+        }
         frozen = (*piecewise.FROZEN, *(f"record_{name}" for name in ("centers", "places", "cosines", "widths")))
         frozen = (*frozen, "class_weights")
         out.write(path, {**own, **facts}, joined=piecewise.JOINED, same=piecewise.SAME, frozen=frozen)
@@ -134,8 +140,11 @@ def write_tables(
 
 def _survey(package: Pieces, quality: Quality | None) -> _Survey:
     """Read all pieces twice: their sizes and centers, then their symbols."""
-    limits, keys = None if quality is None else _limits(package, quality), np.zeros(0, np.int64)
-    coding, counts, sums = None, np.zeros(0, np.int64), np.zeros(4)
+    limits = None if quality is None else _limits(package, quality)
+    keys = np.zeros(0, np.int64)
+    coding = None
+    counts = np.zeros(0, np.int64)
+    sums = np.zeros(4)
     for k, contents in enumerate(package.pieces()):
         rounded = contents if limits is None else round_records(contents, limits)
         if coding is None:
@@ -172,13 +181,16 @@ def _limits(package: Pieces, quality: Quality) -> Limits:
 
 def _write_pieces(out: ArrayFiles, package: Pieces, survey: _Survey, numbers: piecewise.PieceNumbers) -> list[int]:
     """Append the records of all pieces and what replaces them; return what `write_links` returns for each."""
-    ends, coding = [], survey.coding
-    chunks, terms = 0, 0
+    ends = []
+    coding = survey.coding
+    chunks = 0
+    terms = 0
 
     def means(low: int, high: int) -> F32:
         return np.stack([out.rows(f"body_{k}", low, high) for k in range(3)], axis=1)
 
-    grids, keys = coding.grids, survey.centers
+    grids = coding.grids
+    keys = survey.centers
     if len(keys):
         angles = np.stack([grids.theta_table()[keys >> 16], grids.phi_table()[keys & 0xFFFF]], axis=1)
         out.append("record_centers", unit_vectors(angles).astype(np.float32))
@@ -204,14 +216,17 @@ def _write_pieces(out: ArrayFiles, package: Pieces, survey: _Survey, numbers: pi
         out.append("record_term_sizes", np.full(len(contents.term_records), numbers.term_bytes, np.float32))
         _write_cones(out, contents, package.epsilon, survey.centers)
         ends.append(piecewise.write_links(out, low, len(contents), package.piece_links(piece, contents, means)))
-        chunks, terms = chunks + len(contents.table), terms + len(contents.term_records)
+        chunks = chunks + len(contents.table)
+        terms = terms + len(contents.term_records)
     out.append("starts", np.array([numbers.gaussians], np.int64))
     return ends
 
 
 def _write_cones(out: ArrayFiles, contents: Contents, epsilon: float | None, centers: I64) -> None:
     """Append the directions in which the terms of a piece are active."""
-    places, cosines, widths = np.zeros(0, np.int32), np.zeros(0, np.float32), np.zeros(0, np.float32)
+    places = np.zeros(0, np.int32)
+    cosines = np.zeros(0, np.float32)
+    widths = np.zeros(0, np.float32)
     if epsilon is not None and len(contents.term_records):
         exact = contents.colors().dequantize()
         found = Activation(exact, np.zeros((len(contents), 3), np.float32), epsilon).least_cosines()

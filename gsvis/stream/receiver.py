@@ -73,12 +73,14 @@ class Receiver:
         self.about = SceneHeader.parse(welcome)
         needed = 5 * self.about.gaussians + self.about.terms // 4  # a table of int32, and packed sets twice
         if needed > most_bytes:
-            expected, got = f"a scene for {most_bytes:,} bytes of memory", f"one for {needed:,}"
+            expected = f"a scene for {most_bytes:,} bytes of memory"
+            got = f"one for {needed:,}"
             raise ProtocolError(f"WELCOME: expected {expected}, got {got}", FAULTS["too-large"], "raise most_bytes")
         self.holdings = Holdings(self.about.gaussians, self.about.terms)
         self._drawn = Drawn(self.about)
         self._table = ChunkTable.concatenate([])
-        self._starts, self._rows = np.zeros(0, np.int64), np.zeros(0, np.int32)
+        self._starts = np.zeros(0, np.int64)
+        self._rows = np.zeros(0, np.int32)
         self._sequence = 0
 
     def __repr__(self) -> str:
@@ -121,7 +123,10 @@ class Receiver:
             dropped = self._enter(s)
         except ValueError as error:
             raise ProtocolError(f"BATCH {s.sequence}: {error}") from error
-        self._starts, self._rows, self._table, self._sequence = starts, rows, table, s.sequence
+        self._starts = starts
+        self._rows = rows
+        self._table = table
+        self._sequence = s.sequence
         evicted = self._drawn.forget(s.evicted)
         self._drawn.add(replace(s, records=records, term_records=terms), chunks, table)
         if len(dropped):
@@ -150,7 +155,8 @@ class Receiver:
         fresh = self._are_new(s.chunks)
         if not fresh.any():
             return self._starts, self._rows, self._table
-        r, first = s.rows[fresh], s.chunks[fresh]
+        r = s.rows[fresh]
+        first = s.chunks[fresh]
         if len(self._table) + len(first) > self.about.chunks:
             raise ValueError(f"chunks: expected at most {self.about.chunks:,}, got more")
         origins, steps, lows, strides, counts = (

@@ -42,7 +42,8 @@ def encode_values(values: list[int], order: int) -> str:
 
 def decode_values(bits: str, order: int, count: int) -> list[int]:
     """Return the first `count` values of a string of codes: the inverse of `encode_values`."""
-    values, at = [], 0
+    values = []
+    at = 0
     for _ in range(count):
         zeros = bits.index("1", at) - at
         at += zeros + 1
@@ -86,7 +87,8 @@ class PlainReader:
 
     def symbol(self, table: int) -> int:
         """Return the next symbol, of a table."""
-        slot, start = self._state & 4095, 0
+        slot = self._state & 4095
+        start = 0
         for symbol, size in enumerate(self._tables[table]):
             if start <= slot < start + size:
                 self._refill(size * (self._state >> 12) + slot - start)
@@ -113,13 +115,15 @@ class PlainReader:
                 raise ValueError("data: expected more words")
             state = state << 16 | self._words[self._at]
             self._at += 1
-        self._state, self._other = self._other, state
+        self._state = self._other
+        self._other = state
 
 
 def table_slots(levels: list[int]) -> list[int]:
     """Return the slots of each symbol of a table, of 4096, from their levels."""
     weights = [(4 + (level - 1) % 4) << ((level - 1) // 4) if level else 0 for level in levels]
-    total, used = sum(weights), sum(weight > 0 for weight in weights)
+    total = sum(weights)
+    used = sum(weight > 0 for weight in weights)
     ends = [0]
     for k in range(len(weights)):
         seen = sum(weight > 0 for weight in weights[: k + 1])
@@ -145,9 +149,11 @@ def read_record(
     """
     position, rotation, scale = bits
     table, row = chunk
-    low, stride = int(table.lows[row]), int(table.strides[row])
+    low = int(table.lows[row])
+    stride = int(table.strides[row])
     opacity, order, middle, smallest = (reader.symbol(k) for k in range(4))
-    a, b = -middle * stride, -smallest * stride
+    a = -middle * stride
+    b = -smallest * stride
     weight = _logarithm(opacity) + _add(_add(a, b), a + b)
     if before is None:
         top = reader.symbol(4)
@@ -160,10 +166,12 @@ def read_record(
             expected = ((strength - weight) // 2 - low) // stride
             top += min(max(expected, 0), 2**scale - 1) - 47
     scales = [0, 0, 0]
-    largest, half = order // 2, 2 ** (rotation - 1) - 1
+    largest = order // 2
+    half = 2 ** (rotation - 1) - 1
     rest = [k for k in range(3) if k != largest]
     scales[largest] = top % 2**scale
-    scales[rest[order % 2]], scales[rest[1 - order % 2]] = (top - middle) % 2**scale, (top - smallest) % 2**scale
+    scales[rest[order % 2]] = (top - middle) % 2**scale
+    scales[rest[1 - order % 2]] = (top - smallest) % 2**scale
     size = low + scales[largest] * stride
     turn = 0 if limits is None else min(max((limits[1] - (2 * size + middle * stride) // 4) // 64, 0), 7)
     turns = [(((reader.symbol(11 + 8 * k + turn) - half) << turn) + half) % 2**rotation for k in range(3)]
@@ -191,7 +199,8 @@ def longest_step(table: ChunkTable, row: int, axis: int) -> int:
         row: One of them.
         axis: 0, 1 or 2.
     """
-    step, origin = float(table.steps[row, axis]), float(table.origins[row, axis])
+    step = float(table.steps[row, axis])
+    origin = float(table.origins[row, axis])
     fraction, exponent = math.frexp(abs(step))
     found: int = -127 if step == 0 else max(exponent - 1 + (fraction > 0.5), -126)
     if step >= 0:
@@ -222,7 +231,8 @@ def read_term(reader: PlainReader, before: int | None) -> tuple[int, int]:
     first = reader.symbol(96 + lead // 4)
     last = reader.symbol(112 + min(max((first + 32) % 64 - 32, -6), 6) + 6)
     parts = polar, azimuth, decay, (first + lead) % 64, lead, (last + lead) % 64
-    word, shift = 0, 0
+    word = 0
+    shift = 0
     for value, width in zip(parts, (6, 7, 5, 6, 6, 6), strict=True):
         word |= value << shift
         shift += width

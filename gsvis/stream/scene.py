@@ -66,7 +66,10 @@ class StreamedScene:
         quality: Quality | None = None,
     ) -> None:
         """Decode an open package; see `open`."""
-        self.package, self._pixel, self._quality, steps = package, pixel, quality, None
+        self.package = package
+        self._pixel = pixel
+        self._quality = quality
+        steps = None
         contents = package.contents
         if quality is not None:
             contents, steps = coarsen(contents, quality)
@@ -76,7 +79,9 @@ class StreamedScene:
         self.parts = coding.split_records(contents)
         counts = contents.term_counts
         self.owners = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
-        self.term_records, self.chunks, self.starts = contents.term_records, contents.chunks, contents.table.starts
+        self.term_records = contents.term_records
+        self.chunks = contents.chunks
+        self.starts = contents.table.starts
         self.chunk_rows = chunk_rows_of(contents)
         self.about = SceneHeader.from_manifest(package.manifest, coding)
         self.header = self.about.to_message()
@@ -129,21 +134,31 @@ class StreamedScene:
 
     def to_arrays(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         """Return all arrays by name, and facts that JSON can hold, for `from_arrays`."""
-        index, grid = self.index, self.index.grid
+        index = self.index
+        grid = self.index.grid
         arrays, numbers = self.candidates.to_arrays()
         own = {
-            "parts": self.parts, "chunks": self.chunks, "starts": self.starts, "term_records": self.term_records,
-            "chunk_rows": self.chunk_rows.view(np.uint8), "first": index.first, "last": index.last,
-            "importance": index.importance, "replacement_offsets": index.replacement_offsets,
+            "parts": self.parts,
+            "chunks": self.chunks,
+            "starts": self.starts,
+            "term_records": self.term_records,
+            "chunk_rows": self.chunk_rows.view(np.uint8),
+            "first": index.first,
+            "last": index.last,
+            "importance": index.importance,
+            "replacement_offsets": index.replacement_offsets,
             "class_weights": index.class_weights,
             **{f"chunk_{name}": array for name, array in self.chunk_numbers._asdict().items()},
-        }  # fmt: skip
+        }
         facts = {
-            "numbers": numbers, "welcome": base64.b64encode(self.header).decode(), "pixel": self._pixel,
+            "numbers": numbers,
+            "welcome": base64.b64encode(self.header).decode(),
+            "pixel": self._pixel,
             "box": [grid.origin.tolist(), grid.cell_size, grid.up.tolist()],  # read where there are no visible sets
-            "level_counts": list(index.level_counts), "has_cones": index.cones is not None,
+            "level_counts": list(index.level_counts),
+            "has_cones": index.cones is not None,
             "has_active": index.active is not None,
-        }  # fmt: skip
+        }
         if isinstance(self.package, OwnIndex):
             own |= self.package.own_arrays()
         return arrays | own, facts
@@ -171,13 +186,21 @@ class StreamedScene:
             FormatError: If the visible sets of the package are damaged.
             ProtocolError: If the header is damaged.
         """
-        self, a = cls.__new__(cls), arrays
-        self.package, self._pixel, self._quality, self._contents = package, facts["pixel"], quality, None
+        self = cls.__new__(cls)
+        a = arrays
+        self.package = package
+        self._pixel = facts["pixel"]
+        self._quality = quality
+        self._contents = None
         self.header = base64.b64decode(facts["welcome"])
         self.about = SceneHeader.parse(self.header)
         self.coding = self.about.coding
-        self.parts, self.chunks, self.starts, self.owners = a["parts"], a["chunks"], a["starts"], a["owners"]
-        self.term_records, self.chunk_rows = a["term_records"], a["chunk_rows"].view(CHUNK_ROW).reshape(-1)
+        self.parts = a["parts"]
+        self.chunks = a["chunks"]
+        self.starts = a["starts"]
+        self.owners = a["owners"]
+        self.term_records = a["term_records"]
+        self.chunk_rows = a["chunk_rows"].view(CHUNK_ROW).reshape(-1)
         kind = records.Chunks
         self.chunk_numbers = kind(*(a[f"chunk_{name}"] for name in kind._fields))
         cache: Cache[Any] = Cache(max_cache_bytes, keep_last=True)
@@ -215,7 +238,8 @@ class EveryCell:
     """
 
     def __init__(self, gaussians: int, terms: int) -> None:
-        self._gaussians, self._terms = gaussians, terms
+        self._gaussians = gaussians
+        self._terms = terms
 
     def classes(self, cell: int) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
         """Return the ids of all Gaussians, and class 0 for each."""
@@ -239,7 +263,8 @@ def class_weights(sets: VisibilityStore) -> NDArray[np.float32]:
 def term_cones(contents: Contents, epsilon: float) -> TermCones:
     """Return the directions in which each term of a package is active: its change of the color is above epsilon."""
     colors = contents.colors()
-    exact, places = colors.dequantize(), colors.centers[:, 0].astype(np.int64) << 16 | colors.centers[:, 1]
+    exact = colors.dequantize()
+    places = colors.centers[:, 0].astype(np.int64) << 16 | colors.centers[:, 1]
     _, first, found = np.unique(places, return_index=True, return_inverse=True)
     cosines = Activation(exact, np.zeros((len(contents), 3), np.float32), epsilon).least_cosines()
     centers = unit_vectors(exact.centers[first]).astype(np.float32)
@@ -248,12 +273,18 @@ def term_cones(contents: Contents, epsilon: float) -> TermCones:
 
 def chunk_rows_of(contents: Contents) -> NDArray[np.void]:
     """Return the (C,) rows of chunks, as sent."""
-    table, rows = contents.table, np.zeros(len(contents.table), CHUNK_ROW)
+    table = contents.table
+    rows = np.zeros(len(contents.table), CHUNK_ROW)
     for name, values in (
-        ("origin", table.origins), ("step", table.steps), ("low", table.lows), ("count", table.counts),
-        ("stride", table.strides), ("first_level", contents.chunk_levels[:, 0]),
-        ("last_level", contents.chunk_levels[:, 1]), ("bits", packed_bits(table.bits)),
-    ):  # fmt: skip
+        ("origin", table.origins),
+        ("step", table.steps),
+        ("low", table.lows),
+        ("count", table.counts),
+        ("stride", table.strides),
+        ("first_level", contents.chunk_levels[:, 0]),
+        ("last_level", contents.chunk_levels[:, 1]),
+        ("bits", packed_bits(table.bits)),
+    ):
         rows[name] = values
     return rows
 
@@ -266,7 +297,8 @@ def _scene_index(package: Package, cache: Cache[Any], nbytes: tuple[float, float
         cache: Keeps visible sets.
         nbytes: Bytes of a Gaussian and of a term.
     """
-    contents, manifest = package.contents, package.manifest
+    contents = package.contents
+    manifest = package.manifest
     if isinstance(package, OwnIndex):
         return package.scene_index(contents, nbytes, cache)
     if manifest.visibility is not None:
@@ -326,7 +358,8 @@ def _index_from(
     facts: Mapping[str, Any],
 ) -> SceneIndex:
     """Return the index of a package whose arrays were written before; its visible sets are kept in `cache`."""
-    n, a = about.gaussians, arrays
+    n = about.gaussians
+    a = arrays
     sets: Any = EveryCell(n, about.terms)
     active: Any = sets
     make: Callable[..., SceneIndex] = SceneIndex.trusted

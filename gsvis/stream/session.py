@@ -85,12 +85,16 @@ class Session:
         holdings: Holdings | None = None,
         memory: float | None = None,
     ) -> None:
-        self.scene, self.config = scene, config or AbrConfig()
+        self.scene = scene
+        self.config = config or AbrConfig()
         self.planner = Planner(scene.candidates, view, self.config, holdings=holdings, memory=memory)
         self.meter, self.piece = LinkMeter(), self.config.piece
         self._throughput = estimator(self.config.estimator, self.config.start_rate)
-        self.wire_bytes, self.record_bytes, self.filling_bytes = 0, 0.0, 0
-        self._sequence, self._overhead = 0, _FIRST
+        self.wire_bytes = 0
+        self.record_bytes = 0.0
+        self.filling_bytes = 0
+        self._sequence = 0
+        self._overhead = _FIRST
         sizes = len(self.holdings.sent), len(self.holdings.sent_terms)
         self._marks, self._term_marks = ((blank(n, np.uint64), blank(-(-n // 64), np.uint64)) for n in sizes)
         self._has_row = blank(len(scene.chunk_rows), bool)
@@ -249,9 +253,11 @@ class Session:
 
     def _encode(self, batch: Batch) -> bytes:
         scene = self.scene
-        coding, gaussians = scene.coding, _sort_ids(batch.gaussians, *self._marks)
+        coding = scene.coding
+        gaussians = _sort_ids(batch.gaussians, *self._marks)
         terms = _sort_ids(batch.terms, *self._term_marks)
-        of, fresh = np.empty_like(gaussians), np.empty_like(gaussians)
+        of = np.empty_like(gaussians)
+        fresh = np.empty_like(gaussians)
         chunks = fresh[: kernels.lay_out(gaussians, scene.chunks, scene.starts, self._has_row, of, fresh)]
         owners = scene.owners[terms]
         sections = Sections(

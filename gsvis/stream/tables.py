@@ -71,18 +71,21 @@ class Tables:
 
     def part(self, first: int, count: int) -> coder.Decoder:
         """Return some of the tables for decoding."""
-        code, some = self.decoder, slice(first, first + count)
+        code = self.decoder
+        some = slice(first, first + count)
         return code._replace(rows=code.rows[some], offsets=code.offsets[first : first + count + 1])
 
     def to_text(self) -> str:
         """Return the tables in base64."""
-        out, bit = np.zeros(8 * len(self.levels) + 8 * len(self.offsets) + 64, np.uint8), 0
+        out = np.zeros(8 * len(self.levels) + 8 * len(self.offsets) + 64, np.uint8)
+        bit = 0
         for low, high in zip(self.offsets[:-1].tolist(), self.offsets[1:].tolist(), strict=True):
             used = np.flatnonzero(self.levels[low:high])
             if len(used) == 0:
                 bit = codes.write(np.zeros(1, np.int64), 0, out, bit)
                 continue
-            first, count = int(used[0]), int(used[-1] - used[0]) + 1
+            first = int(used[0])
+            count = int(used[-1] - used[0]) + 1
             folded = _fold(self.levels[low + first : low + first + count])
             order = int(codes.best_order(folded))
             bit = codes.write(np.array([1 + order, first, count - 1]), 0, out, bit)
@@ -100,13 +103,17 @@ class Tables:
             data = np.frombuffer(base64.b64decode(text, validate=True), np.uint8)
         except (binascii.Error, ValueError) as error:
             raise ProtocolError("tables: expected base64, got other text") from error
-        levels, bit, at = np.zeros(sum(sizes), np.uint8), 0, 0
+        levels = np.zeros(sum(sizes), np.uint8)
+        bit = 0
+        at = 0
         for size in sizes:
-            head, found = np.empty(1, np.int64), np.empty(2, np.int64)
+            head = np.empty(1, np.int64)
+            found = np.empty(2, np.int64)
             bit = codes.read(data, bit, 0, head)
             if bit >= 0 and head[0]:
                 bit = codes.read(data, bit, 0, found)
-                first, count = int(found[0]), int(found[1]) + 1
+                first = int(found[0])
+                count = int(found[1]) + 1
                 if bit < 0 or head[0] > 9 or first + count > size:
                     bit = -1
                     break
@@ -128,7 +135,8 @@ class Tables:
 
 def _fold(levels: U8) -> I64:
     """Return 0 for each level 0, and for the others how far they are from the one before that is not 0, folded."""
-    values, used = np.zeros(len(levels), np.int64), levels > 0
+    values = np.zeros(len(levels), np.int64)
+    used = levels > 0
     steps = np.diff(levels[used].astype(np.int64), prepend=0)
     values[used] = 1 + np.where(steps >= 0, 2 * steps, -2 * steps - 1)
     return values
@@ -136,7 +144,8 @@ def _fold(levels: U8) -> I64:
 
 def _unfold(values: I64) -> I64:
     """Return the levels that `_fold` folded."""
-    levels, used = np.zeros(len(values), np.int64), values > 0
+    levels = np.zeros(len(values), np.int64)
+    used = values > 0
     steps = values[used] - 1
     levels[used] = np.cumsum(np.where(steps & 1, -((steps + 1) >> 1), steps >> 1))
     return levels

@@ -38,8 +38,14 @@ PROTOCOL = 3
 MOST_HELLO = 16 << 20
 """Default limit of a HELLO in bytes."""
 
-HELLO, POSE, ACK, BYE, TOKEN = 1, 2, 3, 4, 5
-WELCOME, BATCH, ERROR = 129, 130, 131
+HELLO = 1
+POSE = 2
+ACK = 3
+BYE = 4
+TOKEN = 5
+WELCOME = 129
+BATCH = 130
+ERROR = 131
 
 FAULTS = {
     "malformed": 1,
@@ -58,7 +64,8 @@ too many messages; no acknowledgement for too long; a fault of the server; the s
 CLOSE_CODES = {FAULTS["too-many"]: 1013, FAULTS["internal"]: 1011, FAULTS["ending"]: 1012}
 """Close codes of a WebSocket after an ERROR, by its code; `POLICY` for the others. After BYE it is `NORMAL`."""
 
-NORMAL, POLICY = 1000, 1008
+NORMAL = 1000
+POLICY = 1008
 
 IDENTITY = 32
 _HELLO = struct.Struct("<BBHI6f32sQ")  # type, version, 0, bytes of holdings, field of view, their scene, memory

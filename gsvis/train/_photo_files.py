@@ -139,7 +139,8 @@ def read_sizes(files: Sequence[Path]) -> list[Size]:
     for path in files:
         try:
             with quiet_pillow(), open_regular(path) as file, Image.open(file) as image:
-                mode, size = image.mode, image.size
+                mode = image.mode
+                size = image.size
                 held = os.fstat(file.fileno()).st_size
         except FAULTS as error:
             text = "something else" if isinstance(error, UnidentifiedImageError) else str(error) or type(error).__name__

@@ -27,7 +27,8 @@ if TYPE_CHECKING:
 
 __all__ = ["load_checkpoint", "run_key", "save_checkpoint"]
 
-_FORMAT, _VERSION = "gsvis-training", 1
+_FORMAT = "gsvis-training"
+_VERSION = 1
 _STORES = ("values", "first", "second")
 _AGAIN = "delete it to train from the beginning"
 
@@ -49,7 +50,8 @@ def save_checkpoint(path: str | os.PathLike[str], trainer: Trainer) -> None:
     Raises:
         OSError: If it cannot be written; an existing file is kept.
     """
-    p, rules = trainer.parameters, trainer.densifier
+    p = trainer.parameters
+    rules = trainer.densifier
     arrays: dict[str, NDArray[Any]] = {
         f"{store}/{name}": getattr(p, store)[name].detach().cpu().numpy() for store in _STORES for name in NAMES
     }
@@ -102,7 +104,8 @@ def load_checkpoint(path: str | os.PathLike[str], trainer: Trainer) -> None:
 
 def _check_shapes(arrays: dict[str, NDArray[Any]]) -> None:
     """Raise ValueError unless values and moments have the shapes of one set of Gaussians."""
-    count, terms = len(arrays["values/means"]), arrays["values/shN"].shape[1]
+    count = len(arrays["values/means"])
+    terms = arrays["values/shN"].shape[1]
     shapes = dict(zip(NAMES, ((3,), (3,), (4,), (), (1, 3), (terms, 3)), strict=True))
     expected = {f"{store}/{name}": (count, *shape) for store in _STORES for name, shape in shapes.items()}
     expected |= {name: (count,) for name in ("densifier/total", "densifier/seen") if name in arrays}

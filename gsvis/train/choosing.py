@@ -44,7 +44,10 @@ _POLLED = 200  # cameras that say how often a Gaussian is in sight
 _SELDOM = 0.02  # share of cameras below which it makes no difference
 _FAIRNESS = 0.5  # in rooms; 0: worth is the mean loss over all cameras; 1: over the cameras with the Gaussian in sight
 _TRIED = 16  # cameras from which the number of looks is found
-_BINS, _PER_OCTAVE, _LOWEST = 2048, 16, -110  # of worth, logarithm to base 2
+# of worth, logarithm to base 2
+_BINS = 2048
+_PER_OCTAVE = 16
+_LOWEST = -110
 
 
 @dataclass(frozen=True)
@@ -101,14 +104,17 @@ def choose_subsets(
     sight = None if space is None else InSight.from_scene(gaussians, space)
     share = _share_in_sight(cameras, sight)
     rounds = _plan(n, len(cameras), counts, _looks_for(share, looks, len(cameras)))
-    sizes, left = [], n
+    sizes = []
+    left = n
     for each in rounds:
         left = each.count if each.cuts else left
         sizes.append(left)
     done, last, sums = read_rounds(work, sizes, n)
-    ranks, kept = np.where(last >= 0, last, len(rounds)), np.flatnonzero(last < 0)
+    ranks = np.where(last >= 0, last, len(rounds))
+    kept = np.flatnonzero(last < 0)
     state = _State(gaussians, cameras, sight, kept, sums, _seen(len(gaussians), cameras, sight))
-    total, before = sum(len(each.cameras) for each in rounds), sum(len(each.cameras) for each in rounds[:done])
+    total = sum(len(each.cameras) for each in rounds)
+    before = sum(len(each.cameras) for each in rounds[:done])
     progress("prune", before, total)
     for number, each in enumerate(rounds[done:], done):
         if each.count < len(state.kept):
@@ -165,7 +171,12 @@ class _State:
     def __init__(
         self, g: Gaussians, cameras: Cameras, sight: InSight | None, kept: NDArray[np.int64], sums: F64, seen: F64
     ) -> None:
-        self.scene, self.cameras, self.sight, self.kept, self.sums, self.seen = g, cameras, sight, kept, sums, seen
+        self.scene = g
+        self.cameras = cameras
+        self.sight = sight
+        self.kept = kept
+        self.sums = sums
+        self.seen = seen
         self._left = g[kept]
 
     def look(self, batch: NDArray[np.int64], count: int) -> None:
@@ -210,7 +221,8 @@ def stay_chances(worth: F64, share: float) -> NDArray[np.float32]:
     held = np.bincount(((octaves - _LOWEST) * _PER_OCTAVE).astype(np.int64), minlength=_BINS)
     middles = _LOWEST + (np.arange(len(held)) + 0.5) / _PER_OCTAVE
     middles[0] = _LOWEST
-    low, high = 2.0 * _LOWEST, -1.0 * _LOWEST
+    low = 2.0 * _LOWEST
+    high = -1.0 * _LOWEST
     for _ in range(40):
         middle = 0.5 * (low + high)
         if (held * _logistic(middles - middle)).sum() > share * len(worth):
@@ -249,14 +261,17 @@ def _looks_for(share: float, looks: float, cameras: int) -> float:
 def _plan(n: int, cameras: int, counts: Sequence[int], looks: float) -> list[_Round]:
     """Return the rounds: cameras in turns, a cut after the last round for each count."""
     rounds: list[_Round] = []
-    begin, now = 0, n
+    begin = 0
+    now = n
     for cut, count in enumerate(counts):
         part = _LATER * min(np.log2(now / count), 1.0) if cut else 1.0
-        left, now = max(round(looks * part), _FEWEST), int(count)
+        left = max(round(looks * part), _FEWEST)
+        now = int(count)
         while left > 0:
             some = min(left, _ROUND)
             rounds.append(_Round(np.arange(begin, begin + some) % cameras, int(count), some == left))
-            begin, left = begin + some, left - some
+            begin = begin + some
+            left = left - some
     return rounds
 
 

@@ -39,12 +39,15 @@ class Densifier:
     """
 
     def __init__(self, config: DensifyConfig, extent: float, parameters: Parameters) -> None:
-        self.config, self.extent, self.parameters = config, extent, parameters
+        self.config = config
+        self.extent = extent
+        self.parameters = parameters
         self._forget()
 
     def _forget(self) -> None:
         like = self.parameters.values["logit_opacities"].detach()
-        self.total, self.seen = torch.zeros_like(like), torch.zeros_like(like)
+        self.total = torch.zeros_like(like)
+        self.seen = torch.zeros_like(like)
 
     def observe(self, gradient: Tensor, width: int, height: int) -> None:
         """Add the gradient (N, 2) of one view's loss by projected centers in pixels."""
@@ -81,7 +84,8 @@ class Densifier:
 
     def _grow(self, generator: torch.Generator) -> Tensor:
         """Append clones and parts; return the mask (N before) of split Gaussians, which must be removed."""
-        c, p = self.config, self.parameters
+        c = self.config
+        p = self.parameters
         mean = self.total / self.seen.clamp(min=1.0)
         chosen = mean > c.threshold
         room = max(min(int(c.most_share * len(p)), c.most_count - len(p)), 0)
@@ -112,7 +116,8 @@ class Densifier:
 
     def _is_spent(self, step: int) -> Tensor:
         """Return the mask of Gaussians that are too faint or too large."""
-        c, values = self.config, self.parameters.values
+        c = self.config
+        values = self.parameters.values
         spent = values["logit_opacities"].detach().sigmoid() < c.least_opacity
         if c.reset_every and step > c.reset_every:
             spent |= values["log_scales"].detach().amax(dim=1) > math.log(c.largest * self.extent)

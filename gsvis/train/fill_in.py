@@ -17,7 +17,9 @@ __all__ = ["fit_opacities"]
 _VIEWS = 20  # of each turn
 _TURNS = 2
 _DAMPING = 0.5  # many change the same pixel at once
-_LEAST, _MOST = 0.3, 1.5  # factor of one turn
+# factor of one turn
+_LEAST = 0.3
+_MOST = 1.5
 _RANGE = 0.01, 0.99  # of opacities
 
 
@@ -40,7 +42,8 @@ def fit_opacities(merged: Gaussians, stays: Gaussians, views: PosedImages) -> Ga
         some = np.unique(np.arange(turn * _VIEWS, (turn + 1) * _VIEWS) % len(views))
         both = Gaussians.concatenate([stays, merged])
         effects = removal_effects(both, views.cameras[some], images=views.images[some])
-        squared, change = effects.squared[len(stays) :], effects.error_change[len(stays) :]
+        squared = effects.squared[len(stays) :]
+        change = effects.error_change[len(stays) :]
         crossed = 0.5 * (change - squared)  # sum(r D)
         with np.errstate(divide="ignore", invalid="ignore"):
             step = np.where(squared > 0.0, crossed / squared, 0.0)

@@ -184,7 +184,8 @@ def prune(
     schedule = _schedule(len(gaussians), counts, share)
     cameras = views.cameras if isinstance(views, PosedImages) else views
     turns = _turns(len(cameras), len(schedule), looks)
-    total, ranks = sum(map(len, turns)), np.full(len(gaussians), len(schedule), np.int64)
+    total = sum(map(len, turns))
+    ranks = np.full(len(gaussians), len(schedule), np.int64)
     done, last, values = read_rounds(work, schedule, len(gaussians))
     ranks[last >= 0] = last[last >= 0]
     kept = np.flatnonzero(last < 0)
@@ -204,7 +205,8 @@ def prune(
             values = found if looks is None else found + 0.5 * values
             stays = most_important(left, values, size)
             ranks[kept[~stays]] = number
-            kept, values = kept[stays], values[stays]
+            kept = kept[stays]
+            values = values[stays]
         if work is not None:
             gone = np.where(ranks < len(schedule), ranks, -1)
             work.keep_own(ROUNDS, {"rounds": np.array([number + 1]), "left": gone, "values": values})
@@ -230,7 +232,9 @@ def read_rounds(
     if work is None or found is None:
         return 0, np.full(n, -1), np.zeros(n)
     try:
-        rounds, left, values = found["rounds"], found["left"], found["values"]
+        rounds = found["rounds"]
+        left = found["left"]
+        values = found["values"]
         if rounds.shape != (1,) or (rounds.dtype.kind, left.dtype.kind, values.dtype.kind) != ("i", "i", "f"):
             raise ValueError(f"arrays of {rounds.dtype} {rounds.shape}, {left.dtype} and {values.dtype}")
         done = int(rounds[0])
@@ -249,7 +253,9 @@ def _turns(cameras: int, rounds: int, looks: int | None) -> list[NDArray[np.int6
     if looks is None:
         return [np.arange(cameras)] * rounds
     _check.positive_int("looks", looks)
-    order, turns, begin = np.random.default_rng(0).permutation(cameras), [], 0
+    order = np.random.default_rng(0).permutation(cameras)
+    turns = []
+    begin = 0
     for number in range(rounds):
         count = min(looks if number else 3 * looks, cameras)
         turns.append(np.sort(np.take(order, np.arange(begin, begin + count), mode="wrap")))

@@ -115,13 +115,15 @@ def random_points(cameras: Cameras, count: int, rng: np.random.Generator) -> Poi
 
 def _box_of(cameras: Cameras) -> tuple[F64, F64]:
     """Return the lowest and highest corner of the box, (3,) each."""
-    eyes, axes = cameras.viewpoints, cameras.forwards
+    eyes = cameras.viewpoints
+    axes = cameras.forwards
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]  # removes the part along the line of sight
     focus, *_ = np.linalg.lstsq(across.sum(axis=0), np.einsum("cij,cj->i", across, eyes), rcond=1e-6)
     spread = float(np.linalg.norm(eyes - eyes.mean(axis=0), axis=1).max()) or 1.0
     far = np.maximum(np.einsum("ci,ci->c", focus - eyes, axes), spread)
     corners = np.concatenate([eyes, eyes + 2.0 * far[:, None] * axes])
-    middle, half = 0.5 * (corners.min(axis=0) + corners.max(axis=0)), 0.5 * np.ptp(corners, axis=0)
+    middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+    half = 0.5 * np.ptp(corners, axis=0)
     half = np.maximum(half, 0.25 * half.max())  # cameras on a line or in a plane see what is beside it
     return middle - half, middle + half
 

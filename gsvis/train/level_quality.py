@@ -62,7 +62,8 @@ def measure_levels(
     """
     if len(views) == 0:
         raise ValueError("views: expected at least one view to compare, got none")
-    top, count = len(levels) - 1, len(views)
+    top = len(levels) - 1
+    count = len(views)
     scene = np.empty((len(levels), count))
     photo = np.empty((len(levels), count)) if photographs else None
     brightness = np.zeros(len(levels))

@@ -119,7 +119,8 @@ def views_to_train(sampling: ViewSampling) -> ViewSampling:
 
 def views_to_choose(sampling: ViewSampling) -> ViewSampling:
     """Return the views to choose Gaussians by, from those to measure on: wide, and four times as many."""
-    count, stream = CHOOSING * sampling.count, sampling.stream + 2
+    count = CHOOSING * sampling.count
+    stream = sampling.stream + 2
     return replace(sampling, count=count, stream=stream, fov=max(sampling.fov, WIDE), standing=STANDING)
 
 

@@ -288,12 +288,14 @@ def _subsets(
     progress: Progress,
 ) -> dict[int, Mask]:
     """Return nested masks by their size, from a file of the same run if there is one."""
-    counts, none = frozen_sizes(sizes), {0: np.zeros(len(scene), bool)}
+    counts = frozen_sizes(sizes)
+    none = {0: np.zeros(len(scene), bool)}
     cameras = _halve(views.cameras) if choose_by is None else choose_by
 
     def choose(kept: KeptWork | None = None) -> list[Mask]:
         if choose_by is None:
-            share, looks = config.prune_share, config.looks
+            share = config.prune_share
+            looks = config.looks
             return prune(scene, cameras, counts, share=share, looks=looks, work=kept, progress=progress)
         each = LOOKS if config.looks is None else config.looks
         return choose_subsets(scene, cameras, counts, looks=each, space=space, work=kept, progress=progress)
@@ -332,6 +334,7 @@ def frozen_sizes(sizes: list[tuple[int, int, int]]) -> list[int]:
 
 def _halve(cameras: Cameras) -> Cameras:
     """Return the same cameras at half the size: enough to choose by, and faster."""
-    width, height = max(cameras.width // 2, 1), max(cameras.height // 2, 1)
+    width = max(cameras.width // 2, 1)
+    height = max(cameras.height // 2, 1)
     scale = np.array([width / cameras.width, height / cameras.height, 1.0])
     return Cameras(cameras.viewmats, cameras.Ks * scale[:, None], width, height, cameras.names)

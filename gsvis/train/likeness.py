@@ -71,7 +71,8 @@ def measure_views(
     found = np.empty((2, len(views)))
     progress("measure", 0, len(views))
     for index in range(len(views)):
-        drawn, target = display_image(scene, views.cameras[index]), np.clip(views.image(index), 0.0, 1.0)
+        drawn = display_image(scene, views.cameras[index])
+        target = np.clip(views.image(index), 0.0, 1.0)
         found[:, index] = min(float(psnr(drawn, target)), MOST_PSNR), float(ssim(drawn, target))
         progress("measure", index + 1, len(views))
     return ViewLikeness(views.cameras.names, *found)

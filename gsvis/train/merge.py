@@ -64,7 +64,9 @@ def _cells_for(g: Gaussians, count: int) -> I64:
     means = g.means.astype(np.float64)
     middle = np.median(means, axis=0)
     span = float(np.abs(means - middle).max()) or 1.0
-    low, high = np.log(span / _SIDE), np.log(4.0 * span)  # of the side; many voxels at the low end
+    # of the side; many voxels at the low end
+    low = np.log(span / _SIDE)
+    high = np.log(4.0 * span)
     best = occupied_voxels(means - middle, float(np.exp(low)))
     if best.max() + 1 < count:
         raise ValueError(f"count: expected at most {best.max() + 1} of {len(g)} with centers this close, got {count}")
@@ -72,7 +74,8 @@ def _cells_for(g: Gaussians, count: int) -> I64:
         side = 0.5 * (low + high)
         cells = occupied_voxels(means - middle, float(np.exp(side)))
         if cells.max() + 1 >= count:
-            low, best = side, cells
+            low = side
+            best = cells
             if best.max() + 1 <= 1.01 * count:
                 break
         else:

@@ -74,7 +74,8 @@ class Parameters:
         if rows is not None:
             stand = self.frozen
             v = {name: torch.cat([t.detach()[:stand][rows], t[stand:]]) for name, t in v.items()}
-        scales, opacities = v["log_scales"].exp(), v["logit_opacities"].sigmoid()
+        scales = v["log_scales"].exp()
+        opacities = v["logit_opacities"].sigmoid()
         return GaussianTensors(v["means"], v["quats"], scales, opacities, v["sh0"], v["shN"])
 
     def gaussians(self) -> Gaussians:
@@ -102,8 +103,10 @@ class Parameters:
                 if gradient is None or value.numel() == 0:
                     continue
                 rate = rates[name] / (1.0 - beta1**self.steps)
-                value, gradient = value[self.frozen :], gradient[self.frozen :]
-                first, second = self.first[name][self.frozen :], self.second[name][self.frozen :]
+                value = value[self.frozen :]
+                gradient = gradient[self.frozen :]
+                first = self.first[name][self.frozen :]
+                second = self.second[name][self.frozen :]
                 step = _adam_cpu if value.device.type == "cpu" else adam_reference
                 step(value, gradient, first, second, rate, root)
 
@@ -131,7 +134,8 @@ class Parameters:
 
     def raise_sh_degree(self, degree: int) -> None:
         """Extend SH to a degree with zeros; do nothing if it is high enough."""
-        have, want = self.values["shN"].shape[1], (degree + 1) ** 2 - 1
+        have = self.values["shN"].shape[1]
+        want = (degree + 1) ** 2 - 1
         if want <= have:
             return
         for store in (self.values, self.first, self.second):

@@ -249,7 +249,8 @@ def _read(files: list[Path], size: Size, progress: Progress) -> tuple[NDArray[np
         return transparent, None
 
     progress("photos", 0, len(files))
-    count, broken = 0, []
+    count = 0
+    broken = []
     with quiet_pillow(), ThreadPoolExecutor(_THREADS) as pool:
         try:
             for done, (transparent, error) in enumerate(pool.map(read, range(len(files))), 1):

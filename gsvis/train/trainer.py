@@ -93,7 +93,9 @@ class Trainer:
             raise ValueError("views: expected at least one image to train on, got none")
         if len(start) == 0:
             raise ValueError("start: expected at least one Gaussian to begin with, got none")
-        self.views, self.held_out, self.config = views, held_out, config
+        self.views = views
+        self.held_out = held_out
+        self.config = config
         self.extent = extent_of(views.cameras)
         self._frozen = frozen
         self.beginning = "".join(scene_hash(part) for part in (start, frozen) if part is not None)
@@ -110,7 +112,9 @@ class Trainer:
         self.parameters = Parameters.from_gaussians(whole, frozen=0 if frozen is None else len(frozen), device=device)
         rules = config.densify
         self.densifier = Densifier(rules, self.extent, self.parameters) if rules is not None else None
-        self.step, self.seconds, self.loss = 0, 0.0, math.nan
+        self.step = 0
+        self.seconds = 0.0
+        self.loss = math.nan
         self.history: list[Record] = []
 
     @cached_property
@@ -140,7 +144,8 @@ class Trainer:
 
     def advance(self) -> float:
         """Take one step; return its loss."""
-        c, began = self.config, _clock()
+        c = self.config
+        began = _clock()
         if self.densifier is not None and self.step:  # not at the end of a step: split Gaussians must settle first
             self.densifier.refine(self.step, torch.Generator().manual_seed(hash_of(c.seed, self.step)))
         if c.sh_every and self.step % c.sh_every == 0:
@@ -206,7 +211,9 @@ class Trainer:
         if checkpoint is not None and checkpoint.exists():
             load_checkpoint(checkpoint, self)
         progress("train", self.step, last)
-        saved, whole = _clock(), True  # whole: not in the middle of a step, where the state is inconsistent
+        # whole: not in the middle of a step, where the state is inconsistent
+        saved = _clock()
+        whole = True
         try:
             self._record_if_due()
             while self.step < last:
@@ -288,7 +295,8 @@ def hash_of(seed: int, step: int) -> int:
 
 def _set_degree(gaussians: Gaussians, degree: int) -> Gaussians:
     """Return the same Gaussians with SH cut or padded with zeros to a degree."""
-    have, want = gaussians.shN.shape[1], (degree + 1) ** 2 - 1
+    have = gaussians.shN.shape[1]
+    want = (degree + 1) ** 2 - 1
     if have == want:
         return gaussians
     shN = np.zeros((len(gaussians), want, 3), np.float32)

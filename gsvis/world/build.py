@@ -239,7 +239,8 @@ class WorldBuild:
 
     @cached_property
     def _district_tasks(self) -> list[Task]:
-        package, tasks = self.config.package, list(self._level_tasks)
+        package = self.config.package
+        tasks = list(self._level_tasks)
         about = {"most": self.config.far, "up": self.grid["up"], "meters_per_unit": package.meters_per_unit}
         about["reach"] = self.reach
         for k, plan in enumerate(self.districts):
@@ -302,10 +303,15 @@ class WorldBuild:
         for k, rect in enumerate(self.tiles):
             around = self.nodes.get(k, [])
             params = {
-                "around": around, "angle": self.config.angle, "config": self.config.package.as_dict(),
-                "name": tile_name(rect), "up": self.grid["up"], "outside": rect is None,
-                "reach": self.reach, **self.witnesses_in(rect),
-            }  # fmt: skip
+                "around": around,
+                "angle": self.config.angle,
+                "config": self.config.package.as_dict(),
+                "name": tile_name(rect),
+                "up": self.grid["up"],
+                "outside": rect is None,
+                "reach": self.reach,
+                **self.witnesses_in(rect),
+            }
             own = (f"levels {k}", f"space {k}") if k in self.searched else (f"levels {k}",)
             tasks.append(Task(f"tile {k}", "gsvis.world.packages:prepare_tile", params, (*own, *around)))
         return tasks
@@ -351,15 +357,19 @@ class WorldBuild:
         low = [grid.origin[axis] + grid.side * place for axis, place in zip(grid.axes, rect[:2], strict=True)]
         high = [each + grid.side * count for each, count in zip(low, rect[2:], strict=True)]
         return {
-            "low": low, "high": high, "axes": list(grid.axes), "up": self.grid["up"],
+            "low": low,
+            "high": high,
+            "axes": list(grid.axes),
+            "up": self.grid["up"],
             "resolution": self.config.resolution,
-        }  # fmt: skip
+        }
 
     def _walk_near(self, rect: Rect) -> Facts:
         """Return the params of the walk within the margin of the squares of a tile; none without a walk."""
         if self.walk is None:
             return {}
-        square, reach = self.square_of(rect), self.config.margin
+        square = self.square_of(rect)
+        reach = self.config.margin
         across = self.walk[:, square["axes"]]
         near = (across >= np.array(square["low"]) - reach) & (across < np.array(square["high"]) + reach)
         return {"walk": self.walk[near.all(axis=1)].tolist(), "margin": reach}

@@ -125,7 +125,8 @@ class WorldCells:
 
     def corners(self) -> F64:
         """Return (8, 3) the corners of the box around all cells."""
-        low, high = self.origin, (self.centers + self.sizes[:, None] / 2).max(axis=0)
+        low = self.origin
+        high = (self.centers + self.sizes[:, None] / 2).max(axis=0)
         return np.array([np.where([i, j, k], high, low) for i in (0, 1) for j in (0, 1) for k in (0, 1)], np.float64)
 
     def cell_at(self, points: F64) -> I64:
@@ -133,8 +134,10 @@ class WorldCells:
         found = np.full(len(points), -1, np.int64)
         for tile in np.unique(self.tiles):
             some = np.flatnonzero(self.tiles == tile)
-            size, boxes = self.sizes[some[0]], self.boxes[some].astype(np.int64)
-            low, shape = boxes.min(axis=0), np.ptp(boxes, axis=0) + 1
+            size = self.sizes[some[0]]
+            boxes = self.boxes[some].astype(np.int64)
+            low = boxes.min(axis=0)
+            shape = np.ptp(boxes, axis=0) + 1
             numbers = np.full(shape, -1, np.int64)
             numbers[tuple((boxes - low).T)] = some
             origin = self.centers[some[0]] - size * (boxes[0] - low + 0.5)
@@ -164,9 +167,11 @@ class WorldCells:
         if not 0 <= cell < len(self):
             raise ValueError(f"cell: expected a number in [0, {len(self) - 1}], got {cell!r}")
         starts, low, high = self._spans
-        center, reach = self.centers[cell], (0.5 + _TOUCH) * (self.sizes[cell] + self.sizes[starts[:-1]])[:, None]
+        center = self.centers[cell]
+        reach = (0.5 + _TOUCH) * (self.sizes[cell] + self.sizes[starts[:-1]])[:, None]
         some = self._of_tiles(np.flatnonzero(((center >= low - reach) & (center <= high + reach)).all(axis=1)))
-        same, sizes = self.tiles[some] == self.tiles[cell], self.sizes[some]
+        same = self.tiles[some] == self.tiles[cell]
+        sizes = self.sizes[some]
         apart = np.abs(self.centers[some] - center).max(axis=1) - (sizes + self.sizes[cell]) / 2
         near = np.where(same, np.abs(self.boxes[some] - self.boxes[cell]).max(axis=1) <= 1, apart <= _TOUCH * sizes)
         found: I64 = some[near & (some != cell)]
@@ -193,7 +198,8 @@ class WorldCells:
         apart = np.clip(self.centers[some] - position, -1e100, 1e100)
         if inside:
             kept = np.abs(apart).max(axis=1, initial=0.0) <= self.sizes[some] / 2
-            some, apart = some[kept], apart[kept]
+            some = some[kept]
+            apart = apart[kept]
         squares = (apart * apart).sum(axis=1)
         return (float(squares.min()), int(some[squares.argmin()])) if len(some) else None
 
@@ -205,7 +211,8 @@ class WorldCells:
     def _spans(self) -> tuple[I64, F64, F64]:
         """Where the cells of each tile begin, and their number; and the box around their centers."""
         starts = np.flatnonzero(np.diff(self.tiles, prepend=-1))
-        low, high = np.minimum.reduceat(self.centers, starts), np.maximum.reduceat(self.centers, starts)
+        low = np.minimum.reduceat(self.centers, starts)
+        high = np.maximum.reduceat(self.centers, starts)
         return np.append(starts, len(self)), low, high
 
     def _of_tiles(self, numbers: I64) -> I64:
@@ -248,9 +255,11 @@ class WorldIndex(SceneIndex):
     def standing(self, cell: int) -> I64:
         """Return ascending ids of what a cell sees of tiles at a lower level that ends at this level."""
         sets: Any = self.sets
-        ids, highest = sets.classes(cell)[0], sets.highest(cell)
+        ids = sets.classes(cell)[0]
+        highest = sets.highest(cell)
         lower = np.flatnonzero(highest < self.num_levels - 1)  # often nothing
-        ids, highest = ids[lower], highest[lower]
+        ids = ids[lower]
+        highest = highest[lower]
         some: I64 = ids[self.last[ids] == highest]
         return some
 
@@ -259,7 +268,8 @@ class _Tile:
     """The open stores of a tile."""
 
     def __init__(self, own: VisibilityStore, beyond: Beyond | None) -> None:
-        self.own, self.beyond = own, beyond
+        self.own = own
+        self.beyond = beyond
 
 
 class WorldSets:
@@ -287,8 +297,13 @@ class WorldSets:
         *,
         orders: NDArray[np.int32] | None = None,
     ) -> None:
-        self._world, self._cells, self._bases, self._cache, self._orders = world, cells, bases, cache, orders
-        self._top, self._manifests = levels - 1, manifests
+        self._world = world
+        self._cells = cells
+        self._bases = bases
+        self._cache = cache
+        self._orders = orders
+        self._top = levels - 1
+        self._manifests = manifests
         self._tiles: Cache[_Tile] = Cache(max_items=_OPEN_TILES)
         self._said = set[int]()
 
@@ -332,7 +347,8 @@ class WorldSets:
 
     def visible_masks(self, cell: int) -> _Masks:
         """Return the words of the visible set of a cell that are not empty, ascending, and their masks."""
-        tile, place = int(self._cells.tiles[cell]), int(self._cells.places[cell])
+        tile = int(self._cells.tiles[cell])
+        place = int(self._cells.places[cell])
         low, high = self._bases[tile : tile + 2].tolist()
 
         def read(stores: _Tile) -> list[_Masks]:
@@ -375,7 +391,8 @@ class WorldSets:
 
     def _read(self, cell: int) -> _Seen:
         """Read what a cell sees."""
-        tile, place = int(self._cells.tiles[cell]), int(self._cells.places[cell])
+        tile = int(self._cells.tiles[cell])
+        place = int(self._cells.places[cell])
 
         def read(stores: _Tile) -> list[tuple[int, I64, NDArray[np.uint8], int]]:
             beyond = [] if stores.beyond is None else stores.beyond.of_cell(place)
@@ -450,6 +467,7 @@ def _join(sets: list[_Masks]) -> _Masks:
     """Return the words of several sets together; two nodes may share a word."""
     numbers, masks = (np.concatenate(arrays) for arrays in zip(*sets, strict=True))
     order = np.argsort(numbers, kind="stable")
-    numbers, masks = numbers[order], masks[order]
+    numbers = numbers[order]
+    masks = masks[order]
     starts = np.flatnonzero(np.diff(numbers, prepend=-1))
     return numbers[starts], np.bitwise_or.reduceat(masks, starts) if len(starts) else masks

@@ -22,8 +22,12 @@ __all__ = ["VERSIONS", "make_district", "merge_down", "round_colors", "round_sha
 
 VERSIONS = {"make_district": 3}
 
-_TURNS, _OCTAVE = 16, 4  # steps of a component of a quaternion on each side of 0, and of a scale in an octave
-_SHADES, _STEP = 255, 4  # last place in the table of a component of base colors, and every how many are used
+# steps of a component of a quaternion on each side of 0, and of a scale in an octave
+_TURNS = 16
+_OCTAVE = 4
+# last place in the table of a component of base colors, and every how many are used
+_SHADES = 255
+_STEP = 4
 
 
 def make_district(params: Facts, given: Given, out: Path, work: Path) -> Facts:
@@ -58,7 +62,8 @@ def round_shapes(g: Gaussians) -> Gaussians:
     stream codes the records of all nodes.
     """
     scales = np.exp2(np.rint(_OCTAVE * np.log2(np.maximum(g.scales.astype(np.float64), 1e-30))) / _OCTAVE)
-    quats, rows = g.quats.astype(np.float64), np.arange(len(g))
+    quats = g.quats.astype(np.float64)
+    rows = np.arange(len(g))
     largest = np.abs(quats).argmax(axis=1)
     quats *= np.where(quats[rows, largest] < 0.0, -1.0, 1.0)[:, None]
     step = np.sqrt(0.5) / _TURNS

@@ -35,31 +35,64 @@ __all__ = ["WorldEstimate", "estimate_world"]
 _clock = time.process_time  # tests set another
 
 # A dry run may take this much processor time beside reading, and this share of the work that constants expect.
-_LEAST_BUDGET, _BUDGET_SHARE, _MOST_BUDGET = 10.0, 0.04, 40.0
+_LEAST_BUDGET = 10.0
+_BUDGET_SHARE = 0.04
+_MOST_BUDGET = 40.0
 
 # Where no tile is tried: seconds for each tile; for each and for each Gaussian in it, or in and around it.
 _SPACE = 0.9
-_VIEW, _VIEW_ROW = 0.003, 2e-7
-_CHOICE, _CHOICE_ROW = 3.0, 5e-4
-_CELL, _CELL_ROW = 0.5, 2e-5
+_VIEW = 0.003
+_VIEW_ROW = 2e-7
+_CHOICE = 3.0
+_CHOICE_ROW = 5e-4
+_CELL = 0.5
+_CELL_ROW = 2e-5
 
 # Seconds of processor with compiled kernels, from flowers LOD 3 in 10,000s, nika LOD 2 in 20,000s, guitar in 40,000s
 # and a part of showroom LOD 2 in 80,000s, each with 30 steps (docs/design/089).
-_START, _TILING = 0.4, 2e-6  # once, for each Gaussian
-_LOOK, _LOOK_ROW = 0.016, 7e-7  # for each look for nodes of a tile, and for each Gaussian in it
-_DISTRICT, _DISTRICT_ROW = 0.3, 4e-6  # for the districts of a tile, and for each Gaussian of its lowest level
-_TORCH, _TRAINED, _TRAINED_ROW = 3.0, 1.2, 5e-6  # once; with training, for each tile and each Gaussian
-_STEP, _STEP_VIEWS = 0.017, 1.3  # for each step of a lower level, and in views of its tile
+# once, for each Gaussian
+_START = 0.4
+_TILING = 2e-6
+# for each look for nodes of a tile, and for each Gaussian in it
+_LOOK = 0.016
+_LOOK_ROW = 7e-7
+# for the districts of a tile, and for each Gaussian of its lowest level
+_DISTRICT = 0.3
+_DISTRICT_ROW = 4e-6
+# once; with training, for each tile and each Gaussian
+_TORCH = 3.0
+_TRAINED = 1.2
+_TRAINED_ROW = 5e-6
+# for each step of a lower level, and in views of its tile
+_STEP = 0.017
+_STEP_VIEWS = 1.3
 _USUAL = 0.375  # size of a lower level as a share of a tile's, with which steps were measured
-_FILL, _FILL_ROW = 0.1, 1.3e-5  # for each lower level of a tile: first opacities of its merged Gaussians
+# for each lower level of a tile: first opacities of its merged Gaussians
+_FILL = 0.1
+_FILL_ROW = 1.3e-5
 _LARGE = 2.0  # a view to measure on, in views to train on
-_PACKAGE, _PACKAGE_ROW = 0.4, 1.3e-5  # for each tile with room for eyes, and for each Gaussian
-_BARE, _BARE_ROW = 0.2, 3e-5  # the same for levels and package of one without
-_TRACERS, _TRACED, _TWICE = 0.1, 4e-6, 1.7e-5  # for each tile, each Gaussian of each level in and around it, and each
-_BASE_FIT, _TERMS_FIT, _PRICED = 1.3e-5, 3.3e-4, 6144  # for each Gaussian without SH, with SH; those that give a price
-_WEIGHED, _COST, _CLIENT = 0.78, 3.7, 3.5  # a view of the importance of colors, of the cost of rounding, of a client's
+# for each tile with room for eyes, and for each Gaussian
+_PACKAGE = 0.4
+_PACKAGE_ROW = 1.3e-5
+# the same for levels and package of one without
+_BARE = 0.2
+_BARE_ROW = 3e-5
+# for each tile, each Gaussian of each level in and around it, and each
+_TRACERS = 0.1
+_TRACED = 4e-6
+_TWICE = 1.7e-5
+# for each Gaussian without SH, with SH; those that give a price
+_BASE_FIT = 1.3e-5
+_TERMS_FIT = 3.3e-4
+_PRICED = 6144
+# a view of the importance of colors, of the cost of rounding, of a client's
+_WEIGHED = 0.78
+_COST = 3.7
+_CLIENT = 3.5
 _AROUND = 7.5  # most Gaussians in and around a tile, in those of the tile
-_MOST_AROUND, _ROOT_AROUND = 12.0, 1.5  # the same of the tile with most of them: at most, and times the root of tiles
+# the same of the tile with most of them: at most, and times the root of tiles
+_MOST_AROUND = 12.0
+_ROOT_AROUND = 1.5
 _SPREAD = 1.25  # spacing of a district over that of as many Gaussians on a lattice on its ground
 _ASKED = 64  # tiles of which the memory of what stands around them is found
 _EFFICIENCY = 0.9  # of workers beside each other
@@ -70,13 +103,20 @@ _PEAK = 0.85  # of what a limit of memory has to allow
 
 # Where no tile is tried: bytes of a Gaussian in a package; for each Gaussian in and around a tile, direction sets and
 # what a cell sees of it; where eyes may be in one.
-_RECORD, _DIRECTIONS, _SET, _SPACE_BYTES = 13.6, 2.0, 0.2, 3_500_000
+_RECORD = 13.6
+_DIRECTIONS = 2.0
+_SET = 0.2
+_SPACE_BYTES = 3_500_000
 
 # Bytes of files, from flowers LOD 3, nika LOD 2 and guitar (docs/design/089).
 _TERM = 3.5  # of a term
 _FAR_RECORD = 0.84  # of a Gaussian of a district, over one of a tile
-_FILES, _BARE_FILES = 11_000, 4_000  # of the package and the stores of a tile; of a package without cells
-_ROW, _ROW_SH = 56, 12  # of a Gaussian that is kept, and of each SH coefficient above degree 0
+# of the package and the stores of a tile; of a package without cells
+_FILES = 11_000
+_BARE_FILES = 4_000
+# of a Gaussian that is kept, and of each SH coefficient above degree 0
+_ROW = 56
+_ROW_SH = 12
 
 
 @dataclass(frozen=True)
@@ -161,14 +201,17 @@ def estimate_world(
         SceneError: If the scenes have nothing to see.
         FormatError: If a scene is damaged.
     """
-    config, load, began = config or WorldConfig(), machine_load(), _clock()
+    config = config or WorldConfig()
+    load = machine_load()
+    began = _clock()
     _check.positive_int("workers", workers)
     with temporary_folder() as folder:
         build = WorldBuild(list(scenes), config, open_store(folder), Workers(), progress)
         facts = [result.facts for name, result in build.survey.items() if name != "grid"]
         expected = np.array(build.grid["expected"])
         side = float(build.grid["grid"]["side"]) * float(np.median([max(rect[2:]) for rect in build.grid["tiles"]]))
-        count, degree = sum(each["gaussians"] for each in facts), max(each["sh_degree"] for each in facts)
+        count = sum(each["gaussians"] for each in facts)
+        degree = max(each["sh_degree"] for each in facts)
         sizes = _Sizes(config, count, len(expected), degree)
         trial = sizes.by_constants()
         budget = min(max(_LEAST_BUDGET, _BUDGET_SHARE * sum(sizes.seconds(trial).values())), _MOST_BUDGET)
@@ -212,7 +255,10 @@ class _Sizes:
     """
 
     def __init__(self, config: WorldConfig, count: int, tiles: int, degree: int) -> None:
-        self.config, self.count, self.tiles, self.degree = config, count, tiles, degree
+        self.config = config
+        self.count = count
+        self.tiles = tiles
+        self.degree = degree
         self.each = count / tiles
         self.joint = min(_AROUND * self.each, float(count))
         levels = config.package.levels
@@ -231,7 +277,9 @@ class _Sizes:
 
     def seconds(self, trial: Trial) -> dict[str, float]:
         """Return the seconds of processor of each stage."""
-        tiles, seen, lowest = self.tiles, trial.eyes * self.tiles, self.lowest / self.tiles
+        tiles = self.tiles
+        seen = trial.eyes * self.tiles
+        lowest = self.lowest / self.tiles
         far = min(lowest, self.config.far) * (self.joint / self.each - 1.0)
         bare = (tiles - seen) * (_BARE + _BARE_ROW * self.each)
         return {
@@ -255,7 +303,8 @@ class _Sizes:
 
     def _package(self, trial: Trial) -> float:
         """Return the seconds to make the package of a tile with room for eyes."""
-        package, union = self.config.package, self.own * self.each
+        package = self.config.package
+        union = self.own * self.each
         sets = _TRACERS + (_TRACED * self.drawn + _TWICE) * self.joint + trial.cells * trial.cell
         views = _COST * package.cost_views.count + _CLIENT * package.fidelity_views.count
         fit = _BASE_FIT * union
@@ -267,7 +316,10 @@ class _Sizes:
 
 def _bytes(sizes: _Sizes, trial: Trial, build: WorldBuild) -> tuple[int, int]:
     """Return the bytes of the world, and of the kept work."""
-    far, each, cells, union = build.config.far, trial.nbytes, trial.cells, sizes.own * sizes.each
+    far = build.config.far
+    each = trial.nbytes
+    cells = trial.cells
+    union = sizes.own * sizes.each
     seen = trial.eyes * sizes.tiles
     lowest = sizes.lowest / sizes.tiles * trial.eyes + min(far, sizes.each) * (1.0 - trial.eyes)
     districts = plan_districts(build.grid["tree"], range(sizes.tiles), sizes.tiles)
@@ -302,15 +354,20 @@ def _memory(sizes: _Sizes, build: WorldBuild, largest: int, most: int, workers: 
     def levels(count: int) -> Facts:
         return {"gaussians": int(sizes.own * count), "levels": [["", int(lowest * count)]], "spacings": []}
 
-    rows, own, others = {"gaussians": most}, levels(most), [levels(largest)] * min(sizes.tiles - 1, int(_MOST_AROUND))
+    rows = {"gaussians": most}
+    own = levels(most)
+    others = [levels(largest)] * min(sizes.tiles - 1, int(_MOST_AROUND))
     needs: tuple[tuple[str, list[Facts]], ...] = (
-        ("tiles:tile_space", [rows, *others]), ("tiles:make_tile_levels", [rows]), ("districts:make_district", [own]),
+        ("tiles:tile_space", [rows, *others]),
+        ("tiles:make_tile_levels", [rows]),
+        ("districts:make_district", [own]),
         ("packages:prepare_tile", [own, {"voxels": 0}]),
-    )  # fmt: skip
+    )
     task = max(needed_memory(f"gsvis.world.{run}", params, inputs) for run, inputs in needs)
     (plans, facts), tiles = _districts(sizes, build), [levels(int(each)) for each in build.grid["expected"]]
     params |= {"tiles": sizes.tiles, "districts": plans, "angle": sizes.config.angle}
-    alone, packages = own_districts(plans), 0
+    alone = own_districts(plans)
+    packages = 0
     for number in np.unique(np.linspace(0, sizes.tiles - 1, _ASKED).astype(int)).tolist():
         params["tile"] = number
         low, high = (np.array(facts[alone[number]][name]) for name in ("low", "high"))
@@ -324,12 +381,14 @@ def _memory(sizes: _Sizes, build: WorldBuild, largest: int, most: int, workers: 
 
 def _districts(sizes: _Sizes, build: WorldBuild) -> tuple[list[Facts], list[Facts]]:
     """Return the plans of the districts, and their facts if the Gaussians of each lie evenly on its ground."""
-    rects, side = np.array(build.grid["tiles"]), float(build.grid["grid"]["side"])
+    rects = np.array(build.grid["tiles"])
+    side = float(build.grid["grid"]["side"])
     plans = [asdict(plan) for plan in plan_districts(build.grid["tree"], range(sizes.tiles), sizes.tiles)]
     facts = list[Facts]()
     for plan in plans:
         some = rects[list(plan["tiles"])]
-        low, high = some[:, :2].min(axis=0), (some[:, :2] + some[:, 2:]).max(axis=0)
+        low = some[:, :2].min(axis=0)
+        high = (some[:, :2] + some[:, 2:]).max(axis=0)
         count = max(1, int(min(sizes.config.far, len(some) * sizes.lowest / sizes.tiles)))
         spacing = _SPREAD * side * math.sqrt(int(some[:, 2:].prod(axis=1).sum()) / count)
         corners = {"low": [*(side * low).tolist(), 0.0], "high": [*(side * high).tolist(), 0.0]}

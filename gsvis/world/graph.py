@@ -102,9 +102,11 @@ class Result:
             FormatError: If it is none.
         """
         said = parse_object("a note", data)
-        files, facts = said.child("files"), said.child("facts")
+        files = said.child("files")
+        facts = said.child("facts")
         stored = {name: _stored(files, name) for name in files.value}
-        seconds, cpu = said.number("seconds"), said.number("cpu")
+        seconds = said.number("seconds")
+        cpu = said.number("cpu")
         if min(seconds, cpu) < 0.0:
             raise FormatError("a note", "seconds", "seconds >= 0", f"{seconds:g}, {cpu:g}", DAMAGED)
         found = cls(stored, facts.value, seconds, cpu, said.integer("peak", 0, _MOST_BYTES))
@@ -155,7 +157,10 @@ class Given:
     def __init__(
         self, store: ObjectStore, inputs: tuple[Result, ...], cache: Path, max_memory: int | None = None
     ) -> None:
-        self._store, self.inputs, self._cache, self.max_memory = store, inputs, cache, max_memory
+        self._store = store
+        self.inputs = inputs
+        self._cache = cache
+        self.max_memory = max_memory
 
     def __len__(self) -> int:
         return len(self.inputs)
@@ -210,9 +215,12 @@ def _perform(job: Job, store: ObjectStore, work: Path) -> Result:
     """Run a task in its folder, and leave its result in the store."""
     module, name = job.task.run.split(":")
     run: Run = getattr(import_module(module), name)
-    began, cpu = time.perf_counter(), time.process_time()
+    began = time.perf_counter()
+    cpu = time.process_time()
     limit_threads()
-    out, cached, kept = work / "out", work / "cache", work / "kept"
+    out = work / "out"
+    cached = work / "cache"
+    kept = work / "kept"
     shutil.rmtree(out, ignore_errors=True)
     for folder in (out, cached, kept):
         folder.mkdir(parents=True, exist_ok=True)
@@ -278,7 +286,10 @@ class _Run:
     """One run of a graph."""
 
     def __init__(self, tasks: list[Task], store: ObjectStore, workers: Workers, stage: str, progress: Progress) -> None:
-        self.tasks, self.store, self.stage, self.progress = tasks, store, stage, progress
+        self.tasks = tasks
+        self.store = store
+        self.stage = stage
+        self.progress = progress
         self.crew = _Crew(workers)
         self.results: dict[str, Result] = {}
         self.failed: dict[int, Exception] = {}
@@ -336,13 +347,15 @@ class _Run:
             number = heapq.heappop(self.ready)
             task = self.tasks[number]
             inputs = tuple(self.results[name] for name in task.needs)
-            key, machine = key_of(task, inputs, machine_kind()), machine_kind()
+            key = key_of(task, inputs, machine_kind())
+            machine = machine_kind()
             found = find_result(self.store, key)
             if found is not None:
                 forget_work(self.store, key)
                 self._finish(number, found)
                 continue
-            need, left = needed_memory(task.run, task.params, [each.facts for each in inputs]), None
+            need = needed_memory(task.run, task.params, [each.facts for each in inputs])
+            left = None
             if self.crew.room is not None:
                 left = self.crew.room - sum(self.needs[other] for other in waiting.values())
                 if need > left and waiting:
@@ -390,7 +403,8 @@ class _Crew:
     """The workers as one executor."""
 
     def __init__(self, workers: Workers) -> None:
-        self._executor, count = workers.executor, workers.count
+        self._executor = workers.executor
+        count = workers.count
         self._processes = Processes(count) if workers.executor is None and count > 1 else None
         self.in_flight = 2 * count if workers.executor is not None else count
         idle = IDLE * (count + 1 if self._processes is not None else 1)

@@ -29,7 +29,8 @@ __all__ = ["VERSION", "WORLD", "BeyondTable", "District", "Grid", "Piece", "Tile
 I64 = NDArray[np.int64]
 Point = tuple[float, float, float]
 
-FORMAT, VERSION = "gsvis-world", 2
+FORMAT = "gsvis-world"
+VERSION = 2
 WORLD = "world.json"
 """Name of the manifest."""
 
@@ -288,7 +289,8 @@ class _Reader:
         meters = fields.number("meters_per_unit")
         if meters < 0.0:
             raise self._fault("meters_per_unit", "a number >= 0", f"{meters}")
-        rows, more = self._rows("tiles"), self._rows("districts")
+        rows = self._rows("tiles")
+        more = self._rows("districts")
         if not 1 <= len(rows) <= _MOST_NODES or len(more) > _MOST_NODES:
             raise self._fault("tiles", f"1 to {_MOST_NODES:,} tiles", f"{len(rows):,}")
         districts = tuple(self._district(row, len(rows), k) for k, row in enumerate(more))
@@ -312,7 +314,8 @@ class _Reader:
         return Grid(_point(fields, "origin"), side, axes, shape)
 
     def _tile(self, row: Fields, number: int, grid: Grid, nodes: list[tuple[int, ...]]) -> Tile:
-        coords, shape = (_pair(row, "coords", 0, _MOST_SQUARES) if "coords" in row else None), (1, 1)
+        coords = _pair(row, "coords", 0, _MOST_SQUARES) if "coords" in row else None
+        shape = (1, 1)
         if coords is not None:
             shape = _pair(row, "shape", 1, _MOST_SQUARES)
             if any(first + count > most for first, count, most in zip(coords, shape, grid.shape, strict=True)):
@@ -322,13 +325,17 @@ class _Reader:
         if not 1 <= len(levels) <= 16:
             raise FormatError(row.path, row.where("levels"), "1 to 16 levels", f"{len(levels)}", DAMAGED)
         beyond = self._beyond(row.child("beyond"), number, nodes) if "beyond" in row else None
-        gaussians, cells = row.integer("gaussians", 1, _MOST), row.integer("cells", 0, _MOST)
+        gaussians = row.integer("gaussians", 1, _MOST)
+        cells = row.integer("cells", 0, _MOST)
         return Tile(coords, *_box(row), *_package(row), levels, gaussians, cells, beyond, shape)
 
     def _beyond(self, fields: Fields, number: int, nodes: list[tuple[int, ...]]) -> BeyondTable:
-        pieces, stands = list[Piece](), {number: number}  # the node that stands for each tile
+        # the node that stands for each tile
+        pieces = list[Piece]()
+        stands = {number: number}
         for row in _objects(fields, "pieces"):
-            node, end = row.integer("node", 0, len(nodes) - 1), 0
+            node = row.integer("node", 0, len(nodes) - 1)
+            end = 0
             if any(stands.get(tile, node) != node for tile in nodes[node]) or node == number:
                 raise FormatError(row.path, row.where("node"), "each tile in one node", f"node {node}", DAMAGED)
             stands |= dict.fromkeys(nodes[node], node)
@@ -346,7 +353,8 @@ class _Reader:
     def _district(self, row: Fields, tiles: int, number: int) -> District:
         members = _numbers(row, "tiles", tiles, "tiles")
         children = _numbers(row, "children", tiles + number, "nodes before it")
-        spacing, count = row.number("spacing"), row.integer("gaussians", 1, _MOST)
+        spacing = row.number("spacing")
+        count = row.integer("gaussians", 1, _MOST)
         return District(children, members, *_box(row), spacing, *_package(row), count)
 
     def _check_order(self, tiles: tuple[Tile, ...], grid: Grid) -> None:
@@ -411,15 +419,22 @@ def _check_apart(fields: Fields, pieces: list[Piece]) -> None:
 def _tile_as_dict(tile: Tile) -> dict[str, Any]:
     beyond = tile.beyond
     return {
-        "coords": tile.coords, "low": tile.low, "high": tile.high,
+        "coords": tile.coords,
+        "low": tile.low,
+        "high": tile.high,
         "shape": None if tile.coords is None else tile.shape,
         "package": {"sha256": tile.package, "bytes": tile.nbytes},
         "levels": [{"name": name, "count": count} for name, count in tile.levels],
-        "gaussians": tile.gaussians, "cells": tile.cells,
-        "beyond": None if beyond is None else {
-            "sha256": beyond.digest, "bytes": beyond.nbytes, "pieces": [asdict(piece) for piece in beyond.pieces],
+        "gaussians": tile.gaussians,
+        "cells": tile.cells,
+        "beyond": None
+        if beyond is None
+        else {
+            "sha256": beyond.digest,
+            "bytes": beyond.nbytes,
+            "pieces": [asdict(piece) for piece in beyond.pieces],
         },
-    }  # fmt: skip
+    }
 
 
 def _district_as_dict(district: District) -> dict[str, Any]:
@@ -449,7 +464,8 @@ def _point(fields: Fields, key: str) -> Point:
 
 
 def _box(row: Fields) -> tuple[Point, Point]:
-    low, high = _point(row, "low"), _point(row, "high")
+    low = _point(row, "low")
+    high = _point(row, "high")
     if any(a > b for a, b in zip(low, high, strict=True)):
         raise FormatError(row.path, row.where("high"), f"a corner above {low}", f"{high}", DAMAGED)
     return low, high

@@ -31,12 +31,19 @@ _MB = 1 << 20
 _GUESSED = 1 << 18  # Gaussians of a batch that only reading counts
 _VOXEL = 30  # bytes of a voxel of a space, while it is looked for
 _HELD = 60 * _MB  # bytes that earlier tasks leave in a worker
-_TRAINING, _IMAGE = 160 * _MB, 7  # gradients of a view; bytes for each pixel of all views, of which most are smaller
+# gradients of a view; bytes for each pixel of all views, of which most are smaller
+_TRAINING = 160 * _MB
+_IMAGE = 7
 
 # Bytes of the package of a tile: for each Gaussian in and around it; for each of the largest level, of which looks and
 # tracer are in memory while it is looked at (docs/design/070); for each pixel of a look.
-_JOINT, _LEVEL, _PIXEL = 120, {"hybrid": 420, "raster": 650, "raycast": 910}, 6 * 64
-_NEAR, _STANDS, _FAR_STANDS = 12, 0.75, 0.4  # most of a tile's Gaussians that stand: of a dozen tiles, of all others
+_JOINT = 120
+_LEVEL = {"hybrid": 420, "raster": 650, "raycast": 910}
+_PIXEL = 6 * 64
+# most of a tile's Gaussians that stand: of a dozen tiles, of all others
+_NEAR = 12
+_STANDS = 0.75
+_FAR_STANDS = 0.4
 _BESIDE = 0.5  # how far beyond the Gaussians of a tile its eyes may be, at most, in its longest side
 
 
@@ -93,13 +100,15 @@ def _rows(params: Facts, inputs: Sequence[Facts]) -> int:
 
 def _space(params: Facts, inputs: Sequence[Facts]) -> int:
     counts = [each["gaussians"] for each in inputs]
-    least, side = params["resolution"], min(MAX_RESOLUTION, 4 * params["resolution"])
+    least = params["resolution"]
+    side = min(MAX_RESOLUTION, 4 * params["resolution"])
     rows = 900 * counts[0] + 160 * max(counts) + 60 * sum(counts[1:])
     return int(80 * _MB + _VOXEL * min(max(MOST_VOXELS, least**3), side**3) + rows)
 
 
 def _levels(params: Facts, inputs: Sequence[Facts]) -> int:
-    count, trained = inputs[0]["gaussians"], params["config"]["levels"] is not None
+    count = inputs[0]["gaussians"]
+    trained = params["config"]["levels"] is not None
     views = params["config"]["level_views"]
     images = _IMAGE * views["count"] * views["width"] * views["height"]
     return int(40 * _MB + (_TRAINING + images + 1400 * count if trained else 750 * count))
@@ -111,7 +120,8 @@ def _district(params: Facts, inputs: Sequence[Facts]) -> int:
 
 def _around(params: Facts, inputs: Sequence[Facts]) -> int:
     """Return the bytes of a choice of nodes: of the districts it reads those that may stand, from wherever eyes are."""
-    districts, own = inputs[2:], own_districts(params["districts"])
+    districts = inputs[2:]
+    own = own_districts(params["districts"])
     low, high = (np.array(districts[own[params["tile"]]][name]) for name in ("low", "high"))
     beside = _BESIDE * float(np.max(high - low))
     standing, tiles = nodes_around(params, districts, distances_of(low - beside, high + beside, districts))
@@ -125,7 +135,8 @@ def _tile(params: Facts, inputs: Sequence[Facts]) -> int:
         return int(150 * _MB + 500 * own)
     around = _count_standing([each for each in inputs[2:] if "spacings" in each])
     around += sum(each["gaussians"] for each in inputs[2:] if "spacings" not in each)
-    sets, joint = PvsConfig(**params["config"]["sets"]), own + around
+    sets = PvsConfig(**params["config"]["sets"])
+    joint = own + around
     return tile_memory(own, [joint], joint, 0, sets) - IDLE
 
 

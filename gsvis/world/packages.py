@@ -47,9 +47,11 @@ def prepare_tile(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     if params["outside"] or not given.inputs[1].facts["voxels"]:
         return _bare(params, levels, out)
     space = replace(load_space(given.path(1, "space")), witnesses=_witnesses(params))
-    target, about = work / f"{PACKAGE}.gsvis", json.loads(read_whole(given.path(0, "quality.json")))
+    target = work / f"{PACKAGE}.gsvis"
+    about = json.loads(read_whole(given.path(0, "quality.json")))
     stages = stages_of(levels, target, space, config, photos=None, progress=silent)
-    stages.reach, stages.one_level = reach_of(params), True
+    stages.reach = reach_of(params)
+    stages.one_level = True
     stages.around, pieces = _surroundings(params, given, levels, space)
     if stages.around is not None:
         _check_memory(stages.around, levels, params, given)
@@ -80,10 +82,12 @@ def _surroundings(
 ) -> tuple[Surroundings | None, list[Facts]]:
     """Return what stands around a tile, None if nothing does, and the pieces that it consists of."""
     box = free_box(space)
-    around, pieces = list[Surroundings](), list[Facts]()
+    around = list[Surroundings]()
+    pieces = list[Facts]()
     for k, node in enumerate(params["around"], start=2):
         if "spacings" in given.inputs[k].facts:
-            other, spacings = load_tile_levels(given.path(k, "levels")), given.inputs[k].facts["spacings"]
+            other = load_tile_levels(given.path(k, "levels"))
+            spacings = given.inputs[k].facts["spacings"]
             found = list(parts_of_tile(other, spacings, len(levels), box, params["angle"]))
         else:
             found = [part_of_district(load_gaussians(given.path(k, "district")), len(levels))]
@@ -96,8 +100,10 @@ def _check_memory(around: Surroundings, levels: Levels, params: Facts, given: Gi
     """Raise unless a tile and what stands around it fit the memory of a worker."""
     if given.max_memory is None:
         return
-    own, count = len(levels.union), len(levels.union) + len(around)
-    sets, degree = config_of(params["config"]).sets, levels.union.sh_degree
+    own = len(levels.union)
+    count = len(levels.union) + len(around)
+    sets = config_of(params["config"]).sets
+    degree = levels.union.sh_degree
     needed = tile_memory(own, around.joined_counts(levels), count, degree, sets)
     if needed > given.max_memory:
         what = f"a worker with the {count:,} Gaussians in and around tile {params['name']}"

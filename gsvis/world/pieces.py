@@ -78,7 +78,8 @@ def choose_nodes(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     """
     space = load_space(given.path(1, "space"))
     low, high = free_box(space)
-    facts, own = [each.facts for each in given.inputs[2:]], own_districts(params["districts"])
+    facts = [each.facts for each in given.inputs[2:]]
+    own = own_districts(params["districts"])
     distances = distances_of(low, high, facts)
     districts, tiles = nodes_around(params, facts, distances)
     stand = [*districts, *(own[k] for k in tiles)]
@@ -119,7 +120,8 @@ def parts_of_tile(
 
 def part_of_district(g: Gaussians, target: int) -> Part:
     """Return a whole district as what stands around a tile of `target` levels."""
-    first, last = np.zeros(len(g), np.uint8), np.full(len(g), target - 1, np.uint8)
+    first = np.zeros(len(g), np.uint8)
+    last = np.full(len(g), target - 1, np.uint8)
     return Part(0, [(0, len(g))], Surroundings(g, first, last))
 
 
@@ -162,7 +164,9 @@ def _look_coarsely(own: Levels, space: NavigableSpace, scenes: Mapping[int, Gaus
     whole = Gaussians.concatenate(parts)
     ends = np.cumsum([len(part) for part in parts])
     eyes = space.sample_viewpoints(looks, np.random.default_rng(_SEED))
-    look, solid, seen = Look(whole, "hybrid", _SIZE, TAU), Solid.from_scene(whole), set[int]()
+    look = Look(whole, "hybrid", _SIZE, TAU)
+    solid = Solid.from_scene(whole)
+    seen = set[int]()
     numbers = list(scenes)
     for eye in eyes[~solid.buries(eyes)]:
         ids, _ = look(eye)

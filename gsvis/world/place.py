@@ -61,9 +61,11 @@ def open_place(
         OSError: If a file cannot be read.
     """
     scene, _ = open_world(path, strict=True)
-    package, contents = scene.package, scene.contents
+    package = scene.package
+    contents = scene.contents
     assert isinstance(package, WorldPackage)
-    highest, tiles = np.zeros(len(contents), bool), package.tiles
+    highest = np.zeros(len(contents), bool)
+    tiles = package.tiles
     for node in tiles:  # districts belong to all levels, and stand for what the tiles hold
         some = slice(*package.bases[node : node + 2].tolist())
         highest[some] = contents.last[some] == len(contents.names) - 1
@@ -75,13 +77,19 @@ def open_place(
         None if as_is or _lies_in(walk, cells) else partial(_find_space, world=package.world, cells=cells, seed=seed)
     )
     return Place.prepare(
-        scene, contents, highest, space, reference=reference, whole_file=whole_file,
+        scene,
+        contents,
+        highest,
+        space,
+        reference=reference,
+        whole_file=whole_file,
         whole=f"all {len(tiles):,} tiles of the world" if len(tiles) > 1 else "the one tile of the world",
         facts={
-            "tiles": len(tiles), "districts": len(package.nodes) - len(tiles),
+            "tiles": len(tiles),
+            "districts": len(package.nodes) - len(tiles),
             **judged_in(package.world.manifest.provenance),
         },
-    )  # fmt: skip
+    )
 
 
 def _lies_in(walk: HeadPath, cells: WorldCells) -> bool:
@@ -100,7 +108,8 @@ def _find_space(full: Gaussians, world: World, cells: WorldCells, seed: int) -> 
     def near(points: NDArray[np.floating]) -> NDArray[np.bool_]:
         return np.asarray(((points >= low - margin) & (points <= high + margin))[:, flat].all(axis=1))
 
-    around, some = full[near(full.means)], near(cells.centers)
+    around = full[near(full.means)]
+    some = near(cells.centers)
     own = {name: getattr(cells, name)[some] for name in ("centers", "sizes", "tiles", "places", "boxes")}
     mine = replace(cells, **own)
     for mixed in (True, False):  # an object is neither rooms nor ground

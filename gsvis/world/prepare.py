@@ -81,7 +81,8 @@ def prepare_world(
         BackendError: If workers or store cannot be used.
         OSError: If a file cannot be written; finished work is kept.
     """
-    target, config = _check.path("out", out), config or WorldConfig()
+    target = _check.path("out", out)
+    config = config or WorldConfig()
     check_world_target(target)
     work = WorkFolder(target)
     with work.opened():
@@ -124,7 +125,8 @@ def _manifest(build: WorldBuild, packages: Sequence[Result], about: Mapping[str,
         districts.append(District(plan.children, plan.tiles, *_box(facts), *own))
     tiles = []
     for rect, result in zip(build.tiles, packages, strict=True):
-        facts, beyond = result.facts, None
+        facts = result.facts
+        beyond = None
         if "beyond" in result.files:
             pieces = [
                 Piece(numbers[each["node"]], each["level"], tuple((first, count) for first, count in each["runs"]))
@@ -200,5 +202,6 @@ def _copy(store: ObjectStore, result: Result, name: str, to: Path) -> None:
 
 
 def _box(facts: Facts) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    low, high = facts["low"], facts["high"]
+    low = facts["low"]
+    high = facts["high"]
     return (low[0], low[1], low[2]), (high[0], high[1], high[2])

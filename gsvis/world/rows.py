@@ -117,7 +117,8 @@ def flatten(g: Gaussians) -> Gaussians:
 
 def box_of(means: NDArray[np.float32]) -> dict[str, list[float]]:
     """Return the corners `low` and `high` of the box around centers (N, 3), for JSON."""
-    low, high = means.min(axis=0).astype(np.float64), means.max(axis=0).astype(np.float64)
+    low = means.min(axis=0).astype(np.float64)
+    high = means.max(axis=0).astype(np.float64)
     return {"low": low.tolist(), "high": high.tolist()}
 
 

@@ -94,7 +94,8 @@ def write_tiles(
         OSError: If a file cannot be written; finished work is kept.
     """
     _check.one_of("until", until, STAGES)
-    target, config = _check.path("out", out), config or WorldConfig()
+    target = _check.path("out", out)
+    config = config or WorldConfig()
     check_tiles_target(target)
     work = WorkFolder(target)
     with work.opened():

@@ -48,12 +48,15 @@ def nodes_around(params: Facts, districts: Sequence[Facts], distances: F64) -> t
         districts: Facts of the districts, with their `spacing`.
         distances: (K,) of the districts.
     """
-    plans, count = params["districts"], params["tiles"]
+    plans = params["districts"]
+    count = params["tiles"]
     stack = sorted(set(range(len(plans))) - {child - count for plan in plans for child in plan["children"]})
-    standing, tiles = list[int](), list[int]()
+    standing = list[int]()
+    tiles = list[int]()
     while stack:
         k = stack.pop()
-        members, spacing = plans[k]["tiles"], districts[k]["spacing"]
+        members = plans[k]["tiles"]
+        spacing = districts[k]["spacing"]
         if params["tile"] not in members and spacing <= params["angle"] * distances[k]:
             standing.append(k)
         elif len(members) == 1:

@@ -72,7 +72,8 @@ def open_world(
         SceneError: If no tile of it has cells.
         OSError: If a node cannot be read, with `strict`.
     """
-    world, without = World.open(path), set[int]()
+    world = World.open(path)
+    without = set[int]()
     while True:
         package = WorldPackage(world, without, strict=strict)
         try:
@@ -115,7 +116,9 @@ class WorldPackage(Package):
     """
 
     def __init__(self, world: World, without: set[int], *, strict: bool = False) -> None:
-        self.path, self.world, self._strict = world.path, world, strict
+        self.path = world.path
+        self.world = world
+        self._strict = strict
         found: dict[int, Manifest] = {}
         for node in _needed(world):
             if node in without:
@@ -129,8 +132,9 @@ class WorldPackage(Package):
                 _leave_out(world, node, str(error))
         first = max(
             (m for node, m in found.items() if node < len(world.manifest.tiles)),
-            key=lambda m: len(m.names), default=None,
-        )  # fmt: skip
+            key=lambda m: len(m.names),
+            default=None,
+        )
         if first is None:
             raise FormatError(world.path, "", "a tile that can be read", "none", "prepare the world again")
         self.nodes = [node for node, m in found.items() if _fits(world, node, m, first, strict)]
@@ -200,7 +204,8 @@ class WorldPackage(Package):
             offsets, ids = nearest_replacements(contents.levels())
             owners = np.repeat(np.arange(len(contents)), np.diff(offsets))
             return low + np.stack([owners, ids.astype(np.int64)], axis=1)
-        pairs, own = [np.zeros((0, 2), np.int64)], contents.gaussians().means
+        pairs = [np.zeros((0, 2), np.int64)]
+        own = contents.gaussians().means
         for child in self._children[node]:
             first, end = self.bases[child : child + 2].tolist()
             theirs = first + self._lowest(child, end - first)
@@ -247,14 +252,16 @@ class WorldPackage(Package):
         pieces = list(self.pieces())
         counts = np.cumsum([0, *(len(piece) for piece in pieces)])
         return Contents(
-            self.manifest.names, ChunkTable.concatenate([piece.table for piece in pieces]),
+            self.manifest.names,
+            ChunkTable.concatenate([piece.table for piece in pieces]),
             np.concatenate([piece.chunk_levels for piece in pieces]),
             np.concatenate([piece.records for piece in pieces]),
             np.concatenate([piece.term_counts for piece in pieces]),
-            np.concatenate([piece.term_records for piece in pieces]), self.manifest.grids,
+            np.concatenate([piece.term_records for piece in pieces]),
+            self.manifest.grids,
             np.unique(np.concatenate([piece.starts + at for piece, at in zip(pieces, counts[:-1], strict=True)])),
             pieces[0].facts,
-        )  # fmt: skip
+        )
 
     def own_arrays(self) -> dict[str, NDArray[Any]]:
         """Return the arrays that `index_from` needs beside those of all scenes."""
@@ -263,21 +270,35 @@ class WorldPackage(Package):
 
     def scene_index(self, contents: Contents, nbytes: tuple[float, float], cache: Cache[Any]) -> SceneIndex:
         """Return what planners need to know of the world."""
-        cells, levels = self._cells(), contents.levels()
+        cells = self._cells()
+        levels = contents.levels()
         (radii, areas), (offsets, ids) = extents(levels.union), self._links(levels)
-        epsilon, n = self.epsilon, len(contents)
+        epsilon = self.epsilon
+        n = len(contents)
         cones = None if epsilon is None or not len(contents.term_records) else term_cones(contents, epsilon)
         terms = np.full(len(contents.term_records), nbytes[1], np.float32)
         counts = tuple(int(((levels.first <= k) & (k <= levels.last)).sum()) for k in range(len(levels.names)))
         every = EveryCell(n, len(terms))
         return WorldIndex.trusted(
-            counts, means=levels.union.means, radii=radii, areas=areas, importance=np.ones(n, np.float32),
-            gaussian_bytes=np.full(n, nbytes[0], np.float32), first=levels.first, last=levels.last,
-            level_names=levels.names, term_offsets=_frozen(contents.term_offsets), term_bytes=_frozen(terms),
-            replacement_offsets=_frozen(offsets), replacement_ids=_frozen(ids),
-            class_weights=_frozen(self._weights()), grid=cells, sets=self.sets(cells, cache),
-            active=None if epsilon is None else every, cones=cones,
-        )  # fmt: skip
+            counts,
+            means=levels.union.means,
+            radii=radii,
+            areas=areas,
+            importance=np.ones(n, np.float32),
+            gaussian_bytes=np.full(n, nbytes[0], np.float32),
+            first=levels.first,
+            last=levels.last,
+            level_names=levels.names,
+            term_offsets=_frozen(contents.term_offsets),
+            term_bytes=_frozen(terms),
+            replacement_offsets=_frozen(offsets),
+            replacement_ids=_frozen(ids),
+            class_weights=_frozen(self._weights()),
+            grid=cells,
+            sets=self.sets(cells, cache),
+            active=None if epsilon is None else every,
+            cones=cones,
+        )
 
     def index_from(self, arrays: Any, cache: Cache[Any], **fields: Any) -> SceneIndex:
         """Return the index of a world whose arrays were written before."""
@@ -308,20 +329,29 @@ class WorldPackage(Package):
         """Return one manifest of all nodes."""
         every = list(self._manifests.values())
         tiles = [m for node, m in self._manifests.items() if self._is_tile(node)]
-        names, far = first.names, sum(m.gaussians for node, m in self._manifests.items() if not self._is_tile(node))
+        names = first.names
+        far = sum(m.gaussians for node, m in self._manifests.items() if not self._is_tile(node))
         counts = [far + sum(m.counts[max(0, k + len(m.counts) - len(names))] for m in tiles) for k in range(len(names))]
         info = replace(first.info, provenance=self.world.manifest.provenance, cost=None, fidelity=None)
         epsilons = [m.info.epsilon for m in tiles if m.info.epsilon is not None]
         info = replace(info, epsilon=min(epsilons, default=None))
         return replace(
-            first, info=info, scene=_name_of(self.world), counts=tuple(counts), grids=_common([m.grids for m in every]),
-            tables=tuple(row for m in every for row in m.tables), blocks=tuple(row for m in every for row in m.blocks),
-            visibility=None, active_terms=None,
-        )  # fmt: skip
+            first,
+            info=info,
+            scene=_name_of(self.world),
+            counts=tuple(counts),
+            grids=_common([m.grids for m in every]),
+            tables=tuple(row for m in every for row in m.tables),
+            blocks=tuple(row for m in every for row in m.blocks),
+            visibility=None,
+            active_terms=None,
+        )
 
     def _links(self, levels: Levels) -> tuple[I64, NDArray[np.int32]]:
         """Return what replaces each Gaussian, from all nodes at once."""
-        n, means, pairs = len(levels.union), levels.union.means, [np.zeros((0, 2), np.int64)]
+        n = len(levels.union)
+        means = levels.union.means
+        pairs = [np.zeros((0, 2), np.int64)]
         for piece, contents in enumerate(self.pieces()):
             pairs.append(self.piece_links(piece, contents, lambda low, high: means[low:high]))
         found = np.concatenate(pairs)
@@ -383,7 +413,8 @@ def _common(grids: list[Grids]) -> Grids:
         return min(of(g)[0] for g in grids), max(of(g)[1] for g in grids)
 
     base = ends(lambda g: g.base[0]), ends(lambda g: g.base[1]), ends(lambda g: g.base[2])
-    scales, decays = ends(lambda g: g.scales), ends(lambda g: g.decays)
+    scales = ends(lambda g: g.scales)
+    decays = ends(lambda g: g.decays)
     most = max(g.intensity for g in grids)
     return Grids(grids[0].variant, grids[0].precision, base, scales, decays, most)
 
@@ -393,15 +424,18 @@ def _in_world(contents: Contents, world: Manifest, is_tile: bool) -> Contents:
 
     The levels of a tile are the highest of the world, and its lowest stands in all below; a district stands in all.
     """
-    grids, more = world.grids, np.uint8(len(world.names) - len(contents.names))
+    grids = world.grids
+    more = np.uint8(len(world.names) - len(contents.names))
     chunk_levels = contents.chunk_levels + more
     chunk_levels[contents.chunk_levels[:, 0] == 0, 0] = 0
     if not is_tile:
         chunk_levels[:] = 0, len(world.names) - 1
-    records, terms = contents.records, contents.term_records
+    records = contents.records
+    terms = contents.term_records
     if contents.grids != grids:
         colors = quantize(contents.colors().dequantize(), refit=False, grids=grids)
-        records, terms = records.copy(), encode_terms(colors)
+        records = records.copy()
+        terms = encode_terms(colors)
         records[:, 1:4] = colors.base
         if contents.layout.color_scale:
             records[:, 4] = colors.scales

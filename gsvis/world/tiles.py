@@ -94,7 +94,8 @@ def near_tile(means: NDArray[np.floating[Any]], params: Facts, margin: float = M
     `params` are those of `tile_space`.
     """
     low, high, axes = (np.array(params[name]) for name in ("low", "high", "axes"))
-    margin, across = margin * float((high - low).max()), means[:, axes]
+    margin = margin * float((high - low).max())
+    across = means[:, axes]
     return np.asarray(((across >= low - margin) & (across < high + margin)).all(axis=1))
 
 
@@ -135,8 +136,10 @@ def within_tile(found: NavigableSpace, params: Facts) -> NavigableSpace | None:
 def cut_to_tile(space: NavigableSpace, params: Facts) -> NavigableSpace | None:
     """Return a space without the voxels and targets beyond the margin of a tile; None if nothing is free there."""
     low, high, axes = (np.array(params[name]) for name in ("low", "high", "axes"))
-    margin, size = MARGIN * float((high - low).max()), space.voxel_size
-    first, last = np.zeros(3, int), np.array(space.free.shape)
+    margin = MARGIN * float((high - low).max())
+    size = space.voxel_size
+    first = np.zeros(3, int)
+    last = np.array(space.free.shape)
     for axis, start, end in zip(axes.tolist(), low.tolist(), high.tolist(), strict=True):
         places = np.array([start - margin, end + margin]) - space.origin[axis]
         first[axis] = max(0, int(np.floor(places[0] / size)))
@@ -155,7 +158,8 @@ def _resolution(near: Gaussians, own: NDArray[np.bool_], resolution: int) -> int
 
     Voxels are as large as in a grid of a `resolution` over the tile, `own`, or larger where memory asks for it.
     """
-    sides, tile = _sides(near), _sides(near[own])
+    sides = _sides(near)
+    tile = _sides(near[own])
     voxel_size = max(float(tile.max()) / resolution, float(np.cbrt(sides.prod() / MOST_VOXELS)))
     return int(np.clip(np.ceil(sides.max() / max(voxel_size, 1e-12)), resolution, MAX_RESOLUTION))
 
@@ -190,8 +194,10 @@ def make_tile_levels(params: Facts, given: Given, out: Path, work: Path) -> Fact
 
     Facts: names, sizes and spacings of the levels, and the record of their quality.
     """
-    g, config = load_gaussians(given.path(0, "rows")), config_of(params["config"])
-    levels, quality = None, None
+    g = load_gaussians(given.path(0, "rows"))
+    config = config_of(params["config"])
+    levels = None
+    quality = None
     if given.inputs[1:] and given.inputs[1].facts["voxels"]:
         levels, quality = _trained(g, load_space(given.path(1, "space")), config, work)
     if levels is None:

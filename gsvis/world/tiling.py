@@ -119,12 +119,14 @@ def find_grid(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     parts = [load_gaussians(given.path(k, "sample")) for k in range(len(given)) if given.inputs[k].facts["sampled"]]
     if not parts:
         raise SceneError("the scene has no Gaussian with an opacity of at least 1/255: there is nothing to see")
-    sample, config = Gaussians.concatenate(parts), TilingConfig(**params["config"])
+    sample = Gaussians.concatenate(parts)
+    config = TilingConfig(**params["config"])
     sample = sample[content_order(sample)]
     upright = _find_up(sample, config, params.get("cameras"))
     low, high = sample.bounds(config.coverage)
     spread = np.maximum(_MARGIN * (high - low), 3.0 * float(np.median(sample.scales)))
-    low, high = low - spread, high + spread
+    low = low - spread
+    high = high + spread
     cut = int(np.abs(axis_vector(nearest_axis(upright.up))).argmax())  # the squares lie along axes
     axes = [axis for axis in range(3) if axis != cut]
     inside = sample.means[((sample.means >= low) & (sample.means <= high)).all(axis=1)].astype(np.float64)
@@ -253,8 +255,10 @@ def split_batch(params: Facts, given: Given, out: Path, work: Path) -> Facts:
 
 def tiles_of(points: NDArray[np.floating[Any]], found: Facts) -> I64:
     """Return (M,) the tile of each of the (M, 3) points, by its place in the facts of `find_grid`; -1 outside."""
-    grid, upright = grid_of(found["grid"]), 3 - sum(found["grid"]["axes"])
-    squares, heights = grid.squares_of(points), points[:, upright]
+    grid = grid_of(found["grid"])
+    upright = 3 - sum(found["grid"]["axes"])
+    squares = grid.squares_of(points)
+    heights = points[:, upright]
     squares[(heights < found["bottom"]) | (heights > found["top"])] = -1
     owners = np.full(grid.shape, -1)
     for k, (x, y, width, height) in enumerate(found["tiles"]):
@@ -269,7 +273,9 @@ def tile_name(rect: Rect | None) -> str:
 
 def grid_of(value: Facts) -> Grid:
     """Return the grid of the facts of `find_grid`."""
-    origin, axes, shape = value["origin"], value["axes"], value["shape"]
+    origin = value["origin"]
+    axes = value["axes"]
+    shape = value["shape"]
     return Grid(_triple(origin), value["side"], (axes[0], axes[1]), (shape[0], shape[1]))
 
 

@@ -56,8 +56,12 @@ _STAYS = 0.5  # share of the Gaussians that mostly stand in a look that chooses
 _FAINT = 0.02  # presence of the others
 _FEWEST = 64  # Gaussians of a tile; fewer have no levels
 _OTHER_LOOKS = 8  # from other cells, for the bytes of direction sets
-_MORE_EYES, _GROWTH = 1.5, 0.5  # what other cells add to these by rays; growth with the number of looks (design/089)
-_CODED, _MOST_CODED = 1 << 16, 4  # Gaussians that are coded for their bytes, and tiles that they come from
+# what other cells add to these by rays; growth with the number of looks (design/089)
+_MORE_EYES = 1.5
+_GROWTH = 0.5
+# Gaussians that are coded for their bytes, and tiles that they come from
+_CODED = 1 << 16
+_MOST_CODED = 4
 _CODING = 2e-5  # seconds for each of them
 _SEED = 3
 _GOLDEN = 0.5 * (5.0**0.5 - 1.0)  # steps of this share of the tiles spread the tried ones, however many they are
@@ -126,7 +130,8 @@ def try_tiles(build: WorldBuild, expected: Trial, most: int, budget: float) -> T
         rows = _read_tiles(build, chosen)
         spaces = {}
         for number in chosen:
-            start, tile = _clock(), rows[number]
+            start = _clock()
+            tile = rows[number]
             near_and_far = [flatten(tile.own), tile.near, _surroundings(build, params[number])]
             spaces[number] = space_of_tile(Gaussians.concatenate(near_and_far), params[number])
             tried.spaces.append(_clock() - start)
@@ -134,7 +139,9 @@ def try_tiles(build: WorldBuild, expected: Trial, most: int, budget: float) -> T
             coded = [rows[k].own for k in chosen if len(rows[k].own) >= _FEWEST][:_MOST_CODED]
             part = _CODED // max(len(coded), 1)
             tried.records = [bytes_of_record(levels_of(flatten(own), config.levels), part) for own in coded]
-        last, last_cell = 0.0, 0.0  # what the tile before has taken
+        # what the tile before has taken
+        last = 0.0
+        last_cell = 0.0
         for number, space in spaces.items():
             left = budget - (_clock() - began)
             if space is None or left < max(last, _TIMED * 3.0 * expected.view) or len(rows[number].own) < _FEWEST:
@@ -149,7 +156,8 @@ def try_tiles(build: WorldBuild, expected: Trial, most: int, budget: float) -> T
                     last_cell = _clock() - start
     found = [space for space in spaces.values() if space is not None]
     tried.rooms = [bytes_of_space(space) for space in found]
-    eyes, taken = reached * len(found) / len(chosen), reached * float(np.median(tried.spaces))
+    eyes = reached * len(found) / len(chosen)
+    taken = reached * float(np.median(tried.spaces))
     return tried.in_place_of(replace(expected, eyes=eyes, space=taken))
 
 
@@ -198,8 +206,10 @@ class _Cell(NamedTuple):
 
 def _load_kernels(config: PrepareConfig) -> None:
     """Try a tile of few Gaussians: the first run on a machine compiles kernels, which is no part of a budget."""
-    rng, count = np.random.default_rng(_SEED), 4 * _FEWEST
-    quats, half = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)), np.full(count, 0.5)
+    rng = np.random.default_rng(_SEED)
+    count = 4 * _FEWEST
+    quats = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
+    half = np.full(count, 0.5)
     g = Gaussians(rng.normal(size=(count, 3)), quats, np.full((count, 3), 0.1), half, np.zeros((count, 1, 3)))
     space = NavigableSpace.from_box((3.0, 3.0, 3.0), (4.0, 4.0, 4.0), 8)
     sets = replace(config.sets, size=8, lower_size=8, max_inner=0)
@@ -250,7 +260,8 @@ def _surroundings(build: WorldBuild, params: Facts) -> Gaussians:
 
 def _others(build: WorldBuild, number: int, most: int) -> Gaussians:
     """Return at most so many Gaussians of the samples beyond a tile and its margin: what stands around it, thinly."""
-    square, found = build.square_of(build.grid["tiles"][number]), []
+    square = build.square_of(build.grid["tiles"][number])
+    found = []
     for k in range(len(build.batches)):
         sample = _sample(build, k)
         if sample is not None:
@@ -267,14 +278,16 @@ def _time_views(g: Gaussians, space: NavigableSpace, config: PrepareConfig) -> t
         began = _clock()
         rasterize(g, cameras[c])
         times.append(_clock() - began)
-    view, levels = float(np.mean(times[1:])), config.levels
+    view = float(np.mean(times[1:]))
+    levels = config.levels
     if levels is None:
         return view, 0.0
     counts = frozen_sizes(levels.fit_to(len(g)).sizes(len(g)))
     many = views_to_choose(config.level_views)
     polled = replace(many, count=_POLLED).cameras(g, space)
     looks, _ = count_looks(g, polled, counts, of=many.count, space=space)
-    sight, times = InSight.from_scene(g, space), []
+    sight = InSight.from_scene(g, space)
+    times = []
     stands = np.random.default_rng(_SEED).random(len(g)) < _STAYS
     presence = np.where(stands, 1.0, _FAINT)
     for c in range(_TIMED + 1):
@@ -294,9 +307,11 @@ def _try_cell(tile: _Tile, others: Gaussians, space: NavigableSpace, config: Pre
     grid = CellGrid.over(space, max_cells=most, cell_size=size)
     with temporary_folder() as folder:
         work = plan_work(around.joined(own), grid, space, Path(folder) / "sets.pvs", config.sets)
-        finder, shared = work.scene.finder(), work.shared
+        finder = work.scene.finder()
+        shared = work.shared
     finder.warm()
-    cell, seen = len(grid) // 2, []
+    cell = len(grid) // 2
+    seen = []
     looks: tuple[list[float], list[float]] = ([], [])  # coarse ones, fine ones
     for k in shared.of_cell(cell).tolist():
         began = _clock()

@@ -23,7 +23,8 @@ from gsvis.world.manifest import WORLD, Grid, Tile, WorldManifest
 
 __all__ = ["BEYOND", "PACKAGES", "VerifiedWorld", "World", "is_world", "tile_of_package"]
 
-PACKAGES, BEYOND = "packages", "beyond"
+PACKAGES = "packages"
+BEYOND = "beyond"
 """Names of the folders of packages and of tables."""
 
 _REMEDY = "prepare the world again"
@@ -132,7 +133,8 @@ class World:
             ValueError: If there is no such node.
             FormatError: If the package is missing, damaged, of another version, or another one than the manifest names.
         """
-        expected, folder = self.manifest.node(node), self.package_path(node)
+        expected = self.manifest.node(node)
+        folder = self.package_path(node)
         where = f"node {node}"
         if not (folder / MANIFEST).is_file():
             raise FormatError(self.path, where, f"a package in {folder.name[:12]}...", "no such package", _REMEDY)
@@ -166,7 +168,8 @@ class World:
         Raises:
             FormatError: If anything is damaged or missing; the error names the first damaged place.
         """
-        m, nbytes = self.manifest, 0
+        m = self.manifest
+        nbytes = 0
         progress("verify", 0, len(self))
         for node in range(len(self)):
             with self.package(node) as package:
@@ -207,7 +210,8 @@ class World:
             m = package.manifest
             cells = len(package.visibility) if m.visibility is not None else 0
         everywhere = 1e30
-        low, high = (-everywhere,) * 3, (everywhere,) * 3
+        low = (-everywhere,) * 3
+        high = (everywhere,) * 3
         tile = tile_of_package(self.path, m, coords=(0, 0), low=low, high=high, cells=cells)
         grid = Grid((-everywhere,) * 3, 2.0 * everywhere, (0, 1), (1, 1))
         return WorldManifest(m.info.up, m.info.meters_per_unit, grid, (tile,))

@@ -88,7 +88,8 @@ def rival(name: str, measured: Measured, view: FieldOfView) -> Delivery:
     """
     if name not in RIVALS:
         raise ValueError(f"name: expected one of {', '.join(map(repr, RIVALS))}, got {name!r}")
-    m, contents = measured, measured.contents
+    m = measured
+    contents = measured.contents
     if name.startswith("leaves, "):
         return LeafStream(contents, m.files, view, name.removeprefix("leaves, "), segments=m.segments)
     if name == "frustum chunks":

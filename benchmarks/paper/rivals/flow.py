@@ -74,7 +74,8 @@ class Window:
 
     def ready(self) -> bool:
         """Return whether half a message fits; see `Flow`. Always true with nothing in flight."""
-        rate, waiting = self._rate.estimate(), self._meter.outstanding
+        rate = self._rate.estimate()
+        waiting = self._meter.outstanding
         free = rate * (self.config.window + self._meter.round_trip) - waiting
         return waiting == 0 or free >= 0.5 * max(rate * self.config.piece, _LEAST)
 

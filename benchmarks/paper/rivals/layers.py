@@ -21,7 +21,9 @@ __all__ = ["LayerByLayer", "Layers"]
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
-_TURN, _MOVE = 0.087, 0.01  # radians, and share of the half size of the scene, before utilities are computed again
+# radians, and share of the half size of the scene, before utilities are computed again
+_TURN = 0.087
+_MOVE = 0.01
 _NEAR = 0.05  # share of the half size: nearer Gaussians count as this far
 
 
@@ -68,7 +70,9 @@ class Layers(Sender):
         config = config or AbrConfig()
         super().__init__(contents, cut(contents, found, gaussian_bytes), Window(config), measured=measured)
         self.name = f"layers, L3GS, {source}"
-        self._view, self._lead, self._source = view, config.lead, source
+        self._view = view
+        self._lead = config.lead
+        self._source = source
         self._predictor = predictor("linear")
         ids = self.pieces.gaussians
         self._ids = np.concatenate(list(ids))
@@ -76,7 +80,8 @@ class Layers(Sender):
         self._means = found.means[self._ids].astype(np.float32)
         self._worth = (found.opacities * found.areas)[self._ids].astype(np.float32)
         self._radii = 3.0 * found.scales[self._ids].max(axis=1)
-        low, high = found.boxes[:, 0].min(axis=0), found.boxes[:, 1].max(axis=0)
+        low = found.boxes[:, 0].min(axis=0)
+        high = found.boxes[:, 1].max(axis=0)
         self._half = max(float(np.linalg.norm(high - low)) / 2.0, 1e-9)
         self._seen: tuple[Pose, F64] | None = None
 
@@ -101,10 +106,12 @@ class Layers(Sender):
         return {**super().describe(), "source": self._source, "lead": self._lead}
 
     def _utilities(self, pose: Pose) -> F64:
-        p, eye = self.pieces, np.asarray(pose.position, np.float64)
+        p = self.pieces
+        eye = np.asarray(pose.position, np.float64)
         axes = rotations_from_quats(pose.quat[None])[0].astype(np.float32)
         local = (self._means - eye.astype(np.float32)) @ axes
-        v, depth = self._view, local[:, 2]
+        v = self._view
+        depth = local[:, 2]
         spread = np.float32(1.4) * self._radii
         inside = (
             (depth > v.near)

@@ -29,11 +29,17 @@ I64 = NDArray[np.int64]
 
 RULES = ("playcanvas", "spark", "octree-gs")
 
-_BASE, _MULTIPLIER = 5.0, 3.0  # PlayCanvas: the finest level up to 5 units, the next up to 15, and so on
+# PlayCanvas: the finest level up to 5 units, the next up to 15, and so on
+_BASE = 5.0
+_MULTIPLIER = 3.0
 _BEHIND = 1.5  # PlayCanvas: factor on the distance straight behind the eye
 _SHRINK = 0.75  # PlayCanvas: of what a box has beyond the median box
-_CONE, _WIDE = np.cos(np.radians(35.0)), np.cos(np.radians(60.0))  # Spark: half of 70 and of 120 degrees
-_CONE_SHARE, _BEHIND_SHARE = 0.4, 0.2  # Spark: of the size on the screen at the outer cone, and behind
+# Spark: half of 70 and of 120 degrees
+_CONE = np.cos(np.radians(35.0))
+_WIDE = np.cos(np.radians(60.0))
+# Spark: of the size on the screen at the outer cone, and behind
+_CONE_SHARE = 0.4
+_BEHIND_SHARE = 0.2
 _FAR = 1e6  # units, more than any distance
 _FILES = {"playcanvas": 2, "spark": 3, "octree-gs": 3}
 
@@ -106,11 +112,13 @@ class LeafStream(Sender):
             waits=True,
             measured=measured,
         )
-        self._view, self._boxes = view, found.boxes
+        self._view = view
+        self._boxes = found.boxes
         self._levels = len(contents.names)
         self._near_boxes = _shrunk(found.boxes)
         self._sizes = _splat_sizes(contents, found)
-        low, high = found.boxes[:, 0].min(axis=0), found.boxes[:, 1].max(axis=0)
+        low = found.boxes[:, 0].min(axis=0)
+        high = found.boxes[:, 1].max(axis=0)
         self._half = max(float(np.linalg.norm(high - low)) / 2.0, 1e-9)
 
     def urgency(self, t: float, pose: Pose) -> F64:

@@ -104,10 +104,15 @@ class Sender(ABC):
         waits: bool = False,
         measured: str = "",
     ) -> None:
-        self.pieces, self.measured, self._flow, self._waits = pieces, measured, flow, waits
+        self.pieces = pieces
+        self.measured = measured
+        self._flow = flow
+        self._waits = waits
         self._contents = contents
-        self.sent, self.arrived = np.asarray(pieces.nbytes) <= 0, np.asarray(pieces.nbytes) <= 0
-        self._header, self._always = int(header), np.asarray(always, np.int64)
+        self.sent = np.asarray(pieces.nbytes) <= 0
+        self.arrived = np.asarray(pieces.nbytes) <= 0
+        self._header = int(header)
+        self._always = np.asarray(always, np.int64)
         self._opened = self._header <= 0 and len(self._always) == 0  # whether the header has arrived
         self._asked = self._opened  # whether it was sent
         self._parcels: deque[Parcel] = deque()
@@ -118,7 +123,8 @@ class Sender(ABC):
 
     def on_pose(self, t: float, position: ArrayLike, quat: ArrayLike) -> None:
         """Take a pose; see `Delivery`."""
-        self._pose, self._urgency = Pose.from_arrays(position, quat), None
+        self._pose = Pose.from_arrays(position, quat)
+        self._urgency = None
 
     def on_ack(self, t: float, sequence: int) -> None:
         """Take an acknowledgement; see `Delivery`."""
@@ -183,7 +189,8 @@ class Sender(ABC):
 def boxes_of(means: F32, scales: F32, groups: Sequence[I64]) -> F64:
     """Return (K, 2, 3) boxes around the ellipsoids of K groups of ids; a group without any has a box at 0."""
     reach = _REACH * scales.max(axis=1, keepdims=True).astype(np.float64)
-    low, high = means - reach, means + reach
+    low = means - reach
+    high = means + reach
     out = np.zeros((len(groups), 2, 3))
     for k, ids in enumerate(groups):
         if len(ids):

@@ -76,7 +76,8 @@ class Segments:
 
 def added_at_level(contents: Contents, level: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return (N,) which Gaussians a level has and the one below has not, and (N,) which are the other way round."""
-    first, last = contents.first, contents.last
+    first = contents.first
+    last = contents.last
     return np.asarray(first == level), np.asarray(last == level - 1)
 
 
@@ -88,7 +89,8 @@ def level_files(contents: Contents, segments: Segments, sizes: ArrayLike) -> Pie
         segments: B segments.
         sizes: (L, B) bytes of the file of each level and segment, lowest level first; 0 where there is none.
     """
-    levels, count = len(contents.names), len(segments)
+    levels = len(contents.names)
+    count = len(segments)
     nbytes = _check.integers("sizes", sizes, (levels, count))
     return _pieces(contents, segments, nbytes.reshape(-1))
 
@@ -133,7 +135,8 @@ def layers_by_importance(contents: Contents, segments: Segments, gaussian_bytes:
 
 
 def _pieces(contents: Contents, segments: Segments, nbytes: I64) -> Pieces:
-    levels, count = len(contents.names), len(segments)
+    levels = len(contents.names)
+    count = len(segments)
     gaussians: list[I64] = []
     dropped: list[I64] = []
     for level in range(levels):

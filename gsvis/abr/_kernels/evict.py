@@ -43,10 +43,16 @@ def evict(words, masks, needed, sizes, held, term_offsets, links, out):
         Number of ids, and the bytes that are free now.
     """
     gaussians, held_terms, gone = held
-    offsets, ranks, ending = links.offsets, links.ranks, links.ending
-    count, done, freed, one = 0, 0, 0.0, np.uint64(1)
+    offsets = links.offsets
+    ranks = links.ranks
+    ending = links.ending
+    count = 0
+    done = 0
+    freed = 0.0
+    one = np.uint64(1)
     for m in range(len(words)):
-        w, rest = np.int64(words[m]), masks[m]
+        w = np.int64(words[m])
+        rest = masks[m]
         while rest:
             if freed >= needed:
                 return count, freed

@@ -31,7 +31,8 @@ def not_behind(typing_context: Any, x: Any, y: Any, z: Any, radii: Any, low: Any
     """
 
     def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        lanes, flag = ir.VectorType(ir.FloatType(), _LANES), ir.Constant(ir.IntType(32), 0)
+        lanes = ir.VectorType(ir.FloatType(), _LANES)
+        flag = ir.Constant(ir.IntType(32), 0)
 
         def load(k: int) -> Any:
             data = context.make_array(signature.args[k])(context, builder, args[k]).data

@@ -17,14 +17,19 @@ from gsvis._kernels.prefetch import prefetch
 from gsvis.abr._kernels.lanes import not_behind
 from gsvis.abr._kernels.units import GEOMETRY, INSIDE, OUTSIDE, STRONG, TERMS, bucket_of
 
-_SAMPLE, _SPARE = 16, 1.5
-_AHEAD, _LINE = 3, 16  # words whose spheres are read ahead, and numbers in a line of the cache
+_SAMPLE = 16
+_SPARE = 1.5
+# words whose spheres are read ahead, and numbers in a line of the cache
+_AHEAD = 3
+_LINE = 16
 NEVER = 1 << 30  # the key of what is never sent
 KIND_BITS = 3  # of an entry: which kind of records
 DONE = np.int32(2**31 - 1)  # in `Cell.looks`: replaced
 UNITS = (1 << 16) - 1  # of area, of all replacements of a Gaussian
 ANY = np.int32(1 << 26)  # units that have arrived where it is not known what has
-NONE, SEVERAL = -1, -2  # numbers in `Links.only`, as the last of 16 bits
+# numbers in `Links.only`, as the last of 16 bits
+NONE = -1
+SEVERAL = -2
 
 
 class Cell(NamedTuple):
@@ -154,13 +159,31 @@ class Work(NamedTuple):
 @kernel(error_model="numpy")
 def test_words(x, y, z, radii, p, sides):
     """Raise `sides` (S,) to 1 where a sphere touches a frustum (5, 4), to 2 where it is inside."""
-    a0, b0, c0, d0 = p[0, 0], p[0, 1], p[0, 2], p[0, 3]
-    a1, b1, c1, d1 = p[1, 0], p[1, 1], p[1, 2], p[1, 3]
-    a2, b2, c2, d2 = p[2, 0], p[2, 1], p[2, 2], p[2, 3]
-    a3, b3, c3, d3 = p[3, 0], p[3, 1], p[3, 2], p[3, 3]
-    a4, b4, c4, d4 = p[4, 0], p[4, 1], p[4, 2], p[4, 3]
+    a0 = p[0, 0]
+    b0 = p[0, 1]
+    c0 = p[0, 2]
+    d0 = p[0, 3]
+    a1 = p[1, 0]
+    b1 = p[1, 1]
+    c1 = p[1, 2]
+    d1 = p[1, 3]
+    a2 = p[2, 0]
+    b2 = p[2, 1]
+    c2 = p[2, 2]
+    d2 = p[2, 3]
+    a3 = p[3, 0]
+    b3 = p[3, 1]
+    c3 = p[3, 2]
+    d3 = p[3, 3]
+    a4 = p[4, 0]
+    b4 = p[4, 1]
+    c4 = p[4, 2]
+    d4 = p[4, 3]
     for s in range(len(x)):
-        u, v, w, r = x[s], y[s], z[s], radii[s]
+        u = x[s]
+        v = y[s]
+        w = z[s]
+        r = radii[s]
         far = a0 * u + b0 * v + c0 * w + d0
         other = a1 * u + b1 * v + c1 * w + d1
         far = other if other < far else far
@@ -180,8 +203,14 @@ def _test_gaussians(words, places, bodies, planes, sides, border, inside):
 
     `border` lists where the side may be 3. Spheres of the words after it are read ahead.
     """
-    xs, ys, zs, sizes = bodies[0], bodies[1], bodies[2], bodies[3]
-    x, y, z, radii = places[0], places[1], places[2], places[3]
+    xs = bodies[0]
+    ys = bodies[1]
+    zs = bodies[2]
+    sizes = bodies[3]
+    x = places[0]
+    y = places[1]
+    z = places[2]
+    radii = places[3]
     for s in range(len(words)):
         inside[s] = ~np.uint64(0) if sides[s] == 2 else np.uint64(0)
     for j in range(len(border)):
@@ -194,11 +223,15 @@ def _test_gaussians(words, places, bodies, planes, sides, border, inside):
         s = np.int64(border[j])
         if sides[s] != 3:
             continue
-        low, bits = 64 * np.int64(words[s]), np.uint64(0)
+        low = 64 * np.int64(words[s])
+        bits = np.uint64(0)
         for f in range(len(planes)):
             mine = ~np.uint64(0)
             for k in range(5):
-                a, b, c, d = planes[f, k, 0], planes[f, k, 1], planes[f, k, 2], planes[f, k, 3]
+                a = planes[f, k, 0]
+                b = planes[f, k, 1]
+                c = planes[f, k, 2]
+                d = planes[f, k, 3]
                 far = a * x[s] + b * y[s] + c * z[s] + d
                 if far >= radii[s]:
                     continue  # the whole word is inside this plane
@@ -226,16 +259,21 @@ def _skip_checked(squares, travelled, parallax, before, checked, checked_at, due
     for s in range(len(due)):
         apart = np.float32(travelled) - checked_at[s]
         if checked[s] == 0 or apart * apart > parallax * parallax * squares[s]:
-            checked[s], checked_at[s] = 0, travelled
+            checked[s] = 0
+            checked_at[s] = travelled
         due[s] = before[s] & ~checked[s]
 
 
 @inner(error_model="numpy")
 def _squares(x, y, z, spreads, eye, out):
     """Set the mean square of the distances between the Gaussians of each word and the eye."""
-    a, b, c = eye[0], eye[1], eye[2]
+    a = eye[0]
+    b = eye[1]
+    c = eye[2]
     for s in range(len(x)):
-        u, v, w = x[s] - a, y[s] - b, z[s] - c
+        u = x[s] - a
+        v = y[s] - b
+        w = z[s] - c
         out[s] = u * u + v * v + w * w + spreads[s] + np.float32(1e-12)
 
 
@@ -262,10 +300,20 @@ def _key(table, code, kind, part, bucket):
 @inner(error_model="numpy")
 def _estimate_limit(units, runs, cell, table, limits, work):
     """Return a key below which about enough bytes lie, estimated from a sample of the words; at most all keys."""
-    masks, codes, areas, pixels, squares = units.masks, units.codes, units.areas, units.pixels, work.squares
+    masks = units.masks
+    codes = units.codes
+    areas = units.areas
+    pixels = units.pixels
+    squares = work.squares
     starts, run_slots = runs
-    free, due, sides, sizes, ahead = work.free, work.due, work.sides, work.sizes, cell.ahead
-    word_bytes, term_bytes, own = cell.places[5], cell.term_bytes, len(table) // 4
+    free = work.free
+    due = work.due
+    sides = work.sides
+    sizes = work.sizes
+    ahead = cell.ahead
+    word_bytes = cell.places[5]
+    term_bytes = cell.term_bytes
+    own = len(table) // 4
     enough, least = limits
     sizes[:] = 0.0
     for r in range(0, len(run_slots), _SAMPLE):
@@ -279,7 +327,8 @@ def _estimate_limit(units, runs, cell, table, limits, work):
                 left = masks[u] & (free[s] if kind == GEOMETRY else due[0, s])
                 share = np.float64(word_bytes[s]) if kind == GEOMETRY else term_bytes
                 for part in range(2):
-                    key, bits = table[codes[u], kind, part] + bucket, left & (near if part == INSIDE else ~near)
+                    key = table[codes[u], kind, part] + bucket
+                    bits = left & (near if part == INSIDE else ~near)
                     if key < NEVER and bits:
                         sizes[key] += np.float64(ones(bits)) * share
     total = 0.0
@@ -299,11 +348,25 @@ def _choose(units, ahead, table, limit, work, count):
     Returns:
         Number of chosen units, number of listed words, and whether no other unit is left to send.
     """
-    slots, masks, codes, areas, pixels = units.slots, units.masks, units.codes, units.areas, units.pixels
-    free, every, squares, own = work.free, work.due, work.squares, np.uint64(len(table) // 4)
-    chosen, buckets, sides, middle_sides = work.chosen, work.buckets, work.sides, work.middle_sides
-    parts, kinds, keys = np.uint64(table.shape[2]), np.uint64(table.shape[1]), table.reshape(-1)
-    strong, filled, skipped = work.inside, 0, False
+    slots = units.slots
+    masks = units.masks
+    codes = units.codes
+    areas = units.areas
+    pixels = units.pixels
+    free = work.free
+    every = work.due
+    squares = work.squares
+    own = np.uint64(len(table) // 4)
+    chosen = work.chosen
+    buckets = work.buckets
+    sides = work.sides
+    middle_sides = work.middle_sides
+    parts = np.uint64(table.shape[2])
+    kinds = np.uint64(table.shape[1])
+    keys = table.reshape(-1)
+    strong = work.inside
+    filled = 0
+    skipped = False
     strongest = parts * np.uint64(min(table.shape[1] - 1, STRONG))  # of terms that change the image much, the first
     strong[:] = 0
     for k in range(1, len(every)):
@@ -311,19 +374,26 @@ def _choose(units, ahead, table, limit, work, count):
             strong[s] |= every[k, s]
     for j in range(count):  # without branches
         u = chosen[j]
-        s, code, mask = np.uint64(np.uint32(slots[u])), np.uint64(codes[u]), masks[u]
-        fresh, in_view, is_near = mask & free[s], sides[s] != 0, (mask & ahead[s]) != 0
+        s = np.uint64(np.uint32(slots[u]))
+        code = np.uint64(codes[u])
+        mask = masks[u]
+        fresh = mask & free[s]
+        in_view = sides[s] != 0
+        is_near = (mask & ahead[s]) != 0
         near = in_view if code < own else is_near
         place = parts * kinds * code + np.uint64(INSIDE if near else OUTSIDE)
         bucket = bucket_of(areas[u] / squares[s] + pixels[u])
-        geometry, terms = keys[place] + bucket, keys[place + parts] + bucket
+        geometry = keys[place] + bucket
+        terms = keys[place + parts] + bucket
         bound = keys[place + strongest] if mask & strong[s] else NEVER
         early = bound if bound > geometry else geometry
         key = geometry if fresh else early if early < terms else terms
-        chosen[filled], buckets[filled] = u, bucket
+        chosen[filled] = u
+        buckets[filled] = bucket
         filled += key < limit
         skipped |= (key >= limit) & (key < NEVER)
-    border, listed = work.border, 0
+    border = work.border
+    listed = 0
     for j in range(filled):
         s = slots[chosen[j]]
         if codes[chosen[j]] < own:
@@ -354,17 +424,33 @@ def rank(units, runs, cell, held, view, table, limits, work):
     Returns:
         `Plan`, the key at which it ends, and whether it holds all that is left.
     """
-    slots, masks, codes, logs = units.slots, units.masks, units.codes, units.logs
-    words, places, term_bytes = cell.words, cell.places, cell.term_bytes
-    inside, middle, free, due, sides, middle_sides = (
-        work.inside, work.middle, work.free, work.due, work.sides, work.middle_sides,
-    )  # fmt: skip
-    squares, buckets, chosen = work.squares, work.buckets, work.chosen
-    keys, entries, sets, owners, counts, sizes = (
-        work.keys, work.entries, work.sets, work.owners, work.counts, work.sizes,
-    )  # fmt: skip
+    slots = units.slots
+    masks = units.masks
+    codes = units.codes
+    logs = units.logs
+    words = cell.words
+    places = cell.places
+    term_bytes = cell.term_bytes
+    inside = work.inside
+    middle = work.middle
+    free = work.free
+    due = work.due
+    sides = work.sides
+    middle_sides = work.middle_sides
+    squares = work.squares
+    buckets = work.buckets
+    chosen = work.chosen
+    keys = work.keys
+    entries = work.entries
+    sets = work.sets
+    owners = work.owners
+    counts = work.counts
+    sizes = work.sizes
     least = limits.least
-    x, y, z, word_bytes = places[0], places[1], places[2], places[5]
+    x = places[0]
+    y = places[1]
+    z = places[2]
+    word_bytes = places[5]
     _squares(x, y, z, places[4], view.eye, squares)
     _gather(words, cell.allowed, cell.owed, held.gaussians, held.gone, free, due[0])
     if len(cell.owed):
@@ -377,7 +463,8 @@ def rank(units, runs, cell, held, view, table, limits, work):
     count = _list(slots, masks, middle, chosen)
     if count == 0:  # as with each change of the view while a link is filled
         return Plan(np.empty(0, np.int32), np.empty(0, np.uint64), np.empty(0, np.float32)), least, True
-    sides[:], middle_sides[:] = 0, 0
+    sides[:] = 0
+    middle_sides[:] = 0
     for f in range(len(view.planes)):
         test_words(x, y, z, places[3], view.planes[f], sides)
     for f in range(len(view.middle)):
@@ -388,11 +475,13 @@ def rank(units, runs, cell, held, view, table, limits, work):
     _test_gaussians(words, places, view.bodies, view.planes, sides, border, inside)
     _test_gaussians(words, places, view.bodies, view.middle, middle_sides, border, middle)
     own = len(table) // 4  # codes of ring 0
-    counts[:limit], sizes[:limit] = 0, 0.0
+    counts[:limit] = 0
+    sizes[:limit] = 0.0
     filled = 0
     for j in range(count):
         u = chosen[j]
-        s, code = slots[u], codes[u]
+        s = slots[u]
+        code = codes[u]
         seen = inside[s] if code < own else cell.ahead[s]
         core = seen & middle[s] if code < own and len(view.middle) > 0 else seen
         for kind in range(1 + len(due)):
@@ -411,11 +500,15 @@ def rank(units, runs, cell, held, view, table, limits, work):
                     whole = False
                     continue
                 entries[filled] = s << KIND_BITS | kind
-                keys[filled], sets[filled], owners[filled] = key, bits, u
+                keys[filled] = key
+                sets[filled] = bits
+                owners[filled] = u
                 filled += 1
                 counts[key] += 1
                 sizes[key] += np.float64(ones(bits)) * share
-    total, stop, length = 0.0, least, 0
+    total = 0.0
+    stop = least
+    length = 0
     while stop < limit and total < limits.enough:
         total += sizes[stop]
         counts[stop], length = length, length + counts[stop]

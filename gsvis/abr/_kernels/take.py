@@ -9,7 +9,9 @@ from gsvis._kernels.compiled import kernel, njit
 from gsvis._kernels.prefetch import prefetch
 from gsvis.abr._kernels.plan import ANY, DONE, KIND_BITS, NONE, SEVERAL, UNITS, only_of
 
-_AHEAD, _NEXT = 8, 3  # entries of a plan that are read ahead
+# entries of a plan that are read ahead
+_AHEAD = 8
+_NEXT = 3
 _LINE = 16  # Gaussians in a line of the cache
 
 
@@ -53,7 +55,8 @@ def _left(active, held, start, stop):
     if start >= stop:
         return False
     ones = ~np.uint64(0)
-    low, high = start >> 6, (stop - 1) >> 6
+    low = start >> 6
+    high = (stop - 1) >> 6
     for k in range(low, high + 1):
         word = active[k] & ~held[k]
         if k == low:
@@ -72,20 +75,28 @@ def _look(bodies, g, area, pixel, eyes, out):
     The direction is (0, 0, 1) from an eye at its center; the solid angle is at most that of all space.
     """
     for p in range(len(eyes)):
-        x, y, z = bodies[0, g] - eyes[p, 0], bodies[1, g] - eyes[p, 1], bodies[2, g] - eyes[p, 2]
+        x = bodies[0, g] - eyes[p, 0]
+        y = bodies[1, g] - eyes[p, 1]
+        z = bodies[2, g] - eyes[p, 2]
         square = x * x + y * y + z * z
         length = np.sqrt(square)
         if length > 0:
-            out[p, 0], out[p, 1], out[p, 2] = x / length, y / length, z / length
+            out[p, 0] = x / length
+            out[p, 1] = y / length
+            out[p, 2] = z / length
         else:
-            out[p, 0], out[p, 1], out[p, 2] = 0.0, 0.0, 1.0
+            out[p, 0] = 0.0
+            out[p, 1] = 0.0
+            out[p, 2] = 1.0
         out[p, 3] = 0.5 * np.log(min(area / max(square, np.float32(1e-30)) + pixel, 4.0 * np.pi))
 
 
 @njit(inline="always")
 def _change(centers, place, cosine, width, looks):
     """Return the logarithm of the largest change by a term for the eyes of looks (P, 4), without weight and gain."""
-    x, y, z = centers[place, 0], centers[place, 1], centers[place, 2]
+    x = centers[place, 0]
+    y = centers[place, 1]
+    z = centers[place, 2]
     most = np.float32(-np.inf)
     for p in range(len(looks)):
         change = x * looks[p, 0] + y * looks[p, 1] + z * looks[p, 2] + looks[p, 3] * width
@@ -101,7 +112,11 @@ def widen(candidates, others, held, links, looks):
     """
     gaussians, _, gone = held
     words, masks = others
-    only, firsts, offsets, ranks, one = links.only, links.firsts, links.offsets, links.ranks, np.uint64(1)
+    only = links.only
+    firsts = links.firsts
+    offsets = links.offsets
+    ranks = links.ranks
+    one = np.uint64(1)
     for s in range(len(words)):
         w = np.int64(words[s])
         fresh = masks[s] & ~candidates[w]
@@ -121,12 +136,15 @@ def widen(candidates, others, held, links, looks):
 @kernel(error_model="numpy")
 def doubt(ids, links, arrived, looks, looks_far):
     """Note that it is not known what has arrived of the replacements of what some Gaussians (M,) replace."""
-    offsets, ranks = links.offsets, links.ranks
+    offsets = links.offsets
+    ranks = links.ranks
     for i in range(len(ids)):
         g = ids[i]
         for k in range(offsets[g], offsets[g + 1]):
             e = ranks[k]
-            arrived[e], looks[e], looks_far[e] = ANY, 0, 0
+            arrived[e] = ANY
+            looks[e] = 0
+            looks_far[e] = 0
 
 
 @kernel(error_model="numpy")
@@ -146,21 +164,30 @@ def bound(candidates, links, last, shares, room, ends, least, sure):
     Returns:
         Number of those.
     """
-    only, firsts, offsets, ranks, units = links.only, links.firsts, links.offsets, links.ranks, links.units
-    starts, ending, one = links.starts, links.ending, np.uint64(1)
+    only = links.only
+    firsts = links.firsts
+    offsets = links.offsets
+    ranks = links.ranks
+    units = links.units
+    starts = links.starts
+    ending = links.ending
+    one = np.uint64(1)
     words, masks = candidates
     count = 0
     for s in range(len(words)):
-        w, rest = np.int64(words[s]), masks[s]
+        w = np.int64(words[s])
+        rest = masks[s]
         while rest:
             g = 64 * w + np.int64(lowest(rest))
             rest &= rest - one
             e = only_of(only[g], firsts[w])
             if e == NONE:
                 continue
-            first, end = np.int64(0), np.int64(1)
+            first = np.int64(0)
+            end = np.int64(1)
             if e == SEVERAL:
-                first, end = offsets[g], offsets[g + 1]
+                first = offsets[g]
+                end = offsets[g + 1]
             for k in range(first, end):
                 x = e if e >= 0 else np.int64(ranks[k])
                 if room[x] == 0:
@@ -170,7 +197,8 @@ def bound(candidates, links, last, shares, room, ends, least, sure):
                 room[x] += (np.int32(only[g] >> 16) if e >= 0 else units[k]) - 1
     for k in range(count):
         e = np.int64(ends[k])
-        share, area = shares[last[ending[e]]], room[e] - 1
+        share = shares[last[ending[e]]]
+        area = room[e] - 1
         room[e] = 0
         sure[k] = UNITS + np.int64(starts[e + 1] - starts[e]) + 1 - np.int64((1.0 - share) * area)
         least[k] = np.int64(share * area) - 1
@@ -206,18 +234,45 @@ def take(plan, place, cell, held, view, records, links, budget, out):
         Entry to continue at, numbers of Gaussians, terms, dropped and gone Gaussians, and bytes.
     """
     entries, sets, logs = plan
-    words, owed, active, checked = cell.words, cell.owed, cell.active, cell.checked
+    words = cell.words
+    owed = cell.owed
+    active = cell.active
+    checked = cell.checked
     gaussians, held_terms, gone = held
     sizes, term_offsets, term_sizes, centers, centers_of, cosines, widths, areas = records
-    eyes, bodies, toward = view.eyes, view.bodies, np.empty((len(view.eyes), 4), np.float32)
-    only, firsts, arrived, looks, gains = links.only, links.firsts, cell.arrived, cell.looks, view.gains
-    candidates, sure, last, shares = cell.candidates, cell.sure, cell.last, cell.shares
-    offsets, ranks, ending, starts, ids = links.offsets, links.ranks, links.ending, links.starts, links.ids
-    units, weights, every = links.units, links.areas, links.every
-    out_gaussians, out_terms, out_dropped, queue = out.gaussians, out.terms, out.dropped, out.gone
-    size, varied = np.float64(sizes[0]) if len(sizes) else 0.0, len(sizes) > 1
-    found, found_terms, dropped, replaced, total = 0, 0, np.int64(0), np.int64(0), 0.0
-    one, ones = np.uint64(1), ~np.uint64(0)
+    eyes = view.eyes
+    bodies = view.bodies
+    toward = np.empty((len(view.eyes), 4), np.float32)
+    only = links.only
+    firsts = links.firsts
+    arrived = cell.arrived
+    looks = cell.looks
+    gains = view.gains
+    candidates = cell.candidates
+    sure = cell.sure
+    last = cell.last
+    shares = cell.shares
+    offsets = links.offsets
+    ranks = links.ranks
+    ending = links.ending
+    starts = links.starts
+    ids = links.ids
+    units = links.units
+    weights = links.areas
+    every = links.every
+    out_gaussians = out.gaussians
+    out_terms = out.terms
+    out_dropped = out.dropped
+    queue = out.gone
+    size = np.float64(sizes[0]) if len(sizes) else 0.0
+    varied = len(sizes) > 1
+    found = 0
+    found_terms = 0
+    dropped = np.int64(0)
+    replaced = np.int64(0)
+    total = 0.0
+    one = np.uint64(1)
+    ones = ~np.uint64(0)
 
     def drop_replaced(
         g, dropped, replaced
@@ -229,12 +284,17 @@ def take(plan, place, cell, held, view, records, links, budget, out):
         units that are rounded down, and it is not checked again before. With the area of `sure` nothing needs to be
         checked.
         """
-        waiting, done, y = replaced, replaced, g
+        waiting = replaced
+        done = replaced
+        y = g
         while True:
-            is_new, one_only = y == g or not has(gaussians, y), only_of(only[y], firsts[y >> 6])
-            first, end = np.int64(0), np.int64(one_only >= 0)
+            is_new = y == g or not has(gaussians, y)
+            one_only = only_of(only[y], firsts[y >> 6])
+            first = np.int64(0)
+            end = np.int64(one_only >= 0)
             if one_only == SEVERAL:
-                first, end = offsets[y], offsets[y + 1]
+                first = offsets[y]
+                end = offsets[y + 1]
             for k in range(first, end):
                 e = one_only if one_only >= 0 else np.int64(ranks[k])
                 if is_new:
@@ -246,10 +306,13 @@ def take(plan, place, cell, held, view, records, links, budget, out):
                     looks[e] = DONE
                     continue
                 if not 0 < sure[e] <= arrived[e] < ANY:
-                    total, missing = 0.0, 0.0
+                    total = 0.0
+                    missing = 0.0
                     for m in range(starts[e], starts[e + 1]):
-                        w, bit = ids[m] >> 6, np.uint64(ids[m] & 63)
-                        counts, lacks = candidates[w], candidates[w] & ~(gaussians[w] | gone[w])
+                        w = ids[m] >> 6
+                        bit = np.uint64(ids[m] & 63)
+                        counts = candidates[w]
+                        lacks = candidates[w] & ~(gaussians[w] | gone[w])
                         total += np.float64((counts >> bit) & one) * weights[m]
                         missing += np.float64((lacks >> bit) & one) * weights[m]
                     spare = 1.0 - shares[last[x]]
@@ -269,8 +332,11 @@ def take(plan, place, cell, held, view, records, links, budget, out):
             done += 1
 
     while place < len(entries):
-        s, kind = np.int64(entries[place] >> KIND_BITS), np.int64(entries[place] & ((1 << KIND_BITS) - 1)) - 1
-        w, terms, ahead = np.int64(words[s]), kind >= 0, min(place + _AHEAD, len(entries) - 1)
+        s = np.int64(entries[place] >> KIND_BITS)
+        kind = np.int64(entries[place] & ((1 << KIND_BITS) - 1)) - 1
+        w = np.int64(words[s])
+        terms = kind >= 0
+        ahead = min(place + _AHEAD, len(entries) - 1)
         soon = np.int64(words[entries[ahead] >> KIND_BITS])
         prefetch(gaussians, soon)
         prefetch(gone, soon)
@@ -278,7 +344,8 @@ def take(plan, place, cell, held, view, records, links, budget, out):
             if (sets[ahead] >> np.uint64(k)) & np.uint64((1 << _LINE) - 1):
                 prefetch(only, 64 * soon + k)
         ahead = min(place + _NEXT, len(entries) - 1)
-        soon, coming = np.int64(words[entries[ahead] >> KIND_BITS]), sets[ahead]
+        soon = np.int64(words[entries[ahead] >> KIND_BITS])
+        coming = sets[ahead]
         first = firsts[soon]
         while coming:
             e = only_of(only[64 * soon + np.int64(lowest(coming))], first)
@@ -309,7 +376,10 @@ def take(plan, place, cell, held, view, records, links, budget, out):
                     dropped, replaced = drop_replaced(g, dropped, replaced)
                     rest &= ~gone[w]
                 continue
-            start, stop, kept_back, most = term_offsets[g], term_offsets[g + 1], False, np.float32(-np.inf)
+            start = term_offsets[g]
+            stop = term_offsets[g + 1]
+            kept_back = False
+            most = np.float32(-np.inf)
             _look(bodies, g, areas[g], view.pixel, eyes, toward)
             for k in range(start >> 6, (stop + 63) >> 6):
                 left = active[k] & ~held_terms[k]
@@ -323,7 +393,8 @@ def take(plan, place, cell, held, view, records, links, budget, out):
                         change = _change(centers, centers_of[t], cosines[t], widths[t], toward)
                         if gain + change < 0.0:
                             left &= left - one
-                            kept_back, most = True, change if change > most else most
+                            kept_back = True
+                            most = change if change > most else most
                             continue
                     if total + term_sizes[t] > budget:
                         return place, found, found_terms, dropped, replaced, total

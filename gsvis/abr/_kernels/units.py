@@ -16,8 +16,14 @@ from gsvis._kernels.compiled import kernel, njit
 
 BUCKETS = 1024
 LEAST = 129 * 32 - (BUCKETS - 1)  # a gain of 4, the largest there is: its float32 without the last 18 bits
-GEOMETRY, TERMS, STRONG = 0, 1, 2  # kinds of records; further ones are terms that change the image less
-INSIDE, OUTSIDE, EDGE = 0, 1, 2  # parts of what is left: in the middle of the view, out of it, at its edge
+# kinds of records; further ones are terms that change the image less
+GEOMETRY = 0
+TERMS = 1
+STRONG = 2
+# parts of what is left: in the middle of the view, out of it, at its edge
+INSIDE = 0
+OUTSIDE = 1
+EDGE = 2
 
 
 class Units(NamedTuple):
@@ -73,21 +79,34 @@ def word_spheres(means, radii, areas, spheres, spreads):
     """
     n = len(means)
     for w in range(-(-n // 64)):
-        low, high = 64 * w, min(64 * w + 64, n)
-        x, y, z, total = 0.0, 0.0, 0.0, 0.0
+        low = 64 * w
+        high = min(64 * w + 64, n)
+        x = 0.0
+        y = 0.0
+        z = 0.0
+        total = 0.0
         for g in range(low, high):
             share = min(np.float64(areas[g]), 1e12) + 1e-12
-            x, y, z = x + share * means[g, 0], y + share * means[g, 1], z + share * means[g, 2]
+            x = x + share * means[g, 0]
+            y = y + share * means[g, 1]
+            z = z + share * means[g, 2]
             total += share
-        x, y, z = x / total, y / total, z / total
-        reach, spread = 0.0, 0.0
+        x = x / total
+        y = y / total
+        z = z / total
+        reach = 0.0
+        spread = 0.0
         for g in range(low, high):
-            a, b, c = means[g, 0] - x, means[g, 1] - y, means[g, 2] - z
+            a = means[g, 0] - x
+            b = means[g, 1] - y
+            c = means[g, 2] - z
             square = a * a + b * b + c * c
             share = min(np.float64(areas[g]), 1e12) + 1e-12
             spread += share * square
             reach = max(reach, np.sqrt(square) + radii[g])
-        spheres[w, 0], spheres[w, 1], spheres[w, 2] = x, y, z
+        spheres[w, 0] = x
+        spheres[w, 1] = y
+        spheres[w, 2] = z
         slack = 1e-6 * (reach + abs(x) + abs(y) + abs(z)) + 1e-30  # bounds the rounding of depths
         spheres[w, 3] = min(reach + slack, 1e30)
         spreads[w] = min(spread / total, 1e30)
@@ -120,29 +139,45 @@ def cell_units(seen, classes, traits, class_weights, standing, levels, found):
     strengths, pairs, mixed = traits
     out_words, out_masks, out_areas, out_pixels, out_codes, out_logs = found
     one = np.uint64(1)
-    masks, sums = np.zeros(256, np.uint64), np.zeros((256, 2))
-    rank, filled, words, members = 0, 0, seen.words, seen.masks
+    masks = np.zeros(256, np.uint64)
+    sums = np.zeros((256, 2))
+    rank = 0
+    filled = 0
+    words = seen.words
+    members = seen.masks
     for s in range(len(words)):
-        w, rest = np.int64(words[s]), members[s]
+        w = np.int64(words[s])
+        rest = members[s]
         stands = standing[s] if len(standing) else np.uint64(0)
-        low_class, high_class = 255, 0
+        low_class = 255
+        high_class = 0
         while rest:
             low = lowest(rest)
             rest &= rest - one
-            kind, g = np.int64(classes[rank]), 64 * w + np.int64(low)
+            kind = np.int64(classes[rank])
+            g = 64 * w + np.int64(low)
             rank += 1
             masks[kind] |= one << low
             sums[kind, 0] += strengths[g, 0]
             sums[kind, 1] += strengths[g, 1]
-            low_class, high_class = min(low_class, kind), max(high_class, kind)
+            low_class = min(low_class, kind)
+            high_class = max(high_class, kind)
         for kind in range(low_class, high_class + 1):
-            whole, area, pixel = masks[kind], sums[kind, 0], sums[kind, 1]
-            masks[kind], sums[kind, 0], sums[kind, 1] = 0, 0.0, 0.0
+            whole = masks[kind]
+            area = sums[kind, 0]
+            pixel = sums[kind, 1]
+            masks[kind] = 0
+            sums[kind, 0] = 0.0
+            sums[kind, 1] = 0.0
             while whole:
-                lead, mask = 64 * w + np.int64(lowest(whole)), whole
+                lead = 64 * w + np.int64(lowest(whole))
+                mask = whole
                 pair = _pair(pairs, levels, stands, lead)
                 if mixed[w] or stands:
-                    rest, mask, area, pixel = whole, np.uint64(0), 0.0, 0.0
+                    rest = whole
+                    mask = np.uint64(0)
+                    area = 0.0
+                    pixel = 0.0
                     while rest:
                         low = lowest(rest)
                         rest &= rest - one
@@ -153,7 +188,9 @@ def cell_units(seen, classes, traits, class_weights, standing, levels, found):
                             pixel += strengths[g, 1]
                 whole &= ~mask
                 count = np.float64(ones(mask))
-                out_words[filled], out_masks[filled], out_codes[filled] = w, mask, pair
+                out_words[filled] = w
+                out_masks[filled] = mask
+                out_codes[filled] = pair
                 out_areas[filled] = class_weights[kind] * area / count
                 out_pixels[filled] = class_weights[kind] * pixel / count
                 out_logs[filled] = np.log(max(class_weights[kind], 1e-30))
@@ -245,7 +282,9 @@ def ring_units(fresh, starts, every, found):
     """
     _, masks, areas, pixels, codes, logs = every
     out_words, out_masks, out_areas, out_pixels, out_codes, out_logs = found
-    words, wanted, filled = fresh.words, fresh.masks, 0
+    words = fresh.words
+    wanted = fresh.masks
+    filled = 0
     for s in range(len(words)):
         w = words[s]
         for u in range(starts[w], starts[w + 1]):
@@ -269,7 +308,8 @@ def _touches(planes, x, y, z, radius):
     """Return 2 where a sphere is inside one of the frusta, 1 where it touches one, else 0."""
     best = 0
     for f in range(planes.shape[0]):
-        whole, part = True, True
+        whole = True
+        part = True
         for k in range(planes.shape[1]):
             far = planes[f, k, 0] * x + planes[f, k, 1] * y + planes[f, k, 2] * z + planes[f, k, 3]
             if far + radius < 0.0:

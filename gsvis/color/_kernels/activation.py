@@ -20,16 +20,24 @@ _SLACK = 2e-6  # in cosines: centers are float32
 def responses(means, offsets, centers, decays, factors, eye, out):
     """Write `factors` (T,) times the value of each term's lobe, as the eye (3,) sees it, into out (T,)."""
     for i in range(len(offsets) - 1):
-        first, last = offsets[i], offsets[i + 1]
+        first = offsets[i]
+        last = offsets[i + 1]
         if first == last:
             continue
-        x, y, z = means[i, 0] - eye[0], means[i, 1] - eye[1], means[i, 2] - eye[2]
+        x = means[i, 0] - eye[0]
+        y = means[i, 1] - eye[1]
+        z = means[i, 2] - eye[2]
         length = np.sqrt(x * x + y * y + z * z)
         if length == 0.0:  # an eye at the exact center looks along +z
-            z, length = 1.0, 1.0
-        x, y, z = x / length, y / length, z / length
+            z = 1.0
+            length = 1.0
+        x = x / length
+        y = y / length
+        z = z / length
         for t in range(first, last):
-            a, b, c = x - centers[t, 0], y - centers[t, 1], z - centers[t, 2]
+            a = x - centers[t, 0]
+            b = y - centers[t, 1]
+            c = z - centers[t, 2]
             out[t] = factors[t] * np.exp(-0.5 * decays[t] * (a * a + b * b + c * c))
 
 
@@ -49,9 +57,11 @@ def changes(space, base, scales, offsets, amplitudes, lobes, out):
     most = 0
     for i in range(len(base)):
         most = max(most, offsets[i + 1] - offsets[i])
-    colors, factors = np.empty((3, most + 1), np.float32), np.empty(most + 1, np.float32)
+    colors = np.empty((3, most + 1), np.float32)
+    factors = np.empty(most + 1, np.float32)
     for i in range(len(base)):
-        first, count = offsets[i], offsets[i + 1] - offsets[i]
+        first = offsets[i]
+        count = offsets[i + 1] - offsets[i]
         if count == 0:
             continue
         factors[: count + 1] = scales[i]
@@ -78,7 +88,9 @@ def _cone(x, y, z, half_x, half_y, half_z):
     are convex, so a cone with the directions from all corners holds those from the whole box. At most 0: any direction.
     """
     length = x * x + y * y + z * z
-    part, whole = length, 1.0  # squared cosine times squared length as a fraction: corners need no root, no division
+    # squared cosine times squared length as a fraction: corners need no root, no division
+    part = length
+    whole = 1.0
     for corner in range(8):
         dx = x - half_x if corner & 1 else x + half_x
         dy = y - half_y if corner & 2 else y + half_y
@@ -88,7 +100,8 @@ def _cone(x, y, z, half_x, half_y, half_z):
             return 0.0
         square = dx * dx + dy * dy + dz * dz
         if along * along * whole < part * square:
-            part, whole = along * along, square
+            part = along * along
+            whole = square
     return min(1.0, np.sqrt(part / (whole * length)))
 
 
@@ -108,19 +121,28 @@ def mark_terms(ids, faint, means, offsets, centers, logs, widths, low, high, out
         high: (3,) highest corner.
         out: (T,) bool; entries are set, never cleared.
     """
-    middle_x, middle_y, middle_z = 0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), 0.5 * (low[2] + high[2])
-    half_x, half_y, half_z = 0.5 * (high[0] - low[0]), 0.5 * (high[1] - low[1]), 0.5 * (high[2] - low[2])
+    middle_x = 0.5 * (low[0] + high[0])
+    middle_y = 0.5 * (low[1] + high[1])
+    middle_z = 0.5 * (low[2] + high[2])
+    half_x = 0.5 * (high[0] - low[0])
+    half_y = 0.5 * (high[1] - low[1])
+    half_z = 0.5 * (high[2] - low[2])
     for j in range(len(ids)):
         i = ids[j]
-        first, last = offsets[i], offsets[i + 1]
+        first = offsets[i]
+        last = offsets[i + 1]
         if first == last:
             continue
-        x, y, z = means[i, 0] - middle_x, means[i, 1] - middle_y, means[i, 2] - middle_z
+        x = means[i, 0] - middle_x
+        y = means[i, 1] - middle_y
+        z = means[i, 2] - middle_z
         length = np.sqrt(x * x + y * y + z * z)
         cos_cone = _cone(x, y, z, half_x, half_y, half_z) if length > 0.0 else 0.0
         sin_cone = np.sqrt(max(0.0, 1.0 - cos_cone * cos_cone))
         if length > 0.0:
-            x, y, z = x / length, y / length, z / length
+            x = x / length
+            y = y / length
+            z = z / length
         less = faint[j] if len(faint) else 0.0
         for t in range(first, last):
             left = logs[t] - less

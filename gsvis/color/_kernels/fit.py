@@ -22,7 +22,8 @@ _PATIENCE = 4
 @inner(fastmath=True)
 def _gather(directions, weights, targets, points, seen, rows):
     """Gather the directions of weight > 0, padded with weight 0; return their number and the sum of the weights."""
-    count, total = 0, 0.0
+    count = 0
+    total = 0.0
     channels = targets.shape[0]
     for d in range(len(weights)):
         if weights[d] > 0.0:
@@ -46,7 +47,8 @@ def _gather(directions, weights, targets, points, seen, rows):
 @inner(fastmath=True)
 def _choose(atoms, norms, left, channels, count):
     """Return the atom that explains most of the residual."""
-    best, chosen = np.float32(-1.0), 0
+    best = np.float32(-1.0)
+    chosen = 0
     for a in range(len(norms)):
         explained = np.float32(0.0)
         atom = atoms[a]
@@ -58,7 +60,8 @@ def _choose(atoms, norms, left, channels, count):
             explained += s * s
         explained /= norms[a]
         if explained > best:
-            best, chosen = explained, a
+            best = explained
+            chosen = a
     return chosen
 
 
@@ -69,7 +72,8 @@ def _take_away(rows, targets, intensities, terms, channels, count, left):
         for d in range(count):
             row[d] = targets[c, d]
         for k in range(terms):
-            lobe, factor = rows[k], np.float32(intensities[k, c])
+            lobe = rows[k]
+            factor = np.float32(intensities[k, c])
             for d in range(count):
                 row[d] -= factor * lobe[d]
 
@@ -95,11 +99,16 @@ def _fit_block(
     width = (size + LANES - 1) // LANES * LANES
     terms_at_most = v.shape[1]
     w = work(terms_at_most, width, channels)
-    points, rows = np.zeros((4, width), np.float32), np.zeros((4, width), np.float32)
-    left, seen = np.zeros((channels, width), np.float32), np.zeros(width, np.int64)
-    atoms, norms = np.zeros((len(dictionary), width), np.float32), np.zeros(len(dictionary), np.float32)
-    lobe, intensities = np.zeros((terms_at_most, 3)), np.zeros((terms_at_most, channels))
-    old_lobe, old_intensities = np.zeros_like(lobe), np.zeros_like(intensities)
+    points = np.zeros((4, width), np.float32)
+    rows = np.zeros((4, width), np.float32)
+    left = np.zeros((channels, width), np.float32)
+    seen = np.zeros(width, np.int64)
+    atoms = np.zeros((len(dictionary), width), np.float32)
+    norms = np.zeros(len(dictionary), np.float32)
+    lobe = np.zeros((terms_at_most, 3))
+    intensities = np.zeros((terms_at_most, channels))
+    old_lobe = np.zeros_like(lobe)
+    old_intensities = np.zeros_like(intensities)
     for g in range(_BLOCK * block, min(n, _BLOCK * (block + 1))):
         counts[g] = 0
         count, padded, weight = _gather(directions, weights[g], targets[g], points, seen, rows)
@@ -114,7 +123,8 @@ def _fit_block(
         if at_most == 0 or best <= price or mean <= 1e-12:
             continue
         for k in range(len(dictionary)):
-            atom, s = atoms[k], np.float32(0.0)
+            atom = atoms[k]
+            s = np.float32(0.0)
             for d in range(count):
                 atom[d] = dictionary[k, seen[d]] * points[3, d]
                 s += atom[d] * atom[d]
@@ -164,9 +174,22 @@ def _fit_block(
 @in_parts(lambda directions, dictionary, starts, targets, *_: (len(targets) + _BLOCK - 1) // _BLOCK)
 @kernel(fastmath=True, error_model="numpy")
 def fit_lobes(
-    begin, end, directions, dictionary, starts, targets, weights, importance, most, price, limits, v, a, counts,
+    begin,
+    end,
+    directions,
+    dictionary,
+    starts,
+    targets,
+    weights,
+    importance,
+    most,
+    price,
+    limits,
+    v,
+    a,
+    counts,
     curves,
-):  # fmt: skip
+):
     """Fit lobes to n Gaussians: as many as are worth their price.
 
     Args:
@@ -188,9 +211,21 @@ def fit_lobes(
     """
     for block in range(begin, end):
         _fit_block(
-            np.int64(block), directions, dictionary, starts, targets, weights, importance, most, price, limits,
-            v, a, counts, curves,
-        )  # fmt: skip
+            np.int64(block),
+            directions,
+            dictionary,
+            starts,
+            targets,
+            weights,
+            importance,
+            most,
+            price,
+            limits,
+            v,
+            a,
+            counts,
+            curves,
+        )
 
 
 @in_parts(lambda directions, targets, *_: (len(targets) + _BLOCK - 1) // _BLOCK)
@@ -214,11 +249,15 @@ def settle_lobes(begin, end, directions, targets, weights, limits, counts, v, a,
     width = (size + LANES - 1) // LANES * LANES
     most = max(v.shape[1], 1)
     w = work(most, width, channels)
-    points, rows = np.zeros((4, width), np.float32), np.zeros((4, width), np.float32)
-    seen, lobe, intensities = np.zeros(width, np.int64), np.zeros((most, 3)), np.zeros((most, channels))
+    points = np.zeros((4, width), np.float32)
+    rows = np.zeros((4, width), np.float32)
+    seen = np.zeros(width, np.int64)
+    lobe = np.zeros((most, 3))
+    intensities = np.zeros((most, channels))
     for g in range(_BLOCK * begin, min(n, _BLOCK * end)):
         count, padded, weight = _gather(directions, weights[g], targets[g], points, seen, rows)
-        total, terms = 0.0, counts[g]
+        total = 0.0
+        terms = counts[g]
         for c in range(channels):
             for d in range(count):
                 total += np.float64(rows[c, d]) ** 2

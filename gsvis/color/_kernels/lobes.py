@@ -37,7 +37,8 @@ def _lobe(typing_context, points, place, v, decay, rows, row, slopes):
         slopes: First of the three rows of the slopes by v.
     """
     del typing_context
-    f32, i64 = types.float32, types.int64
+    f32 = types.float32
+    i64 = types.int64
     signature = types.void(points, i64, types.UniTuple(f32, 3), f32, rows, i64, i64)
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:

@@ -17,7 +17,8 @@ from gsvis.color._kernels.products import BLOCK, best_atom, multiply_rows
 
 __all__ = ["BAD_SIGNAL", "BAD_WEIGHTS", "Atoms", "Chunk", "Codes", "pursue"]
 
-BAD_SIGNAL, BAD_WEIGHTS = -1, -2
+BAD_SIGNAL = -1
+BAD_WEIGHTS = -2
 """Error codes in counts: signals that are not finite, or weights that are not finite or negative."""
 
 _NOISE = 1e-6  # of a signal's norm: correlations below it are rounding errors
@@ -139,7 +140,8 @@ def _product(a, i, b, j, out, k):
 @inner(fastmath={"nnan", "nsz", "reassoc"})
 def _least_and_most(a, i):
     """Return the least and the largest entry of a[i]; valid only if all entries are finite."""
-    least, most = a[i, 0], a[i, 0]
+    least = a[i, 0]
+    most = a[i, 0]
     for d in range(a.shape[1]):
         least = min(least, a[i, d])
         most = max(most, a[i, d])
@@ -161,10 +163,18 @@ def _take_weights(weights, m, roots, b):
 @inner
 def _load(chunk, start, count, atoms, work, codes):
     """Load signals start .. start + count of the chunk, weighted and scaled, into the block; counts: 0 or BAD_*."""
-    signals, weights, raw, rows, counts = chunk.signals, chunk.weights, work.raw, work.rows, codes.counts
-    energies, sizes, scales = work.energies, work.sizes, work.scales
-    channels, own = codes.coefficients.shape[2], len(weights) > 0
-    roots, scale = work.roots if own else atoms.roots, atoms.scale
+    signals = chunk.signals
+    weights = chunk.weights
+    raw = work.raw
+    rows = work.rows
+    counts = codes.counts
+    energies = work.energies
+    sizes = work.sizes
+    scales = work.scales
+    channels = codes.coefficients.shape[2]
+    own = len(weights) > 0
+    roots = work.roots if own else atoms.roots
+    scale = atoms.scale
     for b in range(count):
         m = start + b
         counts[m] = 0
@@ -172,7 +182,8 @@ def _load(chunk, start, count, atoms, work, codes):
             scale = np.float64(_take_weights(weights, m, roots, b))
             if scale < 0.0:
                 counts[m] = BAD_WEIGHTS
-        energy, whole = 0.0, 0.0
+        energy = 0.0
+        whole = 0.0
         for c in range(channels):
             for d in range(raw.shape[1]):
                 raw[0, d] = signals[m, d * channels + c]
@@ -184,7 +195,9 @@ def _load(chunk, start, count, atoms, work, codes):
         size = math.ldexp(1.0, math.frexp(math.sqrt(energy))[1]) if counts[m] == 0 else 1.0
         for c in range(channels):
             _scale(rows, c * BLOCK + b, 1.0 / size)
-        energies[b], sizes[b], scales[b] = energy / (size * size), size, scale * size * size
+        energies[b] = energy / (size * size)
+        sizes[b] = size
+        scales[b] = scale * size * size
 
 
 @inner(error_model="numpy")
@@ -197,7 +210,10 @@ def _reciprocals(shares, b, least_share, gains):
 @inner
 def _correlate(atoms, work, count):
     """Correlate all atoms with the signals of the block."""
-    rows, roots, sent, correlations = work.rows, work.roots, work.sent, work.correlations
+    rows = work.rows
+    roots = work.roots
+    sent = work.sent
+    correlations = work.correlations
     for first in range(0, len(rows), BLOCK):
         out = correlations[first : first + BLOCK]
         if len(roots) > 0:
@@ -211,7 +227,10 @@ def _correlate(atoms, work, count):
 @inner
 def _weigh(atoms, work, count):
     """Compute the gains of all atoms under the weights of each signal of the block."""
-    roots, sent, shares, gains = work.roots, work.sent, work.spread, work.gains
+    roots = work.roots
+    sent = work.sent
+    shares = work.spread
+    gains = work.gains
     if len(roots) == 0:
         for b in range(count):
             _copy(atoms.gains, np.int64(0), gains, b)
@@ -249,13 +268,25 @@ def _choose(atoms, work, going, k, codes, start):
 
     A signal keeps its count if there is nothing left to choose.
     """
-    unit, roots, gains, rows, correlations = atoms.unit, work.roots, work.gains, work.rows, work.correlations
-    basis, triangle, parts, energies, active = work.basis, work.triangle, work.parts, work.energies, work.active
-    found, errors, counts = codes.atoms, codes.errors, codes.counts
-    terms, channels = found.shape[1], parts.shape[1]
+    unit = atoms.unit
+    roots = work.roots
+    gains = work.gains
+    rows = work.rows
+    correlations = work.correlations
+    basis = work.basis
+    triangle = work.triangle
+    parts = work.parts
+    energies = work.energies
+    active = work.active
+    found = codes.atoms
+    errors = codes.errors
+    counts = codes.counts
+    terms = found.shape[1]
+    channels = parts.shape[1]
     for s in range(going):
         b = active[s]
-        m, new = start + b, b * terms + k
+        m = start + b
+        new = b * terms + k
         score, atom = best_atom(correlations, channels, gains, b)
         if score <= _NOISE * _NOISE * energies[b]:
             continue
@@ -279,8 +310,12 @@ def _choose(atoms, work, going, k, codes, start):
 @inner
 def _keep_active(chunk, start, going, k, codes, work):
     """Keep the active signals that found k terms and may gain more; return their number."""
-    active, scales, counts, errors = work.active, work.scales, codes.counts, codes.errors
-    limits, tolerances = chunk.limits, chunk.tolerances
+    active = work.active
+    scales = work.scales
+    counts = codes.counts
+    errors = codes.errors
+    limits = chunk.limits
+    tolerances = chunk.tolerances
     kept = 0
     for s in range(going):
         b = active[s]
@@ -297,8 +332,15 @@ def _spread(atoms, work, going, k, codes, start):
 
     Uses recursion from the inner products between atoms, or a matrix product if those depend on the signal.
     """
-    found, roots, gram, active = codes.atoms, work.roots, atoms.gram, work.active
-    basis, triangle, sent, spread, spreads = work.basis, work.triangle, work.sent, work.spread, work.spreads
+    found = codes.atoms
+    roots = work.roots
+    gram = atoms.gram
+    active = work.active
+    basis = work.basis
+    triangle = work.triangle
+    sent = work.sent
+    spread = work.spread
+    spreads = work.spreads
     terms = found.shape[1]
     for s in range(going):
         b = active[s]
@@ -318,7 +360,10 @@ def _spread(atoms, work, going, k, codes, start):
 @inner
 def _follow(work, going, k, terms):
     """Update the correlations of the active signals after term k."""
-    active, parts, correlations, spread = work.active, work.parts, work.correlations, work.spread
+    active = work.active
+    parts = work.parts
+    correlations = work.correlations
+    spread = work.spread
     channels = parts.shape[1]
     for s in range(going):
         b = active[s]
@@ -329,11 +374,20 @@ def _follow(work, going, k, terms):
 @inner
 def _finish(atoms, work, count, codes, start):
     """Compute the coefficients of the chosen atoms from the parts along the basis; clear the rest; rescale errors."""
-    found, coefficients, counts, errors = codes.atoms, codes.coefficients, codes.counts, codes.errors
-    parts, triangle, sizes, scales, lengths = work.parts, work.triangle, work.sizes, work.scales, atoms.lengths
-    terms, channels = found.shape[1], parts.shape[1]
+    found = codes.atoms
+    coefficients = codes.coefficients
+    counts = codes.counts
+    errors = codes.errors
+    parts = work.parts
+    triangle = work.triangle
+    sizes = work.sizes
+    scales = work.scales
+    lengths = atoms.lengths
+    terms = found.shape[1]
+    channels = parts.shape[1]
     for b in range(count):
-        m, first = start + b, b * terms
+        m = start + b
+        first = b * terms
         number = max(counts[m], 0)
         for c in range(channels):
             for k in range(number - 1, -1, -1):
@@ -378,9 +432,11 @@ def _pursue_block(chunk, start, count, atoms, codes, work):
 @kernel
 def pursue(chunk, atoms, codes):
     """Run orthogonal matching pursuit for all signals of a chunk, into codes."""
-    number, depth = len(chunk.signals), chunk.signals.shape[1] // codes.coefficients.shape[2]
+    number = len(chunk.signals)
+    depth = chunk.signals.shape[1] // codes.coefficients.shape[2]
     terms, channels = codes.coefficients.shape[1:]
-    columns, own = atoms.gains.shape[1], BLOCK if len(chunk.weights) > 0 else 0
+    columns = atoms.gains.shape[1]
+    own = BLOCK if len(chunk.weights) > 0 else 0
     work = _Work(
         np.empty((1, depth), np.float32),
         np.zeros((BLOCK * channels, depth), np.float32),

@@ -53,28 +53,32 @@ def _gather(directions, colors, weights, seen, target, heavy):
 @inner(error_model="numpy")
 def _order_one(g, space, directions, colors, weights, base, scales, v, amplitudes, counts, order, kept):
     """Order the lobes of Gaussian g for `order_lobes`."""
-    functions, most = v.shape[0], v.shape[2]
+    functions = v.shape[0]
+    most = v.shape[2]
     width = directions.shape[1]
-    seen, target, heavy = (
-        np.empty((3, width), np.float32),
-        np.empty((3, width), np.float32),
-        np.empty(width, np.float32),
-    )
+    seen = np.empty((3, width), np.float32)
+    target = np.empty((3, width), np.float32)
+    heavy = np.empty(width, np.float32)
     count = _gather(directions, colors[g], weights[g], seen, target, heavy)
-    summed, trial = np.empty((3, width), np.float32), np.empty((3, width), np.float32)
-    shown, factors = np.empty((3, width), np.float32), np.full(width, scales[g])
+    summed = np.empty((3, width), np.float32)
+    trial = np.empty((3, width), np.float32)
+    shown = np.empty((3, width), np.float32)
+    factors = np.full(width, scales[g])
     for c in range(3):
         summed[c] = base[g, c]
     error = _shown_error(space, summed, factors, count, target, heavy, shown)
-    heads, number = np.zeros(functions, np.int64), 0
+    heads = np.zeros(functions, np.int64)
+    number = 0
     while True:
-        best, chosen = np.inf, -1
+        best = np.inf
+        chosen = -1
         for f in range(functions):
             if heads[f] < counts[f, g]:
                 _add(seen, count, v[f, g, heads[f]], amplitudes[f, g, heads[f]], summed, trial)
                 found = _shown_error(space, trial, factors, count, target, heavy, shown)
                 if found < best:
-                    best, chosen = found, f
+                    best = found
+                    chosen = f
         if chosen < 0:
             break
         k = heads[chosen]
@@ -116,21 +120,22 @@ def _errors_of_one(g, space, directions, colors, weights, base, scales, v, ampli
     """Measure the errors of Gaussian g for `measure_shown_errors`."""
     most = v.shape[2]
     width = directions.shape[1]
-    seen, target, heavy = (
-        np.empty((3, width), np.float32),
-        np.empty((3, width), np.float32),
-        np.empty(width, np.float32),
-    )
+    seen = np.empty((3, width), np.float32)
+    target = np.empty((3, width), np.float32)
+    heavy = np.empty(width, np.float32)
     count = _gather(directions, colors[g], weights[g], seen, target, heavy)
-    summed, shown = np.empty((3, width), np.float32), np.empty((3, width), np.float32)
-    factors, total = np.full(width, scales[g]), 0.0
+    summed = np.empty((3, width), np.float32)
+    shown = np.empty((3, width), np.float32)
+    factors = np.full(width, scales[g])
+    total = 0.0
     for d in range(count):
         total += heavy[d]
     for c in range(3):
         summed[c] = base[g, c]
     before[g] = _shown_error(space, summed, factors, count, target, heavy, shown) / total
     for j in range(kept[g]):
-        f, k = order[g, j] // most, order[g, j] % most
+        f = order[g, j] // most
+        k = order[g, j] % most
         _add(seen, count, v[f, g, k], amplitudes[f, g, k], summed, summed)
     after[g] = _shown_error(space, summed, factors, count, target, heavy, shown) / total
 
@@ -138,8 +143,21 @@ def _errors_of_one(g, space, directions, colors, weights, base, scales, v, ampli
 @in_parts(lambda space, directions, colors, *_: len(colors))
 @kernel(error_model="numpy")
 def measure_shown_errors(
-    begin, end, space, directions, colors, weights, base, scales, v, amplitudes, order, kept, before, after,
-):  # fmt: skip
+    begin,
+    end,
+    space,
+    directions,
+    colors,
+    weights,
+    base,
+    scales,
+    v,
+    amplitudes,
+    order,
+    kept,
+    before,
+    after,
+):
     """Write weighted mean squared RGB errors (n,) of the bases alone and with all kept lobes; see `order_lobes`."""
     for g in range(begin, end):
         _errors_of_one(

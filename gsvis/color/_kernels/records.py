@@ -19,7 +19,9 @@ RIDGE = 1e-4
 @kernel
 def _product(a, b):
     """Return the mean over the sphere of the product of two SRBFs, each decay times center (3,) and the decay."""
-    x, y, z = a[0] + b[0], a[1] + b[1], a[2] + b[2]
+    x = a[0] + b[0]
+    y = a[1] + b[1]
+    z = a[2] + b[2]
     length = np.sqrt(x * x + y * y + z * z)
     # sinh(length) / length exp(-both decays), without overflow
     falling = -np.expm1(-2.0 * length) / (2.0 * length) if length > 1e-12 else 1.0
@@ -49,9 +51,11 @@ def project(offsets, functions, lobes, rounded, intensities, out):
     for g in range(len(offsets) - 1):
         most = max(most, offsets[g + 1] - offsets[g])
     channels = intensities.shape[1]
-    gram, change = np.empty((most, most)), np.empty((most, channels))
+    gram = np.empty((most, most))
+    change = np.empty((most, channels))
     for g in range(len(offsets) - 1):
-        start, count = offsets[g], offsets[g + 1] - offsets[g]
+        start = offsets[g]
+        count = offsets[g + 1] - offsets[g]
         for j in range(count):
             change[j] = 0.0
             for k in range(count):
@@ -88,18 +92,25 @@ def round_jointly(offsets, functions, lobes, intensities, table, middles, out):
     for g in range(len(offsets) - 1):
         most = max(most, offsets[g + 1] - offsets[g])
     channels = intensities.shape[1]
-    gram, sizes, errors, alone = np.empty((most, most)), np.empty(most), np.empty(most), np.empty(most)
-    places, order = np.empty(most, np.int64), np.empty(most, np.int64)
+    gram = np.empty((most, most))
+    sizes = np.empty(most)
+    errors = np.empty(most)
+    alone = np.empty(most)
+    places = np.empty(most, np.int64)
+    order = np.empty(most, np.int64)
     for g in range(len(offsets) - 1):
-        start, count = offsets[g], offsets[g + 1] - offsets[g]
+        start = offsets[g]
+        count = offsets[g + 1] - offsets[g]
         for j in range(count):  # the largest last, of equal ones the first; numba's sort takes long to compile
-            size, at = 0.0, j
+            size = 0.0
+            at = j
             for c in range(channels):
                 size = max(size, np.float64(abs(intensities[start + j, c])))
             while at > 0 and sizes[at - 1] >= size:
                 sizes[at], order[at] = sizes[at - 1], order[at - 1]
                 at -= 1
-            sizes[at], order[at] = size, start + j
+            sizes[at] = size
+            order[at] = start + j
         for j in range(count):
             for k in range(j + 1):
                 alike = functions[order[j]] == functions[order[k]]
@@ -107,11 +118,13 @@ def round_jointly(offsets, functions, lobes, intensities, table, middles, out):
             gram[j, j] *= 1.0 + RIDGE
         _cholesky(gram, count)
         for c in range(channels):
-            apart, together = 0.0, 0.0
+            apart = 0.0
+            together = 0.0
             for j in range(count):
                 alone[j] = table[np.searchsorted(middles, intensities[order[j], c])] - intensities[order[j], c]
             for j in range(count - 1, -1, -1):
-                value, left = intensities[order[j], c], alone[j]
+                value = intensities[order[j], c]
+                left = alone[j]
                 for k in range(j + 1, count):
                     value -= gram[k, j] / gram[j, j] * errors[k]
                     left += gram[k, j] / gram[j, j] * alone[k]

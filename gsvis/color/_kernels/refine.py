@@ -27,13 +27,29 @@ Work = namedtuple(
 @kernel
 def work(most_terms, directions, channels):
     """Allocate arrays for fits of at most `most_terms` lobes over `directions`, a multiple of 16."""
-    p, n, k = 4 * most_terms, 3 * most_terms, most_terms
+    p = 4 * most_terms
+    n = 3 * most_terms
+    k = most_terms
     z = np.zeros
     return Work(
-        z((p, directions), np.float32), z((p, p)), z((p, channels)), z((p, p)), z((p, channels)), z((k, k)), z((k, n)),
-        z((n, n)), z((n, n)), z((n, 1)), z((n, 1)), z((k, 3)), z((k, channels)), z(16, np.float32), z(p),
-        z((1, 3)), z((1, channels)),
-    )  # fmt: skip
+        z((p, directions), np.float32),
+        z((p, p)),
+        z((p, channels)),
+        z((p, p)),
+        z((p, channels)),
+        z((k, k)),
+        z((k, n)),
+        z((n, n)),
+        z((n, n)),
+        z((n, 1)),
+        z((n, 1)),
+        z((k, 3)),
+        z((k, channels)),
+        z(16, np.float32),
+        z(p),
+        z((1, 3)),
+        z((1, channels)),
+    )
 
 
 @kernel
@@ -144,11 +160,13 @@ def _normal_equations(w, terms, channels, ridge, intensities):
                 left -= w.inner[terms + p, i] * intensities[i, c]
             slope += intensities[k, c] * left
         w.slope[p, 0] = slope
-        row, own = w.normal[p], w.inner[terms + p]
+        row = w.normal[p]
+        own = w.inner[terms + p]
         for q in range(p + 1):
             row[q] = own[terms + q]
         for i in range(terms):
-            known, factor = w.wide[i], own[i]
+            known = w.wide[i]
+            factor = own[i]
             for q in range(p + 1):
                 row[q] -= factor * known[q]
         for q in range(p + 1):
@@ -298,7 +316,8 @@ def settle(w, total, terms, channels, limits, intensities, anew):
         intensities: (K, channels), changed in place.
         anew: Whether to fit the intensities before the first check.
     """
-    emphasis, error = limits[5], total
+    emphasis = limits[5]
+    error = total
     for attempt in range(_ATTEMPTS_TO_SETTLE):
         if attempt > 0:
             emphasis = max(3.0 * emphasis, 0.03)
@@ -310,7 +329,8 @@ def settle(w, total, terms, channels, limits, intensities, anew):
             _count_prefixes(terms, emphasis, w.factors)
             _weigh_prefixes(w.inner2, w.outer2, terms, channels, w.factors)
             best_intensities(w.inner2, w.outer2, terms, channels, limits[0], w.small, intensities)
-        error, falls = total, True
+        error = total
+        falls = True
         for k in range(terms):
             change = _change(w, k, channels, intensities)
             if change > 1e-7 * total:

@@ -16,8 +16,10 @@ SPACES = {"rgb": 0, "hsl": 1, "hsv": 2, "yuv": 3}
 """Codes of the spaces."""
 
 _0, _1, _3, _4, _5, _6, _8, _9, _12 = (np.float32(k) for k in (0, 1, 3, 4, 5, 6, 8, 9, 12))
-_V_RED, _U_BLUE = np.float32(1.402), np.float32(1.772)
-_GREEN_RED, _GREEN_BLUE = np.float32(0.299 / 0.587), np.float32(0.114 / 0.587)
+_V_RED = np.float32(1.402)
+_U_BLUE = np.float32(1.772)
+_GREEN_RED = np.float32(0.299 / 0.587)
+_GREEN_BLUE = np.float32(0.114 / 0.587)
 
 
 @inner(error_model="numpy")
@@ -61,8 +63,11 @@ def _from_hsv(colors):
 @inner
 def _from_yuv(colors):
     for j in range(colors.shape[1]):
-        y, u, v = colors[0, j], colors[1, j], colors[2, j]
-        red, blue = _V_RED * v, _U_BLUE * u
+        y = colors[0, j]
+        u = colors[1, j]
+        v = colors[2, j]
+        red = _V_RED * v
+        blue = _U_BLUE * u
         colors[0, j] = y + red
         colors[1, j] = y - _GREEN_RED * red - _GREEN_BLUE * blue
         colors[2, j] = y + blue

@@ -25,19 +25,31 @@ def _band_1(x, y, z, f):
 
 @njit(cache=True, fastmath={"contract"})
 def _band_2(x, y, z, f):
-    xx, yy, zz = x * x, y * y, z * z
+    xx = x * x
+    yy = y * y
+    zz = z * z
     return f[2] * x * y, f[3] * y * z, f[4] * (zz + zz - xx - yy), f[5] * x * z, f[6] * (xx - yy)
 
 
 @njit(cache=True, fastmath={"contract"})
 def _band_3(x, y, z, f):
-    xx, yy, zz = x * x, y * y, z * z  # sums, not factors: an integer factor would widen float32
-    xx3, yy3, zz2 = xx + xx + xx, yy + yy + yy, zz + zz
+    # sums, not factors: an integer factor would widen float32
+    xx = x * x
+    yy = y * y
+    zz = z * z
+    xx3 = xx + xx + xx
+    yy3 = yy + yy + yy
+    zz2 = zz + zz
     around = zz2 + zz2 - xx - yy
     return (
-        f[7] * y * (xx3 - yy), f[8] * x * y * z, f[9] * y * around, f[10] * z * (zz2 - xx3 - yy3),
-        f[11] * x * around, f[12] * z * (xx - yy), f[13] * x * (xx - yy3),
-    )  # fmt: skip
+        f[7] * y * (xx3 - yy),
+        f[8] * x * y * z,
+        f[9] * y * around,
+        f[10] * z * (zz2 - xx3 - yy3),
+        f[11] * x * around,
+        f[12] * z * (xx - yy),
+        f[13] * x * (xx - yy3),
+    )
 
 
 @njit(cache=True)
@@ -58,7 +70,9 @@ def basis_slopes(x, y, z, degree, out):
     out[:] = 0.0
     if degree < 1:
         return
-    out[1, 1], out[2, 2], out[3, 0] = -SH_C1, SH_C1, -SH_C1
+    out[1, 1] = -SH_C1
+    out[2, 2] = SH_C1
+    out[3, 0] = -SH_C1
     if degree < 2:
         return
     out[4, 0], out[4, 1] = SH_C2[0] * y, SH_C2[0] * x
@@ -68,7 +82,9 @@ def basis_slopes(x, y, z, degree, out):
     out[8, 0], out[8, 1] = 2 * SH_C2[4] * x, -2 * SH_C2[4] * y
     if degree < 3:
         return
-    xx, yy, zz = x * x, y * y, z * z
+    xx = x * x
+    yy = y * y
+    zz = z * z
     out[9, 0], out[9, 1] = 6 * SH_C3[0] * x * y, 3 * SH_C3[0] * (xx - yy)
     out[10, 0], out[10, 1], out[10, 2] = SH_C3[1] * y * z, SH_C3[1] * x * z, SH_C3[1] * x * y
     out[11, 0], out[11, 1], out[11, 2] = -2 * SH_C3[2] * x * y, SH_C3[2] * (4 * zz - xx - 3 * yy), 8 * SH_C3[2] * y * z
@@ -103,12 +119,15 @@ def _plus_band(color, band, higher, i, first):
 @njit(cache=True, fastmath={"contract"}, inline="always")  # a call would count references to the arrays each time
 def _color(i, means, sh0, higher, degree, eye):
     """Return red, green, blue of Gaussian i, not clipped: the direction in float64, the rest in float32."""
-    f, half = _FACTORS_32, np.float32(0.5)
+    f = _FACTORS_32
+    half = np.float32(0.5)
     color = half + f[0] * sh0[i, 0, 0], half + f[0] * sh0[i, 0, 1], half + f[0] * sh0[i, 0, 2]
     if degree == 0:
         return color
     x64, y64, z64, _ = _direction(means[i, 0] - eye[0], means[i, 1] - eye[1], means[i, 2] - eye[2])
-    x, y, z = np.float32(x64), np.float32(y64), np.float32(z64)
+    x = np.float32(x64)
+    y = np.float32(y64)
+    z = np.float32(z64)
     color = _plus_band(color, _band_1(x, y, z, f), higher, i, 0)
     if degree >= 2:
         color = _plus_band(color, _band_2(x, y, z, f), higher, i, 3)
@@ -134,11 +153,24 @@ def colors_from_sh(ids, means, sh0, higher, degree, eye, lowest, features):
 @in_parts(lambda ids, *_: (len(ids) + _BLOCK - 1) // _BLOCK)
 @kernel(error_model="numpy")
 def colors_from_sh_backward(
-    begin, end, ids, means, sh0, higher, degree, eye, features, v_features, v_sh0, v_higher, v_means,
-):  # fmt: skip
+    begin,
+    end,
+    ids,
+    means,
+    sh0,
+    higher,
+    degree,
+    eye,
+    features,
+    v_features,
+    v_sh0,
+    v_higher,
+    v_means,
+):
     """Add gradients by sh0, shN and means (through the direction) into the last three arguments."""
     for block in range(begin, end):
-        values, slopes = np.empty(16), np.zeros((16, 3))
+        values = np.empty(16)
+        slopes = np.zeros((16, 3))
         for j in range(_BLOCK * block, min(len(ids), _BLOCK * (block + 1))):
             i = ids[j]
             if degree == 0:  # color does not depend on direction
@@ -149,7 +181,9 @@ def colors_from_sh_backward(
             x, y, z, length = _direction(means[i, 0] - eye[0], means[i, 1] - eye[1], means[i, 2] - eye[2])
             basis(x, y, z, degree, values)
             basis_slopes(x, y, z, degree, slopes)
-            dx, dy, dz = 0.0, 0.0, 0.0
+            dx = 0.0
+            dy = 0.0
+            dz = 0.0
             for c in range(3):
                 if features[j, c] <= 0.0:  # clipped
                     continue

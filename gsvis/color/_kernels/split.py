@@ -17,7 +17,8 @@ __all__ = ["hold_saturation", "split_hsl", "split_hsv", "split_linear"]
 @inner
 def _hue_chroma(r, g, b):
     """Return the hue in turns and the spread between the largest and the smallest component."""
-    high, low = max(r, g, b), min(r, g, b)
+    high = max(r, g, b)
+    low = min(r, g, b)
     spread = high - low
     if spread <= 0.0:
         return 0.0, 0.0
@@ -80,17 +81,22 @@ def split_hsl(begin, end, colors, weights, scales, base, saturation, by_saturati
         largest = _largest(colors[g], weights[g])
         scale = np.float64(largest) if largest > 0.0 else 1.0
         scales[g] = scale
-        east, north = 0.0, 0.0
+        east = 0.0
+        north = 0.0
         for d in range(weights.shape[1]):
-            saturation[g, d], lightness[g, d] = 0.0, 0.0
+            saturation[g, d] = 0.0
+            lightness[g, d] = 0.0
             if weights[g, d] <= 0.0:
                 continue
-            r, green, b = colors[g, 0, d] / scale, colors[g, 1, d] / scale, colors[g, 2, d] / scale
+            r = colors[g, 0, d] / scale
+            green = colors[g, 1, d] / scale
+            b = colors[g, 2, d] / scale
             hue, spread = _hue_chroma(r, green, b)
             light = 0.5 * (max(r, green, b) + min(r, green, b))
             room = 1.0 - abs(2.0 * light - 1.0)
             pure = min(spread / room, 1.0) if room > 1e-7 else 0.0
-            saturation[g, d], lightness[g, d] = pure, light
+            saturation[g, d] = pure
+            lightness[g, d] = light
             east += weights[g, d] * pure * np.cos(2.0 * np.pi * hue)
             north += weights[g, d] * pure * np.sin(2.0 * np.pi * hue)
         turn = np.arctan2(north, east) / (2.0 * np.pi)
@@ -100,8 +106,11 @@ def split_hsl(begin, end, colors, weights, scales, base, saturation, by_saturati
         squares = offsets[0] ** 2 + offsets[1] ** 2 + offsets[2] ** 2
         sums = np.zeros(4)
         for d in range(weights.shape[1]):
-            pure, light, w = saturation[g, d], lightness[g, d], weights[g, d] * scale * scale
-            room, slope = 1.0 - abs(2.0 * light - 1.0), -2.0 * np.sign(2.0 * light - 1.0) * pure
+            pure = saturation[g, d]
+            light = lightness[g, d]
+            w = weights[g, d] * scale * scale
+            room = 1.0 - abs(2.0 * light - 1.0)
+            slope = -2.0 * np.sign(2.0 * light - 1.0) * pure
             by_saturation[g, d] = w * room * room * squares
             change = 0.0
             for offset in offsets:
@@ -124,10 +133,13 @@ def _nearest_lightness(color, offsets, saturation):
 
     RGB is linear in L below and above 1/2: L (1 + 2 S q) and L (1 - 2 S q) + 2 S q with q = h - 1/2.
     """
-    best, nearest, change = np.inf, 0.0, 0.0
+    best = np.inf
+    nearest = 0.0
+    change = 0.0
     for half in range(2):
         sign = 1.0 - 2.0 * half
-        along, length = 0.0, 0.0
+        along = 0.0
+        length = 0.0
         for c in range(3):
             slope = 1.0 + 2.0 * sign * saturation * offsets[c]
             along += slope * (color[c] - 2.0 * half * saturation * offsets[c])
@@ -139,7 +151,9 @@ def _nearest_lightness(color, offsets, saturation):
             shown = light * (1.0 + 2.0 * sign * saturation * offsets[c]) + 2.0 * half * saturation * offsets[c]
             error += (color[c] - shown) ** 2
         if error < best:
-            best, nearest, change = error, light, length
+            best = error
+            nearest = light
+            change = length
     return nearest, change
 
 
@@ -148,11 +162,14 @@ def _nearest_lightness(color, offsets, saturation):
 def hold_saturation(begin, end, colors, weights, scales, base, lightness, by_lightness):
     """Replace lightness by the nearest in RGB with hue and saturation held at their bases; arguments as above."""
     for g in range(begin, end):
-        turn, scale = base[g, 0], scales[g]
+        turn = base[g, 0]
+        scale = scales[g]
         offsets = (_pure(turn, 5.0) - 0.5, _pure(turn, 3.0) - 0.5, _pure(turn, 1.0) - 0.5)
-        total, mean = 0.0, 0.0
+        total = 0.0
+        mean = 0.0
         for d in range(weights.shape[1]):
-            lightness[g, d], by_lightness[g, d] = 0.0, 0.0
+            lightness[g, d] = 0.0
+            by_lightness[g, d] = 0.0
             if weights[g, d] <= 0.0:
                 continue
             color = (colors[g, 0, d] / scale, colors[g, 1, d] / scale, colors[g, 2, d] / scale)
@@ -176,12 +193,17 @@ def split_hsv(begin, end, colors, weights, scales, base, value, by_value):
         largest = _largest(colors[g], weights[g])
         scale = np.float64(largest) if largest > 0.0 else 1.0
         scales[g] = scale
-        east, north, color, all_color = 0.0, 0.0, 0.0, 0.0
+        east = 0.0
+        north = 0.0
+        color = 0.0
+        all_color = 0.0
         for d in range(weights.shape[1]):
             value[g, d] = 0.0
             if weights[g, d] <= 0.0:
                 continue
-            r, green, b = colors[g, 0, d] / scale, colors[g, 1, d] / scale, colors[g, 2, d] / scale
+            r = colors[g, 0, d] / scale
+            green = colors[g, 1, d] / scale
+            b = colors[g, 2, d] / scale
             hue, spread = _hue_chroma(r, green, b)
             high = max(r, green, b)
             pure = spread / high if high > 1e-7 else 0.0
@@ -199,7 +221,9 @@ def split_hsv(begin, end, colors, weights, scales, base, value, by_value):
             1.0 - base[g, 1] * (1.0 - _pure(turn, 3.0)),
             1.0 - base[g, 1] * (1.0 - _pure(turn, 1.0)),
         )
-        change, total, mean = tint[0] ** 2 + tint[1] ** 2 + tint[2] ** 2, 0.0, 0.0
+        change = tint[0] ** 2 + tint[1] ** 2 + tint[2] ** 2
+        total = 0.0
+        mean = 0.0
         for d in range(weights.shape[1]):
             along = tint[0] * colors[g, 0, d] + tint[1] * colors[g, 1, d] + tint[2] * colors[g, 2, d]
             value[g, d] = along / (change * scale) if weights[g, d] > 0.0 else 0.0

@@ -130,7 +130,8 @@ def _pack_group(order, first, starts, offsets, terms, slots):
         for k in range(offsets[i + 1] - offsets[i]):
             t = offsets[i] + k
             row = (starts + k) * SLOT
-            theta, phi = np.float64(centers[t, 0]), np.float64(centers[t, 1])
+            theta = np.float64(centers[t, 0])
+            phi = np.float64(centers[t, 1])
             across = np.sin(theta)
             slots[row, lane] = across * np.cos(phi)
             slots[row + 1, lane] = across * np.sin(phi)
@@ -200,7 +201,8 @@ def _window_from_eye(window, means, eye, space, packed, active, out):
     order, offsets, starts, slots, base, scales = packed
     first = window * WINDOW
     own = order[first : first + WINDOW]
-    x, unit = np.ones((3, WINDOW)), np.empty((3, WINDOW), np.float32)
+    x = np.ones((3, WINDOW))
+    unit = np.empty((3, WINDOW), np.float32)
     _offsets_from_eye(means[first : first + WINDOW], own, eye, x)
     _to_unit(x, unit)
     sums = base[window].copy()
@@ -240,10 +242,13 @@ def colors_from_eye(begin, end, windows, means, eye, space, packed, active, out)
 @inner
 def _group_along(group, x, space, packed, out):
     order, offsets, starts, slots, base, scales = packed
-    window, width = group // GROUPS, x.shape[1]
-    sums, factors = np.empty((3, width), np.float32), np.empty(width, np.float32)
+    window = group // GROUPS
+    width = x.shape[1]
+    sums = np.empty((3, width), np.float32)
+    factors = np.empty(width, np.float32)
     for j in range(group * LANES, min((group + 1) * LANES, len(order))):
-        i, place = window * WINDOW + order[j], j - window * WINDOW
+        i = window * WINDOW + order[j]
+        place = j - window * WINDOW
         for c in range(3):
             sums[c] = base[window, c, place]
         factors[:] = scales[window, place]

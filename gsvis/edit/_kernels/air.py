@@ -21,14 +21,22 @@ def mark_passed(depth, starts, directions, limit, passed):
     nx, ny, nz = depth.shape
     for e in range(len(starts)):
         for d in range(len(directions)):
-            dx, dy, dz = directions[d, 0], directions[d, 1], directions[d, 2]
+            dx = directions[d, 0]
+            dy = directions[d, 1]
+            dz = directions[d, 2]
             longest = max(abs(dx), abs(dy), abs(dz))
-            dx, dy, dz = dx / longest, dy / longest, dz / longest
-            x, y, z = starts[e, 0], starts[e, 1], starts[e, 2]
+            dx = dx / longest
+            dy = dy / longest
+            dz = dz / longest
+            x = starts[e, 0]
+            y = starts[e, 1]
+            z = starts[e, 2]
             total = 0.0
             first = True
             while True:
-                i, j, k = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
+                i = int(np.floor(x))
+                j = int(np.floor(y))
+                k = int(np.floor(z))
                 if not (0 <= i < nx and 0 <= j < ny and 0 <= k < nz):
                     break
                 passed[i, j, k] = True
@@ -37,7 +45,9 @@ def mark_passed(depth, starts, directions, limit, passed):
                     if total >= limit:
                         break
                 first = False
-                x, y, z = x + dx, y + dy, z + dz
+                x = x + dx
+                y = y + dy
+                z = z + dz
 
 
 @in_parts(lambda means, *_: len(means))
@@ -59,7 +69,9 @@ def count_places(begin, end, means, axes, points, labels, counts):
         for kind in range(3):
             counts[n, kind] = 0
         for p in range(len(points)):
-            x, y, z = means[n, 0], means[n, 1], means[n, 2]
+            x = means[n, 0]
+            y = means[n, 1]
+            z = means[n, 2]
             for a in range(3):
                 x += axes[n, 0, a] * points[p, a]
                 y += axes[n, 1, a] * points[p, a]

@@ -74,7 +74,8 @@ def blend_block(typing_context, square, lit, form, spent, far, x, y, rows, most)
         int64, how many pixels became spent.
     """
     del typing_context
-    f32, i64 = types.float32, types.int64
+    f32 = types.float32
+    i64 = types.int64
     signature = i64(square, lit, types.UniTuple(f32, 6), f32, f32, i64, i64, i64, most)
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -82,9 +83,13 @@ def blend_block(typing_context, square, lit, form, spent, far, x, y, rows, most)
         data, words, largest = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (0, 1, 8))
         form = cgutils.unpack_tuple(builder, args[2], 6)
         c, lx, ly, a, b, quadratic = (lanes.splat(entry) for entry in form)
-        limit, far, column, first = lanes.splat(args[3]), lanes.splat(args[4]), args[5], args[6]
+        limit = lanes.splat(args[3])
+        far = lanes.splat(args[4])
+        column = args[5]
+        first = args[6]
         k = lanes.counting()
-        along, across = a.times_plus(k, lx).times_plus(k, c), b.times_plus(k, ly)
+        along = a.times_plus(k, lx).times_plus(k, c)
+        across = b.times_plus(k, ly)
         room = [cgutils.alloca_once_value(builder, lanes.load(largest, _int(n)).value) for n in (0, LANES)]
         darkened = cgutils.alloca_once_value(builder, _int(0))
         below = builder.sub(builder.shl(_int(1), args[7]), _int(1))
@@ -115,7 +120,8 @@ def blend_block(typing_context, square, lit, form, spent, far, x, y, rows, most)
         with builder.if_then(crossed.any(), likely=False):
             depth = builder.add(offset, _int(64 * STRIDE))
             lanes.store(crossed.where(far, lanes.load(data, depth)), data, depth)
-            bits, word = crossed.bits(), builder.gep(words, [row])
+            bits = crossed.bits()
+            word = builder.gep(words, [row])
             builder.store(builder.and_(builder.load(word), builder.not_(builder.shl(bits, column))), word)
             builder.store(builder.add(builder.load(darkened), builder.ctpop(bits)), darkened)
         left.add_incoming(builder.and_(left, builder.sub(left, _int(1))), builder.block)

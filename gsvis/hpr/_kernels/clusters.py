@@ -31,7 +31,8 @@ def bound_clusters(near, out, columns):
     for b in range(len(out)):
         for k in range(3):
             out[b, k], out[b, 3 + k] = np.inf, -np.inf
-        out[b, 6], out[b, 7] = 0.0, 0.0
+        out[b, 6] = 0.0
+        out[b, 7] = 0.0
         for i in range(b * CLUSTER, min((b + 1) * CLUSTER, len(near))):
             for k in range(3):
                 out[b, k] = min(out[b, k], near[i, k])
@@ -56,7 +57,10 @@ def _first_pixel(place, size):
 def _place(z_low, z_high, u_low, u_high, v_low, v_high, reach, sigmas, size, out):
     """Write the rectangle of a cluster on a face into out (4,): first and last column, first and last row."""
     half = 0.5 * size
-    out[0], out[1], out[2], out[3] = 1, 0, 1, 0
+    out[0] = 1
+    out[1] = 0
+    out[2] = 1
+    out[3] = 0
     if z_high <= NEAR:
         return
     nearest = max(max(u_low, -u_high), max(v_low, -v_high))
@@ -89,21 +93,22 @@ def place_clusters(begin, end, bounds, eye, size, nearest, rectangles):
     """
     for chunk in range(begin, end):
         gaps = np.empty(3, np.float32)
-        low, high = np.empty(3), np.empty(3)
+        low = np.empty(3)
+        high = np.empty(3)
         for b in range(_CHUNK * chunk, min(len(bounds), _CHUNK * chunk + _CHUNK)):
             for k in range(3):
                 gaps[k] = max(max(bounds[b, k] - eye[k], eye[k] - bounds[b, 3 + k]), np.float32(0.0))
                 low[k] = np.float64(bounds[b, k]) - np.float64(eye[k])
                 high[k] = np.float64(bounds[b, 3 + k]) - np.float64(eye[k])
             nearest[b] = gaps[0] * gaps[0] + gaps[1] * gaps[1] + gaps[2] * gaps[2]
-            reach, sigmas = np.float64(bounds[b, 6]), np.float64(bounds[b, 7])
+            reach = np.float64(bounds[b, 6])
+            sigmas = np.float64(bounds[b, 7])
             for face in range(6):
                 w = face >> 1
-                u, v = (1 if w == 0 else 0), (1 if w == 2 else 2)
+                u = 1 if w == 0 else 0
+                v = 1 if w == 2 else 2
                 z_low, z_high = (low[w], high[w]) if face & 1 == 0 else (-high[w], -low[w])
-                _place(
-                    z_low, z_high, low[u], high[u], low[v], high[v], reach, sigmas, size, rectangles[face, b]
-                )  # fmt: skip
+                _place(z_low, z_high, low[u], high[u], low[v], high[v], reach, sigmas, size, rectangles[face, b])
 
 
 @kernel

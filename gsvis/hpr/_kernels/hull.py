@@ -21,7 +21,9 @@ _MOST_STEPS = 96  # of a walk from facet to facet; longer walks are abandoned, w
 def distances(begin, end, points, eye, out):
     """Write the distance of each point from the eye into out (N,), in Open3D's order of operations."""
     for i in range(begin, end):
-        x, y, z = points[i, 0] - eye[0], points[i, 1] - eye[1], points[i, 2] - eye[2]
+        x = points[i, 0] - eye[0]
+        y = points[i, 1] - eye[1]
+        z = points[i, 2] - eye[2]
         out[i] = np.sqrt((x * x + y * y) + z * z)
 
 
@@ -30,7 +32,9 @@ def distances(begin, end, points, eye, out):
 def flip(begin, end, points, eye, lengths, radius, out):
     """Write the spherical flip p + 2 (R - |p|) p / |p| of points seen from the eye into out (N, 3)."""
     for i in range(begin, end):
-        x, y, z = points[i, 0] - eye[0], points[i, 1] - eye[1], points[i, 2] - eye[2]
+        x = points[i, 0] - eye[0]
+        y = points[i, 1] - eye[1]
+        z = points[i, 2] - eye[2]
         twice = 2.0 * (radius - lengths[i])
         out[i, 0] = x + twice * x / lengths[i]
         out[i, 1] = y + twice * y / lengths[i]
@@ -40,14 +44,22 @@ def flip(begin, end, points, eye, lengths, radius, out):
 @njit(cache=True, inline="always")
 def cell_of(x, y, z, size):
     """Return the cell of a direction (any length; a zero vector belongs to the first cell of the third face)."""
-    ax, ay, az = abs(x), abs(y), abs(z)
+    ax = abs(x)
+    ay = abs(y)
+    az = abs(z)
     if ax >= ay and ax >= az and ax > 0.0:
-        face, u, v = (0 if x > 0.0 else 1), y / ax, z / ax
+        face = 0 if x > 0.0 else 1
+        u = y / ax
+        v = z / ax
     elif ay >= az and ay > 0.0:
-        face, u, v = (2 if y > 0.0 else 3), x / ay, z / ay
+        face = 2 if y > 0.0 else 3
+        u = x / ay
+        v = z / ay
     else:
         scale = az if az > 0.0 else 1.0
-        face, u, v = (4 if z > 0.0 else 5), x / scale, y / scale
+        face = 4 if z > 0.0 else 5
+        u = x / scale
+        v = y / scale
     column = min(int((u + 1.0) * 0.5 * size), size - 1)
     row = min(int((v + 1.0) * 0.5 * size), size - 1)
     return (face * size + row) * size + column
@@ -67,7 +79,8 @@ def direction_on_face(face, u, v):
 @njit(cache=True, inline="always")
 def direction_of(cell, size):
     """Return the direction of a cell's center, not of unit length."""
-    face, rest = cell // (size * size), cell % (size * size)
+    face = cell // (size * size)
+    rest = cell % (size * size)
     return direction_on_face(face, (rest % size + 0.5) * 2.0 / size - 1.0, (rest // size + 0.5) * 2.0 / size - 1.0)
 
 
@@ -114,11 +127,13 @@ def farthest_in_cells(begin, end, flipped, begins, out_position, out_squared):
     Points are in the order of cells; the first of a tie counts.
     """
     for cell in range(begin, end):
-        out_position[cell], out_squared[cell] = -1, -1.0
+        out_position[cell] = -1
+        out_squared[cell] = -1.0
         for i in range(begins[cell], begins[cell + 1]):
             far = flipped[i, 0] ** 2 + flipped[i, 1] ** 2 + flipped[i, 2] ** 2
             if far > out_squared[cell]:
-                out_position[cell], out_squared[cell] = i, far
+                out_position[cell] = i
+                out_squared[cell] = far
 
 
 @njit(cache=True, inline="always")
@@ -127,9 +142,15 @@ def _above(points, a, b, c, x, y, z, band):
 
     a, b, c are counter-clockwise from outside. `band` is a distance. A degenerate plane (a sliver) gives 0.
     """
-    ux, uy, uz = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
-    vx, vy, vz = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1], points[c, 2] - points[a, 2]
-    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    ux = points[b, 0] - points[a, 0]
+    uy = points[b, 1] - points[a, 1]
+    uz = points[b, 2] - points[a, 2]
+    vx = points[c, 0] - points[a, 0]
+    vy = points[c, 1] - points[a, 1]
+    vz = points[c, 2] - points[a, 2]
+    nx = uy * vz - uz * vy
+    ny = uz * vx - ux * vz
+    nz = ux * vy - uy * vx
     side = nx * (x - points[a, 0]) + ny * (y - points[a, 1]) + nz * (z - points[a, 2])
     if side * side <= band * band * (nx * nx + ny * ny + nz * nz):
         return 0
@@ -139,8 +160,12 @@ def _above(points, a, b, c, x, y, z, band):
 @njit(cache=True, inline="always")
 def _outside_cone(points, a, b, inner, x, y, z):
     """Return how far (x, y, z) - inner lies on the outer side of the plane through inner, a and b; not to scale."""
-    ax, ay, az = points[a, 0] - inner[0], points[a, 1] - inner[1], points[a, 2] - inner[2]
-    bx, by, bz = points[b, 0] - inner[0], points[b, 1] - inner[1], points[b, 2] - inner[2]
+    ax = points[a, 0] - inner[0]
+    ay = points[a, 1] - inner[1]
+    az = points[a, 2] - inner[2]
+    bx = points[b, 0] - inner[0]
+    by = points[b, 1] - inner[1]
+    bz = points[b, 2] - inner[2]
     return -(
         (ay * bz - az * by) * (x - inner[0])
         + (az * bx - ax * bz) * (y - inner[1])
@@ -156,7 +181,9 @@ def locate(points, corners, neighbors, start, most, inner, slack, x, y, z):
     """
     f = start
     for _ in range(most):
-        a, b, c = corners[f, 0], corners[f, 1], corners[f, 2]
+        a = corners[f, 0]
+        b = corners[f, 1]
+        c = corners[f, 2]
         across_a = _outside_cone(points, b, c, inner, x, y, z)
         across_b = _outside_cone(points, c, a, inner, x, y, z)
         across_c = _outside_cone(points, a, b, inner, x, y, z)
@@ -180,17 +207,23 @@ def insert(points, chosen, corners, neighbors, state, inner, slack, band, doubtf
     `band` of the hull's boundary is left out and recorded in `doubtful`, unless it coincides with a corner. Returns 0,
     or 1 if rounding has broken the topology.
     """
-    facets, last, doubts = state[0], state[1], state[2]
+    facets = state[0]
+    last = state[1]
+    doubts = state[2]
     visited = np.zeros(len(corners), np.int32)  # stamp; negative: tested and not visible
     first_at = np.zeros(len(points), np.int32)  # new facet that starts at a point, if stamped
     next_at = np.zeros(len(points), np.int32)
     stamp_at = np.full(len(points), -1, np.int32)
     visible = np.empty(64, np.int32)
     rim = np.empty((64, 3), np.int32)
-    holes, free = np.empty(64, np.int32), 0
+    holes = np.empty(64, np.int32)
+    free = 0
     for step in range(len(chosen)):
-        p, stamp = chosen[step], step + 1
-        x, y, z = points[p, 0], points[p, 1], points[p, 2]
+        p = chosen[step]
+        stamp = step + 1
+        x = points[p, 0]
+        y = points[p, 1]
+        z = points[p, 2]
         f = locate(points, corners, neighbors, last, facets + 16, inner, slack, x, y, z)
         if f < 0:
             return 1
@@ -208,8 +241,11 @@ def insert(points, chosen, corners, neighbors, state, inner, slack, band, doubtf
                     doubtful[doubts] = p
                 doubts += 1
             continue
-        visited[f], visible[0] = stamp, f
-        found, edges, k = 1, 0, 0
+        visited[f] = stamp
+        visible[0] = f
+        found = 1
+        edges = 0
+        k = 0
         while k < found:
             f = visible[k]
             k += 1
@@ -222,7 +258,8 @@ def insert(points, chosen, corners, neighbors, state, inner, slack, band, doubtf
                     if side > 0:
                         if found == len(visible):
                             visible = np.concatenate((visible, np.empty_like(visible)))
-                        visited[g], visible[found] = stamp, g
+                        visited[g] = stamp
+                        visible[found] = g
                         found += 1
                         continue
                     visited[g] = -stamp
@@ -237,11 +274,13 @@ def insert(points, chosen, corners, neighbors, state, inner, slack, band, doubtf
             if free == len(holes):
                 holes = np.concatenate((holes, np.empty_like(holes)))
             holes[free] = facets
-            facets, free = facets + 1, free + 1
+            facets = facets + 1
+            free = free + 1
         for k in range(found):
             if free == len(holes):
                 holes = np.concatenate((holes, np.empty_like(holes)))
-            holes[free], corners[visible[k], 0] = visible[k], -1
+            holes[free] = visible[k]
+            corners[visible[k], 0] = -1
             free += 1
         for e in range(edges):
             u = rim[e, 0]
@@ -257,12 +296,17 @@ def insert(points, chosen, corners, neighbors, state, inner, slack, band, doubtf
         if u != rim[0, 0]:
             return 1
         for e in range(edges):
-            u, w, g = rim[e, 0], rim[e, 1], rim[e, 2]
-            f, following = first_at[u], first_at[w]
+            u = rim[e, 0]
+            w = rim[e, 1]
+            g = rim[e, 2]
+            f = first_at[u]
+            following = first_at[w]
             for k in range(3):  # the side of g whose ends are w and u
                 if corners[g, (k + 1) % 3] == w and corners[g, (k + 2) % 3] == u:
                     neighbors[g, k] = f
-            neighbors[f, 0], neighbors[f, 2], neighbors[following, 1] = following, g, f
+            neighbors[f, 0] = following
+            neighbors[f, 2] = g
+            neighbors[following, 1] = f
         for e in range(edges):
             f = first_at[rim[e, 0]]
             corners[f, 0], corners[f, 1], corners[f, 2] = rim[e, 0], rim[e, 1], p
@@ -270,7 +314,9 @@ def insert(points, chosen, corners, neighbors, state, inner, slack, band, doubtf
         last = first_at[rim[0, 0]]
     if free > 0:
         facets, last = _close_up(corners, neighbors, facets, last)
-    state[0], state[1], state[2] = facets, last, doubts
+    state[0] = facets
+    state[1] = last
+    state[2] = doubts
     return 0
 
 
@@ -299,7 +345,9 @@ def count_creases(points, corners, neighbors, band, out):
     inward by more than the band: rounding has broken it.
     """
     for f in range(len(corners)):
-        a, b, c = corners[f, 0], corners[f, 1], corners[f, 2]
+        a = corners[f, 0]
+        b = corners[f, 1]
+        c = corners[f, 2]
         for k in range(3):
             g = neighbors[f, k]
             if g < f:
@@ -342,7 +390,9 @@ def not_inside(begin, end, points, corners, neighbors, starts, size, inner, slac
     most = np.int64(_MOST_STEPS)  # a literal would compile `locate` once more
     for block in range(begin, end):
         for i in range(block * _BLOCK, min(len(out), (block + 1) * _BLOCK)):
-            x, y, z = points[i, 0], points[i, 1], points[i, 2]
+            x = points[i, 0]
+            y = points[i, 1]
+            z = points[i, 2]
             start = np.int64(starts[cell_of(x, y, z, size)])
             f = locate(points, corners, neighbors, start, most, inner, slack, x, y, z)
             out[i] = f < 0 or _above(points, corners[f, 0], corners[f, 1], corners[f, 2], x, y, z, band) >= 0
@@ -353,16 +403,26 @@ def not_inside(begin, end, points, corners, neighbors, starts, size, inner, slac
 def radial(begin, end, directions, points, corners, neighbors, starts, size, inner, slack, out):
     """Write distances of the hull's boundary from the eye along unit directions (D, 3) into out (D,); 0 if unknown."""
     for i in range(begin, end):
-        x, y, z = directions[i, 0], directions[i, 1], directions[i, 2]
+        x = directions[i, 0]
+        y = directions[i, 1]
+        z = directions[i, 2]
         out[i] = 0.0
         start = np.int64(starts[cell_of(x, y, z, size)])
         f = locate(points, corners, neighbors, start, len(corners), inner, slack, x, y, z)
         if f < 0:
             continue
-        a, b, c = points[corners[f, 0]], points[corners[f, 1]], points[corners[f, 2]]
-        ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-        vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
-        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        a = points[corners[f, 0]]
+        b = points[corners[f, 1]]
+        c = points[corners[f, 2]]
+        ux = b[0] - a[0]
+        uy = b[1] - a[1]
+        uz = b[2] - a[2]
+        vx = c[0] - a[0]
+        vy = c[1] - a[1]
+        vz = c[2] - a[2]
+        nx = uy * vz - uz * vy
+        ny = uz * vx - ux * vz
+        nz = ux * vy - uy * vx
         toward = nx * x + ny * y + nz * z
         if toward > 0.0:
             out[i] = (nx * a[0] + ny * a[1] + nz * a[2]) / toward

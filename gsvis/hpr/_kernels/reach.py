@@ -37,7 +37,8 @@ def who_reaches(typing_context, columns, first, axes, toward, half, box):
         uint64, bit k set for the k-th of the sixteen.
     """
     del typing_context
-    f32, i64 = types.float32, types.int64
+    f32 = types.float32
+    i64 = types.int64
     tuples = types.UniTuple(i64, 3), types.UniTuple(f32, 4), f32, types.UniTuple(f32, 4)
     signature = types.uint64(columns, i64, *tuples)
 

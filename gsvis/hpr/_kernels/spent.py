@@ -18,8 +18,13 @@ _LEAST_ALPHA = 1.0 / 64.0
 @njit(cache=True, inline="always")
 def _whitening(quats, scales, i):
     """Return the rows of diag(1/scales) R^T of Gaussian i: nine numbers."""
-    w, x, y, z = quats[i, 0], quats[i, 1], quats[i, 2], quats[i, 3]
-    a, b, c = 1.0 / scales[i, 0], 1.0 / scales[i, 1], 1.0 / scales[i, 2]
+    w = quats[i, 0]
+    x = quats[i, 1]
+    y = quats[i, 2]
+    z = quats[i, 3]
+    a = 1.0 / scales[i, 0]
+    b = 1.0 / scales[i, 1]
+    c = 1.0 / scales[i, 2]
     return (
         a * (1 - 2 * (y * y + z * z)),
         a * 2 * (x * y + w * z),
@@ -46,22 +51,31 @@ def shapes_from_eye(begin, end, means, quats, scales, opacities, min_alpha, eye,
     opacity of the whole Gaussian, and squared distance of the eye in standard deviations.
     """
     for i in range(begin, end):
-        x, y, z = means[i, 0] - eye[0], means[i, 1] - eye[1], means[i, 2] - eye[2]
-        toward[i, 0], toward[i, 1], toward[i, 2] = x, y, z
+        x = means[i, 0] - eye[0]
+        y = means[i, 1] - eye[1]
+        z = means[i, 2] - eye[2]
+        toward[i, 0] = x
+        toward[i, 1] = y
+        toward[i, 2] = z
         far = np.sqrt(x * x + y * y + z * z)
         m = _whitening(quats, scales, i)
-        p, q, r = m[0] * x + m[1] * y + m[2] * z, m[3] * x + m[4] * y + m[5] * z, m[6] * x + m[7] * y + m[8] * z
+        p = m[0] * x + m[1] * y + m[2] * z
+        q = m[3] * x + m[4] * y + m[5] * z
+        r = m[6] * x + m[7] * y + m[8] * z
         squared = p * p + q * q + r * r
         reach = 2.0 * np.log(max(opacities[i] / min_alpha, 1.0))
         s = scales[i]
         largest = np.float64(max(s[0], s[1], s[2]))
-        out[i, 0], out[i, 4] = far, squared
+        out[i, 0] = far
+        out[i, 4] = squared
         faces[i] = 7 if opacities[i] < min_alpha else 6
         if squared <= reach or far == 0.0:
             out[i, 1], out[i, 2], out[i, 3] = 0.0, np.pi, 4.0 * np.pi * opacities[i]
             continue
         # Extent toward the eye: sqrt(d^T covariance d), from the whitened unit direction times squared scales.
-        u, v, w = p * s[0] * s[0] / far, q * s[1] * s[1] / far, r * s[2] * s[2] / far
+        u = p * s[0] * s[0] / far
+        v = q * s[1] * s[1] / far
+        w = r * s[2] * s[2] / far
         out[i, 1] = max(far - np.sqrt(reach * (u * u + v * v + w * w)), 0.0)
         out[i, 2] = largest / far
         if faces[i] == 6 and out[i, 2] <= _WIDE:
@@ -86,9 +100,20 @@ def _deposit(thickness, cell, depth, alpha, nearest, steps_per_log):
 @in_parts(lambda *_: 6)
 @kernel(error_model="numpy")
 def thicken(
-    begin, end, toward, quats, scales, opacities, shapes, order, begins, size, nearest, steps_per_log,
+    begin,
+    end,
+    toward,
+    quats,
+    scales,
+    opacities,
+    shapes,
+    order,
+    begins,
+    size,
+    nearest,
+    steps_per_log,
     thickness,
-):  # fmt: skip
+):
     """Add the optical thickness of Gaussians in each cell and at each depth to thickness (6 size^2, bins).
 
     Small ones are spread over their cell. Larger ones are evaluated at the centers of cells of their face where their
@@ -97,11 +122,14 @@ def thicken(
     """
     cell_angle = 2.0 / size
     for face in range(begin, end):
-        own, count = begins[face + 1] - begins[face], begins[face + 1] - begins[face] + begins[7] - begins[6]
+        own = begins[face + 1] - begins[face]
+        count = begins[face + 1] - begins[face] + begins[7] - begins[6]
         for k in range(count):
             wide = k >= own
             i = order[begins[6] + k - own] if wide else order[begins[face] + k]
-            x, y, z = toward[i, 0], toward[i, 1], toward[i, 2]
+            x = toward[i, 0]
+            y = toward[i, 1]
+            z = toward[i, 2]
             spread = shapes[i, 2]
             if not wide and spread < 0.5 * cell_angle:
                 u, v = _place_on_face(x, y, z, face)
@@ -112,8 +140,14 @@ def thicken(
             if opacities[i] <= _LEAST_ALPHA:
                 continue
             m = _whitening(quats, scales, i)
-            p, q, r = m[0] * x + m[1] * y + m[2] * z, m[3] * x + m[4] * y + m[5] * z, m[6] * x + m[7] * y + m[8] * z
-            low_row, high_row, low_column, high_column, step = 0, size, 0, size, 4
+            p = m[0] * x + m[1] * y + m[2] * z
+            q = m[3] * x + m[4] * y + m[5] * z
+            r = m[6] * x + m[7] * y + m[8] * z
+            low_row = 0
+            high_row = size
+            low_column = 0
+            high_column = size
+            step = 4
             reach = 2.0 * np.log(opacities[i] / _LEAST_ALPHA)
             if not wide:
                 u, v = _place_on_face(x, y, z, face)
@@ -132,10 +166,15 @@ def thicken(
                     a = m[0] * dx + m[1] * dy + m[2] * dz
                     b = m[3] * dx + m[4] * dy + m[5] * dz
                     c = m[6] * dx + m[7] * dy + m[8] * dz
-                    along, length = a * p + b * q + c * r, a * a + b * b + c * c
-                    squared, depth = shapes[i, 4], 0.0
+                    along = a * p + b * q + c * r
+                    length = a * a + b * b + c * c
+                    squared = shapes[i, 4]
+                    depth = 0.0
                     if along > 0.0:
-                        e, h, k = q * c - r * b, r * a - p * c, p * b - q * a  # a product, not a difference of squares
+                        # a product, not a difference of squares
+                        e = q * c - r * b
+                        h = r * a - p * c
+                        k = p * b - q * a
                         squared = (e * e + h * h + k * k) / length
                         depth = along / length * np.sqrt(dx * dx + dy * dy + dz * dz)
                     elif not inside:
@@ -182,13 +221,17 @@ def centers_of_cells(begin, end, size, out):
     for cell in range(begin, end):
         x, y, z = direction_of(cell, size)
         length = np.sqrt(x * x + y * y + z * z)
-        out[cell, 0], out[cell, 1], out[cell, 2] = x / length, y / length, z / length
+        out[cell, 0] = x / length
+        out[cell, 1] = y / length
+        out[cell, 2] = z / length
 
 
 @njit(cache=True, inline="always")
 def _deepest_near(depths, x, y, z, size):
     """Return the largest depth of the up to four cells whose centers surround a direction; skips other faces."""
-    ax, ay, az = abs(x), abs(y), abs(z)
+    ax = abs(x)
+    ay = abs(y)
+    az = abs(z)
     face = cell_of(x, y, z, 1)
     u, v = _place_on_face(x, y, z, face) if max(ax, ay, az) > 0.0 else (0.0, 0.0)
     column = int(np.floor((u + 1.0) * 0.5 * size - 0.5))
@@ -215,13 +258,17 @@ def nearness(begin, end, toward, quats, scales, opacities, shapes, min_alpha, de
         if shapes[i, 1] <= 0.0:
             out[i] = 0.0
             continue
-        x, y, z = toward[i, 0], toward[i, 1], toward[i, 2]
+        x = toward[i, 0]
+        y = toward[i, 1]
+        z = toward[i, 2]
         depth = _deepest_near(depths, x, y, z, size)
         if shapes[i, 2] > 1.0 / size:
             m = _whitening(quats, scales, i)
             for axis in range(3):
                 s = np.float64(scales[i, axis])
-                dx, dy, dz = m[3 * axis] * s * s, m[3 * axis + 1] * s * s, m[3 * axis + 2] * s * s
+                dx = m[3 * axis] * s * s
+                dy = m[3 * axis + 1] * s * s
+                dz = m[3 * axis + 2] * s * s
                 for sign in (-1.0, 1.0):
                     depth = max(depth, _deepest_near(depths, x + sign * dx, y + sign * dy, z + sign * dz, size))
         out[i] = shapes[i, 1] / depth if depth > 0.0 else np.inf

@@ -25,7 +25,8 @@ def _span(w, u, radius, distance):
     """Return the least and largest tangent u / w over a sphere, seen along w; (1, -1) outside the field of view."""
     if radius >= distance:
         return -1.0, 1.0
-    angle, spread = math.atan2(u, w), math.asin(radius / distance)
+    angle = math.atan2(u, w)
+    spread = math.asin(radius / distance)
     if angle - spread >= 0.25 * math.pi or angle + spread <= -0.25 * math.pi:
         return 1.0, -1.0
     low = math.tan(max(angle - spread, -0.25 * math.pi))
@@ -53,7 +54,9 @@ def hidden_behind(begin, end, near, eye, pyramid, first_row, size, out):
                 if not hidden:
                     break
                 axis = face >> 1
-                w, u, v = rel[axis], rel[1 if axis == 0 else 0], rel[1 if axis == 2 else 2]
+                w = rel[axis]
+                u = rel[1 if axis == 0 else 0]
+                v = rel[1 if axis == 2 else 2]
                 if face & 1:
                     w = -w
                 u0, u1 = _span(w, u, radius, math.sqrt(w * w + u * u))
@@ -61,9 +64,14 @@ def hidden_behind(begin, end, near, eye, pyramid, first_row, size, out):
                 if u0 > u1 or v0 > v1:
                     continue
                 # One pixel more on each side: light passes between the pixel centers too.
-                x0, x1 = int(0.5 * size * (u0 + 1.0)) - 1, int(0.5 * size * (u1 + 1.0)) + 1
-                y0, y1 = int(0.5 * size * (v0 + 1.0)) - 1, int(0.5 * size * (v1 + 1.0)) + 1
-                x0, x1, y0, y1 = max(x0, 0), min(x1, size - 1), max(y0, 0), min(y1, size - 1)
+                x0 = int(0.5 * size * (u0 + 1.0)) - 1
+                x1 = int(0.5 * size * (u1 + 1.0)) + 1
+                y0 = int(0.5 * size * (v0 + 1.0)) - 1
+                y1 = int(0.5 * size * (v1 + 1.0)) + 1
+                x0 = max(x0, 0)
+                x1 = min(x1, size - 1)
+                y0 = max(y0, 0)
+                y1 = min(y1, size - 1)
                 level = 0
                 while level + 1 < levels and max((x1 >> level) - (x0 >> level), (y1 >> level) - (y0 >> level)) > 3:
                     level += 1

@@ -24,8 +24,10 @@ SQUARE = 64
 _ROUND = 256  # Gaussians that join a square before what is near enough is splatted
 _RUN = 12  # keys sorted by insertion
 _LOG2_E = 1.4426950408889634
-_ONE, _HALF = np.float32(1.0), np.float32(0.5)
-_NONE, _ALL = np.uint64(0), np.uint64(2**64 - 1)
+_ONE = np.float32(1.0)
+_HALF = np.float32(0.5)
+_NONE = np.uint64(0)
+_ALL = np.uint64(2**64 - 1)
 _LOW = np.uint64(2**32 - 1)
 _UPPER = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])  # entries of a covariance among the six that are kept
 
@@ -48,8 +50,10 @@ def _any_lit(lit, x0, x1, y0, y1):
 @njit(cache=True)
 def _pixels(center, radius, count):
     """Return the first and the last of `count` pixels with its center within the radius."""
-    low, high = center - radius - _HALF, center + radius - _HALF
-    first, last = math.ceil(min(max(low, -1.0), 1e4)), math.floor(min(max(high, -1.0), 1e4))
+    low = center - radius - _HALF
+    high = center + radius - _HALF
+    first = math.ceil(min(max(low, -1.0), 1e4))
+    last = math.floor(min(max(high, -1.0), 1e4))
     return max(first, 0), min(last, count - 1)
 
 
@@ -58,7 +62,8 @@ def _sort(keys, room, count):
     """Sort the first keys ascending; return the array that holds them, and the other one."""
     for start in range(0, count, _RUN):
         for i in range(start + 1, min(start + _RUN, count)):
-            key, k = keys[i], i
+            key = keys[i]
+            k = i
             while k > start and keys[k - 1] > key:
                 keys[k] = keys[k - 1]
                 k -= 1
@@ -66,8 +71,10 @@ def _sort(keys, room, count):
     width = _RUN
     while width < count:
         for left in range(0, count, 2 * width):
-            middle, right = min(left + width, count), min(left + 2 * width, count)
-            i, j = left, middle
+            middle = min(left + width, count)
+            right = min(left + 2 * width, count)
+            i = left
+            j = middle
             for k in range(left, right):
                 if j >= right or (i < middle and keys[i] <= keys[j]):
                     room[k] = keys[i]
@@ -92,15 +99,20 @@ def _grown(keys, count):
 @inner
 def _frame_box(lit, extent, corner):
     """Return the first and last column, and the first and last row, with light in the square, as pixels of the face."""
-    found, y0, y1 = _NONE, np.int64(extent[1]), np.int64(-1)
+    found = _NONE
+    y0 = np.int64(extent[1])
+    y1 = np.int64(-1)
     for y in range(extent[1]):
         if lit[y] != _NONE:
             found |= lit[y]
-            y0, y1 = min(y0, y), y
-    x0, x1 = np.int64(lowest(found)), extent[0] - 1
+            y0 = min(y0, y)
+            y1 = y
+    x0 = np.int64(lowest(found))
+    x1 = extent[0] - 1
     while (found >> np.uint64(x1)) & np.uint64(1) == _NONE:
         x1 -= 1
-    column, row = corner[0] + _HALF, corner[1] + _HALF
+    column = corner[0] + _HALF
+    row = corner[1] + _HALF
     return column + np.float32(x0), column + np.float32(x1), row + np.float32(y0), row + np.float32(y1)
 
 
@@ -111,24 +123,33 @@ def _meet(columns, eye, face, corner, extent, half, c, lit, box, keys, held):
     A key holds the bits of the squared distance, then the row. No lit pixel lies outside `box`.
     """
     axis = face >> 1
-    au, av = (1 if axis == 0 else 0), (1 if axis == 2 else 2)
-    sign, clamp = np.float32(1.0 - 2.0 * (face & 1)), np.float32(CLAMP)
-    own, axes, toward = columns[c], (axis, au, av), (sign, eye[axis], eye[au], eye[av])
+    au = 1 if axis == 0 else 0
+    av = 1 if axis == 2 else 2
+    sign = np.float32(1.0 - 2.0 * (face & 1))
+    clamp = np.float32(CLAMP)
+    own = columns[c]
+    axes = (axis, au, av)
+    toward = (sign, eye[axis], eye[au], eye[av])
     for first in range(0, CLUSTER, LANES):
         reaching = who_reaches(columns, c * 5 * CLUSTER + first, axes, toward, half, box)
         while reaching != _NONE:
             k = first + np.int64(lowest(reaching))
             reaching &= reaching - np.uint64(1)
             inverse = _ONE / (sign * (own[axis, k] - eye[axis]))
-            tu, tv = (own[au, k] - eye[au]) * inverse, (own[av, k] - eye[av]) * inverse
-            cu, cv = min(max(tu, -clamp), clamp), min(max(tv, -clamp), clamp)
-            wide, sigmas = own[3, k] * half * inverse, own[4, k]
+            tu = (own[au, k] - eye[au]) * inverse
+            tv = (own[av, k] - eye[av]) * inverse
+            cu = min(max(tu, -clamp), clamp)
+            cv = min(max(tv, -clamp), clamp)
+            wide = own[3, k] * half * inverse
+            sigmas = own[4, k]
             radius = math.sqrt(wide * wide * (_ONE + cu * cu + cv * cv) + sigmas * sigmas * np.float32(DILATION))
             x0, x1 = _pixels(half * tu + half - corner[0], radius, extent[0])
             y0, y1 = _pixels(half * tv + half - corner[1], radius, extent[1])
             if x0 > x1 or y0 > y1 or not _any_lit(lit, x0, x1, y0, y1):
                 continue
-            dx, dy, dz = own[0, k] - eye[0], own[1, k] - eye[1], own[2, k] - eye[2]
+            dx = own[0, k] - eye[0]
+            dy = own[1, k] - eye[1]
+            dz = own[2, k] - eye[2]
             keys[held] = (bits_of(dx * dx + dy * dy + dz * dz) << np.uint64(32)) | np.uint64(c * CLUSTER + k)
             held += 1
     return held
@@ -138,32 +159,51 @@ def _meet(columns, eye, face, corner, extent, half, c, lit, box, keys, held):
 def _splat(near, covars, ids, eye, face, corner, extent, half, spent, i, square, lit, most, best):
     """Splat Gaussian i onto a square; return how many pixels it leaves without light."""
     axis = face >> 1
-    au, av = (1 if axis == 0 else 0), (1 if axis == 2 else 2)
-    sign, clamp = np.float32(1.0 - 2.0 * (face & 1)), np.float32(CLAMP)
-    du, dv = near[i, au] - eye[au], near[i, av] - eye[av]
+    au = 1 if axis == 0 else 0
+    av = 1 if axis == 2 else 2
+    sign = np.float32(1.0 - 2.0 * (face & 1))
+    clamp = np.float32(CLAMP)
+    du = near[i, au] - eye[au]
+    dv = near[i, av] - eye[av]
     z = sign * (near[i, axis] - eye[axis])
     inverse = _ONE / z
-    tu, tv = du * inverse, dv * inverse
-    cu, cv = min(max(tu, -clamp), clamp), min(max(tv, -clamp), clamp)
+    tu = du * inverse
+    tv = dv * inverse
+    cu = min(max(tu, -clamp), clamp)
+    cv = min(max(tv, -clamp), clamp)
     scale = half * inverse
-    px, py = half * tu + half - corner[0], half * tv + half - corner[1]
+    px = half * tu + half - corner[0]
+    py = half * tv + half - corner[1]
     row = covars[i]
-    ju, jv, jw = scale, -scale * cu * sign, -scale * cv * sign  # entries of the Jacobian, world axes
-    uu, vv, ww = row[_UPPER[au, au]], row[_UPPER[av, av]], row[_UPPER[axis, axis]]
-    uv, uw, vw = row[_UPPER[au, av]], row[_UPPER[au, axis]], row[_UPPER[av, axis]]
+    # entries of the Jacobian, world axes
+    ju = scale
+    jv = -scale * cu * sign
+    jw = -scale * cv * sign
+    uu = row[_UPPER[au, au]]
+    vv = row[_UPPER[av, av]]
+    ww = row[_UPPER[axis, axis]]
+    uv = row[_UPPER[au, av]]
+    uw = row[_UPPER[au, axis]]
+    vw = row[_UPPER[av, axis]]
     sxx = max(np.float64(ju * ju * uu + np.float32(2.0) * ju * jv * uw + jv * jv * ww), 0.0) + DILATION
     sxy = np.float64(ju * ju * uv + ju * jw * uw + jv * ju * vw + jv * jw * ww)
     syy = max(np.float64(ju * ju * vv + np.float32(2.0) * ju * jw * vw + jw * jw * ww), 0.0) + DILATION
     level = np.float64(near[i, 4]) * near[i, 4]
     # A thin splat far off the axis: rounding must not make its determinant 0.
     det = max(sxx * syy - sxy * sxy, DILATION * DILATION)
-    a, b, c = syy / det, -sxy / det, sxx / det
+    a = syy / det
+    b = -sxy / det
+    c = sxx / det
     x0, x1 = _pixels(px, math.sqrt(level * sxx), extent[0])
     y0, y1 = _pixels(py, math.sqrt(level * syy), extent[1])
     if x0 > x1 or y0 > y1:
         return 0
-    qa, qb, qc = -0.5 * _LOG2_E * a, -_LOG2_E * b, -0.5 * _LOG2_E * c
-    top, darkened, far = np.float64(near[i, 6]), 0, np.float32(math.sqrt(du * du + dv * dv + z * z))
+    qa = -0.5 * _LOG2_E * a
+    qb = -_LOG2_E * b
+    qc = -0.5 * _LOG2_E * c
+    top = np.float64(near[i, 6])
+    darkened = 0
+    far = np.float32(math.sqrt(du * du + dv * dv + z * z))
     for y in range(y0, y1 + 1, LANES):
         dy = y + 0.5 - np.float64(py)
         for x in range(x0, x1 + 1, LANES):
@@ -177,7 +217,8 @@ def _splat(near, covars, ids, eye, face, corner, extent, half, spent, i, square,
                 np.float32(qc),
             )
             darkened += blend_block(square, lit, form, spent, far, x, y, min(y1 + 1 - y, LANES), most)
-    weight, clear = take_largest(most, 0), take_largest(most, 1)
+    weight = take_largest(most, 0)
+    clear = take_largest(most, 1)
     if clear >= spent:
         raise_to(best, 2 * ids[i], weight)
         raise_to(best, 2 * ids[i] + 1, clear)
@@ -198,7 +239,8 @@ def _open(square, lit, extent):
 @inner
 def _is_reached(rectangles, order, corner, extent):
     """Return whether the rectangle of a cluster meets a square."""
-    column, line = np.int64(corner[0]), np.int64(corner[1])
+    column = np.int64(corner[0])
+    line = np.int64(corner[1])
     for c in order:
         place = rectangles[c]
         if place[0] < column + extent[0] and place[1] >= column and place[2] < line + extent[1] and place[3] >= line:
@@ -207,24 +249,30 @@ def _is_reached(rectangles, order, corner, extent):
 
 
 @inner
-def _fill(
-    scene, eye, face, corner, extent, half, spent, nearest, rectangles, order, square, lit, most, room, best
-):  # fmt: skip
+def _fill(scene, eye, face, corner, extent, half, spent, nearest, rectangles, order, square, lit, most, room, best):
     """Splat the clusters in `order` onto one square until no light is left. Returns the working arrays, perhaps grown.
 
     `room` is (waiting, ready, spare): keys of Gaussians that farther ones may still precede, and arrays to sort in.
     """
     near, covars, columns, ids = scene
     waiting, ready, spare = room
-    left, held, at = _open(square, lit, extent), np.int64(0), np.int64(0)  # literals would compile `_meet` twice
-    column, line = np.int64(corner[0]), np.int64(corner[1])
+    # literals would compile `_meet` twice
+    left = _open(square, lit, extent)
+    held = np.int64(0)
+    at = np.int64(0)
+    column = np.int64(corner[0])
+    line = np.int64(corner[1])
     while left > 0 and (at < len(order) or held > 0):
-        horizon, first, box = _ALL, held, _frame_box(lit, extent, corner)
+        horizon = _ALL
+        first = held
+        box = _frame_box(lit, extent, corner)
         while at < len(order):
             c = order[at]
             place = rectangles[c]
-            x0, x1 = max(place[0] - column, 0), min(place[1] - column, extent[0] - 1)
-            y0, y1 = max(place[2] - line, 0), min(place[3] - line, extent[1] - 1)
+            x0 = max(place[0] - column, 0)
+            x1 = min(place[1] - column, extent[0] - 1)
+            y0 = max(place[2] - line, 0)
+            y1 = min(place[3] - line, extent[1] - 1)
             if x0 > x1 or y0 > y1:
                 at += 1
                 continue
@@ -237,8 +285,10 @@ def _fill(
                     waiting = _grown(waiting, held)
                 held = _meet(columns, eye, face, corner, extent, half, c, lit, box, waiting, held)
         while len(ready) < held:
-            ready, spare = _grown(ready, held), _grown(spare, held)
-        kept, chosen = np.int64(0), np.int64(0)
+            ready = _grown(ready, held)
+            spare = _grown(spare, held)
+        kept = np.int64(0)
+        chosen = np.int64(0)
         for k in range(held):
             if waiting[k] < horizon:
                 ready[chosen] = waiting[k]
@@ -258,9 +308,7 @@ def _fill(
 
 @in_threads(lambda scene, eye, size, *_: 6 * ((size + SQUARE - 1) // SQUARE) ** 2)
 @kernel(error_model="numpy")
-def splat_squares(
-    taken, scene, eye, size, spent, nearest, rectangles, lists, counts, best, light, depths
-):  # fmt: skip
+def splat_squares(taken, scene, eye, size, spent, nearest, rectangles, lists, counts, best, light, depths):
     """Splat what each face may see, front to back.
 
     Args:
@@ -282,21 +330,39 @@ def splat_squares(
     turn = take_next(taken)
     if turn >= 6 * side * side:
         return
-    square, lit = np.empty((2, SQUARE, STRIDE), np.float32), np.zeros(SQUARE + LANES, np.uint64)
+    square = np.empty((2, SQUARE, STRIDE), np.float32)
+    lit = np.zeros(SQUARE + LANES, np.uint64)
     room = np.empty(2048, np.uint64), np.empty(2048, np.uint64), np.empty(2048, np.uint64)
     most = np.zeros(2 * LANES, np.float32)
-    corner, extent = np.empty(2, np.float32), np.empty(2, np.int64)
+    corner = np.empty(2, np.float32)
+    extent = np.empty(2, np.int64)
     while turn < 6 * side * side:
-        face, x, y = turn // (side * side), turn % side * SQUARE, turn // side % side * SQUARE
-        corner[0], corner[1] = x, y
+        face = turn // (side * side)
+        x = turn % side * SQUARE
+        y = turn // side % side * SQUARE
+        corner[0] = x
+        corner[1] = y
         extent[0], extent[1] = min(size - x, SQUARE), min(size - y, SQUARE)
         if light.shape[1] == 0 and not _is_reached(rectangles[face], lists[face, : counts[face]], corner, extent):
             turn = take_next(taken)
             continue
         room = _fill(
-            scene, eye, face, corner, extent, np.float32(0.5 * size), spent, nearest, rectangles[face],
-            lists[face, : counts[face]], square, lit, most, room, best,
-        )  # fmt: skip
+            scene,
+            eye,
+            face,
+            corner,
+            extent,
+            np.float32(0.5 * size),
+            spent,
+            nearest,
+            rectangles[face],
+            lists[face, : counts[face]],
+            square,
+            lit,
+            most,
+            room,
+            best,
+        )
         for row in range(extent[1] if light.shape[1] > 0 else 0):
             for column in range(extent[0]):
                 light[face, y + row, x + column] = square[0, row, column]
@@ -310,11 +376,13 @@ def take_found(best):
     count = 0
     for i in range(len(best) // 2):
         count += best[2 * i + 1] > 0.0
-    ids, values = np.empty(count, np.int64), np.empty((2, count), np.float32)
+    ids = np.empty(count, np.int64)
+    values = np.empty((2, count), np.float32)
     at = 0
     for i in range(len(best) // 2):
         if best[2 * i + 1] > 0.0:
             ids[at], values[0, at], values[1, at] = i, best[2 * i], best[2 * i + 1]
-            best[2 * i], best[2 * i + 1] = 0.0, 0.0
+            best[2 * i] = 0.0
+            best[2 * i + 1] = 0.0
             at += 1
     return ids, values

@@ -20,7 +20,8 @@ def unpack_quats(bits, table, columns, signs, out):
     for i in range(len(bits)):
         word = bits[i]
         largest = word >> np.uint32(30)
-        shift, total = np.uint32(20), 0.0
+        shift = np.uint32(20)
+        total = 0.0
         for place in range(4):
             if place != largest:
                 value = table[(word >> shift) & np.uint32(0x3FF)]
@@ -64,7 +65,8 @@ def spread_111011(packed, low, high, chunk, out):
     """Write (N, 3) values of 11, 10 and 11 bits, scaled to the ranges (C, 3) of their chunks of `chunk` Gaussians."""
     one = np.float32(1.0)
     for i in range(len(packed)):
-        c, word = i // chunk, packed[i]
+        c = i // chunk
+        word = packed[i]
         x = np.float32(word >> np.uint32(21)) / np.float32(2047.0)
         y = np.float32((word >> np.uint32(11)) & np.uint32(1023)) / np.float32(1023.0)
         z = np.float32(word & np.uint32(2047)) / np.float32(2047.0)
@@ -76,9 +78,11 @@ def spread_111011(packed, low, high, chunk, out):
 @kernel
 def spread_8888(packed, low, high, chunk, rgb, alpha):
     """Write (N, 3) colors in the ranges (C, 3) of their chunks, and (N,) opacities, of four bytes, red the highest."""
-    one, most = np.float32(1.0), np.float32(255.0)
+    one = np.float32(1.0)
+    most = np.float32(255.0)
     for i in range(len(packed)):
-        c, word = i // chunk, packed[i]
+        c = i // chunk
+        word = packed[i]
         for channel in range(3):
             unit = np.float32((word >> np.uint32(24 - 8 * channel)) & np.uint32(255)) / most
             rgb[i, channel] = low[c, channel] * (one - unit) + high[c, channel] * unit

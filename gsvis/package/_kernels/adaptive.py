@@ -21,7 +21,8 @@ TAIL = 2  # words after the last bit
 _MOST = 127  # what a probability counts to
 _SURE = (1 << 25) - 1
 _RATES = np.array([131072 // (2 * seen + 3) for seen in range(_MOST + 1)], np.int64)
-_WORD, _LEAST = np.uint64(32), np.uint64(1 << 32)
+_WORD = np.uint64(32)
+_LEAST = np.uint64(1 << 32)
 _FULL = np.uint64((1 << 64) - 1)
 
 
@@ -68,12 +69,15 @@ def code_tree(low, span, at, chances, start, value, bits, data, writing):
     node = np.int64(1)
     for k in range(bits - 1, -1, -1):
         held = np.int64(chances[start + node])
-        seen, whole, bit = held & _MOST, held >> 7, value >> k & 1
+        seen = held & _MOST
+        whole = held >> 7
+        bit = value >> k & 1
         part = (span >> np.uint64(16)) * np.uint64(held >> 16 | 1)
         if bit:
             span = part
         else:
-            span, low = span - part, low + part
+            span = span - part
+            low = low + part
             if low < part:  # carry
                 last = at - 1
                 while data[last] == np.uint32(0xFFFFFFFF):
@@ -84,7 +88,9 @@ def code_tree(low, span, at, chances, start, value, bits, data, writing):
         chances[start + node] = np.uint32(whole << 7 | min(seen + 1, _MOST))
         if span < _LEAST:
             data[at] = np.uint32(low >> _WORD)
-            low, span, at = low << _WORD, span << _WORD, at + 1
+            low = low << _WORD
+            span = span << _WORD
+            at = at + 1
         node = node << 1 | bit
     return node - (1 << bits), low, span, at
 
@@ -92,10 +98,12 @@ def code_tree(low, span, at, chances, start, value, bits, data, writing):
 @inner(forceinline=True)
 def _read_tree(low, span, at, chances, start, bits, data):
     """Read a value; see `code_tree`. No branch depends on a bit, which a processor could not foresee."""
-    node, first = np.uint64(1), np.uint64(start)
+    node = np.uint64(1)
+    first = np.uint64(start)
     for _ in range(bits):
         held = np.uint64(chances[first + node])
-        seen, whole = held & np.uint64(_MOST), np.int64(held >> np.uint64(7))
+        seen = held & np.uint64(_MOST)
+        whole = np.int64(held >> np.uint64(7))
         part = (span >> np.uint64(16)) * (held >> np.uint64(16) | np.uint64(1))
         bit = low < part
         low, span = (low, part) if bit else (low - part, span - part)
@@ -103,6 +111,7 @@ def _read_tree(low, span, at, chances, start, bits, data):
         chances[first + node] = np.uint32(np.uint64(whole) << np.uint64(7) | min(seen + np.uint64(1), np.uint64(_MOST)))
         if span < _LEAST:
             low = low << _WORD | (np.uint64(data[at]) if at < len(data) else np.uint64(0))
-            span, at = span << _WORD, at + 1
+            span = span << _WORD
+            at = at + 1
         node = node << np.uint64(1) | np.uint64(bit)
     return np.int64(node) - (1 << bits), low, span, at

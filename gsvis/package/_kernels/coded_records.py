@@ -25,7 +25,15 @@ _SHAPE = 256 + 64  # probabilities of opacity and order, which come first
 _ZERO, _ONE, _THREE, _EIGHT, _STEPS, _THIRD = np.array([0, 1, 3, 8, STEPS, _SHAPE])
 """Numbers with a type: each literal in their place would compile the called function once more."""
 
-_OPACITY, _ORDER, _MIDDLE, _SMALLEST, _TOP, _ROTATION, _COLOR, _PATH = 0, 1, 2, 3, 4, 5, 8, 12  # fields of a record
+# fields of a record
+_OPACITY = 0
+_ORDER = 1
+_MIDDLE = 2
+_SMALLEST = 3
+_TOP = 4
+_ROTATION = 5
+_COLOR = 8
+_PATH = 12
 _FIELDS = 13
 
 
@@ -87,7 +95,9 @@ def _code_path(low, span, at, chances, start, path, nodes, stamp, data, writing)
     node = np.int64(1)
     for depth in range(DEPTH):
         if nodes[node, 0] != stamp:
-            nodes[node, 0], nodes[node, 1], nodes[node, 2] = stamp, 0, 0
+            nodes[node, 0] = stamp
+            nodes[node, 1] = 0
+            nodes[node, 2] = 0
         place = start + (depth * _GRADES + _grade(nodes[node, 1])) * _GRADES + _grade(nodes[node, 2])
         way = path >> (DEPTH - 1 - depth) & 1
         bit, low, span, at = code_tree(low, span, at, chances, place - 1, way, _ONE, data, writing)
@@ -99,17 +109,25 @@ def _code_path(low, span, at, chances, start, path, nodes, stamp, data, writing)
 @inner
 def _take_record(words, i, fields, wide, v, low_bits):
     """Write the fields of a record to `v` and the lower bits of its places, of `wide` (3,) bits, to `low_bits`."""
-    position, rotation, scale, levels = fields.position, fields.rotation, fields.scale, DEPTH // 3
-    width, head, first, last = position + rotation + scale, 8 * (1 + fields.colors), words[i, 0], words[i, 1]
+    position = fields.position
+    rotation = fields.rotation
+    scale = fields.scale
+    levels = DEPTH // 3
+    width = position + rotation + scale
+    head = 8 * (1 + fields.colors)
+    first = words[i, 0]
+    last = words[i, 1]
     v[_OPACITY] = np.int64(first & np.uint64(255))
     for k in range(fields.colors):
         v[_COLOR + k] = np.int64((first >> np.uint64(8 * (1 + k))) & np.uint64(255))
     bit = head + position + rotation
-    x, y = take(first, last, bit, scale), take(first, last, bit + width, scale)
+    x = take(first, last, bit, scale)
+    y = take(first, last, bit + width, scale)
     z = take(first, last, bit + 2 * width, scale)
     largest = 0 if x >= y and x >= z else (1 if y >= z else 2)
     top, a, b = (x, y, z) if largest == 0 else ((y, x, z) if largest == 1 else (z, x, y))
-    v[_ORDER], v[_TOP] = 2 * largest + np.int64(a < b), top
+    v[_ORDER] = 2 * largest + np.int64(a < b)
+    v[_TOP] = top
     v[_MIDDLE], v[_SMALLEST] = top - max(a, b), top - min(a, b)
     v[_PATH] = 0
     for k in range(3):
@@ -125,13 +143,20 @@ def _take_record(words, i, fields, wide, v, low_bits):
 @inner
 def _put_record(words, i, fields, wide, v, low_bits, bits):
     """Write a record from its fields; `bits` (2,) uint64 is room to work in."""
-    position, rotation, scale, levels = fields.position, fields.rotation, fields.scale, DEPTH // 3
-    width, head, mask = position + rotation + scale, 8 * (1 + fields.colors), (np.int64(1) << scale) - 1
+    position = fields.position
+    rotation = fields.rotation
+    scale = fields.scale
+    levels = DEPTH // 3
+    width = position + rotation + scale
+    head = 8 * (1 + fields.colors)
+    mask = (np.int64(1) << scale) - 1
     bits[0], bits[1] = np.uint64(v[_OPACITY]), np.uint64(0)
     for k in range(fields.colors):
         put(bits, 8 * (1 + k), v[_COLOR + k])
-    largest, top = min(v[_ORDER] >> 1, 2), v[_TOP]
-    a, b = (1 if largest == 0 else 0), (1 if largest == 2 else 2)
+    largest = min(v[_ORDER] >> 1, 2)
+    top = v[_TOP]
+    a = 1 if largest == 0 else 0
+    b = 1 if largest == 2 else 2
     if v[_ORDER] & 1:
         a, b = b, a
     for k in range(3):
@@ -154,17 +179,21 @@ def _code_color(low, span, at, chances, start, c, colors, data, writing):
     """
     lead = 1 if colors == 3 else 2
     c[lead], low, span, at = code_tree(low, span, at, chances, start, c[lead], _EIGHT, data, writing)
-    base, start = (c[lead] if colors == 3 else 0), start + 256
-    value, tree = (c[0] - base) & 255, start + 256 * (c[lead] >> 4)
+    base = c[lead] if colors == 3 else 0
+    start = start + 256
+    value = (c[0] - base) & 255
+    tree = start + 256 * (c[lead] >> 4)
     second, low, span, at = code_tree(low, span, at, chances, tree, value, _EIGHT, data, writing)
     start += 256 * 16
-    value, tree = (c[3 - lead] - base) & 255, start + 256 * (second >> 1)
+    value = (c[3 - lead] - base) & 255
+    tree = start + 256 * (second >> 1)
     third, low, span, at = code_tree(low, span, at, chances, tree, value, _EIGHT, data, writing)
     start += 256 * 128
     if colors == 4:
         tree = start + 256 * (c[lead] >> 5)
         c[3], low, span, at = code_tree(low, span, at, chances, tree, c[3], _EIGHT, data, writing)
-    c[0], c[3 - lead] = (second + base) & 255, (third + base) & 255
+    c[0] = (second + base) & 255
+    c[3 - lead] = (third + base) & 255
     return low, span, at
 
 
@@ -184,7 +213,8 @@ def _code_shape(low, span, at, chances, fields, before, v, data, writing):
 @inner(forceinline=True)
 def _code_top(low, span, at, chances, fields, expected, top, data, writing):
     """Write or read the largest scale, by the expected one if that is not -1; return it and the state."""
-    scale, whole = fields.scale, _SHAPE + (2 << fields.scale)
+    scale = fields.scale
+    whole = _SHAPE + (2 << fields.scale)
     other = (1 << STEPS) - 1
     if expected >= 0:
         off = top - expected + BELOW
@@ -212,19 +242,29 @@ def code(words, terms, low_bits, rows, fields, data, writing):
     Returns:
         The number of words; -1 if reading found others than were written.
     """
-    scale, rotation = fields.scale, fields.rotation
+    scale = fields.scale
+    rotation = fields.rotation
     rotations = _SHAPE + (3 << scale) + (1 << STEPS)
     colors = rotations + (3 << rotation)
     paths = colors + 256 * (1 + _CONTEXTS)
     counts = paths + DEPTH * _GRADES * _GRADES
-    chances, nodes = np.full(counts + 256 * 10, START, np.uint32), np.full((1 << DEPTH, 3), -1, np.int64)
-    v, i, count, most = np.zeros(_FIELDS, np.int64), np.int64(0), np.int64(0), (1 << fields.counts) - 1
-    color, bits = v[_COLOR : _COLOR + 4], np.zeros(2, np.uint64)
+    chances = np.full(counts + 256 * 10, START, np.uint32)
+    nodes = np.full((1 << DEPTH, 3), -1, np.int64)
+    v = np.zeros(_FIELDS, np.int64)
+    i = np.int64(0)
+    count = np.int64(0)
+    most = (1 << fields.counts) - 1
+    color = v[_COLOR : _COLOR + 4]
+    bits = np.zeros(2, np.uint64)
     low, span, at = begin(data, writing)
     for row in range(len(rows.counts)):
-        stride, least, strength, wide = rows.strides[row], rows.lows[row], np.int64(0), rows.bits[row]
+        stride = rows.strides[row]
+        least = rows.lows[row]
+        strength = np.int64(0)
+        wide = rows.bits[row]
         for place in range(rows.counts[row]):
-            before, few = v[_ORDER], min(count, 9, most)
+            before = v[_ORDER]
+            few = min(count, 9, most)
             if writing:
                 _take_record(words, i, fields, wide, v, low_bits)
                 count = np.int64(terms[i])
@@ -254,12 +294,15 @@ def pack(values, bits, out):
     """Write so many low bits of each value as one string of bits, lowest first; `out` is of uint8 zeros."""
     at = 0
     for i in range(len(values)):
-        value, left = np.int64(values[i]), np.int64(bits[i])
+        value = np.int64(values[i])
+        left = np.int64(bits[i])
         while left > 0:
             free = 8 - (at & 7)
             out[at >> 3] |= np.uint8((value << (at & 7)) & 255)
             used = min(free, left)
-            value, left, at = value >> used, left - used, at + used
+            value = value >> used
+            left = left - used
+            at = at + used
 
 
 @kernel
@@ -267,9 +310,12 @@ def unpack(data, bits, out):
     """Write the values that `pack` packed; `data` has enough bytes."""
     at = 0
     for i in range(len(out)):
-        value, have, whole = np.int64(0), np.int64(0), np.int64(bits[i])
+        value = np.int64(0)
+        have = np.int64(0)
+        whole = np.int64(bits[i])
         while have < whole:
             used = min(8 - (at & 7), whole - have)
             value |= (np.int64(data[at >> 3]) >> (at & 7) & ((1 << used) - 1)) << have
-            have, at = have + used, at + used
+            have = have + used
+            at = at + used
         out[i] = value

@@ -18,7 +18,8 @@ _CONTEXTS = 1 + 9 + 8 + 9 + 8 + 16 + 13
 @inner(forceinline=True)
 def _code_field(low, span, at, chances, context, value, bits, data, writing):
     """Write or read a field of 0 to 16 bits in a context; return it and the state."""
-    rest, start = max(bits - 8, 0), context * 512
+    rest = max(bits - 8, 0)
+    start = context * 512
     upper, low, span, at = code_tree(low, span, at, chances, start, value >> rest, bits - rest, data, writing)
     if rest == 0:
         return upper, low, span, at
@@ -42,13 +43,29 @@ def code(records, firsts, fields, data, writing):
     Returns:
         The number of words; -1 if reading found others than were written.
     """
-    f, p, a, d, n = fields.function, fields.polar, fields.azimuth, fields.decay, fields.intensity
-    mask, width = (np.int64(1) << n) - 1, records.shape[1]
-    leads, decays, polars, azimuths, others, lasts = 1, 10, 18, 27, 35, 51
+    f = fields.function
+    p = fields.polar
+    a = fields.azimuth
+    d = fields.decay
+    n = fields.intensity
+    mask = (np.int64(1) << n) - 1
+    width = records.shape[1]
+    leads = 1
+    decays = 10
+    polars = 18
+    azimuths = 27
+    others = 35
+    lasts = 51
     chances = np.full(512 * _CONTEXTS, START, np.uint32)
     low, span, at = begin(data, writing)
-    function, polar, azimuth, decay = np.int64(0), np.int64(0), np.int64(0), np.int64(0)
-    first, lead, last, of_before = np.int64(0), np.int64(0), np.int64(0), np.int64(0)
+    function = np.int64(0)
+    polar = np.int64(0)
+    azimuth = np.int64(0)
+    decay = np.int64(0)
+    first = np.int64(0)
+    lead = np.int64(0)
+    last = np.int64(0)
+    of_before = np.int64(0)
     for i in range(len(records)):
         if writing:
             word = np.uint64(0)
@@ -71,9 +88,11 @@ def code(records, firsts, fields, data, writing):
         context = azimuths + upper_bits(polar, p, 3)
         azimuth, low, span, at = _code_field(low, span, at, chances, context, azimuth, a, data, writing)
         if fields.others:
-            other, context = (first - lead) & mask, others + upper_bits(lead, n, 4)
+            other = (first - lead) & mask
+            context = others + upper_bits(lead, n, 4)
             other, low, span, at = _code_field(low, span, at, chances, context, other, n, data, writing)
-            first, context = (other + lead) & mask, lasts + near(other, n)
+            first = (other + lead) & mask
+            context = lasts + near(other, n)
             other, low, span, at = _code_field(low, span, at, chances, context, (last - lead) & mask, n, data, writing)
             last = (other + lead) & mask
         if not writing:

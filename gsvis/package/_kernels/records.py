@@ -14,7 +14,9 @@ from gsvis._kernels.compiled import kernel
 __all__ = ["chunk_starts", "decode", "encode", "morton", "put_places"]
 
 SQRT_HALF = 0.7071067811865476
-LEAST_LOG, MOST_LOG = -126 * 64, 128 * 64 - 1  # in 1/64 octave: what float32 holds without going denormal
+# in 1/64 octave: what float32 holds without going denormal
+LEAST_LOG = -126 * 64
+MOST_LOG = 128 * 64 - 1
 THINNEST = 11 * 64  # below the largest scale of the same Gaussian, nobody sees the difference
 LARGEST = np.float64(np.finfo(np.float32).max)
 
@@ -72,8 +74,12 @@ def chunk_starts(means, largest, steps, places, most, spread, starts):
     Returns:
         The number of chunks.
     """
-    low, high = np.empty(3), np.empty(3)
-    count, finest, least, top = 0, 0.0, 0, 0
+    low = np.empty(3)
+    high = np.empty(3)
+    count = 0
+    finest = 0.0
+    least = 0
+    top = 0
     for i in range(len(means)):
         fits = count > 0 and i - starts[count - 1] < most
         if fits:
@@ -85,11 +91,15 @@ def chunk_starts(means, largest, steps, places, most, spread, starts):
         if not fits:
             starts[count] = i
             count += 1
-            finest, least, top = steps[i], largest[i], largest[i]
+            finest = steps[i]
+            least = largest[i]
+            top = largest[i]
             for k in range(3):
                 low[k] = high[k] = means[i, k]
             continue
-        finest, least, top = min(finest, steps[i]), min(least, largest[i]), max(top, largest[i])
+        finest = min(finest, steps[i])
+        least = min(least, largest[i])
+        top = max(top, largest[i])
         for k in range(3):
             low[k], high[k] = min(low[k], means[i, k]), max(high[k], means[i, k])
     return count
@@ -132,20 +142,37 @@ def encode(chunk, places, lows, strides, quats, levels, opacities, colors, bits,
         out: (N, 16) uint8.
     """
     position, rotation, scale = bits
-    half, sizes = (1 << (rotation - 1)) - 1, (1 << scale) - 1
-    width, first = position + rotation + scale, 1 + colors.shape[1]
+    half = (1 << (rotation - 1)) - 1
+    sizes = (1 << scale) - 1
+    width = position + rotation + scale
+    first = 1 + colors.shape[1]
     forms = np.empty((4, 4))
     for i in range(len(chunk)):
         c = chunk[i]
         out[i, 0] = np.uint8(np.rint(np.float64(opacities[i]) * 255.0))
         for k in range(colors.shape[1]):
             out[i, 1 + k] = colors[i, k]
-        w, x, y, z = np.float64(quats[i, 0]), np.float64(quats[i, 1]), np.float64(quats[i, 2]), np.float64(quats[i, 3])
+        w = np.float64(quats[i, 0])
+        x = np.float64(quats[i, 1])
+        y = np.float64(quats[i, 2])
+        z = np.float64(quats[i, 3])
         # Turned half around its own axes an ellipsoid is the same: of the four forms, the one with the largest w.
-        forms[0, 0], forms[0, 1], forms[0, 2], forms[0, 3] = w, x, y, z
-        forms[1, 0], forms[1, 1], forms[1, 2], forms[1, 3] = -x, w, z, -y
-        forms[2, 0], forms[2, 1], forms[2, 2], forms[2, 3] = -y, -z, w, x
-        forms[3, 0], forms[3, 1], forms[3, 2], forms[3, 3] = -z, y, -x, w
+        forms[0, 0] = w
+        forms[0, 1] = x
+        forms[0, 2] = y
+        forms[0, 3] = z
+        forms[1, 0] = -x
+        forms[1, 1] = w
+        forms[1, 2] = z
+        forms[1, 3] = -y
+        forms[2, 0] = -y
+        forms[2, 1] = -z
+        forms[2, 2] = w
+        forms[2, 3] = x
+        forms[3, 0] = -z
+        forms[3, 1] = y
+        forms[3, 2] = -x
+        forms[3, 3] = w
         best = 0
         for f in range(1, 4):
             if abs(forms[f, 0]) > abs(forms[best, 0]):
@@ -188,7 +215,8 @@ def decode(chunk, origins, steps, lows, strides, records, bits, first, roots, me
         opacities: (M,), receives opacities.
     """
     position, rotation, scale = bits
-    half, width = (1 << (rotation - 1)) - 1, position + rotation + scale
+    half = (1 << (rotation - 1)) - 1
+    width = position + rotation + scale
     unit = SQRT_HALF / half
     v = np.empty(3)
     for i in range(len(chunk)):
@@ -196,7 +224,8 @@ def decode(chunk, origins, steps, lows, strides, records, bits, first, roots, me
         opacities[i] = np.float32(np.float64(records[i, 0]) / 255.0)
         for k in range(3):
             bit = k * width
-            byte, shift = first + (bit >> 3), bit & 7
+            byte = first + (bit >> 3)
+            shift = bit & 7
             word = np.int64(0)
             for b in range(5):
                 if byte + b < 16:

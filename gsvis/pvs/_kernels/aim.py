@@ -27,7 +27,8 @@ def _pixel(tangent, size):
 def _cover(gap, face, size, place):
     """Write the rectangle of the vectors in a box gap (6,) on a face into place (4,); return whether it is empty."""
     w = face >> 1
-    u, v = (1 if w == 0 else 0), (1 if w == 2 else 2)
+    u = 1 if w == 0 else 0
+    v = 1 if w == 2 else 2
     z_low, z_high = (gap[w], gap[3 + w]) if face & 1 == 0 else (-gap[3 + w], -gap[w])
     if z_high <= 0.0:
         return True
@@ -65,8 +66,11 @@ def mark_directions(boxes, children, low, high, marked):
         False if the eye may be inside the box of a Gaussian: then all directions lead to it, and nothing is marked.
     """
     size = marked.shape[1]
-    stack, gap, place = np.empty(1 + _WIDTH * 64, np.int64), np.empty(6), np.empty(4, np.int64)
-    stack[0], waiting = 0, 1
+    stack = np.empty(1 + _WIDTH * 64, np.int64)
+    gap = np.empty(6)
+    place = np.empty(4, np.int64)
+    stack[0] = 0
+    waiting = 1
     while waiting > 0:
         waiting -= 1
         node = stack[waiting]

@@ -18,11 +18,14 @@ def log_capitals(parts, wholes, ratio, stakes, out):
     scale = 1.0 / (1.0 - ratio)
     for k in range(len(stakes)):
         stake = stakes[k] * scale
-        total, product, count = 0.0, 1.0, 0
+        total = 0.0
+        product = 1.0
+        count = 0
         for i in range(len(parts)):
             product *= 1.0 - stake * (parts[i] - ratio * wholes[i])
             count += 1
             if count == _TOGETHER:
                 total += math.log(product)
-                product, count = 1.0, 0
+                product = 1.0
+                count = 0
         out[k] = total + math.log(product)

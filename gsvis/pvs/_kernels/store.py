@@ -47,11 +47,14 @@ def mark(ids, words):
 @kernel
 def mark_some(ids, words, masks):
     """Write the words of a set of ascending ids that are not empty, with room for all; return their number."""
-    count, before = 0, np.int64(-1)
+    count = 0
+    before = np.int64(-1)
     for k in range(len(ids)):
         w = np.int64(ids[k]) >> 6
         if w != before:
-            words[count], masks[count], before = w, 0, w
+            words[count] = w
+            masks[count] = 0
+            before = w
             count += 1
         masks[count - 1] |= np.uint64(1) << np.uint64(ids[k] & 63)
     return count
@@ -160,7 +163,8 @@ def sort_labels(labels, order):
 @kernel
 def add_signature(words, bit, signatures):
     """Set one bit in the signatures (N, W) of all positions of a set."""
-    column, flag = bit >> 6, np.uint64(1) << np.uint64(bit & 63)
+    column = bit >> 6
+    flag = np.uint64(1) << np.uint64(bit & 63)
     for w in range(len(words)):
         word = words[w]
         while word:
@@ -172,13 +176,15 @@ def add_signature(words, bit, signatures):
 def nearest_centers(signatures, centers, labels):
     """Write for each signature (M, W) the center (K, W) with the fewest differing bits; the first of equal ones."""
     for i in range(len(signatures)):
-        best, label = 1 << 30, 0
+        best = 1 << 30
+        label = 0
         for k in range(len(centers)):
             apart = 0
             for w in range(centers.shape[1]):
                 apart += np.int64(ones(signatures[i, w] ^ centers[k, w]))
             if apart < best:
-                best, label = apart, k
+                best = apart
+                label = k
         labels[i] = label
 
 
@@ -217,7 +223,8 @@ def place_classes(words, parent, data, starts, digits, levels):
         digits: (256, D) uint8, the digits of each byte.
         levels: (N,) uint8, changed.
     """
-    at, digit = starts.copy(), np.zeros(len(starts), np.int64)
+    at = starts.copy()
+    digit = np.zeros(len(starts), np.int64)
     for w in range(len(words)):
         word = words[w]
         while word:
@@ -244,7 +251,8 @@ def roaring(words, keys, cards, out):
     Returns:
         Number of containers that are not empty, and number of uint16 written.
     """
-    found, end = 0, 0
+    found = 0
+    end = 0
     for chunk in range(len(words) // _CHUNK):
         start = chunk * _CHUNK
         total = 0
@@ -252,7 +260,8 @@ def roaring(words, keys, cards, out):
             total += np.int64(ones(words[w]))
         if total == 0:
             continue
-        keys[found], cards[found] = chunk, total
+        keys[found] = chunk
+        cards[found] = total
         found += 1
         if total > _ARRAY:
             for w in range(start, start + _CHUNK):

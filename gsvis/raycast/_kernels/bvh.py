@@ -18,7 +18,9 @@ _DEEP = 24
 
 @inner
 def _area(lo, hi):
-    x, y, z = hi[0] - lo[0], hi[1] - lo[1], hi[2] - lo[2]
+    x = hi[0] - lo[0]
+    y = hi[1] - lo[1]
+    z = hi[2] - lo[2]
     return x * y + y * z + z * x
 
 
@@ -59,7 +61,9 @@ def _split(order, start, stop, lo, hi):
             for e in range(3):
                 b_lo[a, k, e] = min(b_lo[a, k, e], lo[g, e])
                 b_hi[a, k, e] = max(b_hi[a, k, e], hi[g, e])
-    best, best_axis, best_bin = np.inf, -1, 0
+    best = np.inf
+    best_axis = -1
+    best_bin = 0
     left_cost = np.empty(_BINS)
     run_lo = np.empty(3, np.float32)
     run_hi = np.empty(3, np.float32)
@@ -86,10 +90,13 @@ def _split(order, start, stop, lo, hi):
             if total > 0:
                 cost = left_cost[k - 1] + total * _area(run_lo, run_hi)
                 if cost < best:
-                    best, best_axis, best_bin = cost, a, k
+                    best = cost
+                    best_axis = a
+                    best_bin = k
     if best_axis < 0:  # all centers coincide (or a box is not finite): halve by position
         return (start + stop) // 2
-    i, j = start, stop - 1
+    i = start
+    j = stop - 1
     while i <= j:
         g = order[i]
         k = int((np.float64(lo[g, best_axis]) + np.float64(hi[g, best_axis]) - c_lo[best_axis]) * scale[best_axis])
@@ -125,25 +132,32 @@ def build(lo, hi):
     todo_start = np.empty(n + 1, np.int64)
     todo_stop = np.empty(n + 1, np.int64)
     todo_level = np.empty(n + 1, np.int64)
-    todo_node[0], todo_start[0], todo_stop[0], todo_level[0] = 0, 0, n, 1
-    todo, nodes = 1, 1
+    todo_node[0] = 0
+    todo_start[0] = 0
+    todo_stop[0] = n
+    todo_level[0] = 1
+    todo = 1
+    nodes = 1
     starts = np.empty(WIDTH, np.int64)
     stops = np.empty(WIDTH, np.int64)
     part_lo = np.empty((WIDTH, 3), np.float32)
     part_hi = np.empty((WIDTH, 3), np.float32)
     while todo > 0:
         todo -= 1
-        node, level = todo_node[todo], todo_level[todo]
+        node = todo_node[todo]
+        level = todo_level[todo]
         starts[0], stops[0] = todo_start[todo], todo_stop[todo]
         _bounds(order, starts[0], stops[0], lo, hi, part_lo[0], part_hi[0])
         parts = 1
         while parts < WIDTH:
-            pick, largest = -1, -1.0
+            pick = -1
+            largest = -1.0
             for p in range(parts):
                 if stops[p] - starts[p] > 1:
                     size = _area(part_lo[p], part_hi[p])
                     if size > largest:
-                        pick, largest = p, size
+                        pick = p
+                        largest = size
             if pick < 0:
                 break
             middle = (starts[pick] + stops[pick]) // 2

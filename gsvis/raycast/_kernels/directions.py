@@ -46,15 +46,19 @@ def first_free(mean, direction, free, origin, size, out):
 
     Returns False if the ray leaves the grid before it meets a free voxel.
     """
-    enter, leave = 0.0, np.inf
+    enter = 0.0
+    leave = np.inf
     for a in range(3):
-        low, high = origin[a], origin[a] + size * free.shape[a]
+        low = origin[a]
+        high = origin[a] + size * free.shape[a]
         if direction[a] == 0.0:
             if mean[a] < low or mean[a] >= high:
                 return False
             continue
-        s, t = (low - mean[a]) / direction[a], (high - mean[a]) / direction[a]
-        enter, leave = max(enter, min(s, t)), min(leave, max(s, t))
+        s = (low - mean[a]) / direction[a]
+        t = (high - mean[a]) / direction[a]
+        enter = max(enter, min(s, t))
+        leave = min(leave, max(s, t))
     if enter >= leave:
         return False
     cell = np.empty(3, np.int64)

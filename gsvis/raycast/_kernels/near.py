@@ -16,7 +16,9 @@ def mark_near(begin, end, centers, reaches, rays_o, rays_d, rounding, out):
     for g in range(begin, end):
         out[g] = False
         for r in range(len(rays_o)):
-            x, y, z = centers[g, 0] - rays_o[r, 0], centers[g, 1] - rays_o[r, 1], centers[g, 2] - rays_o[r, 2]
+            x = centers[g, 0] - rays_o[r, 0]
+            y = centers[g, 1] - rays_o[r, 1]
+            z = centers[g, 2] - rays_o[r, 2]
             squared = x * x + y * y + z * z
             along = max(x * rays_d[r, 0] + y * rays_d[r, 1] + z * rays_d[r, 2], 0.0)
             reach = reaches[g] + rounding * squared**0.5

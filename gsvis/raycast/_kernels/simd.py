@@ -41,7 +41,8 @@ def meets_eight(typing_context, boxes, node, origin, inverse, t_stop, t_near):
         out = context.make_array(sig.args[5])(context, builder, args[5]).data
         lanes = Builder(builder, 8, "float64")
         first = builder.mul(args[1], ir.Constant(ir.IntType(64), 48))
-        near, far = lanes.constant(0.0), lanes.splat(args[4])
+        near = lanes.constant(0.0)
+        far = lanes.splat(args[4])
         for axis in range(3):
             o = lanes.splat(builder.extract_value(args[2], axis))
             i = lanes.splat(builder.extract_value(args[3], axis))
@@ -49,7 +50,8 @@ def meets_eight(typing_context, boxes, node, origin, inverse, t_stop, t_near):
             high = builder.add(first, ir.Constant(ir.IntType(64), 8 * (3 + axis)))
             a = (lanes.load(data, low, "float32") - o) * i
             b = (lanes.load(data, high, "float32") - o) * i
-            near, far = near.most(a.least(b)), far.least(a.most(b))
+            near = near.most(a.least(b))
+            far = far.least(a.most(b))
         lanes.store(near, out, ir.Constant(ir.IntType(64), 0))
         return (near.compare("<=", far) & near.compare("<", float("inf"))).bits()
 

@@ -26,7 +26,9 @@ def _peak(table, g, ox, oy, oz, dx, dy, dz):
     A negative t lies behind the origin; the half-line's largest response is then at the origin, at depth 0.
     """
     row = table[g]
-    x, y, z = ox - row[0], oy - row[1], oz - row[2]
+    x = ox - row[0]
+    y = oy - row[1]
+    z = oz - row[2]
     px = row[3] * x + row[4] * y + row[5] * z
     py = row[6] * x + row[7] * y + row[8] * z
     pz = row[9] * x + row[10] * y + row[11] * z
@@ -37,7 +39,9 @@ def _peak(table, g, ox, oy, oz, dx, dy, dz):
     length = qx * qx + qy * qy + qz * qz
     if along >= 0.0:
         return px * px + py * py + pz * pz, -along / length
-    cx, cy, cz = py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx
+    cx = py * qz - pz * qy
+    cy = pz * qx - px * qz
+    cz = px * qy - py * qx
     return (cx * cx + cy * cy + cz * cz) / length, -along / length
 
 
@@ -60,12 +64,16 @@ def sort_hits(table, content, ids, alphas, depths, count):
     """Order the first `count` hits front to back, in place (shell sort: short, nearly sorted lists)."""
     for gap in (132, 57, 23, 10, 4, 1):
         for i in range(gap, count):
-            g, a, t = ids[i], alphas[i], depths[i]
+            g = ids[i]
+            a = alphas[i]
+            t = depths[i]
             j = i
             while j >= gap and before(table, content, g, t, ids[j - gap], depths[j - gap]):
                 ids[j], alphas[j], depths[j] = ids[j - gap], alphas[j - gap], depths[j - gap]
                 j -= gap
-            ids[j], alphas[j], depths[j] = g, a, t
+            ids[j] = g
+            alphas[j] = a
+            depths[j] = t
 
 
 @inner
@@ -89,14 +97,21 @@ def trace_ray(
     replaced by larger ones.
     """
     min_alpha, max_alpha, min_transmittance = limits
-    ox, oy, oz = ray_o[0], ray_o[1], ray_o[2]
-    dx, dy, dz = ray_d[0], ray_d[1], ray_d[2]
+    ox = ray_o[0]
+    oy = ray_o[1]
+    oz = ray_o[2]
+    dx = ray_d[0]
+    dy = ray_d[1]
+    dz = ray_d[2]
     origin = (ox, oy, oz)
     inverse = (1.0 / (dx if dx != 0.0 else TINY), 1.0 / (dy if dy != 0.0 else TINY), 1.0 / (dz if dz != 0.0 else TINY))
     t_stop = np.inf
     left = 1.0  # transmittance behind all hits found so far
-    count, prune_at = np.int64(0), 0
-    stack_node[0], stack_near[0], top = 0, 0.0, 1
+    count = np.int64(0)
+    prune_at = 0
+    stack_node[0] = 0
+    stack_near[0] = 0.0
+    top = 1
     while top > 0:
         top -= 1
         if stack_near[top] > t_stop:
@@ -114,7 +129,8 @@ def trace_ray(
                 while j > base and stack_near[j - 1] < near:
                     stack_near[j], stack_node[j] = stack_near[j - 1], stack_node[j - 1]
                     j -= 1
-                stack_near[j], stack_node[j] = near, child
+                stack_near[j] = near
+                stack_node[j] = child
                 top += 1
                 continue
             g = -1 - child
@@ -148,8 +164,12 @@ def weight_of(table, content, boxes, children, ray_o, ray_d, target, limits, flo
     Transmittance is a product, so occluders need no order and no list.
     """
     min_alpha, max_alpha, min_transmittance = limits
-    ox, oy, oz = ray_o[0], ray_o[1], ray_o[2]
-    dx, dy, dz = ray_d[0], ray_d[1], ray_d[2]
+    ox = ray_o[0]
+    oy = ray_o[1]
+    oz = ray_o[2]
+    dx = ray_d[0]
+    dy = ray_d[1]
+    dz = ray_d[2]
     squared, depth = _peak(table, target, ox, oy, oz, dx, dy, dz)
     alpha = table[target, 13] * np.exp(-0.5 * squared)
     if alpha < min_alpha:
@@ -161,7 +181,9 @@ def weight_of(table, content, boxes, children, ray_o, ray_d, target, limits, flo
     origin = (ox, oy, oz)
     inverse = (1.0 / (dx if dx != 0.0 else TINY), 1.0 / (dy if dy != 0.0 else TINY), 1.0 / (dz if dz != 0.0 else TINY))
     left = 1.0
-    stack_node[0], stack_near[0], top = 0, 0.0, 1
+    stack_node[0] = 0
+    stack_near[0] = 0.0
+    top = 1
     while top > 0:
         top -= 1
         node = stack_node[top]
@@ -176,7 +198,8 @@ def weight_of(table, content, boxes, children, ray_o, ray_d, target, limits, flo
                 while j > base and stack_near[j - 1] < t_near[k]:
                     stack_near[j], stack_node[j] = stack_near[j - 1], stack_node[j - 1]
                     j -= 1
-                stack_near[j], stack_node[j] = t_near[k], child
+                stack_near[j] = t_near[k]
+                stack_node[j] = child
                 top += 1
                 continue
             g = -1 - child
@@ -221,9 +244,21 @@ def weights_of(begin, end, table, content, boxes, children, rays_o, rays_d, targ
 @in_parts(lambda table, content, boxes, children, rays_o, *_: (len(rays_o) + 63) // 64)
 @kernel(error_model="numpy")
 def trace_rays(
-    begin, end, table, content, boxes, children, rays_o, rays_d, limits, out_count, out_ids, out_alphas,
-    out_weights, out_depths,
-):  # fmt: skip
+    begin,
+    end,
+    table,
+    content,
+    boxes,
+    children,
+    rays_o,
+    rays_d,
+    limits,
+    out_count,
+    out_ids,
+    out_alphas,
+    out_weights,
+    out_depths,
+):
     """Trace many rays into (R, capacity) arrays; `out_count` holds the true number, which may exceed the capacity."""
     capacity = out_ids.shape[1]
     for block in range(begin, end):
@@ -267,16 +302,28 @@ def store(ids, alphas, depths, count, out_ids, out_alphas, out_weights, out_dept
 @in_parts(lambda table, content, rays_o, *_: len(rays_o))
 @kernel(error_model="numpy")
 def weigh_candidates(
-    begin, end, table, content, rays_o, rays_d, limits, offsets, candidates, out_count, out_alphas, out_weights,
+    begin,
+    end,
+    table,
+    content,
+    rays_o,
+    rays_d,
+    limits,
+    offsets,
+    candidates,
+    out_count,
+    out_alphas,
+    out_weights,
     out_depths,
-):  # fmt: skip
+):
     """Evaluate, sort and cut the candidates of each ray in place: ray r owns offsets[r]:offsets[r + 1].
 
     `candidates` are distinct positions within a ray; on return its first out_count[r] entries are the hits.
     """
     min_alpha, max_alpha, min_transmittance = limits
     for r in range(begin, end):
-        start, stop = offsets[r], offsets[r + 1]
+        start = offsets[r]
+        stop = offsets[r + 1]
         ids = np.empty(stop - start, np.int64)
         alphas = np.empty(stop - start, np.float64)
         depths = np.empty(stop - start, np.float32)
@@ -352,16 +399,28 @@ def largest_weights(table, content, boxes, children, rays_o, rays_d, limits, out
 @in_parts(lambda owners, offsets, rays, *_: len(rays))
 @kernel(error_model="numpy")
 def pack(
-    begin, end, owners, offsets, rays, ids, alphas, weights, depths, out_ids, out_alphas, out_weights,
+    begin,
+    end,
+    owners,
+    offsets,
+    rays,
+    ids,
+    alphas,
+    weights,
+    depths,
+    out_ids,
+    out_alphas,
+    out_weights,
     out_depths,
-):  # fmt: skip
+):
     """Copy padded rows into CSR arrays, with positions converted to Gaussians by `owners`.
 
     Row i holds ray rays[i]; rows too short for their ray are skipped.
     """
     capacity = ids.shape[1]
     for i in range(begin, end):
-        start, stop = offsets[rays[i]], offsets[rays[i] + 1]
+        start = offsets[rays[i]]
+        stop = offsets[rays[i] + 1]
         if stop - start <= capacity:
             for k in range(stop - start):
                 out_ids[start + k] = owners[ids[i, k]]

@@ -22,10 +22,12 @@ def blur(begin, end, planes, window, margin, out):
     """
     height, width = planes.shape[1:]
     taps = len(window)
-    out_height, out_width = out.shape[1], out.shape[2]
+    out_height = out.shape[1]
+    out_width = out.shape[2]
     bands = (out_height + _ROWS - 1) // _ROWS
     for task in range(begin, end):
-        plane, band = task // bands, task % bands
+        plane = task // bands
+        band = task % bands
         row = np.zeros(width + 2 * margin, planes.dtype)
         inner = row[margin : margin + width]
         for y in range(band * _ROWS, min((band + 1) * _ROWS, out_height)):
@@ -33,7 +35,8 @@ def blur(begin, end, planes, window, margin, out):
             for k in range(taps):
                 source = y + k - margin
                 if 0 <= source < height:
-                    weight, line = window[k], planes[plane, source]
+                    weight = window[k]
+                    line = planes[plane, source]
                     for x in range(width):
                         inner[x] += weight * line[x]
             target = out[plane, y]

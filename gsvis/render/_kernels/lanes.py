@@ -103,7 +103,8 @@ def _each_row(lanes: Builder, state: Any, record: _Record, todo: Any, body: _Row
     builder = lanes.ir
     x = lanes.counting()
     along = record[3].times_plus(x, record[1]).times_plus(x, record[0])
-    across, square = record[4].times_plus(x, record[2]), record[5]
+    across = record[4].times_plus(x, record[2])
+    square = record[5]
     before = builder.block
     head, inside, after = (builder.append_basic_block(name) for name in ("rows", "row", "done"))
     builder.branch(head)
@@ -267,7 +268,9 @@ def blend_backward(typing_context, state, records, number, todo, place, sums, pa
         lanes = Builder(builder, LANES, "float32")
         record = _Record(context, lanes, sig.args[1], args[1], args[2])
         features = [record[6 + k] for k in range(4)]
-        dx, center_y, place = record[10] - lanes.counting(), record[11], lanes.splat(args[4])
+        dx = record[10] - lanes.counting()
+        center_y = record[11]
+        place = lanes.splat(args[4])
         rooms = [cgutils.alloca_once_value(builder, lanes.constant(0.0).value) for _ in range(10)]
 
         def add(k: int, value: Vector, factor: Vector | None = None) -> None:
@@ -291,7 +294,8 @@ def blend_backward(typing_context, state, records, number, todo, place, sums, pa
                 add(k, weight, gradient)
             q = (live & response.compare("<", 0.999)).where(by_alpha * response, 0.0)
             dy = center_y - y
-            qx, qy = q * dx, q * dy
+            qx = q * dx
+            qy = q * dy
             add(4, q)
             add(5, qx)
             add(6, qy)

@@ -84,7 +84,8 @@ def _row_order(rows, i, j):
 @njit(cache=True)
 def _less(i, j, ids, means, rest):
     """Content order of two splats of equal depth: means, then the rest; False if all is equal."""
-    i, j = ids[i], ids[j]
+    i = ids[i]
+    j = ids[j]
     sign = _row_order(means, i, j)
     if sign != 0:
         return sign < 0
@@ -100,10 +101,14 @@ def _sort_short(order, start, stop, ids, means, rest, near, first):
     """Sort a short run by insertion; near[k - first] is a copy of the mean of order[k]."""
     for k in range(start + 1, stop):
         m = order[k]
-        x, y, z = near[k - first, 0], near[k - first, 1], near[k - first, 2]
+        x = near[k - first, 0]
+        y = near[k - first, 1]
+        z = near[k - first, 2]
         at = k
         while at > start:
-            u, v, w = near[at - 1 - first, 0], near[at - 1 - first, 1], near[at - 1 - first, 2]
+            u = near[at - 1 - first, 0]
+            v = near[at - 1 - first, 1]
+            w = near[at - 1 - first, 2]
             if x != u:
                 before = x < u
             elif y != v:
@@ -114,10 +119,14 @@ def _sort_short(order, start, stop, ids, means, rest, near, first):
                 before = _less(m, order[at - 1], ids, means, rest)
             if not before:
                 break
-            near[at - first, 0], near[at - first, 1], near[at - first, 2] = u, v, w
+            near[at - first, 0] = u
+            near[at - first, 1] = v
+            near[at - first, 2] = w
             order[at] = order[at - 1]
             at -= 1
-        near[at - first, 0], near[at - first, 1], near[at - first, 2] = x, y, z
+        near[at - first, 0] = x
+        near[at - first, 1] = y
+        near[at - first, 2] = z
         order[at] = m
 
 
@@ -128,8 +137,10 @@ def _sort_long(order, start, stop, ids, means, rest):
     width = 1
     while width < stop - start:
         for left in range(start, stop, 2 * width):
-            middle, right = min(left + width, stop), min(left + 2 * width, stop)
-            i, j = left, middle
+            middle = min(left + width, stop)
+            right = min(left + 2 * width, stop)
+            i = left
+            j = middle
             for k in range(left, right):
                 take_left = i < middle
                 if take_left and j < right:
@@ -152,12 +163,15 @@ def order_ties(taken, keys, ids, means, scales, quats, opacities, sh0, order):
 
     All content is (N, columns). A run belongs to the block in which it begins.
     """
-    rest, depth, index = (scales, quats, opacities, sh0), np.uint64(32), np.uint64(0xFFFFFFFF)
+    rest = (scales, quats, opacities, sh0)
+    depth = np.uint64(32)
+    index = np.uint64(0xFFFFFFFF)
     blocks = (len(keys) + BLOCK - 1) // BLOCK
     block = take_next(taken)
     near = np.empty((BLOCK + _SHORT if block < blocks else 0, 3), np.float32)
     while block < blocks:
-        first, last = block * BLOCK, min(len(keys), (block + 1) * BLOCK)
+        first = block * BLOCK
+        last = min(len(keys), (block + 1) * BLOCK)
         while 0 < first < last and keys[first] >> depth == keys[first - 1] >> depth:
             first += 1
         while first < last < len(keys) and keys[last] >> depth == keys[last - 1] >> depth:
@@ -165,7 +179,8 @@ def order_ties(taken, keys, ids, means, scales, quats, opacities, sh0, order):
         tied = False
         for k in range(first, last):  # apart from the sorting: here no load waits for a comparison
             order[k] = np.int32(keys[k] & index)
-            follows, tied = tied, k + 1 < last and keys[k] >> depth == keys[k + 1] >> depth
+            follows = tied
+            tied = k + 1 < last and keys[k] >> depth == keys[k + 1] >> depth
             if (follows or tied) and k - first < len(near):
                 i = ids[order[k]]
                 near[k - first, 0], near[k - first, 1], near[k - first, 2] = means[i, 0], means[i, 1], means[i, 2]

@@ -27,14 +27,29 @@ _MOST_REACH = 3.33  # sqrt(2 ln 255): where the most opaque Gaussian falls below
 @njit(cache=True, fastmath=FUSED, inline="always")
 def _rotation(i, quats, r):
     """Rotation matrix of quaternion i, of any length, into r (3, 3)."""
-    w, x, y, z = np.float64(quats[i, 0]), np.float64(quats[i, 1]), np.float64(quats[i, 2]), np.float64(quats[i, 3])
+    w = np.float64(quats[i, 0])
+    x = np.float64(quats[i, 1])
+    y = np.float64(quats[i, 2])
+    z = np.float64(quats[i, 3])
     s = 2.0 / (w * w + x * x + y * y + z * z)
-    xx, yy, zz = s * x * x, s * y * y, s * z * z
-    xy, xz, yz = s * x * y, s * x * z, s * y * z
-    wx, wy, wz = s * w * x, s * w * y, s * w * z
-    r[0, 0], r[0, 1], r[0, 2] = 1.0 - yy - zz, xy - wz, xz + wy
-    r[1, 0], r[1, 1], r[1, 2] = xy + wz, 1.0 - xx - zz, yz - wx
-    r[2, 0], r[2, 1], r[2, 2] = xz - wy, yz + wx, 1.0 - xx - yy
+    xx = s * x * x
+    yy = s * y * y
+    zz = s * z * z
+    xy = s * x * y
+    xz = s * x * z
+    yz = s * y * z
+    wx = s * w * x
+    wy = s * w * y
+    wz = s * w * z
+    r[0, 0] = 1.0 - yy - zz
+    r[0, 1] = xy - wz
+    r[0, 2] = xz + wy
+    r[1, 0] = xy + wz
+    r[1, 1] = 1.0 - xx - zz
+    r[1, 2] = yz - wx
+    r[2, 0] = xz - wy
+    r[2, 1] = yz + wx
+    r[2, 2] = 1.0 - xx - yy
 
 
 @njit(cache=True, fastmath=FUSED, inline="always")
@@ -49,11 +64,13 @@ def _footprint(i, means, quats, scales, viewmat, intrinsics, width, height, m, r
     z = viewmat[2, 0] * means[i, 0] + viewmat[2, 1] * means[i, 1] + viewmat[2, 2] * means[i, 2] + viewmat[2, 3]
     if z <= NEAR:
         return x, y, z, 0.0, 0.0
-    margin_x, margin_y = 0.15 * width / fx, 0.15 * height / fy
+    margin_x = 0.15 * width / fx
+    margin_y = 0.15 * height / fy
     u = min(max(x / z, -cx / fx - margin_x), (width - cx) / fx + margin_x)
     v = min(max(y / z, -cy / fy - margin_y), (height - cy) / fy + margin_y)
     _rotation(i, quats, r)
-    jx, jy = fx / z, fy / z
+    jx = fx / z
+    jy = fy / z
     for k in range(3):  # the axes of the Gaussian, in the camera's frame
         s = np.float64(scales[i, k])
         a = s * (viewmat[0, 0] * r[0, k] + viewmat[0, 1] * r[1, k] + viewmat[0, 2] * r[2, k])
@@ -73,15 +90,20 @@ def _find_candidates(means, scales, opacities, viewmat, intrinsics, width, heigh
     fx, fy, cx, cy = intrinsics
     tan_x = max(cx, width - cx) / fx + 0.15 * width / fx  # where the Jacobian is clamped
     tan_y = max(cy, height - cy) / fy + 0.15 * height / fy
-    wide, high = _MOST_REACH * fx * np.sqrt(1.0 + tan_x * tan_x), _MOST_REACH * fy * np.sqrt(1.0 + tan_y * tan_y)
-    least, found = np.float32(1.0 / 255.0), 0
+    wide = _MOST_REACH * fx * np.sqrt(1.0 + tan_x * tan_x)
+    high = _MOST_REACH * fy * np.sqrt(1.0 + tan_y * tan_y)
+    least = np.float32(1.0 / 255.0)
+    found = 0
     for i in range(first, last):
-        p, q, r = np.float64(means[i, 0]), np.float64(means[i, 1]), np.float64(means[i, 2])
+        p = np.float64(means[i, 0])
+        q = np.float64(means[i, 1])
+        r = np.float64(means[i, 2])
         z = viewmat[2, 0] * p + viewmat[2, 1] * q + viewmat[2, 2] * r + viewmat[2, 3]
         x = fx * (viewmat[0, 0] * p + viewmat[0, 1] * q + viewmat[0, 2] * r + viewmat[0, 3]) + cx * z
         y = fy * (viewmat[1, 0] * p + viewmat[1, 1] * q + viewmat[1, 2] * r + viewmat[1, 3]) + cy * z
         size = np.float64(max(scales[i, 0], max(scales[i, 1], scales[i, 2])))
-        half_x, half_y = wide * size + _MOST_REACH * z, high * size + _MOST_REACH * z
+        half_x = wide * size + _MOST_REACH * z
+        half_y = high * size + _MOST_REACH * z
         missed = (opacities[i] < least) | (z <= NEAR) | (x + half_x < 0.0) | (x - half_x > width * z)
         missed = missed | (y + half_y < 0.0) | (y - half_y > height * z)
         out[found] = i
@@ -108,11 +130,13 @@ def project(
 ):
     """Project all N Gaussians; block b keeps its visible ones at 2048 b, counts[b] of them."""
     fx, fy, cx, cy = intrinsics
-    m, r = np.zeros((2, 3)), np.empty((3, 3))
+    m = np.zeros((2, 3))
+    r = np.empty((3, 3))
     block = take_next(taken)
     candidates = np.empty(_BLOCK if block < len(counts) else 0, np.int64)
     while block < len(counts):
-        at, last = block * _BLOCK, min(len(means), (block + 1) * _BLOCK)
+        at = block * _BLOCK
+        last = min(len(means), (block + 1) * _BLOCK)
         found = _find_candidates(means, scales, opacities, viewmat, intrinsics, width, height, at, last, candidates)
         for i in candidates[:found]:
             x, y, z, _, _ = _footprint(i, means, quats, scales, viewmat, intrinsics, width, height, m, r)
@@ -124,19 +148,23 @@ def project(
             if opacity * 255.0 < 1.0 or not full < np.inf:
                 continue
             reach = np.sqrt(2.0 * np.log(255.0 * opacity)) * (1.0 + 1e-6)
-            xx, yy = xx + DILATION, yy + DILATION
-            half_x, half_y = reach * np.sqrt(xx), reach * np.sqrt(yy)
-            u, v = fx * x / z + cx, fy * y / z + cy
+            xx = xx + DILATION
+            yy = yy + DILATION
+            half_x = reach * np.sqrt(xx)
+            half_y = reach * np.sqrt(yy)
+            u = fx * x / z + cx
+            v = fy * y / z + cy
             if u + half_x < 0.5 or u - half_x > width - 0.5 or v + half_y < 0.5 or v - half_y > height - 0.5:
                 continue
             ids[at] = i
-            splats[at, 0], splats[at, 1] = u, v
-            splats[at, 2], splats[at, 3], splats[at, 4] = (
-                -0.5 * LOG2E * yy / full,
-                LOG2E * xy / full,
-                -0.5 * LOG2E * xx / full,
-            )
-            splats[at, 5], splats[at, 6], splats[at, 7] = np.log2(opacity), half_x, half_y
+            splats[at, 0] = u
+            splats[at, 1] = v
+            splats[at, 2] = -0.5 * LOG2E * yy / full
+            splats[at, 3] = LOG2E * xy / full
+            splats[at, 4] = -0.5 * LOG2E * xx / full
+            splats[at, 5] = np.log2(opacity)
+            splats[at, 6] = half_x
+            splats[at, 7] = half_y
             depths[at] = z
             at += 1
         counts[block] = at - block * _BLOCK
@@ -146,7 +174,8 @@ def project(
 @inner
 def _gather_block(block, counts, starts, ids, splats, depths, out_ids, out_splats, out_depths):
     for k in range(counts[block]):
-        source, target = block * _BLOCK + k, starts[block] + k
+        source = block * _BLOCK + k
+        target = starts[block] + k
         out_ids[target], out_depths[target] = ids[source], depths[source]
         for c in range(8):
             out_splats[target, c] = splats[source, c]
@@ -162,9 +191,22 @@ def gather_blocks(counts, starts, ids, splats, depths, out_ids, out_splats, out_
 @in_parts(lambda *arguments: (len(arguments[8]) + 255) // 256)
 @kernel(fastmath=FUSED, error_model="numpy")
 def project_backward(
-    begin, end, means, quats, scales, opacities, viewmat, intrinsics, size, antialiased, ids, sums, v_means2d,
-    v_opacities, outs,
-):  # fmt: skip
+    begin,
+    end,
+    means,
+    quats,
+    scales,
+    opacities,
+    viewmat,
+    intrinsics,
+    size,
+    antialiased,
+    ids,
+    sums,
+    v_means2d,
+    v_opacities,
+    outs,
+):
     """Gradients of one view by means, quats, scales and opacities, added into outs, from the sums of the tiles.
 
     `sums` (M, 10) is what `blend_backward` returns, summed over tiles; `v_means2d` (M, 2) receives the gradient in the
@@ -172,44 +214,93 @@ def project_backward(
     """
     v_means, v_quats, v_scales = outs
     for block in range(begin, end):
-        m, r, v_r = np.zeros((2, 3)), np.empty((3, 3)), np.empty((3, 3))
+        m = np.zeros((2, 3))
+        r = np.empty((3, 3))
+        v_r = np.empty((3, 3))
         for j in range(256 * block, min(len(ids), 256 * block + 256)):
             _one_backward(
-                ids[j], means, quats, scales, opacities, viewmat, intrinsics, size, antialiased, j, sums, v_means2d,
-                v_opacities, v_means, v_quats, v_scales, m, r, v_r,
-            )  # fmt: skip
+                ids[j],
+                means,
+                quats,
+                scales,
+                opacities,
+                viewmat,
+                intrinsics,
+                size,
+                antialiased,
+                j,
+                sums,
+                v_means2d,
+                v_opacities,
+                v_means,
+                v_quats,
+                v_scales,
+                m,
+                r,
+                v_r,
+            )
 
 
 @njit(cache=True, fastmath=FUSED, inline="always")
 def _one_backward(
-    i, means, quats, scales, opacities, viewmat, intrinsics, size, antialiased, j, sums, v_means2d,
-    v_opacities, v_means, v_quats, v_scales, m, r, v_r,
-):  # fmt: skip
+    i,
+    means,
+    quats,
+    scales,
+    opacities,
+    viewmat,
+    intrinsics,
+    size,
+    antialiased,
+    j,
+    sums,
+    v_means2d,
+    v_opacities,
+    v_means,
+    v_quats,
+    v_scales,
+    m,
+    r,
+    v_r,
+):
     """`project_backward` of Gaussian i, splat j; m (2, 3), r and v_r (3, 3) are room to work in."""
-    fx, fy = intrinsics[0], intrinsics[1]
+    fx = intrinsics[0]
+    fy = intrinsics[1]
     width, height = size
     x, y, z, u, v = _footprint(i, means, quats, scales, viewmat, intrinsics, width, height, m, r)
     xx, xy, yy, det = _covariance(m)
     full = det + DILATION * (xx + yy) + DILATION * DILATION
-    xx, yy = xx + DILATION, yy + DILATION
-    a, b, c = yy / full, -xy / full, xx / full
-    q, qx, qy = np.float64(sums[j, 4]), np.float64(sums[j, 5]), np.float64(sums[j, 6])
-    g_a, g_b, g_c = -0.5 * sums[j, 7], -0.5 * sums[j, 8], -0.5 * sums[j, 9]  # as a symmetric matrix
-    v_u, v_v = -(a * qx + b * qy), -(b * qx + c * qy)
-    v_means2d[j, 0], v_means2d[j, 1] = v_u, v_v
+    xx = xx + DILATION
+    yy = yy + DILATION
+    a = yy / full
+    b = -xy / full
+    c = xx / full
+    q = np.float64(sums[j, 4])
+    qx = np.float64(sums[j, 5])
+    qy = np.float64(sums[j, 6])
+    # as a symmetric matrix
+    g_a = -0.5 * sums[j, 7]
+    g_b = -0.5 * sums[j, 8]
+    g_c = -0.5 * sums[j, 9]
+    v_u = -(a * qx + b * qy)
+    v_v = -(b * qx + c * qy)
+    v_means2d[j, 0] = v_u
+    v_means2d[j, 1] = v_v
     # cov -> conic: dL/dcov = -conic G conic
-    t00, t01 = a * g_a + b * g_b, a * g_b + b * g_c
-    t10, t11 = b * g_a + c * g_b, b * g_b + c * g_c
-    s_xx, s_xy, s_yy = -(t00 * a + t01 * b), -(t00 * b + t01 * c), -(t10 * b + t11 * c)
+    t00 = a * g_a + b * g_b
+    t01 = a * g_b + b * g_c
+    t10 = b * g_a + c * g_b
+    t11 = b * g_b + c * g_c
+    s_xx = -(t00 * a + t01 * b)
+    s_xy = -(t00 * b + t01 * c)
+    s_yy = -(t10 * b + t11 * c)
     opacity = np.float64(opacities[i])
     if antialiased:  # opacity * sqrt(det / full)
         shrink = np.sqrt(det / full)
         v_opacities[i] += q / opacity
-        s_xx, s_xy, s_yy = (
-            s_xx - 0.5 * q * (yy / full),
-            s_xy + 0.5 * q * (xy / full),
-            s_yy - 0.5 * q * (xx / full),
-        )
+        s_xx = s_xx - 0.5 * q * (yy / full)
+        s_xy = s_xy + 0.5 * q * (xy / full)
+        s_yy = s_yy - 0.5 * q * (xx / full)
         if shrink > 0.0:
             s_xx += 0.5 * q * (yy - DILATION) / det
             s_xy -= 0.5 * q * xy / det
@@ -217,9 +308,13 @@ def _one_backward(
     else:
         v_opacities[i] += q / opacity
     # m = J (W R S), J rows (fx / z)(1, 0, -u) and (fy / z)(0, 1, -v)
-    v_x, v_y, v_z = fx / z * v_u, fy / z * v_v, np.float64(sums[j, 3])
+    v_x = fx / z * v_u
+    v_y = fy / z * v_v
+    v_z = np.float64(sums[j, 3])
     v_z -= fx * x / (z * z) * v_u + fy * y / (z * z) * v_v
-    v_u_j, v_v_j = 0.0, 0.0  # by the clamped u and v inside J
+    # by the clamped u and v inside J
+    v_u_j = 0.0
+    v_v_j = 0.0
     for k in range(3):
         s = np.float64(scales[i, k])
         n0 = 2.0 * (s_xx * m[0, k] + s_xy * m[1, k])
@@ -228,7 +323,9 @@ def _one_backward(
         axis_z = s * (viewmat[2, 0] * r[0, k] + viewmat[2, 1] * r[1, k] + viewmat[2, 2] * r[2, k])
         v_u_j -= n0 * fx / z * axis_z
         v_v_j -= n1 * fy / z * axis_z
-        d0, d1, d2 = fx / z * n0, fy / z * n1, -(fx / z * u * n0 + fy / z * v * n1)
+        d0 = fx / z * n0
+        d1 = fy / z * n1
+        d2 = -(fx / z * u * n0 + fy / z * v * n1)
         v_scale = 0.0
         for e in range(3):
             by_axis = viewmat[0, e] * d0 + viewmat[1, e] * d1 + viewmat[2, e] * d2
@@ -249,9 +346,15 @@ def _one_backward(
 @njit(cache=True, fastmath=FUSED, inline="always")
 def _add_quat_gradient(i, quats, v_r, out):
     """Chain rule through the rotation matrix of quaternion i, of any length."""
-    w, x, y, z = np.float64(quats[i, 0]), np.float64(quats[i, 1]), np.float64(quats[i, 2]), np.float64(quats[i, 3])
+    w = np.float64(quats[i, 0])
+    x = np.float64(quats[i, 1])
+    y = np.float64(quats[i, 2])
+    z = np.float64(quats[i, 3])
     n = np.sqrt(w * w + x * x + y * y + z * z)
-    w, x, y, z = w / n, x / n, y / n, z / n
+    w = w / n
+    x = x / n
+    y = y / n
+    z = z / n
     v_w = 2 * (x * (v_r[2, 1] - v_r[1, 2]) + y * (v_r[0, 2] - v_r[2, 0]) + z * (v_r[1, 0] - v_r[0, 1]))
     v_x = 2 * (
         -2 * x * (v_r[1, 1] + v_r[2, 2])

@@ -32,7 +32,8 @@ SPENT = 1e-6
 PRESENT = 9
 """Entry of a record, in the place of a depth: the share of its alpha with which the Gaussian is there, in [0, 1]."""
 
-BEHIND, RESIDUAL = (1, 2, 3), (4, 5, 7)
+BEHIND = (1, 2, 3)
+RESIDUAL = (4, 5, 7)
 """Channels of the state on the way back: the color behind, and image minus target. T and STOP are the lanes'."""
 
 
@@ -70,7 +71,8 @@ def _dim(typing_context, state, records, number, todo, lit, place):
                 behind = lanes.splat(args[5]) + 1.0
                 _store(lanes, spent.where(behind, _load(lanes, row, STOP)), row, STOP)
                 index = builder.fptoui(builder.extract_element(y.value, ir.Constant(ir.IntType(32), 0)), ir.IntType(64))
-                one, none = ir.Constant(ir.IntType(64), 1), ir.Constant(ir.IntType(64), 0)
+                one = ir.Constant(ir.IntType(64), 1)
+                none = ir.Constant(ir.IntType(64), 0)
                 dark = builder.select(left.compare(">", 0.0).any(), none, builder.shl(one, index))
                 builder.store(builder.and_(builder.load(lit_rows), builder.not_(dark)), lit_rows)
             _store(lanes, Vector(lanes, builder.load(room)), row, T)
@@ -107,7 +109,8 @@ def _remove(typing_context, state, records, number, todo, place, sums, pair):
         data, out = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (0, 5))
         lanes = Builder(builder, LANES, "float32")
         record = _Record(context, lanes, sig.args[1], args[1], args[2])
-        color, place = [record[6 + k] for k in range(3)], lanes.splat(args[4])
+        color = [record[6 + k] for k in range(3)]
+        place = lanes.splat(args[4])
         present = record[PRESENT]
         excess = present.times_plus(2.0, -1.0)
         rooms = [cgutils.alloca_once_value(builder, lanes.constant(0.0).value) for _ in range(3)]
@@ -165,11 +168,14 @@ def remove_tiles(taken, splats, features, offsets, members, pair_of, tiles_x, ba
     tiles = len(offsets) - 1
     tile = take_next(taken)
     while tile < tiles:
-        left, top = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
+        left = (tile % tiles_x) * TILE
+        top = (tile // tiles_x) * TILE
         state, gates, rows, columns = _open_tile(left, top, width, height)
-        records, todo = _allocate(_BATCH * RECORD).reshape((_BATCH, RECORD)), np.empty(_BATCH, np.int64)
+        records = _allocate(_BATCH * RECORD).reshape((_BATCH, RECORD))
+        todo = np.empty(_BATCH, np.int64)
         lit = np.full(1, (1 << rows) - 1)
-        first, total = offsets[tile], offsets[tile + 1] - offsets[tile]
+        first = offsets[tile]
+        total = offsets[tile + 1] - offsets[tile]
         reached = 0
         for start in range(0, total, _BATCH):
             if lit[0] == 0:

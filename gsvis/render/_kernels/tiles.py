@@ -27,11 +27,15 @@ def _span(splat, low, high):
     The right side of an ellipse bulges most where its bounding box touches it, the left side opposite; on a band that
     does not hold that height, it reaches furthest at the nearer line.
     """
-    a, b, c = -splat[2], -splat[3], -splat[4]
+    a = -splat[2]
+    b = -splat[3]
+    c = -splat[4]
     level = splat[5] + _LOG2_255
     bulge = -b * splat[6] / (2.0 * c)
-    low, high = max(low - splat[1], -splat[7]), min(high - splat[1], splat[7])
-    right, left = min(max(bulge, low), high), min(max(-bulge, low), high)
+    low = max(low - splat[1], -splat[7])
+    high = min(high - splat[1], splat[7])
+    right = min(max(bulge, low), high)
+    left = min(max(-bulge, low), high)
     furthest = np.sqrt(max(b * b * right * right - 4.0 * a * (c * right * right - level), 0.0))
     nearest = np.sqrt(max(b * b * left * left - 4.0 * a * (c * left * left - level), 0.0))
     return splat[0] + (-b * left - nearest) / (2.0 * a), splat[0] + (-b * right + furthest) / (2.0 * a)
@@ -75,11 +79,13 @@ def _meet_block(block, splats, room, tiles_x, tiles_y, met, spans):
         x0, x1, y0, y1 = _box(splat, tiles_x, tiles_y)
         spans[m, 0] = at
         for ty in range(y0, y1 + 1):
-            first, last = x0, x1
+            first = x0
+            last = x1
             if x0 < x1 and y0 < y1:  # else the box touches just the tiles the ellipse does
                 low, high = _span(splat, ty * TILE + 0.5, ty * TILE + TILE - 0.5)
                 first, last = _tiles_between(low - _MARGIN, high + _MARGIN, tiles_x)
-                first, last = max(x0, first), min(x1, last)
+                first = max(x0, first)
+                last = min(x1, last)
             for tx in range(first, last + 1):
                 met[room[block] + at] = ty * tiles_x + tx
                 at += 1
@@ -111,8 +117,10 @@ def _find_met(order, start, count, spans, room, met, found):
 
 @inner(error_model="numpy")
 def _count_chunk(chunk, order, spans, room, met, counts, pairs):
-    chunks, found = len(counts), np.empty((_BATCH, 3), np.int64)
-    total, last = 0, len(order) * (chunk + 1) // chunks
+    chunks = len(counts)
+    found = np.empty((_BATCH, 3), np.int64)
+    total = 0
+    last = len(order) * (chunk + 1) // chunks
     for start in range(len(order) * chunk // chunks, last, _BATCH):
         count = min(_BATCH, last - start)
         _find_met(order, start, count, spans, room, met, found)
@@ -137,8 +145,10 @@ def count_tiles(order, spans, room, met, counts, pairs):
 
 @inner(error_model="numpy")
 def _fill_chunk(chunk, order, spans, room, met, places, first_pair, members, pair_of):
-    chunks, found = len(places), np.empty((_BATCH, 3), np.int64)
-    first, last = len(order) * chunk // chunks, len(order) * (chunk + 1) // chunks
+    chunks = len(places)
+    found = np.empty((_BATCH, 3), np.int64)
+    first = len(order) * chunk // chunks
+    last = len(order) * (chunk + 1) // chunks
     pair = first_pair[first]
     for start in range(first, last, _BATCH):
         count = min(_BATCH, last - start)
@@ -201,15 +211,21 @@ def _prepare(splats, features, members, first, place, count, left, top, gates, r
     """Records and rows of `count` Gaussians of a tile's list that starts at `first`, from `place` on."""
     for j in range(count):
         m = members[first + place + j]
-        x, y = splats[m, 0] - (left + 0.5), splats[m, 1] - (top + 0.5)
-        a, b, c = splats[m, 2], splats[m, 3], splats[m, 4]
+        x = splats[m, 0] - (left + 0.5)
+        y = splats[m, 1] - (top + 0.5)
+        a = splats[m, 2]
+        b = splats[m, 3]
+        c = splats[m, 4]
         records[j, 0] = splats[m, 5] + a * x * x + b * x * y + c * y * y
         records[j, 1] = -(2.0 * a * x + b * y)
         records[j, 2] = -(2.0 * c * y + b * x)
-        records[j, 3], records[j, 4], records[j, 5] = a, b, c
+        records[j, 3] = a
+        records[j, 4] = b
+        records[j, 5] = c
         for e in range(4):
             records[j, 6 + e] = features[m, e]
-        records[j, 10], records[j, 11] = x, y
+        records[j, 10] = x
+        records[j, 11] = y
     for j in range(count):
         todo[j] = find_reached_rows(records, j, gates, np.float32(place + j))
 
@@ -217,18 +233,32 @@ def _prepare(splats, features, members, first, place, count, left, top, gates, r
 @in_threads(lambda splats, features, offsets, *_: len(offsets) - 1)
 @kernel(error_model="numpy")
 def blend_tiles(
-    taken, splats, features, offsets, members, tiles_x, background, image, transmittance, depth, median, stop_at,
-):  # fmt: skip
+    taken,
+    splats,
+    features,
+    offsets,
+    members,
+    tiles_x,
+    background,
+    image,
+    transmittance,
+    depth,
+    median,
+    stop_at,
+):
     """Render all tiles. `features` is (M, 4) float32: color and depth. Outputs are (H, W, ...)."""
     height, width = transmittance.shape
     tiles = len(offsets) - 1
     tile = take_next(taken)
     while tile < tiles:
-        left, top = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
+        left = (tile % tiles_x) * TILE
+        top = (tile // tiles_x) * TILE
         state, gates, rows, columns = _open_tile(left, top, width, height)
-        records, todo = _allocate(_BATCH * RECORD).reshape((_BATCH, RECORD)), np.empty(_BATCH, np.int64)
+        records = _allocate(_BATCH * RECORD).reshape((_BATCH, RECORD))
+        todo = np.empty(_BATCH, np.int64)
         lit = np.full(1, (1 << rows) - 1)
-        first, total = offsets[tile], offsets[tile + 1] - offsets[tile]
+        first = offsets[tile]
+        total = offsets[tile + 1] - offsets[tile]
         for start in range(0, total, _BATCH):
             if lit[0] == 0:
                 break
@@ -239,7 +269,8 @@ def blend_tiles(
         for r in range(rows):
             for k in range(columns):
                 left_over = abs(state[r, 0, k])
-                y, x = top + r, left + k
+                y = top + r
+                x = left + k
                 transmittance[y, x] = left_over
                 for c in range(3):
                     image[y, x, c] = state[r, 1 + c, k] + left_over * background[c]
@@ -253,8 +284,18 @@ def blend_tiles(
 @in_threads(lambda splats, features, offsets, *_: len(offsets) - 1)
 @kernel(error_model="numpy")
 def blend_tiles_backward(
-    taken, splats, features, offsets, members, pair_of, tiles_x, background, forward, gradients, out,
-):  # fmt: skip
+    taken,
+    splats,
+    features,
+    offsets,
+    members,
+    pair_of,
+    tiles_x,
+    background,
+    forward,
+    gradients,
+    out,
+):
     """Gradient sums of every (tile, splat) pair into out (P, 12) float32; see `blend_backward`.
 
     `forward` is (transmittance, depth, stop_at); `gradients` is by (image, alpha, depth).
@@ -265,13 +306,16 @@ def blend_tiles_backward(
     tiles = len(offsets) - 1
     tile = take_next(taken)
     while tile < tiles:
-        left, top = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
+        left = (tile % tiles_x) * TILE
+        top = (tile // tiles_x) * TILE
         state, gates, rows, columns = _open_tile(left, top, width, height)
-        records, todo = _allocate(_BATCH * RECORD).reshape((_BATCH, RECORD)), np.empty(_BATCH, np.int64)
+        records = _allocate(_BATCH * RECORD).reshape((_BATCH, RECORD))
+        todo = np.empty(_BATCH, np.int64)
         gates[:rows] = -1.0
         for r in range(rows):
             for k in range(columns):
-                y, x = top + r, left + k
+                y = top + r
+                x = left + k
                 t = transmittance[y, x]
                 covered = np.float32(1.0) - t
                 state[r, 0, k] = t
@@ -285,7 +329,8 @@ def blend_tiles_backward(
                 state[r, 5, k] = t * by_t
                 state[r, 6, k] = stop_at[y, x]
                 gates[r] = max(gates[r], stop_at[y, x])
-        first, total = offsets[tile], offsets[tile + 1] - offsets[tile]
+        first = offsets[tile]
+        total = offsets[tile + 1] - offsets[tile]
         reached = int(min(np.float64(gates.max()), np.float64(total)))  # no pixel goes beyond
         for k in range(first + reached, first + total):
             for e in range(10):
@@ -319,11 +364,14 @@ def weigh_tiles(taken, splats, features, offsets, members, pair_of, tiles_x, wid
     tiles = len(offsets) - 1
     tile = take_next(taken)
     while tile < tiles:
-        left, top = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
+        left = (tile % tiles_x) * TILE
+        top = (tile // tiles_x) * TILE
         state, gates, rows, _ = _open_tile(left, top, width, height)
-        records, todo = _allocate(_BATCH * RECORD).reshape((_BATCH, RECORD)), np.empty(_BATCH, np.int64)
+        records = _allocate(_BATCH * RECORD).reshape((_BATCH, RECORD))
+        todo = np.empty(_BATCH, np.int64)
         lit = np.full(1, (1 << rows) - 1)
-        first, total = offsets[tile], offsets[tile + 1] - offsets[tile]
+        first = offsets[tile]
+        total = offsets[tile + 1] - offsets[tile]
         for k in range(first, first + total):
             out[pair_of[k], 0] = 0.0
             out[pair_of[k], 1] = 0.0

@@ -51,7 +51,8 @@ def _holds(low, high, i, points, p):
 def find_holding(low, high, points, bins, side, out):
     """Write into out (K,) which of the boxes (K, 3) hold a point."""
     origin, per_unit, starts = bins
-    first, last = np.empty(3, np.int64), np.empty(3, np.int64)
+    first = np.empty(3, np.int64)
+    last = np.empty(3, np.int64)
     for i in range(len(low)):
         _span(low, high, i, origin, per_unit, side, first, last)
         found = False
@@ -77,7 +78,8 @@ def find_buried(shapes, low, high, points, bins, side, least, out):
     """
     means, whitening, opacities = shapes
     origin, per_unit, starts = bins
-    first, last = np.empty(3, np.int64), np.empty(3, np.int64)
+    first = np.empty(3, np.int64)
+    last = np.empty(3, np.int64)
     for i in range(len(means)):
         _span(low, high, i, origin, per_unit, side, first, last)
         for x in range(first[0], last[0] + 1):

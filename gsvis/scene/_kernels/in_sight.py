@@ -36,16 +36,22 @@ def mark_crossed(
     """
     shape = occupied.shape
     for r in range(len(directions)):
-        near, far = 0.0, np.inf  # where the ray enters and leaves the grid
+        # where the ray enters and leaves the grid
+        near = 0.0
+        far = np.inf
         for i in range(3):
-            step, at = directions[r, i], start[i]
+            step = directions[r, i]
+            at = start[i]
             if step == 0.0:
                 if not 0.0 <= at < shape[i]:
                     far = -1.0
                 continue
-            one, two = -at / step, (shape[i] - at) / step
-            near, far = max(near, min(one, two)), min(far, max(one, two))
-        t, met = near + 1e-6, 0
+            one = -at / step
+            two = (shape[i] - at) / step
+            near = max(near, min(one, two))
+            far = min(far, max(one, two))
+        t = near + 1e-6
+        met = 0
         while t < far and met < walls:
             x = int(np.floor(start[0] + t * directions[r, 0]))
             y = int(np.floor(start[1] + t * directions[r, 1]))

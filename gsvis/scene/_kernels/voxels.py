@@ -39,7 +39,8 @@ def splat_depth(
         a, b, c, d, e, f = precisions[i]
         mx, my, mz = means[i]
         # The ellipsoid's extent in x, then in y for a given x, then in z for a given x and y, by Schur complements.
-        d1, b1 = d - e * e / f, b - c * e / f
+        d1 = d - e * e / f
+        b1 = b - c * e / f
         a1 = a - c * c / f
         a2 = a1 - b1 * b1 / d1
         if not (a2 > 0.0 and d1 > 0.0 and f > 0.0):
@@ -47,26 +48,31 @@ def splat_depth(
         ex = np.sqrt(limit / a2)
         if not (mx + ex > 0.0 and mx - ex < nx):  # also keeps huge numbers away from the integers below
             continue
-        x0, x1 = int(max(0.0, np.ceil(mx - ex - 0.5))), int(min(nx - 1.0, np.floor(mx + ex - 0.5)))
+        x0 = int(max(0.0, np.ceil(mx - ex - 0.5)))
+        x1 = int(min(nx - 1.0, np.floor(mx + ex - 0.5)))
         for x in range(x0, x1 + 1):
             dx = x + 0.5 - mx
             rest = limit - a2 * dx * dx
             if rest < 0.0:
                 continue
-            cy, ey = my - b1 / d1 * dx, np.sqrt(rest / d1)
+            cy = my - b1 / d1 * dx
+            ey = np.sqrt(rest / d1)
             if not (cy + ey > 0.0 and cy - ey < ny):
                 continue
-            y0, y1 = int(max(0.0, np.ceil(cy - ey - 0.5))), int(min(ny - 1.0, np.floor(cy + ey - 0.5)))
+            y0 = int(max(0.0, np.ceil(cy - ey - 0.5)))
+            y1 = int(min(ny - 1.0, np.floor(cy + ey - 0.5)))
             for y in range(y0, y1 + 1):
                 dy = y + 0.5 - my
                 lateral = a1 * dx * dx + 2.0 * b1 * dx * dy + d1 * dy * dy
                 rest = limit - lateral
                 if rest < 0.0:
                     continue
-                cz, ez = mz - (c * dx + e * dy) / f, np.sqrt(rest / f)
+                cz = mz - (c * dx + e * dy) / f
+                ez = np.sqrt(rest / f)
                 if not (cz + ez > 0.0 and cz - ez < nz):
                     continue
-                z0, z1 = int(max(0.0, np.ceil(cz - ez - 0.5))), int(min(nz - 1.0, np.floor(cz + ez - 0.5)))
+                z0 = int(max(0.0, np.ceil(cz - ez - 0.5)))
+                z1 = int(min(nz - 1.0, np.floor(cz + ez - 0.5)))
                 for z in range(z0, z1 + 1):
                     dz = z + 0.5 - cz
                     depth[x, y, z] -= np.log(1.0 - alphas[i] * np.exp(-0.5 * (lateral + f * dz * dz)))
@@ -83,12 +89,15 @@ def sum_beyond(depth: NDArray[np.float32], step: NDArray[np.int64], beyond: NDAr
     """
     nx, ny, nz = depth.shape
     sx, sy, sz = step
-    first, last = max(-sz, 0), nz - max(sz, 0)  # along z, where the next voxel lies on the grid
+    # along z, where the next voxel lies on the grid
+    first = max(-sz, 0)
+    last = nz - max(sz, 0)
     for i in range(nx):
         x = nx - 1 - i if sx > 0 else i
         for j in range(ny):
             y = ny - 1 - j if sy > 0 else j
-            ax, ay = x + sx, y + sy
+            ax = x + sx
+            ay = y + sy
             if not (0 <= ax < nx and 0 <= ay < ny):
                 for z in range(nz):
                     beyond[x, y, z] = 0.0
@@ -130,16 +139,22 @@ def free_lengths(
     shape = depth.shape
     for r in range(len(starts)):
         longest = max(abs(directions[r, 0]), abs(directions[r, 1]), abs(directions[r, 2]))
-        near, far = 0.0, lengths[r] * longest  # in steps
+        # in steps
+        near = 0.0
+        far = lengths[r] * longest
         for i in range(3):  # where the ray enters and leaves the grid
-            step, at = directions[r, i] / longest, starts[r, i]
+            step = directions[r, i] / longest
+            at = starts[r, i]
             if step == 0.0:
                 if not 0.0 <= at < shape[i]:
                     far = -1.0
                 continue
-            one, two = -at / step, (shape[i] - at) / step
-            near, far = max(near, min(one, two)), min(far, max(one, two))
-        t, total = max(np.ceil(near), 1.0), 0.0
+            one = -at / step
+            two = (shape[i] - at) / step
+            near = max(near, min(one, two))
+            far = min(far, max(one, two))
+        t = max(np.ceil(near), 1.0)
+        total = 0.0
         found[r] = np.inf
         while t <= far:
             x = int(np.floor(starts[r, 0] + t * directions[r, 0] / longest))

@@ -66,8 +66,10 @@ class Chart:
     def frame(self, u: F64, v: F64) -> tuple[F64, F64, F64]:
         """Return derivatives along u and v, meters for all of the chart, and unit normals, (n, 3) each."""
         step = 1e-3
-        low_u, high_u = np.maximum(u - step, 0.0), np.minimum(u + step, 1.0)
-        low_v, high_v = np.maximum(v - step, 0.0), np.minimum(v + step, 1.0)
+        low_u = np.maximum(u - step, 0.0)
+        high_u = np.minimum(u + step, 1.0)
+        low_v = np.maximum(v - step, 0.0)
+        high_v = np.minimum(v + step, 1.0)
         du = (self.place(high_u, v) - self.place(low_u, v)) / (high_u - low_u)[:, None]
         dv = (self.place(u, high_v) - self.place(u, low_v)) / (high_v - low_v)[:, None]
         normal = self.side * cross(du, dv)
@@ -132,7 +134,8 @@ def _face(low: F64, high: F64, axis: int, upper: bool, look: Look, rounded: floa
     across, up = ((1, 2), (0, 2), (0, 1))[axis]
     corner = low.copy()
     corner[axis] = high[axis] if upper else low[axis]
-    u_edge, v_edge = np.zeros(3), np.zeros(3)
+    u_edge = np.zeros(3)
+    v_edge = np.zeros(3)
     u_edge[across] = high[across] - low[across]
     v_edge[up] = high[up] - low[up]
     outward = np.cross(u_edge, v_edge)[axis] > 0.0
@@ -140,7 +143,8 @@ def _face(low: F64, high: F64, axis: int, upper: bool, look: Look, rounded: floa
     if rounded <= 0.0:
         return flat
     radius = min(rounded, 0.49 * float((high - low).min()))
-    inner_low, inner_high = low + radius, high - radius
+    inner_low = low + radius
+    inner_high = high - radius
 
     def place(u: F64, v: F64) -> F64:
         points = flat.place(u, v)
@@ -179,8 +183,10 @@ def disc(center: Triple, radius: float, look: Look, *, facing: float = 1.0) -> C
     origin = np.array(center)
 
     def place(u: F64, v: F64) -> F64:
-        x, y = 2.0 * u - 1.0, 2.0 * v - 1.0
-        flat_x, flat_y = x * np.sqrt(1.0 - 0.5 * y * y), y * np.sqrt(1.0 - 0.5 * x * x)
+        x = 2.0 * u - 1.0
+        y = 2.0 * v - 1.0
+        flat_x = x * np.sqrt(1.0 - 0.5 * y * y)
+        flat_y = y * np.sqrt(1.0 - 0.5 * x * x)
         return np.asarray(origin + radius * np.stack([flat_x, flat_y, np.zeros_like(x)], axis=1))
 
     return Chart(place, (1.8 * radius, 1.8 * radius), look, bend=0.3, side=facing)
@@ -188,10 +194,12 @@ def disc(center: Triple, radius: float, look: Look, *, facing: float = 1.0) -> C
 
 def ellipsoid(center: Triple, radii: Triple, look: Look) -> Chart:
     """Return an ellipsoid; u runs around, v from the bottom to the top."""
-    origin, half = np.array(center), np.array(radii)
+    origin = np.array(center)
+    half = np.array(radii)
 
     def place(u: F64, v: F64) -> F64:
-        angle, height = 2.0 * np.pi * u, np.pi * (0.02 + 0.96 * v)
+        angle = 2.0 * np.pi * u
+        height = np.pi * (0.02 + 0.96 * v)
         ring = np.sin(height)
         return np.asarray(
             origin + half * np.stack([ring * np.cos(angle), ring * np.sin(angle), -np.cos(height)], axis=1)

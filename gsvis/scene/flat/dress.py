@@ -59,7 +59,9 @@ def displayed(radiance: F64) -> F64:
 def exposed(color: F64) -> F64:
     """Return the linear light that is displayed as a color; the inverse of `displayed`."""
     y = np.clip(color, 0.0, 0.995) ** 2.2
-    a, b, c = 2.43 * y - 2.51, 0.59 * y - 0.03, 0.14 * y
+    a = 2.43 * y - 2.51
+    b = 0.59 * y - 0.03
+    c = 0.14 * y
     return np.asarray((-b - np.sqrt(b * b - 4.0 * a * c)) / (2.0 * a) / EXPOSURE)
 
 
@@ -110,7 +112,8 @@ def gaussians_of(
         u, v = middle[chosen].T
         means[chosen] = charts[i].place(u, v)
         du[chosen], dv[chosen], normals[chosen] = charts[i].frame(u, v)
-    length_u, length_v = np.linalg.norm(du, axis=1), np.linalg.norm(dv, axis=1)
+    length_u = np.linalg.norm(du, axis=1)
+    length_v = np.linalg.norm(dv, axis=1)
     first = du / np.maximum(length_u, 1e-12)[:, None]
     second = cross(normals, first)
     turn = rng.normal(0.0, 0.05, n)[:, None]
@@ -149,7 +152,8 @@ def add_gloss(batch: Batch, charts: Sequence[Chart], pieces: Pieces, baked: Bake
     shown = displayed(base * (1.0 - share) + np.minimum(seen, 6.0) * share)
     mean = shown.mean(axis=1, keepdims=True)
     fitted = np.einsum("nkd,ndc->nkc", _solvers(toward)[nearest], shown - mean)
-    colors, higher = batch.colors.copy(), batch.higher.copy()
+    colors = batch.colors.copy()
+    higher = batch.higher.copy()
     colors[chosen] = mean[:, 0] + SH_C0 * fitted[:, 0]
     higher[chosen] += fitted[:, 1:]
     return Batch(batch.means, batch.rotations, batch.scales, batch.opacities, colors, higher)

@@ -71,7 +71,8 @@ def _mat(x: float, y: float, wide: float, deep: float, look: Look) -> list[Chart
 
 
 def _living() -> list[Chart]:
-    teal, rust = cloth((0.24, 0.42, 0.44), seed=4), cloth((0.74, 0.42, 0.26), seed=6)
+    teal = cloth((0.24, 0.42, 0.44), seed=4)
+    rust = cloth((0.74, 0.42, 0.26), seed=6)
     mustard = cloth((0.82, 0.64, 0.28), seed=7)
     persian = rug((3.0, 2.1), (0.52, 0.16, 0.14), (0.16, 0.22, 0.34), (0.86, 0.76, 0.58))
     found = _mat(2.45, 2.15, 3.0, 2.1, persian)
@@ -102,7 +103,8 @@ def _living() -> list[Chart]:
 
 
 def _rail(first: tuple[float, float], last: tuple[float, float]) -> list[Chart]:
-    low, high = (first[0] - 0.012, first[1] - 0.012, 2.47), (last[0] + 0.012, last[1] + 0.012, 2.495)
+    low = (first[0] - 0.012, first[1] - 0.012, 2.47)
+    high = (last[0] + 0.012, last[1] + 0.012, 2.495)
     return box(low, high, DARK, rounded=0.011, faces="xXyYzZ")
 
 
@@ -158,7 +160,8 @@ def _cupboards(corner: tuple[float, float, float], count: int, wide: float, fron
 
 
 def _dining() -> list[Chart]:
-    x, y = 7.9, 2.75
+    x = 7.9
+    y = 2.75
     found = move(round_table(0.58, 0.75, PALE, WHITE), (x, y, 0.0))
     for yaw in (20.0, 112.0, 200.0, 290.0):
         found += move(move(chair(DARK, cloth((0.70, 0.52, 0.30), seed=8)), (0.0, -0.62, 0.0)), (x, y, 0.0), yaw)

@@ -49,7 +49,8 @@ SHADE = plain((0.98, 0.90, 0.74), glow=2.4, texel=0.02)
 def cushion(center: Triple, radii: Triple, look: Look, *, power: float = 2.6) -> Chart:
     """Return a soft cushion: an ellipsoid with square corners, flatter toward its rim."""
     chart = ellipsoid((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), look)
-    half, middle = np.array(radii), np.array(center)
+    half = np.array(radii)
+    middle = np.array(center)
 
     def place(u: F64, v: F64) -> F64:
         ball = chart.place(u, v)
@@ -142,7 +143,8 @@ def bookcase(width: float, height: float, depth: float, look: Look, boards: int,
 def _books(left: float, right: float, floor: float, room: float, depth: float, seed: int) -> list[Chart]:
     """Return a row of books that ends before the board does, and something that stands beside them."""
     found: list[Chart] = []
-    at, i = left + 0.005, 0
+    at = left + 0.005
+    i = 0
     full = right - (0.04 + 0.30 * float(chance(seed, 77)))
     while at < full:
         wide = 0.018 + 0.034 * float(chance(seed, i, 1))
@@ -157,7 +159,8 @@ def _books(left: float, right: float, floor: float, room: float, depth: float, s
         at += wide + 0.002
         i += 1
     if right - at > 0.16:
-        kind, middle = float(chance(seed, 9)), 0.5 * (at + right)
+        kind = float(chance(seed, 9))
+        middle = 0.5 * (at + right)
         color_of = SPINES[int(len(SPINES) * chance(seed, 8))]
         glazed = plain(color_of, gloss=0.1, texel=0.012)
         if kind < 0.6:

@@ -78,14 +78,17 @@ class Grids:
     def at(self, charts: I64, where: F64) -> I64:
         """Return (n,) samples nearest to (n, 2) places on charts; 0 where there is no chart."""
         chosen = np.maximum(charts, 0)
-        rows, columns = self.rows[chosen], self.columns[chosen]
+        rows = self.rows[chosen]
+        columns = self.columns[chosen]
         column = np.clip((where[:, 0] * columns).astype(np.int64), 0, columns - 1)
         row = np.clip((where[:, 1] * rows).astype(np.int64), 0, rows - 1)
         return np.where(charts >= 0, self.starts[chosen] + row * columns + column, 0)
 
     def reshape(self, i: int, values: F64) -> F64:
         """Return (rows, columns, 3): the values of one chart of those of all."""
-        rows, columns, start = int(self.rows[i]), int(self.columns[i]), int(self.starts[i])
+        rows = int(self.rows[i])
+        columns = int(self.columns[i])
+        start = int(self.starts[i])
         return values[start : start + rows * columns].reshape(rows, columns, 3)
 
 
@@ -237,7 +240,8 @@ def _gather(rays: Rays, points: F64, normals: F64, rng: np.random.Generator, cou
     """Return what `count` rays from each point meet, spread as the cosine to the normal; order (n, count)."""
     i = (np.arange(count) + rng.random((len(points), 1))) / count
     angle = 2.0 * np.pi * (np.arange(count) * 0.6180339887 + rng.random((len(points), 1)))
-    radius, height = np.sqrt(i), np.sqrt(np.maximum(1.0 - i, 1e-4))
+    radius = np.sqrt(i)
+    height = np.sqrt(np.maximum(1.0 - i, 1e-4))
     first, second = across(normals)
     directions = (
         (radius * np.cos(angle))[..., None] * first[:, None]
@@ -260,8 +264,10 @@ def _add_window(
     light: F64, rays: Rays, points: F64, normals: F64, window: Window, brightness: float, rng: np.random.Generator
 ) -> None:
     """Add the sky that points see through a window, with nine rays each."""
-    inward, corner = np.array(window.normal), np.array(window.corner)
-    u_edge, v_edge = np.array(window.u_edge), np.array(window.v_edge)
+    inward = np.array(window.normal)
+    corner = np.array(window.corner)
+    u_edge = np.array(window.u_edge)
+    v_edge = np.array(window.v_edge)
     area = float(np.linalg.norm(np.cross(u_edge, v_edge)))
     inside = np.flatnonzero((points - corner) @ inward > 0.0)
     cells = 3

@@ -105,7 +105,8 @@ def checkered(light: Triple, dark: Triple, size: float = 0.4, gloss: float = 0.0
     """Return stone slabs of two colors in turn."""
 
     def paint(u: F64, v: F64) -> F64:
-        row, column = np.floor(v / size), np.floor(u / size)
+        row = np.floor(v / size)
+        column = np.floor(u / size)
         veins = np.abs(grain(0.22 * u + chance(row, column), 0.22 * v))
         factor = 1.0 + 0.05 * (chance(row, column, 3) - 0.5) - 0.05 * np.exp(-8.0 * veins)
         both = np.where(((row + column) % 2.0 < 1.0)[..., None], np.array(light), np.array(dark))
@@ -163,7 +164,8 @@ def rug(size: tuple[float, float], ground: Triple, band: Triple, light: Triple, 
     """Return a knotted rug: borders, a medallion, and flowers on a grid that is mirrored twice."""
 
     def paint(u: F64, v: F64) -> F64:
-        x, y = np.abs(u - 0.5 * size[0]), np.abs(v - 0.5 * size[1])
+        x = np.abs(u - 0.5 * size[0])
+        y = np.abs(v - 0.5 * size[1])
         rim = np.minimum(0.5 * size[0] - x, 0.5 * size[1] - y)
         color = np.broadcast_to(np.array(ground), (*u.shape, 3)).copy()
         _flowers(color, x, y, 0.30, (light, band), seed)
@@ -190,8 +192,10 @@ def _flowers(
     where: NDArray[np.bool_] | None = None,
 ) -> None:
     """Paint a flower into every field of a grid, over `color` (..., 3), where `where` holds."""
-    column, row = np.floor(x / pitch), np.floor(y / pitch)
-    dx, dy = x / pitch - column - 0.5, y / pitch - row - 0.5
+    column = np.floor(x / pitch)
+    row = np.floor(y / pitch)
+    dx = x / pitch - column - 0.5
+    dy = y / pitch - row - 0.5
     angle = np.arctan2(dy, dx)
     radius = np.hypot(dx, dy)
     petals = np.floor(4.0 + 4.0 * chance(column, row, seed))
@@ -208,7 +212,8 @@ def leaves(ground: Triple, leaf: Triple, bloom: Triple, pitch: float = 0.32) -> 
         column = np.floor(u / pitch)
         shifted = v / pitch + 0.5 * (column % 2.0)
         row = np.floor(shifted)
-        dx, dy = u / pitch - column - 0.5, shifted - row - 0.5
+        dx = u / pitch - column - 0.5
+        dy = shifted - row - 0.5
         dx = dx + 0.08 * np.sin(6.0 * dy)
         color = np.broadcast_to(np.array(ground), (*u.shape, 3)).copy()
         color *= (1.0 + 0.012 * grain(0.5 * u, 0.5 * v))[..., None]

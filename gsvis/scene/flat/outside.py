@@ -74,7 +74,8 @@ def _sky() -> Chart:
 
 def _lawn() -> Chart:
     def paint(u: F64, v: F64) -> F64:
-        x, y = u - 50.0, v - 50.0
+        x = u - 50.0
+        y = v - 50.0
         green = mixed((0.52, 0.62, 0.34), (0.36, 0.50, 0.26), np.clip(0.5 + 0.4 * grain(u / 60.0, v / 60.0), 0.0, 1.0))
         radius = np.hypot(x, y)
         street = (radius > 17.0) & (radius < 22.0)
@@ -89,7 +90,8 @@ def _lawn() -> Chart:
 
 def _house(distance: float, bearing: float, color: Triple, seed: int) -> list[Chart]:
     """Return the front of a house and its roof, turned toward the flat."""
-    wide, tall = 8.5 + 3.0 * float(chance(seed, 1)), 9.0 + 5.0 * float(chance(seed, 2))
+    wide = 8.5 + 3.0 * float(chance(seed, 1))
+    tall = 9.0 + 5.0 * float(chance(seed, 2))
     center = _at(distance, bearing)
     angle = np.radians(bearing)
     along = np.array([-np.sin(angle), np.cos(angle), 0.0])
@@ -97,8 +99,10 @@ def _house(distance: float, bearing: float, color: Triple, seed: int) -> list[Ch
     corner = np.array([*center, GROUND]) - 0.5 * wide * along
 
     def paint(u: F64, v: F64) -> F64:
-        column, row = np.floor(u / 1.9), np.floor(v / 2.9)
-        inner_u, inner_v = u - 1.9 * column, v - 2.9 * row
+        column = np.floor(u / 1.9)
+        row = np.floor(v / 2.9)
+        inner_u = u - 1.9 * column
+        inner_v = v - 2.9 * row
         pane = (inner_u > 0.5) & (inner_u < 1.45) & (inner_v > 0.9) & (inner_v < 2.3)
         rim = (inner_u > 0.4) & (inner_u < 1.55) & (inner_v > 0.78) & (inner_v < 2.4)
         glass = mixed((0.30, 0.38, 0.46), (0.80, 0.84, 0.86), chance(column, row, seed))
@@ -129,7 +133,8 @@ def _tree(distance: float, bearing: float, seed: int) -> list[Chart]:
 
     found = [_shrunk(tube((x, y, GROUND), 0.7 * tall, (0.22, 0.14), Look(bark)), bark, 1.5 * distance)]
     for i in range(7):
-        angle, part = 2.4 * i, 0.55 + 0.45 * float(chance(seed, i, 4))
+        angle = 2.4 * i
+        part = 0.55 + 0.45 * float(chance(seed, i, 4))
         center = (x + 1.1 * np.cos(angle), y + 1.1 * np.sin(angle), GROUND + tall * part)
         radius = 1.0 + 0.6 * float(chance(seed, i, 5))
         leaf = _foliage(radius, seed + i)

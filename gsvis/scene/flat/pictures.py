@@ -73,7 +73,8 @@ def abstract(ground: Triple, tones: tuple[Triple, ...], seed: int = 1) -> Paint:
         for i in range(9):
             x, y, size, kind = (float(chance(i, k, seed)) for k in range(4))
             tone = tones[i % len(tones)]
-            dx, dy = (u - 0.15 - 0.7 * x), (v - 0.15 - 0.7 * y)
+            dx = u - 0.15 - 0.7 * x
+            dy = v - 0.15 - 0.7 * y
             reach = 0.06 + 0.17 * size
             inside = np.hypot(dx, dy) < reach if kind < 0.6 else np.maximum(np.abs(dx), 0.5 * np.abs(dy)) < 0.6 * reach
             color[inside] = tone

@@ -94,20 +94,24 @@ class _Tables:
 
     def corners(self, charts: I64, box: I64) -> Corners:
         """Return the sums up to the corners of (n, 4) boxes: first column, first row, end column, end row."""
-        wide, start = self.columns[charts] + 1, self.starts[charts]
-        top, bottom = start + box[:, 1] * wide, start + box[:, 3] * wide
+        wide = self.columns[charts] + 1
+        start = self.starts[charts]
+        top = start + box[:, 1] * wide
+        bottom = start + box[:, 3] * wide
         ends = (bottom + box[:, 2], bottom + box[:, 0], top + box[:, 2], top + box[:, 0])
         return Corners(wide, start, *(self.sums.take(each, axis=0) for each in ends))
 
     def first_part(self, found: Corners, chosen: I64, box: I64, axis: int, at: I64) -> F64:
         """Return (m, 5) sums over the first parts of chosen boxes, cut at a column (axis 0) or a row (axis 1)."""
-        wide, start = found.wide[chosen], found.start[chosen]
+        wide = found.wide[chosen]
+        start = found.start[chosen]
         if axis == 0:
             upper = self.sums.take(start + box[:, 3] * wide + at, axis=0)
             lower = self.sums.take(start + box[:, 1] * wide + at, axis=0)
             return np.asarray(upper - found.left_end[chosen] - lower + found.left_start[chosen])
         row = start + at * wide
-        right, left = self.sums.take(row + box[:, 2], axis=0), self.sums.take(row + box[:, 0], axis=0)
+        right = self.sums.take(row + box[:, 2], axis=0)
+        left = self.sums.take(row + box[:, 0], axis=0)
         return np.asarray(right - left - found.right_start[chosen] + found.left_start[chosen])
 
 
@@ -158,15 +162,20 @@ def cut(canvases: Sequence[Canvas], count: int, rng: np.random.Generator) -> Pie
         most = count - len(boxes)
         if chosen.sum() > most:
             chosen = worth >= np.partition(worth, -most)[-most]
-        first, second = boxes[chosen].copy(), boxes[chosen].copy()
-        rows, axis = np.arange(int(chosen.sum())), where[chosen, 0]
+        first = boxes[chosen].copy()
+        second = boxes[chosen].copy()
+        rows = np.arange(int(chosen.sum()))
+        axis = where[chosen, 0]
         first[rows, 2 + axis] = where[chosen, 1]
         second[rows, axis] = where[chosen, 1]
-        new, owners = np.concatenate([first, second]), np.tile(charts[chosen], 2)
+        new = np.concatenate([first, second])
+        owners = np.tile(charts[chosen], 2)
         new_worth, new_where = _best_cuts(tables, owners, new, rng)
         kept = ~chosen
-        charts, boxes = np.concatenate([charts[kept], owners]), np.concatenate([boxes[kept], new])
-        worth, where = np.concatenate([worth[kept], new_worth]), np.concatenate([where[kept], new_where])
+        charts = np.concatenate([charts[kept], owners])
+        boxes = np.concatenate([boxes[kept], new])
+        worth = np.concatenate([worth[kept], new_worth])
+        where = np.concatenate([where[kept], new_where])
     return _pieces(tables, charts, boxes)
 
 
@@ -174,16 +183,21 @@ def _best_cuts(tables: _Tables, charts: I64, boxes: I64, rng: np.random.Generato
     """Return (n,) what the best cut of each box is worth, and (n, 2) its axis and its place; -1 for no cut."""
     found = tables.corners(charts, boxes)
     whole = found.whole
-    best, where = np.full(len(boxes), -1.0), np.zeros((len(boxes), 2), np.int64)
+    best = np.full(len(boxes), -1.0)
+    where = np.zeros((len(boxes), 2), np.int64)
     extent = boxes[:, 2:] - boxes[:, :2]
     sides = extent * tables.texel[charts]
-    before, edge = _scatter(whole), _holes(whole, boxes)
+    before = _scatter(whole)
+    edge = _holes(whole, boxes)
     for axis in range(2):
         shifts = rng.uniform(-0.08, 0.08, (len(CANDIDATES), len(boxes)))
         allowed = (extent[:, axis] > 1) & (sides[:, axis] * LONGEST > sides[:, 1 - axis]) & (whole[:, 0] > 0.0)
         some = np.flatnonzero(allowed)
-        mine, owners, long = boxes[some], charts[some], extent[some, axis]
-        along, beside = sides[some, axis], sides[some, 1 - axis]
+        mine = boxes[some]
+        owners = charts[some]
+        long = extent[some, axis]
+        along = sides[some, axis]
+        beside = sides[some, 1 - axis]
         by_size = sides[some].prod(axis=1) * along**2 / 16.0
         plain = by_size * (SPREAD + BENT * tables.bend[owners])
         area = tables.texel[owners].prod(axis=1)
@@ -191,7 +205,8 @@ def _best_cuts(tables: _Tables, charts: I64, boxes: I64, rng: np.random.Generato
         for share, shift in zip(CANDIDATES, shifts, strict=True):
             at = np.rint(long * (share + shift[some])).astype(np.int64)
             at = mine[:, axis] + np.clip(at, 1, np.maximum(long - 1, 1))
-            first, second = mine.copy(), mine.copy()
+            first = mine.copy()
+            second = mine.copy()
             first[:, 2 + axis] = at
             second[:, axis] = at
             part = tables.first_part(found, some, mine, axis, at)
@@ -211,7 +226,9 @@ def _best_cuts(tables: _Tables, charts: I64, boxes: I64, rng: np.random.Generato
 def _scatter(sums: F64) -> F64:
     """Return (n,) squared deviations from the mean color, summed."""
     weight = np.maximum(sums[:, 0], 1e-9)
-    red, green, blue = sums[:, 1], sums[:, 2], sums[:, 3]
+    red = sums[:, 1]
+    green = sums[:, 2]
+    blue = sums[:, 3]
     return np.asarray(sums[:, 4] - (red * red + green * green + blue * blue) / weight)
 
 
@@ -234,7 +251,10 @@ def _pieces(tables: _Tables, charts: I64, boxes: I64) -> Pieces:
     area = (boxes[:, 2:] - boxes[:, :2]).prod(axis=1)
     cover = sums[:, 0] / np.maximum(area, 1)
     kept = cover > 0.35
-    charts, boxes, sums, cover = charts[kept], boxes[kept], sums[kept], cover[kept]
+    charts = charts[kept]
+    boxes = boxes[kept]
+    sums = sums[kept]
+    cover = cover[kept]
     size = np.stack([tables.columns[charts], tables.rows[charts]], axis=1)
     spread = np.sqrt(np.maximum(_scatter(sums), 0.0) / sums[:, 0])
     return Pieces(charts, boxes[:, :2] / size, boxes[:, 2:] / size, sums[:, 1:4] / sums[:, :1], cover, spread)

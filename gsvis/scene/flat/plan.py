@@ -75,7 +75,8 @@ def opening_windows() -> tuple[Window, ...]:
     for each in WINDOWS:
         outer = each.low if each.low < 0.0 else each.high
         inward = 1.0 if each.low < 0.0 else -1.0
-        wide, tall = each.span[1] - each.span[0], each.z[1] - each.z[0]
+        wide = each.span[1] - each.span[0]
+        tall = each.z[1] - each.z[0]
         if each.axis == 0:
             found.append(
                 Window((outer, each.span[0], each.z[0]), (0.0, wide, 0.0), (0.0, 0.0, tall), (inward, 0.0, 0.0))

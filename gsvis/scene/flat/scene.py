@@ -107,14 +107,16 @@ def _surface_points() -> F64:
         v = np.repeat((np.arange(rows) + 0.5) / rows, columns)
         kept = np.ones(len(u), bool)
         for u0, v0, u1, v1 in chart.holes:
-            across, up = u * chart.size[0], v * chart.size[1]
+            across = u * chart.size[0]
+            up = v * chart.size[1]
             kept &= ~((across > u0) & (across < u1) & (up > v0) & (up < v1))
         found.append(chart.place(u[kept], v[kept]))
     return np.concatenate(found)
 
 
 def _inside(points: NDArray[np.floating[Any]], x: tuple[float, float], y: tuple[float, float]) -> NDArray[np.bool_]:
-    low, high = np.array((x[0], y[0])), np.array((x[1], y[1]))
+    low = np.array((x[0], y[0]))
+    high = np.array((x[1], y[1]))
     return np.asarray(((points[:, :2] >= low) & (points[:, :2] <= high)).all(axis=1))
 
 
@@ -126,7 +128,8 @@ def _sky() -> Sky:
 
 def _floaters(count: int, rng: np.random.Generator) -> Batch:
     """Return faint Gaussians in the air of the rooms, as training leaves them."""
-    low, high = np.array([0.2, 0.2, 0.2]), np.array([9.8, 8.4, HEIGHT - 0.2])
+    low = np.array([0.2, 0.2, 0.2])
+    high = np.array([9.8, 8.4, HEIGHT - 0.2])
     turns, _ = np.linalg.qr(rng.normal(size=(count, 3, 3)))
     return Batch(
         low + (high - low) * rng.random((count, 3)),

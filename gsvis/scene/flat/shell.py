@@ -65,7 +65,8 @@ def shell() -> list[Chart]:
 def _room(room: Room) -> list[Chart]:
     finish = FINISHES[room.name]
     (x0, x1), (y0, y1) = room.x, room.y
-    wide, deep = x1 - x0, y1 - y0
+    wide = x1 - x0
+    deep = y1 - y0
     found = [
         rectangle((x0, y0, 0.0), (wide, 0.0, 0.0), (0.0, deep, 0.0), finish.floor),
         rectangle((x0, y0, HEIGHT), (wide, 0.0, 0.0), (0.0, deep, 0.0), plaster((0.94, 0.935, 0.92)), side=-1.0),
@@ -118,9 +119,11 @@ def _skirting(room: Room, side: str, holes: list[Opening]) -> list[Chart]:
 def _reveal(opening: Opening, look: Look, *, sill: bool) -> list[Chart]:
     """Return the four inner faces of an opening; the lower one only of a window."""
     low, high, (begin, end), (bottom, top) = opening.low, opening.high, opening.span, opening.z
-    first, last = (low, begin, bottom), (high, end, top)
+    first = (low, begin, bottom)
+    last = (high, end, top)
     if opening.axis == 1:
-        first, last = (begin, low, bottom), (end, high, top)
+        first = (begin, low, bottom)
+        last = (end, high, top)
     faces = "yYZ" if opening.axis == 0 else "xXZ"
     inward = [_turned(chart) for chart in box(first, last, look, faces=faces + ("z" if sill else ""))]
     if sill:
@@ -160,7 +163,9 @@ def _sash(opening: Opening) -> list[Chart]:
     """Return the frame of a window: a rim and a bar in the middle."""
     (begin, end), (bottom, top) = opening.span, opening.z
     low = opening.low + 0.10 if opening.low < 0.0 else opening.high - 0.16
-    high, middle, bar = low + 0.06, 0.5 * (begin + end), 0.055
+    high = low + 0.06
+    middle = 0.5 * (begin + end)
+    bar = 0.055
     found: list[Chart] = []
     upright = [(begin, begin + bar), (middle - bar, middle + bar), (end - bar, end)]
     if end - begin < 1.0:

@@ -35,7 +35,9 @@ class Rays:
         from embreex.mesh_construction import TriangleMesh  # here: it takes long to import, and few need it
         from embreex.rtcore_scene import EmbreeScene
 
-        corners, owners, places = [], [], []
+        corners = []
+        owners = []
+        places = []
         for i, chart in enumerate(charts):
             uv = _triangles(chart)
             flat = uv.reshape(-1, 2)
@@ -59,7 +61,8 @@ class Rays:
         triangle = np.asarray(found["primID"], np.int64)
         met = triangle >= 0
         safe = np.where(met, triangle, 0)
-        first, second = found["u"][:, None].astype(np.float64), found["v"][:, None].astype(np.float64)
+        first = found["u"][:, None].astype(np.float64)
+        second = found["v"][:, None].astype(np.float64)
         corners = self._places[safe]
         where = corners[:, 0] * (1.0 - first - second) + corners[:, 1] * first + corners[:, 2] * second
         return np.where(met, self._owners[safe], -1), where
@@ -94,5 +97,6 @@ def _whole(cells: int) -> F64:
 
 def _halves(low: F64, high: F64) -> F64:
     """Return (T, 3, 2) corners of two triangles for each rectangle."""
-    other, last = np.stack([high[:, 0], low[:, 1]], axis=1), np.stack([low[:, 0], high[:, 1]], axis=1)
+    other = np.stack([high[:, 0], low[:, 1]], axis=1)
+    last = np.stack([low[:, 0], high[:, 1]], axis=1)
     return np.concatenate([np.stack([low, other, high], axis=1), np.stack([low, high, last], axis=1)])

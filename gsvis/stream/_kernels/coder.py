@@ -135,7 +135,10 @@ def write(operations, inverses, spans, out):
     Returns:
         The place of the first word.
     """
-    first, second, at, i = np.uint64(LEAST), np.uint64(LEAST), len(out), len(operations)
+    first = np.uint64(LEAST)
+    second = np.uint64(LEAST)
+    at = len(out)
+    i = len(operations)
     if i & 1:
         i -= 1
         first, at = _push(operations[i], first, at, inverses, spans, out)
@@ -166,11 +169,14 @@ def fill(weights, offsets, spans):
         spans: (S,) uint32, first slot of each symbol, and from bit 16 on how many it has.
     """
     for k in range(len(offsets) - 1):
-        some, total = 0, np.int64(0)
+        some = 0
+        total = np.int64(0)
         for i in range(offsets[k], offsets[k + 1]):
             some += weights[i] > 0
             total += weights[i]
-        before, seen, start = np.int64(0), 0, np.int64(0)
+        before = np.int64(0)
+        seen = 0
+        start = np.int64(0)
         for i in range(offsets[k], offsets[k + 1]):
             before += weights[i]
             seen += weights[i] > 0

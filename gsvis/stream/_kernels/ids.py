@@ -41,29 +41,35 @@ def owner_distances(terms, owners, share, out):
         share: Gaussians for each term of the scene, times 2^16.
         out: (M,) int64, receives the values.
     """
-    term, owner = np.int64(0), np.int64(0)
+    term = np.int64(0)
+    owner = np.int64(0)
     for i in range(len(terms)):
-        to, of = np.int64(terms[i]), np.int64(owners[i])
+        to = np.int64(terms[i])
+        of = np.int64(owners[i])
         rest = of - owner - ((to - term) * share >> 16)
         out[i] = 2 * rest if rest >= 0 else -2 * rest - 1
-        term, owner = to, of
+        term = to
+        owner = of
 
 
 @kernel
 def best_order(values):
     """Return the order of the code in which values take about the fewest bits."""
-    lengths, longest = np.zeros(64, np.int64), 1
+    lengths = np.zeros(64, np.int64)
+    longest = 1
     for i in range(len(values)):
         n = _length(values[i] + 1)
         lengths[n] += 1
         longest = max(longest, n)
-    best, least = 0, np.int64(1) << 62
+    best = 0
+    least = np.int64(1) << 62
     for k in range(min(longest, MOST_ORDER + 1)):
         total = np.int64(0)
         for n in range(1, longest + 1):
             total += lengths[n] * (k + 1 + 2 * max(n - 1 - k, 0))
         if total < least:
-            best, least = k, total
+            best = k
+            least = total
     return best
 
 
@@ -119,7 +125,8 @@ def write(values, order, out, bit):
     Returns:
         The bit after the last; the rest of its byte is zero.
     """
-    byte, filled = bit >> 3, bit & 7
+    byte = bit >> 3
+    filled = bit & 7
     word = np.uint64(out[byte]) if filled else np.uint64(0)
     one = np.uint64(1)
     for i in range(len(values)):
@@ -128,19 +135,26 @@ def write(values, order, out, bit):
         zeros = n - order - 1
         if zeros + n > 32:  # rare: write the bits so far first, so that there is room
             while filled >= 8:
-                byte, word, filled = _flush(out, byte, word), word >> np.uint64(8), filled - 8
+                byte = _flush(out, byte, word)
+                word = word >> np.uint64(8)
+                filled = filled - 8
             filled += zeros
             zeros = 0
             while filled >= 8:
-                byte, word, filled = _flush(out, byte, word), word >> np.uint64(8), filled - 8
+                byte = _flush(out, byte, word)
+                word = word >> np.uint64(8)
+                filled = filled - 8
         word |= (((w & ((one << np.uint64(n - 1)) - one)) << one) | one) << np.uint64(filled + zeros)
         filled += zeros + n
         while filled >= 32:
             for _ in range(4):
-                byte, word = _flush(out, byte, word), word >> np.uint64(8)
+                byte = _flush(out, byte, word)
+                word = word >> np.uint64(8)
             filled -= 32
     while filled > 0:
-        byte, word, filled = _flush(out, byte, word), word >> np.uint64(8), filled - 8
+        byte = _flush(out, byte, word)
+        word = word >> np.uint64(8)
+        filled = filled - 8
     return 8 * byte + filled
 
 
@@ -163,7 +177,8 @@ def read(data, bit, order, values):
         bit += 1
         if zeros > 32 or count > 33 or bit + count > end:
             return np.int64(-1)
-        w, got = np.uint64(0), 0
+        w = np.uint64(0)
+        got = 0
         while got < count:
             take = min(8 - (bit & 7), count - got)
             part = (np.uint64(data[bit >> 3]) >> np.uint64(bit & 7)) & (
@@ -191,13 +206,15 @@ def ids_from(values, limit, out):
 @kernel
 def owners_from(values, terms, share, gaussians, out):
     """Write the owners whose `owner_distances` are given; return whether they are below `gaussians` and ascend."""
-    term, owner = np.int64(0), np.int64(0)
+    term = np.int64(0)
+    owner = np.int64(0)
     for i in range(len(values)):
         rest = values[i] >> 1 if values[i] & 1 == 0 else -((values[i] + 1) >> 1)
         found = owner + ((terms[i] - term) * share >> 16) + rest
         if found < owner or found >= gaussians:
             return False
-        term, owner = terms[i], found
+        term = terms[i]
+        owner = found
         out[i] = found
     return True
 
@@ -212,12 +229,16 @@ def ascend(ids, marks, summary, out):
         summary: uint64 zeros, a bit for each word of `marks`; zeros again at the end.
         out: (M,) receives the ids.
     """
-    count, one, low, high = 0, np.uint64(1), np.int64(len(summary)), np.int64(-1)
+    count = 0
+    one = np.uint64(1)
+    low = np.int64(len(summary))
+    high = np.int64(-1)
     for i in range(len(ids)):
         w = np.int64(ids[i]) >> 6
         marks[w] |= one << np.uint64(ids[i] & 63)
         summary[w >> 6] |= one << np.uint64(w & 63)
-        low, high = min(low, w >> 6), max(high, w >> 6)
+        low = min(low, w >> 6)
+        high = max(high, w >> 6)
     for v in range(low, high + 1):  # in a large scene all ids are of a few tiles
         some = summary[v]
         summary[v] = 0
@@ -247,7 +268,9 @@ def lay_out(ids, of, starts, known, rows, fresh):
     Returns:
         Number of those.
     """
-    found, end, row = 0, np.int64(0), np.int64(-1)
+    found = 0
+    end = np.int64(0)
+    row = np.int64(-1)
     for i in range(len(ids)):
         g = np.int64(ids[i])
         if g >= end:

@@ -25,13 +25,17 @@ LARGEST = 5  # and the six after it: by how far the id before is away
 ROTATION = 11  # three times TURNS
 TURNS = 8
 COLOR = ROTATION + 3 * TURNS  # then the second component by the first, the third by the second, the fourth by the first
-SECOND, THIRD, FOURTH = COLOR + 1, COLOR + 9, COLOR + 26
+SECOND = COLOR + 1
+THIRD = COLOR + 9
+FOURTH = COLOR + 26
 TABLES = COLOR + 34
 
 STEPS = 64  # symbols of the largest scale; the last is for any other distance
 BELOW = 47  # distance of symbol 0 below the prediction
 
-_NONE, _BYTE = np.int64(0), np.int64(255)  # typed, because a literal compiles a function once more
+# typed, because a literal compiles a function once more
+_NONE = np.int64(0)
+_BYTE = np.int64(255)
 
 
 class Layout(NamedTuple):
@@ -124,18 +128,25 @@ def _split(low, high, row, chunks, layout, offsets, s, out):
     That is: opacity and order, the differences of the scales, the largest scale; symbols of the quaternion and of the
     color; coordinates; the strength, in two parts.
     """
-    position, rotation, scale = layout.position, layout.rotation, layout.scale
-    width, head = position + rotation + scale, 8 * (1 + layout.colors)
-    lead, half = 1 if layout.colors == 3 else 2, (1 << (rotation - 1)) - 1
-    opacity, stride = np.int64(low & np.uint64(255)), chunks.strides[row]
+    position = layout.position
+    rotation = layout.rotation
+    scale = layout.scale
+    width = position + rotation + scale
+    head = 8 * (1 + layout.colors)
+    lead = 1 if layout.colors == 3 else 2
+    half = (1 << (rotation - 1)) - 1
+    opacity = np.int64(low & np.uint64(255))
+    stride = chunks.strides[row]
     for k in range(3):
         s[k] = take(low, high, head + k * width + position + rotation, scale)
     largest = 0 if s[0] >= s[1] and s[0] >= s[2] else (1 if s[1] >= s[2] else 2)
-    a, b = (1 if largest == 0 else 0), (1 if largest == 2 else 2)
+    a = 1 if largest == 0 else 0
+    b = 1 if largest == 2 else 2
     order = 2 * largest
     if s[a] < s[b]:
         a, b, order = b, a, order + 1
-    middle, smallest = s[largest] - s[a], s[largest] - s[b]
+    middle = s[largest] - s[a]
+    smallest = s[largest] - s[b]
     size = chunks.lows[row] + s[largest] * stride
     turn = _turn(size, middle, stride, layout)
     out[0], out[1], out[2], out[3] = opacity | order << 8, middle, smallest, s[largest]
@@ -144,7 +155,8 @@ def _split(low, high, row, chunks, layout, offsets, s, out):
         out[4 + k] = offsets[ROTATION + TURNS * k + turn] + value
     first = np.int64((low >> np.uint64(8 * (1 + lead))) & np.uint64(255))
     out[7] = offsets[COLOR] + first
-    second, out[10] = np.int64(0), 0
+    second = np.int64(0)
+    out[10] = 0
     for k in range(layout.colors):
         if k == lead:
             continue
@@ -153,7 +165,8 @@ def _split(low, high, row, chunks, layout, offsets, s, out):
         if layout.colors == 3:
             value = (value - first) & 255
         if place == 0:
-            out[8], second = offsets[SECOND + (first >> 5)] + value, value
+            out[8] = offsets[SECOND + (first >> 5)] + value
+            second = value
         elif place == 1:
             out[9] = offsets[THIRD + layout.before[second]] + value
         else:
@@ -161,7 +174,8 @@ def _split(low, high, row, chunks, layout, offsets, s, out):
     for k in range(3):
         out[11 + k] = take(low, high, head + k * width, position)
     strength = 2 * size + weight(middle, smallest, opacity, stride, layout.logs, layout.sums)
-    out[14], out[15] = strength & 0xFFFF, (strength >> 16) & 0xFFFF
+    out[14] = strength & 0xFFFF
+    out[15] = (strength >> 16) & 0xFFFF
 
 
 @kernel
@@ -230,11 +244,18 @@ def operations(parts, ids, rows, chunks, layout, offsets, out):
     Returns:
         The number of operations.
     """
-    lows, strides, steps, at = chunks.lows, chunks.strides, chunks.steps, 0
-    bits, most = chunks.bits, (1 << layout.scale) - 1
+    lows = chunks.lows
+    strides = chunks.strides
+    steps = chunks.steps
+    at = 0
+    bits = chunks.bits
+    most = (1 << layout.scale) - 1
     for i in range(len(parts)):
-        row, top, before = rows[i], np.int64(parts[i, 3]), i - 1
-        low, stride = lows[row], strides[row]
+        row = rows[i]
+        top = np.int64(parts[i, 3])
+        before = i - 1
+        low = lows[row]
+        stride = strides[row]
         out[at] = offsets[OPACITY] + (parts[i, 0] & 255)
         out[at + 1] = offsets[ORDER] + (parts[i, 0] >> 8)
         out[at + 2] = offsets[MIDDLE] + parts[i, 1]
@@ -243,7 +264,8 @@ def operations(parts, ids, rows, chunks, layout, offsets, out):
         if i == 0 or row != rows[i - 1]:
             out[at] = offsets[FIRST] + top
         else:
-            mine, other = _strength(parts[i, 14], parts[i, 15]), _strength(parts[before, 14], parts[before, 15])
+            mine = _strength(parts[i, 14], parts[i, 15])
+            other = _strength(parts[before, 14], parts[before, 15])
             strong = mine - 2 * (low + top * stride)
             symbol = _top(top, (((other - strong) >> 1) - low) // stride, most)
             out[at] = offsets[LARGEST + _gap(ids[i] - ids[i - 1])] + symbol
@@ -254,7 +276,8 @@ def operations(parts, ids, rows, chunks, layout, offsets, out):
         for k in range(4, 7 + layout.colors):
             out[at] = parts[i, k]
             at += 1
-        limit, opacity = np.int64(0), np.int64(parts[i, 0]) & 255
+        limit = np.int64(0)
+        opacity = np.int64(parts[i, 0]) & 255
         if layout.coarse:
             limit = _place_limit(low + top * stride, np.int64(parts[i, 1]), opacity, stride, layout)
         for k in range(3):
@@ -287,18 +310,34 @@ def write(parts, ids, rows, chunks, layout, offsets, inverses, spans, out):
     Returns:
         The place of the first word.
     """
-    steps, flat, widths, most = chunks.steps, parts.reshape(-1), chunks.bits, (1 << layout.scale) - 1
-    x, y, at = np.uint64(LEAST), np.uint64(LEAST), len(out)  # states of the next operation, and of the one after it
-    before, low, stride, inverse = np.int64(-1), np.int64(0), np.int64(1), np.uint64(0)
-    to_smallest, to_middle = np.uint64(offsets[SMALLEST]), np.uint64(offsets[MIDDLE])
-    to_order, to_opacity = np.uint64(offsets[ORDER]), np.uint64(offsets[OPACITY])
+    steps = chunks.steps
+    flat = parts.reshape(-1)
+    widths = chunks.bits
+    most = (1 << layout.scale) - 1
+    # states of the next operation, and of the one after it
+    x = np.uint64(LEAST)
+    y = np.uint64(LEAST)
+    at = len(out)
+    before = np.int64(-1)
+    low = np.int64(0)
+    stride = np.int64(1)
+    inverse = np.uint64(0)
+    to_smallest = np.uint64(offsets[SMALLEST])
+    to_middle = np.uint64(offsets[MIDDLE])
+    to_order = np.uint64(offsets[ORDER])
+    to_opacity = np.uint64(offsets[OPACITY])
     for i in range(len(ids) - 1, -1, -1):
         prefetch(flat, ROW * np.int64(ids[max(i - 8, 0)]))
-        g, row = np.uint64(ids[i]), np.uint64(rows[i])  # unsigned, so that no index is checked for its sign
+        # unsigned, so that no index is checked for its sign
+        g = np.uint64(ids[i])
+        row = np.uint64(rows[i])
         if rows[i] != before:
-            before, low, stride = np.int64(rows[i]), chunks.lows[row], chunks.strides[row]
+            before = np.int64(rows[i])
+            low = chunks.lows[row]
+            stride = chunks.strides[row]
             inverse = _inverse(stride)
-        top, opacity = np.int64(parts[g, 3]), np.int64(parts[g, 0]) & 255
+        top = np.int64(parts[g, 3])
+        opacity = np.int64(parts[g, 0]) & 255
         limit = np.int64(0)
         if layout.coarse:
             limit = _place_limit(low + top * stride, np.int64(parts[g, 1]), opacity, stride, layout)
@@ -307,10 +346,12 @@ def write(parts, ids, rows, chunks, layout, offsets, inverses, spans, out):
             cut = min(max(limit - steps[row, k], 0), wide) if layout.coarse else np.int64(0)
             if wide > cut:
                 z, at = push_bits(np.int64(parts[g, 11 + k]) >> cut, wide - cut, x, at, out)
-                x, y = y, z
+                x = y
+                y = z
         if layout.colors == 4:
             z, at = push_symbol(np.uint64(parts[g, 10]), x, at, inverses, spans, out)
-            x, y = y, z
+            x = y
+            y = z
         x, at = push_symbol(np.uint64(parts[g, 9]), x, at, inverses, spans, out)
         y, at = push_symbol(np.uint64(parts[g, 8]), y, at, inverses, spans, out)
         x, at = push_symbol(np.uint64(parts[g, 7]), x, at, inverses, spans, out)
@@ -320,12 +361,14 @@ def write(parts, ids, rows, chunks, layout, offsets, inverses, spans, out):
         symbol = offsets[FIRST] + top
         if i > 0 and rows[i] == rows[i - 1]:
             f = np.uint64(ids[i - 1])
-            mine, other = _strength(parts[g, 14], parts[g, 15]), _strength(parts[f, 14], parts[f, 15])
+            mine = _strength(parts[g, 14], parts[g, 15])
+            other = _strength(parts[f, 14], parts[f, 15])
             strong = mine - 2 * (low + top * stride)
             symbol = _top(top, _divide(((other - strong) >> 1) - low, stride, inverse), most)
             if symbol == STEPS - 1:
                 z, at = push_bits(top, layout.scale, x, at, out)
-                x, y = y, z
+                x = y
+                y = z
             symbol += offsets[LARGEST + _gap(ids[i] - ids[i - 1])]
         x, at = push_symbol(np.uint64(symbol), x, at, inverses, spans, out)
         y, at = push_symbol(to_smallest + np.uint64(parts[g, 2]), y, at, inverses, spans, out)
@@ -349,16 +392,26 @@ def read(words, ids, rows, chunks, layout, code, out):
         code: Tables of the scene.
         out: (G, 2) uint64.
     """
-    position, rotation, scale = layout.position, layout.rotation, layout.scale
-    width, head = position + rotation + scale, 8 * (1 + layout.colors)
-    lead, mask = 1 if layout.colors == 3 else 2, (np.int64(1) << scale) - 1
+    position = layout.position
+    rotation = layout.rotation
+    scale = layout.scale
+    width = position + rotation + scale
+    head = 8 * (1 + layout.colors)
+    lead = 1 if layout.colors == 3 else 2
+    mask = (np.int64(1) << scale) - 1
     half = (np.int64(1) << (rotation - 1)) - 1
     if len(words) < 4:
         return False
-    slots, tables, offsets, spans = code.slots, code.rows, code.offsets, code.spans
+    slots = code.slots
+    tables = code.rows
+    offsets = code.offsets
+    spans = code.spans
     (x, y), at = begin(words), 4
-    before, strength, last = -1, np.int64(0), np.int64(0)
-    s, bits = np.empty(3, np.int64), np.empty(2, np.uint64)
+    before = -1
+    strength = np.int64(0)
+    last = np.int64(0)
+    s = np.empty(3, np.int64)
+    bits = np.empty(2, np.uint64)
     for i in range(len(out)):
         if at > len(words):
             return False
@@ -380,12 +433,17 @@ def read(words, ids, rows, chunks, layout, code, out):
                 expected = (((strength - strong) >> 1) - chunks.lows[row]) // stride
                 top = (min(max(expected, 0), mask) + top - BELOW) & mask
         size = chunks.lows[row] + top * stride
-        before, last, strength = row, ids[i], 2 * size + strong
+        before = row
+        last = ids[i]
+        strength = 2 * size + strong
         largest = order >> 1
-        a, b = (1 if largest == 0 else 0), (1 if largest == 2 else 2)
+        a = 1 if largest == 0 else 0
+        b = 1 if largest == 2 else 2
         if order & 1:
             a, b = b, a
-        s[largest], s[a], s[b] = top, (top - middle) & mask, (top - smallest) & mask
+        s[largest] = top
+        s[a] = (top - middle) & mask
+        s[b] = (top - smallest) & mask
         bits[0], bits[1] = np.uint64(opacity), np.uint64(0)
         turn = _turn(size, middle, stride, layout)
         for k in range(3):
@@ -426,13 +484,20 @@ def coarsen(words, rows, chunks, layout, rounding, out):
         rounding: Other bits that are rounded.
         out: (N, 2) uint64, receives the records.
     """
-    position, rotation, scale = layout.position, layout.rotation, layout.scale
-    width, head = position + rotation + scale, 8 * (1 + layout.colors)
-    s, bits = np.empty(3, np.int64), np.empty(2, np.uint64)
+    position = layout.position
+    rotation = layout.rotation
+    scale = layout.scale
+    width = position + rotation + scale
+    head = 8 * (1 + layout.colors)
+    s = np.empty(3, np.int64)
+    bits = np.empty(2, np.uint64)
     half = (1 << (rotation - 1)) - 1
     for i in range(len(words)):
-        low, high, row = words[i, 0], words[i, 1], rows[i]
-        stride, opacity = chunks.strides[row], np.int64(low & np.uint64(255))
+        low = words[i, 0]
+        high = words[i, 1]
+        row = rows[i]
+        stride = chunks.strides[row]
+        opacity = np.int64(low & np.uint64(255))
         for k in range(3):
             s[k] = take(low, high, head + k * width + position + rotation, scale)
         top = max(s[0], s[1], s[2])
@@ -440,7 +505,8 @@ def coarsen(words, rows, chunks, layout, rounding, out):
         area = 2 * size - _middle(s, top) * stride
         light = area + 2 * layout.logs[opacity]
         opacity = _round(opacity, _bits_to_round(rounding.opacity, area), _NONE, _BYTE)
-        shape, tint = _bits_to_round(rounding.shape, light), _bits_to_round(rounding.color, light)
+        shape = _bits_to_round(rounding.shape, light)
+        tint = _bits_to_round(rounding.color, light)
         for k in range(3):  # shapes relative to the largest, which stays
             s[k] = top - _round(top - s[k], shape, _NONE, top)
         middle = _middle(s, top)

@@ -22,7 +22,9 @@ OTHER = AZIMUTH + 8  # by the leading intensity
 LAST = OTHER + 16  # by the other one
 TABLES = LAST + 13
 
-_SIX, _SEVEN = np.int64(6), np.int64(7)  # upper bits; typed, because a literal compiles a function once more
+# upper bits; typed, because a literal compiles a function once more
+_SIX = np.int64(6)
+_SEVEN = np.int64(7)
 
 
 @inner(forceinline=True)
@@ -47,8 +49,14 @@ def operations(records, owners, fields, offsets, out):
         offsets: (TABLES + 1,) int64, first symbol of each table.
         out: (MOST_OPERATIONS M,) uint32.
     """
-    f, p, a, d, n = fields.function, fields.polar, fields.azimuth, fields.decay, fields.intensity
-    at, before, table = 0, np.int64(-1), 0
+    f = fields.function
+    p = fields.polar
+    a = fields.azimuth
+    d = fields.decay
+    n = fields.intensity
+    at = 0
+    before = np.int64(-1)
+    table = 0
     mask = (np.int64(1) << n) - 1
     for i in range(len(records)):
         word = np.uint64(0)
@@ -83,7 +91,8 @@ def _push(symbol, value, bits, most, x, y, at, inverses, spans, out):
     rest = max(bits - most, 0)
     if rest:
         z, at = push_bits(value & ((1 << rest) - 1), rest, x, at, out)
-        x, y = y, z
+        x = y
+        y = z
     z, at = push_symbol(np.uint64(symbol + (value >> rest)), x, at, inverses, spans, out)
     return y, z, at
 
@@ -114,10 +123,18 @@ def write(records, ids, owners, fields, offsets, inverses, spans, out):
     Returns:
         The place of the first word.
     """
-    f, p, a, d, n = fields.function, fields.polar, fields.azimuth, fields.decay, fields.intensity
-    mask, places = (np.int64(1) << n) - 1, f + p + a + d
+    f = fields.function
+    p = fields.polar
+    a = fields.azimuth
+    d = fields.decay
+    n = fields.intensity
+    mask = (np.int64(1) << n) - 1
+    places = f + p + a + d
     to_lead = np.uint64(places + n if fields.others else places)
-    x, y, at = np.uint64(LEAST), np.uint64(LEAST), len(out)  # states of the next operation, and of the one after it
+    # states of the next operation, and of the one after it
+    x = np.uint64(LEAST)
+    y = np.uint64(LEAST)
+    at = len(out)
     word = _word(records, ids[len(ids) - 1])
     for i in range(len(ids) - 1, -1, -1):
         lead = np.int64(word >> to_lead) & mask
@@ -136,7 +153,8 @@ def write(records, ids, owners, fields, offsets, inverses, spans, out):
         x, y, at = _push(symbol, azimuth, a, _SEVEN, x, y, at, inverses, spans, out)
         x, y, at = _push(offsets[POLAR], polar, p, _SIX, x, y, at, inverses, spans, out)
         x, y, at = _push(offsets[DECAY + (upper >> 3)], decay, d, _SIX, x, y, at, inverses, spans, out)
-        function, table = np.int64(word & np.uint64((1 << f) - 1)), LEAD
+        function = np.int64(word & np.uint64((1 << f) - 1))
+        table = LEAD
         if i > 0:
             word = _word(records, ids[i - 1])
             if owners[i] == owners[i - 1]:
@@ -167,13 +185,21 @@ def read(words, owners, fields, code, out):
         code: Tables of the scene.
         out: (M, B) uint8.
     """
-    f, p, a, d, n = fields.function, fields.polar, fields.azimuth, fields.decay, fields.intensity
+    f = fields.function
+    p = fields.polar
+    a = fields.azimuth
+    d = fields.decay
+    n = fields.intensity
     mask = (np.int64(1) << n) - 1
     if len(words) < 4:
         return False
-    slots, tables, offsets, spans = code.slots, code.rows, code.offsets, code.spans
+    slots = code.slots
+    tables = code.rows
+    offsets = code.offsets
+    spans = code.spans
     (x, y), at = begin(words), 4
-    before, table = np.int64(-1), 0
+    before = np.int64(-1)
+    table = 0
     for i in range(len(out)):
         if at > len(words):
             return False

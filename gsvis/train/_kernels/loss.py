@@ -12,7 +12,8 @@ from gsvis._kernels.compiled import kernel, njit
 from gsvis._kernels.threads import in_parts
 
 ROWS = 16  # rows of one task
-_C1, _C2 = np.float32(0.01**2), np.float32(0.03**2)
+_C1 = np.float32(0.01**2)
+_C2 = np.float32(0.03**2)
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy", inline="always")
@@ -35,19 +36,25 @@ def compare(begin, end, image, target, window, slopes, sums):
     """
     height, width = image.shape
     taps = len(window)
-    margin, one, two = taps // 2, np.float32(1.0), np.float32(2.0)
+    margin = taps // 2
+    one = np.float32(1.0)
+    two = np.float32(2.0)
     reach = 3 * margin
     for band in range(begin, end):
         rows = np.zeros((5, width + 2 * reach), np.float32)
         means = np.empty((5, width), np.float32)
-        difference, likeness = 0.0, 0.0
+        difference = 0.0
+        likeness = 0.0
         for y in range(band * ROWS, min((band + 1) * ROWS, height)):
             inner = rows[:, reach : reach + width]
             inner[:] = 0
             for k in range(max(0, margin - y), min(taps, height + margin - y)):
-                weight, a, b = window[k], image[y + k - margin], target[y + k - margin]
+                weight = window[k]
+                a = image[y + k - margin]
+                b = target[y + k - margin]
                 for x in range(width):
-                    wa, wb = weight * a[x], weight * b[x]
+                    wa = weight * a[x]
+                    wb = weight * b[x]
                     inner[0, x] += wa
                     inner[1, x] += wb
                     inner[2, x] += wa * a[x]
@@ -55,12 +62,17 @@ def compare(begin, end, image, target, window, slopes, sums):
                     inner[4, x] += wa * b[x]
             for e in range(5):
                 _across(rows[e], window, reach, means[e])
-            line, other = image[y], target[y]
-            away, alike = np.float32(0.0), np.float32(0.0)
+            line = image[y]
+            other = target[y]
+            away = np.float32(0.0)
+            alike = np.float32(0.0)
             for x in range(width):
-                mx, my = means[0, x], means[1, x]
-                a1, a2 = two * mx * my + _C1, two * (means[4, x] - mx * my) + _C2
-                b1, b2 = mx * mx + my * my + _C1, (means[2, x] - mx * mx) + (means[3, x] - my * my) + _C2
+                mx = means[0, x]
+                my = means[1, x]
+                a1 = two * mx * my + _C1
+                a2 = two * (means[4, x] - mx * my) + _C2
+                b1 = mx * mx + my * my + _C1
+                b2 = (means[2, x] - mx * mx) + (means[3, x] - my * my) + _C2
                 whole = one / (b1 * b2)
                 s = a1 * a2 * whole
                 slopes[0, y, x] = two * (my * (a2 - a1) * whole - s * mx * (one / b1 - one / b2))
@@ -70,7 +82,8 @@ def compare(begin, end, image, target, window, slopes, sums):
                 away += abs(line[x] - other[x])
             difference += away
             likeness += alike
-        sums[band, 0], sums[band, 1] = difference, likeness
+        sums[band, 0] = difference
+        sums[band, 1] = likeness
 
 
 @in_parts(lambda image, *_: (len(image) + ROWS - 1) // ROWS)
@@ -79,8 +92,10 @@ def slope(begin, end, image, target, window, slopes, by_difference, by_likeness,
     """Write the gradient (H, 3 W) of by_difference * sum |image - target| + by_likeness * sum of SSIM into out."""
     height, width = image.shape
     taps = len(window)
-    margin, two = taps // 2, np.float32(2.0)
-    by_difference, by_likeness = np.float32(by_difference), np.float32(by_likeness)
+    margin = taps // 2
+    two = np.float32(2.0)
+    by_difference = np.float32(by_difference)
+    by_likeness = np.float32(by_likeness)
     reach = 3 * margin
     for band in range(begin, end):
         rows = np.zeros((3, width + 2 * reach), np.float32)
@@ -91,12 +106,14 @@ def slope(begin, end, image, target, window, slopes, by_difference, by_likeness,
             for k in range(max(0, margin - y), min(taps, height + margin - y)):
                 weight = window[k]
                 for e in range(3):
-                    source, into = slopes[e, y + k - margin], inner[e]
+                    source = slopes[e, y + k - margin]
+                    into = inner[e]
                     for x in range(width):
                         into[x] += weight * source[x]
             for e in range(3):
                 _across(rows[e], window, reach, blurred[e])
-            line, other = image[y], target[y]
+            line = image[y]
+            other = target[y]
             for x in range(width):
                 likeness = blurred[0, x] + two * line[x] * blurred[1, x] + other[x] * blurred[2, x]
                 out[y, x] = by_difference * np.sign(line[x] - other[x]) + by_likeness * likeness
