@@ -53,7 +53,7 @@ _PROBE_SIZE = 128  # pixels along a side of the faces of a probe
 _PROBE_FLOOR = 0.05  # least weight of a missing Gaussian that a probe counts
 _PROBE_LOSS = 0.1  # sum of these weights from which the eye looks finely
 _FINE_FLOOR = 4.0  # least weight, over tau, of what a fine look after a probe adds: a set should stay small
-_CLEAN = 2  # probes in a row that find nothing, after which there are no more
+_CLEAN = 4  # probes in a row that find nothing, after which there are no more
 _CHECKED = 8  # rays of a cell that a second tracer may trace again
 
 
