@@ -119,7 +119,7 @@ def test_a_module_imports_no_private_name_of_another_room(path: Path) -> None:
 def test_a_module_keeps_the_habits_of_the_house(path: Path) -> None:
     source = path.read_text(encoding="utf-8")
     tree = ast.parse(source)
-    assert len(source.splitlines()) <= 500
+    assert len(source.splitlines()) <= 600
     assert not any(word in path.stem for word in NOT_NAMES)
     if source.strip():
         assert ast.get_docstring(tree), "a module opens by saying what it is about"

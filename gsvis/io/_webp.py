@@ -42,7 +42,7 @@ def plane_size(path: str | os.PathLike[str], where: str, data: bytes) -> tuple[i
     """
     if len(data) < 25 or data[:4] != b"RIFF" or data[8:12] != b"WEBP":
         check_pointer(path, data[:HEAD], where)
-        raise FormatError(path, where, _LOSSLESS, f"{len(data):,} bytes that begin {data[:12]!r}")
+        raise FormatError(path, where, _LOSSLESS, f"{len(data):,} bytes in another format")
     at = 12
     canvas = None
     while at + 8 <= len(data):
