@@ -53,6 +53,8 @@ def city(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def far(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A world so long that some districts are seen, and some are not, children of those that are seen among them."""
     folder, options = tmp_path_factory.mktemp("far"), replace(config(most=400), angle=0.3)
+    package = replace(options.package, sets=replace(options.package.sets, probes=0))  # so that some of it is never seen
+    options = replace(options, package=package)
     scene = write(small_street(houses=4, step=0.5, flyaways=12), folder / "street.ply")
     prepare_world([scene], folder / "c.gsworld", options)
     return folder / "c.gsworld"
