@@ -31,8 +31,9 @@ from tests.train.photo_files import cloud, write_photos
 ROOT = Path(__file__).parents[2]
 BLOCKED = {
     "open3d": ("open3d",),
-    "torch, dask and pycolmap": ("torch", "dask", "distributed", "pycolmap"),  # no command asks for two of them
+    "torch": ("torch",),
     "matplotlib": ("matplotlib",),
+    "dask and pycolmap": ("dask", "distributed", "pycolmap"),
     "all of them": tuple(EXTRAS),
 }
 BOX = ["--box", "1", "1", "1", "7", "3", "2"]

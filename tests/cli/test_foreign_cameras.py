@@ -1,4 +1,4 @@
-"""Cameras of another frame: every command that takes cameras can be told their frame, and says where they are not."""
+"""Cameras of another frame: every command that takes cameras has --cameras-frame, and reports those that do not fit."""
 
 from __future__ import annotations
 
