@@ -1,4 +1,4 @@
-"""Turn lobes into terms, for a slice of Gaussians: one order over all functions, units of the variant, RGB errors."""
+"""Convert lobes of a slice of Gaussians to terms: one order over all functions, units of the variant, RGB errors."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ F32 = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class Terms:
-    """Store colors of n Gaussians as `SrbfColors` does, with counts in place of offsets, and their errors."""
+    """Colors of n Gaussians as in `SrbfColors`, with counts instead of offsets, and their errors."""
 
     base: F32
     scales: F32
@@ -96,7 +96,7 @@ def assemble(config: FitConfig, fitted: SplitFit, directions: F32) -> Terms:
 
 
 def _amplitudes(kind: Variant, fitted: SplitFit, function: int, lobe: LobeFit) -> F32:
-    """Return (n, K, 3), what each lobe adds in the variant's space."""
+    """Return (n, K, 3), the amounts that each lobe adds in the variant's space."""
     if kind.components:
         added = np.zeros((*lobe.intensities.shape[:2], 3), np.float32)
         added[:, :, kind.components[function]] = lobe.intensities[:, :, 0]

@@ -25,7 +25,7 @@ F64 = NDArray[np.float64]
 LEAST_DECAY = 0.02
 _ATTEMPTS = 6
 _SHARE = 0.01
-"""Share of an atom's squared length that must be independent of the current lobes for its gain to count in full."""
+"""Share of an atom's squared length outside the span of the current lobes from which its gain counts in full."""
 _SCALED = (0.4, 0.7, 1.4, 2.5)
 """Factors on the decays of current lobes that give further candidates beside the dictionary: rings and flat tops."""
 _SHARPNESS = 8
@@ -54,6 +54,8 @@ class Fit:
 
 @dataclass(frozen=True, eq=False)
 class _Solved:
+    """Intensities, residual, Cholesky factor and cost of a solved least-squares problem."""
+
     intensities: F64
     left: F64
     factor: F64
@@ -85,12 +87,12 @@ class LobeSearch:
         self.nothing = Fit(1.0, np.zeros((0, 3)), np.zeros(0), self.target)
 
     def fit(self, v: F64) -> Fit:
-        """Fit intensities to these lobes and leave the lobes unchanged."""
+        """Fit intensities to given lobes, without moving the lobes."""
         solved = self._solve(self._rows(v)) if len(v) else None
         return self.nothing if solved is None else self._fit(v, solved)
 
     def extend(self, fit: Fit, rng: np.random.Generator | None = None) -> Fit:
-        """Add the lobe that helps most beside the current ones, or with `rng` a random good one; refine all."""
+        """Add the lobe that lowers the error most, or with `rng` a random good one; refine all."""
         starts, gains = self._gains(fit)
         if rng is None:
             chosen = int(gains.argmax())
@@ -109,7 +111,7 @@ class LobeSearch:
 
     def refine(self, v: F64) -> Fit:
         """Move all lobes to a nearby optimum: Levenberg-Marquardt with the intensities eliminated (Kaufman)."""
-        from scipy.linalg import lapack  # here: it takes long to import, and few need it
+        from scipy.linalg import lapack  # slow to import, seldom needed
 
         rows = self._rows(v)
         now = self._solve(rows) if len(v) else None
@@ -142,6 +144,7 @@ class LobeSearch:
         return self._fit(v, now)
 
     def _fit(self, v: F64, solved: _Solved) -> Fit:
+        """Return the fit of solved lobes."""
         return Fit(float(solved.left @ solved.left) / self.total, v, solved.intensities, solved.left)
 
     def _rows(self, v: F64) -> F64:
@@ -174,6 +177,7 @@ class LobeSearch:
         return _Solved(intensities, left, factor, float(left @ left + self.ridge * (intensities @ intensities)))
 
     def _move(self, v: F64, normal: F64, slope: F64, damping: float) -> tuple[F64, F64, _Solved] | None:
+        """Return the lobes after a damped step with their decays and solution; None if the step cannot be solved."""
         from scipy.linalg import lapack
 
         damped = normal.copy()

@@ -1,4 +1,4 @@
-"""Find the terms of a slice of Gaussians: each function of the variant on its own, as many as their price allows."""
+"""Find the terms of a slice of Gaussians, separately for each function of the variant, as many as the price allows."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class LobeFit:
 
 @dataclass(frozen=True, eq=False)
 class SplitFit:
-    """The input and the result of a fit.
+    """Input and result of a fit.
 
     Attributes:
         colors: (n, 3, D) RGB.
@@ -99,16 +99,17 @@ class Pursuit:
             colors: (n, 3, D) RGB >= 0.
             weights: (n, D) >= 0, some above 0 in each row.
             importance: (n,) weight of an error.
-            price: Fall of importance times error that a term must achieve.
-            nowhere: (n,) Gaussians that get no terms.
+            price: Least decrease of importance times error that a term must achieve.
+            nowhere: (n,) True for Gaussians that no direction sees; they get no terms.
         """
         split = split_colors(self.kind, colors.copy(), weights)
         most = np.where(nowhere, 0, self.config.max_terms)
-        search = self._refine if self.config.refine else self._on_atoms
+        search = self._refine if self.config.refine else self._choose_atoms
         lobes = tuple(search(f, importance, price, np.where(f.unit != 0, most, 0)) for f in split.functions)
         return SplitFit(colors, weights, split, lobes)
 
     def _refine(self, function: Function, importance: F64, price: float, most: NDArray[np.int64]) -> LobeFit:
+        """Return lobes that were refined after each choice."""
         n, channels, _ = function.targets.shape
         k = self.config.max_terms
         found = LobeFit(
@@ -134,7 +135,8 @@ class Pursuit:
         )
         return found
 
-    def _on_atoms(self, function: Function, importance: F64, price: float, most: NDArray[np.int64]) -> LobeFit:
+    def _choose_atoms(self, function: Function, importance: F64, price: float, most: NDArray[np.int64]) -> LobeFit:
+        """Return lobes that stay on the atoms which matching pursuit chooses."""
         seen = (function.weights > 0).sum(axis=1)
         codes = orthogonal_matching_pursuit(
             self.dictionary.T,

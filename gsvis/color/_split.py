@@ -1,4 +1,4 @@
-"""Split colors into a base and the functions of direction to fit, with their weights, for a slice of Gaussians."""
+"""Split colors of a slice of Gaussians into a base and weighted functions of direction, which are then fitted."""
 
 from __future__ import annotations
 

@@ -21,14 +21,14 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_ROUNDING = 1e-4  # relative, plus 4 float32 steps of the color: error of a color conversion in a change
+_ROUNDING = 1e-4  # relative error of a change through color conversion, besides 4 float32 steps of the color
 _STEPS = 4.0 * float(np.finfo(np.float32).eps)
 _MARGIN = 4e-6  # error of logarithms stored as float32
 _WIDEST = 1e30
 
 
 class Activation:
-    """Prepare terms for repeated queries of which are active.
+    """Find active terms for many eyes or boxes; prepares the terms once.
 
     Args:
         colors: N Gaussians with T terms.
@@ -132,8 +132,8 @@ class Activation:
     def least_cosines(self) -> F32:
         """Return (T,) bounds on the cosine between the center of a term and the direction from an eye to its Gaussian.
 
-        The term is active only at cosines of at least the bound: 2 if it never is, -inf if it always is. In RGB it is
-        then active; in other spaces it may be.
+        A term can be active only at cosines of at least the bound; 2 means never and -inf always. In RGB it is active
+        exactly at these cosines.
         """
         with np.errstate(invalid="ignore"):
             found = 1.0 - self._logs.astype(np.float64) * self._widths
@@ -229,7 +229,7 @@ def _reaches(colors: SrbfColors, amplitudes: F32) -> F64:
     base = colors.base.astype(np.float64)
 
     def bound(component: int, sign: float) -> F64:
-        """Return (T,) the lowest (sign -1) or highest (1) possible value of a component."""
+        """Return the lowest (sign -1) or highest (sign 1) possible value of a component, (T,)."""
         change = np.maximum(sign * amplitudes[:, component].astype(np.float64), 0.0)
         ends = base[:, component] + sign * np.bincount(ids, change, len(colors))
         return np.asarray(np.clip(ends, 0.0, 1.0)[ids])

@@ -41,7 +41,7 @@ MOST_AT_BOUND = 0.25
 """Largest share of the counted reversals that may lie at a bound."""
 
 FLIP_JND = 0.1
-"""FLIP error of a pixel above which the model observer notices it: a convention, with its reasons below.
+"""FLIP error of a pixel above which the model observer notices it: a convention.
 
 FLIP itself gives no threshold. In a flat field a difference of E in CIELAB (HyAB, lightness alone) has the FLIP error
 0.95 E^0.7 / (0.4 * 41.28). Hence 2.3, the just noticeable difference of Mahy et al., becomes 0.103; the often-used 1.0
@@ -65,9 +65,9 @@ worst view. No person has been tested yet. Thresholds of 0.058 and 0.2 in place 
 
 
 class Observer(Protocol):
-    """Something that views a scene without the terms below epsilon and reports whether the difference is visible.
+    """An observer that views a scene without the terms below epsilon and reports whether the difference is visible.
 
-    Both attributes may be plain ones.
+    `name` and `provenance` may be plain attributes.
     """
 
     @property
@@ -77,7 +77,7 @@ class Observer(Protocol):
 
     @property
     def provenance(self) -> Mapping[str, Any]:
-        """What is needed to repeat its answers; JSON values."""
+        """JSON values needed to repeat its answers."""
         ...
 
     def __call__(self, epsilon: float) -> bool:
@@ -444,4 +444,5 @@ def _standard_error(values: F64, step: float) -> float:
 
 
 def _number(value: Any) -> bool:
+    """Return whether a value is a finite real number."""
     return isinstance(value, int | float | np.floating) and not isinstance(value, bool) and math.isfinite(value)

@@ -30,7 +30,7 @@ I64 = NDArray[np.int64]
 
 
 class Evaluator:
-    """Precompute what does not depend on the eye: terms laid out for vectors, 28 bytes each.
+    """Evaluate colors for many eyes; lays terms out once for vector instructions, 28 bytes each.
 
     Args:
         colors: N Gaussians with T terms.

@@ -1,7 +1,7 @@
 """Evaluate SRBF colors in plain torch: any float type, any device, gradients by everything that is not an integer.
 
-The twin of `gsvis.color.evaluate` for training and for other devices: same values, frame and conventions. The other
-modules of this room import torch only for tensor arguments.
+The twin of `gsvis.color.evaluate` for training and for other devices: same values, frame and conventions. The
+other modules of this room import torch only for tensor arguments.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _INTEGERS = ("offsets", "functions")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SrbfTensors:
-    """Store colors of N Gaussians as tensors on one device: a base and T terms, named as in `SrbfColors`.
+    """Colors of N Gaussians as tensors on one device: a base and T terms, named as in `SrbfColors`.
 
     Shapes are checked here, values are not, to keep training steps fast. `to_colors` checks them.
 
@@ -117,12 +117,12 @@ class SrbfTensors:
 
     @property
     def kind(self) -> Variant:
-        """The variant."""
+        """The variant's definition."""
         return variant(self.variant)
 
     @property
     def num_terms(self) -> int:
-        """T."""
+        """Number of terms, T."""
         return len(self.functions)
 
     @property
@@ -198,6 +198,7 @@ def evaluate_torch(
 
 
 def _unit_vectors(coordinates: Tensor) -> Tensor:
+    """Return (T, 3) unit vectors from polar angles and azimuths."""
     theta, phi = coordinates.unbind(-1)
     return torch.stack([theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos()], dim=-1)
 

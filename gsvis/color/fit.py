@@ -96,7 +96,7 @@ class SrbfFit:
         base_errors: (N,) float32, mean squared RGB error (summed over channels) of the base color alone over the
             visible directions.
         errors: (N,) float32, the same with all terms.
-        price: Fall of error times importance that each term had to achieve.
+        price: Least decrease of error times importance that each term had to achieve.
         unseen: Number of Gaussians without a direction: they get the mean over all directions and no terms.
     """
 
@@ -191,6 +191,7 @@ def sample_colors(g: Gaussians) -> F32:
 
 
 def _fit(pursuit: Pursuit, g: Gaussians, faces: F32, importance: F64, price: float) -> SplitFit:
+    """Return the fit of a slice of Gaussians at a price."""
     shares = face_shares(_PARTS).astype(np.float32)
     weights = (faces[:, :, None] * (NUM_FACES * _PARTS * shares)).reshape(len(faces), -1)
     nowhere = weights.max(axis=1) <= 0.0
@@ -201,9 +202,9 @@ def _fit(pursuit: Pursuit, g: Gaussians, faces: F32, importance: F64, price: flo
 def _price(pursuit: Pursuit, g: Gaussians, faces: F32, importance: F64, mean_terms: float, progress: Progress) -> float:
     """Return the price of a term at which Gaussians have `mean_terms` on average.
 
-    Uses the error curves of a sample of every k-th Gaussian by importance, because a few Gaussians hold most of it.
-    The price at which few terms suffice comes first: more terms can only raise it, so that long curves are fitted only
-    where they are worth that much.
+    Uses the error curves of a sample: every k-th Gaussian by importance, because few Gaussians hold most of it. A first
+    price is found with few terms per Gaussian. More terms can only raise the price, so longer curves are fitted only
+    for Gaussians that can pay the first price.
     """
     order = np.argsort(importance, kind="stable")
     ids = np.sort(order[np.linspace(0, len(g) - 1, min(len(g), _SAMPLE)).astype(np.int64)])
@@ -237,6 +238,7 @@ def _least_price(costs: list[F64], mean_terms: float, count: int) -> float:
     terms = np.arange(costs[0].shape[1])
 
     def mean(price: float) -> float:
+        """Return the mean number of terms at a price."""
         return sum([float((cost + price * terms).argmin(axis=1).sum()) for cost in costs]) / count
 
     high = max(float(cost[:, 0].max()) for cost in costs)
@@ -250,11 +252,13 @@ def _least_price(costs: list[F64], mean_terms: float, count: int) -> float:
 
 
 def _join(config: FitConfig, parts: list[Terms], price: float, unseen: int) -> SrbfFit:
+    """Return the fits of all slices as one."""
     kind = VARIANTS[config.variant]
     empty = Terms.empty(kind)
     parts = parts or [empty]
 
     def join(name: str) -> NDArray[np.float32]:
+        """Return a field of all slices as one array."""
         return np.concatenate([getattr(part, name) for part in parts])
 
     counts = np.concatenate([part.counts for part in parts])

@@ -61,11 +61,12 @@ def compand(limit: float, floor: float, bits: int) -> F32:
 
 
 def circle(low: float, turn: float, count: int) -> F32:
-    """Return (count + 1,) even steps from low once around; the last entry is the first plus one turn."""
+    """Return (count + 1,) even steps from `low` once around; the last entry is the first plus one turn."""
     return np.asarray(low + np.arange(count + 1) * (turn / count), np.float32)
 
 
 def _with_ends(values: F64, low: float, high: float) -> F32:
+    """Return values as an ascending float32 table that holds both ends exactly."""
     table: F32 = np.clip(values, low, high).astype(np.float32)
     table[0] = low
     table[-1] = high

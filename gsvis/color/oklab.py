@@ -40,8 +40,8 @@ _DARK = 0.28
 _BRIGHT = 0.93
 _HUES = (305.0, 100.0)  # degrees: purple, over blue and green, to yellow
 _CHROMA = 0.13
-_GOLDEN = 137.50776405003785  # degrees: hues of neighbors in number are far apart
-_STEPS = 24  # halvings of chroma until a color can be shown
+_GOLDEN = 137.50776405003785  # degrees; the golden angle sets hues of consecutive numbers far apart
+_STEPS = 24  # bisection steps for the largest chroma that a display can show
 
 
 def oklab_to_srgb(lab: ArrayLike) -> F64:
@@ -62,9 +62,9 @@ def srgb_to_oklab(rgb: ArrayLike) -> F64:
 
 
 def ramp(parts: ArrayLike) -> F64:
-    """Return colors for parts of a whole, dark purple for 0 to bright yellow for 1; equal steps look alike.
+    """Return colors for shares in [0, 1], from dark purple for 0 to bright yellow for 1; equal steps look alike.
 
-    Lightness grows evenly, so the order is seen without color vision and in gray prints.
+    Lightness grows evenly, so the order remains visible without color vision and in gray prints.
 
     Args:
         parts: (N,) in [0, 1].
@@ -82,18 +82,18 @@ def ramp(parts: ArrayLike) -> F64:
     values = _check.floats("parts", parts, ("N",), np.float64)
     _check.in_range("parts", values, 0.0, 1.0)
     hues = _HUES[0] + values * (_HUES[1] - _HUES[0])
-    return _shown(_DARK + values * (_BRIGHT - _DARK), np.full(len(values), _CHROMA), hues)
+    return _displayable(_DARK + values * (_BRIGHT - _DARK), np.full(len(values), _CHROMA), hues)
 
 
 def palette(count: int) -> F64:
-    """Return (count, 3) sRGB colors of categories; those near in number differ much, in hue and in lightness."""
+    """Return (count, 3) sRGB colors of categories; consecutive colors differ much in hue and lightness."""
     numbers = np.arange(_check.positive_int("count", count, at_least=0))
-    return _shown(
+    return _displayable(
         np.array([0.78, 0.55, 0.68])[numbers % 3], np.full(count, _CHROMA), np.asarray(_GOLDEN * numbers, np.float64)
     )
 
 
-def _shown(lightness: F64, chroma: F64, hues: F64) -> F64:
+def _displayable(lightness: F64, chroma: F64, hues: F64) -> F64:
     """Return sRGB of lightness, chroma and hue (degrees), with as much of the chroma as a display can show."""
     around = np.stack([np.cos(np.radians(hues)), np.sin(np.radians(hues))], axis=1)
     low = np.zeros(len(hues))

@@ -118,6 +118,7 @@ def orthogonal_matching_pursuit(
     atoms = _atoms(columns, shared, own is not None, least_share)
 
     def pursue(start: int) -> int:
+        """Run the pursuit for a part of the signals; return their number."""
         part = slice(start, min(start + _CHUNK, number))
         with np.errstate(over="ignore"):  # what overflows to inf is found by the kernel
             chunk = kernels.Chunk(
@@ -139,6 +140,7 @@ def orthogonal_matching_pursuit(
 
 
 def _signals(signals: ArrayLike, depth: int) -> NDArray[Any]:
+    """Return checked signals."""
     values = np.asarray(signals)
     if values.ndim not in (2, 3) or values.shape[1] != depth or (values.ndim == 3 and values.shape[2] == 0):
         raise ValueError(f"signals: expected shape (N, {depth}) or (N, {depth}, C), got {values.shape}")
@@ -167,6 +169,7 @@ def _weights(weights: ArrayLike | None, number: int, depth: int) -> tuple[NDArra
 
 
 def _limits(max_terms: int | ArrayLike, number: int, most: int) -> NDArray[np.int64]:
+    """Return the checked maximum number of terms of each signal."""
     if np.ndim(max_terms) == 0:
         max_terms = np.full(number, _check.positive_int("max_terms", max_terms, at_least=0))
     limits: NDArray[np.int64] = _check.integers("max_terms", max_terms, (number,))
@@ -177,6 +180,7 @@ def _limits(max_terms: int | ArrayLike, number: int, most: int) -> NDArray[np.in
 
 
 def _part(codes: kernels.Codes, part: slice) -> kernels.Codes:
+    """Return the results of a part of the signals, as views."""
     return kernels.Codes(codes.atoms[part], codes.coefficients[part], codes.counts[part], codes.errors[part])
 
 

@@ -247,7 +247,7 @@ class QuantizedColors:
     @property
     def nbytes(self) -> int:
         """Bytes of all records, packed bit by bit."""
-        return _pack(self.grids.kind, self.grids.precision, self.offsets)
+        return _packed_bytes(self.grids.kind, self.grids.precision, self.offsets)
 
     def dequantize(self) -> SrbfColors:
         """Return the colors of the records as floats."""
@@ -279,8 +279,8 @@ def quantize(
     """Round colors to the precision of records.
 
     With `refit`, intensities are first fitted to the rounded centers and decays. They are then rounded one by one, the
-    largest of a Gaussian first; each compensates for the rounding of those before. Both are least squares in the mean
-    over the whole sphere, with small integrals in closed form: no directions, images or renderer are needed.
+    largest of a Gaussian first; each compensates for the rounding errors so far. Both steps are least squares in the
+    mean over the whole sphere, with small integrals in closed form: no directions, images or renderer are needed.
 
     A center moves by at most (pi / 2^center) / sqrt(2), a decay by half a ratio, (largest / least)^(1 / (2^decay - 1)),
     a base component in [0, 1] by half an even step, an axis by at most 4.3 / 2^axis radians. Without `refit` an
@@ -292,8 +292,8 @@ def quantize(
         refit: Adapt intensities; False rounds each number on its own.
         grids: Tables to use instead of the colors' own, such as those of a larger scene; `precision` is then
             ignored. Values outside their ranges are rejected.
-        reach: Least and largest value of each component of base colors, in RGB, that the colors' own tables hold too,
-            so that scenes rounded apart can have the same tables. Variants in other spaces ignore it.
+        reach: Least and largest value of each component of base colors, in RGB, which the colors' own tables then cover
+            too. Scenes rounded separately with the same `reach` can share tables. Variants in other spaces ignore it.
 
     Raises:
         ValueError: If the variant is in RGB and a scale is not 1, or `grids` does not cover the colors.
@@ -310,7 +310,7 @@ def quantize(
         own = replace(own, base=(red, green, blue))
     g = own if grids is None else grids
     if grids is not None:
-        _within(own, grids)
+        _check_covers(own, grids)
     kind = colors.kind
     if not has_scales(kind) and np.any(colors.scales != 1.0):
         raise ValueError(f"scales: expected 1 for {kind.name!r}, whose space is RGB, got {colors.scales.max():g}")
@@ -398,7 +398,7 @@ def record_bytes(colors: SrbfColors | QuantizedColors, precision: Precision | st
     """
     if isinstance(colors, QuantizedColors):
         return colors.nbytes
-    return _pack(colors.kind, None if precision is None else _precision(precision), colors.offsets)
+    return _packed_bytes(colors.kind, None if precision is None else _precision(precision), colors.offsets)
 
 
 def sh_bytes(degree: int, bits: int = 32) -> float:
@@ -419,6 +419,7 @@ def has_scales(kind: Variant) -> bool:
 
 
 def _term_bits(kind: Variant, p: Precision | None) -> int:
+    """Return the bits of one term; 32 for each number without a precision."""
     if p is None:
         return (8 if len(kind.functions) > 1 else 0) + 32 * (3 + kind.intensities)
     function = (len(kind.functions) - 1).bit_length()
@@ -426,12 +427,14 @@ def _term_bits(kind: Variant, p: Precision | None) -> int:
 
 
 def _base_bits(kind: Variant, p: Precision | None) -> int:
+    """Return the bits of a Gaussian besides its terms; 32 for each number without a precision."""
     if p is None:
         return 32 * (3 + has_scales(kind) + 3 * kind.num_axes)
     return 3 * p.base + has_scales(kind) * p.scale + kind.num_axes * 2 * p.axis
 
 
-def _pack(kind: Variant, p: Precision | None, offsets: NDArray[np.int64]) -> int:
+def _packed_bytes(kind: Variant, p: Precision | None, offsets: NDArray[np.int64]) -> int:
+    """Return the bytes of all records packed bit by bit, including the counts of terms."""
     count_bits = int(np.diff(offsets).max(initial=0)).bit_length()
     n = len(offsets) - 1
     t = int(offsets[-1])
@@ -439,6 +442,7 @@ def _pack(kind: Variant, p: Precision | None, offsets: NDArray[np.int64]) -> int
 
 
 def _range(values: F32, empty: float = 0.0) -> Range:
+    """Return the least and largest value; `empty` for none."""
     return (float(values.min()), float(values.max())) if len(values) else (empty, empty)
 
 
@@ -446,9 +450,10 @@ def _largest(intensities: NDArray[np.floating[Any]]) -> float:
     return float(np.float32(np.abs(intensities).max(initial=0.0)))
 
 
-def _within(own: Grids, given: Grids) -> None:
+def _check_covers(own: Grids, given: Grids) -> None:
+    """Raise unless the given tables cover the range of our own."""
     if own.variant != given.variant:
-        raise ValueError(f"grids: expected those of {own.variant!r}, got those of {given.variant!r}")
+        raise ValueError(f"grids: expected tables of variant {own.variant!r}, got {given.variant!r}")
     mine = asdict(own)
     theirs = asdict(given)
     pairs = [("base", a, b) for a, b in zip(mine["base"], theirs["base"], strict=True)]
@@ -475,6 +480,7 @@ def _round_lobes(colors: SrbfColors, g: Grids) -> tuple[U16, U16]:
 
 
 def _centers_of(places: U16, g: Grids) -> F32:
+    """Return (T, 2) angles of rounded centers."""
     return np.stack([g.theta_table()[places[:, 0]], g.phi_table()[places[:, 1]]], axis=1)
 
 
@@ -485,6 +491,7 @@ def _lobes(centers: F32, decays: F32) -> NDArray[np.float64]:
 
 
 def _project(colors: SrbfColors, rounded: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the intensities that fit the rounded lobes best."""
     values = colors.intensities.astype(np.float64)
     out = np.empty_like(values)
     lobes = _lobes(colors.centers, colors.decays)
@@ -493,6 +500,7 @@ def _project(colors: SrbfColors, rounded: NDArray[np.float64]) -> NDArray[np.flo
 
 
 def _round_jointly(colors: SrbfColors, lobes: NDArray[np.float64], values: NDArray[np.float64], g: Grids) -> U16:
+    """Return the indices of intensities, each rounded so that it compensates the errors of larger ones."""
     table = g.intensity_table()
     places = np.empty(values.shape, np.uint16)
     middles = _grids.middles(table)

@@ -1,7 +1,4 @@
-"""Plain twins of the fast paths of this room: short, in float64, one formula after the other.
-
-Only tests need these.
-"""
+"""Plain twins of the fast paths of this room, short and in float64. Only tests need these."""
 
 from __future__ import annotations
 
@@ -103,7 +100,7 @@ def refine(
     Returns:
         The error, and the (K, 3) lobes.
     """
-    from scipy.optimize import least_squares  # here: it takes long to import, and few need it
+    from scipy.optimize import least_squares  # slow to import, seldom needed
 
     points = np.asarray(directions, np.float64)
     root = np.sqrt(np.asarray(weights, np.float64))

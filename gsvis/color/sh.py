@@ -25,7 +25,7 @@ __all__ = ["sh_colors", "sh_colors_along", "towards_gaussian", "write_sh_colors"
 
 
 class _Tensors(Protocol):
-    """Holds tensors under the names of `Gaussians`, as `gsvis.render.GaussianTensors` does."""
+    """An object with tensors under the names of `Gaussians`, such as `gsvis.render.GaussianTensors`."""
 
     @property
     def means(self) -> Tensor: ...
@@ -165,7 +165,7 @@ def sh_colors_along(
     size = 1 + higher.shape[1]
     basis = sh_basis(_check.unit_vectors("directions", directions), sh_degree_of(size))
     # One row per Gaussian, (coefficient, channel) and a 1 for the 0.5; one column per (direction, channel).
-    # Two thirds of the matrix are zeros, and it is still faster than many small products or a transposition.
+    # Two thirds of the matrix are zeros, but it is faster than many small products or a transposition.
     rows = np.ones((count, 3 * size + 1), np.float32)
     rows[:, :3] = base[:, 0]
     rows[:, 3:-1] = higher.reshape(count, 3 * size - 3)

@@ -1,4 +1,4 @@
-"""Fit one function on the sphere by few lobes, with a thorough search: the experiment of figure 15.
+"""Fit one function on the sphere by few lobes, with a thorough search, for the experiment of figure 15.
 
 A function is given by its values along directions, unit vectors in any frame. Nothing here knows of Gaussians or
 colors. Each number of terms has its own fit. For scenes, a million functions at a time, use `fit_srbf`.
@@ -34,10 +34,10 @@ class SphereConfig:
         ridge: Cost of a squared intensity, added to the mean squared error, for values of unit variance.
         steps: Maximum number of refinement steps after each change.
         tolerance: Relative gain below which two steps in a row end a refinement.
-        searches: Number of searches from zero lobes: lobes are added up to the maximum and removed again. All but
-            the first choose at random among the good ones; each of them is followed by 4 up to half as many lobes and
-            16 up to a quarter, which take little time.
-        sweeps: Number of times that the best fits of all searches are then extended and reduced in the same way.
+        searches: Number of searches from zero lobes: lobes are added up to the maximum and removed again. All but the
+            first choose at random among the good lobes. Each random search is followed by 4 shorter ones up to half as
+            many lobes and 16 up to a quarter.
+        sweeps: Number of times that the best fits of all searches are extended and reduced again.
         seed: Seed of the random choices.
 
     Raises:
@@ -89,7 +89,7 @@ class SphereFit:
 
     @property
     def max_terms(self) -> int:
-        """K."""
+        """Largest number of terms, K."""
         return len(self.counts) - 1
 
     def evaluate(self, directions: ArrayLike, terms: int | None = None) -> F64:
@@ -125,8 +125,8 @@ def fit_function(
 ) -> SphereFit:
     """Fit a function by a base and 0, 1, ..., `max_terms` SRBFs.
 
-    Each step adds the lobe that helps most beside the current ones, then moves all. From the maximum on, the least
-    useful lobe is removed and the rest moved again. For each k the best fit found with k terms is kept.
+    Each step adds the lobe that lowers the error most, then moves all lobes. From the maximum on, the least useful lobe
+    is removed and the rest is moved again. For each k the best fit found with k terms is kept.
 
     Args:
         values: (D,) the function.
@@ -177,7 +177,7 @@ def fit_function(
 
 
 def _search(search: LobeSearch, limit: int, possible: int, config: SphereConfig, progress: Progress) -> list[Fit]:
-    """Return the best fits of 0 to `limit` lobes; tries a few more, so that the last can be reached from above too."""
+    """Return the best fits of 0 to `limit` lobes. Also tries a few more lobes, to reach the last fits from above."""
     high = min(limit + 1 + limit // 10, possible)
     pool: dict[int, Fit] = {0: search.nothing}
     rng = np.random.default_rng(config.seed)
@@ -208,6 +208,7 @@ def _sweep(search: LobeSearch, fits: dict[int, Fit], high: int, rng: np.random.G
 
 
 def _keep(fits: dict[int, Fit], k: int, fit: Fit) -> None:
+    """Keep a fit of k lobes if it is the best so far."""
     if k not in fits or fit.error < fits[k].error:
         fits[k] = fit
 

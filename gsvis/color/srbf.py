@@ -60,7 +60,7 @@ def spherical_coordinates(vectors: ArrayLike) -> F64:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SrbfColors:
-    """Store colors of N Gaussians: base colors and T terms, validated, read-only.
+    """Colors of N Gaussians: base colors and T terms, validated, read-only.
 
     Args:
         variant: One of `VARIANTS`.
@@ -146,12 +146,12 @@ class SrbfColors:
 
     @property
     def kind(self) -> Variant:
-        """The variant."""
+        """The variant's definition."""
         return variant(self.variant)
 
     @property
     def num_terms(self) -> int:
-        """T."""
+        """Number of terms, T."""
         return len(self.functions)
 
     @property
@@ -170,7 +170,7 @@ class SrbfColors:
         return np.arange(self.num_terms) - np.repeat(self.offsets[:-1], self.counts)
 
     def amplitudes(self) -> F32:
-        """Return (T, 3), what each term adds to the base, in the variant's space, where its SRBF is 1."""
+        """Return (T, 3), the amount that each term adds to the base, in the variant's space, where its SRBF is 1."""
         kind = self.kind
         ids = self.gaussian_ids
         if kind.components:  # multiplicative: ref * (1 + sum)

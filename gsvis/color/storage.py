@@ -84,7 +84,7 @@ def save_srbf(
         OSError: If the file cannot be written.
     """
     if len(g) != len(colors):
-        raise ValueError(f"colors: expected those of {len(g):,} Gaussians, got {len(colors):,}")
+        raise ValueError(f"colors: expected one for each of {len(g):,} Gaussians, got {len(colors):,}")
     if precision is not None:
         if isinstance(colors, QuantizedColors):
             raise ValueError(f"precision: expected None for quantized colors, got {precision!r}; quantize them once")
@@ -159,9 +159,11 @@ def _schema(kind: Variant, grids: Grids | None) -> list[pa.Field]:
     """Return the fields of the file; parts that a variant lacks have no column."""
 
     def field(name: str, kind: pa.DataType, length: int = 0) -> pa.Field:
+        """Return a field of fixed-length lists, or of single values for length 0."""
         return pa.field(name, _many(kind, length) if length else kind, nullable=False)
 
     def number(bits: str) -> pa.DataType:
+        """Return the Arrow type of numbers with these bits."""
         if grids is None:
             return pa.float32()
         return pa.uint8() if getattr(grids.precision, bits) <= 8 else pa.uint16()
@@ -184,10 +186,12 @@ def _schema(kind: Variant, grids: Grids | None) -> list[pa.Field]:
 
 
 def _many(kind: pa.DataType, length: int) -> pa.DataType:
+    """Return the type of lists of a fixed length."""
     return pa.list_(pa.field("item", kind, nullable=False), length)
 
 
 def _batches(g: Gaussians, colors: SrbfColors | QuantizedColors, schema: pa.Schema) -> Iterator[pa.RecordBatch]:
+    """Yield the rows of the file, a batch at a time."""
     for start in range(0, len(g), ROWS):
         rows = slice(start, min(start + ROWS, len(g)))
         offsets = colors.offsets[rows.start : rows.stop + 1]
@@ -211,6 +215,7 @@ def _batches(g: Gaussians, colors: SrbfColors | QuantizedColors, schema: pa.Sche
 
 
 def _array(values: NDArray[Any], kind: pa.DataType) -> pa.Array:
+    """Return values as an Arrow array of a type."""
     if not pa.types.is_fixed_size_list(kind):
         return pa.array(values.astype(kind.to_pandas_dtype(), copy=False), kind)
     flat = values.reshape(-1).astype(kind.value_type.to_pandas_dtype(), copy=False)
@@ -232,17 +237,18 @@ def _read_columns(file: ArrowFile) -> tuple[dict[str, NDArray[Any]], NDArray[np.
         for name, column in columns.items():
             pieces.setdefault(name, []).append(_numbers(column))
     if not pieces:
-        return _nothing(file.schema), counts[0]
+        return _empty_columns(file.schema), counts[0]
     return {name: np.concatenate(arrays) for name, arrays in pieces.items()}, np.concatenate(counts)
 
 
 def _numbers(column: pa.Array) -> NDArray[Any]:
+    """Return the numbers of a column."""
     if not pa.types.is_fixed_size_list(column.type):
         return np.asarray(column.to_numpy())[:, None]
     return np.asarray(column.flatten().to_numpy()).reshape(-1, column.type.list_size)
 
 
-def _nothing(schema: pa.Schema) -> dict[str, NDArray[Any]]:
+def _empty_columns(schema: pa.Schema) -> dict[str, NDArray[Any]]:
     """Return the columns of a file without rows."""
     empty = pa.RecordBatch.from_pylist([], schema=schema)
     columns = {name: empty.column(name) for name in schema.names}
@@ -254,6 +260,7 @@ def _nothing(schema: pa.Schema) -> dict[str, NDArray[Any]]:
 def _colors(
     kind: Variant, grids: Grids | None, columns: Mapping[str, NDArray[Any]], offsets: NDArray[np.int64]
 ) -> SrbfColors:
+    """Return the colors that the columns hold."""
     n = len(offsets) - 1
     t = int(offsets[-1])
     width = 3 if grids is None else 2
@@ -273,6 +280,7 @@ def _colors(
 
 
 def _info(file: ArrowFile) -> SrbfInfo:
+    """Return the contents of a header, checked."""
     header = file.header
     name = header.text("variant", VARIANTS)
     scene = header.raw("scene")

@@ -1,4 +1,4 @@
-"""Convert SRBF colors back to spherical harmonics, for viewers that know nothing else: least squares, and the loss.
+"""Convert SRBF colors to spherical harmonics by least squares, for viewers without SRBF, and report the loss.
 
 Directions run from the eye to the Gaussian, scene frame; `towards_gaussian` converts those of a direction set.
 """
@@ -25,7 +25,7 @@ F64 = NDArray[np.float64]
 _NUMBERS = 2_000_000
 """Number of color values held at a time."""
 
-_LEAST_RIDGE = 1e-6  # of the fit over all directions, which should cover the sphere
+_LEAST_RIDGE = 1e-6  # ridge of the fit over all directions, which should cover the sphere
 
 
 class FittedSh(NamedTuple):
@@ -147,6 +147,7 @@ def _per_channel(values: F32, matrix: F64) -> F32:
 
 
 def _losses(found: F32, basis: F64, seen: F32, weights: NDArray[Any]) -> F64:
+    """Return the (N,) root mean squared RGB error of the fits."""
     errors = _per_channel(found, basis.T)
     errors += np.float32(0.5)
     np.maximum(errors, 0.0, out=errors)

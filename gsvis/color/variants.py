@@ -15,7 +15,7 @@ __all__ = ["DEFAULT_VARIANT", "VARIANTS", "Variant", "variant"]
 
 @dataclass(frozen=True)
 class Variant:
-    """How base and terms make a color.
+    """A way to make a color from a base and terms.
 
     Attributes:
         name: Name for `fit_srbf`.

@@ -1,8 +1,8 @@
 """Hidden point removal for Gaussians, with extent, orientation and opacity, not only centers.
 
-A Gaussian takes part of the light over part of the sky. Therefore not the centers are flipped but the places where
-light is spent, one in each cell of a cubemap around the eye. A Gaussian is visible if its nearest point lies in front
-of the hull of these. World frame, scene units.
+A Gaussian takes part of the light over part of the sky. Therefore the places where light is spent are flipped, one for
+each cell of a cubemap around the eye, instead of the centers. A Gaussian is visible if its nearest point lies in front
+of the hull of these places. World frame, scene units.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.hpr._kernels import spent as _kernels
-from gsvis.hpr._kernels.hull import in_order_of_cells
+from gsvis.hpr._kernels.hull import sort_by_cell
 from gsvis.hpr.hull import Hull
 from gsvis.raycast import MIN_ALPHA, TAU
 from gsvis.scene.gaussians import Gaussians
@@ -27,10 +27,10 @@ F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]
 
 ON_HULL = 1.0
-"""Nearness of a Gaussian whose nearest point lies on the hull, the largest of a visible one."""
+"""Largest nearness of a visible Gaussian: its nearest point lies on the hull."""
 
 _BINS = 192
-"""Bins of depth in which a cell sums up optical thickness."""
+"""Number of depth bins in which a cell sums optical thickness."""
 _MOST_CELLS = 256
 """Largest number of cells along a side of the cubemap's faces."""
 _SKY = 1e3
@@ -38,14 +38,14 @@ _SKY = 1e3
 _AT_SKY = 0.999
 """Share of the distance of the sky beyond which an eye sees without end."""
 _DARK = 1e-6
-"""Distance over the median of the centers to which an eye sees in the dark; 0 cannot be flipped."""
+"""Distance to which an eye sees in the dark, over the median distance of the centers; 0 cannot be flipped."""
 _NOISE = 1e-9
-"""Relative noise on the flips: cells are symmetric and depths repeat, and four points must not lie in one plane."""
+"""Relative noise added to flips, so that no four of them lie in one plane: cells are symmetric and depths repeat."""
 
 
 @dataclass(frozen=True, eq=False)
 class OcclusionHull:
-    """How far an eye sees among Gaussians, in every direction.
+    """The distance to which an eye sees among Gaussians, in every direction.
 
     Attributes:
         viewpoint: (3,) the eye.
@@ -106,7 +106,7 @@ class OcclusionHull:
     def from_depths(
         cls, g: Gaussians, viewpoint: ArrayLike, depths: ArrayLike, *, margin: float = 0.1
     ) -> OcclusionHull:
-        """Build the hull of known ends of light, such as those of a z-buffer.
+        """Build the hull from known depths at which light is spent, such as those of a z-buffer.
 
         Args:
             g: N Gaussians to query; they hide nothing.
@@ -187,8 +187,8 @@ def visible_gaussians(
 
 
 def _light_ends(g: Gaussians, toward: F64, shapes: F64, faces: I64, size: int, spent: float) -> F64:
-    """Return (6 size^2,) distance at which light is spent in each cell; `inf` where it is not."""
-    distances = shapes[:, 0][shapes[:, 0] > 0.0]  # of faint ones too: the bins must not depend on opacity
+    """Return the (6 size^2,) distance at which light is spent in each cell; `inf` where it is never spent."""
+    distances = shapes[:, 0][shapes[:, 0] > 0.0]  # faint Gaussians included: the bins must not depend on opacity
     if len(distances) == 0:
         return np.full(6 * size * size, np.inf)
     sample = distances[:: max(len(distances) // 20_000, 1)]
@@ -196,7 +196,7 @@ def _light_ends(g: Gaussians, toward: F64, shapes: F64, faces: I64, size: int, s
     farthest = 1.01 * np.quantile(sample, 0.999)
     steps = (_BINS - 3) / np.log(farthest / nearest)
     order = np.empty(len(g), np.int64)
-    begins = in_order_of_cells(faces, 8, order)
+    begins = sort_by_cell(faces, 8, order)
     thickness = np.zeros((6 * size * size, _BINS), np.float32)
     arrays = toward, g.quats, g.scales, g.opacities, shapes, order, begins
     _kernels.thicken(*arrays, size, nearest, steps, thickness)
@@ -208,8 +208,8 @@ def _light_ends(g: Gaussians, toward: F64, shapes: F64, faces: I64, size: int, s
 def _through_hull(depths: F64, size: int, margin: float, distances: F64) -> F64:
     """Return the distances (6 size^2,) to which the hull of the flipped ends of light lets the eye see.
 
-    Where light never ends, the sky is flipped. It lies `_SKY` times as far as the farthest of the centers, at
-    `distances` (N,) from the eye. A multiple of the deepest end of light would be wrong: more opacity moves that end,
+    Where light is never spent, a sky is flipped. Its distance is `_SKY` times that of the farthest center; `distances`
+    (N,) are those of the centers. It must not depend on where light is spent: more opacity would bring the sky nearer,
     and a nearer sky shows more.
     """
     away = distances[distances > 0.0]

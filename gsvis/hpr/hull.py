@@ -1,8 +1,8 @@
 """Build convex hulls of star-like clouds, such as flips, where many points are vertices and directions separate them.
 
 Points are inserted from coarse to fine: first the farthest in each cell of a cubemap around the origin, then those
-outside the hull of these. Each is located by a walk over the facets from the previous point. No decision is made within
-rounding error: the hull is abandoned, and the caller uses Qhull.
+outside the hull so far. Each point is located by a walk over the facets from the previous one. If rounding error could
+change a decision, the hull is abandoned and the caller uses Qhull.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Hull:
     def around(cls, flips: F64, *, exact: bool = True) -> tuple[Hull | None, I64]:
         """Return the hull of flips (M, 3) and the origin, or None if rounding forbids it, and all possible vertices.
 
-        With `exact` False, flips so close to the hull of the others that rounding decides may be missed.
+        With `exact` False, a vertex may be missed if it lies within rounding error of the hull of the other flips.
         """
         size, order, places, farthest, squared = _sort_by_cells(flips)
         reach = float(max(places.max(), -places.min()))
@@ -96,13 +96,13 @@ class Hull:
 
 
 class _Builder:
-    """A growing hull."""
+    """A convex hull under construction."""
 
     def __init__(self, places: F64, simplex: I64, reach: float, capacity: int) -> None:
         self.places = places
         self.band = BAND * reach
         self.slack = _SLACK * reach**3
-        self.inner = places[simplex].mean(axis=0) / 64.0  # near the origin: seen from both, places lie in one order
+        self.inner = places[simplex].mean(axis=0) / 64.0  # close to the origin, so that directions are almost the same
         self._corners = np.zeros((capacity, 3), np.int32)
         self._neighbors = np.zeros((capacity, 3), np.int32)
         a, b, c, d = simplex
@@ -132,7 +132,7 @@ class _Builder:
         return not _kernels.insert(self.places, chosen, *arrays, self.inner, self.slack, self.band, self._doubtful)
 
     def is_certain(self) -> bool:
-        """Return whether no place lies so close to the hull of the others that rounding decides."""
+        """Return whether rounding decided nothing: no place lies too close to the hull of the others."""
         doubts = int(self._state[2])
         if doubts > _DOUBTS:
             return False
@@ -160,7 +160,7 @@ def _sort_by_cells(flips: F64) -> tuple[int, I64, F64, I64, F64]:
     order = np.empty(len(flips), np.int64)
     while True:
         _kernels.cells_of(flips, size, cells)
-        begins = _kernels.in_order_of_cells(cells, 6 * size * size, order)
+        begins = _kernels.sort_by_cell(cells, 6 * size * size, order)
         finer = _power_of_two(size * np.sqrt(wanted / np.count_nonzero(np.diff(begins))))
         if finer < 4 * size or size >= _FINEST:
             break
@@ -174,11 +174,12 @@ def _sort_by_cells(flips: F64) -> tuple[int, I64, F64, I64, F64]:
 
 
 def _power_of_two(size: float) -> int:
+    """Return a power of two near `size`."""
     return int(2 ** np.clip(np.round(np.log2(max(size, 1.0))), 2, np.log2(_FINEST)))
 
 
 def _levels(farthest: I64, squared: F64, size: int, count: int) -> list[I64]:
-    """Return the farthest flips of the cells, coarse to fine; each is in the first level where it is the farthest."""
+    """Return the farthest flips of the cells, coarse to fine; each at the first level where it is the farthest."""
     levels = []
     while True:
         levels.append(farthest[farthest >= 0])
@@ -200,7 +201,7 @@ def _levels(farthest: I64, squared: F64, size: int, count: int) -> list[I64]:
 
 
 def _simplex(places: F64, coarse: I64) -> I64 | None:
-    """Return four places that span the most, counter-clockwise from outside, the origin first; None if flat."""
+    """Return four places of large volume, counter-clockwise from outside, the origin first; None if flat."""
     spots = places[coarse]
     a = int(np.einsum("ij,ij->i", spots, spots).argmax())
     across = np.cross(spots, spots[a])

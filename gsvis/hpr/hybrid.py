@@ -1,8 +1,8 @@
 """Find the Gaussians that are visible from a viewpoint by the z-buffer and hidden point removal (paper, section 6.2).
 
 The z-buffer measures how much light reaches each Gaussian, at the size of its pixels. A Gaussian is in doubt if light
-reaches it but no pixel center shows enough of it. The hull of the places where light ends then decides: in front of it
-the Gaussian lies on a visible surface, behind it in the depth of one. World frame, scene units.
+reaches it but no pixel center shows enough of it. Then the hull of the places where light is spent decides: a Gaussian
+in front of it lies on a visible surface, one behind it lies inside. World frame, scene units.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _HULL_SIZE = 32
 _DOUBT = 0.5
 """Share of tau above which a Gaussian is in doubt, if its peak would have weight tau in the light that reaches it.
 
-Light counts as spent below the same share, so that weights in doubt are found like all others.
+Light counts as spent below the same share, so that no Gaussian in doubt is missed.
 """
 
 
@@ -52,7 +52,7 @@ def hybrid(
         margin: Margin of the hull; see `OcclusionHull.from_scene`.
         faint: Weight in (0, tau] from which fainter Gaussians are returned too, if at least half of tau of the light
             reaches them; None for none.
-        hull: False accepts all that are in doubt, and keeps no z-buffer: for faces so fine that it would be large.
+        hull: False accepts all Gaussians in doubt and keeps no z-buffer, which saves memory for large faces.
 
     Returns:
         The Gaussians of weight tau or more; those accepted by the hull have the weight tau. Then the fainter ones, with
@@ -63,7 +63,7 @@ def hybrid(
     """
     if splats.total != len(g):
         raise ValueError(
-            f"splats: expected those of this scene of {len(g)} Gaussians, got {splats.total}; use Splats.from_gaussians"
+            f"splats: expected {len(g)} Gaussians, those of this scene, got {splats.total}; use Splats.from_gaussians"
         )
     if not 0.0 < tau < 1.0:
         raise ValueError(f"tau: expected a weight in (0, 1), got {tau!r}")

@@ -31,7 +31,7 @@ def hidden_point_removal(points: ArrayLike, viewpoint: ArrayLike, radius: float)
       raises an error.
     - A flip within about 1e-14 radii of the hull of the others: rounding decides. Qhull is used, as in Open3D, but on
     fewer
-      points, and may decide differently.
+      points, so that its decision may differ.
 
     Args:
         points: (N, 3) positions, world frame.
@@ -96,7 +96,7 @@ def hull_vertices(flips: F64) -> I64:
 
 def _by_qhull(flips: F64, candidates: I64) -> I64:
     """Return `hull_vertices` among the candidates, by Qhull; flat input is solved in its plane or line."""
-    from scipy.spatial import ConvexHull, QhullError  # here: it takes long to import, and few need it
+    from scipy.spatial import ConvexHull, QhullError  # slow to import, seldom needed
 
     distinct, first = np.unique(flips[candidates], axis=0, return_index=True)
     lowest = candidates[first]  # np.unique returns the first of equal rows, and candidates ascend
@@ -109,7 +109,7 @@ def _by_qhull(flips: F64, candidates: I64) -> I64:
 
 
 def _flat(places: F64) -> I64:
-    """Return the vertices of the hull of places (M, 3) in the plane or line through the last of them that they span."""
+    """Return the vertices of the hull of places (M, 3), in the plane or line that they span with the last place."""
     from scipy.spatial import ConvexHull, QhullError
 
     if len(places) == 1:

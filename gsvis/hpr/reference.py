@@ -1,4 +1,4 @@
-"""Reference implementations of this room, short and slow: the oracle of the tests.
+"""Reference implementations of this room, short and slow, to which the tests compare.
 
 Hidden point removal: flip everything, take the hull of everything. The z-buffer: every Gaussian on every pixel.
 """
@@ -29,7 +29,7 @@ def hidden_point_removal_reference(
     References:
         Katz, Tal, Basri, "Direct visibility of point sets", SIGGRAPH 2007, section 3.
     """
-    from scipy.spatial import ConvexHull  # here: it takes long to import, and few need it
+    from scipy.spatial import ConvexHull  # slow to import, seldom needed
 
     toward = points - viewpoint
     x, y, z = toward.T
@@ -42,11 +42,11 @@ def hidden_point_removal_reference(
 def look_around_reference(
     g: Gaussians, viewpoint: NDArray[np.float64], size: int, spent: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Splat every Gaussian on every pixel of the six faces, nearest center first.
+    """Compute what an eye sees by splatting every Gaussian on every pixel of the six faces, nearest center first.
 
     Args:
         g: N Gaussians, all at different distances.
-        viewpoint: (3,).
+        viewpoint: (3,) the eye, world frame.
         size: Pixels along a side of the faces.
         spent: Transmittance below which light counts as spent.
 

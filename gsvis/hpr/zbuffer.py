@@ -1,4 +1,4 @@
-"""A hierarchical z-buffer for Gaussians: how deep an eye sees in every direction, and which Gaussians it sees.
+"""Build a hierarchical z-buffer for Gaussians: how far an eye sees in every direction, and which Gaussians it sees.
 
 Gaussians are splatted front to back onto a cube around the eye (EWA, as in the rasterizer, but ordered by distance, so
 that no direction is special). Gaussians behind spent light are skipped a cluster at a time. The depth is recorded where
@@ -32,7 +32,7 @@ _MAX_SIZE = 4096
 
 @dataclass(frozen=True, eq=False)
 class Splats:
-    """The M Gaussians of a scene that can be visible at all, laid out for splatting; made once, used from every eye.
+    """The M Gaussians of a scene that can be visible, laid out for splatting; made once and used from every eye.
 
     Attributes:
         ids: (M,) int64, the Gaussian of each row.
@@ -89,8 +89,8 @@ class ZBuffer:
         spent: Transmittance below which light counts as spent.
         depths: (6, S, S) float32, distance from the eye; inf if light is left. Faces look along +x, -x, +y, -y, +z,
             -z; on each, columns run along the first and rows along the second of the other two axes.
-        light: (6, S, S) float32, transmittance behind everything splatted; where light is spent, what was left when it
-            fell below `spent`.
+        light: (6, S, S) float32, transmittance behind everything splatted; where light is spent, the first value below
+            `spent`.
     """
 
     viewpoint: NDArray[np.float64]
@@ -172,7 +172,7 @@ def look_around(
         size: Pixels along a side of the six faces, 4 to 4096.
         spent: Transmittance in (0, 1) below which light counts as spent; Gaussians without a brighter pixel in
             front are dropped. To find all weights of tau, it must be at most tau.
-        buffer: False keeps no depths: the z-buffer has faces of 0 x 0 pixels. Then pixels that nothing reaches cost
+        buffer: False keeps no depths: the z-buffer has faces of 0 x 0 pixels, and pixels that no Gaussian reaches cost
             nothing.
 
     Raises:

@@ -1,7 +1,7 @@
 """Build a scene from decoded numbers: activations, packed quaternions, and errors that name the file.
 
 Readers pass raw or activated arrays; a value that `Gaussians` rejects becomes a `FormatError`. All arrays are float32
-unless stated otherwise, quaternions wxyz. This module knows no file.
+unless stated otherwise, quaternions wxyz. This module opens no file.
 """
 
 from __future__ import annotations
@@ -123,22 +123,20 @@ def gaussians_from(
         arrays["shN"] = shN
     if len({len(values) for values in arrays.values()}) > 1:
         raise format_error(path, refused) from refused
-    return _mended(path, arrays, facts, refused)
+    return _without_invalid_rows(path, arrays, facts, refused)
 
 
-def _mended(
+def _without_invalid_rows(
     path: str | os.PathLike[str], arrays: dict[str, NDArray[Any]], facts: SceneFacts, refused: ValueError
 ) -> Gaussians:
-    """Return the scene without the rows that no Gaussian can have, if they may be dropped; raise otherwise."""
+    """Return the scene without invalid rows if they may be dropped; raise otherwise."""
     choice = is_dropping()
     bad = find_invalid(arrays)
     with np.errstate(all="ignore"):
         unturned = ~bad & (np.einsum("ij,ij->i", arrays["quats"], arrays["quats"], dtype=np.float64) < 1e-24)
     if unturned.any():
         arrays["quats"] = np.where(unturned[:, None], np.array([1, 0, 0, 0], np.float32), arrays["quats"])
-        report_note(
-            path, f"quaternions of zeros, which {int(unturned.sum()):,} Gaussians have, are read as no rotation"
-        )
+        report_note(path, f"{int(unturned.sum()):,} Gaussians have a quaternion of zeros, which is read as no rotation")
     if bad.any():
         if not choice.drops:
             found = format_error(path, refused)
@@ -157,7 +155,7 @@ def _mended(
 
 def report_dropped(path: str | os.PathLike[str], count: int, total: int) -> None:
     """Log how many rows were left out."""
-    text = f"{count:,} of {total:,} rows are dropped; their values are no numbers or out of range"
+    text = f"{count:,} of {total:,} rows are dropped; their values are not finite or out of range"
     report_loss(path, "rows", text, count)
 
 
@@ -165,5 +163,5 @@ def format_error(path: str | os.PathLike[str], error: ValueError) -> FormatError
     """Return the error about a file for an error about arrays that came from it."""
     where, _, rest = str(error).partition(": expected ")
     expected, _, got = rest.partition(", got ")
-    got = got.partition("; ")[0]  # the remedy is for callers that pass arrays, not for users of a file
+    got = got.partition("; ")[0]  # drop the remedy, which is for callers that pass arrays
     return FormatError(path, where if rest else "", expected or "valid values", got or str(error))

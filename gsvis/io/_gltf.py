@@ -1,4 +1,4 @@
-"""Names of KHR_gaussian_splatting, and the values of glTF accessors: in a binary chunk, files beside it, or text."""
+"""Read the values of glTF accessors from a binary chunk, files or text; and the names of KHR_gaussian_splatting."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Accessors:
         Raises:
             FormatError: If it is missing, of another type, sparse, or reaches beyond the chunk.
         """
-        accessor = self._at("accessors", attributes, name)
+        accessor = self._entry("accessors", attributes, name)
         width = _WIDTHS[accessor.text("type", (kind,))]
         code = accessor.integer("componentType", 0, 1 << 16)
         if code not in _KINDS:
@@ -87,9 +87,9 @@ class Accessors:
     def _slice(self, fields: Fields, key: str) -> tuple[memoryview, int]:
         """Return the bytes of a buffer view and its stride, 0 without one."""
         if key not in fields:
-            remedy = "only the extensions that gsvis knows can bring its values"
+            remedy = "without one, gsvis can read values only through the extensions that it supports"
             raise FormatError(fields.path, fields.where(key), "the number of a buffer view", "nothing", remedy)
-        view = self._at("bufferViews", fields, key)
+        view = self._entry("bufferViews", fields, key)
         binary = self._buffer(view)
         start = view.integer("byteOffset", 0, _MOST) if "byteOffset" in view else 0
         size = view.integer("byteLength", 1, _MOST)
@@ -101,7 +101,7 @@ class Accessors:
 
     def _buffer(self, view: Fields) -> memoryview:
         """Return the bytes of the buffer that a view names; read once."""
-        buffer = self._at("buffers", view, "buffer")
+        buffer = self._entry("buffers", view, "buffer")
         number = view.integer("buffer", 0, _MOST)
         if "uri" not in buffer:
             if number or not self._chunk:
@@ -134,8 +134,8 @@ class Accessors:
         self._budget.file_bytes += len(data)
         return data
 
-    def _at(self, kind: str, fields: Fields, key: str) -> Fields:
-        """Return the object of a list of the document whose number an object has at a key."""
+    def _entry(self, kind: str, fields: Fields, key: str) -> Fields:
+        """Return an entry of a list of the document; the object holds its number at a key."""
         every = self._root.items(kind) if kind in self._root else []
         index = fields.integer(key, 0, max(len(every) - 1, 0))
         if not every:

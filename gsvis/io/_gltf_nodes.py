@@ -1,4 +1,4 @@
-"""Walk the nodes of a glTF scene: which meshes stand where."""
+"""Walk the nodes of a glTF scene, and find the transform of each mesh."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ F64 = NDArray[np.float64]
 Placed = tuple[F64, F64, float]
 """Rotation (3, 3), translation (3,) and scale: x -> scale * R x + t."""
 
-_STRAIGHT = 1e-4  # how far a matrix of float32 may be from a rotation
+_STRAIGHT = 1e-4  # tolerance of a float32 rotation matrix
 _SNAP = 1e-6
 _MOST = 1e30
 
 
 def place_meshes(root: Fields) -> Iterator[tuple[Fields, Placed | None]]:
-    """Yield each mesh of a scene and where it stands, None in place; depth first, children in their order.
+    """Yield each mesh of a scene with its transform, None for the identity; depth first, children in their order.
 
     Args:
         root: The document. Its default scene counts, else its first, else all nodes that are no children.
 
     Raises:
-        FormatError: If a node is named twice, a number leads nowhere, or a transform is no rotation, translation and
-            one positive scale.
+        FormatError: If a node is referenced twice, a number is out of range, or a transform is not made of a rotation,
+            a translation and one positive scale.
     """
     nodes = root.items("nodes") if "nodes" in root else []
     meshes = root.items("meshes") if "meshes" in root else []
@@ -40,7 +40,7 @@ def place_meshes(root: Fields) -> Iterator[tuple[Fields, Placed | None]]:
         index, parent = stack.pop()
         node = Fields(root.path, f"nodes[{index}]", nodes[index])
         if index in seen:
-            raise FormatError(root.path, node.trail, "a node with one parent", "a node that is named twice")
+            raise FormatError(root.path, node.trail, "a node with one parent", "a node with two")
         seen.add(index)
         with np.errstate(all="ignore"):
             matrix = parent @ _matrix(node)
@@ -51,6 +51,7 @@ def place_meshes(root: Fields) -> Iterator[tuple[Fields, Placed | None]]:
 
 
 def _roots(root: Fields, nodes: list[object]) -> list[int]:
+    """Return the root nodes of the scene to read."""
     if root.raw("scenes"):
         scenes = root.items("scenes")
         index = root.integer("scene", 0, len(scenes) - 1) if "scene" in root else 0
@@ -90,7 +91,7 @@ def _matrix(node: Fields) -> F64:
 
 
 def _decompose(node: Fields, matrix: F64) -> Placed | None:
-    """Return the parts of a matrix, None for none; a rotation that is nearly one of whole numbers becomes one."""
+    """Return rotation, translation and scale of a matrix, None for the identity; cleans near-exact rotations."""
     good = bool((np.abs(matrix) < _MOST).all())  # false for NaN as well
     linear, shift = (matrix[:3, :3], matrix[:3, 3]) if good else (np.zeros((3, 3)), np.zeros(3))
     lengths = np.linalg.norm(linear, axis=0)

@@ -1,8 +1,8 @@
-"""Decide which origin the centers of a scene are kept relative to, so that float32 resolves them.
+"""Choose the origin to which centers of a scene are relative, so that float32 resolves them.
 
 A scene in projected coordinates lies millions of units from (0, 0, 0), where float32 steps by a quarter of a unit. Its
 centers are kept relative to an origin near them, subtracted in float64. The rule compares the step of float32 with the
-Gaussians of the scene and knows no absolute length.
+size of the Gaussians, so it is independent of units.
 """
 
 from __future__ import annotations
@@ -29,12 +29,11 @@ F64 = NDArray[np.float64]
 Triple = tuple[float, float, float]
 
 SAMPLE = 1024
-"""Rows of a file that decide its origin."""
-
-_HALF_STEP = 2.0**-24  # largest error of float32, relative
-_FINE = 1e-3  # of a Gaussian's size: an error that a scene given in double precision must not have
-_COARSE = 1e-2  # the same for a scene that is given in float32 and has the error already
-# extents between a scene and (0, 0, 0), for double precision and for float32
+"""Number of rows of a file that decide its origin."""
+_HALF_STEP = 2.0**-24  # largest relative error of float32
+_FINE = 1e-3  # largest error of centers given in double precision, as a share of a Gaussian's size
+_COARSE = 1e-2  # the same for centers given in float32, which have the error already
+# distance of a scene from (0, 0, 0), in extents, for double precision and for float32
 _AWAY = 4.0
 _FAR_AWAY = 16.0
 
@@ -52,12 +51,12 @@ def size_of_gaussians(scales: ArrayLike) -> float:
 
 
 def needs_origin(origin: ArrayLike, scene: Gaussians, scale: float = 1.0) -> bool:
-    """Return whether float32 does not resolve the Gaussians of a scene around a point far outside of it.
+    """Return whether a point lies so far outside a scene that float32 cannot resolve its Gaussians around it.
 
     Args:
         origin: (3,) the point.
         scene: The scene, around (0, 0, 0).
-        scale: What it will be enlarged by.
+        scale: Factor by which the scene will be enlarged.
     """
     rows = sample_rows(len(scene))
     reach = float(np.abs(np.asarray(origin, np.float64)).max())
@@ -72,12 +71,12 @@ def _extent(points: F64) -> float:
 
 
 def choose_origin(points: ArrayLike, scales: ArrayLike, *, double: bool) -> Triple:
-    """Return the origin of a scene from some of its Gaussians; (0, 0, 0) if float32 holds their centers as they are.
+    """Return the origin of a scene from a sample of its Gaussians; (0, 0, 0) if float32 resolves their centers.
 
     Args:
         points: (M, 3) centers in the coordinates of the file; those that are not finite do not count.
         scales: (M, 3) standard deviations.
-        double: Whether the file has more than float32 holds.
+        double: Whether the file has centers in double precision.
 
     Returns:
         A point near their median, rounded to a power of ten that is at least their extent.
@@ -100,7 +99,7 @@ def choose_origin(points: ArrayLike, scales: ArrayLike, *, double: bool) -> Trip
 
 
 def place_scene(scene: Gaussians, rotation: ArrayLike, translation: ArrayLike, scale: float) -> Gaussians:
-    """Return a scene turned and scaled about the (0, 0, 0) of its source, then moved, composed in double precision.
+    """Return a scene rotated and scaled about (0, 0, 0) of its source, then moved; composed in double precision.
 
     Args:
         scene: The scene; its origin is part of its place.
@@ -123,10 +122,10 @@ def place_scene(scene: Gaussians, rotation: ArrayLike, translation: ArrayLike, s
 
 
 def settle_origin(scene: Gaussians, stated: Triple | None = None) -> Gaussians:
-    """Return a scene that was read, with an origin only where float32 could not resolve its Gaussians without one.
+    """Return a scene as read, with an origin only where float32 could not resolve its Gaussians without one.
 
     Args:
-        scene: The scene as its format holds it.
+        scene: The scene as stored in its file.
         stated: The origin that the file states, if it states one; it is kept.
     """
     if any(scene.facts.origin):

@@ -1,7 +1,7 @@
 """Find the columns of a PLY of Gaussians by the names that programs give them.
 
-INRIA's names are the rule. CloudCompare puts `scal_` or `scalar_` before those that it does not know; 2DGS has two
-scales; Mip-Splatting keeps its 3D filter in a column of its own; some exporters write RGB in place of harmonics.
+INRIA's names are the rule. CloudCompare prefixes names that it does not know with `scal_` or `scalar_`. 2DGS has two
+scales. Mip-Splatting keeps its 3D filter in its own column. Some exporters write RGB instead of harmonics.
 """
 
 from __future__ import annotations
@@ -35,15 +35,15 @@ class Columns:
     """The names of the columns of Gaussians, as the file spells them.
 
     Attributes:
-        means: Of x, y and z.
-        quats: Of w, x, y and z.
-        scales: Of the log scales; three, or two of a flat Gaussian.
-        opacity: Of the logit.
-        sh0: Of the constant coefficients, or of RGB.
+        means: Columns of x, y and z.
+        quats: Columns of w, x, y and z.
+        scales: Columns of the log scales; three, or two for flat Gaussians.
+        opacity: Column of the logit of the opacity.
+        sh0: Columns of the constant coefficients, or of RGB.
         is_rgb: Whether `sh0` names RGB.
-        higher: Of the coefficients above, one after the other, red, green and blue together.
-        degree: SH degree of the file, of which `higher` has at most 3.
-        filter: Of the 3D filter of Mip-Splatting; empty without one.
+        higher: Columns of the higher coefficients, in order; red, green and blue of each are adjacent.
+        degree: SH degree of the file; `higher` stops at degree 3.
+        filter: Column of the 3D filter of Mip-Splatting; empty without one.
     """
 
     means: tuple[str, ...]
@@ -87,7 +87,7 @@ def find_columns(path: str | os.PathLike[str], vertex: Element) -> Columns:
 
 
 def refuse_other_kinds(header: PlyHeader, vertex: Element) -> None:
-    """Raise if the file is an ordinary PLY without Gaussians."""
+    """Raise if the file is a mesh or a point cloud without Gaussians."""
     have = set(_spellings(vertex))
     if have & set(REQUIRED) - set(MEANS):
         return
@@ -101,11 +101,12 @@ def refuse_other_kinds(header: PlyHeader, vertex: Element) -> None:
 
 
 def _named(spelled: dict[str, str], names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the names as the file spells them."""
     return tuple(spelled[name] for name in names)
 
 
 def _spellings(vertex: Element) -> dict[str, str]:
-    """Return how the file spells each name of INRIA; a name that is spelled exactly wins over its variants."""
+    """Return the file's spelling of each name of INRIA; an exact spelling wins over variants."""
     spelled: dict[str, str] = {}
     for name in vertex.properties:
         spelled.setdefault(_plain(name), name)

@@ -1,8 +1,8 @@
-"""Read and write what the comments of a PLY state of its scene: how it is drawn, which way is up.
+"""Read and write facts about a scene in the comments of a PLY: whether it is antialiased, and its up axis.
 
 Programs agree on two lines: `SplatRenderMode: mip` for antialiased scenes (Brush, splat-transform, gsplat), in
-Postshot `antialiased 1`; and `Vertical Axis: z` (nerfstudio), in Brush also as three numbers. The last of a kind
-counts. gsvis adds a line of its own, `gsvis facts {...}`, for what no other program states; it counts most.
+Postshot `antialiased 1`; and `Vertical Axis: z` (nerfstudio), in Brush also as three numbers. The last line of a kind
+counts. gsvis adds its own line, `gsvis facts {...}`, for facts that other programs do not state; it takes precedence.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _BRUSH = "exported from brush"
 
 
 def facts_of(comments: Sequence[str]) -> SceneFacts:
-    """Return what the comments state; facts that none states keep their defaults.
+    """Return the facts that the comments state; other facts keep their defaults.
 
     Args:
         comments: The text of each comment, in file order.
@@ -53,7 +53,7 @@ def facts_of(comments: Sequence[str]) -> SceneFacts:
 
 
 def comments_of(facts: SceneFacts) -> list[str]:
-    """Return the comments that state the facts; none for a scene of which nothing is known."""
+    """Return the comments that state the facts; none if all facts have their defaults."""
     lines = []
     if facts.antialiased:
         lines.append("SplatRenderMode: mip")
@@ -64,7 +64,7 @@ def comments_of(facts: SceneFacts) -> list[str]:
 
 
 def _antialiased(line: str) -> bool | None:
-    """Return whether a comment states that the scene is antialiased; None if it says nothing of it."""
+    """Return whether a comment states that the scene is antialiased; None if it does not say."""
     mode = _MODE.fullmatch(line)
     if mode:
         return mode[1].lower() in ("mip", "antialiased")
@@ -77,7 +77,7 @@ def _antialiased(line: str) -> bool | None:
 def _up_of(line: str, from_brush: bool) -> tuple[float, float, float] | None:
     """Return the up axis that a comment states; None if it states none.
 
-    Brush writes `Vertical axis: y` where it knows nothing, and reads y as downward: that line is no statement.
+    Brush writes `Vertical axis: y` if it does not know the axis, so that line of Brush states nothing.
     """
     found = _UP.fullmatch(line)
     if not found:

@@ -1,7 +1,7 @@
 """Parse the header of a PLY file: its elements, their properties and where their rows begin.
 
 Knows only the syntax, not the meaning of a property. Reads scalar properties of every PLY type in all three encodings.
-Elements with list properties may follow the elements that are read; they are never reached.
+Elements with list properties are allowed only after the elements that are read.
 """
 
 from __future__ import annotations
@@ -182,7 +182,7 @@ def _place(parsed: dict[str, _Parsed], encoding: str, header_size: int) -> tuple
     offset: int | None = 0 if encoding == "ascii" else header_size
     for name, element in parsed.items():
         fields = list(element.fields.items())
-        if encoding == "ascii":  # text has as many digits as it has, whatever type is declared
+        if encoding == "ascii":  # text is read as float64, whatever type is declared
             fields = [(each, "=f8" if kind == "=f4" else kind) for each, kind in fields]
         row = None if element.lists else np.dtype(fields)
         placed.append(Element(name, element.count, row, offset))

@@ -19,7 +19,7 @@ from gsvis.io._ply_header import Element, PlyHeader
 __all__ = ["CHUNK_BYTES", "read_rows", "row_chunks"]
 
 CHUNK_BYTES = 2 << 20
-"""Bytes that are read, transposed and activated at a time; they fit into the cache."""
+"""Bytes that are read, transposed and activated at a time, so that they fit into the cache."""
 
 
 def row_chunks(header: PlyHeader, element: Element, stream: BinaryIO) -> Iterator[NDArray[Any]]:
@@ -52,7 +52,7 @@ def row_chunks(header: PlyHeader, element: Element, stream: BinaryIO) -> Iterato
 
 
 def read_rows(header: PlyHeader, element: Element, stream: BinaryIO, rows: NDArray[np.int64]) -> NDArray[Any]:
-    """Return some rows of an element, in the order of `rows`; of a text file all rows are read for them.
+    """Return some rows of an element, in the order of `rows`; reads the whole of a text file.
 
     Raises:
         FormatError: As `row_chunks`.
@@ -78,6 +78,7 @@ def read_rows(header: PlyHeader, element: Element, stream: BinaryIO, rows: NDArr
 def _ascii_chunks(
     header: PlyHeader, element: Element, stream: BinaryIO, row: np.dtype[np.void], per_chunk: int
 ) -> Iterator[NDArray[Any]]:
+    """Yield the rows of a text file; see `row_chunks`."""
     stream.seek(header.size)
     lines = islice(stream, element.offset, None)
     for start in range(0, element.count, per_chunk):

@@ -38,7 +38,7 @@ def codebook_of(values: F32) -> F32:
     ordered = np.sort(values, axis=None).astype(np.float64)
     counts, edges = np.histogram(ordered, bins=4096)
     density = np.cbrt(counts)
-    share = np.cumsum(0.75 * density / density.sum() + 0.25 / len(counts))  # a quarter evenly: keeps outliers close
+    share = np.cumsum(0.75 * density / density.sum() + 0.25 / len(counts))  # an even quarter keeps outliers close
     entries = np.interp((np.arange(_ENTRIES) + 0.5) / _ENTRIES, share, edges[1:])
     sums = np.concatenate([[0.0], np.cumsum(ordered)])
     for _ in range(_ROUNDS):
@@ -56,7 +56,7 @@ def nearest_entry(values: F32, codebook: F32) -> NDArray[np.uint8]:
 
 
 def palette_of(vectors: F32, entries: int) -> tuple[F32, NDArray[np.int64]]:
-    """Return at most `entries` vectors that represent all, and which one represents each.
+    """Return at most `entries` vectors that represent all vectors, and the index of the one that represents each.
 
     Two levels: about sqrt(entries) groups, then each group on its own with a share of the entries by its squared error.
     This is a hundred times faster than flat k-means with 65,536 centers, at a slightly larger error.

@@ -58,6 +58,7 @@ class FolderStore:
         self._root = folder if root is None else root
 
     def _file(self, name: str) -> Path:
+        """Return the path of a file; raise if it is missing or a link leads out of the folder."""
         below = self.folder.relative_to(self._root) if self.folder.is_relative_to(self._root) else Path()
         file = inside(self.path, name, self._root, os.fspath(below / name))
         if not file.is_file():
@@ -107,12 +108,14 @@ class ZipStore:
             raise
 
     def _open_zip(self) -> zipfile.ZipFile:
+        """Return the open zip."""
         try:
             return zipfile.ZipFile(self._file)
         except _ZIP_FAULTS as error:
             raise FormatError(self.path, "", "a zip archive", str(error), "is it truncated?") from error
 
     def _safe_entries(self) -> dict[str, zipfile.ZipInfo]:
+        """Return the entries of the folder of `meta.json` by name; raise if a name is unsafe."""
         entries = {}
         for info in self._zip.infolist():
             entries[safe_name(self.path, "zip entry", info.orig_filename)] = info

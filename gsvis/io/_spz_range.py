@@ -1,7 +1,7 @@
-"""Fit a scene into the ranges of SPZ: how many fraction bits, which flyaways come closer, what is clipped.
+"""Fit a scene into the ranges of SPZ: choose the fraction bits, move flyaways closer, and clip values.
 
-Coordinates have 24 bits. Bits behind the point follow the Gaussians of the scene: a few flyaways must not cost all
-others their precision, and a scene far from (0, 0, 0) is moved there. This module knows no bytes.
+Coordinates have 24 bits. The number of fraction bits depends on the Gaussians of the scene. A few flyaways must not
+reduce the precision of all others. A scene far from (0, 0, 0) is moved there. This module writes no bytes.
 """
 
 from __future__ import annotations
@@ -23,24 +23,24 @@ COLOR_SCALE = 0.15
 LOG_SCALES = (-10.0, 255.0 / 16.0 - 10.0)
 """Least and largest log scale."""
 
-_SIDE = 2.0**23 - 1  # steps from 0 to the side
+_SIDE = 2.0**23 - 1  # steps from 0 to the largest coordinate
 _MOST_BITS = 23
-_FINE = 0.02  # of a Gaussian's size: a step that does not show
+_FINE = 0.02  # step that is not visible, as a share of a Gaussian's size
 _MOVED_SHARE = 1e-3
 """Largest share of Gaussians that count as flyaways."""
 
 
 def fit_coordinates(scene: Gaussians, usual_bits: int, path: str | os.PathLike[str]) -> tuple[Gaussians, int]:
-    """Return a scene that 24 bits hold, and how many of them lie behind the point.
+    """Return a scene whose coordinates fit into 24 bits, and its number of fraction bits.
 
     Args:
         scene: The scene.
-        usual_bits: Most bits behind the point where more would not show.
+        usual_bits: Largest number of fraction bits, unless Gaussians are so small that more are visible.
         path: The file, for the log.
 
     Returns:
-        The scene itself where it fits. Else with a few flyaways moved toward (0, 0, 0) and shrunk, so that they look
-        the same from there, or with another origin.
+        The scene itself if it fits. Otherwise a few flyaways are moved toward (0, 0, 0) and shrunk, so that they look
+        the same from there, or the origin changes.
 
     Raises:
         ValueError: If the scene is empty or extends beyond 2^23 units.
@@ -75,12 +75,12 @@ def fit_coordinates(scene: Gaussians, usual_bits: int, path: str | os.PathLike[s
 
 
 def _bits(reach: float, most: int) -> int | None:
-    """Return how many bits may lie behind the point for coordinates up to a reach, `most` at most; None if none."""
+    """Return how many fraction bits, at most `most`, coordinates up to a reach can have; None if they do not fit."""
     return next((bits for bits in range(most, -1, -1) if reach * 2.0**bits < _SIDE), None)
 
 
 def _recentered(scene: Gaussians, reach: float) -> Gaussians | None:
-    """Return the scene relative to an origin in its middle; None where that is not far closer."""
+    """Return the scene relative to an origin in its middle; None if that brings it not much closer."""
     middle = np.median(scene.means.astype(np.float64), axis=0)
     away = np.quantile(np.abs(scene.means - middle).max(axis=1), 1.0 - _MOVED_SHARE)
     if away > 0.25 * reach:
@@ -92,7 +92,7 @@ def _recentered(scene: Gaussians, reach: float) -> Gaussians | None:
 def _with_flyaways_inside(
     scene: Gaussians, reaches: NDArray[np.float64], bits: int, path: str | os.PathLike[str]
 ) -> Gaussians:
-    """Return the scene with what lies beyond the range drawn in to its border."""
+    """Return the scene with Gaussians beyond the range moved to its border."""
     border = (_SIDE - 1.0) / 2.0**bits
     beyond = reaches > border
     if not beyond.any():
@@ -117,7 +117,7 @@ def _with_flyaways_inside(
 
 
 def report_spz_losses(scene: Gaussians, path: str | os.PathLike[str]) -> None:
-    """Log which scales and colors SPZ clips."""
+    """Log the scales and colors that SPZ clips."""
     low, high = LOG_SCALES
     scales = scene.scales.astype(np.float64)
     thin = np.exp(low - 0.5 / 16.0)
@@ -138,5 +138,5 @@ def report_spz_losses(scene: Gaussians, path: str | os.PathLike[str]) -> None:
 
 def _report_thin(path: str | os.PathLike[str], count: int, least: float) -> None:
     if count:
-        text = f"scales below {least:.2g}, which {count:,} Gaussians have, become {least:.2g}"
+        text = f"scales of {count:,} Gaussians below {least:.2g} become {least:.2g}"
         report_loss(path, "scales", text, count)

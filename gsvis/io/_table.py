@@ -1,4 +1,4 @@
-"""Read comma-separated tables with exact errors: every number is checked in place, by line and column.
+"""Read comma-separated tables; errors name the line and the column.
 
 Plain or gzipped (detected from the first bytes), UTF-8 with or without a byte-order mark, quoted cells. Knows no
 format.
@@ -26,7 +26,7 @@ __all__ = ["Table", "join_names", "read_table"]
 
 _CHUNK = 1 << 20
 _LONGEST_LINE = 1 << 16
-# largest overhead in memory of a cell besides its text, and of a row besides its cells
+# largest memory overhead of a cell beyond its text, and of a row beyond its cells
 _CELL = 72
 _ROW = 144
 
@@ -106,7 +106,7 @@ class Table:
 
 
 def join_names(names: list[str], most: int = 16) -> str:
-    """Return the names for a message; long names are cut, and names beyond the first `most` only counted."""
+    """Return the names for a message, long ones cut; names beyond the first `most` are only counted."""
     shown = ", ".join(repr(name[:40]) if len(name) > 40 or not name.isprintable() else name for name in names[:most])
     return shown + (f" and {len(names) - most:,} more" if len(names) > most else "")
 
@@ -116,7 +116,7 @@ def read_table(path: str | os.PathLike[str]) -> Table:
 
     Raises:
         FileNotFoundError: If there is no file.
-        FormatError: If it is not text, is damaged, has no header, or a row has another number of cells than the header.
+        FormatError: If it is not text, is damaged, has no header, or a row has more or fewer cells than the header.
     """
     path = _check.path("path", path)
     data = read_whole(path)
@@ -156,6 +156,7 @@ def _lines(path: Path, text: str, budget: Budget) -> Iterator[str]:
 
 
 def _text(path: Path, data: bytes, budget: Budget) -> str:
+    """Return the text of a file, unzipped and decoded."""
     if data[:2] == b"\x1f\x8b":
         data = _unzip(path, data, budget)
     try:
@@ -166,6 +167,7 @@ def _text(path: Path, data: bytes, budget: Budget) -> str:
 
 
 def _unzip(path: Path, data: bytes, budget: Budget) -> bytes:
+    """Return the unpacked bytes of a gzip file."""
     parts = []
     try:
         with gzip.GzipFile(fileobj=io.BytesIO(data)) as stream:
@@ -178,6 +180,7 @@ def _unzip(path: Path, data: bytes, budget: Budget) -> bytes:
 
 
 def _number(cell: str) -> float:
+    """Return the number in a cell; NaN if it holds none."""
     try:
         return float(cell)
     except ValueError:

@@ -23,7 +23,7 @@ _LOSSLESS = "a lossless WebP image"
 _ANIMATED = 0x02
 
 MAX_PIXELS = 1 << 26
-"""Pixels of the largest plane that is read; streamed scenes have half a million Gaussians per file."""
+"""Largest number of pixels of a plane; files of streamed scenes have half a million Gaussians."""
 
 
 def plane_size(path: str | os.PathLike[str], where: str, data: bytes) -> tuple[int, int]:

@@ -1,6 +1,6 @@
-"""Look through what stands around a scene file: gzip, and pointers of Git LFS or git-annex in place of content.
+"""Unpack gzipped scene files, and detect pointers of Git LFS and git-annex that stand for missing content.
 
-Unpacking is bounded by the size of the file, as every reader's memory is. Knows no format.
+The size of the file bounds the unpacked size, as for every reader. Knows no format.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ GZIP = b"\x1f\x8b"
 """First bytes of gzip."""
 
 HEAD = 128
-"""Bytes of a file that tell whether it is a pointer."""
+"""Number of first bytes that show whether a file is a pointer."""
 
 _LFS = b"version https://git-lfs.github.com/spec/"
 _ANNEX = (b"/annex/objects/", b".git/annex/objects/", b"../.git/annex/objects/")
@@ -29,7 +29,7 @@ def check_pointer(path: str | os.PathLike[str], head: bytes, where: str = "") ->
 
     Args:
         path: The file, or the scene that it belongs to.
-        head: Its first bytes, `HEAD` of them at least unless it is shorter.
+        head: Its first bytes, at least `HEAD` unless the file is shorter.
         where: The file inside the scene, for the message.
 
     Raises:
@@ -53,7 +53,7 @@ def peek_gzip(path: str | os.PathLike[str]) -> bytes:
 
 
 def gunzip(path: str | os.PathLike[str]) -> bytes:
-    """Return the unpacked bytes of a gzip file, of several members too.
+    """Return the unpacked bytes of a gzip file, which may have several members.
 
     Raises:
         FormatError: If it is damaged, truncated, or unpacks to more than a file of its size may claim.

@@ -1,6 +1,6 @@
 """Read recorded 5G logs: a CSV with the column `DL_bitrate`, download in kbit/s, one row per second.
 
-Timestamps have whole seconds, repeat and leave gaps, but rows come once a second: the row counts, not the timestamp.
+Timestamps are whole seconds, with repeats and gaps, although rows come once a second. So time is counted by row.
 
 References:
     Raca et al., "Beyond Throughput, The Next Generation: a 5G Dataset with Channel and Context Metrics", MMSys 2020.

@@ -1,6 +1,6 @@
 """Read bandwidth as text: two numbers per line, seconds and Mbit/s, as in the traces of Pensieve and Oboe.
 
-The rate of a line holds from the previous line to its own time; that of the first from 0. Lines at 0 are ignored.
+The rate of a line holds from the time of the previous line, or 0, to its own time. Lines at time 0 are ignored.
 """
 
 from __future__ import annotations

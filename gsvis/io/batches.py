@@ -1,6 +1,6 @@
 """Read a scene of any size in batches: ranges of rows of a PLY, files of a streamed SOG, other formats as a whole.
 
-A batch is named by plain numbers, so that another process can read it. Memory holds one batch. Scene frame.
+Plain numbers describe a batch, so that other processes can read it. Memory holds one batch. Scene frame.
 """
 
 from __future__ import annotations
@@ -29,24 +29,23 @@ __all__ = ["ROWS", "Batch", "align_batches", "facts_of_batches", "list_batches",
 _NO_ORIGIN = (0.0, 0.0, 0.0)
 
 ROWS = 1 << 18
-"""Most rows of a batch of a PLY."""
+"""Largest number of rows of a batch of a PLY."""
 
 
 @dataclass(frozen=True)
 class Batch:
-    """A part of a scene that is read at once.
+    """A part of a scene that is read in one step.
 
     Attributes:
         path: The scene.
         lod: Level of detail of a streamed scene; None for others.
         kind: "rows" of a PLY, "file" of a streamed SOG, or "whole".
         start: First row, or number of the file.
-        count: Number of Gaussians; -1 where only reading tells.
-        nbytes: Bytes on disk, about.
-        stamp: Digest of the content of its files, so that a batch of a changed file is another one; "" where nobody
-            asked for it.
-        rows: Rows of a PLY that are read; -1 for as many as Gaussians.
-        drops_invalid: Whether rows that are no Gaussians are left out.
+        count: Number of Gaussians; -1 if it is known only after reading.
+        nbytes: Approximate bytes on disk.
+        stamp: Digest of the content of its files, so that a batch of a changed file differs; "" if not requested.
+        rows: Number of rows of a PLY to read; -1 for `count`.
+        drops_invalid: Whether invalid rows are left out.
         origin: Origin that centers are relative to; None leaves that of the file.
     """
 
@@ -65,13 +64,13 @@ class Batch:
 def list_batches(path: str | os.PathLike[str], lod: int | None = None, *, stamped: bool = False) -> list[Batch]:
     """Return the batches of a scene, in the order of its Gaussians.
 
-    Reads headers only; all bytes if `stamped`, and inside `dropping_invalid` all rows of a PLY, to count those that
-    stay.
+    Reads headers only. With `stamped` it reads all bytes, and inside `dropping_invalid` all rows of a PLY, to count the
+    valid ones.
 
     Args:
         path: As for `load_scene`.
         lod: As for `load_scene`.
-        stamped: Whether batches have stamps, for results that are kept: sizes and times can be those of another scene.
+        stamped: Whether batches get stamps, which results on disk need: sizes and times alone do not identify a scene.
 
     Raises:
         FileNotFoundError: If there is nothing at `path`.
@@ -79,7 +78,7 @@ def list_batches(path: str | os.PathLike[str], lod: int | None = None, *, stampe
         ValueError: If `lod` is given for a format with one level.
     """
     where = os.fspath(_check.path("path", path))
-    if where.startswith("~"):  # a folder of that name, which a text means only so
+    if where.startswith("~"):  # a folder whose name begins with ~, not a home folder
         where = os.path.join(os.curdir, where)
     if check_scene(where, lod):
         level, files = streamed_files(where, lod)
@@ -101,7 +100,7 @@ def list_batches(path: str | os.PathLike[str], lod: int | None = None, *, stampe
 
 
 def align_batches(scenes: Sequence[Sequence[Batch]]) -> list[list[Batch]]:
-    """Return the batches of several scenes with one origin for all: that of the scene with the most Gaussians.
+    """Return the batches of several scenes with a common origin: that of the scene with the most Gaussians.
 
     Reads one row of each PLY. Scenes that need no origin stay as they are.
     """
@@ -116,7 +115,7 @@ def align_batches(scenes: Sequence[Sequence[Batch]]) -> list[list[Batch]]:
 
 
 def facts_of_batches(batches: Sequence[Batch]) -> SceneFacts:
-    """Return what is known of a scene besides its Gaussians; reads one row of a PLY, else the first batch.
+    """Return the facts of a scene; reads one row of a PLY, else the first batch.
 
     Args:
         batches: At least one batch of one scene.
@@ -126,7 +125,7 @@ def facts_of_batches(batches: Sequence[Batch]) -> SceneFacts:
 
 
 def _counted(batches: list[Batch]) -> list[Batch]:
-    """Return batches of a PLY with the counts of valid rows; those without any are left out.
+    """Return batches of a PLY with their counts of valid rows; batches without valid rows are left out.
 
     Raises:
         FormatError: If no row is valid.
@@ -156,7 +155,7 @@ def read_batch(batch: Batch) -> Gaussians:
     """Return the Gaussians of a batch.
 
     Raises:
-        FormatError: If the file is damaged, or is not the one that was listed.
+        FormatError: If the file is damaged or has changed since it was listed.
         OSError: If it cannot be read.
     """
     with dropping_invalid(batch.drops_invalid, quiet=batch.kind == "rows"):
@@ -165,6 +164,7 @@ def read_batch(batch: Batch) -> Gaussians:
 
 
 def _read(batch: Batch) -> Gaussians:
+    """Return the Gaussians of a batch, as they are in the file."""
     if batch.kind == "file":
         return load_streamed_file(batch.path, batch.lod or 0, batch.start)
     if batch.kind == "whole":
@@ -177,7 +177,7 @@ def _read(batch: Batch) -> Gaussians:
 
 
 def _size_and_stamp(stamped: bool, path: str | os.PathLike[str], *beside: str) -> tuple[int, str]:
-    """Return the bytes of a file, or of all files in a folder, and a digest of their content and that of others.
+    """Return the bytes of a file, or of all files in a folder, and a digest of their content and of files beside them.
 
     The images of a SOG lie beside its meta.json, so they count with it.
     """
@@ -188,7 +188,7 @@ def _size_and_stamp(stamped: bool, path: str | os.PathLike[str], *beside: str) -
     files = [place]
     if os.path.isdir(place):
         with os.scandir(place) as entries:
-            files = sorted(entry.path for entry in entries if entry.is_file())  # no link that leads nowhere
+            files = sorted(entry.path for entry in entries if entry.is_file())  # skips broken links
     nbytes = sum(os.stat(file).st_size for file in files)
     if not stamped:
         return nbytes, ""

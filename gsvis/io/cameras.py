@@ -33,7 +33,7 @@ def load_cameras(path: str | PathLike[str], *, size: tuple[int, int] | None = No
     Args:
         path: A COLMAP model: its folder, one above it (`sparse/0`, `sparse` and `0` are tried), or one of its files.
             Or a `transforms.json` of nerfstudio or instant-ngp, an INRIA `cameras.json`, or a folder with one of them.
-            Or the `report.json` of `gsvis analyze`, or the output of `gsvis render --json`: the same views again.
+            Or, to repeat views, the `report.json` of `gsvis analyze` or the output of `gsvis render --json`.
         size: (width, height) in pixels to rescale all cameras to; needed when a file mixes sizes or states none.
 
     Returns:
@@ -52,7 +52,7 @@ def load_cameras(path: str | PathLike[str], *, size: tuple[int, int] | None = No
 
 
 def holds_repeated_views(path: str | PathLike[str]) -> bool:
-    """Return whether gsvis wrote the cameras at a path, so that the views are repeated, not captured.
+    """Return whether gsvis wrote the cameras at a path, so that they are not captured views.
 
     Args:
         path: As in `load_cameras`.
@@ -92,6 +92,7 @@ def _file_of(path: Path) -> Path:
 
 
 def _views(path: Path, size: tuple[int, int] | None) -> Views:
+    """Return the posed images at a path."""
     path = _file_of(path)
     if path.is_dir():
         return read_colmap(path)

@@ -1,4 +1,4 @@
-"""Read checkpoints of gsplat and nerfstudio (`.pt`, `.ckpt`), and the raw values that these trainers hold in memory.
+"""Read checkpoints of gsplat and nerfstudio (`.pt`, `.ckpt`), and raw values as these trainers have them in memory.
 
 Raw values are means, log scales, quaternions wxyz of any length, logit opacities and SH coefficients. Two layouts:
 
@@ -17,8 +17,7 @@ A checkpoint is a zip with a pickle of the structure and the raw bytes of each t
 only, more strictly than by `torch.load(weights_only=True)`: it can create dicts, lists, numbers, texts and descriptions
 of tensors. Any class or function that it names becomes an inert placeholder and is neither imported nor called. Numpy
 scalars, which make torch 2.6 reject nerfstudio's files, are therefore harmless, and the size of the file bounds memory
-and time: keys are texts and small numbers (hashing tuples that hold one another takes forever), calls take few
-arguments.
+and time: keys are texts and small numbers (hashing deeply nested tuples takes forever), and calls take few arguments.
 
 References:
     gsplat, `examples/simple_trainer.py`; nerfstudio, `nerfstudio/engine/trainer.py` and `models/splatfacto.py`.
@@ -59,7 +58,7 @@ SUFFIXES = (".pt", ".pth", ".ckpt")
 _GEOMETRY = ("means", "scales", "quats", "opacities")
 _PREFIXES = ("module.", "_model.", "gauss_params.")
 _MOST_STRUCTURE = 512 << 10  # bytes of the pickle; checkpoints of both trainers have about 20 kB
-_MOST_ARGUMENTS = 64  # of a call; a tensor has eight
+_MOST_ARGUMENTS = 64  # largest number of arguments of a call; a tensor has eight
 _KNOWN = "a checkpoint of gsplat ('splats') or of nerfstudio's splatfacto ('pipeline')"
 _CONFIGS = ("cfg.yml", "cfg.yaml", "config.yml")
 _MOST_CONFIG = 1 << 20
@@ -120,7 +119,7 @@ def _raw(splats: Mapping[str, ArrayLike]) -> tuple[dict[str, Any], tuple[str, st
 
 
 def _activated(raw: Mapping[str, Any], colors: tuple[str, str]) -> dict[str, F32]:
-    """Return the arrays of `Gaussians` of raw ones, copied; only shapes are checked."""
+    """Return the arrays of `Gaussians` from raw arrays, copied; checks only shapes."""
     shapes: dict[str, tuple[str | int, ...]] = {
         "means": ("N", 3),
         "quats": ("N", 4),
@@ -141,7 +140,7 @@ def _activated(raw: Mapping[str, Any], colors: tuple[str, str]) -> dict[str, F32
 
 
 def is_checkpoint(path: str | os.PathLike[str]) -> bool:
-    """Return whether a zip file is a checkpoint of torch; a zip that cannot be opened is judged by its suffix."""
+    """Return whether a zip file is a checkpoint of torch; the suffix decides for a zip that cannot be opened."""
     try:
         with open_regular(path) as file, zipfile.ZipFile(file) as archive:
             return _structure_name(archive) is not None
@@ -181,9 +180,9 @@ def load_checkpoint(path: str | os.PathLike[str]) -> Gaussians:
 
 
 def _is_antialiased(path: Path) -> bool:
-    """Return whether the configuration beside says so: cfg.yml of gsplat, config.yml of nerfstudio.
+    """Return whether the configuration beside the file says so: cfg.yml of gsplat, config.yml of nerfstudio.
 
-    It is searched as text: nothing in it is parsed or run.
+    The configuration is searched as text; nothing in it is parsed or run.
     """
     for name in _CONFIGS:
         for folder in (path.parent, path.parent.parent):
@@ -201,7 +200,9 @@ def _warn_of_other_ranks(path: Path) -> None:
     stem, rank, number = path.stem.rpartition("_rank")
     others = [other for other in path.parent.glob(f"{glob.escape(stem)}_rank*{path.suffix}") if other.name != path.name]
     if rank and number.isdecimal() and others:
-        _log.warning("%s holds what rank %s trained; %d other ranks are beside it", path, number, len(others))
+        _log.warning(
+            "%s holds only the part of rank %s; files of %d other ranks are beside it", path, number, len(others)
+        )
 
 
 def _tensors(path: str | os.PathLike[str], archive: zipfile.ZipFile) -> dict[str, F32]:
@@ -247,7 +248,7 @@ def _gaussians_of(path: str | os.PathLike[str], content: Any) -> dict[str, _Tens
 
 
 class _Storage(NamedTuple):
-    """The bytes of a tensor, not read yet: numpy type, name of the record, number of values."""
+    """The bytes of a tensor, which are not read yet: numpy type, name of the record, number of values."""
 
     kind: str
     key: str
@@ -290,10 +291,11 @@ class _Dict(dict):  # type: ignore[type-arg]
 
 
 class _StorageKind(str):
-    """The type of a storage, by numpy's code; empty if it cannot be read."""
+    """The type of a storage, as numpy's code; empty if it cannot be read."""
 
 
 def _tensor(storage: Any = None, offset: Any = 0, shape: Any = (), strides: Any = (), *_: object) -> Any:
+    """Return the description of a tensor, or a placeholder if it is not valid."""
     are_short = all(isinstance(each, tuple) and len(each) <= 8 for each in (shape, strides))
     numbers = (offset, *shape, *strides) if are_short else (-1,)
     good = isinstance(storage, _Storage) and all(type(n) is int and 0 <= n < 1 << 48 for n in numbers)
@@ -301,6 +303,7 @@ def _tensor(storage: Any = None, offset: Any = 0, shape: Any = (), strides: Any 
 
 
 def _parameter(data: Any = None, *_: object) -> Any:
+    """Return the tensor of a parameter."""
     return data if isinstance(data, _Tensor) else _Ignored()
 
 
@@ -313,7 +316,7 @@ _MAKERS = {
 
 
 def _is_key(value: object) -> bool:
-    """Return whether a value may be a key: hashing it costs no more than reading it."""
+    """Return whether a value may be a dictionary key: hashing it must cost no more than reading it."""
     is_short = type(value) is int and value.bit_length() <= 64
     return is_short or value is None or isinstance(value, str | bytes | float | bool | _Ignored)
 
@@ -321,8 +324,8 @@ def _is_key(value: object) -> bool:
 class _Unpickler(pickle._Unpickler):
     """Create plain values and descriptions of tensors; import nothing, and do a bounded amount of work for each byte.
 
-    This is Python's unpickler, not the one in C: its steps can be replaced. Nothing that a checkpoint is read for has
-    keys of tuples, sets, states of objects or calls of many arguments, so these become placeholders.
+    It derives from Python's unpickler because the steps of the C one cannot be replaced. Gaussians need no tuples as
+    keys, sets, object states or calls with many arguments, so these become placeholders.
     """
 
     dispatch: ClassVar[dict[int, Any]] = dict(pickle._Unpickler.dispatch)
@@ -335,12 +338,13 @@ class _Unpickler(pickle._Unpickler):
     def _set_item(self) -> None:
         value = self.stack.pop()
         key = self.stack.pop()
-        self._keep([key, value])
+        self._add_pairs([key, value])
 
     def _set_items(self) -> None:
-        self._keep(self._pop_since_mark())
+        self._add_pairs(self._pop_since_mark())
 
-    def _keep(self, items: list[Any]) -> None:
+    def _add_pairs(self, items: list[Any]) -> None:
+        """Add pairs of keys and values to the dictionary on top of the stack."""
         target = self.stack[-1]
         if isinstance(target, dict):
             target.update((k, v) for k, v in zip(items[::2], items[1::2], strict=True) if _is_key(k))
@@ -350,7 +354,7 @@ class _Unpickler(pickle._Unpickler):
     def _make_dict(self) -> None:
         items = self._pop_since_mark()
         self.stack.append({})
-        self._keep(items)
+        self._add_pairs(items)
 
     def _make_set(self) -> None:
         self.stack.append(_Ignored())
@@ -363,9 +367,10 @@ class _Unpickler(pickle._Unpickler):
         self.stack.append(_Ignored())
 
     def _build(self) -> None:
-        self.stack.pop()  # the state of an object that is no tensor
+        self.stack.pop()  # drop the state of an object
 
     def _call(self) -> None:
+        """Call a function with the arguments on the stack, if they are few."""
         arguments = self.stack.pop()
         maker = self.stack.pop()
         few = isinstance(arguments, tuple) and len(arguments) <= _MOST_ARGUMENTS
@@ -399,14 +404,16 @@ class _Unpickler(pickle._Unpickler):
     }
 
     def find_class(self, module: str, name: str) -> Any:
+        """Return our own stand-in for a class or function."""
         if module in ("torch", "torch.storage") and name.endswith("Storage"):
             return _StorageKind(_STORAGES.get(name, ""))
         return _MAKERS.get((module, name), _Ignored)
 
     def persistent_load(self, pid: Any) -> Any:
+        """Return the storage that a reference describes."""
         good = isinstance(pid, tuple) and len(pid) == 5 and pid[0] == "storage" and isinstance(pid[1], _StorageKind)
         if not (good and isinstance(pid[2], str) and type(pid[4]) is int):
-            raise pickle.UnpicklingError("a reference that is no storage of a tensor")
+            raise pickle.UnpicklingError("a reference to something other than a tensor's storage")
         return _Storage(str(pid[1]), pid[2], pid[4])
 
 

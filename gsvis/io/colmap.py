@@ -1,7 +1,7 @@
 """Read COLMAP sparse models, binary and text: the cameras, images and points of a folder.
 
 Poses are camera from world in OpenCV axes, quaternions wxyz, and pixel centers lie at +0.5, as everywhere in gsvis.
-Only undistorted cameras are read: PINHOLE, SIMPLE_PINHOLE, and models whose distortion is zero. Tracks are skipped.
+Only undistorted cameras are accepted: PINHOLE, SIMPLE_PINHOLE, and models whose distortion is zero. Tracks are skipped.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _MODELS = (
     ("EUCM", 6),
     ("EQUIRECTANGULAR", 2),
 )
-# Number of focal lengths of the models that are pinholes where all parameters after the principal point are 0.
+# Number of focal lengths of models that are pinholes if all parameters after the principal point are 0.
 _FOCALS = {
     "SIMPLE_PINHOLE": 1,
     "PINHOLE": 2,
@@ -58,14 +58,14 @@ _FOCALS = {
     "DIVISION": 2,
     "FOV": 2,
 }
-_UNDISTORT = "undistort the images with `colmap image_undistorter` and use the model that it writes"
+_UNDISTORT = "undistort the images with `colmap image_undistorter` and use its model"
 
 Camera = tuple[str, int, int, F64]  # model, width, height, parameters
 Image = tuple[str, int, F64, F64]  # name, camera id, quaternion wxyz, translation
 
 
 def find_colmap(path: Path) -> Path | None:
-    """Return the folder of a COLMAP model, `path` or its usual `sparse/0`, `sparse` or `0`, or None."""
+    """Return the folder of a COLMAP model: `path` or its usual `sparse/0`, `sparse` or `0`; None if there is none."""
     for folder in (path, path / "sparse" / "0", path / "sparse", path / "0"):
         for suffix in (".bin", ".txt"):
             if (folder / f"cameras{suffix}").is_file() or (folder / f"images{suffix}").is_file():
@@ -86,7 +86,7 @@ def read_colmap(folder: Path) -> Views:
     paths = folder / f"cameras{suffix}", folder / f"images{suffix}"
     for path in paths:
         if not path.is_file():
-            raise FormatError(folder, "", f"{path.name} beside its partner", "no such file")
+            raise FormatError(folder, "", f"{path.name} beside the other file of the model", "no such file")
     cameras = _cameras_bin(paths[0]) if suffix == ".bin" else _cameras_txt(paths[0])
     images = _images_bin(paths[1]) if suffix == ".bin" else _images_txt(paths[1])
     views = Views(paths[1], [], [], [], [])
@@ -112,7 +112,7 @@ def read_colmap(folder: Path) -> Views:
 
 
 def find_colmap_points(folder: Path) -> Path | None:
-    """Return the points file of a COLMAP model: `points3D.bin`, `.txt`, or the `.ply` that 3DGS makes of them."""
+    """Return the points file of a COLMAP model: `points3D.bin`, `.txt`, or the `.ply` that 3DGS creates from them."""
     paths = [folder / f"points3D{suffix}" for suffix in (".bin", ".txt", ".ply")]
     return next((path for path in paths if path.is_file()), None)
 
@@ -131,6 +131,7 @@ def read_colmap_points(path: Path) -> tuple[F64, NDArray[np.uint8]]:
 
 
 def _intrinsics(path: Path, camera_id: int, camera: Camera) -> F64:
+    """Return the pinhole matrix of a camera; raise if it is distorted."""
     model, width, height, p = camera
     where = f"camera {camera_id}"
     expected = "a camera without distortion, such as PINHOLE"
@@ -146,7 +147,7 @@ def _intrinsics(path: Path, camera_id: int, camera: Camera) -> F64:
 
 
 class _Bytes:
-    """A file read from front to back, never past its end."""
+    """A file that is read from front to back, never past its end."""
 
     def __init__(self, path: Path, data: mmap.mmap | bytes) -> None:
         self.path = path
@@ -154,13 +155,14 @@ class _Bytes:
         self.at = 0
 
     def take(self, form: str, what: str) -> tuple[Any, ...]:
-        self.need(struct.calcsize(form), what)
+        """Return the next values of a `struct` format."""
+        self.require(struct.calcsize(form), what)
         values = struct.unpack_from(form, self.data, self.at)
         self.at += struct.calcsize(form)
         return values
 
     def count(self, least: int, what: str) -> int:
-        """Return a 64-bit count of records of at least `least` bytes; reject it if the file is too short for them."""
+        """Return a 64-bit count of records of at least `least` bytes; raise if the file is too short for them."""
         (number,) = self.take("<Q", f"the number of {what}")
         rest = len(self.data) - self.at
         if number * least > rest:
@@ -168,13 +170,15 @@ class _Bytes:
             raise FormatError(self.path, f"byte {self.at - 8:,}", f"a possible number of {what}", got)
         return int(number)
 
-    def need(self, size: int, what: str) -> None:
+    def require(self, size: int, what: str) -> None:
+        """Raise unless the file has that many bytes left."""
         rest = len(self.data) - self.at
         if size > rest:
             where = f"byte {self.at:,}"
             raise FormatError(self.path, where, f"{size:,} bytes for {what}", f"the end of the file after {rest:,}")
 
     def name(self, what: str) -> str:
+        """Return the next text that ends with a zero byte."""
         end = self.data.find(b"\0", self.at, self.at + 4096)
         if end < 0:
             raise FormatError(self.path, f"byte {self.at:,}", f"{what} that ends within 4,096 bytes", "no end")
@@ -185,6 +189,7 @@ class _Bytes:
 
 @contextmanager
 def _open(path: Path) -> Iterator[_Bytes]:
+    """Map a file into memory as bytes."""
     if check_regular(path).st_size == 0:  # an empty file cannot be mapped
         yield _Bytes(path, b"")
         return
@@ -194,6 +199,7 @@ def _open(path: Path) -> Iterator[_Bytes]:
 
 
 def _cameras_bin(path: Path) -> dict[int, Camera]:
+    """Return the cameras of a binary file by id."""
     cameras: dict[int, Camera] = {}
     with _open(path) as data:
         for _ in range(data.count(24 + 2 * 8, "cameras")):
@@ -208,6 +214,7 @@ def _cameras_bin(path: Path) -> dict[int, Camera]:
 
 
 def _images_bin(path: Path) -> Iterator[Image]:
+    """Yield the images of a binary file."""
     with _open(path) as data:
         for _ in range(data.count(64 + 1 + 8, "images")):
             _, *pose, camera_id = data.take("<i7di", "an image")
@@ -218,6 +225,7 @@ def _images_bin(path: Path) -> Iterator[Image]:
 
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
+    """Yield the lines of a text file with their numbers, without comments."""
     with TextIOWrapper(open_regular(path), encoding="utf-8", errors="replace") as file:
         for number, line in enumerate(file, 1):
             if number == 1:
@@ -226,6 +234,7 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
 
 
 def _cameras_txt(path: Path) -> dict[int, Camera]:
+    """Return the cameras of a text file by id."""
     cameras: dict[int, Camera] = {}
     counts = dict(_MODELS)
     for number, line in _lines(path):
@@ -247,7 +256,7 @@ def _cameras_txt(path: Path) -> dict[int, Camera]:
 
 
 def _images_txt(path: Path) -> Iterator[Image]:
-    """Yield the images of a text file; the line of points behind an image may be there, be empty, or be missing."""
+    """Yield the images of a text file; the line of points after an image may be empty or missing."""
     may_be_points = False
     for number, line in _lines(path):
         if not line or line.startswith("#"):
@@ -283,6 +292,7 @@ def _are_points(line: str) -> bool:
 
 
 def _points_bin(path: Path) -> tuple[F64, NDArray[np.uint8]]:
+    """Return positions and colors of a binary file."""
     with _open(path) as data:
         number = data.count(51, "points")
         positions = np.empty((number, 3))
@@ -297,6 +307,7 @@ def _points_bin(path: Path) -> tuple[F64, NDArray[np.uint8]]:
 
 
 def _points_txt(path: Path) -> tuple[F64, NDArray[np.uint8]]:
+    """Return positions and colors of a text file."""
     positions: list[list[float]] = []
     colors: list[list[int]] = []
     for number, line in _lines(path):

@@ -76,13 +76,13 @@ def read_compressed(header: PlyHeader, stream: BinaryIO) -> Gaussians:
 
 
 def _ends(ranges: NDArray[Any], low: str, high: str, axes: str) -> tuple[F32, F32]:
-    """Return (C, 3) ends of the ranges of chunks."""
+    """Return the (C, 3) lowest and highest values of chunks."""
     ends = [np.stack([ranges[end + axis] for axis in axes], axis=1).astype(np.float32) for end in (low, high)]
     return ends[0], ends[1]
 
 
 def _require(header: PlyHeader, name: str, properties: tuple[str, ...], kind: str) -> Element:
-    """Return the element with that name and with all those properties, each of that numpy type."""
+    """Return the element with that name; raise unless it has all those properties, each of that numpy type."""
     element = header.element(name)
     if element is None or element.row is None:
         raise FormatError(header.path, "header", f"an element {name} of scalar properties", "none")

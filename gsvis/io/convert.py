@@ -1,6 +1,6 @@
-"""Convert scenes as `gsvis convert` does: merge, crop, drop faint Gaussians, reduce the SH degree, place.
+"""Convert scenes as `gsvis convert` does: merge, crop, drop faint Gaussians, reduce the SH degree, move.
 
-Functions of scenes in their own frame; they know no file and no format.
+Functions take and return scenes in their own frame; they know no file and no format.
 """
 
 from __future__ import annotations
@@ -35,21 +35,21 @@ def convert_scene(
     rotate: ArrayLike = (0.0, 0.0, 0.0),
     translate: ArrayLike = (0.0, 0.0, 0.0),
 ) -> Gaussians:
-    """Return a new scene with fewer Gaussians, less view dependence, or another placement.
+    """Return a new scene with fewer Gaussians, a lower SH degree, or a new placement.
 
     The order is fixed: `crop`, `min_opacity` and `max_sh_degree` in the frame of `scene`, then `up`, `scale`, `rotate`
-    and `translate`, each in the frame that the one before left. Shapes and view-dependent color follow the placement.
-    The placement is about the (0, 0, 0) of the scene's source and is composed in double precision.
+    and `translate`, each in the frame that results from the steps before. Shapes and view-dependent colors are moved
+    along. Rotation and scale are about (0, 0, 0) of the scene's source, in double precision.
 
     Args:
         scene: The scene; it is not modified.
         crop: (2, 3) lowest and highest corner of a box in the coordinates of the scene's source; keeps Gaussians whose
-            center lies in it, borders included. Infinite corners leave a side open.
+            center lies in it, borders included. Infinite coordinates leave a side open.
         min_opacity: Keep Gaussians of at least this opacity, in [0, 1].
         max_sh_degree: Drop higher degrees of the spherical harmonics, 0 to 3.
         up: The current up axis and the new one, such as `("-y", "+z")`. The scene rotates about the axis normal to
             both (by half a turn about x, or y for x itself, if they are opposite). None: no rotation.
-        scale: New units for each old one, about the origin; > 0.
+        scale: New units per old unit, > 0.
         rotate: (3,) degrees about the x, y and z axis, in this order, about the origin; see `rotation_about_axes`.
         translate: (3,) in the new scene units.
 
@@ -78,8 +78,7 @@ def convert_scene(
         kept &= ((places >= box[0]) & (places <= box[1])).all(axis=1)
     if not kept.any():
         raise SceneError(
-            f"convert: none of {len(scene):,} Gaussians is left by crop and min_opacity {min_opacity:g}; "
-            f"{_extent(scene)}"
+            f"convert: crop and min_opacity {min_opacity:g} leave none of {len(scene):,} Gaussians; {_extent(scene)}"
         )
     result = scene if kept.all() else scene[kept]
     if result.sh_degree > max_sh_degree:
@@ -93,16 +92,16 @@ def convert_scene(
 
 
 def _with_up(facts: SceneFacts, axis: str, rotate: ArrayLike) -> SceneFacts:
-    """Return facts that state the up axis that `up` of `convert_scene` made."""
+    """Return facts that state the new up axis of `convert_scene`."""
     x, y, z = (rotation_about_axes(rotate) @ _axis("up", axis) + 0.0).tolist()
     return replace(facts, up=(x, y, z), up_source="convert --change-up")
 
 
 def merge_scenes(scenes: Sequence[Gaussians]) -> Gaussians:
-    """Return one scene with the Gaussians of all, in their order, as they lie in one frame.
+    """Return one scene with the Gaussians of all scenes, in their order; all must be in the same frame.
 
-    Scenes of different origins are brought to the origin of the largest one. Facts on which not all agree are dropped;
-    the log has a line for each that shows in images.
+    Scenes with different origins get the origin of the largest one. Facts that differ between scenes are dropped; the
+    log has a line for each that affects images.
 
     Args:
         scenes: At least one. The highest SH degree wins; the coefficients of the others are padded with zeros.
@@ -119,12 +118,14 @@ def merge_scenes(scenes: Sequence[Gaussians]) -> Gaussians:
 
 
 def report_merge(facts: Sequence[SceneFacts]) -> None:
-    """Log which facts of scenes a merged scene cannot state."""
+    """Log which facts a merged scene cannot state."""
     if len({each.antialiased for each in facts}) > 1:
         text = "some of the scenes are antialiased and some are not; the flag is lost"
         report_loss("merged scene", "antialiased", text)
     if len({each.up for each in facts}) > 1:
-        report_loss("merged scene", "up axis", "the scenes state different up axes, or some state none; it is lost")
+        report_loss(
+            "merged scene", "up axis", "the scenes state different up axes, or some state none; the axis is lost"
+        )
 
 
 def rotation_about_axes(degrees: ArrayLike) -> NDArray[np.float64]:
@@ -152,7 +153,7 @@ def rotation_about_axes(degrees: ArrayLike) -> NDArray[np.float64]:
         about[j, i] = s
         about[j, j] = c
         turn = about @ turn
-    return turn + 0.0  # turns -0.0 into 0.0
+    return turn + 0.0  # converts -0.0 to 0.0
 
 
 def rotation_between_axes(old: str, new: str) -> NDArray[np.float64]:
@@ -178,16 +179,18 @@ def rotation_between_axes(old: str, new: str) -> NDArray[np.float64]:
         return 2.0 * np.outer(pivot, pivot) - np.eye(3)
     normal = np.cross(a, b)
     turn = np.outer(b, a) - np.outer(a, b) + np.outer(normal, normal)
-    return np.asarray(turn + 0.0, np.float64)  # + 0.0 turns -0.0 into 0.0
+    return np.asarray(turn + 0.0, np.float64)  # + 0.0 converts -0.0 to 0.0
 
 
 def _pair(up: object) -> tuple[str, str]:
+    """Return the two checked axes of `up`."""
     if not isinstance(up, tuple | list) or len(up) != 2:
         raise ValueError(f'up: expected two axes, old and new, such as ("-y", "+z"), got {up!r}')
     return up[0], up[1]
 
 
 def _axis(name: str, axis: str) -> NDArray[np.float64]:
+    """Return the unit vector of an axis name."""
     _check.one_of(name, axis, AXES)
     return np.asarray(np.eye(3)["xyz".index(axis[1])] * (1.0 if axis[0] == "+" else -1.0), np.float64)
 
@@ -211,6 +214,6 @@ def _check_reach(scene: Gaussians, scale: float, shift: NDArray[np.float64]) -> 
 def _extent(scene: Gaussians) -> str:
     """Return the extent of the centers and opacities of a scene, for an error message."""
     if len(scene) == 0:
-        return "the scene was empty before"
+        return "the scene is empty"
     low, high = (np.round(scene.facts.to_source(corner), 3).tolist() for corner in scene.bounds())
     return f"98% of the centers lie in {low} to {high}, opacities reach {scene.opacities.max():.3g}"

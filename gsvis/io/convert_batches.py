@@ -1,6 +1,6 @@
 """Convert scenes of any size to a PLY, batch by batch. The bytes are those of `merge_scenes` and `convert_scene`.
 
-Memory holds one batch. Scenes are read twice where only reading tells how many Gaussians are left.
+Memory holds one batch. Scenes are read twice if a first reading must count the Gaussians that are left.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ Convert = Callable[[Gaussians], Gaussians]
 
 @dataclass(frozen=True)
 class Converted:
-    """What was read and written.
+    """Counts of Gaussians read and written.
 
     Attributes:
         counts: Gaussians of each scene.
         sh_degrees: SH degree of each scene.
-        gaussians: Gaussians that were written.
-        sh_degree: SH degree that was written.
+        gaussians: Number of Gaussians written.
+        sh_degree: SH degree written.
     """
 
     counts: tuple[int, ...]
@@ -56,9 +56,9 @@ def convert_batches(
     Args:
         scenes: The batches of each scene.
         out: The PLY.
-        convert: Takes a batch, as `convert_scene` does; raises SceneError if nothing of it is left.
-        drops: Whether it leaves Gaussians out.
-        max_sh_degree: The highest SH degree that it keeps.
+        convert: Function that converts a batch, such as `convert_scene`; raises SceneError if it leaves nothing.
+        drops: Whether `convert` may leave Gaussians out.
+        max_sh_degree: Highest SH degree that `convert` keeps.
         progress: Called with stages "reading", if all has to be read first, and "writing", in batches.
 
     Raises:
@@ -70,26 +70,26 @@ def convert_batches(
     survey = _headers(scenes) if by_header else _survey(scenes, convert if drops else None, progress)
     if not survey.gaussians:
         raise SceneError(
-            f"convert: none of {sum(survey.counts):,} Gaussians is left by crop and min_opacity; gsvis inspect shows"
+            f"convert: crop and min_opacity leave none of {sum(survey.counts):,} Gaussians; gsvis inspect shows"
             " where the scene lies"
         )
     degree = max(survey.sh_degrees)
     written = min(degree, max_sh_degree)
     parts = _parts(scenes, degree, convert, progress)
-    first = next(parts)  # there is one: the survey has counted it
+    first = next(parts)  # exists, because the survey has counted Gaussians
     save_ply_parts(chain([first], parts), out, survey.gaussians, written, first.facts)
     return replace(survey, sh_degree=written)
 
 
 def _headers(scenes: Sequence[Sequence[Batch]]) -> Converted:
-    """Return what headers and first rows tell of PLYs of which all is kept."""
+    """Return the counts from headers and first rows of PLYs, if all Gaussians are kept."""
     counts = tuple(sum(batch.count for batch in scene) for scene in scenes)
     degrees = tuple(read_batch(replace(scene[0], count=1)).sh_degree for scene in scenes)
     return Converted(counts, degrees, sum(counts), max(degrees))
 
 
 def _survey(scenes: Sequence[Sequence[Batch]], convert: Convert | None, progress: Progress) -> Converted:
-    """Read all batches and count; without a conversion all Gaussians are left."""
+    """Return the counts by reading all batches; None converts nothing."""
     total = sum(map(len, scenes))
     done = 0
     left = 0
@@ -108,7 +108,7 @@ def _survey(scenes: Sequence[Sequence[Batch]], convert: Convert | None, progress
 
 
 def _parts(scenes: Sequence[Sequence[Batch]], degree: int, convert: Convert, progress: Progress) -> Iterator[Gaussians]:
-    """Yield what is left of each batch."""
+    """Yield the converted batches that are not empty."""
     aligned = align_batches(scenes)
     batches = [batch for scene in aligned for batch in scene]
     facts = _merged_facts(aligned) if len(scenes) > 1 else None
@@ -120,14 +120,14 @@ def _parts(scenes: Sequence[Sequence[Batch]], degree: int, convert: Convert, pro
 
 
 def _merged_facts(scenes: Sequence[Sequence[Batch]]) -> SceneFacts:
-    """Return what the merged scene states, from the first batch of each scene."""
+    """Return the facts of the merged scene, from the first batch of each scene."""
     facts = [facts_of_batches(scene) for scene in scenes]
     report_merge(facts)
     return SceneFacts.merge(facts)
 
 
 def _converted(part: Gaussians, convert: Convert) -> list[Gaussians]:
-    """Return what is left of a batch; an empty list if nothing is."""
+    """Return the converted batch; an empty list if nothing is left."""
     try:
         return [convert(part)]
     except SceneError:
@@ -135,7 +135,7 @@ def _converted(part: Gaussians, convert: Convert) -> list[Gaussians]:
 
 
 def _padded(part: Gaussians, degree: int) -> Gaussians:
-    """Return a batch with zeros for SH coefficients that other batches have."""
+    """Return a batch with zeros for SH coefficients up to a degree."""
     missing = (degree + 1) ** 2 - 1 - part.shN.shape[1]
     if not missing:
         return part

@@ -1,7 +1,7 @@
 """Read `dataparser_transforms.json` of nerfstudio: the similarity from the cameras' frame to the trained scene's.
 
-nerfstudio turns, moves and scales a capture before it trains, and writes beside the model how:
-`x -> scale * (R x + t)` with `transform` = [R | t]. Right-handed world frames, no axes of cameras are concerned.
+nerfstudio rotates, moves and scales a capture before training, and writes the transform beside the model:
+`x -> scale * (R x + t)` with `transform` = [R | t]. World frames are right-handed; camera axes do not change.
 """
 
 from __future__ import annotations
@@ -17,9 +17,8 @@ from gsvis.scene.similarity import Similarity
 __all__ = ["NAME", "find_dataparser", "read_applied", "read_dataparser"]
 
 NAME = "dataparser_transforms.json"
-"""Name that nerfstudio gives the file."""
-
-_UP = 3  # folders above the cameras that are looked into: data/colmap/sparse/0 is three below data
+"""Name of the file in nerfstudio."""
+_UP = 3  # folders above the cameras to search: data/colmap/sparse/0 is three below data
 _ROTATION = 1e-3
 
 
@@ -53,7 +52,7 @@ def read_dataparser(path: Path | str) -> Similarity:
 
 
 def read_applied(path: Path | str) -> Similarity | None:
-    """Return what a `transforms.json` says was done to its cameras: its frame from the capture's; None if nothing.
+    """Return the similarity from the frame of the capture to that of a `transforms.json`; None if it states none.
 
     Raises:
         FormatError: If its `applied_transform` or `applied_scale` is malformed.
@@ -67,13 +66,15 @@ def read_applied(path: Path | str) -> Similarity | None:
 
 
 def _matrix(path: Path | str, key: str, value: object) -> F64:
+    """Return a checked (3, 4) matrix."""
     rows = 4 if isinstance(value, list) and len(value) == 4 else 3
     return to_numbers(path, key, value, (rows, 4))[:3]
 
 
 def _similarity(path: Path | str, key: str, matrix: F64, scale: float) -> Similarity:
+    """Return the similarity of a (3, 4) matrix and a scale; raise unless the matrix holds a rotation."""
     rotation = matrix[:, :3]
-    own = float(np.cbrt(max(np.linalg.det(rotation), 0.0)))  # some tools put the scale into the matrix too
+    own = float(np.cbrt(max(np.linalg.det(rotation), 0.0)))  # some tools multiply the scale into the matrix
     if not own > 0.0 or not np.allclose(rotation @ rotation.T, own**2 * np.eye(3), atol=_ROTATION * own**2):
         got = f"a matrix with determinant {np.linalg.det(rotation):.4g} and axes that are not at right angles"
         got = got if own > 0.0 else f"a matrix with determinant {np.linalg.det(rotation):.4g}"

@@ -22,7 +22,7 @@ The data set does not state its axes. They follow from the 44 recordings of the 
 - People walk forwards and look ahead: -z of the head agrees with the direction of walking (mean cosine 0.4) and with
   -z of the gaze, where that was recorded (median cosine above 0.9). These are the axes of OpenXR.
 - Both eyes of a frame have the same orientation, though their rows have stamps 4 ms apart: the two poses are of one
-  instant. Hence the head is the mean of the pair at the first stamp, without interpolation between the eyes.
+  instant. Therefore the head is the mean of the pair at the first stamp, without interpolation between the eyes.
 - FOV1 to FOV4 are radians: left, right, *down*, up (OpenXR's signs), not top, bottom as the data set's notes say. They
   are those of the headset, the same in all recordings, and are not read.
 
@@ -56,14 +56,14 @@ COLUMNS = (
     *(f"Position{axis}" for axis in "XYZ"),
     *(f"Quaternion{axis}" for axis in "XYZW"),
 )
-TIMES = ("Timestamp", "timestep")  # the last column of either group, milliseconds
+TIMES = ("Timestamp", "timestep")  # last column of the first and the second group, milliseconds
 _UNREAD = (
     *(f"FOV{side}" for side in "1234"),
     *(f"GazePos{axis}" for axis in "XYZ"),
     *(f"GazeQ{axis}" for axis in "XYZW"),
 )
-_OPENGL = np.diag([1.0, -1.0, -1.0])  # OpenXR axes to OpenCV's: y and z are reversed
-_SAME_TURN = 1.0 - 1e-5  # |dot| of two quaternions of three decimals with one orientation; half a degree
+_OPENGL = np.diag([1.0, -1.0, -1.0])  # OpenXR axes to OpenCV axes: y and z are reversed
+_SAME_TURN = 1.0 - 1e-5  # least |dot| of equal quaternions rounded to three decimals; half a degree
 _MOST_DROPPED = 0.1
 _LONG_GAP = 1.0  # seconds
 _ROUNDING = 0.1  # tolerance on the length of a quaternion
@@ -177,6 +177,7 @@ def _time_column(table: Table) -> str:
 
 
 def _check_cells(table: Table, eyes: F64, quats: F64) -> None:
+    """Raise at the first eye that is not 0 or 1, or quaternion whose length is not 1."""
     bad = np.flatnonzero((eyes != 0) & (eyes != 1))
     if len(bad):
         where = table.where(int(bad[0]), "ViewIndex")
@@ -219,7 +220,7 @@ def _rising(table: Table, stamps: F64, rows: NDArray[np.int64], heads: F64) -> t
     if dropped > _MOST_DROPPED * len(rows):
         row = int(rows[np.flatnonzero(~keep)[0]])
         got = f"{dropped} of {len(rows)} that do not"
-        remedy = "are these several recordings in one file?"
+        remedy = "does the file hold several recordings?"
         where = table.where(row, _time_column(table))
         raise FormatError(table.path, where, "times that rise", got, remedy)
     if dropped:
@@ -249,4 +250,5 @@ def _setting_of(path: Path) -> SceneSetting:
 
 
 def _unit(quats: F64) -> F64:
+    """Return quaternions of length 1."""
     return np.asarray(quats / np.linalg.norm(quats, axis=1, keepdims=True))

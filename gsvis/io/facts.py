@@ -1,7 +1,7 @@
-"""Spell the facts of a scene as JSON, for the place that each format has for them, and read them back.
+"""Write the facts of a scene as JSON, which each format stores in its own place, and read them back.
 
-Only facts that differ from the default are written, so files of ordinary scenes keep their bytes. What is damaged or
-unknown is left out, never an error: a note in a file must not keep anyone from its Gaussians.
+Only facts that differ from the default are written, so files of ordinary scenes keep their bytes. Damaged or unknown
+facts are ignored and never an error: a damaged note must not make the Gaussians unreadable.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from gsvis.scene.facts import SceneFacts
 __all__ = ["KEY", "facts_from_json", "facts_to_json", "parse_facts", "spell_facts"]
 
 KEY = "gsvis"
-"""Key of the facts in formats of JSON."""
+"""Key of the facts in JSON formats."""
 
 _MOST_TEXT = 2048
 _MOST_SOURCE = 120
@@ -38,7 +38,7 @@ def facts_to_json(facts: SceneFacts) -> dict[str, Any]:
 
 
 def spell_facts(facts: SceneFacts) -> str:
-    """Return the facts as one line of ASCII JSON; empty if all are the default."""
+    """Return the facts as one line of ASCII JSON; empty if all have their defaults."""
     found = facts_to_json(facts)
     return json.dumps(found, separators=(",", ":"), allow_nan=False) if found else ""
 
@@ -54,7 +54,7 @@ def parse_facts(text: str | bytes) -> SceneFacts:
 
 
 def facts_from_json(value: Any) -> SceneFacts:
-    """Return the facts of a JSON object; entries that are no valid facts are left out."""
+    """Return the facts of a JSON object; invalid entries are ignored."""
     if not isinstance(value, dict):
         return _DEFAULT
     axis = _triple(value.get("up"))
@@ -78,7 +78,7 @@ def facts_from_json(value: Any) -> SceneFacts:
 
 
 def _box(value: dict[str, Any]) -> tuple[tuple[Triple, Triple] | None, Quad]:
-    """Return the box and its turn; None and no turn unless both are valid."""
+    """Return the box and its rotation; None and no rotation unless both are valid."""
     none = None, _DEFAULT.box_turn
     box = value.get("box")
     if not isinstance(box, list) or len(box) != 2:
@@ -93,6 +93,7 @@ def _box(value: dict[str, Any]) -> tuple[tuple[Triple, Triple] | None, Quad]:
 
 
 def _triple(value: Any) -> Triple | None:
+    """Return three finite numbers; None for anything else."""
     if not isinstance(value, list) or len(value) != 3:
         return None
     x, y, z = (_number(each) for each in value)

@@ -1,4 +1,4 @@
-"""Suggest which file a user probably meant who gave a folder. Knows names, reads nothing."""
+"""Suggest a file to a user who gave a folder. Looks at names only, reads no file."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ __all__ = ["cameras_remedy", "scene_remedy"]
 
 _SCENES = (".ply", ".spz", ".sog", ".splat", ".ksplat", ".pt", ".pth", ".ckpt")
 _INDICES = ("lod-meta.json", "meta.json")
-_NO_SCENES = ("input.ply", "points3d.ply", "sparse_pc.ply")  # the points that training starts from
+_NO_SCENES = ("input.ply", "points3d.ply", "sparse_pc.ply")  # points that training starts from
 _DEEPEST = 4  # output/point_cloud/iteration_30000/point_cloud.ply is three below
 _MOST_ENTRIES = 5000
 
 
 def scene_remedy(folder: Path) -> str:
-    """Return advice that names the file in or below a folder that is probably the scene; '' if there is none.
+    """Return advice that names the most likely scene file in or below a folder; '' if there is none.
 
-    Of several files it names the one with the highest numbers in its path, because trainers count their steps there.
+    Of several files it names the one with the highest numbers in its path, because trainers put step counts there.
     """
     found = []
     for parent, names in _walk(folder):
@@ -37,12 +37,13 @@ def scene_remedy(folder: Path) -> str:
 
 
 def cameras_remedy(folder: Path) -> str:
-    """Return advice that names the first folder below with cameras of photos; '' if there is none."""
+    """Return advice that names the first folder below with cameras of photographs; '' if there is none."""
     found = _cameras_in(folder)
     return f"name the folder of one model, such as {found}" if found else ""
 
 
 def _cameras_in(folder: Path) -> str:
+    """Return the first folder with cameras in or below a folder; '' if there is none."""
     return next((p for p, names in _walk(folder) if find_colmap(Path(p)) or "transforms.json" in names), "")
 
 

@@ -1,7 +1,7 @@
-"""Name the program that wrote cameras which gsvis does not read, and how that program exports a COLMAP model.
+"""Name the program that wrote cameras in a format that gsvis cannot read, and how it exports a COLMAP model.
 
 Metashape, RealityCapture and others export photographs with distortion, each with its own lens model. Scenes are
-trained on undistorted photographs, so the COLMAP model that went to the trainer holds the right cameras.
+trained on undistorted photographs, so the COLMAP model used for training holds the right cameras.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _MOST = 64
 
 
 def foreign_cameras(path: Path, start: bytes) -> tuple[str, str] | None:
-    """Return what a file of other cameras is and how to export a COLMAP model; None if it is not known.
+    """Return what a file with cameras is, and how to export a COLMAP model instead; None if unknown.
 
     Args:
         path: The file.
@@ -59,7 +59,7 @@ def foreign_cameras(path: Path, start: bytes) -> tuple[str, str] | None:
 
 
 def foreign_json(content: Any) -> tuple[str, str] | None:
-    """Return what JSON of other cameras is and how to export a COLMAP model; None if it is not known."""
+    """Return what a JSON value with cameras is, and how to export a COLMAP model instead; None if unknown."""
     if isinstance(content, list):
         first = content[0] if content else None
         if isinstance(first, dict) and {"cameras", "shots"} <= first.keys():
@@ -75,7 +75,7 @@ def foreign_json(content: Any) -> tuple[str, str] | None:
 
 
 def foreign_cameras_in(folder: Path) -> tuple[str, str] | None:
-    """Return what the first file of other cameras in a folder is, with its name; None if there is none."""
+    """Return what the first such file in a folder is, with its name; None if there is none."""
     named = sorted(each for each in folder.iterdir() if each.suffix.lower() in _SUFFIXES)
     for each in named[:_MOST]:
         if not each.is_file():
@@ -88,6 +88,7 @@ def foreign_cameras_in(folder: Path) -> tuple[str, str] | None:
 
 
 def _remedy(way: str) -> str:
+    """Return advice that names a way to export a COLMAP model."""
     if way == _ANY:
         return f"give {way}"
     return f"export them as a COLMAP model, with undistorted photographs ({way}), and give its folder"

@@ -1,7 +1,7 @@
-"""Bring cameras into the frame of a scene, and say when they see nothing of it.
+"""Transform cameras into the frame of a scene, and warn if they see nothing of it.
 
-The one function for every command that takes cameras. What nerfstudio wrote beside the cameras or the scene
-(`dataparser_transforms.json`) is applied if the cameras see the scene then, and not before.
+Every command that takes cameras calls `fit_cameras`. It applies the `dataparser_transforms.json` of nerfstudio beside
+the cameras or the scene if the cameras see the scene only then.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from gsvis.scene.similarity import Similarity
 
 __all__ = ["Framed", "fit_cameras", "move_cameras"]
 
-_LOOKED = 64  # cameras looked at, at even steps
-_MANY = 0.5  # share of cameras that see nothing from which a line says so
-_GAIN = 0.1  # least share of cameras that must see more for a transform to be applied
+_LOOKED = 64  # cameras that are tested, evenly spaced
+_MANY = 0.5  # share of cameras that see nothing from which a warning is given
+_GAIN = 0.1  # a transform is applied if at least this share of cameras sees the scene only with it
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,9 +33,9 @@ class Framed:
     """Cameras in the frame of a scene.
 
     Attributes:
-        cameras: The cameras, moved if `transform` is given.
-        transform: The scene's frame from the frame of their file; None if nothing was moved.
-        remarks: At most one line for the user for each thing done or seen, without a leading space.
+        cameras: The cameras, transformed unless `transform` is None.
+        transform: Similarity from the frame of the file to that of the scene; None if nothing was transformed.
+        remarks: Lines for the user, one for each change or problem.
         blind: Share of the cameras that see nothing of the scene, in [0, 1].
     """
 
@@ -53,18 +53,18 @@ def fit_cameras(
     *,
     frame: Literal["auto", "scene", "capture"] = "auto",
 ) -> Framed:
-    """Return cameras in the frame of a scene, with a line where they were moved or where most see nothing.
+    """Return cameras in the frame of a scene, with remarks if they were transformed or most see nothing.
 
     Args:
         g: The scene.
         cameras: C cameras as their file states them.
-        path: Their file or folder; `dataparser_transforms.json` is looked for beside and above it.
-        scene: The scene's file or folder; the same is looked for there if it is not beside the cameras.
-        frame: Frame of the cameras: "scene" leaves them as they are, "capture" moves them as the file says, "auto"
-            moves them only if clearly fewer of them see nothing then.
+        path: Their file or folder; `dataparser_transforms.json` is searched beside and above it.
+        scene: The scene's file or folder, which is searched next.
+        frame: Frame of the cameras: "scene" leaves them unchanged, "capture" applies the file, "auto" applies it only
+            if clearly more of the cameras then see the scene.
 
     Returns:
-        The cameras, moved or as they were.
+        The cameras, transformed or unchanged.
 
     Raises:
         ArgumentError: If the frame is "capture" and there is no `dataparser_transforms.json`.
@@ -91,8 +91,9 @@ def fit_cameras(
     if moved is not None and (forced or lost - best >= _GAIN):
         count = len(cameras)
         line = (
-            f"The cameras were brought into the frame of the scene by {found}: {_seeing(best, count)} of {count:,} see"
-            f" it, {_seeing(lost, count)} as they were."
+            f"The cameras were transformed into the frame of the scene by {found}:"
+            f" {_seeing(best, count)} of {count:,} see"
+            f" it, {_seeing(lost, count)} without the transform."
         )
         warning = () if best < _MANY else (_warning(best, count),)
         return Framed(move_cameras(cameras, moved), moved, (line, *warning), best)
@@ -100,11 +101,11 @@ def fit_cameras(
 
 
 def move_cameras(cameras: Cameras, transform: Similarity) -> Cameras:
-    """Return cameras in another frame; they see a scene that is moved along as before.
+    """Return cameras in a new frame; they see a scene that is transformed with them as before.
 
     Args:
         cameras: C cameras.
-        transform: New frame from theirs.
+        transform: Similarity from their frame to the new one.
     """
     rotations = cameras.viewmats[:, :3, :3] @ transform.rotation.T
     eyes = transform.apply(cameras.viewpoints)
@@ -115,13 +116,14 @@ def move_cameras(cameras: Cameras, transform: Similarity) -> Cameras:
 
 
 def _share(g: Gaussians, cameras: Cameras) -> float:
+    """Return the share of cameras that see nothing of the scene."""
     count = len(cameras)
     some = np.unique(np.arange(min(count, _LOOKED)) * count // max(1, min(count, _LOOKED)))
     return float(blind(g, cameras[some]).mean()) if count else 0.0
 
 
 def _candidates(found: Path, path: str | Path | None, *, inverted: bool) -> Iterator[Similarity]:
-    """Yield what may bring the cameras into the scene: what the file says, also after what was applied before."""
+    """Yield similarities that may apply: that of the file, and its product with one applied before."""
     moved = read_dataparser(found)
     yield moved
     if path is not None:
@@ -132,24 +134,27 @@ def _candidates(found: Path, path: str | Path | None, *, inverted: bool) -> Iter
         except FormatError:
             applied = None
         if applied is not None:
-            yield _after(moved, applied.inverse())
+            yield _compose(moved, applied.inverse())
     if inverted:
         yield moved.inverse()
 
 
-def _after(second: Similarity, first: Similarity) -> Similarity:
+def _compose(second: Similarity, first: Similarity) -> Similarity:
+    """Return the similarity that applies `first`, then `second`."""
     return Similarity.from_rotation(
         second.scale * first.scale, second.rotation @ first.rotation, second.apply(first.translation[None])[0]
     )
 
 
 def _seeing(lost: float, count: int) -> str:
+    """Return the number of cameras that see something, from the share that sees nothing."""
     return f"{round((1.0 - lost) * count):,}"
 
 
 def _warning(lost: float, count: int) -> str:
+    """Return the warning that most cameras see nothing of the scene."""
     return (
-        f"{count - round((1.0 - lost) * count):,} of {count:,} cameras see nothing of the scene: they are probably"
-        " those of another frame; give the cameras of the capture that the scene was trained on, or put nerfstudio's"
+        f"{count - round((1.0 - lost) * count):,} of {count:,} cameras see nothing of the scene: their frame is"
+        " probably not that of the scene; give the cameras that the scene was trained on, or put nerfstudio's"
         " dataparser_transforms.json beside them."
     )

@@ -1,8 +1,8 @@
 """Read Gaussians from glTF (`.glb`, or `.gltf` with its buffers): KHR_gaussian_splatting, plain or SPZ-compressed.
 
 Scales and opacities in the file are activated and linear, quaternions xyzw, harmonics in the order of 3DGS. The
-transforms of nodes are applied, so the scene stands in glTF's frame: +y up, right-handed. Triangles, points without the
-extension, materials and animations are left out.
+transforms of nodes are applied, so the scene is in the frame of glTF: +y up, right-handed. Triangles, points without
+the extension, materials and animations are skipped.
 
 References:
     https://github.com/KhronosGroup/glTF/tree/main/extensions/2.0/Khronos/KHR_gaussian_splatting (release candidate,
@@ -39,7 +39,7 @@ MAGIC = b"glTF"
 _HEAD = struct.Struct("<4sII")
 _CHUNK = struct.Struct("<I4s")
 _KNOWN = {SPLATS, SPZ, "KHR_mesh_quantization"}
-_TURN = np.diag([1.0, -1.0, -1.0])  # right-down-front, as SPZ is decoded, to what the stream holds
+_TURN = np.diag([1.0, -1.0, -1.0])  # right-down-front, in which SPZ is decoded, to the frame of the stream
 
 
 def load_gltf_splats(path: str | os.PathLike[str]) -> Gaussians:
@@ -50,8 +50,8 @@ def load_gltf_splats(path: str | os.PathLike[str]) -> Gaussians:
             in it.
 
     Returns:
-        The scene in the frame of glTF, +y up. A lower SH degree of a part is filled up with zeros. A node that stands
-        too far from (0, 0, 0) for float32 gives the scene its origin.
+        The scene in the frame of glTF, +y up. Parts of lower SH degree are padded with zeros. If a node is too far from
+        (0, 0, 0) for float32, the scene gets an origin.
 
     Raises:
         FormatError: If the file is no glTF of version 2, is damaged or truncated, holds no Gaussians, or needs an
@@ -76,7 +76,7 @@ def load_gltf_splats(path: str | os.PathLike[str]) -> Gaussians:
             fields = Fields(path, f"{mesh.trail}.primitives[{k}]", primitive)
             if "extensions" in fields and SPLATS in fields.child("extensions"):
                 part = _primitive(fields, accessors, budget)
-                parts.append(part if placed is None else _put(path, part, placed))
+                parts.append(part if placed is None else _transform_part(path, part, placed))
     if not parts:
         remedy = "meshes and point clouds are no scene of Gaussians"
         raise FormatError(path, "", f"a mesh with the extension {SPLATS}", "none", remedy)
@@ -84,7 +84,7 @@ def load_gltf_splats(path: str | os.PathLike[str]) -> Gaussians:
 
 
 def _stated(root: Fields, scene: Gaussians) -> Gaussians:
-    """Return the scene with what the file states of it: +y up, and the facts of gsvis in the extras of the asset."""
+    """Return the scene with the facts of the file: +y up, and the facts of gsvis in the extras of the asset."""
     asset = root.raw("asset") if "asset" in root else None
     extras = asset.get("extras") if isinstance(asset, dict) else None
     stated = facts_from_json(extras.get(KEY) if isinstance(extras, dict) else None)
@@ -98,10 +98,10 @@ def _stated(root: Fields, scene: Gaussians) -> Gaussians:
     return settle_origin(scene.with_facts(facts), stated.origin if any(stated.origin) else None)
 
 
-def _put(path: str | os.PathLike[str], part: Gaussians, placed: Placed) -> Gaussians:
-    """Return the Gaussians of a node where it stands."""
+def _transform_part(path: str | os.PathLike[str], part: Gaussians, placed: Placed) -> Gaussians:
+    """Return the Gaussians of a node, transformed."""
     try:
-        with np.errstate(all="ignore"):  # what becomes infinite is refused
+        with np.errstate(all="ignore"):  # infinite values are rejected below
             return place_scene(part, *placed)
     except ValueError as error:
         raise format_error(path, error) from error
@@ -139,11 +139,11 @@ def _primitive(fields: Fields, accessors: Accessors, budget: Budget) -> Gaussian
     if "kernel" in splats:
         splats.text("kernel", ("ellipse",))
     if splats.raw("colorSpace") == LINEAR:
-        report_note(path, "colors are linear, and are read as they are; they look darker")
+        report_note(path, "colors are linear and are not converted; they look darker")
     if "extensions" in splats and SPZ in splats.child("extensions"):
         where = splats.child("extensions").child(SPZ)
         decoded = decode_spz(path, bytes(accessors.view(where)))
-        flagged = SceneFacts(antialiased=decoded.facts.antialiased)  # the node says where the stream stands
+        flagged = SceneFacts(antialiased=decoded.facts.antialiased)  # the node states the frame, not the stream
         return decoded.with_facts(flagged).transform(_TURN)
     attributes = fields.child("attributes")
     means = accessors.read(attributes, "POSITION", "VEC3")
@@ -179,7 +179,7 @@ def _primitive(fields: Fields, accessors: Accessors, budget: Budget) -> Gaussian
 
 
 def _bands(attributes: Fields) -> list[tuple[str, ...]]:
-    """Return the names of the coefficients of each degree that is there; raise if one of them is missing."""
+    """Return the names of the coefficients of each degree that the file has; raise if a degree is incomplete."""
     bands: list[Any] = [sh_names(degree) for degree in range(4)]
     there = [sum(name in attributes for name in names) for names in bands]
     highest = max((degree for degree in range(4) if there[degree]), default=0)

@@ -1,7 +1,7 @@
 """Write Gaussians as binary glTF (`.glb`) with the extension KHR_gaussian_splatting, plain or SPZ-compressed.
 
-Data stay in the frame of the scene, bit by bit; one node turns them to +y up. Plain attributes are float32. Compressed,
-the data are one SPZ stream, with KHR_gaussian_splatting_compression_spz_2, as CesiumJS reads it.
+Data keep the frame of the scene, bit by bit; one node rotates them to +y up. Plain attributes are float32. Compressed
+data are one SPZ stream, with KHR_gaussian_splatting_compression_spz_2, as CesiumJS reads it.
 
 References:
     See `gsvis.io.gltf_splats`. COLOR_0, the fallback for programs without the extension, is linear as glTF has it; its
@@ -37,7 +37,7 @@ __all__ = ["MOST_BYTES", "Compression", "check_size", "encode_glb", "report_anti
 Compression = Literal["none", "spz"]
 
 MOST_BYTES = 2**32 - 1
-"""Most bytes of a GLB, which has 32 bits for its length."""
+"""Largest GLB in bytes: its length has 32 bits."""
 
 _FLOAT = 5126
 _BYTE = 5121
@@ -47,7 +47,7 @@ _JSON_ROOM = 16384  # more than the JSON of any scene
 
 
 def check_size(count: int, sh_degree: int) -> None:
-    """Raise unless so many Gaussians fit into a plain GLB.
+    """Raise unless that many Gaussians fit into a plain GLB.
 
     Raises:
         ValueError: If they have more than 4 GB.
@@ -72,7 +72,7 @@ def save_glb(
     Args:
         scene: The scene; its order is kept.
         path: The file; its folder is created if missing.
-        upright: (4, 4) matrix from the frame of the scene to that of glTF, +y up; None means that it has that frame.
+        upright: (4, 4) matrix from the frame of the scene to that of glTF, +y up; None for the identity.
         compression: "none" keeps every value; "spz" rounds as `save_spz` does.
 
     Returns:
@@ -92,7 +92,7 @@ def save_glb(
 
 
 def report_antialiased(path: str | os.PathLike[str]) -> None:
-    """Log that glTF has no place for the flag of antialiased scenes."""
+    """Log that glTF cannot store the flag of antialiased scenes."""
     report_loss(path, "antialiased", "glTF has no flag for antialiased scenes; only gsvis reads its note")
 
 
@@ -109,7 +109,7 @@ def encode_glb(
         scene: As for `save_glb`.
         upright: As for `save_glb`.
         compression: As for `save_glb`.
-        path: The file that will hold them, for the log; empty logs nothing.
+        path: The file to be written, for the log; empty logs nothing.
 
     Raises:
         ValueError: As `save_glb`.
@@ -121,6 +121,7 @@ def encode_glb(
 
 
 def _check_scene(scene: Gaussians, compression: Compression) -> None:
+    """Raise unless the scene is not empty and the compression is known."""
     _check.one_of("compression", compression, ("none", "spz"))
     if len(scene) == 0:
         raise ValueError("scene: expected at least one Gaussian, got none")
@@ -135,6 +136,7 @@ def _write(
     compression: Compression,
     path: str | os.PathLike[str],
 ) -> None:
+    """Write the file to a stream."""
     matrix = np.eye(4) if upright is None else np.asarray(upright, np.float64)
     document: dict[str, Any] = {"asset": {"version": "2.0", "generator": GENERATOR} | _extras(scene, matrix)}
     if compression == "spz":
@@ -161,14 +163,14 @@ def _write(
 
 
 def _with_origin(matrix: NDArray[np.float64], scene: Gaussians) -> NDArray[np.float64]:
-    """Return the matrix of a node that puts centers where they lie in the source: the node holds the origin."""
+    """Return the matrix of a node that moves centers to their place in the source: the node holds the origin."""
     moved: NDArray[np.float64] = matrix.copy()
     moved[:3, 3] += matrix[:3, :3] @ np.asarray(scene.facts.origin)
     return moved
 
 
 def _extras(scene: Gaussians, matrix: NDArray[np.float64]) -> dict[str, Any]:
-    """Return the facts of the scene in the frame of glTF, for the asset; nothing if +y up says all."""
+    """Return the facts of the scene in the frame of glTF, for the asset; empty if +y up is the only one."""
     linear = matrix[:3, :3]
     scale = float(np.cbrt(abs(np.linalg.det(linear))))
     facts = scene.facts.transform(linear / scale, scale)
@@ -195,6 +197,7 @@ def _columns(scene: Gaussians) -> Iterator[tuple[str, str, int, NDArray[np.gener
 
 
 def _floats(values: NDArray[np.floating[Any]]) -> NDArray[np.generic]:
+    """Return values as contiguous float32."""
     return np.ascontiguousarray(values, "<f4")
 
 
@@ -233,10 +236,10 @@ def _describe_plain(document: dict[str, Any], scene: Gaussians) -> int:
 
 
 def _describe_packed(document: dict[str, Any], scene: Gaussians, size: int) -> int:
-    """Fill in what stands for the values of an SPZ stream; return its bytes.
+    """Fill in the accessors of an SPZ stream; return its bytes.
 
     The draft of the compression has neither OPACITY nor SH_DEGREE_0: COLOR_0 stands for both. CesiumJS counts the
-    attributes whose names hold SH_DEGREE to find the degree, so no other may be listed.
+    attributes whose names contain SH_DEGREE to find the degree, so no others may be listed.
     """
     kinds = {"POSITION": "VEC3", "COLOR_0": "VEC4", f"{SPLATS}:SCALE": "VEC3", f"{SPLATS}:ROTATION": "VEC4"}
     kinds |= {name: "VEC3" for degree in range(1, scene.sh_degree + 1) for name in sh_names(degree)}
@@ -256,6 +259,7 @@ def _describe_packed(document: dict[str, Any], scene: Gaussians, size: int) -> i
 
 
 def _ends(scene: Gaussians, signs: NDArray[np.float64] | None = None) -> dict[str, Any]:
+    """Return the lowest and highest center, for an accessor."""
     means = scene.means if signs is None else scene.means * signs.astype(np.float32)
     return {"min": means.min(axis=0).tolist(), "max": means.max(axis=0).tolist()}
 
@@ -263,6 +267,7 @@ def _ends(scene: Gaussians, signs: NDArray[np.float64] | None = None) -> dict[st
 def _mesh(
     document: dict[str, Any], attributes: dict[str, int], inner: dict[str, Any], used: list[str], required: list[str]
 ) -> None:
+    """Add the mesh with its extension to the document."""
     said = {"kernel": "ellipse", "colorSpace": SRGB, "sortingMethod": "cameraDistance", "projection": "perspective"}
     primitive = {"attributes": attributes, "mode": 0, "extensions": {SPLATS: {**said, **inner}}}
     document |= {"meshes": [{"primitives": [primitive]}], "extensionsUsed": used}
@@ -271,6 +276,7 @@ def _mesh(
 
 
 def _place(document: dict[str, Any], matrix: NDArray[np.float64]) -> None:
+    """Add the node to the document, with its matrix."""
     node: dict[str, Any] = {"mesh": 0}
     if not np.array_equal(matrix, np.eye(4)):
         node["matrix"] = [float(v) + 0.0 for v in matrix.T.ravel()]

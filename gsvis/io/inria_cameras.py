@@ -1,7 +1,7 @@
 """Read `cameras.json` of INRIA's 3DGS: a JSON list of the training cameras, beside the trained model.
 
-`rotation` is world from camera in OpenCV axes and `position` the viewpoint in the world. The file states no
-principal point: it is the middle of the image.
+`rotation` is world from camera in OpenCV axes and `position` the viewpoint in the world. The file states no principal
+point; the middle of the image is used.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Find rows of a scene that hold no numbers, and say whether readers leave such rows out or refuse the file.
+"""Find rows of a scene with invalid values, and choose whether readers drop such rows or reject the file.
 
-The choice belongs to one call of a reader, or to one command, and reaches every format: `dropping_invalid` is a
-context, so that formats inside formats follow it too. It is not seen by other threads.
+`dropping_invalid` is a context, so that the choice of one call or one command applies to nested formats too. It does
+not affect other threads.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 
 __all__ = ["REMEDY", "Dropping", "dropping_invalid", "find_invalid", "is_dropping"]
 
-REMEDY = "--drop-invalid, or load_scene(..., drop_invalid=True), leaves such rows out"
+REMEDY = "--drop-invalid, or load_scene(..., drop_invalid=True), drops such rows"
 """Remedy of every error about such rows."""
 
 
 class Dropping(NamedTuple):
-    """Whether readers leave invalid rows out, and whether they say how many."""
+    """Whether readers drop invalid rows, and whether they do so without a report."""
 
     drops: bool = False
     quiet: bool = False
@@ -32,11 +32,11 @@ _CHOICE: ContextVar[Dropping] = ContextVar("dropping_invalid", default=Dropping(
 
 @contextmanager
 def dropping_invalid(drops: bool = True, *, quiet: bool = False) -> Iterator[None]:
-    """Have readers leave invalid rows out, or not, inside the context.
+    """Make readers drop invalid rows, or reject them, inside the context.
 
     Args:
-        drops: Whether they leave such rows out.
-        quiet: Whether they do not report it, because the caller does.
+        drops: Whether readers drop such rows.
+        quiet: Whether readers omit the report, because the caller makes it.
     """
     token = _CHOICE.set(Dropping(drops, quiet))
     try:
@@ -46,12 +46,12 @@ def dropping_invalid(drops: bool = True, *, quiet: bool = False) -> Iterator[Non
 
 
 def is_dropping() -> Dropping:
-    """Return the choice of the innermost context; outside of any, files with invalid rows are refused."""
+    """Return the choice of the innermost context; outside of any context, files with invalid rows are rejected."""
     return _CHOICE.get()
 
 
 def find_invalid(arrays: dict[str, NDArray[np.floating[Any]]]) -> NDArray[np.bool_]:
-    """Return (N,) whether a Gaussian has a value that no Gaussian can have.
+    """Return an (N,) mask of Gaussians with an impossible value.
 
     Args:
         arrays: Activated values by the names of `Gaussians`; each has N rows.

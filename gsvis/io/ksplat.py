@@ -43,13 +43,13 @@ _SECTION_BYTES = 1024
 _CENTER_BYTES = 12
 _COMPONENTS = (0, 9, 24)
 _RANGE = 32767  # steps from the center of a block to its side
-_HALF_RANGE = 1.5  # of SH in bytes, where the header has 0
+_HALF_RANGE = 1.5  # range of SH in bytes if the header has 0
 _BUCKET = 256
-# share of the centers, and how much wider than them blocks may be laid out
+# share of the centers that count, and how much wider the grid of blocks may be
 _CORE = 0.9
 _STRETCHED = 16.0
-_BLOCKS = 8  # along the longest side of the middle 98%: a viewer searches buckets in turn, so they are few
-_COARSE = 0.25  # of a Gaussian's size: a step that may show
+_BLOCKS = 8  # blocks along the longest side of the middle 98%; few, because viewers search buckets one by one
+_COARSE = 0.25  # step that may be visible, as a share of a Gaussian's size
 _FACTS_AT = 256
 _FACTS = b"gsvis facts "
 _LEAST_HALF = 2.0**-24
@@ -58,7 +58,7 @@ _MOST_HALF = 65504.0
 
 @dataclass(frozen=True)
 class _Section:
-    """Fields of one section's header, and where its lengths, centers and records begin in the file."""
+    """Fields of a section's header, and the places of its lengths, centers and records in the file."""
 
     count: int
     degree: int
@@ -108,6 +108,7 @@ def load_ksplat(path: str | os.PathLike[str]) -> Gaussians:
 
 
 def _parse_sections(path: str | os.PathLike[str], data: bytes, sections: int, level: int) -> list[_Section]:
+    """Return the checked headers of all sections."""
     base = _HEADER_BYTES + sections * _SECTION_BYTES
     if base > len(data):
         raise FormatError(path, "header", f"{base:,} bytes for {sections:,} sections", f"{len(data):,}")
@@ -143,7 +144,7 @@ def _decode(
     """Return means, quats, scales, opacities, sh0 and shN of one section, shN of the degree of the file."""
     n = section.count
     records = np.frombuffer(data, _record(level, section.degree), n, section.records)
-    with np.errstate(all="ignore"):  # what is not finite is refused later
+    with np.errstate(all="ignore"):  # values that are not finite are rejected later
         if level:
             away = (records["means"].astype(np.float64) - section.scale_range) * section.step
             means = (away + _centers(path, data, section)).astype(np.float32)
@@ -163,7 +164,7 @@ def _decode(
 
 
 def _centers(path: str | os.PathLike[str], data: bytes, section: _Section) -> F32:
-    """Return (N, 3) the center of the bucket of each Gaussian."""
+    """Return the (N, 3) center of the bucket of each Gaussian."""
     rest = np.frombuffer(data, "<u4", section.partial, section.base).astype(np.int64)
     lengths = np.concatenate([np.full(section.full, section.bucket_size, np.int64), rest])
     ends = np.cumsum(lengths)
@@ -175,6 +176,7 @@ def _centers(path: str | os.PathLike[str], data: bytes, section: _Section) -> F3
 
 
 def _join(arrays: tuple[F32, ...]) -> F32:
+    """Return the arrays of all sections as one."""
     return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
 
 
@@ -186,7 +188,7 @@ def _record(level: int, degree: int) -> np.dtype[Any]:
 
 
 def _order(degree: int) -> NDArray[np.int64]:
-    """Return (K-1, 3) where each coefficient of each channel is stored: by band, then channel."""
+    """Return the (K-1, 3) place of each coefficient of each channel: by band, then channel."""
     bands = [np.arange(3)[None, :] * size + np.arange(size)[:, None] for size in (3, 5)[:degree]]
     rows = [start + band for start, band in zip((0, 9), bands, strict=False)]
     return np.concatenate([*rows, np.zeros((0, 3), np.int64)]).astype(np.int64)
@@ -195,15 +197,16 @@ def _order(degree: int) -> NDArray[np.int64]:
 def save_ksplat(scene: Gaussians, path: str | os.PathLike[str], *, compression: int = 1) -> None:
     """Write a `.ksplat` file, atomically.
 
-    Lossy: colors are clipped to [0, 1], color and opacity take a byte a value, SH above degree 2 is dropped with a
-    warning in the log. Compression 0 keeps everything else, and the order. 1 and 2 put Gaussians in the order of their
-    blocks, round positions to 1/65534 of a block (an eighth of the longest side of the middle 98% of the centers), and
-    hold scales of 6e-8 to 65504.
+    Lossy: colors are clipped to [0, 1], colors and opacities take a byte per value, and SH above degree 2 is dropped
+        with
+    a warning in the log. Compression 0 keeps everything else, and the order. 1 and 2 sort Gaussians by block, round
+    positions to 1/65534 of a block (an eighth of the longest side of the middle 98% of the centers), and hold scales of
+    6e-8 to 65504.
 
     Args:
         scene: The scene; its frame is kept.
         path: The file; its folder is created if missing.
-        compression: 0, 1 or 2; 44 to 140 bytes a Gaussian, 24 to 72, or 24 to 48, by SH degree.
+        compression: 0, 1 or 2, with 44 to 140, 24 to 72 or 24 to 48 bytes per Gaussian, depending on the SH degree.
 
     Raises:
         ValueError: If the scene is empty, or `compression` is not 0, 1 or 2.
@@ -255,7 +258,7 @@ def save_ksplat(scene: Gaussians, path: str | os.PathLike[str], *, compression: 
 
 
 def _with_facts(header: bytes, facts: SceneFacts) -> bytes:
-    """Return the header with the facts in the part that the format leaves unused; as it is if nothing is known."""
+    """Return the header with the facts in the part that the format leaves unused; unchanged if there are none."""
     found = spell_facts(facts).encode()
     return header.ljust(_FACTS_AT, b"\0") + _FACTS + found + b"\0" if found else header
 
@@ -276,7 +279,7 @@ def _report(scene: Gaussians, path: Path, compression: int) -> None:
         report_clipped(path, "scales", over, f"{_LEAST_HALF:.2g} to {_MOST_HALF:g}")
         thin = int((scene.scales < 0.5 * _LEAST_HALF).any(axis=1).sum())
         if thin:
-            text = f"scales below {_LEAST_HALF:.2g}, which {thin:,} Gaussians have, become {_LEAST_HALF:.2g}"
+            text = f"scales of {thin:,} Gaussians below {_LEAST_HALF:.2g} become {_LEAST_HALF:.2g}"
             report_loss(path, "scales", text, thin)
     if compression == 1:
         over = np.maximum(np.abs(scene.shN.astype(np.float64)) - _MOST_HALF, 0.0)
@@ -284,7 +287,7 @@ def _report(scene: Gaussians, path: Path, compression: int) -> None:
     if scene.facts.antialiased:
         report_loss(path, "antialiased", "the format has no flag for antialiased scenes; only gsvis reads its note")
     if any(scene.facts.origin):
-        report_note(path, "the origin is a note that gsvis reads; other programs see the scene at (0, 0, 0)")
+        report_note(path, "the origin is a note that only gsvis reads; other programs see the scene at (0, 0, 0)")
 
 
 class _Buckets(NamedTuple):
@@ -301,9 +304,10 @@ class _Buckets(NamedTuple):
 
 
 def _sort_into_buckets(scene: Gaussians) -> _Buckets:
-    low, high = scene.bounds()  # a grid from the corner of all centers would be as coarse as its floaters are far
+    """Return the Gaussians sorted into blocks of a grid and buckets inside them."""
+    low, high = scene.bounds()
     core_low, core_high = scene.bounds(_CORE)
-    if (high - low).max() > _STRETCHED * (core_high - core_low).max() > 0.0:  # a few flyaways in a small scene
+    if (high - low).max() > _STRETCHED * (core_high - core_low).max() > 0.0:  # flyaways would make the grid coarse
         low = core_low
         high = core_high
     side = float((high - low).max()) or _BLOCKS
@@ -324,14 +328,14 @@ def _sort_into_buckets(scene: Gaussians) -> _Buckets:
 
 
 def _sh_limits(higher: F32) -> tuple[float, float]:
-    """Return the values of the codes 0 and 255 of SH: all values lie between, and 128 is exactly 0."""
+    """Return the values of SH codes 0 and 255, such that all values lie between them and code 128 is exactly 0."""
     step = max(float(higher.max()) / 127.0, -float(higher.min()) / 128.0) if higher.size else 0.0
     step = min(step, 1e36) or _HALF_RANGE / 128.0
     return float(np.float32(-128.0 * step)), float(np.float32(127.0 * step))
 
 
 def _encode(scene: Gaussians, level: int, buckets: _Buckets | None, limits: tuple[float, float]) -> NDArray[Any]:
-    """Return the records (N,) of a scene, which is in the order of its buckets."""
+    """Return the records (N,) of a scene, in the order of its buckets."""
     records = np.zeros(len(scene), _record(level, scene.sh_degree))
     order = _order(scene.sh_degree).reshape(-1)
     values = np.empty((len(scene), len(order)), np.float32)
@@ -352,6 +356,7 @@ def _encode(scene: Gaussians, level: int, buckets: _Buckets | None, limits: tupl
 
 
 def _to_bytes(values: F32, low: float, high: float) -> F32:
+    """Return values in [low, high] as 0 to 255."""
     return np.asarray(
         np.clip(np.rint((values - np.float32(low)) * np.float32(255.0 / (high - low))), 0, 255), np.float32
     )

@@ -1,4 +1,4 @@
-"""Read and write quality levels as a folder: one PLY per level for any viewer, and a map that joins them again.
+"""Read and write quality levels as a folder: one PLY per level for any viewer, and a map that joins them.
 
 `levels.arrow` has a row for each Gaussian of the union: its levels, and its scales and opacity, because a PLY stores
 only logarithms and logits. Loading returns exactly what was saved, bit by bit. Frame and units are the scene's.
@@ -31,7 +31,7 @@ from gsvis.scene.levels import Levels
 __all__ = ["MAP", "LevelsInfo", "check_names", "levels_info", "load_levels", "save_levels"]
 
 MAP = "levels.arrow"
-"""Name of the map in the folder."""
+"""File name of the map."""
 
 FORMAT = "gsvis-levels"
 VERSION = 1
@@ -85,8 +85,8 @@ def check_names(names: Sequence[str]) -> None:
 def save_levels(levels: Levels, folder: str | os.PathLike[str], extra: Mapping[str, Any] | None = None) -> None:
     """Write `NAME.ply` for each level, its Gaussians in the order of the union, and the map.
 
-    All files are written beside the folder and take the place of an older result at the end, in one step where the
-    system can, else the map last. Other files in it stay.
+    All files are written beside the folder and replace an older result at the end: in one step if the system can, else
+    the map last. Other files in the folder stay.
 
     Args:
         levels: The levels.
@@ -165,6 +165,7 @@ def levels_info(folder: str | os.PathLike[str]) -> LevelsInfo:
 
 
 def _batches(levels: Levels) -> Iterator[pa.RecordBatch]:
+    """Yield the rows of the map, a batch at a time."""
     schema = pa.schema(_FIELDS)
     union = levels.union
     for start in range(0, len(union), _ROWS):
@@ -175,6 +176,7 @@ def _batches(levels: Levels) -> Iterator[pa.RecordBatch]:
 
 
 def _info(file: ArrowFile) -> LevelsInfo:
+    """Return the checked contents of a map's header."""
     header = file.header
     rows = [Fields(file.path, f"levels[{k}]", row) for k, row in enumerate(header.items("levels"))]
     if not 1 <= len(rows) <= 16:
@@ -222,7 +224,7 @@ def _columns(file: ArrowFile, info: LevelsInfo) -> tuple[NDArray[Any], NDArray[A
 
 def _check_ply(file: Path, info: LevelsInfo, level: int) -> Path:
     """Return the PLY of a level after checking its digest."""
-    path = file.parent / info.files[level]  # a link may lead anywhere: the digest verifies the content
+    path = file.parent / info.files[level]  # may be a link; the digest verifies the content
     try:
         digest = digest_of(path)
     except FileNotFoundError as error:
@@ -230,5 +232,5 @@ def _check_ply(file: Path, info: LevelsInfo, level: int) -> Path:
     if digest != info.digests[level]:
         wanted = f"a content of SHA-256 {info.digests[level][:12]}..."
         got = f"{digest[:12]}..."
-        raise FormatError(path, "", wanted, got, f"it was changed since the map was written: {_AGAIN}")
+        raise FormatError(path, "", wanted, got, f"it has changed since the map was written: {_AGAIN}")
     return path

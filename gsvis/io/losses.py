@@ -1,4 +1,4 @@
-"""Report what a file cannot say, one line for each thing: the structured record of what a reader or a writer lost.
+"""Report what a reader or a writer lost because the file cannot store it, one line per property.
 
 Readers and writers call `report_loss`; the line goes to the logger `gsvis.io` with the `Loss` attached, the command
 line prints it, and `watch_losses` collects it. `report_note` is for lines about a file that lose nothing.
@@ -29,10 +29,10 @@ class Loss:
 
     Attributes:
         path: The file that was read or written.
-        what: The property: "centers", "scales", "opacities", "colors", "SH", "rows", "order", "antialiased" or another
-            fact.
-        text: What happened to it, a sentence without the path.
-        count: Gaussians concerned; 0 where it concerns all or the file as a whole.
+        what: Name of the property: "centers", "scales", "opacities", "colors", "SH", "rows", "order", "antialiased" or
+            another fact.
+        text: What happened to it, as a sentence without the path.
+        count: Number of Gaussians affected; 0 if it affects all of them or the file as a whole.
     """
 
     path: str
@@ -42,13 +42,13 @@ class Loss:
 
 
 def report_loss(path: str | os.PathLike[str], what: str, text: str, count: int = 0) -> None:
-    """Log what was lost as one line.
+    """Log a loss as one line.
 
     Args:
-        path: The file that is read or written; nothing is logged of an empty one, for which the caller reports.
+        path: The file that is read or written; an empty path logs nothing, because the caller reports.
         what: The property, as in `Loss`.
         text: What happened to it.
-        count: Gaussians concerned.
+        count: Number of Gaussians affected.
     """
     loss = Loss(os.fspath(path), what, text, count)
     if not loss.path:
@@ -57,14 +57,14 @@ def report_loss(path: str | os.PathLike[str], what: str, text: str, count: int =
 
 
 def report_note(path: str | os.PathLike[str], text: str) -> None:
-    """Log a line about a file from which nothing was lost."""
+    """Log a line about a file, without a loss."""
     _logger.warning("%s: %s", os.fspath(path), text)
 
 
 def report_clipped(
     path: str | os.PathLike[str], what: str, beyond: NDArray[np.floating], limits: str, unit: str = ""
 ) -> None:
-    """Log how many values a format clipped, and how far; nothing if it clipped none.
+    """Log how many values a format clipped, and by how much; nothing if it clipped none.
 
     Args:
         path: The file.
@@ -82,7 +82,7 @@ def report_clipped(
 
 
 class _Collector(logging.Handler):
-    """Keep the losses of records."""
+    """Collect the losses attached to log records."""
 
     def __init__(self) -> None:
         super().__init__(logging.WARNING)

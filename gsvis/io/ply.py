@@ -41,12 +41,13 @@ _SH_DEGREE = 3
 def load_ply(path: str | os.PathLike[str], *, rows: tuple[int, int] | None = None) -> Gaussians:
     """Read a PLY of Gaussians, plain or compressed (PlayCanvas).
 
-    Centers too far from (0, 0, 0) for float32 are kept relative to an origin, see `SceneFacts.origin`; the whole file
-    decides it, also where only some rows are read. The 3D filter of Mip-Splatting is fused.
+    Centers too far from (0, 0, 0) for float32 are kept relative to an origin, see `SceneFacts.origin`. It is chosen
+    from the whole file, even if only some rows are read. The 3D filter of Mip-Splatting is applied to scales and
+    opacities.
 
     Args:
         path: The file.
-        rows: First row and the row after the last, of a file for which `ply_rows` counts rows; None reads all.
+        rows: First row, and the row after the last, if `ply_rows` can count the rows of the file; None reads all.
 
     Returns:
         The scene, in the file's order and frame.
@@ -62,12 +63,12 @@ def load_ply(path: str | os.PathLike[str], *, rows: tuple[int, int] | None = Non
 def read_ply(
     path: str | os.PathLike[str], stream: BinaryIO, size: int, *, rows: tuple[int, int] | None = None
 ) -> Gaussians:
-    """Read a PLY from a stream, as `load_ply`.
+    """Read a PLY from a stream; see `load_ply`.
 
     Args:
         path: The file, for messages.
-        stream: Opened for bytes, at its start; it can seek.
-        size: Bytes in it.
+        stream: Binary stream that can seek, at its start.
+        size: Bytes in the stream.
         rows: As for `load_ply`.
 
     Raises:
@@ -95,7 +96,7 @@ def read_ply(
 
 
 def ply_rows(path: str | os.PathLike[str], stream: BinaryIO) -> tuple[int, int] | None:
-    """Return the number of rows of a binary PLY of Gaussians and the bytes of each; None for other kinds of PLY.
+    """Return the number of rows of a binary PLY of Gaussians and the bytes of a row; None for other kinds of PLY.
 
     Args:
         path: The file, for messages.
@@ -113,7 +114,7 @@ def ply_rows(path: str | os.PathLike[str], stream: BinaryIO) -> tuple[int, int] 
 
 
 def _cut(header: PlyHeader, start: int, stop: int) -> PlyHeader:
-    """Return the header of a file that has only some of the rows.
+    """Return a header for some of the rows.
 
     Raises:
         FormatError: If the file has fewer rows.
@@ -127,7 +128,7 @@ def _cut(header: PlyHeader, start: int, stop: int) -> PlyHeader:
 
 
 def _facts(header: PlyHeader, vertex: Element, columns: Columns, stream: BinaryIO) -> SceneFacts:
-    """Return what the comments state, with the origin that the centers need."""
+    """Return the facts that the comments state, with the origin that the centers need."""
     facts = facts_of(header.comments)
     if columns.filter:  # Mip-Splatting always compensates opacities
         facts = replace(facts, antialiased=True)
@@ -142,18 +143,18 @@ def _facts(header: PlyHeader, vertex: Element, columns: Columns, stream: BinaryI
 
 
 def _is_double(vertex: Element, columns: Columns) -> bool:
-    """Return whether the file has more digits of the centers than float32."""
+    """Return whether the file stores centers in double precision."""
     assert vertex.row is not None
     return any(vertex.row[name].itemsize > 4 or vertex.row[name].kind in "iu" for name in columns.means)
 
 
 def _report(path: str, columns: Columns, facts: SceneFacts) -> None:
-    """Log what is not kept as the file has it."""
+    """Log what is not kept as in the file."""
     if columns.degree > _SH_DEGREE:
         report_loss(path, "SH", f"SH degree {columns.degree} is reduced to {_SH_DEGREE}; gsvis keeps degrees 0 to 3")
     if columns.filter:
         report_note(
-            path, f"the 3D filter of Mip-Splatting ({columns.filter}) is fused into scales and opacities; antialiased"
+            path, f"the 3D filter of Mip-Splatting ({columns.filter}) is applied to scales and opacities; antialiased"
         )
     if any(facts.origin):
         x, y, z = facts.origin
@@ -161,6 +162,7 @@ def _report(path: str, columns: Columns, facts: SceneFacts) -> None:
 
 
 def _read(header: PlyHeader, columns: Columns, facts: SceneFacts, stream: BinaryIO) -> Gaussians:
+    """Return the Gaussians of all rows."""
     vertex = header.element("vertex")
     assert vertex is not None
     n = vertex.count
@@ -206,17 +208,18 @@ def _read(header: PlyHeader, columns: Columns, facts: SceneFacts, stream: Binary
 
 
 def _is_bytes(vertex: Element, columns: Columns) -> bool:
+    """Return whether colors are stored as bytes."""
     assert vertex.row is not None
     return vertex.row[columns.sh0[0]].kind in "iu"
 
 
 def _fuse(scales: F32, opacities: F32, filters: F32) -> tuple[F32, F32]:
-    """Return scales and opacities with the 3D filter of Mip-Splatting in them.
+    """Return scales and opacities with the 3D filter of Mip-Splatting applied.
 
     References:
         Yu et al., "Mip-Splatting: alias-free 3D Gaussian splatting", CVPR 2024, equation 9.
     """
-    with np.errstate(all="ignore"):  # what is not finite is refused later
+    with np.errstate(all="ignore"):  # values that are not finite are rejected later
         own = scales.astype(np.float64)
         wide = np.sqrt(own * own + filters.astype(np.float64) ** 2)
         share = np.prod(own / wide, axis=1, keepdims=True)
@@ -226,7 +229,7 @@ def _fuse(scales: F32, opacities: F32, filters: F32) -> tuple[F32, F32]:
 class _Gather:
     """Copy named columns of packed rows into a (rows, columns) array of floats.
 
-    Rows of float32 alone, as in nearly all files, need one indexed copy; others need one copy per column.
+    Rows that hold only float32, as in nearly all files, need one indexed copy; others need one copy per column.
     """
 
     def __init__(self, vertex: Element, groups: list[tuple[str, ...]]) -> None:
@@ -269,17 +272,17 @@ def save_ply_parts(
     sh_degree: int,
     facts: SceneFacts | None = None,
 ) -> None:
-    """Write the parts of a scene one after the other, as `save_ply` writes the whole; memory holds one part.
+    """Write a scene part by part, with the same bytes as `save_ply`; memory holds one part.
 
     Args:
         parts: The parts, in order. A lower SH degree is padded with zeros.
         path: The file; its folder is created if missing.
-        count: Gaussians of all parts.
+        count: Number of Gaussians of all parts.
         sh_degree: Highest SH degree of all parts.
-        facts: What the comments state; parts of another origin are brought to this one. None states nothing.
+        facts: Facts for the comments; parts are moved to their origin. None writes no comments.
 
     Raises:
-        ValueError: If the parts have other Gaussians than `count` says, or a higher degree.
+        ValueError: If the parts have more or fewer than `count` Gaussians, or a higher degree.
         OSError: If it cannot be written.
     """
     k = (sh_degree + 1) ** 2 - 1
@@ -313,7 +316,7 @@ def save_ply_parts(
 
 
 def _with_doubles(scene: Gaussians, some: slice, table: F32) -> bytes:
-    """Return the bytes of rows whose centers are doubles in the coordinates of the source."""
+    """Return the bytes of rows, with centers as doubles in the coordinates of the source."""
     rows = np.empty(len(table), np.dtype([("means", "<f8", (3,)), ("rest", "<f4", (table.shape[1] - 3,))]))
     rows["means"] = scene.facts.to_source(scene.means[some])
     rows["rest"] = table[:, 3:]
@@ -321,7 +324,7 @@ def _with_doubles(scene: Gaussians, some: slice, table: F32) -> bytes:
 
 
 def _tables(scene: Gaussians, names: tuple[str, ...], k: int) -> Iterator[NDArray[np.float32]]:
-    """Yield the rows of a scene in columns of these names, some at a time; k SH coefficients above degree 0."""
+    """Yield the rows of a scene in chunks, with columns of these names; k SH coefficients above degree 0."""
     at = {name: i for i, name in enumerate(names)}
     own = scene.shN.shape[1]
     per_chunk = max(1, CHUNK_BYTES // (4 * len(names)))

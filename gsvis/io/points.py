@@ -1,6 +1,6 @@
-"""Read colored points of common formats: COLMAP's `points3D`, PLY, and the PLY that a `transforms.json` names.
+"""Read colored points: COLMAP's `points3D`, a PLY, or the PLY that a `transforms.json` names.
 
-Positions are in the frame of the file, which is that of the cameras beside it; colors are sRGB in [0, 1].
+Positions are in the frame of the file, the same as the cameras beside it; colors are sRGB in [0, 1].
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def load_points(path: str | PathLike[str]) -> PointCloud:
             `transforms.json` with `ply_file_path`, or its folder.
 
     Returns:
-        The points in file order; mid-gray if a PLY has no colors. A file may hold none.
+        The points in file order, maybe none; mid-gray if a PLY has no colors.
 
     Raises:
         FileNotFoundError: If there is nothing at `path`.
@@ -97,6 +97,7 @@ def find_points(path: Path) -> Path | None:
 
 
 def _read_ply(header: PlyHeader, stream: BufferedReader) -> PointCloud:
+    """Return the points of a PLY."""
     vertex = header.element("vertex")
     if vertex is None:
         names = ", ".join(e.name for e in header.elements) or "none"
@@ -162,6 +163,6 @@ def _check_rows(header: PlyHeader, place: tuple[int, int, int], means: F32, colo
 
 
 def _not_finite(means: NDArray[Any]) -> int | None:
-    """Return the index of the first row that is not finite."""
+    """Return the index of the first row that is not finite; None if all are."""
     bad = ~np.isfinite(means).all(axis=1)
     return int(bad.argmax()) if bad.any() else None

@@ -52,11 +52,11 @@ def load_path(path: str | os.PathLike[str]) -> HeadPath:
 
 
 def is_recording(path: str | os.PathLike[str]) -> bool:
-    """Return whether a file says that a person was recorded: an EyeNavGS recording does, a plain pose file does not.
+    """Return whether a file holds a recorded person: true for EyeNavGS recordings, false for plain pose files.
 
     Raises:
         FileNotFoundError: If there is no file.
-        FormatError: If the file is no table.
+        FormatError: If the file is not a table.
     """
     return is_eyenav(_open(path))
 
@@ -89,6 +89,7 @@ def write_poses(poses: HeadPath, path: str | os.PathLike[str]) -> None:
 
 
 def _open(path: str | os.PathLike[str]) -> Table:
+    """Return the table in a file."""
     path = _check.path("path", path)
     if path.is_dir():
         raise FormatError(path, "", "a file of poses", "a folder", "name one of the files in it")
@@ -98,6 +99,7 @@ def _open(path: str | os.PathLike[str]) -> Table:
 
 
 def _path_of(table: Table) -> HeadPath:
+    """Return the path of a plain pose file."""
     values = table.numbers(COLUMNS)
     if len(values) == 0:
         raise FormatError(table.path, f"line {table.lines[0] + 1}", "at least one pose", "the end of the file")
@@ -115,6 +117,7 @@ def _path_of(table: Table) -> HeadPath:
 
 
 def _check_times(table: Table, times: NDArray[np.float64]) -> None:
+    """Raise unless times rise."""
     back = np.flatnonzero(np.diff(times) <= 0)
     if len(back):
         row = int(back[0]) + 1

@@ -36,7 +36,7 @@ def describe_cameras(cameras: Cameras) -> list[dict[str, Any]]:
 
 
 def holds_own_cameras(content: Any) -> bool:
-    """Return whether a JSON value is a document of gsvis that may hold cameras."""
+    """Return whether a JSON value is a gsvis document that may hold cameras."""
     return isinstance(content, dict) and content.get("format") in _FORMATS
 
 
@@ -52,7 +52,7 @@ def read_own_cameras(path: Path, content: dict[str, Any]) -> Views:
     """
     entries = content.get("cameras")
     if not isinstance(entries, list):
-        got = "a report of an earlier version of gsvis, without them" if entries is None else type(entries).__name__
+        got = "a report of an earlier version of gsvis, without cameras" if entries is None else type(entries).__name__
         raise FormatError(path, "cameras", "a list of cameras", got, "write the report again")
     views = Views(path, [], [], [], [])
     for index, entry in enumerate(entries):

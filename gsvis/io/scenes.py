@@ -49,7 +49,7 @@ _READERS: dict[str, Callable[[str | os.PathLike[str]], Gaussians]] = {
     ".gltf": load_gltf_splats,
 }
 _PLACED = (load_splat, load_ksplat, load_gltf_splats, load_checkpoint)
-"""Readers of formats that hold centers as floats, which may lie too far from (0, 0, 0) for float32."""
+"""Readers of formats with centers as floats, which may lie too far from (0, 0, 0) for float32."""
 
 _WRITERS: dict[str, Callable[[Gaussians, str | os.PathLike[str]], None]] = {
     ".ply": save_ply,
@@ -64,9 +64,9 @@ _MAGICS = {b"ply": ".ply", b"NGSP": ".spz", b"PK": ".sog", b"glTF": ".glb"}
 
 
 def check_scene(path: str | os.PathLike[str], lod: int | None = None) -> bool:
-    """Raise unless a path holds a scene of a known format, by its name and first bytes; return whether it is streamed.
+    """Raise unless a path holds a scene of a known format; return whether it is a streamed SOG.
 
-    Reads no Gaussian, so that the inputs of long work can be checked first.
+    Reads only names and first bytes, so that inputs can be checked before long work.
 
     Args:
         path: As for `load_scene`.
@@ -90,12 +90,12 @@ def load_scene(path: str | os.PathLike[str], lod: int | None = None, *, drop_inv
             may be gzipped.
         lod: Level of detail of a streamed SOG, 0 the finest; None takes the finest present. Other formats have one
             level and need None.
-        drop_invalid: Leave out rows whose values are no numbers or out of range, with one line in the log; else they
-            are an error. None means an error, unless the call is inside `gsvis.io.invalid.dropping_invalid`.
+        drop_invalid: Drop rows whose values are not finite or out of range, with one line in the log; False makes them
+            an error. None takes the choice of `gsvis.io.invalid.dropping_invalid`, by default an error.
 
     Returns:
         The scene, in the file's order and frame, activated. SPZ is rotated to the frame of the same scene's PLY; glTF
-        has +y up. What the file states besides is in `facts`; centers far from (0, 0, 0) are relative to
+        has +y up. `facts` holds other properties that the file states. Centers far from (0, 0, 0) are relative to
         `facts.origin`.
 
     Raises:
@@ -114,7 +114,7 @@ def load_scene(path: str | os.PathLike[str], lod: int | None = None, *, drop_inv
 
 
 def is_gltf(path: str | os.PathLike[str]) -> bool:
-    """Return whether `load_scene` reads a path as glTF, whose scenes have +y up; by its first bytes.
+    """Return whether the file is glTF by its first bytes; scenes in glTF have +y up.
 
     Args:
         path: As for `load_scene`.
@@ -132,7 +132,7 @@ def is_gltf(path: str | os.PathLike[str]) -> bool:
 
 
 def _find_reader(path: Path, lod: int | None) -> Callable[[str | os.PathLike[str]], Gaussians] | None:
-    """Return the reader for a path; None for a streamed SOG, which has LODs."""
+    """Return the reader for a path; None for a streamed SOG, which has levels of detail."""
     if not path.exists():
         raise FileNotFoundError(errno.ENOENT, "no scene file or folder here", str(path))
     _check_content(path)
@@ -148,14 +148,14 @@ def save_scene(scene: Gaussians, path: str | os.PathLike[str]) -> None:
     """Write a scene in the format of the path's suffix, atomically.
 
     INRIA PLY (`.ply`) keeps everything; SPZ (`.spz`) and SOG (`.sog`) are about ten times smaller and lossy; `.ksplat`
-    is for GaussianSplats3D, and lossy too.
+    is for GaussianSplats3D and also lossy.
 
     Args:
         scene: The scene.
         path: A file name that ends in `.ply`, `.spz`, `.sog` or `.ksplat`; its folder is created if missing.
 
     Raises:
-        ValueError: If the suffix is another one, the scene is empty, or the format cannot hold it.
+        ValueError: If the suffix is not one of these, the scene is empty, or the format cannot hold it.
         OSError: If the file cannot be written.
     """
     where = _check.path("path", path)
@@ -164,7 +164,7 @@ def save_scene(scene: Gaussians, path: str | os.PathLike[str]) -> None:
         near = _check.suggestion(where.suffix, _WRITERS) if writer is None else ""
         raise ValueError(
             f"path: expected a name that ends in {', '.join(_WRITERS)}, got {where.name!r}; "
-            + (near or "other formats, compressed PLY among them, are only read")
+            + (near or "gsvis can only read other formats, including compressed PLY")
         )
     if len(scene) == 0:
         raise ValueError("scene: expected at least one Gaussian, got an empty scene; there is nothing to write")

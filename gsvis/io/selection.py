@@ -29,7 +29,7 @@ __all__ = ["load_selection", "note_of", "save_selection"]
 _FORMAT = "gsvis-selection"
 _NOTE_BYTES = 1 << 20
 _HEADER_BYTES = 1 << 16
-# The header of an `.npy` file is Python: NumPy parses it, and lets through most of what that raises.
+# The header of an `.npy` file is Python code; parsing it can raise many kinds of errors.
 _FAULTS = (ValueError, TypeError, LookupError, ArithmeticError, EOFError, SyntaxError, RecursionError, MemoryError)
 
 
@@ -58,7 +58,7 @@ def save_selection(
         raise ValueError(f"path: expected a name that ends in .npy, got {os.fspath(path)!r}")
     values = _check.integers("classes", classes, (len(g),), np.uint8)
     note = {"format": _FORMAT, "version": 1, "scene": scene_hash(g), "gaussians": len(g), "classes": list(names)}
-    data = io.BytesIO()  # np.save to a file does not notice that the last bytes of a small array did not fit
+    data = io.BytesIO()  # np.save to a file does not report a full disk for small arrays
     np.save(data, values)
     with atomic_path(target) as partial:
         partial.write_bytes(data.getvalue())
@@ -70,11 +70,11 @@ def load_selection(path: str | os.PathLike[str], g: Gaussians) -> NDArray[np.uin
     """Return the classes (N,) of a selection for a scene of N Gaussians.
 
     Args:
-        path: A `.npy` file of N numbers of 0 to 255, or N truth values: True for what goes.
+        path: A `.npy` file of N integers in 0 to 255, or N booleans: True for Gaussians that go.
         g: The scene.
 
     Raises:
-        FormatError: If the file is no such array, or is a selection of another scene.
+        FormatError: If the file is not such an array, or is not a selection of this scene.
         FileNotFoundError: If there is no file.
     """
     target = _check.path("path", path)
@@ -82,7 +82,7 @@ def load_selection(path: str | os.PathLike[str], g: Gaussians) -> NDArray[np.uin
     if array.ndim != 1 or array.dtype.kind not in "bui":
         raise FormatError(path, "", "one whole number for each Gaussian", f"shape {array.shape} of {array.dtype}")
     if len(array) != len(g):
-        numbers = f"{len(array):,}: it is a selection of another scene"
+        numbers = f"{len(array):,}, a selection of a different scene"
         raise FormatError(path, "", f"{len(g):,} numbers, one for each Gaussian", numbers)
     if len(array) and not 0 <= int(array.min()) <= int(array.max()) <= 255:
         raise FormatError(path, "", "numbers of 0 to 255", f"{array.min()} to {array.max()}")
@@ -91,7 +91,7 @@ def load_selection(path: str | os.PathLike[str], g: Gaussians) -> NDArray[np.uin
 
 
 def _read_npy(path: Path, most: int) -> NDArray[Any]:
-    """Return the array of an `.npy` file of at most so many bytes."""
+    """Return the array of an `.npy` file of at most `most` bytes."""
     data = read_whole(path)
     if not data.startswith(b"\x93NUMPY"):
         raise FormatError(path, "", "an .npy file of numbers", f"a file beginning {data[:6]!r}")
@@ -99,23 +99,23 @@ def _read_npy(path: Path, most: int) -> NDArray[Any]:
         raise FormatError(path, "", f"at most {most:,} bytes for this scene", f"{len(data):,}")
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # a header that Python 2 wrote
+            warnings.simplefilter("ignore")  # NumPy warns about headers written by Python 2
             return np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
     except (*_FAULTS, tokenize.TokenError):
         raise FormatError(path, "", "an .npy file of numbers", "a damaged one, or one of objects") from None
 
 
 def _check_note(path: Path, g: Gaussians) -> None:
-    """Raise if the note of a selection names another scene; a selection may come without."""
+    """Raise if the note of a selection names a different scene; the note may be missing."""
     if not path.is_file():
         return
     try:
         with open_regular(path) as file:
             note: Any = json.loads(file.read(_NOTE_BYTES))
     except (ValueError, RecursionError):
-        return  # something else has that name
+        return  # not a note of gsvis
     if not isinstance(note, dict) or note.get("format") != _FORMAT:
         return
     if note.get("scene") != scene_hash(g):
-        got = f"one of the scene with the hash {str(note.get('scene'))[:12]}..., or of this one before a change"
+        got = f"one for the scene with hash {str(note.get('scene'))[:12]}...; has this scene changed?"
         raise FormatError(path, "scene", "a selection of this scene", got)

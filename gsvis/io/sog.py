@@ -1,7 +1,8 @@
-"""Read SOG: PlayCanvas' scenes as lossless WebP planes, versions 1 and 2, in a folder or a zip.
+"""Read SOG, scenes of PlayCanvas as lossless WebP planes, versions 1 and 2, in a folder or a zip.
 
-Row i of every plane is Gaussian i. Positions are 16-bit over a logarithmic range, quaternions three of four
-components, the rest bytes into ranges (version 1) or codebooks (version 2); higher SH a palette with labels.
+Pixel i of every plane belongs to Gaussian i. Positions are 16-bit over a logarithmic range, and quaternions three of
+four components. Other values are bytes that index ranges (version 1) or codebooks (version 2). Higher SH is a palette
+with labels.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ ANTIALIASED = "antialiased"
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
 _COEFFICIENTS = {1: 3, 2: 8, 3: 15}
-_PALETTE_ROW = 64  # centroids side by side in a row of their plane
+_PALETTE_ROW = 64  # centroids in a row of their plane
 
 
 def load_sog(path: str | os.PathLike[str]) -> Gaussians:
@@ -94,11 +95,12 @@ class SogMeta:
         self.names = [name for names in self.files.values() for name in names]
 
     def _files(self, key: str, number: int) -> list[str]:
+        """Return the file names of a plane; raise unless there are `number`."""
         part = self.fields.child(key)
         return [safe_name(self.path, part.where("files"), name) for name in part.items("files", number)]
 
     def facts(self) -> SceneFacts:
-        """Return what the file states of its scene: its model, as splat-transform writes it, and the facts of gsvis."""
+        """Return the facts in the file: its model, as splat-transform writes it, and the facts of gsvis."""
         stated = facts_from_json(self.fields.raw(KEY)) if KEY in self.fields else SceneFacts()
         named = self.fields.raw("model") if "model" in self.fields else ""
         return replace(stated, antialiased=True) if named == ANTIALIASED else stated
@@ -122,7 +124,7 @@ class SogMeta:
                 )
                 return (low + (high - low) * (np.arange(256) / 255.0)[:, None]).astype(np.float32)
             entries = part.items("codebook")
-            if len(entries) == 256 and entries[0] is None:  # a bug of early writers; readers extrapolate
+            if len(entries) == 256 and entries[0] is None:  # a bug of early writers; extrapolate
                 rest = Fields(self.path, key, {"codebook": entries[1:]}).numbers("codebook", 255)
                 codebook = np.concatenate([[rest[0] + (rest[0] - rest[254]) / 255.0], rest])
             else:
@@ -136,7 +138,7 @@ def read_sog(meta: SogMeta, store: Store, budget: Budget) -> Gaussians:
     Args:
         meta: Its metadata.
         store: Source of its planes.
-        budget: Limit of its unpacked size; already knows the size of the files.
+        budget: Limit of the unpacked size; it already counts the size of the files.
 
     Raises:
         FormatError: If a plane is missing, damaged, too small, or holds an index out of range.
@@ -166,7 +168,7 @@ def read_sog(meta: SogMeta, store: Store, budget: Budget) -> Gaussians:
 
 
 def _plane(meta: SogMeta, store: Store, budget: Budget, key: str, index: int = 0) -> U8:
-    """Return (N, 4) first pixels of a plane with one pixel per Gaussian."""
+    """Return the first N pixels (N, 4) of a plane with one pixel per Gaussian."""
     pixels = _image(meta, store, budget, key, index)
     if pixels.shape[0] * pixels.shape[1] < meta.count:
         raise FormatError(
@@ -195,11 +197,13 @@ def _look_up(meta: SogMeta, key: str, pixels: U8, channels: int) -> F32:
 
 
 def _check_index(meta: SogMeta, key: str, most: int, entries: int, what: str) -> None:
+    """Raise unless all indices are below the number of entries."""
     if most >= entries:
         raise FormatError(meta.path, key, f"indices below {entries}, the number of {what}", f"{most}")
 
 
 def _means(meta: SogMeta, store: Store, budget: Budget) -> F32:
+    """Return (N, 3) centers."""
     part = meta.fields.child("means")
     low = part.numbers("mins", 3)
     high = part.numbers("maxs", 3)

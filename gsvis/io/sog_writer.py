@@ -32,8 +32,8 @@ F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
 _PALETTE_ROW = 64
 _MAX_PALETTE = 65536
-_COARSE = 0.25  # of a Gaussian's size: a step that may show
-_SHOWS = 1.0 / 255.0  # change of color that may show
+_COARSE = 0.25  # step that may be visible, as a share of a Gaussian's size
+_SHOWS = 1.0 / 255.0  # change of color that may be visible
 
 
 @dataclass(frozen=True)
@@ -42,9 +42,9 @@ class EncodedSog:
 
     Attributes:
         files: Files by name: the planes, then `meta.json`.
-        sets: Sets of higher coefficients; 0 without any.
-        sh_error: Change of color by the palette of these sets, root of the mean square over Gaussians, directions and
-            channels; 1 is white.
+        sets: Number of sets of higher coefficients in the palette; 0 without higher coefficients.
+        sh_error: Change of color caused by the palette, root mean square over Gaussians, directions and channels; 1 is
+            white.
     """
 
     files: dict[str, bytes]
@@ -72,11 +72,11 @@ def save_sog(scene: Gaussians, path: str | os.PathLike[str]) -> None:
 
 
 def encode_sog(scene: Gaussians, *, palette: int = _MAX_PALETTE, digits: int | None = None) -> EncodedSog:
-    """Return a scene as the files of SOG, and what the palette of its higher coefficients changes.
+    """Return a scene as the files of SOG, with the error of the palette of its higher coefficients.
 
     Args:
         scene: The scene; its order and frame are kept.
-        palette: Most sets of higher coefficients, 1 to 65,536.
+        palette: Largest number of sets of higher coefficients, 1 to 65,536.
         digits: Significant digits of the codebooks in `meta.json`; None writes them in full.
 
     Raises:
@@ -108,7 +108,7 @@ def encode_sog(scene: Gaussians, *, palette: int = _MAX_PALETTE, digits: int | N
 
 
 def _facts(scene: Gaussians) -> dict[str, Any]:
-    """Return what is known of the scene besides; empty if nothing is."""
+    """Return the facts of the scene, ready for JSON; empty if there are none."""
     found = facts_to_json(scene.facts)
     if found.pop("antialiased", False):
         return {"model": ANTIALIASED} | ({KEY: found} if found else {})
@@ -116,37 +116,37 @@ def _facts(scene: Gaussians) -> dict[str, Any]:
 
 
 def report_sog_losses(scene: Gaussians, path: str | os.PathLike[str]) -> None:
-    """Log what the format rounds visibly: centers far from (0, 0, 0), or spread too far; and a note of the origin."""
+    """Log visible rounding of centers that are far from (0, 0, 0) or widely spread, and a note about the origin."""
     size = size_of_gaussians(scene.scales)
     position = symlog(scene.means)
     steps = (position.max(axis=0) - position.min(axis=0)) / 65535.0 * (1.0 + np.median(np.abs(scene.means), axis=0))
     if float(steps.max()) > _COARSE * size:
         report_loss(path, "centers", f"centers are rounded to steps of {steps.max():.3g}; Gaussians have {size:.3g}")
     if any(scene.facts.origin):
-        report_note(path, "the origin is a note that gsvis reads; other programs see the scene at (0, 0, 0)")
+        report_note(path, "the origin is a note that only gsvis reads; other programs see the scene at (0, 0, 0)")
 
 
 def report_palette_loss(path: str | os.PathLike[str], gaussians: int, sets: int, error: float) -> None:
-    """Log that Gaussians share sets of higher coefficients, where their colors change visibly by it.
+    """Log that Gaussians share sets of higher coefficients, if that changes their colors visibly.
 
     Args:
         path: The file or folder.
-        gaussians: Gaussians with higher coefficients.
-        sets: Sets that stand for theirs.
-        error: As `EncodedSog.sh_error`.
+        gaussians: Number of Gaussians with higher coefficients.
+        sets: Number of sets that they share.
+        error: Change of color; see `EncodedSog.sh_error`.
     """
     if error > _SHOWS:
-        text = f"SH of {gaussians:,} Gaussians are those of {sets:,} sets: colors change by {error:.2g} of white (RMS)"
+        text = f"{gaussians:,} Gaussians share {sets:,} sets of SH; colors change by {error:.2g} of white (RMS)"
         report_loss(path, "SH", text, gaussians)
 
 
 def _spelled(values: NDArray[np.floating[Any]], digits: int | None) -> list[float]:
-    """Return numbers for JSON, with so many significant digits; None writes them in full."""
+    """Return numbers for JSON, rounded to significant digits; None keeps all digits."""
     return [v if digits is None else float(f"{v:.{digits}g}") for v in values.tolist()]
 
 
 def _rounded(codebook: F32, digits: int | None) -> F32:
-    """Return a codebook as a reader gets it."""
+    """Return a codebook as readers will parse it."""
     return np.asarray(_spelled(codebook, digits), np.float32)
 
 
@@ -161,6 +161,7 @@ def _as_plane(values: U8) -> U8:
 
 
 def _means(scene: Gaussians, planes: dict[str, U8]) -> dict[str, Any]:
+    """Add the planes of the centers; return their entry in `meta.json`."""
     position = symlog(scene.means)
     low = position.min(axis=0)
     high = position.max(axis=0)
@@ -182,6 +183,7 @@ def _quats(quats: F32) -> U8:
 
 
 def _higher(scene: Gaussians, planes: dict[str, U8], entries: int, digits: int | None) -> tuple[dict[str, Any], float]:
+    """Add the planes of the higher coefficients; return their entry in `meta.json` and the summed squared error."""
     n, k = scene.shN.shape[:2]
     palette, labels = palette_of(scene.shN.reshape(n, 3 * k), entries)
     codebook = _rounded(codebook_of(palette), digits)

@@ -1,4 +1,4 @@
-"""The `.splat` file of antimatter15's viewer: 32 bytes a Gaussian, no header, SH degree 0.
+"""Read the `.splat` format of antimatter15's viewer: 32 bytes per Gaussian, no header, SH degree 0.
 
 Position and scale as six floats (scale activated), color and opacity as four bytes, quaternion wxyz as four bytes
 around 128. The frame is the file's own. Without a magic number the suffix alone decides the format.
@@ -54,7 +54,7 @@ def decode_splat(path: str | os.PathLike[str], data: bytes) -> Gaussians:
     records = np.frombuffer(data, _RECORD)
     rgba = records["rgba"].astype(np.float32) / np.float32(255.0)
     scales = records["scales"].astype(np.float32)
-    scales[scales == 0.0] = LEAST_SCALE  # an exponential that underflowed in the writer
+    scales[scales == 0.0] = LEAST_SCALE  # the writer's exponential underflowed
     return gaussians_from(
         path,
         records["means"].astype(np.float32),

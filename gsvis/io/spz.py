@@ -1,8 +1,8 @@
 """Read and write SPZ, Niantic's compressed scenes, versions 1 to 4.
 
-Six byte streams (positions, alphas, colors, scales, rotations, SH) follow a header: one gzip stream up to version 3,
-one zstd stream each from version 4 on. The file's frame is right-up-back; gsvis converts it to the right-down-front
-frame that the same scene has in a PLY, and back: half a turn about x.
+Six byte streams (positions, alphas, colors, scales, rotations, SH) follow a header: all in one gzip stream up to
+version 3, each in its own zstd stream from version 4 on. The file's frame is right-up-back; gsvis converts it to the
+right-down-front frame that the same scene has in a PLY, and back: half a turn about x.
 """
 
 from __future__ import annotations
@@ -65,14 +65,14 @@ _FRAMES = (
 )
 _MOST_EXTENSIONS = 1 << 16
 _COMPACT_FRACTION_BITS = 12
-_COMPACT_SH_BITS = (5, 4)  # of degree 1, and of all above; multiples of 8 and of 16 of the 256 codes, and 255
+_COMPACT_SH_BITS = (5, 4)  # bits of degree 1 and of higher degrees: every 8th and 16th of 256 codes, and 255
 _TURN = np.diag([1.0, -1.0, -1.0])  # right-up-back to right-down-front, its own inverse
 _SQRT_HALF = np.sqrt(0.5)
 
 
 @dataclass(frozen=True)
 class _Header:
-    """Version, number of Gaussians, SH degree, fraction bits, flags, streams, and what extensions state."""
+    """Version, number of Gaussians, SH degree, fraction bits, flags, streams, and facts from extensions."""
 
     version: int
     count: int
@@ -105,8 +105,8 @@ def load_spz(path: str | os.PathLike[str]) -> Gaussians:
         path: The file.
 
     Returns:
-        The scene in the file's order, in the frame of a PLY (right-down-front). A file that states its frame states
-        its up axis; one that states another frame than right-up-back is turned or mirrored from it.
+        The scene in the file's order, in the frame of a PLY (right-down-front). If the file states its frame, the scene
+        gets an up axis; a frame other than right-up-back is rotated or mirrored.
 
     Raises:
         FormatError: If the file is not SPZ, is truncated, or claims more than its size can hold.
@@ -119,7 +119,7 @@ def load_spz(path: str | os.PathLike[str]) -> Gaussians:
 
 
 def decode_spz(path: str | os.PathLike[str], data: bytes) -> Gaussians:
-    """Return the scene of the bytes of an SPZ file, which may lie in another file.
+    """Return the scene from the bytes of an SPZ file, which may be part of a larger file.
 
     Args:
         path: The file that holds them, for error messages.
@@ -139,6 +139,7 @@ def decode_spz(path: str | os.PathLike[str], data: bytes) -> Gaussians:
 
 
 def _parse_header(path: str | os.PathLike[str], data: bytes, versions: range, budget: Budget) -> _Header:
+    """Return the checked header."""
     if len(data) < _HEADER.size:
         raise FormatError(path, "header", f"{_HEADER.size} bytes", f"{len(data)}", "is the file truncated?")
     magic, version, count, degree, fraction_bits, flags, streams = _HEADER.unpack_from(data)
@@ -149,7 +150,7 @@ def _parse_header(path: str | os.PathLike[str], data: bytes, versions: range, bu
     if degree >= len(_COEFFICIENTS):
         raise FormatError(path, "header", "an SH degree from 0 to 4", f"{degree}")
     if fraction_bits > 30:
-        raise FormatError(path, "header", "at most 30 bits behind the point", f"{fraction_bits}")
+        raise FormatError(path, "header", "at most 30 fraction bits", f"{fraction_bits}")
     if count == 0:
         raise FormatError(path, "header", "at least one Gaussian", "none", "the file holds an empty scene")
     header = _Header(version, count, degree, fraction_bits, flags, streams)
@@ -224,7 +225,7 @@ def _unzstd(path: str | os.PathLike[str], name: str, packed: bytes, size: int) -
 
 
 def _extended(path: str | os.PathLike[str], header: _Header, block: bytes) -> _Header:
-    """Return the header with what extensions state: the frame, and the facts that gsvis wrote; others are skipped."""
+    """Return the header with data of extensions: the frame, and the facts of gsvis; other extensions are skipped."""
     frame = ""
     facts = SceneFacts()
     at = 0
@@ -244,7 +245,7 @@ def _extended(path: str | os.PathLike[str], header: _Header, block: bytes) -> _H
 
 
 def _stated(header: _Header) -> SceneFacts:
-    """Return what the file states of its scene; a stated frame, turned to that of a PLY, has -y up."""
+    """Return the facts of the file; if it states a frame, the scene in the frame of a PLY has -y up."""
     facts = replace(header.facts, antialiased=bool(header.flags & _ANTIALIASED))
     if facts.up is None and header.frame:
         facts = replace(facts, up=(0.0, -1.0, 0.0), up_source=f"coordinate system {header.frame} of the SPZ")
@@ -252,9 +253,9 @@ def _stated(header: _Header) -> SceneFacts:
 
 
 def _framed(scene: Gaussians, frame: str) -> Gaussians:
-    """Return a scene that was read as right-up-back, and that has another frame, in the frame of a PLY.
+    """Return a scene, read as right-up-back although its frame is another, in the frame of a PLY.
 
-    Letters name where x, y and z point. Half of the frames are mirror images of right-up-back.
+    `frame` names the directions of x, y and z. Half of the frames are mirror images of right-up-back.
     """
     axes = {"R": (1, 0, 0), "L": (-1, 0, 0), "D": (0, 1, 0), "U": (0, -1, 0), "F": (0, 0, 1), "B": (0, 0, -1)}
     turn = np.array([axes[letter] for letter in frame], np.float64).T @ _TURN
@@ -264,7 +265,7 @@ def _framed(scene: Gaussians, frame: str) -> Gaussians:
     plain = scene.with_facts(SceneFacts())
     if np.linalg.det(turn) > 0.0:
         return plain.transform(turn).with_facts(facts)
-    flipped = plain.transform(-turn)  # and through (0, 0, 0): harmonics of odd degree change their sign
+    flipped = plain.transform(-turn)  # then mirror through (0, 0, 0): harmonics of odd degree change their sign
     degrees = np.repeat(np.arange(1, scene.sh_degree + 1), [2 * d + 1 for d in range(1, scene.sh_degree + 1)])
     odd = np.where(degrees % 2 == 1, -1.0, 1.0).astype(np.float32)[None, :, None]
     return Gaussians(
@@ -273,6 +274,7 @@ def _framed(scene: Gaussians, frame: str) -> Gaussians:
 
 
 def _decode(path: str | os.PathLike[str], header: _Header, streams: dict[str, U8]) -> Gaussians:
+    """Return the scene from the streams."""
     n = header.count
     degree = header.sh_degree
     means = _positions(header, streams["positions"])
@@ -315,7 +317,7 @@ def _look_up_bytes(stream: U8, table: F32, shape: tuple[int, ...]) -> F32:
 
 
 def _first_three(stream: U8) -> F32:
-    """Return (N, 4) wxyz from three bytes x, y, z with w >= 0, versions 1 and 2."""
+    """Return (N, 4) wxyz from three bytes x, y, z with w >= 0 (versions 1 and 2)."""
     three = stream.reshape(-1, 3).astype(np.float32) / np.float32(127.5) - 1.0
     xyzw = largest_from_three(three, np.full(len(three), 3))
     return xyzw[:, [3, 0, 1, 2]] * np.array([1, 1, -1, -1], np.float32)
@@ -337,15 +339,15 @@ def save_spz(scene: Gaussians, path: str | os.PathLike[str], *, compact: bool = 
 
     Lossy: a byte per value, log-scales within [-10, 5.94] in steps of 1/16, SH within [-1, 1), constant color
         within +-3.3. Coordinates have 24 bits, up to 16 of them fraction bits, more in a tiny scene, as many as the
-        extent allows. A few flyaways come closer, so that they do not cost the others their precision; a scene far
-        from (0, 0, 0) is written relative to an origin, which gsvis reads back. Each of these, and each property that
-        is clipped, is one line in the log (`gsvis.io.losses`).
+        extent allows. A few flyaways are moved closer, to keep the precision of the other Gaussians. A scene far from
+        (0, 0, 0) is written relative to an origin, which gsvis reads back. Each such change, and each clipped property,
+        is one line in the log (`gsvis.io.losses`).
 
     Args:
         scene: The scene, in the frame of a PLY (right-down-front); its order is kept.
         path: The file; its folder is created if missing.
-        compact: Round as other encoders do, which makes the file a quarter to two fifths smaller and costs several
-            dB: coordinates to at most 12 fraction bits, SH of degree 1 to 5 bits, above to 4.
+        compact: Round as other encoders do: coordinates to at most 12 fraction bits, SH of degree 1 to 5 bits, higher
+            degrees to 4 bits. Files become 25 to 40 percent smaller, and quality drops by several dB.
 
     Raises:
         ValueError: If the scene is empty or extends beyond 2^23 units, which 24 bits cannot hold.
@@ -354,7 +356,7 @@ def save_spz(scene: Gaussians, path: str | os.PathLike[str], *, compact: bool = 
     fitted, fraction_bits = fit_coordinates(scene, _COMPACT_FRACTION_BITS if compact else 16, path)
     report_spz_losses(fitted, path)
     if any(scene.facts.origin):
-        report_note(path, "the origin is a note that gsvis reads; other programs see the scene at (0, 0, 0)")
+        report_note(path, "the origin is a note that only gsvis reads; other programs see the scene at (0, 0, 0)")
     streams = [_byte_stream(stream) for stream in _pack_streams(fitted, fraction_bits, compact)]
     packed = [zstandard.ZstdCompressor(level=12).compress(stream) for stream in streams]
     extensions = _extensions(fitted.facts)
@@ -370,25 +372,26 @@ def save_spz(scene: Gaussians, path: str | os.PathLike[str], *, compact: bool = 
 
 
 def _flags(facts: SceneFacts) -> int:
+    """Return the flags of the header."""
     return _ANTIALIASED if facts.antialiased else 0
 
 
 def _extensions(facts: SceneFacts) -> bytes:
-    """Return the extension with the facts that have no place in the header; empty if there are none."""
+    """Return the extension with facts that the header cannot store; empty if there are none."""
     body = spell_facts(replace(facts, antialiased=False)).encode()
     return struct.pack("<II", _FACTS, len(body)) + body if body else b""
 
 
 def encode_old_spz(scene: Gaussians, path: str | os.PathLike[str] = "") -> tuple[bytes, Gaussians]:
-    """Return an SPZ file of version 3, one gzip stream, for readers that know no version 4. Rounds as `save_spz`.
+    """Return an SPZ file of version 3, one gzip stream, for readers without version 4. Rounds like `save_spz`.
 
     Args:
         scene: The scene, in the frame of a PLY (right-down-front); its order is kept.
-        path: The file that will hold it, for the log.
+        path: The file to be written, for the log.
 
     Returns:
-        The bytes, without facts but for the flag of antialiased scenes, and the scene as it was fitted into the range
-        of coordinates: its origin may be another one.
+        The bytes, whose only fact is the flag of antialiased scenes; and the scene as fitted into the range of
+        coordinates, whose origin may have changed.
 
     Raises:
         ValueError: If the scene is empty or extends beyond 2^23 units.
@@ -403,6 +406,7 @@ def encode_old_spz(scene: Gaussians, path: str | os.PathLike[str] = "") -> tuple
 
 
 def _pack_streams(scene: Gaussians, fraction_bits: int, compact: bool) -> list[NDArray[np.generic]]:
+    """Return the values of each stream."""
     turned = scene.means.astype(np.float64) * np.diag(_TURN)
     fixed = np.rint(turned * 2.0**fraction_bits).astype("<i4")
     xyzw = scene.quats[:, [1, 2, 3, 0]] * np.array([1, -1, -1, 1], np.float32)
@@ -424,14 +428,17 @@ def _pack_streams(scene: Gaussians, fraction_bits: int, compact: bool) -> list[N
 
 
 def _to_byte(values: NDArray[np.floating]) -> U8:
+    """Return values rounded and clipped to 0 to 255."""
     return np.asarray(np.clip(np.rint(values), 0, 255), np.uint8)
 
 
 def _byte_stream(values: NDArray[np.generic]) -> bytes:
+    """Return the bytes of values."""
     return np.ascontiguousarray(values).tobytes()
 
 
 def _pack_smallest_three(xyzw: F32) -> NDArray[np.uint32]:
+    """Return 32 bits per quaternion; see `_smallest_three`."""
     largest = np.abs(xyzw).argmax(axis=1)
     negative = np.take_along_axis(xyzw, largest[:, None], axis=1) < 0
     q = np.where(negative, -xyzw, xyzw)

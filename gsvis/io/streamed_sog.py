@@ -1,7 +1,7 @@
 """Read streamed SOG, an octree of SOG scenes in `lod-meta.json`, at one level of detail.
 
-Every leaf of the tree names, for each level, a run of Gaussians in one of the listed SOG scenes. Level 0 is the finest.
-Files of a level may be absent; the message then lists the levels that are present.
+Every leaf of the tree refers, for each level, to a run of Gaussians in one of the listed SOG scenes. Level 0 is the
+finest. Files of a level may be absent; the error then lists the levels that are present.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ __all__ = ["list_lods", "load_streamed_file", "load_streamed_sog", "streamed_fil
 
 Runs = dict[int, list[tuple[int, int]]]
 _MAX_COUNT = 1 << 40
-_ENVIRONMENT = -1  # in place of the number of a file
+_ENVIRONMENT = -1  # used instead of a file number
 
 
 def list_lods(path: str | os.PathLike[str]) -> tuple[int, ...]:
@@ -68,11 +68,9 @@ def load_streamed_sog(path: str | os.PathLike[str], lod: int | None = None) -> G
 
 
 def streamed_files(path: str | os.PathLike[str], lod: int | None = None) -> tuple[int, list[tuple[int, int, Path]]]:
-    """Return the level of detail, and for each file of it its number, the Gaussians of its leaves, and where it lies.
+    """Return the level of detail, and for each file its number, its count of Gaussians, and its path.
 
-    Where it lies is a zip, or the folder of a meta.json.
-
-    The environment, if there is one, comes last, with a count of -1.
+    The path is a zip or the folder of a meta.json. The environment, if there is one, comes last, with a count of -1.
 
     Args:
         path: As for `load_streamed_sog`.
@@ -90,7 +88,7 @@ def streamed_files(path: str | os.PathLike[str], lod: int | None = None) -> tupl
 
 
 def load_streamed_file(path: str | os.PathLike[str], lod: int, file: int) -> Gaussians:
-    """Return the Gaussians that the leaves of one level name in one file.
+    """Return the Gaussians in one file that belong to leaves of one level.
 
     Args:
         path: As for `load_streamed_sog`.
@@ -132,7 +130,7 @@ def _open_level(path: str | os.PathLike[str], lod: int | None) -> tuple[_Tree, i
 
 
 def _some(names: list[str]) -> str:
-    """Return a few names and the number of the others."""
+    """Return the first three names, and the number of the others."""
     shown = ", ".join(names[:3])
     return shown if len(names) <= 3 else f"{shown} and {len(names) - 3} more"
 
@@ -182,7 +180,7 @@ class _Tree:
                     self.runs[int(key)][file].append((offset, count))
 
     def absent(self, lod: int) -> list[str]:
-        """Return the files that a level needs and that do not exist."""
+        """Return the missing files of a level."""
         names = [self.files[file] for file in sorted(self.runs[lod])]
         return [name for name in names if not self.at(name).is_file()]
 
@@ -191,11 +189,12 @@ class _Tree:
         return _home(self.at(self.files[file]))
 
     def at(self, name: str) -> Path:
-        """Return the path of a file that the tree names; raise if a link leads out of the folder."""
+        """Return the path of a file of the tree; raise if a link leads out of the folder."""
         return inside(self.path, name, self.folder, name)
 
 
 def _home(path: Path) -> Path:
+    """Return the zip, or the folder of a meta.json."""
     return path.parent if path.suffix.lower() == ".json" else path
 
 
@@ -216,7 +215,7 @@ def _scene(tree: _Tree, name: str) -> Gaussians:
 
 
 def _pieces(tree: _Tree, file: int, runs: list[tuple[int, int]]) -> Gaussians:
-    """Return the Gaussians of one file that the runs name, in file order.
+    """Return the Gaussians of one file that belong to the runs, in file order.
 
     Raises:
         FormatError: If a run ends beyond the file or runs overlap.

@@ -1,7 +1,7 @@
 """Write streamed SOG: a binary tree of leaves, each with one SOG folder for each level of detail, and `lod-meta.json`.
 
-Every file of a leaf holds the Gaussians of that leaf and level alone, so a viewer can load leaves one by one. Names of
-folders hold a hash of their content. Level 0 is the finest. This module knows no visibility.
+A folder holds the Gaussians of one leaf and one level, so a viewer can load leaves one by one. Folder names contain a
+hash of the content. Level 0 is the finest. This module knows no visibility.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ META = "lod-meta.json"
 Tree = int | tuple["Tree", "Tree"]
 """A leaf, or two subtrees."""
 
-_DIGITS = 7  # significant digits of numbers, as the format has them
-_PALETTE_SHARE = 4  # Gaussians of a leaf for each set of higher coefficients
+_DIGITS = 7  # significant digits of numbers in JSON
+_PALETTE_SHARE = 4  # Gaussians of a leaf per set of higher coefficients
 _LEAST_PALETTE = 256
 _OURS = re.compile(r"(?:\d+_\d+|env)-[0-9a-f]{8}|leaves-[0-9a-f]{16}\.bin")
 
@@ -46,8 +46,8 @@ class LeafScene:
         tree: Leaves 0 to B - 1, each once, from left to right.
         bounds: (B, 2, 3) lowest and highest corner of the Gaussians of a leaf, extents included, scene frame.
         counts: (L, B) Gaussians of each leaf at each level, finest level first.
-        piece: Returns the Gaussians of a (level, leaf) in the order to write.
-        environment: Gaussians to draw always, at every level; None for none.
+        piece: Function from (level, leaf) to its Gaussians, in the order to write.
+        environment: Gaussians that are always drawn, at every level; None for none.
     """
 
     tree: Tree
@@ -59,12 +59,12 @@ class LeafScene:
 
 @dataclass(frozen=True, eq=False)
 class WrittenLeaves:
-    """What `save_streamed_sog` wrote.
+    """Result of `save_streamed_sog`.
 
     Attributes:
         path: The folder.
         sizes: (L, B) bytes of the files of each leaf at each level.
-        nbytes: Bytes of everything.
+        nbytes: Total bytes.
     """
 
     path: Path
@@ -81,14 +81,14 @@ def save_streamed_sog(
 ) -> WrittenLeaves:
     """Write a scene as streamed SOG. The same scene gives the same bytes.
 
-    `lod-meta.json` moves into the folder last, and files of an earlier scene are removed after that: a reader finds
-    the old scene or the new one.
+    `lod-meta.json` moves into the folder last, and files of an earlier scene are removed after that, so a reader finds
+    either the old scene or the new one.
 
     Args:
         scene: The leaves.
         folder: The folder; made if missing.
-        beside: Takes the (L, B) bytes of all leaves; returns the names and contents of further files. Their names go
-            into `lod-meta.json` as well, which readers of the format ignore.
+        beside: Function from the (L, B) bytes of all leaves to the names and contents of further files. Their names are
+            also listed in `lod-meta.json`, where readers of the format ignore them.
         progress: Called with stage "export", in pieces.
 
     Raises:
@@ -141,7 +141,7 @@ def save_streamed_sog(
 
 
 def check_streamed_target(folder: str | os.PathLike[str], overwrite: bool) -> None:
-    """Raise unless a streamed SOG may be written to a folder: a new one, an empty one, or one of gsvis to replace.
+    """Raise unless a folder can take a streamed SOG: it is new, empty, or holds a scene of gsvis to replace.
 
     Raises:
         ValueError: If it holds something else, or an earlier scene and `overwrite` is false.
@@ -150,7 +150,7 @@ def check_streamed_target(folder: str | os.PathLike[str], overwrite: bool) -> No
 
 
 class _PaletteLoss(NamedTuple):
-    """What the palette of one piece changes; see `EncodedSog` for sets and error."""
+    """Loss caused by the palette of one piece; see `EncodedSog` for sets and error."""
 
     gaussians: int
     sets: int
@@ -158,12 +158,12 @@ class _PaletteLoss(NamedTuple):
 
     @classmethod
     def of(cls, g: Gaussians, encoded: EncodedSog) -> _PaletteLoss:
-        """Return that of a piece; no Gaussian counts without higher coefficients."""
+        """Return the loss of a piece; 0 Gaussians if it has no higher coefficients."""
         return cls(len(g) if encoded.sets else 0, encoded.sets, encoded.sh_error)
 
 
 def _report_losses(target: Path, losses: list[_PaletteLoss]) -> None:
-    """Report what the palettes of all pieces change."""
+    """Report the losses caused by the palettes of all pieces."""
     gaussians = sum(each.gaussians for each in losses)
     sets = sum(each.sets for each in losses)
     squares = sum(each.gaussians * each.error**2 for each in losses)
@@ -172,7 +172,7 @@ def _report_losses(target: Path, losses: list[_PaletteLoss]) -> None:
 
 
 def _write_sog(folder: Path, name: str, g: Gaussians) -> tuple[str, EncodedSog]:
-    """Write the folder of one SOG scene; return the name of its meta.json, and what was written."""
+    """Write the folder of one SOG scene; return the name of its meta.json and the encoded scene."""
     encoded = encode_sog(g, palette=max(_LEAST_PALETTE, len(g) // _PALETTE_SHARE), digits=_DIGITS)
     digest = hashlib.sha256()
     for each, data in encoded.files.items():

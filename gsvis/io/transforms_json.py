@@ -1,7 +1,7 @@
 """Read `transforms.json` of NeRF tools (instant-ngp, nerfstudio): one JSON object with a list of frames.
 
 `transform_matrix` is world from camera in OpenGL axes (+x right, +y up, +z backward). The reader returns camera from
-world in OpenCV axes. Intrinsics are at the top or in a frame; whatever a frame states wins. Images are not opened.
+world in OpenCV axes. Intrinsics are at the top level or in a frame; those of the frame win. Images are not opened.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from gsvis.io.views import F64, Views, pinhole, pose_of_camera, to_numbers
 __all__ = ["read_transforms"]
 
 _DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
-# Names of camera models that are pinholes where all distortion is 0.
+# Camera models that are pinholes if all distortion is 0.
 _PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "OPENCV", "FULL_OPENCV", "SIMPLE_RADIAL", "RADIAL")
 _ACROSS = ("fl_x", "camera_angle_x")
 _DOWN = ("fl_y", "camera_angle_y")
-_UNDISTORT = "undistort the images, for example with `colmap image_undistorter`, and use the model that it writes"
+_UNDISTORT = "undistort the images, for example with `colmap image_undistorter`, and use its model"
 
 
 def read_transforms(path: Path, content: dict[str, Any], size: tuple[int, int] | None = None) -> Views:
@@ -59,11 +59,11 @@ def read_transforms(path: Path, content: dict[str, Any], size: tuple[int, int] |
 
 
 def _merge(content: dict[str, Any], frame: dict[str, Any]) -> dict[str, Any]:
-    """Return what is stated of one frame: its own values, and those at the top that do not contradict them.
+    """Return the values for one frame: its own, and those at the top level that do not contradict them.
 
-    A focal length and a field of view say the same thing in two ways: one in the frame replaces both at the top. Where
-    the frame gives one axis alone, the pixels keep the shape that the top gives them. A principal point at the top
-    belongs to the image size at the top.
+    Focal length and field of view are equivalent: one in the frame replaces both at the top level. If the frame gives
+    only one axis, pixels keep the aspect ratio of the top level. The principal point at the top level belongs to the
+    image size there.
     """
     top = dict(content)
     if any(key in frame and frame[key] != content.get(key) for key in ("w", "h")):
@@ -80,7 +80,7 @@ def _merge(content: dict[str, Any], frame: dict[str, Any]) -> dict[str, Any]:
 
 
 def _pixel_shape(values: dict[str, Any]) -> float | None:
-    """Return fl_y over fl_x; None where one is missing or no number above 0."""
+    """Return fl_y / fl_x; None if one of them is missing or not a number above 0."""
     across = values.get("fl_x")
     down = values.get("fl_y")
     if not isinstance(across, int | float) or not isinstance(down, int | float) or not (across > 0 and down > 0):
@@ -89,10 +89,10 @@ def _pixel_shape(values: dict[str, Any]) -> float | None:
 
 
 def _check_pinhole(path: Path, where: str, values: dict[str, Any], distorted: list[str]) -> None:
-    """Raise unless a frame is of a pinhole camera.
+    """Raise unless a frame has a pinhole camera.
 
     Raises:
-        FormatError: If its model is another one, or it is distorted.
+        FormatError: If its model is not a pinhole, or it is distorted.
     """
     model = str(values.get("camera_model") or "PINHOLE")
     parameters = values.get("distortion_params")
@@ -115,6 +115,7 @@ def _intrinsics(
     """Return the pinhole matrix of one frame and its image size."""
 
     def number(key: str) -> float | None:
+        """Return a number of the frame; None if it is missing."""
         return None if values.get(key) is None else float(to_numbers(path, f"{where}: {key}", values[key], ()))
 
     _check_pinhole(path, where, values, [key for key in _DISTORTION if number(key)])
@@ -145,7 +146,7 @@ def _intrinsics(
 
 
 def _focal(path: Path, where: str, side: float, angle: float | None) -> float | None:
-    """Return the focal length in pixels for a full angle in radians across `side` pixels."""
+    """Return the focal length in pixels for a field of view in radians across `side` pixels."""
     if angle is None:
         return None
     if not 0.0 < angle < np.pi:

@@ -1,7 +1,7 @@
-"""Store posed images as a file lists them: names, poses, intrinsics and sizes, with the checks of all camera formats.
+"""Hold posed images of a file: names, poses, intrinsics and sizes, with checks that all camera formats share.
 
-OpenCV axes, camera from world, intrinsics in pixels with centers at +0.5. A file may mix image sizes, `Cameras` may
-not: this module converts one into the other. It knows no format.
+OpenCV axes, camera from world, intrinsics in pixels with centers at +0.5. A file may mix image sizes, but `Cameras` may
+not; this module converts one to the other. It knows no format.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ def pinhole(path: Path_, where: str, focals: F64, center: F64, size: tuple[int, 
 
 
 def pose_of_camera(path: Path_, where: str, rotation: F64, position: F64) -> F64:
-    """Return (4, 4) camera from world, of a camera's axes and place in the world.
+    """Return the (4, 4) camera-from-world matrix of a camera with given axes and position in the world.
 
     Files print rotations with few digits, so the nearest true rotation is used.
 
@@ -106,7 +106,7 @@ def pose_of_camera(path: Path_, where: str, rotation: F64, position: F64) -> F64
     with np.errstate(all="ignore"):  # huge numbers become infinity or NaN, which is rejected
         defect = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
     if not defect <= 1e-2 or np.linalg.det(rotation) < 0:
-        text = f"one that is off by {defect:.2g}" if not defect <= 1e-2 else "a mirrored one (determinant -1)"
+        text = f"a matrix that is off by {defect:.2g}" if not defect <= 1e-2 else "a mirrored one (determinant -1)"
         raise FormatError(path, where, "a rotation (orthonormal columns, determinant 1)", text)
     u, _, vt = np.linalg.svd(rotation)
     pose = np.eye(4)
@@ -119,7 +119,7 @@ def read_json(path: Path_) -> Any:
     """Return the value in a JSON file.
 
     Raises:
-        FormatError: If the file is not JSON, or a pointer of Git LFS or git-annex stands in its place.
+        FormatError: If the file is not JSON, or is a pointer of Git LFS or git-annex.
         OSError: If it cannot be read.
     """
     content = read_whole(path)
@@ -131,13 +131,13 @@ def to_numbers(path: Path_, where: str, value: Any, shape: tuple[int, ...]) -> F
     """Return a float64 array of the given shape from a JSON value; () for a single number.
 
     Raises:
-        FormatError: If it has another shape or type, or is not finite.
+        FormatError: If its shape or type differs, or it is not finite.
     """
     expected = "a number" if not shape else f"{' x '.join(map(str, shape))} numbers"
     try:
         array = np.asarray(value)
         if array.dtype.kind not in "iuf":
-            raise TypeError  # strings, booleans, objects and ragged lists
+            raise TypeError  # a string, a boolean, an object or a ragged list
         array = array.astype(np.float64)
     except (TypeError, ValueError, OverflowError) as error:
         raise FormatError(path, where, expected, _short(value)) from error
@@ -149,6 +149,7 @@ def to_numbers(path: Path_, where: str, value: Any, shape: tuple[int, ...]) -> F
 
 
 def _short(value: Any) -> str:
+    """Return a JSON value as a short text."""
     if value is None:
         return "nothing"
     return f"{type(value).__name__} {value!r:.60}"

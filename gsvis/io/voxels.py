@@ -1,13 +1,13 @@
 """Read and write solid voxels as a sparse octree: `.voxel.json` and `.voxel.bin`, version 1.1.
 
-This is the form in which SuperSplat and PlayCanvas read what stops a visitor (PlayCanvas, "Voxel Format", 2026). A
+SuperSplat and PlayCanvas read this format to stop visitors at walls (PlayCanvas, "Voxel Format", 2026). A
 block is 4 x 4 x 4 voxels: 64 bits, bit x + 4 y + 16 z. Blocks are the leaves of an octree in the layout of Laine and
 Karras (2010), nodes breadth first: an inner node holds the mask of its children, 8 bits, and the index of the first of
 them, 24 bits; a leaf holds the index of its block, or `SOLID` where all is solid. Children follow each other by
 x + 2 y + 4 z.
 
-Their frame is that of the engine: that of the file of Gaussians, turned by 180 degrees about z. Outside of the grid
-everything counts as solid.
+The frame is that of the engine: the frame of the file of Gaussians, rotated by 180 degrees about z. Everything outside
+the grid counts as solid.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ F64 = NDArray[np.float64]
 U32 = NDArray[np.uint32]
 
 VOXELS = ".voxel.json"
-"""Suffix of the file that is named; `.voxel.bin` lies beside it."""
+"""Suffix of the file that users name; `.voxel.bin` lies beside it."""
 
 SOLID = 0xFF000000
 _SIDE = 4  # voxels of a block
@@ -51,7 +51,7 @@ class Voxels:
     Attributes:
         origin: (3,) lowest corner of voxel (0, 0, 0).
         size: Side of a voxel, scene units.
-        solid: (X, Y, Z) voxels that nothing passes.
+        solid: (X, Y, Z) mask of solid voxels.
     """
 
     origin: F64
@@ -59,7 +59,7 @@ class Voxels:
     solid: Mask
 
     def is_solid(self, points: ArrayLike) -> Mask:
-        """Return whether points (P, 3) lie in solid voxels; what lies outside of the box is solid."""
+        """Return whether points (P, 3) lie in solid voxels; points outside the box do."""
         at = np.floor((_check.floats("points", points, ("P", 3), np.float64) - self.origin) / self.size)
         inside = np.all((at >= 0) & (at < self.solid.shape), axis=1)
         x, y, z = np.where(inside[:, None], at, 0).astype(int).T
@@ -72,10 +72,10 @@ def save_voxels(voxels: Voxels, path: str | os.PathLike[str], *, generator: str 
     Args:
         voxels: The voxels.
         path: The file `NAME.voxel.json`.
-        generator: What the file says made it.
+        generator: Name of the program for the file.
 
     Raises:
-        ValueError: If the path has another suffix, or there are more nodes than 24 bits count.
+        ValueError: If the path has not that suffix, or there are more than 2^24 nodes.
         OSError: If it cannot be written.
     """
     target = _named(path)
@@ -109,7 +109,7 @@ def load_voxels(path: str | os.PathLike[str]) -> Voxels:
     """Read `NAME.voxel.json` and the `NAME.voxel.bin` beside it.
 
     Raises:
-        ValueError: If the path has another suffix.
+        ValueError: If the path has not that suffix.
         FormatError: If a file is damaged.
         OSError: If it cannot be read.
     """
@@ -127,6 +127,7 @@ def load_voxels(path: str | os.PathLike[str]) -> Voxels:
 
 
 def _named(path: str | os.PathLike[str]) -> Path:
+    """Return the path; raise unless it has the suffix."""
     target = _check.path("path", path)
     if not target.name.endswith(VOXELS):
         raise ValueError(f"path: expected a name that ends with {VOXELS}, got {target.name}")
@@ -134,6 +135,7 @@ def _named(path: str | os.PathLike[str]) -> Path:
 
 
 def _binary(target: Path) -> Path:
+    """Return the path of the binary file."""
     return target.with_name(target.name.removesuffix(VOXELS) + ".voxel.bin")
 
 
@@ -146,7 +148,7 @@ def _encode(solid: Mask, depth: int) -> tuple[U32, NDArray[np.uint64], int]:
     kept: list[NDArray[np.uint64]] = []
     inner = 0
     leaves = 0
-    wave = np.zeros((1 if states[-1][0, 0, 0] else 0, 3), np.int64)  # places of the nodes of a level
+    wave = np.zeros((1 if states[-1][0, 0, 0] else 0, 3), np.int64)  # places of the nodes of the current level
     start = len(wave)  # index of the first node of the next level
     for level in range(depth, -1, -1):
         place = tuple(wave.T)
@@ -171,7 +173,7 @@ def _encode(solid: Mask, depth: int) -> tuple[U32, NDArray[np.uint64], int]:
         wave = children[held]
         start += len(wave)
         if start > _MOST:
-            raise ValueError(f"voxels: expected at most {_MOST:,} nodes, got more; take a lower resolution")
+            raise ValueError(f"voxels: expected at most {_MOST:,} nodes, got more; use a lower resolution")
     return np.concatenate(nodes).astype(np.uint32), np.concatenate(kept or [np.zeros(0, np.uint64)]), inner
 
 
@@ -186,7 +188,7 @@ def _blocks_of(solid: Mask) -> NDArray[np.uint64]:
 
 
 def _pyramid(blocks: NDArray[np.uint64], depth: int) -> list[tuple[NDArray[np.uint8], NDArray[np.uint64]]]:
-    """Return for each level of the octree, leaves first, 0 for empty, 1 for mixed and 2 for solid; and its blocks."""
+    """Return for each level of the octree, leaves first, its states (0 empty, 1 mixed, 2 solid) and blocks."""
     side = 1 << depth
     whole = np.zeros((side, side, side), np.uint64)
     x, y, z = blocks.shape
@@ -204,9 +206,10 @@ def _pyramid(blocks: NDArray[np.uint64], depth: int) -> list[tuple[NDArray[np.ui
 
 
 def _header(path: Path) -> tuple[F64, float, tuple[int, int, int], int, int, int]:
-    """Return lowest corner, side, shape, depth, number of nodes and of blocks; all in the frame of the file."""
+    """Return lowest corner, side, shape, depth, and the numbers of nodes and of blocks, in the frame of the file."""
 
     def fail(what: str, got: object) -> FormatError:
+        """Return the error about a value of the header."""
         return FormatError(path, "", what, repr(got), "write it again")
 
     try:
@@ -224,7 +227,7 @@ def _header(path: Path) -> tuple[F64, float, tuple[int, int, int], int, int, int
         raise fail("blocks of 4 voxels and a depth of 1 to 12", (sides, depth))
     if not (0 <= count <= _MOST and 0 <= words <= 2 * _MOST and words % 2 == 0):
         raise fail("at most 2^24 nodes and blocks", (count, words))
-    with np.errstate(over="ignore"):  # infinitely many are too many
+    with np.errstate(over="ignore"):  # infinity fails the test below
         cells = np.rint((bounds[1] - bounds[0]) / size)
     if (cells < 1).any() or (cells > _SIDE << depth).any() or (cells % _SIDE).any() or cells.prod() > _MOST_VOXELS:
         raise fail(f"a box of whole blocks within {_SIDE << depth} voxels a side", cells.tolist())

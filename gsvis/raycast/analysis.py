@@ -33,9 +33,9 @@ FACE_LIMITS = (33, 48)
 """41.25% and 60% of the 80 faces; the paper's shares are of Gaussians seen from *less* than these."""
 
 SETTLED = 0.02
-"""A CDF has settled if no point moves by this much when the number of cameras doubles."""
+"""A CDF has settled if each point moves by less than this when the number of cameras doubles."""
 
-_ANGLE_RAYS = 4  # per face, for solid angles: unlike faces they need no more (docs/results.md)
+_ANGLE_RAYS = 4  # rays per face for solid angles, which converge faster than faces (docs/results.md)
 U8 = NDArray[np.uint8]
 F64 = NDArray[np.float64]
 
@@ -93,7 +93,7 @@ class DirectionCdf:
 
     @property
     def values_of_seen(self) -> F64:
-        """(81,) the same over the Gaussians seen at least once; all 1 if there is none."""
+        """(81,) the same distribution over the Gaussians seen at least once; all 1 if there are none."""
         none = float(self.values[0])
         return np.asarray((self.values - none) / (1.0 - none)) if self.seen else np.ones_like(self.values)
 
@@ -137,7 +137,7 @@ class Settling:
         below_48_of_all: Share of all Gaussians seen from fewer than 48 faces.
         below_33_of_seen: Share of the Gaussians seen at least once that are seen from fewer than 33 faces.
         below_48_of_seen: Share of the Gaussians seen at least once that are seen from fewer than 48 faces.
-        change: Largest difference from the CDF of all Gaussians one step before; None for the first step.
+        change: Largest difference from the CDF of all Gaussians at the previous step; None for the first step.
     """
 
     cameras: int
@@ -151,7 +151,7 @@ class Settling:
 
     @classmethod
     def from_cdfs(cls, cameras: int, cdf: DirectionCdf, before: DirectionCdf | None) -> Settling:
-        """Return the figures of a distribution, with its change from the one a step before."""
+        """Return the figures of a distribution, and its change since the previous step."""
         return cls(
             cameras=cameras,
             seen=cdf.seen,
@@ -212,10 +212,10 @@ class Analysis:
         traced: Distribution of `traced_sets`; None without tracing.
         agreement: Agreement of both kinds of sets over the sample; None without tracing.
         untraced_because: Why nothing was traced outward; empty otherwise.
-        solid_angles: (M,) share of the sphere, by solid angle, from which each of the sample is visible; None
-            without tracing. More rays hardly change it, while they only ever add faces.
-        check: Agreement of two tracers on rays through random pixels; None if there is no second one, or none was
-            asked for.
+        solid_angles: (M,) share of the sphere, by solid angle, from which each Gaussian of the sample is visible; None
+            without tracing. It hardly changes with more rays.
+        check: Agreement of two tracers on rays through random pixels; None without a second tracer or if
+            `checked_rays` is 0.
     """
 
     config: AnalysisConfig
@@ -300,6 +300,7 @@ class Analysis:
         }
 
     def _solid_angle(self) -> dict[str, Any] | None:
+        """Return figures of the solid angles as plain numbers; None without tracing."""
         if self.solid_angles is None:
             return None
         shares = [{"share": k / 80.0, "of_all": self.below_solid_angle(k / 80.0)} for k in FACE_LIMITS]
@@ -341,7 +342,7 @@ def analyze(
     if len(cameras) == 0:
         raise ValueError("cameras: expected at least one camera, got none")
     if tracer is not None and tracer.proxies.gaussians is not g:
-        got = f"one of a scene of {len(tracer.proxies.gaussians):,} Gaussians"
+        got = f"one for a scene of {len(tracer.proxies.gaussians):,} Gaussians"
         raise ValueError(f"tracer: expected a tracer of these {len(g):,} Gaussians, got {got}; omit it to build one")
     progress("structure", 0, 1)
     tracer = tracer or Tracer(EllipsoidProxies.from_scene(g))
@@ -403,7 +404,7 @@ def _from_cameras(
 
 
 def _check_twice(tracer: Tracer, cameras: Cameras, config: AnalysisConfig, progress: Progress) -> CrossCheck | None:
-    """Trace rays through random pixels of random cameras by two tracers."""
+    """Trace rays through random pixels of random cameras with two tracers, and compare."""
     if not config.checked_rays:
         return None
     rng = np.random.default_rng([config.seed, 1])
@@ -420,4 +421,5 @@ def _check_twice(tracer: Tracer, cameras: Cameras, config: AnalysisConfig, progr
 
 
 def _faces(sets: U8) -> int:
+    """Return the number of faces in direction sets."""
     return int(np.unpackbits(sets).sum())

@@ -203,7 +203,7 @@ def seen_from_space(
 ) -> NDArray[np.bool_]:
     """Return whether an eye in navigable space sees each Gaussian, on rays outward from its center.
 
-    The same as `trace_directions(...).any(axis=1)`, but a Gaussian is done with the first ray that sees it.
+    The same as `trace_directions(...).any(axis=1)`, but faster: it stops at the first ray that sees the Gaussian.
 
     Args:
         tracer: The scene, N Gaussians.
@@ -237,6 +237,7 @@ def seen_from_space(
 
 
 def _trace(tracer: Tracer, navigable: NavigableSpace, ids: NDArray[np.int64], rays: F64, tau: float, sets: U8) -> None:
+    """Trace the Gaussians along the rays, and set the bits of `sets`."""
     hierarchy = tracer.hierarchy
     grid = (*_check.read_only(navigable.free, np.asarray(navigable.origin, np.float64)), float(navigable.voxel_size))
     targets = hierarchy.positions[ids]
@@ -303,6 +304,7 @@ def jaccard(left: ArrayLike, right: ArrayLike) -> F64:
 
 
 def _sets(name: str, value: ArrayLike) -> U8:
+    """Return checked direction sets (N, 10)."""
     array = np.asarray(value)
     if array.ndim != 2 or array.shape[1] != NUM_FACES // 8 or array.dtype != np.uint8:
         raise ValueError(f"{name}: expected (N, 10) uint8, got {array.shape} {array.dtype}")
@@ -310,6 +312,7 @@ def _sets(name: str, value: ArrayLike) -> U8:
 
 
 def _counts(sets: U8) -> NDArray[np.int64]:
+    """Return the number of faces in each set."""
     return np.asarray(np.unpackbits(sets, axis=1).sum(axis=1, dtype=np.int64))
 
 

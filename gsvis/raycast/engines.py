@@ -24,7 +24,7 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 
-_GEOMETRIES = 1024  # geometries to which Open3D's engine deals out the bodies
+_GEOMETRIES = 1024  # geometries among which Open3D's engine spreads the bodies
 
 
 class Engine(Protocol):
@@ -41,13 +41,13 @@ class Engine(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class _Repeats:
-    """Bodies with the same vertices.
+    """Groups of bodies with the same vertices.
 
     Attributes:
-        first: (U,) the first body of each kind, ascending.
-        kinds: (M,) int64 the kind of each of M bodies.
-        order: (M,) the bodies, kind by kind.
-        starts: (U + 1,) where each kind begins in `order`.
+        first: (U,) the first body of each group, ascending.
+        kinds: (M,) int64 group of each body.
+        order: (M,) the bodies, group by group.
+        starts: (U + 1,) start of each group in `order`.
     """
 
     first: I64
@@ -66,7 +66,7 @@ class _Repeats:
         return cls(np.sort(first), kinds, np.argsort(kinds, kind="stable"), starts)
 
     def expand(self, bodies: I64) -> tuple[I64, I64]:
-        """Return for H bodies, each the first of its kind, the index of the hit and every body of the kind."""
+        """Return, for H bodies that are each the first of a group, the index of the hit and every body of the group."""
         kinds = self.kinds[bodies]
         counts = np.diff(self.starts)[kinds]
         hits = np.repeat(np.arange(len(bodies)), counts)
@@ -77,10 +77,10 @@ class _Repeats:
 class Open3dEngine:
     """Use Embree through Open3D's RaycastingScene, on all cores.
 
-    Open3D 0.20 lists no hit that has the distance of the hit before it in the same geometry. So bodies that repeat
-    another are traced as one, whose hits count for all; and bodies that touch, such as discs of one wall, are dealt out
-    to many geometries. Two that touch share one by chance, once in 1,024: on `two_rooms` 1 of 20,000 rays still loses a
-    hit, of weight 0.0005.
+    Open3D 0.20 omits a hit at the same distance as the previous hit in the same geometry. Therefore equal bodies are
+    traced once, and the hit counts for all of them. Bodies are also spread at random over many geometries, because
+    those that touch, such as discs of one wall, are hit at equal distances. Two that touch share a geometry with
+    probability 1/1,024: on `two_rooms` 1 of 20,000 rays still loses a hit, of weight 0.0005.
 
     Args:
         vertices: (M * V, 3) vertices of M bodies.
@@ -89,7 +89,7 @@ class Open3dEngine:
     """
 
     def __init__(self, vertices: F32, faces: NDArray[np.uint32], bodies: int = 1) -> None:
-        get_num_threads()  # starts numba's threads before open3d brings a TBB that numba finds too old, and says so
+        get_num_threads()  # start numba's threads first: open3d loads a TBB that numba would warn about
         require("engine 'open3d'", "open3d")
         try:
             import open3d as o3d

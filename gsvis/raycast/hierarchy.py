@@ -1,4 +1,4 @@
-"""Store the hierarchy over ellipsoids that finds the Gaussians a ray meets, front to back, until light is spent.
+"""Build the hierarchy over ellipsoids that finds the Gaussians on a ray, front to back, until light is spent.
 
 Embree's Python interfaces return either the first face or all faces of a ray. Real scenes are deep: half of all faces
 lie behind spent transmittance. Contributions are therefore traced through our own eight-wide hierarchy over the
@@ -77,7 +77,7 @@ class Hierarchy:
     def arrays(
         self,
     ) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float32], NDArray[np.int64]]:
-        """First arguments of every kernel: table, content, boxes, children."""
+        """Return the first arguments of every kernel: table, content, boxes, children."""
         return self.table, self.content, self.boxes, self.children
 
     @property
@@ -88,4 +88,5 @@ class Hierarchy:
 
 
 def _parts(count: int) -> list[slice]:
+    """Return slices that divide `count` rows."""
     return [slice(start, min(start + _CHUNK, count)) for start in range(0, count, _CHUNK)]

@@ -26,7 +26,7 @@ __all__ = ["MIN_ALPHA", "EllipsoidProxies", "reaches"]
 MIN_ALPHA = 1.0 / 255.0
 """Alpha below this counts as 0 (docs/conventions.md)."""
 
-_THINNEST = 1e-4  # least proxy half-width over its largest; thinner proxies collapse in the tracers' float32
+_THINNEST = 1e-4  # least ratio of a proxy's smallest to largest half-width; thinner ones collapse in float32
 _CHUNK = 1 << 16
 _ROUNDING = 1e-6  # of float32, relative, with a margin
 
@@ -99,7 +99,7 @@ class EllipsoidProxies:
         )
 
     def near(self, rays_o: NDArray[np.float64], rays_d: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return which proxies (M,) any of some rays may meet: those whose ball comes near one.
+        """Return which proxies (M,) a ray may meet: those whose bounding ball a ray comes near.
 
         Args:
             rays_o: (R, 3) origins, world frame.

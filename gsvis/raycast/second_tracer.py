@@ -35,7 +35,7 @@ class CrossCheck:
 def cross_check(tracer: Tracer, rays_o: ArrayLike, rays_d: ArrayLike) -> CrossCheck | None:
     """Trace rays a second time, through the proxy meshes by Open3D's Embree, and compare.
 
-    The search for Gaussians is another program on other shapes. The alpha of those found is computed by the same code.
+    Only the search for Gaussians is independent; the same code computes their alphas.
 
     Args:
         tracer: The scene.
@@ -60,8 +60,8 @@ def compare(one: Contributions, other: Contributions, ties: NDArray[np.int64]) -
     Exact repeats are a tie: their weights on a ray are summed, and their order does not count.
 
     Args:
-        one: What one tracer found.
-        other: What the other one found.
+        one: Contributions by one tracer.
+        other: Contributions by the other tracer.
         ties: (N,) the first Gaussian that equals each; `gsvis.scene.repeats.first_equal` finds it.
     """
     gaussians = len(ties)
@@ -73,7 +73,7 @@ def compare(one: Contributions, other: Contributions, ties: NDArray[np.int64]) -
     apart = np.abs(values[0] - values[1])
     differs = np.zeros(len(one), bool)
     differs[together[apart > _SAME] // gaussians] = True
-    # A tie may end where light is spent, so it counts once in the order along a ray.
+    # A ray may stop inside a tie, so each tie counts once in the order along a ray.
     runs = [key[np.flatnonzero(np.diff(key, prepend=-1))] for key in keys]
     counts = [np.bincount(run // gaussians, minlength=len(one)) for run in runs]
     differs |= counts[0] != counts[1]

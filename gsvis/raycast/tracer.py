@@ -203,6 +203,7 @@ class Tracer:
             yield start, traced
 
     def _trace_hierarchy(self, rays_o: F64, rays_d: F64, rows: Columns, max_memory: int) -> Contributions:
+        """Return the contributions of a chunk of rays, found by the hierarchy."""
         arrays = self.hierarchy.arrays
         counts = np.empty(len(rays_o), np.int64)
         _kernels.trace_rays(*arrays, rays_o, rays_d, self.limits, counts, *rows)
@@ -211,7 +212,7 @@ class Tracer:
         packed = np.empty(total, np.int64), *_columns((total,))[1:]
         _kernels.pack(self.hierarchy.ids, offsets, np.arange(len(rays_o)), *rows, *packed)
         long = np.flatnonzero(counts > _ROW)
-        while len(long):  # these rays did not fit into their rows
+        while len(long):  # rays with more hits than their rows can hold
             room = int(counts[long].max())
             some, long = np.split(long, [max(1, max_memory // (2 * room * _BYTES_A_HIT))])
             rows = _columns((len(some), room))
@@ -220,15 +221,15 @@ class Tracer:
         return Contributions(offsets, *packed)
 
     def contributions_by_parts(self, rays_o: ArrayLike, rays_d: ArrayLike, *, proxies: int = _PART) -> Contributions:
-        """Return the same as `contributions(search="faces")`, for few rays, in little memory.
+        """Return the same as `contributions(search="faces")`, in little memory; meant for few rays.
 
-        The engine holds the triangles of a part of the proxies at a time, of those that lie near a ray. They are built
-        again at each call.
+        The engine holds the triangles of a few proxies at a time, and only of those near a ray. They are built again at
+        each call.
 
         Args:
             rays_o: (R, 3) origins, world frame.
             rays_d: (R, 3) directions, any non-zero length.
-            proxies: Proxies of a part.
+            proxies: Number of proxies that the engine holds at a time.
 
         Raises:
             ValueError: If shapes differ or values are not finite.
@@ -246,15 +247,16 @@ class Tracer:
         return self._weigh(np.unique(np.concatenate(pairs)), rays_o, rays_d)
 
     def _trace_faces(self, rays_o: F64, rays_d: F64) -> Contributions:
+        """Return the contributions of a chunk of rays, found by the engine."""
         ray_ids, faces = self.embree.all_faces(rays_o, rays_d)
         return self._weigh(self._pairs(ray_ids, faces // self.proxies.faces_per_proxy), rays_o, rays_d)
 
     def _pairs(self, ray_ids: NDArray[np.int64], met: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return ray x M + proxy for each proxy that a ray meets, ascending; a convex proxy is met twice."""
+        """Return ray * M + proxy for each proxy that a ray meets, ascending. A ray meets a convex proxy twice."""
         return np.unique(ray_ids * max(1, len(self.proxies)) + met)
 
     def _weigh(self, pairs: NDArray[np.int64], rays_o: F64, rays_d: F64) -> Contributions:
-        """Return the contributions among pairs of a ray and a proxy; see `_pairs`."""
+        """Return the contributions among (ray, proxy) pairs; see `_pairs`."""
         m = max(1, len(self.proxies))
         positions = self.hierarchy.positions[self.proxies.ids[pairs % m]] if len(self.proxies) else pairs
         offsets = np.searchsorted(pairs // m, np.arange(len(rays_o) + 1))
@@ -274,6 +276,7 @@ def _columns(shape: tuple[int, ...]) -> Columns:
 
 
 def _rays(rays_o: ArrayLike, rays_d: ArrayLike) -> tuple[F64, F64]:
+    """Return checked origins and unit directions."""
     origins = _check.floats("rays_o", rays_o, ("R", 3), np.float64)
     directions = _check.unit_vectors("rays_d", rays_d)
     _check.same_length(rays_o=origins, rays_d=directions)

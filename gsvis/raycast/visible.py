@@ -105,6 +105,7 @@ def visible_from(
 
 
 def _largest(tracer: Tracer, rays_o: F64, rays_d: F64) -> F32:
+    """Return the largest weight of each Gaussian over the rays."""
     hierarchy = tracer.hierarchy
     rows = np.zeros((get_num_threads(), len(hierarchy.ids)), np.float32)
     _kernels.largest_weights(*hierarchy.arrays, rays_o, rays_d, tracer.limits, rows)

@@ -88,6 +88,7 @@ def _check_given(colors: Any, n: int, cameras: int) -> Tensor:
 
 
 def _finite(colors: Tensor) -> Tensor:
+    """Return the colors; raise if a value is not finite."""
     if not bool(torch.isfinite(colors.detach()).all()):
         raise ValueError("colors: expected finite values, got NaN or infinity")
     return colors

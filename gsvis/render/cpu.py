@@ -40,12 +40,13 @@ class _Scene:
 
 
 class _Rasterize(torch.autograd.Function):
-    """means, quats, scales, opacities, sh0, shN, colors | None -> image, alpha, depth, median, means2d of one view."""
+    """Rasterize one view differentiably: image, alpha, depth, median and means2d of Gaussians or given colors."""
 
     @staticmethod
     def forward(
         ctx: Any, view: View, options: tuple[F32, int, bool, bool, int], probe: Tensor, *tensors: Tensor | None
     ) -> tuple[Tensor, ...]:
+        """Render the view and keep what the backward pass needs."""
         background, degree, antialiased, with_gradient, _ = options
         arrays = [None if t is None else _array(t) for t in tensors]
         scene, colors = _Scene(*arrays[:6]), arrays[6]  # type: ignore[arg-type]
@@ -61,6 +62,7 @@ class _Rasterize(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *by_outputs: Tensor | None) -> tuple[Tensor | None, ...]:
+        """Return the gradients by the tensors of `forward`."""
         view, (background, degree, antialiased, _, frozen), scene, colors, projected, features, *forward = ctx.saved
         shape = (view.height, view.width)
         by_image, by_alpha, by_depth = (
@@ -123,6 +125,7 @@ def _by_centers(splats: F64, sums: F64) -> F64:
 
 
 def _array(tensor: Tensor) -> F32:
+    """Return the values of a tensor as a contiguous array."""
     return np.ascontiguousarray(tensor.detach().numpy(), np.float32)
 
 

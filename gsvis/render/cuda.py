@@ -57,10 +57,11 @@ def rasterize_cuda(
 
     device = tensors.means.device
 
-    def there(array: NDArray[Any]) -> Tensor:
+    def to_device(array: NDArray[Any]) -> Tensor:
+        """Return a copy of an array on the GPU."""
         return torch.tensor(array, dtype=torch.float32, device=device)  # a copy: arrays of cameras are read-only
 
-    some = tensors.means.detach()[:: max(1, len(tensors.means) // 4096)]  # few: a copy waits for the GPU
+    some = tensors.means.detach()[:: max(1, len(tensors.means) // 4096)]  # a sample: copying all would wait for the GPU
     near = 0.01 / length_factor(some.cpu().numpy())
     coefficients = torch.cat([tensors.sh0, tensors.shN], dim=1)[:, : (sh_degree + 1) ** 2]
     images, alphas, info = gsplat.rasterization(
@@ -69,15 +70,15 @@ def rasterize_cuda(
         tensors.scales,
         tensors.opacities,
         coefficients if colors is None else colors,
-        there(camera.viewmats),
-        there(camera.Ks),
+        to_device(camera.viewmats),
+        to_device(camera.Ks),
         camera.width,
         camera.height,
         near_plane=near,
         eps2d=0.3,
         sh_degree=sh_degree if colors is None else None,
         packed=False,
-        backgrounds=there(background[None]),
+        backgrounds=to_device(background[None]),
         render_mode="RGB+ED",
         rasterize_mode="antialiased" if antialiased else "classic",
     )
@@ -93,6 +94,7 @@ def _forward_gradient(means2d: Tensor, probe: Tensor) -> None:
     import torch
 
     def add(gradient: Tensor) -> Any:
+        """Add the gradient to that of the probe."""
         torch.autograd.backward(probe, gradient.reshape(probe.shape).detach())
         return gradient
 

@@ -1,4 +1,7 @@
-"""Find judge's eyes in a scene: around its densest detail, and of cameras or a walk where they are given."""
+"""Find viewpoints that judge a prepared scene: around its densest detail, and of given cameras or a walk.
+
+The text calls them "judge's eyes". They do not depend on navigable space, so they show where that space is wrong.
+"""
 
 from __future__ import annotations
 
@@ -23,19 +26,19 @@ __all__ = ["JUDGES", "Judges", "count_views", "find_judges", "judging_views"]
 F32 = NDArray[np.float32]
 
 JUDGES = 50
-"""Views by each of the two rules: a hundred together."""
+"""Views by each of the two rules, a hundred in total."""
 
-_MOST = 12_000  # Gaussians of the scene in which an eye is tried
+_MOST = 12_000  # Gaussians of the sample of the scene that tests an eye
 
 
 @dataclass(frozen=True, eq=False)
 class Judges:
-    """Views of judge's eyes.
+    """Views from judge's eyes.
 
     Attributes:
-        cameras: The views: those around the detail, then those given.
-        given: Number of the latter.
-        named: What gave them, in words; empty if nothing did.
+        cameras: The views: first those around the detail, then those of given cameras or a walk.
+        given: Number of views of given cameras or a walk.
+        named: Name of their source, such as "cameras"; empty if `given` is 0.
     """
 
     cameras: Cameras
@@ -47,12 +50,12 @@ class Judges:
 
 
 def count_views(held_out: int, usual: int, most: int = JUDGES) -> int:
-    """Return how many views each rule draws: few where few views are held out, such as in tests.
+    """Return the number of views by each rule: fewer if few views are held out, such as in tests.
 
     Args:
-        held_out: Views that are held out for other checks.
-        usual: Number of these from which there are `most`.
-        most: Number of views.
+        held_out: Number of views held out for other checks.
+        usual: Number of held-out views at which the result is `most`.
+        most: Largest result.
     """
     return most if held_out >= usual else held_out
 
@@ -60,24 +63,24 @@ def count_views(held_out: int, usual: int, most: int = JUDGES) -> int:
 def judging_views(
     g: Gaussians, views: ViewSampling, space: NavigableSpace, *, whole: Gaussians | Levels | None = None
 ) -> tuple[Cameras, Judges]:
-    """Return the views by both rules: builder's eyes in navigable space, and judge's eyes that do not know of it.
+    """Return the views by both rules: builder's eyes inside navigable space, and judge's eyes independent of it.
 
     Args:
         g: The scene that judge's eyes look at.
-        views: Number by each rule, size, field of view and seed.
-        space: Where the builder's eyes are; its witnesses judge too.
-        whole: The scene in which the builder's eyes are in nothing solid; `g` by default.
+        views: Number of views by each rule, image size, field of view and seed.
+        space: Navigable space, which holds the builder's eyes; its witnesses are judge's eyes.
+        whole: The full scene; builder's eyes lie in no solid part of it. `g` by default.
     """
     return views.cameras(g if whole is None else whole, space), find_judges(g, views, space.witnesses)
 
 
 def find_judges(g: Gaussians, views: ViewSampling, witnesses: Witnesses | None = None) -> Judges:
-    """Return at most `views.count` views by judge's eyes; half of them by the witnesses, if there are any.
+    """Return at most `views.count` views from judge's eyes, half of them from witnesses if there are any.
 
     Args:
         g: The scene.
         views: Number, size, field of view and seed.
-        witnesses: Poses that the scene's navigable space was not found by.
+        witnesses: Poses that were not used to find the navigable space.
     """
     _, few = thin(g, _MOST, seed=views.seed)
 

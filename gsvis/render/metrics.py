@@ -196,7 +196,7 @@ def _is_tensor(image: Any, target: Any) -> bool:
 
 
 def _pair(image: Any, target: Any) -> tuple[F64, F64]:
-    """Return both as checked (C, H, W, 3) arrays."""
+    """Return both images as checked (C, H, W, 3) arrays."""
     a = _stack("image", image)
     b = _stack("target", target)
     check_pair(a.shape, b.shape, image, target)
@@ -204,6 +204,7 @@ def _pair(image: Any, target: Any) -> tuple[F64, F64]:
 
 
 def _stack(name: str, value: Any) -> F64:
+    """Return an image or a stack as a checked (C, H, W, 3) array."""
     shape: tuple[int | str, ...] = ("H", "W", 3) if np.ndim(value) == 3 else ("C", "H", "W", 3)
     if np.asarray(value).dtype == np.uint8:
         raise ValueError(f"{name}: expected floats, got bytes; divide them by 255")

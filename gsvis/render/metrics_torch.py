@@ -66,7 +66,7 @@ def lpips_torch(image: Any, target: Any, net: str) -> Tensor:
 
 
 def _pair(image: Any, target: Any) -> tuple[Tensor, Tensor]:
-    """Return both as checked (C, H, W, 3) tensors of one float type."""
+    """Return both images as checked (C, H, W, 3) tensors of one float type."""
     a = _stack("image", image)
     b = _stack("target", target)
     check_pair(tuple(a.shape), tuple(b.shape), image, target)
@@ -82,6 +82,7 @@ def _like(image: Any, values: Tensor) -> Tensor:
 
 
 def _stack(name: str, value: Any) -> Tensor:
+    """Return an image or a stack as a checked (C, H, W, 3) tensor."""
     shape: tuple[int | str, ...] = ("H", "W", 3) if np.ndim(value) == 3 else ("C", "H", "W", 3)
     if isinstance(value, Tensor):
         if value.ndim != len(shape) or value.shape[-1] != 3:
@@ -110,10 +111,11 @@ def _blur(planes: Tensor, margin: int) -> Tensor:
 
 
 class _Blur(torch.autograd.Function):
-    """The blur kernel and its adjoint. The window is symmetric, so the adjoint is a blur with the remaining margin."""
+    """Blur differentiably. The window is symmetric, so the adjoint is a blur with the remaining margin."""
 
     @staticmethod
     def forward(ctx: Any, planes: Tensor, window: Tensor, margin: int) -> Tensor:
+        """Return the blurred planes; see the kernel `blur`."""
         ctx.window = window
         ctx.margin = margin
         less = 2 * margin - len(window) + 1
@@ -124,6 +126,7 @@ class _Blur(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None, None]:
+        """Return the gradient by the planes."""
         rest = len(ctx.window) - 1 - ctx.margin
         return _Blur.apply(grads[0], ctx.window, rest), None, None  # type: ignore[no-untyped-call]
 

@@ -164,7 +164,7 @@ def rasterize(
 
 
 def _is_gaussian_tensors(gaussians: Any) -> bool:
-    """Return whether this is `GaussianTensors`; import torch only for what holds tensors."""
+    """Return whether this is `GaussianTensors`. Imports torch only if needed."""
     if not _check.is_tensor(getattr(gaussians, "means", None)):
         return False
     from gsvis.render.tensors import GaussianTensors
@@ -176,6 +176,7 @@ _Draw = Callable[..., tuple[F32, F32, F32, F32]]
 
 
 def _draw_arrays(gaussians: Gaussians, cameras: Cameras, colors: Colors, draw_one: _Draw) -> Rendering:
+    """Render arrays from all cameras with `draw_one`."""
     color_of = camera_colors(colors, gaussians.means, cameras)
     drawn = []
     for c in range(len(cameras)):
@@ -193,6 +194,7 @@ def _are_tensors(colors: Any) -> bool:
 
 
 def _sh_degree(value: int) -> int:
+    """Return a checked SH degree."""
     if _check.positive_int("sh_degree", value, at_least=0) > 3:
         raise ValueError(f"sh_degree: expected 0 to 3, got {value}")
     return value

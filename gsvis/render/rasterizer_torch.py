@@ -105,6 +105,7 @@ def rasterize_tensors(
 
 
 def _stack(parts: tuple[Tensor, ...]) -> Tensor:
+    """Return tensors of single cameras as one stack."""
     return parts[0][None] if len(parts) == 1 else torch.stack(parts)  # one image need not be copied
 
 
@@ -121,6 +122,7 @@ def _draw_cpu(
     probe: Tensor,
     frozen: int = 0,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Render one camera with the kernels."""
     if tensors.means.device.type != "cpu":
         raise BackendError(
             f"backend 'cpu': expected tensors on the CPU, got {tensors.means.device}; use backend='cuda'"
@@ -147,6 +149,7 @@ def _draw_reference(
     colors: Tensor | None,
     probe: Tensor,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Render one camera with plain torch."""
     size = camera.width, camera.height
     projection = project_reference(
         tensors, camera.viewmats[0], camera.Ks[0], *size, sh_degree=degree, antialiased=antialiased, colors=colors
@@ -165,6 +168,7 @@ def _draw_cuda(
     colors: Tensor | None,
     probe: Tensor,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Render one camera with gsplat."""
     reason = is_available()
     if reason:
         raise BackendError(reason)

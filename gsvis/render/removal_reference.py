@@ -1,4 +1,4 @@
-"""The slow twin of `removal_effects`: it composites every pixel again without each Gaussian in turn, in float64.
+"""The slow twin of `removal_effects`: it composites every pixel without each Gaussian in turn, in float64.
 
 It never stops at low transmittance; everything else is the same as in the reference rasterizer.
 """

@@ -23,7 +23,7 @@ from gsvis.scene.lengths import length_factor
 __all__ = ["Projected", "View", "blend", "color_splats", "draw", "in_usual_units", "project"]
 
 _BLOCK = 2048
-_CHUNKS = 4  # of the depth order, for each thread
+_CHUNKS = 4  # chunks of the depth order for each thread
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
@@ -134,7 +134,7 @@ def project(scene: Any, view: View, *, antialiased: bool, pairs: bool) -> Projec
 
 
 def in_usual_units(scene: Any, view: View, factor: float) -> tuple[Any, Any, F64]:
-    """Return means (N, 3), scales (N, 3) and the (4, 4) pose of a scene that is scaled by a power of two."""
+    """Return means (N, 3), scales (N, 3) and the (4, 4) pose, scaled by a power of two."""
     if factor == 1.0:
         return scene.means, scene.scales, view.viewmat
     pose = view.viewmat.copy()
@@ -175,7 +175,7 @@ def _list_tiles(splats: F64, order: I32, view: View, *, pairs: bool) -> tuple[I6
     np.cumsum(room, out=room)
     met = np.empty(int(room[-1]) + 1, np.int32)
     spans = np.empty((m, 2), np.int32)
-    met[-1] = 0  # read, and not used, for a last splat that meets no tile
+    met[-1] = 0  # read but unused if the last splat meets no tile
     _kernels_tiles.meet_tiles(splats, room, tiles_x, tiles_y, met, spans)
     chunks = max(1, min(_CHUNKS * get_num_threads(), m // _BLOCK))
     places = np.zeros((chunks, tiles_x * tiles_y), np.int32)

@@ -1,4 +1,4 @@
-"""Blending weights: of every Gaussian in every view, and the list of contributors to one pixel.
+"""Compute blending weights of every Gaussian in every view, and list the contributors to one pixel.
 
 The weights are those of the rasterizer (EWA); `gsvis.raycast` computes weights along exact rays.
 """
@@ -130,6 +130,7 @@ def contributors(
 
 
 def _project(g: Gaussians, camera: Cameras, antialiased: bool | None) -> tuple[View, Projected]:
+    """Return the view of a camera and its projected Gaussians."""
     view = View.from_matrices(camera.viewmats[0], camera.Ks[0], camera.width, camera.height)
     arrays = SimpleNamespace(**{name: getattr(g, name) for name in ("means", "quats", "scales", "opacities", "sh0")})
     lowered = g.facts.antialiased if antialiased is None else antialiased

@@ -1,6 +1,6 @@
-"""Tell which eyes stand within the walls of a scene, where most of its detail is seen from there.
+"""Find the eyes that stand within the walls of a scene, if most of its detail is seen from there.
 
-A wall of Gaussians is seen from behind as it is seen from the room, so a free line of sight to detail does not say that
+A wall of Gaussians looks the same from behind as from the room, so a free line of sight to detail does not prove that
 somebody could stand at its end. Frame and units are the scene's own; nothing here depends on navigable space.
 """
 
@@ -34,13 +34,13 @@ _CLOSE = 1.0 / 16.0  # radii of the core: farther from what is seen, a point of 
 
 
 class Enclosure:
-    """What stands around the eyes of a scene.
+    """The walls around the eyes of a scene.
 
     Args:
-        look: Returns (C, H, W) alphas and (C, H, W) depths of what cameras see.
+        look: Function from cameras to their alphas (C, H, W) and depths (C, H, W).
         points: (P, 3) points of the detail.
         radius: Radius of the core of the scene.
-        axes: (3, 3) axes that turn with the scene, one a row; so what is found does too.
+        axes: (3, 3) axes that rotate with the scene, one per row, so that the result does not depend on the frame.
     """
 
     def __init__(self, look: Look, points: F64, radius: float, axes: F64) -> None:
@@ -54,13 +54,13 @@ class Enclosure:
         return self._around(eyes)[0] >= _SHARE
 
     def choose(self, eyes: F64) -> Bool | None:
-        """Return which eyes stand within walls, if these see much more of the detail than those outside of them.
+        """Return which eyes stand within walls, if these see much more of the detail than the other eyes.
 
         Args:
-            eyes: (E, 3) eyes, some of them maybe behind walls.
+            eyes: (E, 3) eyes, some maybe behind walls.
 
         Returns:
-            (E,) bool; None where it makes no difference, and for fewer than `LEAST` eyes.
+            (E,) bool; None if it makes no difference, or for fewer than `LEAST` eyes.
         """
         if len(eyes) < LEAST:
             return None
@@ -74,7 +74,7 @@ class Enclosure:
         return within if inside > 0.0 and inside >= _TIMES * outside else None
 
     def _around(self, eyes: F64) -> tuple[F64, list[F64]]:
-        """Return for each eye the share of the sphere in which something is near, and the points (S, 3) seen there."""
+        """Return the share of the sphere in which something is near each eye, and the points (S, 3) seen there."""
         if len(eyes) == 0:
             return np.zeros(0), []
         cameras = _cube(eyes, self._axes)
@@ -84,7 +84,7 @@ class Enclosure:
         rays = np.stack([x, y, np.ones_like(x)], axis=-1)
         length = np.linalg.norm(rays, axis=-1)
         stopped = (alphas >= _FILLED) & (depths * length < _NEAR * self._radius)
-        angle = length**-3.0  # solid angle of a pixel, but for a factor
+        angle = length**-3.0  # solid angle of a pixel, up to a constant factor
         shares = (stopped * angle).sum(axis=(1, 2)).reshape(len(eyes), 6).sum(axis=1) / (6.0 * angle.sum())
         turn = cameras.viewmats[:, :3, :3]  # from the scene's axes to those of an image
         away = np.einsum("cij,hwi->chwj", turn, rays) * depths[..., None]
@@ -93,7 +93,7 @@ class Enclosure:
         return shares, [places[k][there[k]] for k in range(len(eyes))]
 
     def _detail(self, seen: list[F64]) -> float:
-        """Return which share of the detail lies near points that eyes see, (S, 3) each."""
+        """Return the share of the detail that lies near points that eyes see; each item is (S, 3)."""
         from scipy.spatial import cKDTree  # slow to import, and seldom needed
 
         tree = cKDTree(np.concatenate(seen))

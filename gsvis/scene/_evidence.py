@@ -1,4 +1,4 @@
-"""Measure what separates an object, rooms and an open place, by rays through the voxel grid.
+"""Measure the figures that distinguish an object, rooms and an open place, by rays through the voxel grid.
 
 Frame and units are those of the grid: voxels. Everything is deterministic. This module knows no kind and no camera.
 """
@@ -43,11 +43,11 @@ _CHUNK = 1 << 20
 
 
 def gather(space: Occupancy, within: Mask, seen: Gaussians, up: F64) -> Evidence:
-    """Measure what is seen from within and from outside, and whether there is a roof.
+    """Measure what eyes within and outside see, and whether there is a roof.
 
     Args:
         space: The grid over the scene.
-        within: (X, Y, Z) the enclosed space; may be empty.
+        within: (X, Y, Z) mask of the enclosed space; may be empty.
         seen: The Gaussians that can be seen.
         up: (3,) unit up axis.
 
@@ -72,12 +72,12 @@ def gather(space: Occupancy, within: Mask, seen: Gaussians, up: F64) -> Evidence
 
 
 def with_ground(found: Evidence, space: Occupancy, standing: Mask, up: F64) -> Evidence:
-    """Return the evidence with what is around eyes that stand on the ground.
+    """Return the evidence with the figures for eyes that stand on the ground.
 
     Args:
         found: The evidence so far.
         space: The grid over the scene.
-        standing: (X, Y, Z) where a visitor's eye could be; may be empty.
+        standing: (X, Y, Z) voxels where a visitor's eye could be; may be empty.
         up: (3,) unit up axis.
     """
     eyes = some_voxels(standing)
@@ -94,7 +94,7 @@ def footprint(mask: Mask, up: F64) -> float:
 
 
 def ray_lengths(space: Occupancy, starts: F64, directions: F64, lengths: F64) -> F64:
-    """Return (R,) voxels that rays go until half of their light is lost; infinite for rays that are not stopped."""
+    """Return (R,) lengths of rays until half of their light is lost, in voxels; infinite if nothing stops them."""
     found = np.empty(len(starts))
     for begin in range(0, len(starts), _CHUNK):
         part = slice(begin, begin + _CHUNK)
@@ -104,7 +104,7 @@ def ray_lengths(space: Occupancy, starts: F64, directions: F64, lengths: F64) ->
 
 
 def stopped_share(space: Occupancy, eyes: F64, directions: F64) -> F64:
-    """Return (E,) the share of the directions (D, 3) that are stopped at each of the eyes (E, 3).
+    """Return (E,) the share of the directions (D, 3) in which each of the eyes (E, 3) sees something.
 
     Args:
         space: The grid.
@@ -141,12 +141,13 @@ def level_directions(up: F64) -> F64:
 
 
 def _outside(up: F64) -> F64:
+    """Return (D, 3) directions from the scene to eyes outside of it."""
     spread = sphere_directions(OUTSIDE)
     return spread[spread @ up >= _LOWEST]
 
 
 def some_voxels(mask: Mask, count: int = EYES) -> F64:
-    """Return up to `count` centers of voxels of a mask, the same ones every time."""
+    """Return up to `count` centers of voxels of a mask, evenly chosen."""
     voxels = np.flatnonzero(mask)
     if len(voxels) > count:
         voxels = np.sort(np.random.default_rng(0).choice(voxels, count, replace=False))
@@ -154,13 +155,13 @@ def some_voxels(mask: Mask, count: int = EYES) -> F64:
 
 
 def _spread_out(points: F64, count: int) -> F64:
-    """Return some of the points (P, 3), spread along x: the order of the Gaussians does not count."""
+    """Return some of the points (P, 3), spread along x; independent of the order of the Gaussians."""
     order = np.argsort(points[:, 0], kind="stable")
     return points[order[np.linspace(0, len(points) - 1, min(count, len(points))).astype(np.int64)]]
 
 
 def shares_seen(space: Occupancy, eyes: F64, seen: Gaussians) -> F64:
-    """Return (E,) the share of the Gaussians on the grid that each of the eyes (E, 3) sees, in voxels."""
+    """Return (E,) the share of the Gaussians on the grid that each eye sees; eyes (E, 3) are in voxels."""
     targets = _spread_out(space.voxels_of(seen.means), EYES)
     return np.asarray(_sees(space, eyes, targets).mean(axis=1)) if len(targets) else np.zeros(len(eyes))
 
@@ -173,7 +174,7 @@ def _seen_by_any(space: Occupancy, eyes: F64, targets: F64) -> float:
 
 
 def _sees(space: Occupancy, eyes: F64, targets: F64) -> Mask:
-    """Return (E, T) from which of the eyes (E, 3) there is a free line to which of the targets (T, 3)."""
+    """Return (E, T) whether there is a free line from each of the eyes (E, 3) to each of the targets (T, 3)."""
     ways = targets[None] - eyes[:, None]
     lengths = np.maximum(np.linalg.norm(ways, axis=2), 1e-9)
     ways /= lengths[:, :, None]

@@ -1,7 +1,7 @@
-"""Find where eyes belong: around an object, in rooms, or near the ground of an open place, at a person's height.
+"""Place eyes where people look from: around an object, in rooms, or near the ground of an open place.
 
-Where a scene may be two of these, eyes are where either has them. Arrays are voxel grids of `_occupancy.py`; boxes are
-in the frame of the scene, or in that in which it stands upright. The rules are in docs/design, 033-kinds-of-space.md
+If a scene may be two of these, eyes are placed by both rules. Arrays are voxel grids of `_occupancy.py`; boxes are
+in the frame of the scene, or in its upright frame. The rules are in docs/design, 033-kinds-of-space.md
 and 101-where-people-stand.md.
 """
 
@@ -76,15 +76,15 @@ _BLOCK = 4  # voxels along a side of the blocks that are tested together
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """Store what the search for eyes looks at.
+    """Input of the search for eyes.
 
     Attributes:
-        build: Makes a grid over a box.
+        build: Function that builds a grid over a box.
         seen: The Gaussians that can be seen.
-        core: Where they are, without outliers.
+        core: Their core, without outliers.
         up: (3,) unit up axis.
-        up_sure: Whether that is certain; else nothing is left out because of it.
-        seeds: (S, 3) positions known to be navigable; if there are any, the parts that hold them are taken.
+        up_sure: Whether the up axis is certain; if not, it excludes nothing.
+        seeds: (S, 3) positions known to be navigable; the parts that hold them are chosen.
         person: Greatest height of eyes above the ground, scene units; None if the size of a unit is not known.
     """
 
@@ -99,14 +99,14 @@ class Look:
 
 @dataclass(frozen=True, eq=False)
 class Around:
-    """Say what eyes are around.
+    """A region of eyes around a box.
 
     Attributes:
         low: (3,) lowest corner of the box.
         high: (3,) highest corner.
-        up: (3,) unit up axis; None if it is not certain, and eyes are above and below too.
-        inside: Whether eyes are in the box as well.
-        given: Whether the box was given by hand, as of a thing in a room: then eyes stay near.
+        up: (3,) unit up axis; None if it is uncertain, so that eyes are above and below too.
+        inside: Whether eyes are also in the box.
+        given: Whether the user gave the box, such as that of a thing in a room; then eyes stay near it.
     """
 
     low: F64
@@ -155,10 +155,10 @@ def find_eyes(look: Look) -> Found:
     """Find the voxels where eyes belong.
 
     Args:
-        look: What is looked at.
+        look: The scene to search.
 
     Returns:
-        The grid, (X, Y, Z) the voxels, the name of the rule that chose them, and what the scene is.
+            The grid, the mask (X, Y, Z) of voxels, the name of the rule that chose them, and the kind of the scene.
 
     Raises:
         SceneError: If no voxel is free.
@@ -202,20 +202,20 @@ def find_eyes(look: Look) -> Found:
 
 
 def find_mixed(look: Look) -> Found:
-    """Find the voxels where eyes belong in a piece of something larger: in rooms, on open ground, and at seeds.
+    """Find the voxels where eyes belong in a part of a larger scene: in rooms, on open ground, and at seeds.
 
     Args:
-        look: What is looked at. Who stood at a seed stood in free space; where else eyes are, no seed decides.
+        look: The scene to search. The surroundings of a seed are free; seeds change nothing elsewhere.
 
     Returns:
-        As `find_eyes`.
+            See `find_eyes`.
 
     Raises:
-        SceneError: If it has none of these.
+        SceneError: If there are no such voxels.
     """
     up = look.up
     low, high, near = box_with_seeds(look.core, look.seeds)
-    space = look.build(low, high) if not near.any() else _build_somehow(look, low, high)
+    space = look.build(low, high) if not near.any() else _build_lenient(look, low, high)
     inside = space.enclosed_parts(up)
     standing = above_ground(space, up, look.person)
     has_rooms = bool(inside.any())
@@ -251,8 +251,8 @@ def stand_around(build: Callable[..., Occupancy], around: Around, *, widest: flo
 
     Args:
         build: Makes a grid over a box.
-        around: What eyes are around.
-        widest: Gaussians whose middle standard deviation is larger are haze, and do not count.
+        around: The region of eyes.
+        widest: Gaussians with a larger middle standard deviation are haze and are ignored.
 
     Raises:
         SceneError: If none is free.
@@ -268,13 +268,13 @@ def stand_around(build: Callable[..., Occupancy], around: Around, *, widest: flo
 
 
 def _either(look: Look, kind: SpaceKind, space: Occupancy | None, free: Mask | None) -> Found:
-    """Return eyes around the detail of a scene and in it: what it is, is not certain.
+    """Return eyes around the detail of a scene and in it, because the kind of the scene is uncertain.
 
     Args:
-        look: What is looked at.
-        kind: What it most likely is.
-        space: A grid on which eyes were found that are kept; None if there are none.
-        free: (X, Y, Z) these eyes; None if there are none.
+        look: The scene to search.
+        kind: Its most likely kind.
+        space: A grid with eyes that are kept; None for none.
+        free: (X, Y, Z) mask of these eyes; None for none.
     """
     around = Around(look.core.detail_low, look.core.detail_high, look.up if look.up_sure else None, inside=True)
     wide = look.build(*around.grid_box(), widest=look.core.widest)
@@ -285,20 +285,20 @@ def _either(look: Look, kind: SpaceKind, space: Occupancy | None, free: Mask | N
     found = wide.parts_with(region, wide.voxels_of(kept))
     if not found.any():
         raise SceneError(f"no navigable space: nothing is free {around}", "give a box")
-    doubt = f"it is not certain what this scene is: {kind.kind}, or {kind.other}; eyes are where either has them"
+    doubt = f"the kind of this scene is uncertain, {kind.kind} or {kind.other}; viewpoints follow both"
     if not look.up_sure:
-        doubt += ", and on all sides, for up is not certain either"
+        doubt += ", on all sides, because the up axis is uncertain too"
     return wide, found, "free, around and inside", replace(kind, eyes=str(around), doubt=doubt)
 
 
 def _amid_surroundings(look: Look, kind: SpaceKind) -> Found:
-    """Return eyes in rooms whose windows show what is outside; else around the detail and in it.
+    """Return eyes in rooms if windows show the outside; else eyes around the detail and in it.
 
-    A grid over all that is seen through windows is too coarse for rooms. One over the detail shows them.
+    A grid over everything seen through windows is too coarse for rooms; a grid over the detail resolves them.
 
     Args:
-        look: What is looked at.
-        kind: What it is if there are no rooms.
+        look: The scene to search.
+        kind: Its kind if there are no rooms.
     """
     low = look.core.detail_low
     high = look.core.detail_high
@@ -319,7 +319,7 @@ def _amid_surroundings(look: Look, kind: SpaceKind) -> Found:
 
 
 def _with_size(look: Look, kind: SpaceKind) -> SpaceKind:
-    """Return the kind with what the known size of a unit says: a wide place is no relief."""
+    """Return the kind, corrected if the size of a unit is known: a wide place is not a relief."""
     if kind.kind != "open place" or look.person is None:
         return kind
     sides = np.delete(look.core.high - look.core.low, int(np.abs(look.up).argmax()))
@@ -329,15 +329,15 @@ def _with_size(look: Look, kind: SpaceKind) -> SpaceKind:
 
 
 def _hold_seeds(look: Look) -> Found:
-    """Return eyes near the positions that are known to be navigable, and in the free parts that hold them."""
+    """Return eyes near the seeds, and in the free parts that hold them."""
     up = look.up
     seeds = look.seeds
     low, high, near = box_with_seeds(look.core, seeds)
-    if not near.any():  # they say nothing
+    if not near.any():  # no seed is near the scene
         doubt = doubt_far(len(seeds), len(seeds))
         space, free, rule, kind = find_eyes(replace(look, seeds=seeds[near]))
         return space, free, rule, replace(kind, confidence=min(kind.confidence, 0.5), doubt=doubt)
-    space = _build_somehow(look, low, high)
+    space = _build_lenient(look, low, high)
     doubt = doubt_seeds(space, seeds, near, look.seen)
     try:
         free, rule, _ = space.choose(up, seeds[near])
@@ -354,8 +354,8 @@ def _hold_seeds(look: Look) -> Found:
     return space, free, rule, kind
 
 
-def _build_somehow(look: Look, low: F64, high: F64) -> Occupancy:
-    """Return a grid over a box, if need be one where only what is solid counts as occupied."""
+def _build_lenient(look: Look, low: F64, high: F64) -> Occupancy:
+    """Return a grid over a box; if nothing is free, count only solid voxels as occupied."""
     try:
         return look.build(low, high)
     except SceneError:
@@ -374,7 +374,7 @@ def _solid(look: Look, full: SceneError) -> Found:
 
 
 def _region(space: Occupancy, around: Around) -> Mask:
-    """Return the voxels (X, Y, Z) around a box: not below it, not too near, and not right above; or in it as well."""
+    """Return the voxels (X, Y, Z) around a box: not below it, not too near, and not right above; or also in it."""
     middle = around.middle
     half = 0.5 * (around.high - around.low)
     places = np.ogrid[tuple(slice(0.5, n) for n in space.clear.shape)]
@@ -434,10 +434,9 @@ def _room_height(free: Mask, occupied: Mask, voxel_size: float, up: F64) -> floa
 
 
 def above_ground(space: Occupancy, up: F64, person: float | None = None) -> Mask:
-    """Return the clear voxels under the sky with ground below, at the height of an eye; may be empty.
+    """Return the clear voxels under the sky with ground below, at eye height; may be empty.
 
-    Where eyes are hemmed in, as between facades, only places that are: behind a facade half of the directions lead into
-    the void.
+    If eyes stand between facades, only such places count: behind a facade, half of the directions lead into the void.
     """
     least, greatest = (height / space.voxel_size for height in eye_heights(space, up, person))
     heights = heights_above(space.occupied, up)
@@ -466,7 +465,7 @@ def heights_above(occupied: Mask, up: F64) -> NDArray[np.float32]:
 
 
 def _oblique_heights(occupied: Mask, up: F64) -> NDArray[np.float32]:
-    """Return `heights_above` along any direction: found on a grid that is upright, and brought back."""
+    """Return `heights_above` along any direction, computed on an upright grid and transferred back."""
     frame = level_frame(up)
     shape = np.array(occupied.shape)
     middle = 0.5 * (shape - 1.0)
@@ -478,7 +477,7 @@ def _oblique_heights(occupied: Mask, up: F64) -> NDArray[np.float32]:
 
 
 def _under_the_sky(space: Occupancy, among: Mask, up: F64) -> Mask:
-    """Return those of the clear voxels in a mask (X, Y, Z) from which enough of the directions above lead out."""
+    """Return the clear voxels of a mask (X, Y, Z) from which enough of the upward directions are free."""
     voxels, which = _blocks(space.clear)
     wanted = among[space.clear]
     asked = np.unique(which[wanted])
@@ -492,7 +491,7 @@ def _under_the_sky(space: Occupancy, among: Mask, up: F64) -> Mask:
 
 
 def _blocks(mask: Mask) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return (B, 3) a voxel of the mask in each block of the grid, and for each voxel of the mask its block."""
+    """Return one voxel (B, 3) of the mask for each block of the grid, and the block of each voxel of the mask."""
     counts = -(-np.array(mask.shape) // _BLOCK)
     padded = np.zeros(counts * _BLOCK, bool)
     padded[tuple(slice(n) for n in mask.shape)] = mask

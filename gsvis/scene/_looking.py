@@ -1,4 +1,4 @@
-"""Prepare the search for eyes: take what can be seen of a scene, find where it is, and turn it upright if it is not."""
+"""Prepare the search for eyes: select visible Gaussians, find the core of the scene, and rotate it upright."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ __all__ = ["MAX_RESOLUTION", "look_upright"]
 F64 = NDArray[np.float64]
 
 MAX_RESOLUTION = 384
-"""Most voxels along a side of a grid that somebody asks for."""
+"""Largest resolution that a caller can choose, in voxels along a side."""
 
 _NO_SEEDS = np.zeros((0, 3))
 
@@ -39,20 +39,20 @@ def look_upright(
     coverage: float = 0.98,
     seeds: F64 = _NO_SEEDS,
 ) -> tuple[Look, Pose | None]:
-    """Return what the search for eyes looks at, upright, and how the scene was turned; None if it stands upright.
+    """Return the input of the search for eyes, upright, and the rotation; None if the scene was upright already.
 
     Args:
         g: The scene, or a sample of it.
         up: (3,) direction or an axis such as "+z"; guessed if None.
         resolution: Voxels along the longest side of a grid, 8 to 384.
-        parts: The scene part by part, which grids are made of; what can be seen of `g` if None.
+        parts: The scene part by part, for grids; None uses the visible Gaussians of `g`.
         max_alpha: Share of lost light above which a voxel counts as occupied.
         clearance: Required distance from occupied voxels, in voxels, between centers.
         coverage: Share of the centers inside the box on each axis.
         seeds: (S, 3) positions known to be navigable.
 
     Raises:
-        ValueError: If the resolution or the up axis is none.
+        ValueError: If the resolution or the up axis is invalid.
         SceneError: If nothing can be seen.
     """
     _check.positive_int("resolution", resolution, at_least=8)
@@ -64,7 +64,7 @@ def look_upright(
     person = None if meters is None else PERSON / meters
     grid = partial(Occupancy.from_gaussians, resolution=resolution, max_alpha=max_alpha, clearance=clearance)
     core = find_core(seen, coverage)
-    plan = seen[core.members]  # what lies far outside says nothing of walls
+    plan = seen[core.members]  # ignores outliers, which are no walls
     if is_level(upright.up) and is_square(upright.up, plan, core.center):
         build = partial(grid, [seen] if parts is None else parts)
         return Look(build, seen, core, upright.up, upright.sure, seeds, person), None
@@ -76,7 +76,7 @@ def look_upright(
 
 
 def _upright(g: Gaussians, up: ArrayLike | str | None) -> Upright:
-    """Return the given up axis, an axis by its name or a direction (3,); the likely one if there is none."""
+    """Return a given up axis, as a name or a direction (3,), or the likely one if none is given."""
     if up is None:
         found = find_up(g)
         return replace(found, up=snap_to_axis(found.up))

@@ -1,4 +1,4 @@
-"""Build the voxel grid under navigable space: which voxels stop light, and in which of the others a visitor can be.
+"""Build the voxel grid of navigable space: which voxels stop light, and which of the others a visitor can reach.
 
 Frame and units are the scene's own. This module knows no camera.
 
@@ -51,7 +51,7 @@ _NO_SEEDS = np.zeros((0, 3))
 
 @dataclass(frozen=True, eq=False)
 class Occupancy:
-    """Store occupancy on a grid over a box of the scene.
+    """Occupancy on a grid over a box of the scene.
 
     Args:
         origin: (3,) lowest corner of voxel (0, 0, 0).
@@ -88,7 +88,7 @@ class Occupancy:
             resolution: Voxels along the longest side.
             max_alpha: Share of lost light above which a voxel counts as occupied.
             clearance: Required distance from occupied voxels, in voxels.
-            widest: Gaussians whose middle standard deviation is larger are haze, and do not count.
+            widest: Gaussians with a larger middle standard deviation are haze and are ignored.
 
         Raises:
             SceneError: If no voxel is clear.
@@ -126,7 +126,7 @@ class Occupancy:
         Raises:
             SceneError: If most seeds lie away from clear voxels.
         """
-        from scipy import ndimage  # here: it takes long to import, and few need it
+        from scipy import ndimage  # slow to import, seldom needed
 
         below, around = _surroundings(self.depth, up)
         voxels = np.clip(np.floor((seeds - self.origin) / self.voxel_size), -9, 1 << 20).astype(np.int64)
@@ -151,7 +151,7 @@ class Occupancy:
         )
 
     def enclosed_parts(self, up: F64) -> Mask:
-        """Return the clear voxels that are enclosed as in rooms: all connected parts of a tenth of the largest or more.
+        """Return the clear voxels enclosed as in rooms: all connected parts of at least a tenth of the largest.
 
         Empty if all of them together hold too little of the box for `choose` to take its first rule.
 
@@ -175,11 +175,11 @@ class Occupancy:
         return _largest(labels) if count else np.zeros(self.clear.shape, bool)
 
     def parts_with(self, among: Mask, places: F64) -> Mask:
-        """Return the largest connected part of the clear voxels in a mask, and those that hold places, in voxels.
+        """Return the largest connected part of the clear voxels in a mask, and the parts that hold given places.
 
         Args:
             among: (X, Y, Z) the mask.
-            places: (P, 3) places on the grid; parts with few of them do not count.
+            places: (P, 3) places on the grid, in voxels; parts with few of them are ignored.
         """
         from scipy import ndimage
 
@@ -201,13 +201,13 @@ class Occupancy:
         return np.asarray(places[np.all((places >= 0) & (places < np.array(self.depth.shape)), axis=1)])
 
     def targets(self, seen: Gaussians) -> F64:
-        """Return (T, 3) centers inside the grid, drawn by opacity times area; the same ones every time."""
+        """Return (T, 3) centers inside the grid, drawn by opacity times area, with a fixed seed."""
         shape = np.array(self.depth.shape)
         place = (seen.means - self.origin) / self.voxel_size
         inside = np.flatnonzero(np.all((place >= 0) & (place < shape), axis=1))
         if len(inside) == 0:
             return np.zeros((0, 3))
-        cap = 0.05 * float(shape.max()) * self.voxel_size  # no giant takes all
+        cap = 0.05 * float(shape.max()) * self.voxel_size  # limits the weight of giants
         scales = np.minimum(np.sort(seen.scales[inside].astype(np.float64), axis=1), cap)
         total = np.cumsum(seen.opacities[inside] * scales[:, 1] * scales[:, 2])
         places = (np.arange(NUM_TARGETS) + 0.5) / NUM_TARGETS * total[-1]
@@ -270,6 +270,7 @@ def _surroundings(depth: Depth, up: F64) -> tuple[Depth, Depth]:
 
 
 def _smooth(counts: NDArray[np.uint8], of: int) -> Depth:
+    """Return counts as shares, averaged over neighboring voxels."""
     from scipy import ndimage
 
     shares = counts.astype(np.float32)
@@ -301,7 +302,7 @@ def _rooms(labels: NDArray[np.int32]) -> Mask:
 
 
 def _sizes(labels: NDArray[np.int32]) -> NDArray[np.int64]:
-    """Return the voxels of each part by its label; none for label 0, which is no part."""
+    """Return the number of voxels of each part by its label; 0 for label 0, which is not a part."""
     sizes = np.bincount(labels.ravel())
     sizes[0] = 0
     return sizes

@@ -1,6 +1,6 @@
-"""Find where eyes belong in a scene whose kind is stated: around an object, in rooms, or above the ground of a place.
+"""Find where eyes belong in a scene of a stated kind: around an object, in rooms, or above the ground of a place.
 
-Nothing is weighed here. `_eyes.py` decides where the kind is not stated, and its rules hold here too.
+`_eyes.py` decides if the kind is not stated; its rules for each kind also apply here.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ _STATED = "as stated"
 def find_stated(look: Look, kind: Kind) -> tuple[Occupancy, NDArray[np.bool_], str, SpaceKind]:
     """Find the voxels where eyes belong in a scene of a stated kind.
 
-    What lies beyond the detail of a scene is no place to stand in, and counts for no size.
+    Everything beyond the detail of a scene is ignored.
 
     Args:
-        look: What is looked at.
+        look: The scene to search.
         kind: "object", "rooms" or "open place".
 
     Returns:
-        The grid, (X, Y, Z) the voxels, the name of the rule that chose them, and the kind.
+        The grid, the mask (X, Y, Z) of voxels, the name of the rule that chose them, and the kind.
 
     Raises:
         SceneError: If no voxel is free.

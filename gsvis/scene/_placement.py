@@ -1,6 +1,6 @@
-"""Search for `retarget`: where in navigable space a walk fits, with which heading and at which size.
+"""Search for the place, heading and size at which a walk fits into navigable space; used by `retarget`.
 
-A walk is first screened by a few of its poses, then checked by all. Scene frame and units; knows no rule of scale.
+A few poses of the walk screen each placement; all poses then check it. Scene frame and units.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class Walk:
     Attributes:
         offsets: (T, 3) positions from the middle, recorded axes.
         rotations: (Y, 3, 3) scene from recorded axes, one for each heading.
-        middle: (3,) recorded position that goes to the placement.
+        middle: (3,) recorded position that moves to the placement.
         probes: (P,) indices of the poses used for screening.
         forwards: (P, 3) view directions of those poses, recorded axes.
     """
@@ -75,6 +75,7 @@ class Walk:
 
     @classmethod
     def from_path(cls, path: HeadPath, navigable: NavigableSpace, yaws: int) -> Walk:
+        """Return a path with `yaws` headings, about its middle."""
         up = path.upright
         mean = path.positions.mean(axis=0)
         spread = path.positions - mean
@@ -135,11 +136,12 @@ class Floors:
 
     @classmethod
     def below(cls, places: F64, navigable: NavigableSpace) -> Floors:
+        """Return the floors below places (M, 3)."""
         heights = navigable.free_distances(places, np.tile(-navigable.up, (len(places), 1)))
         return cls(heights, places @ navigable.up - heights, navigable.voxel_size)
 
     def at_height(self, stand: float | None, scale: float) -> Mask | None:
-        """Return (M,) which places are at eye height over the main floor; None if no eye height is required."""
+        """Return (M,) whether places are at eye height over the main floor; None if no eye height is required."""
         if stand is None:
             return None
         height = stand * scale
@@ -172,7 +174,7 @@ def best_placement(walk: Walk, search: Search, scale: float, places: F64, standi
         shares = inside.reshape(len(block), len(probes), -1).mean(axis=2)
         likely = shares >= search.enough - 1.5 / len(walk.probes)
         for index in np.flatnonzero(likely.any(axis=1)):
-            found = _head(walk, navigable, scale, block[index], np.flatnonzero(likely[index]), search.enough)
+            found = _best_heading(walk, navigable, scale, block[index], np.flatnonzero(likely[index]), search.enough)
             if found is not None:
                 best = found if best is None or found.look > best.look else best
                 chosen = chosen + 1
@@ -189,10 +191,10 @@ def best_placement(walk: Walk, search: Search, scale: float, places: F64, standi
     return Found(max(final), 0.0, walk.similarity(scale, yaw, place))
 
 
-def _head(
+def _best_heading(
     walk: Walk, navigable: NavigableSpace, scale: float, place: F64, headings: NDArray[np.intp], enough: float
 ) -> Found | None:
-    """Return the heading that faces the scene most often, of those with enough inside at a place; or None."""
+    """Return the heading that faces the scene most often among those with enough inside; None without one."""
     best = None
     for yaw in headings.tolist():
         share = _share(walk, navigable, scale, yaw, place)
@@ -206,6 +208,7 @@ def _head(
 
 
 def _share(walk: Walk, navigable: NavigableSpace, scale: float, yaw: int, place: F64) -> float:
+    """Return the share of the positions that are inside for a placement."""
     return float(navigable.contains(place + scale * walk.offsets @ walk.rotations[yaw].T).mean())
 
 

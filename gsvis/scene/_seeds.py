@@ -1,4 +1,4 @@
-"""Weigh positions that are known to be navigable, such as cameras: they are free, unless they contradict the scene.
+"""Use positions that are known to be navigable, such as cameras, unless they contradict the scene.
 
 Scene frame and units. This module knows no kind of scene.
 """
@@ -29,12 +29,12 @@ _BALL = 2  # voxels around a seed that are free
 
 
 def box_with_seeds(core: Core, seeds: F64) -> tuple[F64, F64, Mask]:
-    """Return the corners of a box that holds a scene and the seeds near it, and (S,) which seeds are near it.
+    """Return the corners of a box that holds a scene and the seeds near it, and (S,) which seeds are near.
 
     Without seeds it is the box of the scene.
 
     Args:
-        core: Where the scene is.
+        core: The core of the scene.
         seeds: (S, 3) positions.
     """
     middle = 0.5 * (core.low + core.high)
@@ -51,12 +51,12 @@ def box_with_seeds(core: Core, seeds: F64) -> tuple[F64, F64, Mask]:
 
 
 def doubt_seeds(space: Occupancy, seeds: F64, near: Mask, seen: Gaussians) -> str:
-    """Return why seeds contradict a scene, in a line; empty if they do not.
+    """Return a line that says why seeds contradict a scene; empty if they do not.
 
     Args:
         space: A grid that holds the scene and the near seeds.
         seeds: (S, 3) positions.
-        near: (S,) which of them are near the scene.
+        near: (S,) whether each is near the scene.
         seen: The Gaussians that can be seen.
     """
     count = len(seeds)
@@ -77,19 +77,19 @@ def doubt_seeds(space: Occupancy, seeds: F64, near: Mask, seen: Gaussians) -> st
 
 
 def doubt_far(far: int, count: int) -> str:
-    """Return that so many of so many seeds are far outside, in a line."""
+    """Return a line that says how many seeds are far outside."""
     return f"{far:,} of {count:,} cameras or positions are far outside of the scene: are they in its frame?"
 
 
 def hold_seeds(space: Occupancy, free: Mask, seeds: F64) -> tuple[Occupancy, Mask]:
-    """Return the grid and the free voxels (X, Y, Z) with those around the seeds: who stood there stood in free space.
+    """Return the grid and the free voxels (X, Y, Z), with the surroundings of the seeds marked free.
 
     Args:
         space: The grid.
-        free: (X, Y, Z) what is free without the seeds.
+        free: (X, Y, Z) voxels that are free without the seeds.
         seeds: (S, 3) positions on the grid.
     """
-    from scipy import ndimage  # here: it takes long to import, and few need it
+    from scipy import ndimage  # slow to import, seldom needed
 
     places = np.clip((seeds - space.origin) / space.voxel_size, 0, np.array(free.shape) - 1).astype(np.int64)
     at = np.zeros(free.shape, bool)

@@ -1,4 +1,4 @@
-"""Build opaque surfaces from flat Gaussians, and decide what they certainly hide: rectangles with holes, and spheres.
+"""Build opaque rectangles with holes and spheres from flat Gaussians, and decide what they certainly hide.
 
 A surface is a lattice of overlapping thin discs with opacity 0.995. Hardly any light passes: less than 1/2550 on
 straight lines through a rectangle more than a lattice step off its rim, less than 1/500 through a sphere. Each verdict
@@ -109,7 +109,7 @@ class Sheet:
         return len(self._middles())
 
     def _middles(self) -> F64:
-        """Return (M, 2) the middles of the cells that are not in a hole."""
+        """Return (M, 2) the middles of the cells outside holes."""
         u, v = (a + (np.arange(n) + 0.5) * s for a, n, s in zip(self.low, self.cells, self.steps, strict=True))
         flat = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
         for low, high in self.snapped:

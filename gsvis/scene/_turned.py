@@ -1,7 +1,7 @@
-"""Turn a scene upright, and bring voxels back: space is found where +z is up, and kept in boxes of the scene's frame.
+"""Rotate a scene upright to find its space where +z is up, and transfer voxels back to the scene's frame.
 
-An axis within a degree of x, y or z stays as it is. Rotations are about a middle of the scene, so that far coordinates
-lose nothing. This module knows no rule of where eyes belong.
+An axis within a degree of x, y or z is kept. Rotations are about the middle of the scene, so that far coordinates
+lose no precision. This module does not decide where eyes belong.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ _MOST = 1.5  # times as many voxels along a side as before the turn
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """How a scene is turned upright: `rotation @ (x - middle)`.
+    """The rotation of a scene to its upright frame: `rotation @ (x - middle)`.
 
     Attributes:
         rotation: (3, 3) upright frame from scene frame; its last row is the up axis.
-        middle: (3,) what stays in place, scene frame.
+        middle: (3,) point that stays in place, scene frame.
     """
 
     rotation: F64
@@ -45,54 +45,54 @@ class Pose:
         return np.asarray((points - self.middle) @ self.rotation.T)
 
     def gaussians(self, g: Gaussians) -> Gaussians:
-        """Return a scene in the upright frame, without colors that depend on the direction."""
+        """Return a scene in the upright frame, with base colors only."""
         plain = Gaussians(g.means.astype(np.float64) - self.middle, g.quats, g.scales, g.opacities, g.sh0)
         return plain.transform(self.rotation)
 
     def back(self, points: F64) -> F64:
-        """Return the points (P, 3) of the upright frame in the scene's."""
+        """Return points (P, 3) of the upright frame in the frame of the scene."""
         return np.asarray(points @ self.rotation + self.middle)
 
 
 @dataclass(frozen=True, eq=False)
 class TurnedParts:
-    """A scene in parts that is turned as it is read, as often as it is read.
+    """A scene in parts that are rotated whenever they are read.
 
     Attributes:
         parts: The scene, part by part.
-        pose: How it is turned.
+        pose: The rotation.
     """
 
     parts: Iterable[Gaussians]
     pose: Pose
 
     def __iter__(self) -> Iterator[Gaussians]:
-        """Yield the parts, turned."""
+        """Yield the rotated parts."""
         for part in self.parts:
             yield self.pose.gaussians(part)
 
 
 def is_level(up: F64) -> bool:
-    """Return whether an up axis (3,) is x, y or z to a degree."""
+    """Return whether an up axis (3,) lies within a degree of x, y or z."""
     return bool(np.abs(up).max() >= _LEVEL)
 
 
 def turn(up: F64, seen: Gaussians, middle: F64) -> Pose:
-    """Return the pose in which `up` is +z and the plan of a scene fills its box best.
+    """Return the rotation in which `up` is +z and the floor plan of a scene fills its box best.
 
     Args:
         up: (3,) unit up axis.
-        seen: The Gaussians that count, without outliers.
-        middle: (3,) what stays in place.
+        seen: The Gaussians, without outliers.
+        middle: (3,) point that stays in place.
     """
     frame, areas = _plan_areas(up, seen, middle)
     return Pose(_yaw(int(np.argmin(areas))) @ frame, middle)
 
 
 def is_square(up: F64, seen: Gaussians, middle: F64) -> bool:
-    """Return whether the plan of a scene fills a box along x, y and z about as well as one that is turned about up.
+    """Return whether the floor plan of a scene fills a box along x, y and z about as well as a rotated box.
 
-    Rooms whose walls lie along no axis do not. Captures without walls do, in any direction.
+    False for rooms whose walls lie along no axis. True for captures without walls, in any direction.
 
     Args:
         up: (3,) unit up axis, x, y or z to a degree.
@@ -104,7 +104,7 @@ def is_square(up: F64, seen: Gaussians, middle: F64) -> bool:
 
 
 def _plan_areas(up: F64, seen: Gaussians, middle: F64) -> tuple[F64, list[float]]:
-    """Return a level frame (3, 3), and the areas of the boxes around the plan in it, turned by whole degrees."""
+    """Return a level frame (3, 3), and the areas of the boxes around the floor plan, rotated by whole degrees."""
     frame = level_frame(up)
     plan = (seen.means.astype(np.float64) - middle) @ frame[:2].T
     ordered = np.argsort(plan[:, 0], kind="stable")  # so that the order of the Gaussians does not count
@@ -124,13 +124,13 @@ def level_frame(up: F64) -> F64:
 
 
 def bring_back(origin: F64, voxel_size: float, masks: list[Mask], pose: Pose) -> tuple[F64, float, list[Mask]]:
-    """Return masks of an upright grid on a grid along the axes of the scene: a voxel is what lies at its middle.
+    """Return masks of an upright grid on a grid along the axes of the scene, sampled at the middles of voxels.
 
     Args:
         origin: (3,) lowest corner of the upright grid, upright frame.
         voxel_size: Side of its voxels.
         masks: Each (X, Y, Z).
-        pose: How the scene was turned.
+        pose: The rotation of the scene.
 
     Returns:
         The lowest corner in the scene's frame, the side of the voxels, and the masks.
@@ -151,13 +151,13 @@ def bring_back(origin: F64, voxel_size: float, masks: list[Mask], pose: Pose) ->
 def on_lattice(
     grid: NDArray[Any], step: F64, first: F64, counts: NDArray[np.int64], *, beyond: float = 0.0
 ) -> NDArray[Any]:
-    """Return (X, Y, Z) the values of a grid at the points `step @ index + first`, in its voxels.
+    """Return (X, Y, Z) values of a grid at the points `step @ index + first`, in units of its voxels.
 
     Args:
-        grid: Values of any kind, on voxels whose middles have whole numbers.
-        step: (3, 3) how the points follow an index.
-        first: (3,) the point of index (0, 0, 0).
-        counts: (3,) points along each axis.
+        grid: Values of any type, on voxels whose middles lie at integers.
+        step: (3, 3) matrix from an index to its offset.
+        first: (3,) point of index (0, 0, 0).
+        counts: (3,) number of points along each axis.
         beyond: Value outside of the grid.
     """
     from scipy import ndimage  # here: it takes long to import, and few need it
@@ -169,5 +169,6 @@ def on_lattice(
 
 
 def _yaw(degrees: float) -> F64:
+    """Return the rotation about z by an angle."""
     turned = np.radians(degrees)
     return np.array([[np.cos(turned), np.sin(turned), 0.0], [-np.sin(turned), np.cos(turned), 0.0], [0.0, 0.0, 1.0]])

@@ -1,6 +1,6 @@
 """Find the up axis from cameras: people hold them level, so their horizontal axes lie in one plane.
 
-Frame is the scene's. This module knows no Gaussian.
+Scene frame. This module knows no Gaussian.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Level(NamedTuple):
     Attributes:
         up: (3,) unit vector, scene frame.
         confidence: In (0, 1].
-        reason: Why, in a line.
+        reason: The reason, in a line.
     """
 
     up: F64
@@ -39,8 +39,8 @@ class Level(NamedTuple):
 def level_cameras(cameras: Cameras) -> Level | None:
     """Return the up axis of cameras, or None if there are none.
 
-    It is the direction most orthogonal to the horizontal axis of every camera; that of a camera held in portrait is
-    its y axis. Of the two signs, the one nearer to the top of the images is taken.
+    The result is the direction most orthogonal to the horizontal axis of every camera; for a camera held in portrait,
+    that is its y axis. Its sign points to the top of the images.
 
     Args:
         cameras: The cameras.
@@ -51,7 +51,7 @@ def level_cameras(cameras: Cameras) -> Level | None:
     right, down, ahead = (cameras.viewmats[:, row, :3] for row in range(3))
     top = -down.mean(axis=0)
     found = _fit(right, down)
-    if found is None:  # all look one way: the top of the images is the best that is known
+    if found is None:  # all look one way: only the top of the images is known
         length = float(np.linalg.norm(top))
         if length < 0.5:
             return None
@@ -66,7 +66,7 @@ def level_cameras(cameras: Cameras) -> Level | None:
 
 
 def _fit(right: F64, down: F64) -> tuple[F64, float] | None:
-    """Return the axis that is most orthogonal to one image axis of each camera, and their roll in degrees.
+    """Return the axis most orthogonal to one image axis of each camera, and their roll in degrees.
 
     None if these axes do not span a plane.
     """

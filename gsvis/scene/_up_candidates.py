@@ -1,6 +1,6 @@
 """Find directions that could be up: peaks of the surface's normals, and the principal axes of normals and places.
 
-Directions are unit vectors without a sign. They turn with the scene: no fixed grid of directions decides.
+Directions are unit vectors without a sign. They rotate with the scene, because no fixed grid of directions is used.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def find_candidates(sample: Sample) -> F64:
 
 
 def settle(sample: Sample, axis: F64) -> F64:
-    """Return the direction near an axis to which level surface is most level and upright surface most upright.
+    """Return the direction near an axis that best fits level and upright surface.
 
     Args:
         sample: The surface of the core.
@@ -74,9 +74,9 @@ def settle(sample: Sample, axis: F64) -> F64:
 
 
 def find_plumb(sample: Sample, up: F64) -> F64:
-    """Return the direction along which walls and trunks stand, where they clearly lean from an up axis by ground.
+    """Return the direction of walls and trunks if they clearly lean from the normal of the ground; else that normal.
 
-    Ground slopes, and what stands on it is plumb. Without clear walls or trunks, the axis is returned.
+    Ground can slope, but walls and trunks on it stand vertically.
 
     Args:
         sample: The surface of the core.
@@ -128,7 +128,7 @@ def _peaks(sample: Sample) -> list[F64]:
 
 
 def _fit_plane(sample: Sample, start: F64) -> F64:
-    """Return the normal of the plane near which most lies, from a direction near its normal: for rough ground."""
+    """Return the normal of the plane near most of the surface, starting from a direction; for rough ground."""
     normal = start
     for share in _SLABS:
         heights = sample.places @ normal
@@ -151,7 +151,7 @@ def _fit_plane(sample: Sample, start: F64) -> F64:
 
 
 def _climb(sample: Sample, start: F64) -> F64:
-    """Return the peak of the density of the normals above a direction: the mean shift of axes."""
+    """Return the peak of the density of normals, by mean shift from a direction."""
     peak = start
     for width in _WIDTHS:
         near = np.exp(0.5 / np.radians(width) ** 2 * ((sample.normals @ peak) ** 2 - 1.0)) * sample.surface

@@ -1,8 +1,8 @@
-"""Measure what tells an up axis: level surface in thin slabs, upright surface around, what stands on what.
+"""Measure evidence for an up axis: level surface in thin slabs, upright surface around, and things on the ground.
 
-Gravity leaves traces. Floors, ceilings, tables and ground are level and lie in few thin slabs that go on under
-everything. Walls, trunks and legs are upright and face every way. Things stand on ground, and nothing hangs below it.
-Lengths are in radii of the core; every figure is the same for a scene turned, grown or moved.
+Floors, ceilings, tables and ground are level and lie in few thin slabs below everything. Walls, trunks and legs are
+upright and face all directions. Things stand on the ground, and nothing hangs below it. Lengths are in radii of the
+core, so figures do not change if the scene is rotated, scaled or moved.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _END = 0.05  # part of the height that is an end
 
 @dataclass(frozen=True, kw_only=True)
 class AxisEvidence:
-    """What is found along an axis. Where up and down differ, positive says that the axis points up.
+    """Evidence found along an axis. If up and down differ, positive values mean that the axis points up.
 
     Args:
         level: Share of the surface within 10 degrees of level.
@@ -117,7 +117,7 @@ def measure_axis(sample: Sample, axis: F64) -> AxisEvidence:
 
 
 def _quantiles(values: F64, weights: F64, shares: tuple[float, ...]) -> F64:
-    """Return weighted quantiles."""
+    """Return the weighted quantiles of values."""
     order = np.argsort(values, kind="stable")
     return np.asarray(np.interp(shares, np.cumsum(weights[order]) / weights.sum(), values[order]))
 
@@ -130,7 +130,7 @@ def _extents(across: F64, weights: F64) -> tuple[float, float]:
 
 
 def _spread(flat: F64, weights: F64) -> tuple[float, float]:
-    """Return how evenly directions (R, 2) without signs are spread, 1 at the most, and their share off the fullest."""
+    """Return how evenly directions (R, 2) without signs are spread, at most 1, and their share off the fullest."""
     if not weights.sum() > 0.0:
         return 0.01, 0.0
     turns = np.arctan2(flat[:, 1], flat[:, 0]) / np.pi % 1.0
@@ -145,7 +145,7 @@ def _spread(flat: F64, weights: F64) -> tuple[float, float]:
 
 
 def _find_slabs(heights: F64, along: F64, surface: F64, thickness: float, height: float) -> _Slabs:
-    """Return the fullest slab of level surface, and the fullest one that is well apart from it."""
+    """Return the fullest slab of level surface, and the fullest slab that is well apart from it."""
     level = np.flatnonzero(along > _SLOPED)
     if len(level) == 0:
         return _Slabs(0.0, 0.0, 0.0, 0.0, thickness)
@@ -161,9 +161,10 @@ def _find_slabs(heights: F64, along: F64, surface: F64, thickness: float, height
 
 
 def _sidedness(heights: F64, weights: F64, slabs: _Slabs) -> float:
-    """Return the log odds of lying above the slabs, in the mean of both, close to them and farther off."""
+    """Return the log odds of lying above the slabs, averaged over both, close to them and farther off."""
 
     def odds(center: float) -> float:
+        """Return the log odds of lying above a height, close to it and farther off."""
         found = []
         for gap in (slabs.thickness, 3.0 * slabs.thickness):
             above, below = (float(weights[sign * (heights - center) > gap].sum()) for sign in (1.0, -1.0))
@@ -175,7 +176,7 @@ def _sidedness(heights: F64, weights: F64, slabs: _Slabs) -> float:
 
 
 def _clutter(heights: F64, along: F64, detail: F64, slabs: _Slabs) -> float:
-    """Return the log odds of what is not upright between two slabs to lie in the lower half."""
+    """Return the log odds that surface between two slabs, if not upright, lies in the lower half."""
     low, high = sorted((slabs.first, slabs.second))
     between = (heights > low + slabs.thickness) & (heights < high - slabs.thickness)
     lower = heights < 0.5 * (low + high)
@@ -187,7 +188,7 @@ def _clutter(heights: F64, along: F64, detail: F64, slabs: _Slabs) -> float:
 
 
 def _contact(heights: F64, along: F64, detail: F64, slabs: _Slabs, reach: float) -> float:
-    """Return the opacity that stands within reach of the fullest slab and is no part of it."""
+    """Return the opacity within reach of the fullest slab that is not part of it."""
     found = 0.0
     for sign in (1.0, -1.0):
         off = sign * (heights - slabs.first) - slabs.thickness
@@ -196,14 +197,14 @@ def _contact(heights: F64, along: F64, detail: F64, slabs: _Slabs, reach: float)
 
 
 def _correlation(values: F64, heights: F64) -> float:
-    """Return the correlation of two arrays (M,); 0 where one is constant."""
+    """Return the correlation of two arrays (M,); 0 if one is constant."""
     deviations = values - values.mean(), heights - heights.mean()
     norm = float(np.linalg.norm(deviations[0]) * np.linalg.norm(deviations[1]))
     return float(deviations[0] @ deviations[1]) / norm if norm > 1e-9 * len(values) else 0.0
 
 
 def _base(heights: F64, across: F64) -> float:
-    """Return the log ratio of the widths of the low and the high end: what stands is wide at its feet."""
+    """Return the log ratio of the widths of the low and the high end: standing things are wider at the base."""
     low, high = np.quantile(heights, [0.002, 0.998])
     reach = _END * (high - low)
     widths = []
@@ -216,7 +217,7 @@ def _base(heights: F64, across: F64) -> float:
 def _flatness(heights: F64, across: F64) -> float:
     """Return the largest share of the columns over the footprint that begin, or end, at one height.
 
-    The footprint (M, 2) is the box around it; ground goes on under all of it.
+    The columns cover the box around the footprint (M, 2), because ground extends under all of it.
     """
     across = across @ np.linalg.eigh(np.cov(across.T))[1]
     low, high = np.quantile(across, [0.02, 0.98], axis=0)

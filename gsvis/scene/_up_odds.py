@@ -1,8 +1,8 @@
-"""Weigh the evidence for every direction that could be up, and find the likely one with an honest confidence.
+"""Weigh the evidence for each direction that could be up, and return the likely one with its confidence.
 
-Two readings compete. In one the scene has ground or floors: level slabs on which things stand. In the other it is an
-object: tall, with upright surface around it and a wide foot. Weights are log odds, chosen on scenes whose up axis is
-known, each as it is and turned at random; benchmarks/upright.py measures them on others.
+Two hypotheses compete. Either the scene has ground or floors: level slabs on which things stand. Or it is an object:
+tall, with upright surface around it and a wide base. Weights are log odds, fitted to scenes with known up axes, as they
+are and rotated at random; benchmarks/upright.py measures them on other scenes.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ class Likely(NamedTuple):
 
     Attributes:
         up: (3,) unit vector.
-        confidence: In (0, 1]: of the direction within some ten degrees.
-        geometry: Confidence that remains without any convention of files.
-        ground: Whether it was found by ground or floors; else by the shape of an object.
-        evidence: What was measured along `up`.
-        other: (3,) the next likely direction, more than 15 degrees away; None if only one came into question.
+        confidence: In (0, 1], that the direction is right within about ten degrees.
+        geometry: Confidence without any convention of file formats.
+        ground: Whether it was found by ground or floors, not by the shape of an object.
+        evidence: Evidence along `up`.
+        other: (3,) the next likely direction, more than 15 degrees away; None if there was only one candidate.
     """
 
     up: F64
@@ -60,7 +60,7 @@ class Likely(NamedTuple):
 def find_likely(sample: Sample) -> Likely:
     """Return the likely up axis.
 
-    What the conventions of files add can lift a confidence only up to a power of what the Gaussians give alone.
+    Conventions of file formats can raise the confidence only to a power of the confidence from the Gaussians alone.
 
     Args:
         sample: The surface of the core.
@@ -88,7 +88,7 @@ def find_likely(sample: Sample) -> Likely:
 
 
 def _best_apart(sample: Sample, axes: F64) -> tuple[F64, F64]:
-    """Return the best of candidates that are near each other, and their odds (K, 2 ways, 2 readings)."""
+    """Return the best of candidates that are near each other, and their odds (K, 2 signs, 2 hypotheses)."""
     odds = np.array([_weigh(measure_axis(sample, axis)) for axis in axes])
     kept: list[int] = []
     for k in np.argsort(-odds.max(axis=(1, 2)), kind="stable"):
@@ -105,7 +105,7 @@ def _signed_odds(odds: F64) -> F64:
 
 
 def _most_confidence(e: AxisEvidence) -> float:
-    """Return the most confidence in ground or floors: less for sheets, and where it may as well be a wall."""
+    """Return the largest confidence in ground or floors: less for sheets, and for possible walls."""
     if e.contact < _LEAST_CONTACT:
         return _SHEET
     thick = max(_between(e.height, _THIN), _between(e.contact, _FULL))
@@ -113,11 +113,12 @@ def _most_confidence(e: AxisEvidence) -> float:
 
 
 def _between(value: float, ends: tuple[float, float]) -> float:
+    """Return where a value lies between two ends, from 0 to 1."""
     return float(np.clip((value - ends[0]) / (ends[1] - ends[0]), 0.0, 1.0))
 
 
 def _weigh(e: AxisEvidence) -> F64:
-    """Return (2, 2) log odds: of the axis and of its opposite, as ground and as object."""
+    """Return (2, 2) log odds: of the axis and its opposite, as ground and as object."""
     ring = np.log(max(e.upright * e.around, 0.01) / 0.15)
     wide = np.clip(-np.log(max(e.height, 1e-3)), -1.5, 1.5)
     ground = (
@@ -135,7 +136,7 @@ def _weigh(e: AxisEvidence) -> F64:
 
 
 def _convention(direction: F64) -> float:
-    """Return the log odds of a direction by the conventions of files."""
+    """Return the log odds of a direction by the conventions of file formats."""
     angles = {name: np.degrees(np.arccos(np.clip(axis_vector(name) @ direction, -1.0, 1.0))) for name in AXES}
     near = max(odds * float(np.exp(-0.5 * (angles[name] / 2.0) ** 2)) for name, odds in _ON_AXIS.items())
     tilted = _TILTED * float(np.clip(2.0 - angles["-y"] / _TILT, 0.0, 1.0))
@@ -143,12 +144,13 @@ def _convention(direction: F64) -> float:
 
 
 def _snap(up: F64) -> F64:
-    """Return the axis of the file within a few degrees of a direction, or the direction."""
+    """Return the axis of the file within a few degrees of a direction, or the direction itself."""
     axes = np.array([axis_vector(name) for name in AXES])
     nearest = axes[int((axes @ up).argmax())]
     return nearest if nearest @ up > np.cos(np.radians(_SNAP)) else up
 
 
 def _softmax(odds: F64) -> F64:
+    """Return odds as shares that sum to 1."""
     weights = np.exp(odds - odds.max())
     return np.asarray(weights / weights.sum())

@@ -1,7 +1,7 @@
-"""Sample the surface of a scene's core: places, normals and how much surface each stands for.
+"""Sample the surface of a scene's core: places, normals, and the amount of surface that each point represents.
 
-Everything that looks for the up axis works on this sample. It is the same for any order of the Gaussians, and turns,
-grows and moves with the scene. Lengths are in radii of the core, places are about its middle.
+The search for the up axis works on this sample. It is independent of the order of the Gaussians, and follows rotation,
+scale and translation of the scene. Lengths are in radii of the core, places are relative to its middle.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ class Sample:
     """Points on the surface of the core of a scene.
 
     Args:
-        places: (M, 3) about the middle, radii of the core.
-        normals: (M, 3) unit, of the surface around each point; the sign means nothing.
-        surface: (M,) share of the surface, weighted by how flat it is there; sums to 1.
-        standing: (M,) share of the opacity, weighted by how flat it is there; for what is thin but stands.
+        places: (M, 3) relative to the middle, radii of the core.
+        normals: (M, 3) unit normals of the surface around each point, of arbitrary sign.
+        surface: (M,) share of the surface, weighted by its flatness; sums to 1.
+        standing: (M,) share of the opacity, weighted by flatness; counts thin things that stand.
         detail: (M,) share of the opacity; sums to 1.
         mixed: (M,) mean of `detail` and of the share of the surface, flat or not; sums to 1.
         luminance: (M,) brightness of the base color.
@@ -53,7 +53,7 @@ class Sample:
 
 
 def sample_surface(g: Gaussians) -> Sample | None:
-    """Return the sample of a scene, or None if it has too few Gaussians that can be seen, or all in one place.
+    """Return the sample of a scene; None if too few Gaussians can be seen, or all are in one place.
 
     Args:
         g: The scene.
@@ -81,7 +81,7 @@ def sample_surface(g: Gaussians) -> Sample | None:
 
 
 def _shuffle(g: Gaussians, index: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return indices in an order that depends on the content of the Gaussians alone."""
+    """Return indices in a random order that depends only on the content of the Gaussians."""
     mixed = np.zeros(len(index), np.uint64)
     for column in (*g.means.T, *g.scales.T, g.opacities):
         mixed ^= np.ascontiguousarray(column[index]).view(np.uint32)
@@ -91,7 +91,7 @@ def _shuffle(g: Gaussians, index: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _find_core(means: F64, weights: F64) -> tuple[F64, float]:
-    """Return the middle of a scene and the radius around it that holds its core: outliers do not move them."""
+    """Return the middle of a scene and the radius around it that holds its core, unaffected by outliers."""
     some = means[:_SOME]
     share = weights[:_SOME]
     middle = np.median(some, axis=0)
@@ -105,7 +105,7 @@ def _find_core(means: F64, weights: F64) -> tuple[F64, float]:
 
 
 def _geometric_median(points: F64, weights: F64) -> F64:
-    """Return the (3,) point with the least weighted sum of distances: it turns with the points, a median does not.
+    """Return the (3,) point with the least weighted sum of distances. Unlike a median, it follows rotations.
 
     References:
         Weiszfeld, "Sur le point pour lequel la somme des distances de n points donnes est minimum", 1937.
@@ -125,9 +125,9 @@ def _covariances(g: Gaussians, radius: float) -> F64:
 
 
 def _fit_surface(places: F64, covars: F64, weights: F64) -> tuple[F64, F64, F64]:
-    """Return normals (M, 3), flatness (M,) in [0, 1] and area (M,) of the surface that each point stands for.
+    """Return normals (M, 3), flatness (M,) in [0, 1] and area (M,) of the surface that each point represents.
 
-    The surface around a point is the mixture of the Gaussians next to it: their centers and their own shapes.
+    The surface around a point is the mixture of the Gaussians next to it, including their shapes.
     """
     from scipy.spatial import cKDTree  # slow to import, and seldom needed
 

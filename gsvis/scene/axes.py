@@ -33,9 +33,9 @@ def axis_vector(axis: str) -> F64:
 
 
 def nearest_axis(direction: ArrayLike) -> str:
-    """Return the name of the axis that is nearest to a direction, for grids that are cut along axes.
+    """Return the name of the axis nearest to a direction, for grids that are cut along axes.
 
-    Of axes that are equally near, the first in `AXES` is returned.
+    Of equally near axes, the first in `AXES` is returned.
 
     Args:
         direction: (3,) any length but zero.
@@ -51,7 +51,7 @@ def nearest_axis(direction: ArrayLike) -> str:
 def snap_to_axis(direction: ArrayLike) -> F64:
     """Return the (3,) axis within a degree of a direction, or the direction as a unit vector if there is none.
 
-    A guess is no better than a degree, and files are made along their axes.
+    Guesses are accurate to a degree at best, and programs align scenes with axes.
 
     Args:
         direction: (3,) any length but zero.
@@ -68,7 +68,7 @@ def tilt_of(direction: ArrayLike, other: ArrayLike) -> float:
 
 
 def describe_direction(direction: ArrayLike) -> str:
-    """Return a direction in words: the name of an axis, or the vector and how far it is off the nearest axis.
+    """Return a direction in words: the name of an axis, or the vector and its angle to the nearest axis.
 
     Args:
         direction: (3,) any length but zero.
@@ -89,5 +89,6 @@ def describe_direction(direction: ArrayLike) -> str:
 
 
 def _unit(direction: ArrayLike) -> F64:
+    """Return a checked direction as a unit vector."""
     rows = np.reshape(np.asarray(direction, np.float64), (1, -1))
     return np.asarray(_check.unit_vectors("direction", rows)[0], np.float64)

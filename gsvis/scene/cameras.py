@@ -1,4 +1,4 @@
-"""Pinhole cameras: poses, intrinsics and image size.
+"""Define pinhole cameras: poses, intrinsics and image size.
 
 OpenCV axes (+x right, +y down, +z forward). `viewmats` map world to camera, `Ks` are in pixels, pixel centers lie at
 +0.5. A field of view is only ever an argument. This module knows no scene and no file.
@@ -44,7 +44,7 @@ def intrinsics(width: int, height: int, fov: float) -> F64:
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
 class Cameras:
-    """Store C pinhole cameras of one image size, validated and read-only.
+    """C pinhole cameras of one image size, validated and read-only.
 
     Args:
         viewmats: (C, 4, 4) camera from world, rigid.
@@ -112,7 +112,7 @@ class Cameras:
         Args:
             eyes: (C, 3) viewpoints, world frame.
             targets: (C, 3) or (3,) points to look at, world frame.
-            up: (3,) world direction; replaced by another where it is parallel to the view.
+            up: (3,) world direction; replaced by an axis if it is parallel to the view.
             width: Pixels.
             height: Pixels.
             fov: Horizontal field of view, degrees.
@@ -235,10 +235,11 @@ class Cameras:
         return np.asarray(self.viewmats[:, 2, :3])
 
     def with_origin(self, origin: ArrayLike) -> Cameras:
-        """Return the same cameras in a frame whose (0, 0, 0) lies at `origin` of this one; axes stay.
+        """Return the same cameras in a frame whose (0, 0, 0) lies at `origin` in this one; axes are kept.
 
         Args:
-            origin: (3,) such as the `origin` of the facts of a scene, if the cameras are in coordinates of its source.
+            origin: (3,) the new origin, such as that of a scene's facts, if the cameras are in coordinates of its
+                source.
         """
         moved = self.viewmats.copy()
         moved[:, :3, 3] += self.viewmats[:, :3, :3] @ _check.floats("origin", origin, (3,), np.float64)

@@ -1,4 +1,4 @@
-"""Hash a scene by content, so that files made from it name it independently of its path."""
+"""Hash a scene by content, so that files made from it can identify it independently of its path."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ _ARRAYS = ("means", "quats", "scales", "opacities", "sh0", "shN")
 def scene_hash(g: Gaussians) -> str:
     """Return the SHA-256 of the number of Gaussians and all their arrays, in order, as 64 hexadecimal digits.
 
-    Equal arrays give equal hashes, whatever file they came from. A permutation, a change of one bit, or another SH
-    degree gives another hash.
+    Equal arrays give equal hashes, independently of the file format. A permutation, a changed bit or a different SH
+    degree changes the hash.
 
     Args:
         g: The scene.
@@ -32,7 +32,7 @@ def scene_hash(g: Gaussians) -> str:
 
 
 def sight_hash(space: NavigableSpace) -> str:
-    """Return a hash of all that decides what `InSight` hides: the grid, the free and the occupied voxels."""
+    """Return a hash of all inputs of `InSight`: the grid, the free and the occupied voxels."""
     return space_hash(space) + hashlib.sha256(np.packbits(space.occupied).tobytes()).hexdigest()
 
 

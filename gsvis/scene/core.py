@@ -1,8 +1,8 @@
-"""Find the robust core of a scene: the region of detail. Outliers and skyboxes never set its place or its size.
+"""Find the robust core of a scene, the region of detail, unaffected by outliers and skyboxes.
 
-A Gaussian counts the less, the larger it is: training makes Gaussians small where cameras were near. The members are
-all within the distance at which a doubling adds little. Scene frame and units; all is computed in float64 relative to a
-middle, so a shift, a turn or a scale of the scene changes nothing but the frame of the answer.
+Large Gaussians count less, because training makes Gaussians small where cameras were near. Members are all
+Gaussians within a distance whose doubling would add little. Scene frame and units. Everything is computed in float64
+relative to the middle, so the result follows translation, rotation and scale of the scene.
 """
 
 from __future__ import annotations
@@ -37,17 +37,17 @@ _MARGIN = 0.1  # of the longest side, around the detail
 
 @dataclass(frozen=True, eq=False)
 class Core:
-    """Where a scene is, without outliers, and where its detail is.
+    """The extent of a scene without outliers, and the extent of its detail.
 
     Attributes:
         center: (3,) weighted geometric median of the centers.
-        members: (N,) which Gaussians are no outliers.
+        members: (N,) True for Gaussians that are not outliers.
         low: (3,) lowest corner of the box of the members.
         high: (3,) highest corner.
         detail_low: (3,) lowest corner of the box of the detail; that of the members if detail is the same everywhere.
         detail_high: (3,) highest corner.
         beyond: Share of the members outside of the detail; 0 if detail is the same everywhere.
-        widest: Middle standard deviation above which a Gaussian is haze, and no wall; infinite if many are that large.
+        widest: Middle standard deviation above which a Gaussian counts as haze; infinite if many are that large.
     """
 
     center: F64
@@ -61,7 +61,7 @@ class Core:
 
     @property
     def has_surroundings(self) -> bool:
-        """Whether Gaussians get larger away from the detail, as where people stood in it or around it."""
+        """Whether Gaussians get larger away from the detail, as if people stood in or around it."""
         return self.beyond > 0.0
 
     @property
@@ -100,9 +100,9 @@ def find_core(g: Gaussians, coverage: float = 0.98) -> Core:
 
 
 def find_ball(g: Gaussians, coverage: float = 0.98) -> tuple[F64, float]:
-    """Return the middle (3,) of a scene, and the radius of the ball about it that holds a share of the centers.
+    """Return the middle (3,) of a scene, and the radius of the ball around it that holds a share of the centers.
 
-    No rotation changes it, as one changes a box. Flyaways do not count, as for `Gaussians.bounds`.
+    Unlike a box, it does not change with rotation. Flyaways are ignored, as in `Gaussians.bounds`.
 
     Args:
         g: The scene; at least one Gaussian.
@@ -115,14 +115,14 @@ def find_ball(g: Gaussians, coverage: float = 0.98) -> tuple[F64, float]:
 
 
 def middle_scales(g: Gaussians) -> F64:
-    """Return (N,) the middle standard deviation of each Gaussian: a disc is as large as it is wide."""
+    """Return (N,) the middle standard deviation of each Gaussian; for a disc this is its radius."""
     x, y, z = g.scales.T
     middle: F64 = np.maximum(np.minimum(x, y), np.minimum(np.maximum(x, y), z)).astype(np.float64)
     return middle
 
 
 def _thick(box: F64, size: float) -> tuple[F64, F64]:
-    """Return the corners of a box; around a single point it is as large as a Gaussian."""
+    """Return the corners of a box; the box of a single point gets the size of a Gaussian."""
     low, high = box
     if (high - low).max() > 0.0:
         return low, high
@@ -148,7 +148,7 @@ def _middle(places: F64, weights: F64) -> F64:
 
 
 def _edge(distances: F64, weights: F64) -> float:
-    """Return the greatest distance at which a doubling still adds a share to the weight within."""
+    """Return the greatest distance whose doubling still adds a share to the weight within."""
     order = np.argsort(distances)
     ordered = distances[order]
     total = np.cumsum(weights[order])
@@ -164,9 +164,9 @@ def _edge(distances: F64, weights: F64) -> float:
 
 
 def _detail(places: F64, sizes: F64, low: F64, high: F64) -> tuple[F64, F64, float]:
-    """Return the corners of the box where Gaussians are small, and the share of all that lie outside.
+    """Return the corners of the box where Gaussians are small, and the share of Gaussians outside of it.
 
-    The given box and 0 if they are no smaller there than elsewhere.
+    Returns the given box and 0 if Gaussians are equally small elsewhere.
     """
     finest = np.quantile(sizes, 0.2)
     weights = np.minimum(1.0, finest / sizes) ** 3
@@ -186,9 +186,9 @@ def _detail(places: F64, sizes: F64, low: F64, high: F64) -> tuple[F64, F64, flo
 
 
 def _growth(away: F64, sizes: F64) -> float:
-    """Return the slope of the logarithms of sizes (K,) over those of distances; 0 if they have little to do with it.
+    """Return the slope of the logarithms of sizes (K,) over those of distances; 0 if they correlate little.
 
-    What is made of Gaussians of one size or two was made by hand, and no camera decided how large they are.
+    Scenes with only one or two sizes of Gaussians are synthetic, so cameras did not determine the sizes.
     """
     if np.diff(np.quantile(sizes, [0.1, 0.9]))[0] < _VARIED:
         return 0.0
@@ -202,6 +202,7 @@ def _growth(away: F64, sizes: F64) -> float:
 
 
 def _weighted_quantiles(values: F64, weights: F64, at: tuple[float, ...]) -> F64:
+    """Return the weighted quantiles of values."""
     order = np.argsort(values)
     total = np.cumsum(weights[order])
     found: F64 = values[order][np.searchsorted(total, np.array(at) * total[-1]).clip(0, len(values) - 1)]

@@ -1,4 +1,4 @@
-"""Cut a navigable space to the part along a walk, or find the space along one.
+"""Restrict a navigable space to the part along a walk, or find the space along a walk.
 
 Scene frame and units. This module knows nothing about visibility.
 """
@@ -29,7 +29,7 @@ def corridor(space: NavigableSpace, positions: ArrayLike, margin: float | None =
 
     Args:
         space: Allowed viewpoints in the scene.
-        positions: (T, 3) the walk, in the space's frame; straight between two positions.
+        positions: (T, 3) the walk, in the space's frame, with straight lines between positions.
         margin: Distance from the walk, scene units, within which voxels are kept; None means 3 voxels.
 
     Returns:
@@ -37,7 +37,7 @@ def corridor(space: NavigableSpace, positions: ArrayLike, margin: float | None =
 
     Raises:
         ValueError: If the margin is not a finite number > 0, or if fewer than half of the positions lie within it of a
-            free voxel: the walk is in another frame, belongs to another scene, or leads through something solid.
+            free voxel: the walk has a different frame or scene, or leads through something solid.
 
     Examples:
         >>> room = NavigableSpace.from_box((0, 0, 0), (4, 4, 4), 16)
@@ -77,10 +77,10 @@ def corridor(space: NavigableSpace, positions: ArrayLike, margin: float | None =
 def space_along(
     g: Gaussians, positions: ArrayLike, margin: float, *, resolution: int = 160, up: ArrayLike | str | None = None
 ) -> NavigableSpace:
-    """Return the clear voxels along a walk, whatever the scene is: where somebody walked, eyes may be.
+    """Return the clear voxels along a walk, in a scene of any kind: eyes may be where somebody walked.
 
-    `corridor` keeps what a space has along a walk. This finds rooms, streets and gardens of one walk alike, of which
-    the space of a scene holds one kind.
+    `corridor` keeps a part of a space, which covers only one kind of place. This function finds rooms, streets and
+    gardens along the same walk.
 
     Args:
         g: The scene.
@@ -93,7 +93,7 @@ def space_along(
         ValueError: If an argument is out of range.
         SceneError: If nothing is clear along the walk.
     """
-    from scipy import ndimage  # here: they take long to import, and few need them
+    from scipy import ndimage  # slow to import, seldom needed
     from scipy.spatial import cKDTree
 
     points = _check.floats("positions", positions, ("T", 3), np.float64)
@@ -117,16 +117,16 @@ def space_along(
 
 
 def space_walked(space: NavigableSpace, positions: ArrayLike, margin: float | None = None) -> NavigableSpace:
-    """Return the free voxels of a space along a walk, and those of the walk itself: where somebody walked, it is free.
+    """Return the free voxels of a space along a walk, together with the voxels of the walk itself.
 
     Args:
         space: Allowed viewpoints in the scene; its grid has to hold the walk.
-        positions: (T, 3) the walk, in the space's frame; straight between two positions.
+        positions: (T, 3) the walk, in the space's frame, with straight lines between positions.
         margin: Distance from the walk, scene units, within which free voxels are kept; None means 3 voxels.
 
     Raises:
-        ValueError: If the margin is not a finite number > 0, or fewer than half of the positions lie on the grid: the
-            walk is in another frame, or belongs to another scene.
+        ValueError: If the margin is not a finite number > 0, or fewer than half of the positions lie on the grid,
+            because the walk has a different frame or scene.
     """
     from scipy import ndimage  # here: it takes long to import, and few need it
 
@@ -167,7 +167,7 @@ def _voxels(space: NavigableSpace, points: F64) -> tuple[NDArray[np.int64], NDAr
 
 
 def fill_in(points: F64, step: float) -> F64:
-    """Return points (T, 3) with others on the lines between them, so that no step exceeds `step`, up to 4 million."""
+    """Return points (T, 3) with more points on the lines between them, up to 4 million; no step exceeds `step`."""
     lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
     step = max(step, float(lengths.sum()) / _MOST_POINTS)
     counts = np.maximum(np.ceil(lengths / step).astype(np.int64), 1)

@@ -1,7 +1,7 @@
-"""Measure how much light the Gaussians of a scene take in each voxel of a grid. Scene frame and units.
+"""Measure how much light the Gaussians of a scene absorb in each voxel of a grid. Scene frame and units.
 
-The same measure as under navigable space, on a grid of any box. Gaussians that are thick, compared with a voxel, are
-entered into coarser grids, so that the time does not grow with their volume.
+The same measure as for navigable space, on a grid over any box. Gaussians much thicker than a voxel are added on
+coarser grids, so that time does not grow with their volume.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _THICK = 2.0  # voxels: thinnest standard deviation from which a Gaussian is ent
 
 @dataclass(frozen=True, eq=False)
 class Density:
-    """Store a grid of optical depths.
+    """A grid of optical depths.
 
     Attributes:
         origin: (3,) lowest corner of voxel (0, 0, 0), scene frame.
@@ -79,7 +79,7 @@ class Density:
         return cls(origin, size, depth)
 
     def voxels_of(self, points: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """Return (P, 3) the voxel of each of the points (P, 3), and (P,) whether it lies on the grid; 0 elsewhere."""
+        """Return (P, 3) the voxels of points (P, 3), 0 off the grid, and (P,) whether they lie on the grid."""
         array = _check.floats("points", points, ("P", 3), np.float64)
         with np.errstate(over="ignore"):
             places = (array - self.origin) / self.voxel_size

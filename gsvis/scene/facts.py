@@ -1,7 +1,7 @@
-"""Store what is known of a scene besides its Gaussians: its origin, its up axis, its units, how it was filtered.
+"""Define facts about a scene besides its Gaussians: origin, up axis, units, antialiasing, box of viewpoints.
 
-Readers fill the facts from what a file states, writers put them into the next file, commands read them before they
-guess. This module knows no file format and guesses nothing.
+Readers take them from a file, writers store them in the next file, and commands use them before they guess. This module
+knows no file format and guesses nothing.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ _LEVEL: Quad = (1.0, 0.0, 0.0, 0.0)
 
 @dataclass(frozen=True, kw_only=True)
 class SceneFacts:
-    """State what a file or a user says of a scene. Facts that are not stated keep their defaults.
+    """Facts about a scene that a file or a user states. Facts that are not stated keep their defaults.
 
     Args:
-        origin: Where the scene's (0, 0, 0) lies in the coordinates of its source, source units, in double precision.
-            A center in the source is `origin + mean`.
+        origin: Position of the scene's (0, 0, 0) in the coordinates of its source, in double precision. A center in the
+            source is `origin + mean`.
         up: Unit up axis in the scene's frame; None if nothing states it.
-        up_source: What states the up axis, such as "comment Vertical Axis"; empty if nothing does.
+        up_source: Source of the up axis, such as "comment Vertical Axis"; empty without one.
         antialiased: Whether the scene was trained with the opacity compensation of antialiased splatting.
         meters_per_unit: Meters in a scene unit; None if nothing states it.
-        box: Lowest and highest corner of the box where eyes may be; None if nothing states it. Along its own sides,
-            about the scene's (0, 0, 0).
-        box_turn: Unit quaternion wxyz, scene frame from the frame of the box's sides; no turn by default.
-        eye: A point in the scene's frame where an eye may be; parts of the box that are closed off from it do not
+        box: Lowest and highest corner of the box for viewpoints, in the frame of its sides, relative to the scene's
+            (0, 0, 0); None if nothing states it.
+        box_turn: Unit quaternion wxyz, scene frame from the frame of the box's sides; the identity by default.
+        eye: A point in the scene's frame where an eye may be; parts of the box that cannot be reached from it do not
             count. None if nothing states it.
-        clearance: Least distance of eyes in the box from what stops light, scene units; None if nothing states it.
+        clearance: Least distance of eyes in the box from surfaces, scene units; None if nothing states it.
     """
 
     origin: Triple = _ORIGIN
@@ -55,9 +55,9 @@ class SceneFacts:
 
     @classmethod
     def merge(cls, parts: Sequence[SceneFacts]) -> SceneFacts:
-        """Return what all parts of a scene agree on, relative to the origin of the first.
+        """Return the facts that all parts of a scene share, relative to the origin of the first part.
 
-        A fact that the parts state differently, or that only some of them state, keeps its default.
+        A fact that differs between parts, or that only some of them state, keeps its default.
 
         Args:
             parts: At least one; their origins may differ.
@@ -83,18 +83,18 @@ class SceneFacts:
         )
 
     def to_source(self, points: ArrayLike) -> F64:
-        """Return (..., 3) points of the scene's frame in the coordinates of its source, float64."""
+        """Return (..., 3) points in the coordinates of the source, float64, from points in the scene's frame."""
         return np.asarray(np.asarray(points, np.float64) + np.asarray(self.origin))
 
     def to_scene(self, points: ArrayLike) -> F64:
-        """Return (..., 3) points in the coordinates of the source in the scene's frame, float64."""
+        """Return (..., 3) points in the scene's frame, float64, from points in the coordinates of the source."""
         return np.asarray(np.asarray(points, np.float64) - np.asarray(self.origin))
 
     def shift(self, origin: ArrayLike) -> SceneFacts:
-        """Return the facts of the same scene whose centers are given relative to another origin.
+        """Return the facts of the same scene with centers relative to a new origin.
 
         Args:
-            origin: (3,) the other origin, in the coordinates of the source.
+            origin: (3,) the new origin, in the coordinates of the source.
         """
         wanted = _triple(np.asarray(origin, np.float64))
         if wanted == self.origin:
@@ -105,10 +105,10 @@ class SceneFacts:
         return replace(self, origin=wanted, box=box, box_turn=box_turn, eye=eye)
 
     def transform(self, rotation: ArrayLike, scale: float, translation: ArrayLike = (0.0, 0.0, 0.0)) -> SceneFacts:
-        """Return the facts after the scene is turned and scaled about its own (0, 0, 0), then moved.
+        """Return the facts after the scene is rotated and scaled about its own (0, 0, 0), then moved.
 
-        The origin is turned and scaled too, so that `origin + mean` moves as one. The translation moves the centers
-        and not the origin. The box is turned, too.
+        Origin and box are rotated and scaled too, so that `origin + mean` is transformed as a whole. The translation
+        moves the centers, not the origin.
 
         Args:
             rotation: (3, 3) rotation, new frame from old frame.
@@ -132,7 +132,7 @@ class SceneFacts:
 
     @property
     def where(self) -> tuple[Any, ...]:
-        """All that says where eyes may be."""
+        """All facts about where eyes may be."""
         return self.box, self.box_turn, self.eye, self.clearance
 
     @property
@@ -142,7 +142,7 @@ class SceneFacts:
 
 
 def _place_box(box: tuple[Triple, Triple] | None, axes: F64, scale: float, shift: F64) -> tuple[Any, Quad]:
-    """Return a box after a similarity, and its turn: none where its sides lie along the axes of the scene.
+    """Return a box after a similarity, and its rotation; the identity if its sides lie along the axes of the scene.
 
     Args:
         box: Lowest and highest corner along its sides; None without one.
@@ -172,12 +172,13 @@ def _rotation(quat: Quad) -> F64:
 
 def _quaternion(rotation: F64) -> Quad:
     """Return the unit quaternion wxyz of a (3, 3) rotation."""
-    from scipy.spatial.transform import Rotation  # here: it takes long to import, and few need it
+    from scipy.spatial.transform import Rotation  # slow to import, seldom needed
 
     x, y, z, w = (float(value) for value in Rotation.from_matrix(rotation).as_quat())
     return w, x, y, z
 
 
 def _triple(values: F64) -> Triple:
+    """Return three numbers as a tuple."""
     x, y, z = (float(value) + 0.0 for value in values)
     return x, y, z

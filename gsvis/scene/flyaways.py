@@ -1,7 +1,7 @@
-"""Find flyaways: Gaussians so far outside of a scene, and so small from there, that they show nothing.
+"""Find flyaways: Gaussians so far outside of a scene that they look too small to see.
 
-Trained scenes have them thousands of scene sizes away. A few hide in the tails that a robust box leaves out; more than
-that would stretch it, so `Gaussians.bounds` leaves them out first. Frame and units are the scene's own.
+Trained scenes have them thousands of scene sizes away. A robust box ignores a few of them in its tails; more would
+enlarge it, so `Gaussians.bounds` removes them first. Frame and units are the scene's own.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ __all__ = ["FEWEST", "find_flyaways"]
 Mask = NDArray[np.bool_]
 
 FEWEST = 0.01
-"""Share of the Gaussians up to which flyaways stay: a tail of the box that holds 98% takes them in."""
+"""Share of the Gaussians up to which flyaways are kept, because the tails of the 98% box absorb them."""
 
 _LEAST = 100  # Gaussians of a scene in which shares mean something
 _FAR = 3.0  # longest sides of the box of the middle half, beyond that box
@@ -27,11 +27,11 @@ _ONE = 0.1 * _COVER  # covered by one Gaussian at the most: a giant alone is no 
 def find_flyaways(
     means: NDArray[np.floating[Any]], scales: NDArray[np.floating[Any]], opacities: NDArray[np.floating[Any]]
 ) -> Mask:
-    """Return which Gaussians are flyaways, if they are more than one in a hundred; else none.
+    """Return which Gaussians are flyaways, if these are more than 1% of all; else none.
 
-    The outermost are taken, as many as cover less than a thousandth of all directions from the middle. None is nearer
-    than three times the longest side of the box that holds the middle half of the centers on each axis, so up to a
-    fourth of the scene can be flyaways.
+    Flyaways are the outermost Gaussians that together cover less than a thousandth of all directions from the middle.
+    All are farther away than three times the longest side of the box that holds the middle half of the centers on each
+    axis, so up to a fourth of the scene can be flyaways.
 
     Args:
         means: (N, 3) centers.

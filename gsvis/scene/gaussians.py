@@ -1,4 +1,4 @@
-"""Store a scene: a frozen set of 3D Gaussians with activated values.
+"""Define a scene: a frozen set of 3D Gaussians with activated values.
 
 Frame and units are the scene's own (any handedness-preserving world frame). Quaternions are wxyz, scales are
 standard deviations, opacities lie in [0, 1]. This module knows no file format, no camera and no renderer.
@@ -31,7 +31,7 @@ _TURN = "pass (1, 0, 0, 0) for no rotation"
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
 class Gaussians:
-    """Store N 3D Gaussians, validated, read-only, activated.
+    """N 3D Gaussians, validated, read-only, activated.
 
     Contiguous float32 arrays are used without a copy: do not write to them afterward. Torch tensors are accepted
     from any device; those that require a gradient are copied.
@@ -43,7 +43,7 @@ class Gaussians:
         opacities: (N,) in [0, 1].
         sh0: (N, 1, 3) constant SH coefficient of each color channel (color = 0.5 + 0.28209 sh0).
         shN: (N, K-1, 3) higher SH coefficients, K in {1, 4, 9, 16}; None means degree 0.
-        facts: What is known of the scene besides; nothing by default. A selection keeps it.
+        facts: Facts about the scene; none by default. Selections keep them.
 
     Raises:
         ValueError: If a shape, a length or a value is out of range; the message names the argument.
@@ -99,7 +99,7 @@ class Gaussians:
         object.__setattr__(self, "facts", facts)
 
     def with_facts(self, facts: SceneFacts) -> Gaussians:
-        """Return the same Gaussians, not copied, with other facts."""
+        """Return the same Gaussians, not copied, with new facts."""
         same: Gaussians = object.__new__(type(self))
         for name in _NAMES:
             object.__setattr__(same, name, getattr(self, name))
@@ -107,7 +107,7 @@ class Gaussians:
         return same
 
     def with_origin(self, origin: ArrayLike) -> Gaussians:
-        """Return the same scene with centers relative to another origin, moved in double precision.
+        """Return the same scene with centers relative to a new origin, moved in double precision.
 
         Args:
             origin: (3,) the new origin, in the coordinates of the scene's source.
@@ -129,8 +129,7 @@ class Gaussians:
     def concatenate(cls, parts: list[Gaussians]) -> Gaussians:
         """Return one scene with the Gaussians of several; lower SH degrees are padded with zeros.
 
-        Parts of different origins are brought to the origin of the largest one, and the facts on which all agree are
-        kept.
+        Parts with different origins get the origin of the largest one. Facts on which all parts agree are kept.
 
         Raises:
             ValueError: If `parts` is empty.
@@ -178,8 +177,8 @@ class Gaussians:
     def bounds(self, coverage: float = 0.98) -> F64:
         """Return an axis-aligned box with the middle `coverage` of the centers on each axis.
 
-        Trained scenes have floaters thousands of scene sizes away, so the extreme centers are of no use. If more than
-        one in a hundred are flyaways, as `find_flyaways` finds them, the box leaves them out first.
+        Trained scenes have floaters thousands of scene sizes away, so extreme centers are useless. If `find_flyaways`
+        finds more than 1% flyaways, the box ignores them first.
 
         Args:
             coverage: Share of the centers kept on each axis, in (0, 1]; 1 gives the exact box of all.
@@ -210,7 +209,7 @@ class Gaussians:
         return np.asarray(half @ np.swapaxes(half, 1, 2))
 
     def transform(self, rotation: ArrayLike, translation: ArrayLike = (0, 0, 0), scale: float = 1.0) -> Gaussians:
-        """Return the same scene in another frame: x -> scale * R x + t; view-dependent color is rotated too.
+        """Return the same scene in a new frame, x -> scale * R x + t; view-dependent color is rotated too.
 
         Args:
             rotation: (3, 3) rotation, new frame from old frame.
@@ -244,6 +243,7 @@ _NAMES = tuple(f.name for f in fields(Gaussians) if f.name != "facts")
 
 
 def _normalize(quats: F32) -> F32:
+    """Return unit quaternions; raise if one is zero."""
     squared = np.einsum("ij,ij->i", quats, quats, dtype=np.float64)
     if len(squared) and squared.min() < 1e-24:
         zero = int(squared.argmin())

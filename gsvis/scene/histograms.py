@@ -1,7 +1,7 @@
-"""Histograms of a scene: opacities, sizes, shapes, distances, and how much color each SH band carries.
+"""Compute histograms of a scene: opacities, sizes, shapes, distances, and the color in each SH band.
 
-Frame and units are the scene's own. Sizes, ratios and distances are binned by their decimal logarithm. The bins cover
-the middle 99% of the values; what lies beyond is counted beside them, so outliers change no bin.
+Frame and units are the scene's own. Sizes, ratios and distances are binned by their decimal logarithm. Bins cover the
+middle 99% of the values; values beyond are counted separately, so outliers change no bin.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Histogram:
         counts: B numbers of Gaussians.
         below: Number of Gaussians with a value below the first edge.
         above: Number of Gaussians with a value above the last edge.
-        median: Median of all values; None for a scene without Gaussians, or where it is infinite.
+        median: Median of all values; None for a scene without Gaussians, or if it is infinite.
     """
 
     edges: list[float]
@@ -47,13 +47,13 @@ class Histogram:
 
 @dataclass(frozen=True)
 class Band:
-    """How much color a band of spherical harmonics carries, all Gaussians alike.
+    """The amount of color in a band of spherical harmonics, averaged over all Gaussians.
 
     Attributes:
         band: 0 to 3.
         energy: Sum of the squared coefficients of a Gaussian, its three channels together; the mean over Gaussians.
         share: Its share of the energy of all bands.
-        rms: Root mean square of what the band adds to a color channel, over directions and Gaussians, in [0, 1] units.
+        rms: Root mean square of the band's part of a color channel, over directions and Gaussians, in [0, 1] units.
             Band 0 is counted from middle gray.
     """
 
@@ -83,7 +83,7 @@ def measure_histograms(g: Gaussians) -> dict[str, Histogram]:
     means = g.means.astype(np.float64)
     middle = np.median(means, axis=0) if len(g) else np.zeros(3)
     with np.errstate(divide="ignore"):
-        distances = np.log10(np.linalg.norm(means - middle, axis=1))  # -inf for a center right there
+        distances = np.log10(np.linalg.norm(means - middle, axis=1))  # -inf for a center at the middle
     opacities = g.opacities.astype(np.float64)
     return {
         "opacity": _count(opacities, [round(0.1 * k, 1) for k in range(11)]),
@@ -94,7 +94,7 @@ def measure_histograms(g: Gaussians) -> dict[str, Histogram]:
 
 
 def measure_bands(g: Gaussians) -> list[Band]:
-    """Return what each SH band of a scene carries, band 0 first.
+    """Return the color in each SH band of a scene, band 0 first.
 
     References:
         The harmonics are orthonormal over the sphere (Parseval): the mean square over directions is the sum of squared
@@ -108,7 +108,7 @@ def measure_bands(g: Gaussians) -> list[Band]:
 
 
 def _log_edges(values: F64) -> list[float]:
-    """Return edges at whole steps around the middle 99% of logarithms."""
+    """Return edges at round steps around the middle 99% of logarithms."""
     finite = values[np.isfinite(values)]
     low, high = np.quantile(finite, [_TAIL, 1.0 - _TAIL]).tolist() if len(finite) else (0.0, 0.0)
     for step in _STEPS:
@@ -121,6 +121,7 @@ def _log_edges(values: F64) -> list[float]:
 
 
 def _count(values: F64, edges: list[float]) -> Histogram:
+    """Return the histogram of values."""
     below = int((values < edges[0]).sum())
     above = int((values > edges[-1]).sum())
     counts = np.histogram(values[(values >= edges[0]) & (values <= edges[-1])], bins=edges)[0]

@@ -59,6 +59,7 @@ def icosphere(subdivisions: int) -> tuple[NDArray[np.float64], NDArray[np.int64]
 def _subdivide(
     vertices: NDArray[np.float64], faces: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return vertices and faces with each face split into four."""
     edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]], axis=2).reshape(-1, 2)
     unique, inverse = np.unique(edges, axis=0, return_inverse=True)
     midpoints = vertices[unique].sum(axis=1)
@@ -79,7 +80,7 @@ def face_directions(rays_per_face: int = 1) -> NDArray[np.float64]:
         (80, rays_per_face, 3) unit vectors.
 
     Raises:
-        ValueError: If `rays_per_face` is another number.
+        ValueError: If `rays_per_face` is not one of these.
     """
     centers = _corners(rays_per_face).mean(axis=1)
     centers /= np.linalg.norm(centers, axis=1, keepdims=True)

@@ -1,8 +1,8 @@
-"""Guess which Gaussians a camera can see, from rays through the voxels that stop light: cheap, for guides only.
+"""Estimate which Gaussians a camera can see, from rays through voxels: cheap and approximate.
 
-Most of a building is hidden from any one camera. This module finds what is not, to about a voxel, without a look at a
-Gaussian. It errs at thin walls and windows, so it limits work where a few missed Gaussians do no harm, and never
-decides what is visible. Scene frame; OpenCV cameras.
+Most of a building is hidden from any one camera. This module finds the rest, to about a voxel, without testing single
+Gaussians. It can err at thin walls and windows. Use it only to save work where a few missed Gaussians do no harm, never
+to decide visibility. Scene frame; OpenCV cameras.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ _DEVIATIONS = 2.0  # of a Gaussian, that count as its reach
 
 @dataclass(frozen=True, eq=False)
 class InSight:
-    """The voxels of a space, and where in it the Gaussians of a scene lie.
+    """The voxels of a space, and the position of each Gaussian of a scene in it.
 
     Attributes:
         space: Voxels that stop light.
-        voxels: (N,) flat index of the voxel of each Gaussian; -1 for those always in sight: outside of the grid, or
-            too large.
-        reaches: (N,) index of the reach of each.
+        voxels: (N,) flat index of the voxel of each Gaussian; -1 for Gaussians that are always in sight, because they
+            are outside of the grid or too large.
+        reaches: (N,) index of the reach of each Gaussian.
         walls: Steps in occupied voxels after which a ray ends.
     """
 
@@ -51,8 +51,9 @@ class InSight:
 
         Args:
             g: The scene.
-            space: Its space; one without occupied voxels hides nothing.
-            walls: Steps in occupied voxels after which a ray ends; more err less at thin walls, and hide less.
+            space: Its space; without occupied voxels, nothing is hidden.
+            walls: Steps in occupied voxels after which a ray ends; more steps make fewer errors at thin walls, and hide
+                less.
         """
         shape = np.array(space.occupied.shape)
         places = np.floor((g.means.astype(np.float64) - space.origin) / space.voxel_size)
@@ -65,7 +66,7 @@ class InSight:
         return cls(space, voxels, reaches, walls)
 
     def of(self, camera: Cameras) -> Mask:
-        """Return (N,) whether each Gaussian may be in sight of one camera."""
+        """Return (N,) whether one camera may see each Gaussian."""
         seen = self.voxels < 0
         if seen.all():
             return seen
@@ -84,7 +85,7 @@ class InSight:
 
 
 def _directions(camera: Cameras) -> NDArray[np.float64]:
-    """Return (R, 3) unit vectors through the middles of a raster over the image of one camera."""
+    """Return (R, 3) unit vectors through a grid of points of the image of one camera."""
     u, v = ((np.arange(n) + 0.5) / n * side for n, side in zip(_RAYS, (camera.width, camera.height), strict=True))
     pixels = np.stack([*(grid.ravel() for grid in np.meshgrid(u, v)), np.ones(_RAYS[0] * _RAYS[1])], axis=1)
     directions = np.linalg.solve(camera.Ks[0], pixels.T).T @ camera.viewmats[0, :3, :3]
@@ -92,9 +93,9 @@ def _directions(camera: Cameras) -> NDArray[np.float64]:
 
 
 def _grow(mask: Mask, steps: int) -> Mask:
-    """Return a mask (X, Y, Z) with the voxels that lie so many steps from it, across corners too.
+    """Return a mask (X, Y, Z) grown by a number of voxels, diagonals included.
 
-    The mask must have been grown by as many steps before, or the step be one: then nothing lies between the two ends.
+    `steps` must be 1 or at most the number of steps by which the mask was grown before, so that no gaps arise.
     """
     for axis in range(3):
         wide = mask.copy()

@@ -1,7 +1,7 @@
 """Inspect a scene: counts, bounds, the likely up axis, quantiles, problems.
 
-Frame and units are the scene's own. Everything here is an estimate from the Gaussians alone. This module knows no
-file and no renderer. It is deterministic: the same scene gives the same report.
+Frame and units are the scene's own. All figures are estimates from the Gaussians alone. This module knows no file and
+no renderer. It is deterministic: the same scene gives the same report.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class SceneReport:
         bytes_in_memory: Bytes of the arrays.
         bounds: Lowest and highest corner of the box of all centers; empty for an empty scene.
         robust_bounds: The same for the middle 98% of the centers on each axis.
-        up: Likely up axis in words: such as "+z", or a vector and how far it is off the nearest axis.
+        up: Likely up axis in words, such as "+z", or a vector and its angle to the nearest axis.
         up_vector: The same as a unit vector.
         up_confidence: In (0, 1]; 1 if it is stated or given.
         opacities: Quantiles of the opacities by name.
@@ -48,7 +48,7 @@ class SceneReport:
         opaque_share: Share with an opacity of at least one half.
         floaters: Number of centers outside 5 times the ball that holds 98% of the centers.
         farthest: Distance of the farthest center from the middle of this ball, in diameters of it.
-        duplicates: Number of Gaussians whose place, shape and opacity equal an earlier one's.
+        duplicates: Number of Gaussians with the same place, shape and opacity as an earlier one.
         needle_share: Share with a largest scale more than 10 times the middle one.
         disc_share: Share, without needles, with a smallest scale less than a tenth of the middle one.
         giant_share: Share with a largest scale more than a tenth of the diameter of this ball.
@@ -85,7 +85,7 @@ def inspect_scene(g: Gaussians, *, up: ArrayLike | str | None = None) -> SceneRe
 
     Args:
         g: The scene; may be empty.
-        up: The up axis where it is known, such as "+z" or (0, 0, 1); None takes what the scene states, else guesses.
+        up: The up axis if known, such as "+z" or (0, 0, 1); None takes that of the scene's facts, else guesses.
 
     Returns:
         The report; `problems` lists what to check first.
@@ -117,7 +117,7 @@ def inspect_scene(g: Gaussians, *, up: ArrayLike | str | None = None) -> SceneRe
             problems=["the scene has no Gaussians"],
         )
     robust = g.bounds(0.98)
-    middle, radius = find_ball(g)  # a box would depend on how the scene is turned
+    middle, radius = find_ball(g)  # unlike a box, independent of the scene's rotation
     away = np.linalg.norm(g.means.astype(np.float64) - middle, axis=1)
     least, mid, most = np.sort(g.scales, axis=1).T
     needle = most > 10.0 * mid
@@ -147,13 +147,14 @@ def inspect_scene(g: Gaussians, *, up: ArrayLike | str | None = None) -> SceneRe
 
 
 def _given_up(g: Gaussians, up: ArrayLike | str) -> Upright:
-    """Return an up axis that is known, with what contradicts it."""
+    """Return a given up axis, with evidence against it."""
     vector = axis_vector(up) if isinstance(up, str) else np.asarray(up, np.float64)
     unit = np.asarray(_check.unit_vectors("up", vector.reshape(1, -1))[0], np.float64)
     return Upright(unit, 1.0, "given", doubt_up(g, unit))
 
 
 def _quantiles(values: NDArray[np.float32]) -> dict[str, float]:
+    """Return quantiles by name."""
     found = np.quantile(values.astype(np.float64), list(_QUANTILES.values()))
     return dict(zip(_QUANTILES, found.tolist(), strict=True))
 
@@ -191,7 +192,7 @@ def _problems(r: SceneReport, g: Gaussians) -> Iterator[str]:
 
 
 def _value_problems(r: SceneReport, g: Gaussians, longest: float) -> Iterator[str]:
-    """Yield values that suggest a wrong activation on import."""
+    """Yield problems of values, such as a wrong activation on import."""
     many = r.count >= 100
     if many and r.opacities["min"] == r.opacities["max"]:
         yield f"all opacities equal {r.opacities['min']:.3g}"
@@ -213,4 +214,5 @@ def _value_problems(r: SceneReport, g: Gaussians, longest: float) -> Iterator[st
 
 
 def _some(count: int, many: str = "lie", one: str = "lies") -> str:
+    """Return a number of Gaussians with a verb in singular or plural."""
     return f"1 Gaussian {one}" if count == 1 else f"{count:,} Gaussians {many}"

@@ -1,7 +1,7 @@
-"""Compare what eyes of two rules see: builder's eyes, for which a result was made, and judge's eyes, which know not.
+"""Compare quality at two kinds of eyes: builder's eyes, for which a result was made, and independent judge's eyes.
 
-Figures are PSNR of images against the scene, dB, at most 100. A warning names what to do where judge's eyes see much
-less than builder's eyes.
+Figures are the PSNR of images against the scene, dB, at most 100. If quality at judge's eyes is much lower, a warning
+names a remedy.
 """
 
 from __future__ import annotations
@@ -18,29 +18,29 @@ __all__ = ["APART", "GOOD", "LEAST", "Judged"]
 F64 = NDArray[np.float64]
 
 LEAST = 35.0
-"""dB below which a median is warned about, where images are to equal those of the scene."""
+"""Median in dB below which there is a warning, if images should equal those of the scene."""
 
 APART = 6.0
-"""dB between the medians of the two rules from which there is a warning."""
+"""Difference between the two medians in dB from which there is a warning."""
 
 GOOD = 50.0
-"""dB of both medians from which a difference between them does not matter: nobody sees it."""
+"""Median in dB from which differences are invisible and cause no warning."""
 
 _ADVICE = "give --cameras, --up or --box if people stand elsewhere"
 
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """What eyes of two rules see.
+    """Quality at builder's and judge's eyes.
 
     Attributes:
         builder: (B,) dB, at eyes drawn in navigable space.
-        judge: (J,) dB, at judge's eyes: those drawn around the detail, then those given; (0,) where none is free.
-        in_cells: (J,) bool, the judge's eyes that lie in a cell of the navigable space; None without a space. Of joined
-            parts only the share is right.
-        named: What gave the last of the judge's eyes, such as cameras of a file; empty if nothing did.
-        given: Number of these.
-        least: Median from which nothing is warned about, dB; 0 where images need not equal those of the scene.
+        judge: (J,) dB, at judge's eyes: first those drawn around the detail, then given ones; (0,) if none is free.
+        in_cells: (J,) bool, whether judge's eyes lie in a cell of the navigable space; None without a space. For joined
+            parts only its mean is meaningful.
+        named: Source of the given eyes, such as cameras of a file; empty without given eyes.
+        given: Number of given eyes.
+        least: Median in dB from which there is no warning; 0 if images need not equal those of the scene.
     """
 
     builder: F64
@@ -52,10 +52,10 @@ class Judged:
 
     @classmethod
     def joined(cls, records: Sequence[Mapping[str, Any]]) -> Judged:
-        """Return what eyes see in all parts of a scene together.
+        """Return the quality in all parts of a scene together.
 
         Args:
-            records: What `as_dict` returned for each part. Given eyes of all parts stay apart from drawn ones.
+            records: Result of `as_dict` for each part. Given eyes of all parts stay separate from drawn ones.
         """
         builder = [value for record in records for value in record["psnr"]["builder"]]
         drawn = list[float]()
@@ -81,12 +81,12 @@ class Judged:
 
     @property
     def share_in_cells(self) -> float | None:
-        """Share of the judge's eyes that lie in cells; None without such eyes or without cells."""
+        """Share of the judge's eyes that lie in cells; None without judge's eyes or cells."""
         return float(self.in_cells.mean()) if self.in_cells is not None and len(self.in_cells) else None
 
     @property
     def warning(self) -> str | None:
-        """A sentence where the result is worse for judge's eyes than it should be; None where it is not."""
+        """A warning if quality at judge's eyes is too low; None if it is not."""
         if len(self.judge) == 0 or len(self.builder) == 0:
             return None
         named, theirs = min(self._groups(), key=lambda group: group[1])
@@ -95,7 +95,7 @@ class Judged:
         if low >= self.least and not (abs(mine - theirs) > APART and low < GOOD):
             return None
         return (
-            f"Warning: {named} see {theirs:.1f} dB in the median, eyes that it was made for {mine:.1f} dB"
+            f"Warning: median quality is {theirs:.1f} dB at {named}, and {mine:.1f} dB at the eyes it was made for"
             f"{self._where('of the judging eyes lie in cells')}: {_ADVICE}."
         )
 
@@ -103,7 +103,7 @@ class Judged:
     def line(self) -> str:
         """The figures as a line of text."""
         if len(self.judge) == 0:
-            return "no eye around the detail is free: not checked by other eyes"
+            return "not checked: no viewpoint around the detail is free"
         low = np.percentile(self.judge, 5)
         least = self.judge.min()
         also = f", {self.given} of them of {self.named}" if self.given else ""
@@ -128,6 +128,7 @@ class Judged:
         }
 
     def _where(self, text: str) -> str:
+        """Return the share of eyes in cells as text; empty without it."""
         share = self.share_in_cells
         return "" if share is None else f"; {share:.0%} {text}"
 
@@ -139,6 +140,7 @@ class Judged:
 
 
 def _rounded(values: F64) -> list[float]:
+    """Return values rounded for JSON."""
     return [round(float(value), 2) for value in values]
 
 

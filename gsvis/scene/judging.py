@@ -1,8 +1,8 @@
-"""Draw judge's eyes: views around the densest detail of a scene, by a rule that knows no navigable space.
+"""Draw judge's eyes: views around the densest detail of a scene, independent of navigable space.
 
-Builder's eyes make visible sets; judge's eyes check them. Frame and units are the scene's own. A function that draws
-small images says what an eye sees, so no voxel grid takes part. In a scene whose detail is seen from within its walls
-(`gsvis.scene._enclosed`) eyes stand within them. Known limit: in others an eye may lie behind a wall.
+Visible sets are made for builder's eyes; judge's eyes check them. Frame and units are the scene's own. A function that
+renders small images tests what an eye sees, so no voxel grid is involved. If the detail of a scene is seen from within
+its walls (`gsvis.scene._enclosed`), eyes stand within them. Known limit: in other scenes an eye may lie behind a wall.
 """
 
 from __future__ import annotations
@@ -52,20 +52,20 @@ def draw_judges(
 ) -> Cameras:
     """Return up to `count` views of the densest detail, none inside something solid, all with a free line of sight.
 
-    The result follows the scene under rotation, translation and scale, and does not depend on navigable space.
+    The result follows rotation, translation and scale of the scene, and is independent of navigable space.
 
     Args:
         g: The scene.
         count: Number of views.
-        look: Returns (C, H, W) alphas and (C, H, W) depths of what cameras see.
+        look: Function from cameras to their alphas (C, H, W) and depths (C, H, W).
         seed: Seed of the random numbers.
         width: Pixels.
         height: Pixels.
         fov: Horizontal field of view, degrees.
-        up: (3,) upward in the images; None takes the axis along which the core is thinnest.
+        up: (3,) up direction of the images; None takes the axis along which the core is thinnest.
 
     Returns:
-        The views; fewer where too few eyes are free, none in a scene without detail.
+        The views; fewer than `count` if too few eyes are free, none in a scene without detail.
     """
     rng = np.random.default_rng([seed, 8191])
     detail = _sample_detail(g, rng)
@@ -115,7 +115,7 @@ def _find_core(detail: F64) -> tuple[F64, float, F64, F64]:
     near = cKDTree(detail).query(detail, k=_NEIGHBORS + 1)[0][:, -1]
     dense = detail[near <= np.median(near)]
     middle = dense.mean(axis=0)
-    for _ in range(32):  # the geometric median turns with the scene
+    for _ in range(32):  # geometric median, which follows rotations of the scene
         apart = np.linalg.norm(dense - middle, axis=1)
         weights = 1.0 / np.maximum(apart, 1e-9 * max(float(np.median(apart)), 1e-300))
         middle = weights @ dense / weights.sum()
@@ -131,7 +131,7 @@ def _find_core(detail: F64) -> tuple[F64, float, F64, F64]:
 def _propose(
     points: F64, middle: F64, radius: float, axes: F64, count: int, rng: np.random.Generator
 ) -> tuple[F64, F64]:
-    """Return eyes and what they look at: around detail, and along the principal axes of the core, in and out."""
+    """Return eyes and their targets: around detail, and along the principal axes of the core, inward and outward."""
     chosen = points[rng.integers(len(points), size=count)]
     local = rng.normal(size=(count, 3)) * np.array([1.0, 1.0, 0.5])  # few look straight along the thinnest axis
     ahead = local @ axes / np.linalg.norm(local, axis=1, keepdims=True)
@@ -146,9 +146,9 @@ def _propose(
 
 
 def _step_back(few: Gaussians, eyes: F64, aims: F64, radius: float, rng: np.random.Generator) -> tuple[F64, F64]:
-    """Return eyes and aims (P, 3), each eye at a distance from which its aim is likely seen; those without go.
+    """Return eyes and targets (P, 3), each eye at a distance from which it likely sees its target.
 
-    An eye moves along its line of sight, to one of `_STEPS`, or stays where it is.
+    An eye moves along its line of sight to one of `_STEPS`, or stays. Eyes without such a distance are dropped.
     """
     back = eyes - aims
     apart = np.linalg.norm(back, axis=1)
@@ -167,7 +167,7 @@ def _step_back(few: Gaussians, eyes: F64, aims: F64, radius: float, rng: np.rand
 
 
 def _pass(few: Gaussians, aims: F64, back: F64, steps: F64) -> F64:
-    """Return (P, S) the share of light that passes from near each aim to each step (P, S) back along a direction."""
+    """Return (P, S) the share of light that passes from near each target to each step (P, S) back along a direction."""
     turn = np.swapaxes(few.rotations(), 1, 2) / np.maximum(few.scales.astype(np.float64), 1e-300)[:, :, None]
     means = np.einsum("gij,gj->gi", turn, few.means.astype(np.float64))
     found = np.empty(steps.shape)
@@ -190,7 +190,7 @@ def _pass(few: Gaussians, aims: F64, back: F64, steps: F64) -> F64:
 def _choose(
     some: F64, aims: F64, count: int, up: F64, radius: float, look: Look, enclosure: Enclosure
 ) -> tuple[F64, F64]:
-    """Return the first `count` of the eyes that see their aims, and these; in rooms only eyes within walls."""
+    """Return the first `count` eyes that see their targets, and these targets; in rooms only eyes within walls."""
     eyes = np.zeros((0, 3))
     targets = np.zeros((0, 3))
     voters = min(_VOTERS, count)
@@ -218,7 +218,7 @@ def _choose(
 
 
 def _are_free(eyes: F64, aims: F64, up: F64, radius: float, look: Look) -> NDArray[np.bool_]:
-    """Return which eyes see what they look at: something is there, and nothing stands close in front of it."""
+    """Return which eyes see their target: something is there, and nothing is close in front of it."""
     apart = np.linalg.norm(aims - eyes, axis=1)
     good: NDArray[np.bool_] = np.asarray(apart > 1e-6 * radius)
     if not good.any():
@@ -236,5 +236,6 @@ def _are_free(eyes: F64, aims: F64, up: F64, radius: float, look: Look) -> NDArr
 
 
 def _no_cameras(width: int, height: int, fov: float) -> Cameras:
+    """Return an empty set of cameras."""
     one = Cameras.look_at([[0.0, 0.0, -1.0]], [0.0, 0.0, 0.0], up=(0.0, 1.0, 0.0), width=width, height=height, fov=fov)
     return one[:0]

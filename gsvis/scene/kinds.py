@@ -1,6 +1,6 @@
-"""Classify a scene, so that eyes are put where people look from: around an object, in rooms, or on the ground.
+"""Classify a scene, so that eyes are placed where people look from: around an object, in rooms, or on the ground.
 
-The verdict rests on figures that `_evidence.py` measures. This module knows no grid and no Gaussian.
+The result depends on figures that `_evidence.py` measures. This module knows no grid and no Gaussian.
 docs/design/033-kinds-of-space.md says how the thresholds were chosen.
 """
 
@@ -14,10 +14,10 @@ __all__ = ["KINDS", "SURE", "Evidence", "Kind", "SpaceKind", "find_kind", "is_ro
 Kind = Literal["object", "rooms", "open place", "given"]
 
 KINDS: dict[str, Kind] = {"object": "object", "rooms": "rooms", "open-place": "open place"}
-"""Kinds that a user can state, by the word that is typed."""
+"""Kinds that a user can state, by the word to type."""
 
 SURE = 0.8
-"""Least confidence at which a kind is acted on without a word."""
+"""Least confidence at which a kind is used without a warning."""
 
 ROOFED = 0.5  # least share of directions above that are stopped in rooms
 SURROUNDED = 0.4  # least share of level directions that are stopped in an open place
@@ -35,15 +35,15 @@ FLAT = 0.15  # most height of ground without surroundings, in sides
 
 @dataclass(frozen=True, kw_only=True)
 class Evidence:
-    """What decides the kind of a scene. All but `flatness` are shares, in [0, 1].
+    """Figures that decide the kind of a scene. All but `flatness` are shares, in [0, 1].
 
     Args:
-        seen_within: Gaussians that some eye in enclosed space sees; 0 without such a space.
-        seen_outside: Gaussians that some eye around the scene sees.
-        roofed: Directions within 45 degrees of up that are stopped, in the mean of the eyes within.
-        surrounded: Level directions that are stopped, in the mean of eyes above the ground; far Gaussians
-            count. 0 in rooms, where it is not measured, and without ground.
-        walkable: Footprint of the scene with ground that an eye can be above; 0 in rooms.
+        seen_within: Share of the Gaussians that some eye in enclosed space sees; 0 without such a space.
+        seen_outside: Share of the Gaussians that some eye around the scene sees.
+        roofed: Share of directions within 45 degrees of up that end at something, averaged over eyes within.
+        surrounded: Share of level directions that end at something, averaged over eyes above the ground, far Gaussians
+            included. 0 in rooms, where it is not measured, and without ground.
+        walkable: Share of the footprint of the scene with ground below possible eyes; 0 in rooms.
         flatness: Height of the scene over its narrower side.
     """
 
@@ -57,16 +57,16 @@ class Evidence:
 
 @dataclass(frozen=True)
 class SpaceKind:
-    """What a scene is, and why.
+    """The kind of a scene, with reasons.
 
     Args:
-        kind: "object", "rooms", "open place"; or "given" if the navigable space was given by hand.
-        reason: Why, in a line.
-        evidence: The figures behind it; None if the space was given.
+        kind: "object", "rooms", "open place"; or "given" if the user gave the navigable space.
+        reason: The reason, in a line.
+        evidence: The figures behind it; None for a given space.
         eyes: Where eyes are, in a line.
-        confidence: Of the kind, in (0, 1]; 1 if it was given. Below `SURE` eyes are where either kind has them.
-        other: What it may be as well; None if that is clear.
-        doubt: Why one should look before one goes on, in a line; empty if nothing is doubtful.
+        confidence: Confidence in the kind, in (0, 1]; 1 if given. Below `SURE`, eyes follow the rules of both kinds.
+        other: The second likely kind; None if there is none.
+        doubt: A line that says what the user should check; empty if nothing is doubtful.
     """
 
     kind: Kind
@@ -79,11 +79,11 @@ class SpaceKind:
 
     @property
     def sure(self) -> bool:
-        """Whether the confidence is high enough to act on it without a word."""
+        """Whether the confidence is high enough to use the kind without a warning."""
         return self.confidence >= SURE
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the kind as plain numbers and strings, ready for JSON; `text` says it in a line."""
+        """Return the kind as plain numbers and strings, ready for JSON; `text` describes it in a line."""
         return {**asdict(self), "text": str(self)}
 
     def __str__(self) -> str:
@@ -92,18 +92,19 @@ class SpaceKind:
 
 
 def is_rooms(found: Evidence) -> bool:
-    """Return whether a scene is rooms: something is above, and more is seen from within than from outside."""
+    """Return whether a scene is rooms: something is overhead, and more is seen from within than from outside."""
     return found.roofed >= ROOFED and found.seen_within > 0.0 and found.seen_within >= found.seen_outside
 
 
 def find_kind(found: Evidence) -> SpaceKind:
-    """Return what a scene is, by the evidence, with a confidence and what it may be as well.
+    """Return the kind of a scene by the evidence, with a confidence and the second likely kind.
 
-    Rooms have something above, and more of them is seen from within than from outside. An open place has surroundings
-    at eye height, or is ground alone. Anything else is an object: nothing is around, and little is seen from inside.
+    Rooms have something overhead, and more of them is seen from within than from outside. An open place has
+    surroundings at eye height, or is only ground. Anything else is an object: nothing surrounds the eye, and little is
+    seen from inside.
 
     Args:
-        found: What was measured.
+        found: The evidence.
     """
     within = f"{found.seen_within:.0%}"
     outside = f"{found.seen_outside:.0%}"
@@ -119,7 +120,7 @@ def find_kind(found: Evidence) -> SpaceKind:
         return _weigh("open place", reason, found, clear, "object")
     if found.walkable >= WALKABLE and found.flatness <= FLAT:
         reason = f"ground {1.0 / found.flatness:.0f} times as wide as what stands on it is high"
-        return _weigh("open place", reason, found, False, "object")  # a plate that lies on its back looks the same
+        return _weigh("open place", reason, found, False, "object")  # a plate lying flat looks the same
     reason = f"{outside} of the Gaussians are seen from outside, {within} from within"
     if found.walkable > 0.0:
         reason += f", and {1.0 - found.surrounded:.0%} of level views from its ground meet nothing"
@@ -129,10 +130,10 @@ def find_kind(found: Evidence) -> SpaceKind:
 
 
 def with_surroundings(found: Evidence, beyond: float) -> SpaceKind:
-    """Return what a scene is whose Gaussians get larger away from its detail: people stood in it, or around a thing.
+    """Return the kind of a scene whose Gaussians get larger away from its detail.
 
     Args:
-        found: What was measured.
+        found: The evidence.
         beyond: Share of the Gaussians that lie around the detail.
     """
     reason = f"{beyond:.0%} of the Gaussians lie around its detail, larger the farther they are"
@@ -140,5 +141,5 @@ def with_surroundings(found: Evidence, beyond: float) -> SpaceKind:
 
 
 def _weigh(kind: Kind, reason: str, found: Evidence, clear: bool, other: Kind) -> SpaceKind:
-    """Return a kind, sure where the figures are clear; else with what the scene may be as well."""
+    """Return a kind: certain if the figures are clear, else with the second likely kind."""
     return SpaceKind(kind, reason, found, "", _CLEAR if clear else _UNCLEAR, None if clear else other)

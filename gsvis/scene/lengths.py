@@ -1,7 +1,7 @@
-"""Choose the unit in which lengths that no scene states, such as the near plane, are meant.
+"""Choose the unit of lengths that scenes do not state, such as the near plane.
 
 Rasterizers of this field put the near plane at 0.01 units, which fits scenes in meters. A scene in kilometers or
-millimeters is drawn as if scaled to a few units, by a power of two, so that every digit stays.
+millimeters is rendered as if scaled to a few units, by a power of two, so that no precision is lost.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ _WANTED = 8.0
 
 
 def length_factor(means: ArrayLike) -> float:
-    """Return the power of two by which a scene is to be scaled so that its core has the size of a usual scene.
+    """Return the power of two that scales the core of a scene to the usual size.
 
     Args:
         means: (N, 3) centers, scene units. Outliers do not count.
 
     Returns:
-        1 for a core of 0.25 to 256 units across, for none, and for a single place; else the factor that makes it about
-        8 units.
+        1 for a core of 0.25 to 256 units, an empty scene or a single place; else the factor that makes it about 8
+        units.
 
     Examples:
         >>> length_factor([[0, 0, 0], [3, 4, 0]]), length_factor([[0, 0, 0], [3e-3, 4e-3, 0]])
@@ -46,10 +46,10 @@ def length_factor(means: ArrayLike) -> float:
 
 
 def spell_length(length: float, meters_per_unit: float | None) -> str:
-    """Return a length in words, in meters as well where the size of a unit is known.
+    """Return a length in words, also in meters if the size of a unit is known.
 
     Args:
-        length: In scene units.
+        length: Length in scene units.
         meters_per_unit: Meters in a scene unit; None or 0 if unknown.
 
     Examples:
@@ -60,10 +60,10 @@ def spell_length(length: float, meters_per_unit: float | None) -> str:
 
 
 def spell_volume(volume: float, meters_per_unit: float | None) -> str:
-    """Return a volume in words, in cubic meters as well where the size of a unit is known.
+    """Return a volume in words, also in cubic meters if the size of a unit is known.
 
     Args:
-        volume: In cubic scene units.
+        volume: Volume in cubic scene units.
         meters_per_unit: Meters in a scene unit; None or 0 if unknown.
     """
     meters = f" ({volume * meters_per_unit**3:.3g} cubic m)" if meters_per_unit else ""

@@ -1,7 +1,7 @@
-"""Store quality levels that share Gaussians: one union, and the first and last level of each of its Gaussians.
+"""Define quality levels that share Gaussians: one union, and the first and last level of each of its Gaussians.
 
-Levels run from low to high. A Gaussian that belongs to two neighboring levels is the same in both, so an upgrade sends
-only the rest. This module knows no file, no camera and no training.
+Levels run from low to high. A Gaussian in two neighboring levels is identical in both, so an upgrade sends only the
+others. This module knows no file, no camera and no training.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ PREVIEW = 0.1
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
 class Levels:
-    """Store N Gaussians of all levels together; each belongs to the levels first to last.
+    """N Gaussians of all levels together; each belongs to the levels `first` to `last`.
 
     Args:
         union: N Gaussians, each once.
@@ -103,23 +103,23 @@ class Levels:
 
     @property
     def reuse(self) -> tuple[float, ...]:
-        """Share of each level but the last that belongs to the next too: L - 1 values in [0, 1]."""
+        """Share of each level that belongs to the next level too: L - 1 values in [0, 1]."""
         return tuple(float((self.member(k) & self.member(k + 1)).sum() / self.counts[k]) for k in range(len(self) - 1))
 
     @property
     def previews(self) -> int:
-        """Number of first pictures: lowest levels of at most `PREVIEW` that share nothing with the level above."""
+        """Number of first pictures: lowest levels of at most `PREVIEW` that share nothing with the next level."""
         counts = self.counts
         return next((k for k, r in enumerate(self.reuse) if r > 0.0 or counts[k] > PREVIEW * counts[-1]), len(self) - 1)
 
     @property
     def overhead(self) -> float:
-        """What an upgrade through all levels sends beyond the highest alone, as a share of the highest."""
+        """Gaussians that an upgrade through all levels sends in addition to the highest level, as a share of it."""
         return len(self.union) / self.counts[-1] - 1.0
 
 
 def union_of(scene: Gaussians | Levels) -> Gaussians:
-    """Return the Gaussians that ids index: the union of levels, or the scene itself."""
+    """Return the Gaussians that ids refer to: the union of levels, or the scene itself."""
     return scene.union if isinstance(scene, Levels) else scene
 
 
@@ -127,7 +127,7 @@ def as_levels(scene: Gaussians | Levels) -> Levels:
     """Return levels; a scene without levels becomes one level.
 
     Raises:
-        ValueError: If it is empty.
+        ValueError: If the scene is empty.
     """
     return scene if isinstance(scene, Levels) else Levels.single(scene)
 

@@ -1,7 +1,7 @@
 """Find navigable space, the voxels where a visitor's eye can be: free of opacity, inside robust bounds, connected.
 
-A voxel grid in the scene's own frame and units, built from the Gaussians alone or from a box. It samples viewpoints and
-cameras for code that needs views. Knows no file and no renderer.
+A voxel grid in the scene's frame and units, built from the Gaussians alone or from a box. It can sample viewpoints and
+cameras. Knows no file and no renderer.
 
 `_occupancy.py` decides which voxels count, `kinds.py` what the scene is, `_eyes.py` where eyes belong; their first
 lines state the rules.
@@ -47,7 +47,7 @@ _GIVEN = SpaceKind("given", "navigable space given by hand")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class NavigableSpace:
-    """Store the voxels where an eye may be, and what is needed to point cameras at content.
+    """The voxels where an eye may be, and the points at which cameras look.
 
     Args:
         origin: (3,) lowest corner of voxel (0, 0, 0), scene frame.
@@ -57,9 +57,9 @@ class NavigableSpace:
         occupied: (X, Y, Z) voxels that stop light; none by default.
         targets: (T, 3) points worth looking at; if empty, cameras look at points of the box.
         rule: Name of the rule that chose the voxels, for reports.
-        kind: What the scene was taken for, and why.
-        parcels: On how many grids it was found: 1, or one over all and one for each parcel.
-        witnesses: Poses of people that it was not found by, which judge what is made for it; None without any.
+        kind: The kind of the scene, with reasons.
+        parcels: Number of grids in the search: 1, or one for the whole and one for each parcel.
+        witnesses: Poses of people that were not used to find the space and judge results; None without any.
 
     Raises:
         ValueError: If a shape or a value is wrong.
@@ -123,12 +123,12 @@ class NavigableSpace:
             resolution: Voxels along the longest side of the box, 8 to 384.
             max_alpha: Share of lost light, in (0, 1), above which a voxel counts as occupied.
             clearance: Required distance from occupied voxels, in voxels, between centers.
-            coverage: Share of the centers inside the box on each axis; the rest is ignored.
+            coverage: Share of the centers inside the box on each axis; others are ignored.
             up: (3,) direction or an axis such as "+z"; guessed by default.
             seeds: (S, 3) positions known to be navigable, such as captured cameras. The box grows to hold them. The
                 connected parts that hold them are kept instead of the largest ones.
-            mixed: Whether this is a piece of something larger, such as a city: then eyes are in all rooms and
-                on open ground, around `seeds`, and never around it.
+            mixed: Whether the scene is a part of a larger one, such as a city: then eyes are in all rooms, on open
+                ground and near `seeds`, never around the part.
 
         Raises:
             ValueError: If an argument is out of range.
@@ -150,11 +150,11 @@ class NavigableSpace:
     def of_kind(
         cls, g: Gaussians, kind: Kind, *, resolution: int = 160, up: ArrayLike | str | None = None
     ) -> NavigableSpace:
-        """Find the navigable space of a scene whose kind is known: nothing is guessed but up, if it is not given.
+        """Find the navigable space of a scene of known kind; only the up axis may be guessed.
 
         Args:
             g: The scene.
-            kind: "object": eyes are around it. "rooms": inside. "open place": above its ground, within its detail.
+            kind: "object" (eyes around it), "rooms" (inside) or "open place" (above its ground, within its detail).
             resolution: Voxels along the longest side of the box, 8 to 384.
             up: (3,) direction or an axis such as "+z"; guessed by default.
 
@@ -171,11 +171,11 @@ class NavigableSpace:
     def from_parts(
         cls, parts: Iterable[Gaussians], sample: Gaussians, *, resolution: int = 160, up: ArrayLike | str | None = None
     ) -> NavigableSpace:
-        """Find the navigable space of a scene that does not fit the memory, as `from_scene` does.
+        """Find the navigable space of a scene that does not fit into memory; see `from_scene`.
 
         Args:
             parts: The scene, part by part; iterated over once for each grid.
-            sample: Some of its Gaussians, drawn at random. They give the box, the up axis and what the scene is.
+            sample: A random sample of its Gaussians, which determines the box, the up axis and the kind of the scene.
             resolution: Voxels along the longest side of the box, 8 to 384.
             up: (3,) direction or an axis such as "+z"; guessed by default.
 
@@ -198,13 +198,13 @@ class NavigableSpace:
     ) -> NavigableSpace:
         """Find the navigable space around an object: beside and above it.
 
-        Around the whole scene, up to 1.5 of its longest side from its middle. Around a center given by hand, from 0.1
-        to 0.5 of its longest side away from its box, so that eyes stay near.
+        Without a center, eyes surround the whole scene, up to 1.5 of its longest side from its middle. With a center,
+        they stay near the object, 0.1 to 0.5 of its longest side away from its box.
 
         Args:
             g: The scene.
             center: (3,) middle of the object; the whole scene is the object by default.
-            radius: Distance from the middle within which the object lies; given with `center`.
+            radius: Radius of the object around `center`; required with it.
             resolution: Voxels along the longest side of the grid, 8 to 384.
             up: (3,) direction or an axis such as "+z"; guessed by default.
 
@@ -228,7 +228,7 @@ class NavigableSpace:
 
     @classmethod
     def _over(cls, look: Look, pose: Pose | None, found: Found) -> NavigableSpace:
-        """Return what was found, in the frame of the scene."""
+        """Return the result of a search in the frame of the scene."""
         space, free, rule, kind = found
         targets = space.targets(look.seen)
         if pose is None:
@@ -241,7 +241,7 @@ class NavigableSpace:
     def from_box(
         cls, low: ArrayLike, high: ArrayLike, resolution: int = 32, *, up: ArrayLike = (0.0, 0.0, 1.0)
     ) -> NavigableSpace:
-        """Return everything inside a box; the grid is fitted to its longest side.
+        """Return all voxels of a box as free; the grid fits its longest side.
 
         Args:
             low: (3,) lowest corner.
@@ -281,14 +281,14 @@ class NavigableSpace:
     def on_grid(
         self, origin: ArrayLike, voxel_size: float, shape: tuple[int, int, int]
     ) -> tuple[tuple[slice, slice, slice], Mask, Mask]:
-        """Return the voxels of another grid in which this one lies, and which of these are free, and occupied.
+        """Return the part of a second grid in which this space lies, and which of its voxels are free, and occupied.
 
-        A voxel is what this grid says at its middle.
+        Voxels are looked up at their middles.
 
         Args:
-            origin: (3,) lowest corner of voxel (0, 0, 0) of the other grid, scene frame.
+            origin: (3,) lowest corner of voxel (0, 0, 0) of the second grid, scene frame.
             voxel_size: Side of its voxels, scene units.
-            shape: Its voxels along each axis.
+            shape: Number of its voxels along each axis.
         """
         corner = _check.floats("origin", origin, (3,), np.float64)
         index = list[NDArray[np.int64]]()
@@ -303,13 +303,13 @@ class NavigableSpace:
         return (blocks[0], blocks[1], blocks[2]), self.free[inside], self.occupied[inside]
 
     def covered(self) -> Mask:
-        """Return (X, Y, Z) the voxels above which, in the grid and along any up axis, something stops light."""
+        """Return (X, Y, Z) voxels with an occupied voxel somewhere above them in the grid, along any up axis."""
         return np.asarray(np.isfinite(heights_above(self.occupied, -self.up)))
 
     def where_people_stand(self) -> NavigableSpace | None:
-        """Return the part of it at the height of the eyes of standing people; None outside of rooms, or if too small.
+        """Return the part at the eye height of standing people; None outside of rooms, or if it is too small.
 
-        Rooms alone: elsewhere viewpoints are at such heights anyway, or around an object.
+        Only rooms need this: elsewhere viewpoints are at such heights anyway, or around an object.
         """
         if self.kind.kind != "rooms":
             return None
@@ -334,7 +334,7 @@ class NavigableSpace:
     def sample_cameras(
         self, count: int, rng: np.random.Generator, *, width: int = 256, height: int = 192, fov: float = 60.0
     ) -> Cameras:
-        """Sample cameras as a visitor would hold them: anywhere in the space, upright, looking at something.
+        """Return cameras as a visitor would hold them: anywhere in the space, upright, looking at something.
 
         Each looks at a random target within 45 degrees of the horizon whose line of sight stays free for at least 5% of
         the grid's longest side. If 16 draws find none, the draw with the longest free line is used.
@@ -406,6 +406,7 @@ class NavigableSpace:
         return found
 
     def _look_up(self, grid: Mask, points: F64) -> Mask:
+        """Return the values of a mask at points; False outside the grid."""
         shape = np.array(grid.shape)
         with np.errstate(over="ignore"):
             place = (points - self.origin) / self.voxel_size

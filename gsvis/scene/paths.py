@@ -1,4 +1,4 @@
-"""Store head-pose paths: position and orientation of a head over time.
+"""Define head-pose paths: position and orientation of a head over time.
 
 Times are seconds from 0. Positions keep the frame and units of the recording. Orientations are world from camera in
 OpenCV axes (+x right, +y down, +z forward), wxyz. A path replays at any time; it knows no file and no scene.
@@ -25,7 +25,7 @@ _MOST_SAMPLES = 10_000_000
 
 @dataclass(frozen=True, eq=False, repr=False)
 class HeadPath:
-    """Store a moving head: T poses with their times.
+    """A moving head: T poses with their times.
 
     Args:
         times: (T,) seconds, from 0, strictly rising; T >= 1.
@@ -103,7 +103,7 @@ class HeadPath:
         if self.up is not None:
             return self.up
         mean = self.head_ups.mean(axis=0)
-        if np.linalg.norm(mean) < 1e-6:  # the head turns over: no direction is up
+        if np.linalg.norm(mean) < 1e-6:  # the head rotates fully, so no direction is up
             mean = self.head_ups[0]
         return np.asarray(mean / np.linalg.norm(mean))
 
@@ -115,7 +115,7 @@ class HeadPath:
         """Interpolate position and orientation at any time: linear in position, slerp in orientation.
 
         Args:
-            times: Seconds, one or (S,). Before the start and after the end the head stands still.
+            times: Seconds, one or (S,). Before the start and after the end the first and last pose are returned.
 
         Returns:
             positions: (S, 3), or (3,) for one time.
@@ -203,6 +203,7 @@ class HeadPath:
 
 
 def _check_rising(name: str, times: F64) -> None:
+    """Raise unless times rise strictly."""
     if len(times) == 0:
         raise ValueError(f"{name}: expected at least one time, got none")
     steps = np.diff(times)

@@ -1,4 +1,4 @@
-"""Store a cloud of colored points: the result of a reconstruction and the start of training.
+"""Define a cloud of colored points: the result of a reconstruction and the start of training.
 
 World frame and units are the scene's own; colors are sRGB as displayed, 0 black, 1 white. This module knows no file.
 """
@@ -20,7 +20,7 @@ F32 = NDArray[np.float32]
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
 class PointCloud:
-    """Store N colored points, validated, read-only.
+    """N colored points, validated, read-only.
 
     Contiguous float32 arrays are used without a copy: do not write to them afterward.
 

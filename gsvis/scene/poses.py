@@ -1,4 +1,4 @@
-"""Poses of cameras as manifests and pages hold them. Scene frame; OpenCV axes (+x right, +y down, +z forward)."""
+"""Convert cameras to and from the poses in manifests and pages. Scene frame; OpenCV axes."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def cameras_from_poses(poses: Sequence[Mapping[str, Any]], width: int, height: i
 
 
 def decimals_of(lengths: ArrayLike, decimals: int = 6) -> int:
-    """Return the digits after the point to round lengths to: more where all are below 1, as in scenes in small units.
+    """Return the number of decimals for lengths: more if all are below 1, as in scenes with small units.
 
     Examples:
         >>> decimals_of([3.0, 0.1]), decimals_of([2e-3])
@@ -48,11 +48,11 @@ def decimals_of(lengths: ArrayLike, decimals: int = 6) -> int:
 
 
 def describe_poses(cameras: Cameras | None, *, decimals: int | None = 6) -> list[dict[str, Any]]:
-    """Return `position` (3,) and `rotation` (4,) wxyz, world from camera, of each camera, ready for JSON; none of None.
+    """Return `position` (3,) and `rotation` (4,) wxyz, world from camera, of each camera, ready for JSON.
 
     Args:
-        cameras: The cameras.
-        decimals: Digits after the point, more of positions in small units; None keeps all.
+        cameras: The cameras; None gives an empty list.
+        decimals: Decimals, more for positions in small units; None keeps all.
 
     Examples:
         >>> describe_poses(Cameras.look_at([(1, 0, 0)], [(1, 0, 5)], up=(0, -1, 0)))

@@ -42,7 +42,7 @@ Triple = tuple[float, float, float]
 
 UP = (0.0, 0.0, 1.0)
 CLEARANCE = 0.25
-"""Least distance of eyes of built-in scenes from what stops light, meters."""
+"""Least distance of eyes of built-in scenes from surfaces, meters."""
 
 FINE = 0.4  # lattice step of occluders, relative to the rest: a finer rim leaves fewer Gaussians undecided
 _WARM = (0.78, 0.62, 0.46)
@@ -56,7 +56,7 @@ _PLUM = (0.58, 0.34, 0.52)
 
 @dataclass(frozen=True, eq=False, repr=False)
 class BuiltinScene:
-    """A scene that gsvis makes itself.
+    """A scene that gsvis generates.
 
     Args:
         gaussians: The N Gaussians.
@@ -86,29 +86,29 @@ class OccluderScene(BuiltinScene):
         navigable: Allowed viewpoints.
         up: (3,) up axis.
         name: Name in `BUILTIN_SCENES`.
-        surfaces: What it consists of, in the order of the Gaussians.
+        surfaces: Its surfaces, in the order of the Gaussians.
     """
 
     surfaces: tuple[Surface, ...]
 
     @property
     def visible(self) -> Mask:
-        """(V, N) certainly visible: the largest weight on a line from the eye is at least 1/255."""
+        """(V, N) Gaussians that are certainly visible: the largest weight on a line from the eye is at least 1/255."""
         return self._verdicts[0]
 
     @property
     def hidden(self) -> Mask:
-        """(V, N) certainly hidden: it is below 1/255 on every line."""
+        """(V, N) Gaussians that are certainly hidden: the weight is below 1/255 on every line."""
         return self._verdicts[1]
 
     @cached_property
     def _verdicts(self) -> tuple[Mask, Mask]:
-        """Found when somebody asks: it takes longer than all the rest, and those who draw a scene never do."""
+        """Visible and hidden Gaussians, computed on first use because it takes longer than building the scene."""
         return _judge(self.gaussians, self.surfaces, self.viewpoints)
 
     @property
     def undecided(self) -> Mask:
-        """(V, N) neither certainly visible nor certainly hidden."""
+        """(V, N) Gaussians that are neither certainly visible nor certainly hidden."""
         return ~(self.visible | self.hidden)
 
     def __repr__(self) -> str:
@@ -128,6 +128,7 @@ def wall_with_hole(count: int = 20_000, *, sh_degree: int = 2) -> OccluderScene:
     """
 
     def surfaces(step: float) -> list[Painted]:
+        """Return the painted surfaces for a lattice step."""
         wall = Sheet(1, 0.0, (-3.0, 0.0), (3.0, 4.0), FINE * step, (((-0.8, 1.2), (0.8, 2.8)),))
         return [
             (wall, _WARM),
@@ -151,6 +152,7 @@ def box_in_room(count: int = 20_000, *, sh_degree: int = 2) -> OccluderScene:
     """
 
     def surfaces(step: float) -> list[Painted]:
+        """Return the painted surfaces for a lattice step."""
         room = _box((0.0, 0.0, 0.0), (6.0, 5.0, 3.0), step, (_WARM, _COOL, _SLATE, _SAND))
         return room + _box((2.3, 1.8, 0.4), (3.7, 3.2, 2.6), FINE * step, (_CLAY, _CLAY, _PLUM, _MOSS))
 
@@ -167,6 +169,7 @@ def two_rooms(count: int = 40_000, *, sh_degree: int = 3) -> OccluderScene:
     """
 
     def surfaces(step: float) -> list[Painted]:
+        """Return the painted surfaces for a lattice step."""
         over = (
             2.0 * FINE * step
         )  # the partition extends behind floor, walls and ceiling, so that no seam lets light through
@@ -193,6 +196,7 @@ def nested_shells(count: int = 20_000, *, sh_degree: int = 3) -> OccluderScene:
     """
 
     def surfaces(step: float) -> list[Painted]:
+        """Return the painted surfaces for a lattice step."""
         return [(Shell((0.0, 0.0, 0.0), r, step), c) for r, c in ((1.0, _CLAY), (2.0, _MOSS), (3.0, _COOL))]
 
     eyes = [(-1.6, 1.5, -1.2), (1.1, 0.9, 0.5), (0.0, 0.0, 0.0), (5.0, 3.0, 4.0)]
@@ -202,15 +206,15 @@ def nested_shells(count: int = 20_000, *, sh_degree: int = 3) -> OccluderScene:
 def furnished_flat(count: int = 240_000, *, sh_degree: int = 3, seed: int = 1) -> BuiltinScene:
     """Build a furnished flat of five rooms and a hall, 10 x 8.6 meters, that looks like a trained capture.
 
-    Its colors depend on the direction of view where something is polished. Some Gaussians float in the air, and a
-    layer lies behind the visible one, as training leaves them. What is visible is not known in closed form.
+    Colors of polished surfaces depend on the view. As after training, some Gaussians float in the air, and a
+    layer lies behind the visible one. Visibility is not known in closed form.
 
     Args:
-        count: Approximate number of Gaussians, at least 1000. Fewer are made faster, with coarser shadows.
+        count: Approximate number of Gaussians, at least 1000. Fewer take less time, with coarser shadows.
         sh_degree: 0 to 3.
-        seed: Of all that is random.
+        seed: Seed of all random numbers.
     """
-    from gsvis.scene import flat  # here: it takes long to import, and few need it
+    from gsvis.scene import flat  # slow to import, seldom needed
 
     g = flat.furnished_flat(count, sh_degree, seed)
     space = flat.navigable_space(g)
@@ -306,7 +310,7 @@ def _scene(
     """Choose the lattice step for about `count` Gaussians and build the scene; the first eye is navigable."""
     _check.positive_int("count", count, at_least=1000)
     step = 0.1
-    for _ in range(4):  # small balls keep their own step, so the count is not an exact power of it
+    for _ in range(4):  # small balls keep their own step, so the count is not an exact power of the step
         built = sum(surface.count for surface, _ in surfaces(step))
         step *= float(np.sqrt(built / count))
     parts, colors = zip(*surfaces(step), strict=True)
@@ -362,7 +366,7 @@ def _judge(g: Gaussians, surfaces: Sequence[Surface], eyes: F64) -> tuple[Mask, 
 
 def _space(g: Gaussians, surfaces: Sequence[Surface], box: tuple[Triple, Triple], home: F64) -> NavigableSpace:
     """Return the part of the box that lies away from all surfaces and is connected to `home`."""
-    from scipy import ndimage  # here: it takes long to import, and few need it
+    from scipy import ndimage  # slow to import, seldom needed
 
     grid = NavigableSpace.from_box(*box, 80)
     centers = grid.origin + grid.voxel_size * (np.indices(grid.free.shape).reshape(3, -1).T + 0.5)

@@ -1,4 +1,4 @@
-"""Find Gaussians that repeat others bit for bit: on a ray they are a tie that no tracer can order."""
+"""Find Gaussians that repeat earlier ones bit for bit; no tracer can order such ties on a ray."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["first_equal", "hash_columns"]
 
 
 def first_equal(g: Gaussians) -> NDArray[np.int64]:
-    """Return (N,) the first Gaussian with the same place, shape and opacity as each, itself where there is none before.
+    """Return (N,) the first Gaussian with the same place, shape and opacity as each, itself if there is none before.
 
     Args:
         g: The scene; colors do not count.

@@ -1,15 +1,15 @@
-"""Bring a recorded walk into the navigable space of another scene, by one similarity transform.
+"""Transform a recorded walk into the navigable space of a scene, by one similarity transform.
 
 The walk is set upright, rotated, scaled and moved as a whole, so that its poses lie in navigable space. Scale:
 
 1. the given scale, if any;
-2. else the natural scale, if the sizes of both are known in meters;
-3. else about the largest at which a share `enough` of the positions is inside.
+2. else the natural scale, if the unit of both is known in meters;
+3. else about the largest scale at which a share `enough` of the positions is inside.
 
 With 2 and 3, and a recording in meters, people stand: the middle of the walk is put at eye height above the floor below
 it, on the story with the most room, not on roofs. Placements are tried in an order drawn from the seed. Among the first
-few with `enough` inside, the place and heading win with which the walk faces the scene most often (with 3, also at
-scales somewhat below the largest). If none has enough inside, the one with the most wins. The recording's own frame
+few with `enough` inside, the placement in which the walk faces the scene most often wins (with 3, also at scales
+somewhat below the largest). If none has enough inside, the one with the most wins. The recording's own frame
 (origin, heading, with rule 3 also the unit) has no influence.
 """
 
@@ -36,7 +36,7 @@ _UPRIGHT = np.cos(np.radians(1.0))
 
 @dataclass(frozen=True)
 class RetargetConfig:
-    """How to bring a walk into a scene.
+    """Options of `retarget`.
 
     Attributes:
         scale: Scene units per unit of the walk; None finds it by the rule of this module.
@@ -48,9 +48,9 @@ class RetargetConfig:
         choices: Number of placements with enough inside to compare; the one that faces the scene most often wins.
         shrink: Smallest share of the largest scale that rule 3 may use to face the scene more often; 1 keeps the
             largest.
-        project: Move positions that still lie outside into the nearest navigable voxel.
-        keep: Leave a walk unchanged that is already upright and inside.
-        seed: Seed of the order in which placements are tried; another seed gives another place.
+        project: Whether to move positions that still lie outside into the nearest navigable voxel.
+        keep: Whether to keep a walk unchanged that is already upright and inside.
+        seed: Seed of the order in which placements are tried; each seed gives a different place.
     """
 
     scale: float | None = None
@@ -80,7 +80,7 @@ class RetargetConfig:
 
 @dataclass(frozen=True, eq=False)
 class RetargetedPath:
-    """A walk in its new scene, and its transform.
+    """A walk in its new scene, with its transform.
 
     Attributes:
         path: The walk, in the scene's frame and units.
@@ -116,7 +116,7 @@ class RetargetedPath:
 
 
 def retarget(path: HeadPath, navigable: NavigableSpace, config: RetargetConfig | None = None) -> RetargetedPath:
-    """Bring a recorded walk into a scene's navigable space.
+    """Transform a recorded walk into a scene's navigable space.
 
     Args:
         path: The walk, in any frame and unit.
@@ -139,6 +139,7 @@ def retarget(path: HeadPath, navigable: NavigableSpace, config: RetargetConfig |
 def _finish(
     path: HeadPath, navigable: NavigableSpace, config: RetargetConfig, similarity: Similarity, rule: str
 ) -> RetargetedPath:
+    """Return the transformed walk with its figures."""
     there = replace(path.transform(similarity), up=navigable.up)
     if config.meters_per_unit is not None:
         there = replace(there, meters_per_unit=config.meters_per_unit)
@@ -161,6 +162,7 @@ def _finish(
 
 
 def _search(path: HeadPath, navigable: NavigableSpace, config: RetargetConfig) -> tuple[Similarity, str]:
+    """Return the transform of the best placement, and the rule that found it."""
     walk = Walk.from_path(path, navigable, config.yaws)
     search = Search(navigable, config.enough, config.placements, config.choices)
     voxels = np.flatnonzero(navigable.free)
@@ -201,7 +203,7 @@ def _search(path: HeadPath, navigable: NavigableSpace, config: RetargetConfig) -
 def _largest(
     walk: Walk, search: Search, shrink: float, places: F64, floors: Floors | None, stand: float | None
 ) -> Found | None:
-    """Return a placement at about the largest scale with `enough` inside; None if there is none at that eye height."""
+    """Return a placement at about the largest scale with `enough` inside; None if none has that eye height."""
     best = None
     largest = 0.0
     for scale in walk.scales(search.navigable):
@@ -217,7 +219,7 @@ def _largest(
 
 def _nearest_inside(navigable: NavigableSpace, points: F64) -> F64:
     """Return (M, 3) points moved into the navigable voxel nearest to their own (or to their nearest on the grid)."""
-    from scipy import ndimage  # here: it takes long to import, and few need it
+    from scipy import ndimage  # slow to import, seldom needed
 
     shape = np.array(navigable.free.shape)
     cells = np.clip(np.floor((points - navigable.origin) / navigable.voxel_size), 0, shape - 1).astype(np.int64)

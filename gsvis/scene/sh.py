@@ -33,7 +33,7 @@ def sh_degree_of(num_coefficients: int) -> int:
     """Return the degree of a set of 1, 4, 9 or 16 coefficients.
 
     Raises:
-        ValueError: For any other number.
+        ValueError: If the number is not one of these.
     """
     degrees = {1: 0, 4: 1, 9: 2, 16: 3}
     if num_coefficients not in degrees:

@@ -1,7 +1,7 @@
-"""Say which cameras see nothing of a scene: the sign of cameras of another frame.
+"""Find cameras that see nothing of a scene, which shows that their frame is wrong.
 
-A coarse test by centers and reach of Gaussians in the cone of the picture, with no ray and no picture. It asks only
-whether a camera looks at the scene at all. Scene frame; OpenCV cameras; no absolute length.
+A coarse test of Gaussians against the frustum of a camera, without rays or rendering. It tests only whether a camera
+looks at the scene at all. Scene frame; OpenCV cameras; no absolute length.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def blind(g: Gaussians, cameras: Cameras) -> NDArray[np.bool_]:
         cameras: C cameras.
 
     Returns:
-        (C,) True where no Gaussian reaches into the picture, or where the whole scene is a speck in it.
+        (C,) True if no Gaussian reaches into the image, or if the whole scene is a speck in it.
     """
     means, reach = _balls(g)
     found = np.ones(len(cameras), bool)
@@ -51,7 +51,7 @@ def blind(g: Gaussians, cameras: Cameras) -> NDArray[np.bool_]:
 
 
 def _balls(g: Gaussians) -> tuple[F64, F64]:
-    """Return centers (M, 3) and reaches (M,) of Gaussians that say where the scene is."""
+    """Return centers (M, 3) and reaches (M,) of a sample of Gaussians, without giants."""
     some = slice(None, None, max(1, -(-len(g) // _MOST)))
     means = g.means[some].astype(np.float64)
     opacities = g.opacities[some].astype(np.float64)
@@ -68,7 +68,7 @@ def _balls(g: Gaussians) -> tuple[F64, F64]:
 
 
 def _is_speck(points: F64, k: F64, side: int) -> bool:
-    """Return whether nine in ten of the centers lie in front of a camera and within a small part of its picture."""
+    """Return whether 90% of the centers lie in front of a camera and within a small part of its image."""
     ahead = points[points[:, 2] > 0.0]
     if len(ahead) < 0.9 * len(points) or len(points) < 2:
         return False

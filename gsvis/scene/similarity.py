@@ -1,4 +1,4 @@
-"""Similarity transforms: one scale, one rotation, one translation.
+"""Define similarity transforms: one scale, one rotation, one translation.
 
 A transform maps points of one frame to another: `x -> scale * R(quat) x + translation`. It keeps angles and ratios of
 lengths.
@@ -22,6 +22,7 @@ F64 = NDArray[np.float64]
 
 
 def _still() -> F64:
+    """Return the quaternion of no rotation."""
     return np.array([1.0, 0.0, 0.0, 0.0])
 
 
@@ -102,7 +103,7 @@ class Similarity:
 
 
 def upright_matrix(up: F64, meters_per_unit: float = 1.0) -> F64:
-    """Return the (4, 4) matrix that turns an up axis (3,) to +y by the shortest way and scales."""
+    """Return the (4, 4) matrix that rotates an up axis (3,) to +y by the shortest way, then scales."""
     a = np.asarray(up, np.float64) / np.linalg.norm(up)
     b = np.array([0.0, 1.0, 0.0])
     turn = np.diag([1.0, -1.0, -1.0])  # half a turn about x, if the axis is -y

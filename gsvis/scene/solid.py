@@ -1,4 +1,4 @@
-"""Test where a scene is solid: eyes inside a Gaussian that hides what is behind it. Scene frame."""
+"""Test whether eyes lie inside opaque Gaussians. Scene frame."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _MOST_BINS = 32  # along an axis
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """The K Gaussians of a scene that can bury a point, with the boxes within which they do.
+    """The K Gaussians of a scene that can hold a point inside, with boxes around their opaque parts.
 
     Attributes:
         gaussians: The scene.
@@ -40,21 +40,21 @@ class Solid:
 
     @classmethod
     def from_scene(cls, g: Gaussians) -> Solid:
-        """Return what can bury a point of a scene."""
+        """Return the Gaussians of a scene that can hold a point inside."""
         ids = np.flatnonzero(g.opacities >= BURIED)
         reach = np.sqrt(2.0 * np.log(g.opacities[ids].astype(np.float64) / BURIED)) * g.scales[ids].max(axis=1)
         means = g.means[ids].astype(np.float64)
         return cls(g, ids, means - reach[:, None], means + reach[:, None])
 
     def near(self, low: F64, high: F64) -> Solid:
-        """Return what can bury a point of the box between two corners (3,)."""
+        """Return the Gaussians that can hold a point of the box between two corners (3,)."""
         near = np.all((self.high >= low) & (self.low <= high), axis=1)
         return Solid(self.gaussians, self.ids[near], self.low[near], self.high[near])
 
     def buries(self, points: F64) -> NDArray[np.bool_]:
         """Return which points (P, 3) lie inside a Gaussian with an alpha of at least a half there.
 
-        The points are sorted into bins, so that each Gaussian meets only those in and around its box.
+        Points are sorted into bins, so that each Gaussian is tested only against those in and around its box.
         """
         found = np.zeros(len(points), bool)
         if len(points) == 0 or len(self.ids) == 0:

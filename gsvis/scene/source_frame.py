@@ -1,7 +1,7 @@
-"""Bring positions that somebody gives for a scene into its frame: they may be in the coordinates of its source.
+"""Convert positions that a user gives to the frame of a scene: they may be in the coordinates of its source.
 
-A scene with an origin lies far from the (0, 0, 0) of its source, so positions at the scene are near it in one of the
-two frames alone. Double precision throughout.
+A scene with an origin lies far from (0, 0, 0) of its source, so positions are near the scene in only one of the two
+frames. Double precision throughout.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ _ASKED = 5_000  # centers that give the middle
 
 @dataclass(frozen=True, eq=False)
 class SourceFrame:
-    """Where a scene lies in the coordinates of its source.
+    """The place of a scene in the coordinates of its source.
 
     Attributes:
         origin: (3,) the scene's (0, 0, 0), in the coordinates of its source.
-        middle: (3,) a point amid its content, scene frame.
+        middle: (3,) a point in the middle of its content, scene frame.
     """
 
     origin: F64
@@ -45,8 +45,8 @@ class SourceFrame:
         """Return (P, 3) positions in the scene's frame.
 
         Args:
-            points: (P, 3) positions, all in the scene's frame or all in the coordinates of its source. The scene lies
-                nearer to them in the right one.
+            points: (P, 3) positions, all in the scene's frame or all in the coordinates of its source; the frame in
+                which they are nearer to the scene is chosen.
         """
         given = _check.floats("points", points, ("P", 3), np.float64)
         if not self.origin.any() or len(given) == 0:

@@ -1,7 +1,7 @@
-"""Find navigable space in a box that the facts of a scene state: what is free in it, and can be reached.
+"""Find navigable space in a box that the facts of a scene state: the voxels that are free and can be reached.
 
-Built-in scenes and files converted from them state such a box, and both pass here, so they have the same eyes. A box
-may be turned: its voxels then lie along its own sides first. Frame and units of the result are the scene's own.
+Built-in scenes and files converted from them state such a box, so both have the same eyes. A box may be rotated; its
+voxels then first lie along its own sides. Frame and units of the result are the scene's own.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ _NEAR = 2  # voxels around the stated eye in which a free one is looked for
 
 
 def stated_space(g: Gaussians, *, up: ArrayLike | None = None) -> NavigableSpace | None:
-    """Return what is free in the box that a scene states; None if it states none.
+    """Return the free voxels in the box that a scene states; None if it states none.
 
     Args:
         g: The scene.
-        up: (3,) up axis; that of the scene by default, stated or likely.
+        up: (3,) up axis; by default the stated or likely one of the scene.
 
     Raises:
         SceneError: If nothing in the box is free, or nothing of the scene can be seen.
@@ -69,10 +69,10 @@ def stated_space(g: Gaussians, *, up: ArrayLike | None = None) -> NavigableSpace
 def _search(
     seen: Gaussians, low: F64, high: F64, eye: ArrayLike | None, clearance: float | None
 ) -> tuple[Occupancy, Mask]:
-    """Return a grid over a scene as far as it lies near a box, and (X, Y, Z) the voxels in the box that can be reached.
+    """Return a grid over the part of a scene near a box, and (X, Y, Z) the voxels in the box that can be reached.
 
     Raises:
-        SceneError: If there are none.
+        SceneError: If there are no such voxels.
     """
     side = float((high - low).max())
     if not side > 0.0:
@@ -101,13 +101,13 @@ def _search(
 
 
 def _far_enough(space: Occupancy, start: I64, counts: I64, clearance: float | None) -> Mask:
-    """Return (X, Y, Z) the clear voxels of a box that lie farther than a distance from what stops light.
+    """Return (X, Y, Z) the clear voxels of a box that are farther than a distance from occupied voxels.
 
     Args:
         space: The grid.
-        start: (3,) the first voxel of the box.
-        counts: (3,) its voxels along each side.
-        clearance: The distance, held to half a voxel; None asks for none.
+        start: (3,) first voxel of the box.
+        counts: (3,) number of its voxels along each side.
+        clearance: The distance, accurate to half a voxel; None for no condition.
     """
     free = np.zeros(space.clear.shape, bool)
     box = tuple(slice(a, a + n) for a, n in zip(start, counts, strict=True))
@@ -127,7 +127,7 @@ def _far_enough(space: Occupancy, start: I64, counts: I64, clearance: float | No
 
 
 def _reached(space: Occupancy, free: Mask, eye: ArrayLike | None) -> Mask:
-    """Return the connected part (X, Y, Z) that holds an eye; without one all but small parts."""
+    """Return the connected part (X, Y, Z) that holds an eye; without an eye, all but small parts."""
     from scipy import ndimage  # here: it takes long to import, and few need it
 
     labels, _ = ndimage.label(free)

@@ -1,4 +1,4 @@
-"""The symmetric logarithm of coordinates, on which SOG files have their even steps. Scene frame and units."""
+"""Compute the symmetric logarithm of coordinates, which SOG files quantize evenly. Scene frame and units."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def symlog(x: ArrayLike) -> F64:
 
 
 def from_symlog(u: ArrayLike) -> F64:
-    """Return the coordinates with these symmetric logarithms; infinite where float64 has no such number."""
+    """Return the coordinates of symmetric logarithms; infinite beyond the range of float64."""
     u64 = np.asarray(u, np.float64)
     with np.errstate(over="ignore"):
         return np.asarray(np.sign(u64) * np.expm1(np.abs(u64)))

@@ -1,7 +1,7 @@
-"""Thin a scene for small pictures: fewer Gaussians, each wide enough to stand for those that were left out.
+"""Thin a scene for small images: fewer Gaussians, widened to represent those that were dropped.
 
-Large Gaussians stay as they are. Of small ones a random sample is kept, with the area of all. The result follows the
-scene when it is turned, moved or scaled. Good for what an eye sees in a coarse picture, not for its texture.
+Large Gaussians are kept unchanged. Of small ones a random sample is kept and widened to the area of all. The result
+follows rotation, translation and scale of the scene. It suits coarse images, but not their texture.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ _WIDEST = 8.0  # factor by which a Gaussian is widened at most
 
 
 def thin(g: Gaussians, most: int, *, seed: int = 0) -> tuple[I64, Gaussians]:
-    """Return the ids of about `most` Gaussians of a scene, ascending, and these Gaussians, widened; base colors alone.
+    """Return the ids of about `most` Gaussians, ascending, and these Gaussians, widened, with base colors only.
 
     Args:
         g: The scene, N Gaussians.
-        most: Number of Gaussians to keep, at least 1; a smaller scene stays as it is.
+        most: Number of Gaussians to keep, at least 1; a smaller scene is unchanged.
         seed: Seed of the sample.
     """
     _check.positive_int("most", most)
@@ -42,7 +42,7 @@ def thin(g: Gaussians, most: int, *, seed: int = 0) -> tuple[I64, Gaussians]:
 
 
 def _chances(wide: NDArray[np.float64], most: int) -> NDArray[np.float64]:
-    """Return the chance (N,) with which each is kept, by the side of its area; about `most` are."""
+    """Return the probability (N,) of keeping each Gaussian, by the side of its area; about `most` are kept."""
     share = wide / max(float(wide.max()), 1e-300)
     factor = most / max(float(share.sum()), 1e-300)
     for _ in range(_ROUNDS):

@@ -1,6 +1,6 @@
-"""Find which way is up in a scene: what its file states, else what cameras say, else what the Gaussians show.
+"""Find the up axis of a scene: the one that its file states, else that of cameras, else that of the Gaussians.
 
-Up is any unit vector in the scene's frame, with a confidence in it. This module knows no command and no file.
+Up is any unit vector in the scene's frame, with a confidence. This module knows no command and no file.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ __all__ = ["SURE", "Upright", "doubt_up", "find_up"]
 F64 = NDArray[np.float64]
 
 SURE = 0.8
-"""Least confidence at which a guess is acted on without a word."""
+"""Least confidence at which a guess is used without a warning."""
 
-_NOTHING = 0.25  # confidence in the convention of most files, where nothing else is known
+_NOTHING = 0.25  # confidence in the convention of most files, if nothing else is known
 _CONTRADICTION = 40.0  # degrees
-_likely: WeakKeyDictionary[Gaussians, Likely | None] = WeakKeyDictionary()  # scenes do not change; goes with its scene
+_likely: WeakKeyDictionary[Gaussians, Likely | None] = WeakKeyDictionary()  # a cache; scenes never change
 
 
 @dataclass(frozen=True, eq=False)
 class Upright:
-    """Which way is up, and why.
+    """The up axis of a scene, with reasons.
 
     Attributes:
         up: (3,) unit up axis, scene frame; any direction.
-        confidence: In (0, 1]; 1 for what is stated or given.
-        reason: Where it comes from, in a line.
-        doubt: What clearly contradicts it, in a line; empty if nothing does.
-        other: (3,) what up may be as well, scene frame; None if there is nothing to choose between.
+        confidence: In (0, 1]; 1 if it is stated or given.
+        reason: The source of the axis, in a line.
+        doubt: Evidence that clearly contradicts it, in a line; empty without any.
+        other: (3,) the second likely axis, scene frame; None if there is none.
     """
 
     up: F64
@@ -51,7 +51,7 @@ class Upright:
 
     @property
     def sure(self) -> bool:
-        """Whether the confidence is high enough to act on it without a word."""
+        """Whether the confidence is high enough to use the axis without a warning."""
         return self.confidence >= SURE
 
     def __str__(self) -> str:
@@ -61,12 +61,12 @@ class Upright:
 def find_up(g: Gaussians, *, cameras: Cameras | None = None, check: bool = True) -> Upright:
     """Return the up axis of a scene: the stated one, else that of cameras, else the likely one.
 
-    A statement wins even where the scene clearly contradicts it; `doubt` then says so.
+    A stated axis wins even if the scene clearly contradicts it; `doubt` then says so.
 
     Args:
         g: The scene; its facts are read first.
         cameras: Cameras that took its photos, in the scene's frame. People hold cameras level.
-        check: Whether to look for what contradicts a statement or the cameras.
+        check: Whether to look for evidence against the stated axis or the cameras.
     """
     if g.facts.up is not None:
         stated = np.array(g.facts.up)
@@ -78,7 +78,7 @@ def find_up(g: Gaussians, *, cameras: Cameras | None = None, check: bool = True)
     found = _from_gaussians(g)
     if level is None:
         return found
-    if tilt_of(level.up, found.up) < _CONTRADICTION:  # two witnesses of one direction
+    if tilt_of(level.up, found.up) < _CONTRADICTION:  # cameras and Gaussians agree
         return Upright(level.up, 1.0 - (1.0 - level.confidence) * (1.0 - found.confidence), level.reason)
     if found.confidence > level.confidence:
         return replace(found, other=level.up)
@@ -86,12 +86,12 @@ def find_up(g: Gaussians, *, cameras: Cameras | None = None, check: bool = True)
 
 
 def doubt_up(g: Gaussians, up: ArrayLike, *, cameras: Cameras | None = None) -> str:
-    """Return what clearly contradicts an up axis, in a line; empty if nothing does.
+    """Return evidence that clearly contradicts an up axis, in a line; empty without any.
 
-    Cameras are asked first, then ground and walls. Evidence that is not sure by itself contradicts nothing.
+    Cameras are tested first, then ground and walls. Uncertain evidence is ignored.
 
     Args:
-        g: The scene; what it states is not read.
+        g: The scene; its facts are ignored.
         up: (3,) the axis in question, such as one that a user gives.
         cameras: Cameras that took its photos, in the scene's frame.
     """
@@ -106,13 +106,14 @@ def doubt_up(g: Gaussians, up: ArrayLike, *, cameras: Cameras | None = None) -> 
 
 
 def _disagree(axis: F64, other: F64, witness: str) -> str:
+    """Return the line that says how evidence contradicts an axis."""
     angle = tilt_of(axis, other)
     how = "upside down" if angle > 140.0 else f"{angle:.0f} degrees off"
     return f"up is {describe_direction(axis)}, but {witness} level with {describe_direction(other)} up: {how}?"
 
 
 def _find_once(g: Gaussians) -> Likely | None:
-    """Return the likely up axis of a scene, None if it has too few Gaussians; commands ask for it several times."""
+    """Return the likely up axis of a scene, cached; None if the scene has too few Gaussians."""
     if g not in _likely:
         sample = sample_surface(g)
         _likely[g] = find_likely(sample) if sample is not None else None
@@ -120,6 +121,7 @@ def _find_once(g: Gaussians) -> Likely | None:
 
 
 def _from_gaussians(g: Gaussians) -> Upright:
+    """Return the up axis from the Gaussians alone."""
     likely = _find_once(g)
     if likely is None:
         return Upright(axis_vector("-y"), _NOTHING, "what most files use; too few Gaussians to tell")
@@ -128,10 +130,10 @@ def _from_gaussians(g: Gaussians) -> Upright:
 
 
 def _explain(likely: Likely) -> str:
-    """Return why an axis is the likely one, in a line."""
+    """Return the reason why an axis is likely, in a line."""
     e = likely.evidence
     if likely.confidence < 0.5:
-        return "little tells which way is up"
+        return "there is little evidence for any up axis"
     if not likely.ground:
         return f"an object, {e.height:.1f} times as high as wide, {e.upright:.0%} of its surface upright"
     what = "floor and ceiling hold" if e.pair > 0.3 else "level ground holds"

@@ -1,4 +1,4 @@
-"""Choose views when no cameras are given: at random in navigable space, outside of what is solid."""
+"""Choose views if no cameras are given: at random in navigable space, outside of solid parts."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["ViewSampling"]
 
 F64 = NDArray[np.float64]
 
-_TRIES = 32  # draws of viewpoints until enough lie outside of everything solid
+_TRIES = 32  # draws of viewpoints until enough lie outside of solid parts
 
 
 @dataclass(frozen=True)
@@ -32,8 +32,8 @@ class ViewSampling:
         height: Pixels.
         fov: Horizontal field of view, degrees.
         seed: Seed of the random numbers.
-        stream: Index of one of the seed's independent random streams.
-        standing: Share of the cameras at the height of people who stand, in rooms; the others are anywhere.
+        stream: Index of one of the independent random streams of the seed.
+        standing: Share of the cameras at the eye height of standing people, in rooms; others are anywhere.
 
     Raises:
         ValueError: If a value is out of range.
@@ -59,11 +59,11 @@ class ViewSampling:
         """Draw the cameras.
 
         Args:
-            g: The scene, or levels: eyes lie outside of what is solid in any of them.
+            g: The scene, or levels; eyes lie outside of the solid parts of all levels.
             navigable: Allowed viewpoints.
 
         Raises:
-            SceneError: If too few viewpoints lie outside of everything solid.
+            SceneError: If too few viewpoints lie outside of solid parts.
         """
         rng = np.random.default_rng([self.seed, self.stream])
         union = union_of(g)
@@ -75,7 +75,7 @@ class ViewSampling:
         return navigable.cameras_at(eyes, rng, width=self.width, height=self.height, fov=self.fov)
 
     def _draw(self, union: Gaussians, places: NavigableSpace, count: int, rng: np.random.Generator) -> F64:
-        """Return (count, 3) viewpoints in some part of navigable space, outside of everything solid."""
+        """Return (count, 3) viewpoints in navigable space, outside of solid parts."""
         eyes = np.zeros((0, 3))
         for _ in range(_TRIES):
             drawn = places.sample_viewpoints(count, rng)
@@ -83,6 +83,6 @@ class ViewSampling:
             if len(eyes) >= count:
                 return eyes[:count]
         raise SceneError(
-            f"of {count * _TRIES:,} viewpoints drawn in navigable space, {len(eyes):,} lie outside of everything"
-            " solid; give cameras, or another navigable space"
+            f"only {len(eyes):,} of {count * _TRIES:,} viewpoints drawn in navigable space lie outside of solid parts;"
+            " give cameras, or a different navigable space"
         )

@@ -1,4 +1,4 @@
-"""Keep a part of the cameras or of a walk as judges: those that navigable space was not found by."""
+"""Keep a part of the cameras or of a walk as witnesses, which are not used to find navigable space."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ _FROM = 16  # cameras from which half of them can be spared
 
 @dataclass(frozen=True, eq=False)
 class Witnesses:
-    """Poses of people who stood in the scene, which judge what was made without them.
+    """Poses of people in the scene that judge results made without them.
 
     Attributes:
         cameras: The poses; their sizes and fields of view do not matter.
-        named: What they are, in words.
+        named: Their source, in words.
     """
 
     cameras: Cameras
@@ -33,7 +33,7 @@ class Witnesses:
         return hashlib.sha256(np.ascontiguousarray(self.cameras.viewmats, "<f8").tobytes()).hexdigest()
 
     def views(self, count: int, width: int, height: int, fov: float) -> Cameras:
-        """Return `count` of the poses, evenly spaced, as cameras of one size; all if there are no more."""
+        """Return `count` of the poses, evenly spaced, as cameras of one size; all if there are fewer."""
         chosen = np.floor(np.arange(min(count, len(self.cameras))) * (len(self.cameras) / max(count, 1))).astype(int)
         if count >= len(self.cameras):
             chosen = np.arange(len(self.cameras))
@@ -42,9 +42,9 @@ class Witnesses:
 
 
 def hold_out(count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return which of some poses may be used to find something, and which are kept to judge it: every other one.
+    """Return which poses may be used to find something, and which are kept to judge it: every other one.
 
-    Of fewer than 16 none is kept: each is needed.
+    With fewer than 16 poses, none is kept.
     """
     every = np.arange(count)
     return (every, every[:0]) if count < _FROM else (every[::2], every[1::2])

@@ -187,7 +187,7 @@ def test_nothing_of_the_users_is_replaced(ply: Path, photos: Path, tmp_path: Pat
     document(capsys, ply, "-o", out, *base)
     with (out / "low.ply").open("ab") as file:
         file.write(b"edited")
-    assert "it was changed since" in refused(capsys, ply, "-o", out, *base)
+    assert "it has changed since" in refused(capsys, ply, "-o", out, *base)
     (out / "levels.arrow").write_bytes(b"ARROW1 and no more")
     assert "cannot be read" in refused(capsys, ply, "-o", out, *base)
     assert (out / "notes.txt").read_text() == "mine"

@@ -171,7 +171,7 @@ def test_parts_of_a_scene_share_its_tables() -> None:
     np.testing.assert_array_equal(part.intensities, packed.intensities[packed.offsets[10] : packed.offsets[30]])
     with pytest.raises(ValueError, match=r"expected within .* use wider grids"):
         quantize(spread_colors(6, 500, "rgb", 4), grids=Grids.from_colors(whole[:1]))
-    with pytest.raises(ValueError, match="grids: expected those of 'axes'"):
+    with pytest.raises(ValueError, match="grids: expected tables of variant 'axes'"):
         quantize(random_colors(np.random.default_rng(0), 3, "axes"), grids=packed.grids)
 
 

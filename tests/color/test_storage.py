@@ -172,7 +172,7 @@ def test_a_failed_write_leaves_what_was_there(
 def test_arguments_are_checked(tmp_path: Path) -> None:
     rng = np.random.default_rng(4)
     g, colors = random_scene(rng, 5), random_colors(rng, 5)
-    with pytest.raises(ValueError, match="colors: expected those of 4 Gaussians, got 5"):
+    with pytest.raises(ValueError, match="colors: expected one for each of 4 Gaussians, got 5"):
         save_srbf(tmp_path / "a", g[:4], colors)
     with pytest.raises(ValueError, match="precision: expected None for quantized colors"):
         save_srbf(tmp_path / "a", g, quantize(colors), precision="wire")

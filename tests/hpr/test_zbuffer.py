@@ -215,7 +215,7 @@ def test_an_empty_scene_and_one_too_faint_show_nothing() -> None:
 
 
 def test_splats_of_another_scene_are_refused() -> None:
-    with pytest.raises(ValueError, match="splats: expected those of this scene"):
+    with pytest.raises(ValueError, match="splats: expected 5 Gaussians, those of this scene"):
         hybrid(around(5, 0), Splats.from_gaussians(around(6, 0)), np.zeros(3))
 
 

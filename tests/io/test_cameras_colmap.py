@@ -190,5 +190,5 @@ def test_an_unknown_model_and_a_missing_partner_are_reported(tmp_path: Path) -> 
     with pytest.raises(FormatError, match="byte 12: expected a model id from 0 to 17, got 99"):
         load_cameras(tmp_path)
     (tmp_path / "cameras.bin").unlink()
-    with pytest.raises(FormatError, match=r"expected cameras\.bin beside its partner"):
+    with pytest.raises(FormatError, match=r"expected cameras\.bin beside the other file of the model"):
         load_cameras(tmp_path)

@@ -319,7 +319,7 @@ def test_a_rank_of_several_is_read_with_a_warning(tmp_path: Path, caplog: pytest
     gsplat_file(tmp_path / "ckpt_9_rank1.pt")
     gsplat_file(tmp_path / "ckpt_19_rank1.pt")
     load_scene(tmp_path / "ckpt_9_rank0.pt")
-    assert "holds what rank 0 trained; 1 other ranks are beside it" in caplog.text
+    assert "holds only the part of rank 0; files of 1 other ranks are beside it" in caplog.text
 
 
 def test_an_empty_checkpoint_is_an_empty_scene(tmp_path: Path) -> None:

@@ -90,7 +90,7 @@ def test_nothing_left_says_where_the_scene_lies() -> None:
         convert_scene(random_scene(), crop=[[50] * 3, [60] * 3])
     with pytest.raises(SceneError, match="opacities reach"):
         convert_scene(random_scene(), min_opacity=1.0)
-    with pytest.raises(SceneError, match="empty before"):
+    with pytest.raises(SceneError, match="the scene is empty"):
         convert_scene(Gaussians.empty())
 
 

@@ -43,7 +43,7 @@ def test_batches_give_the_bytes_of_the_whole(
 
 def test_a_scene_of_which_nothing_is_left_is_refused_and_leaves_no_file(tmp_path: Path) -> None:
     save_scene(random_scene(90), tmp_path / "a.ply")
-    with pytest.raises(SceneError, match="none of 90 Gaussians is left"):
+    with pytest.raises(SceneError, match="leave none of 90 Gaussians"):
         convert_batches(
             [list_batches(tmp_path / "a.ply")], tmp_path / "b.ply", partial(convert_scene, min_opacity=1.0), drops=True
         )

@@ -112,7 +112,7 @@ def test_views_of_different_streams_differ_and_lie_outside_of_what_is_solid() ->
     assert not np.isin(first, second).any()
     assert scene.navigable.contains(first).all()
     block = Gaussians([[0, 0, 0]], [[1, 0, 0, 0]], [[9, 9, 9]], [0.99], np.zeros((1, 1, 3)))
-    with pytest.raises(SceneError, match="lie outside of everything solid"):
+    with pytest.raises(SceneError, match="lie outside of solid parts"):
         ViewSampling(2).cameras(block, NavigableSpace.from_box((-1, -1, -1), (1, 1, 1), 4))
 
 

@@ -118,5 +118,5 @@ def test_people_stand_on_a_platform_of_any_size_and_tilt(scale: float) -> None:
     assert space.contains(eyes).mean() >= 0.9
     assert space.up == pytest.approx(turn[:, 2])
     assert space.kind.other is not None
-    assert "not certain" in space.kind.doubt
+    assert "uncertain" in space.kind.doubt
     assert "\n" not in space.kind.doubt

@@ -44,7 +44,7 @@ def test_eyes_given_judge_apart_from_those_drawn_and_are_named() -> None:
     values = np.array([60.0] * 6 + [20.0] * 4)
     found = Judged(np.full(5, 60.0), values, np.ones(10, bool), "4 cameras of photos.json", 4)
     assert found.warning is not None
-    assert "4 cameras of photos.json see 20.0 dB" in found.warning
+    assert "20.0 dB at eyes of 4 cameras of photos.json" in found.warning
     assert found.as_dict()["given"] == {
         "from": "4 cameras of photos.json", "views": 4, "mean": 20.0, "median": 20.0, "p5": 20.0, "worst": 20.0
     }  # fmt: skip
@@ -76,7 +76,7 @@ def test_joined_parts_keep_what_cameras_saw_apart() -> None:
     assert joined.judge.tolist() == [60.0] * 16 + [20.0] * 4
     assert joined.share_in_cells == 16 / 20
     assert joined.warning is not None
-    assert "eyes of the cameras given see 20.0 dB" in joined.warning
+    assert "20.0 dB at eyes of the cameras given" in joined.warning
     assert Judged.joined([alone.as_dict()]).as_dict() == alone.as_dict()
     blind = Judged(np.full(2, 60.0), np.full(2, 60.0), None)
     assert Judged.joined([blind.as_dict()]).share_in_cells is None

@@ -1,4 +1,4 @@
-"""Kernels for what each term adds from an eye, and for which terms can matter from anywhere in a box.
+"""Compute the contribution of each term for an eye, and find the terms that can matter for any eye in a box.
 
 A term matters within a cap around its center, so a box needs no exponential. The directions from a box to a Gaussian
 lie in a cone; the term can matter if cone and cap meet. Directions run from the eye to the Gaussian.
@@ -13,7 +13,7 @@ from gsvis.color._kernels.rgb import to_rgb
 
 __all__ = ["changes", "mark_terms", "responses"]
 
-_SLACK = 2e-6  # in cosines: centers are float32
+_SLACK = 2e-6  # tolerance of cosines, because centers are float32
 
 
 @kernel

@@ -1,6 +1,6 @@
 """Kernel that fits the lobes of many Gaussians: greedy choice from a dictionary, all lobes refined after each choice.
 
-Gaussians run in sequence within a block, blocks in parallel. The result of a Gaussian depends on no other.
+Gaussians are fitted in sequence within a block, blocks in parallel. Each result is independent of other Gaussians.
 """
 
 from __future__ import annotations
@@ -66,7 +66,8 @@ def _choose(atoms, norms, left, channels, count):
 
 
 @inner(fastmath=True)
-def _take_away(rows, targets, intensities, terms, channels, count, left):
+def _subtract_lobes(rows, targets, intensities, terms, channels, count, left):
+    """Subtract the lobes from the targets; write what is left."""
     for c in range(channels):
         row = left[c]
         for d in range(count):
@@ -80,7 +81,7 @@ def _take_away(rows, targets, intensities, terms, channels, count, left):
 
 @inner(fastmath=True)
 def _append(w, points, left, padded, total, terms, channels, start, lobe, intensities, limits):
-    """Add a lobe to `terms` lobes that stay as they are; it alone moves, and fits what they leave."""
+    """Add a lobe to `terms` fixed lobes; only the new one moves, to fit what they leave."""
     for i in range(3):
         w.alone[0, i] = start[i]
     refine(w, points, left, padded, total, np.int64(1), channels, w.alone, w.own, limits)
@@ -94,7 +95,7 @@ def _append(w, points, left, padded, total, terms, channels, start, lobe, intens
 def _fit_block(
     block, directions, dictionary, starts, targets, weights, importance, most, price, limits, v, a, counts, curves
 ):
-    """Fit one block of `fit_lobes`; a separate function, because it runs a twenty-fifth slower as part of it."""
+    """Fit one block of `fit_lobes`; inlined there, it would be 4% slower."""
     n, channels, size = targets.shape
     width = (size + LANES - 1) // LANES * LANES
     terms_at_most = v.shape[1]
@@ -156,7 +157,7 @@ def _fit_block(
                 dots(w.rows, 4 * (k + 1), rows, channels, padded, w.scratch, w.outer)
                 error = error_after(w, total, k + 1, channels, intensities)
             mean = error / weight
-            _take_away(w.rows, rows, intensities, k + 1, channels, count, left)
+            _subtract_lobes(w.rows, rows, intensities, k + 1, channels, count, left)
             curves[g, k + 1 :] = mean
             cost = importance[g] * mean + price * (k + 1)
             if cost < best:
@@ -167,7 +168,7 @@ def _fit_block(
                         v[g, j, i] = lobe[j, i]
                     for c in range(channels):
                         a[g, j, c] = intensities[j, c]
-            if best <= price * (k + 2):  # not even a perfect term more is worth its price
+            if best <= price * (k + 2):  # even a perfect further term is not worth its price
                 break
 
 
@@ -190,7 +191,7 @@ def fit_lobes(
     counts,
     curves,
 ):
-    """Fit lobes to n Gaussians: as many as are worth their price.
+    """Fit as many lobes to each of n Gaussians as are worth their price.
 
     Args:
         begin: First of the thread's part; the caller leaves it out.
@@ -203,7 +204,7 @@ def fit_lobes(
         importance: (n,) float64, cost of a unit of weighted mean squared error.
         most: (n,) int64, maximum number of lobes of each.
         price: Cost of a lobe.
-        limits: Those of `refine`; the ridge is relative to the sum of the weights.
+        limits: The limits of `refine`; the ridge is relative to the sum of the weights.
         v: (n, K, 3) float32, written: decay times center, in sending order.
         a: (n, K, C) float32, written: intensities.
         counts: (n,) int64, written: lobes worth their price.
@@ -231,7 +232,7 @@ def fit_lobes(
 @in_parts(lambda directions, targets, *_: (len(targets) + _BLOCK - 1) // _BLOCK)
 @kernel(fastmath=True, error_model="numpy")
 def settle_lobes(begin, end, directions, targets, weights, limits, counts, v, a, errors):
-    """Fit the best joint intensities of given lobes, such that the error falls from each to the next.
+    """Fit the jointly best intensities of given lobes such that the error falls with each further lobe.
 
     Args:
         begin: First of the thread's part; the caller leaves it out.

@@ -1,4 +1,4 @@
-"""Lobes over many directions at once and their inner products, as explicit vectors of 16 directions.
+"""Compute lobes along many directions and their inner products, with explicit vectors of 16 directions.
 
 Rows are float32 over directions, padded to whole vectors. `points` holds x, y, z and the square root of the weight.
 """
@@ -42,6 +42,7 @@ def _lobe(typing_context, points, place, v, decay, rows, row, slopes):
     signature = types.void(points, i64, types.UniTuple(f32, 3), f32, rows, i64, i64)
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        """Emit the code."""
         lanes = Builder(builder, LANES, "float32")
         source = context.make_array(sig.args[0])(context, builder, args[0])
         target = context.make_array(sig.args[4])(context, builder, args[4])
@@ -74,6 +75,7 @@ def _block(typing_context, left, i, right, j, count, out):
     signature = types.void(left, i64, right, i64, i64, out)
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        """Emit the code."""
         lanes = Builder(builder, LANES, "float32")
         sides = []
         for array, row in ((0, 1), (2, 3)):
@@ -106,7 +108,7 @@ def _block(typing_context, left, i, right, j, count, out):
 
 @kernel
 def lobes(points, count, v, terms, rows):
-    """Write weighted lobes exp(v.x - |v|) into rows 0..terms-1 and their slopes by v_k into rows terms + 3k..."""
+    """Write weighted lobes exp(v.x - |v|) into rows 0..terms-1, and their slopes by v_k from row terms + 3k on."""
     for k in range(terms):
         decay = np.sqrt(v[k, 0] * v[k, 0] + v[k, 1] * v[k, 1] + v[k, 2] * v[k, 2])
         vector = (np.float32(v[k, 0]), np.float32(v[k, 1]), np.float32(v[k, 2]))

@@ -19,10 +19,10 @@ __all__ = ["BAD_SIGNAL", "BAD_WEIGHTS", "Atoms", "Chunk", "Codes", "pursue"]
 
 BAD_SIGNAL = -1
 BAD_WEIGHTS = -2
-"""Error codes in counts: signals that are not finite, or weights that are not finite or negative."""
+"""Error codes in `counts`: a signal that is not finite, or a weight that is not finite or negative."""
 
-_NOISE = 1e-6  # of a signal's norm: correlations below it are rounding errors
-_DEPENDENT = 1e-10  # of an atom's squared norm: a smaller part outside the span of the others is a rounding error
+_NOISE = 1e-6  # share of a signal's norm; correlations below it are rounding errors
+_DEPENDENT = 1e-10  # share of an atom's squared norm; a smaller part outside the others' span is a rounding error
 _REASSOCIATE = {"reassoc", "contract"}
 
 F32 = NDArray[np.float32]
@@ -150,7 +150,7 @@ def _least_and_most(a, i):
 
 @inner(error_model="numpy")
 def _take_weights(weights, m, roots, b):
-    """Write square roots of weights[m] over their largest into roots[b]; return the largest, or -1 if invalid."""
+    """Write the square roots of weights[m] over their largest into roots[b]; return the largest, -1 if invalid."""
     least, most = _least_and_most(weights, m)
     if not math.isfinite(_dot(weights, m, weights, m)) or least < 0.0:
         return np.float32(-1.0)
@@ -202,6 +202,7 @@ def _load(chunk, start, count, atoms, work, codes):
 
 @inner(error_model="numpy")
 def _reciprocals(shares, b, least_share, gains):
+    """Write the inverse of each share into a row of gains; 0 where the share is too small."""
     for a in range(shares.shape[1]):
         share = shares[b, a]
         gains[b, a] = np.float32(1.0) / share if share > least_share else np.float32(0.0)
@@ -264,7 +265,7 @@ def _orthogonalise(basis, first, k, triangle):
 
 @inner
 def _choose(atoms, work, going, k, codes, start):
-    """Choose term k of the `going` active signals: atom, place in the basis, parts along it, remaining error.
+    """Choose term k of the `going` active signals; update atom, basis, parts along it and remaining error.
 
     A signal keeps its count if there is nothing left to choose.
     """
@@ -358,8 +359,8 @@ def _spread(atoms, work, going, k, codes, start):
 
 
 @inner
-def _follow(work, going, k, terms):
-    """Update the correlations of the active signals after term k."""
+def _update_correlations(work, going, k, terms):
+    """Subtract term k from the correlations of the active signals."""
     active = work.active
     parts = work.parts
     correlations = work.correlations
@@ -425,7 +426,7 @@ def _pursue_block(chunk, start, count, atoms, codes, work):
         _choose(atoms, work, going, k, codes, start)
         going = _keep_active(chunk, start, going, k + 1, codes, work)
         _spread(atoms, work, going, k, codes, start)
-        _follow(work, going, k, terms)
+        _update_correlations(work, going, k, terms)
     _finish(atoms, work, count, codes, start)
 
 

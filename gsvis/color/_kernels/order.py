@@ -30,6 +30,7 @@ def _shown_error(space, summed, factors, count, colors, weights, shown):
 
 @inner
 def _add(directions, count, v, amplitude, summed, out):
+    """Add a lobe, times its amplitude, to the summed colors along the directions."""
     decay = np.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
     for d in range(count):
         lobe = np.exp(v[0] * directions[0, d] + v[1] * directions[1, d] + v[2] * directions[2, d] - decay)

@@ -1,4 +1,4 @@
-"""Products of rows with all atoms, and the best atom, as explicit vectors.
+"""Multiply rows by all atoms, and find the best atom, with explicit vectors.
 
 A product runs tile by tile, ROWS x WIDTH numbers that stay in registers. Each is a sum over directions in their order,
 independent of the other rows. Atoms come in panels, (P, D, WIDTH): WIDTH atoms along each direction.
@@ -40,6 +40,7 @@ def _multiply_tile(typing_context, rows, first, panels, panel, out):
     signature = types.void(rows, types.int64, panels, types.int64, out)
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        """Emit the code."""
         lanes = Builder(builder, LANES, "float32")
         left, right, result = (context.make_array(sig.args[k])(context, builder, args[k]) for k in (0, 2, 4))
         depth = cgutils.unpack_tuple(builder, left.shape, 2)[1]
@@ -88,6 +89,7 @@ def best_atom(typing_context, correlations, channels, gains, signal):
     signature = pair(correlations, types.int64, gains, types.int64)
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        """Emit the code."""
         lanes = Builder(builder, LANES, "float32")
         values, factors = (context.make_array(sig.args[k])(context, builder, args[k]) for k in (0, 2))
         signals, columns = cgutils.unpack_tuple(builder, factors.shape, 2)

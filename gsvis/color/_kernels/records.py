@@ -101,7 +101,7 @@ def round_jointly(offsets, functions, lobes, intensities, table, middles, out):
     for g in range(len(offsets) - 1):
         start = offsets[g]
         count = offsets[g + 1] - offsets[g]
-        for j in range(count):  # the largest last, of equal ones the first; numba's sort takes long to compile
+        for j in range(count):  # insertion sort, ascending by size; numba's own sort takes long to compile
             size = 0.0
             at = j
             for c in range(channels):

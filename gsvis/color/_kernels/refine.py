@@ -96,9 +96,10 @@ def _solve(matrix, size, right, columns):
 
 @inner(fastmath=True)
 def _count_prefixes(terms, emphasis, factors):
-    """Compute the weight of each row, the lobes and then three slopes of each, in the error summed over all prefixes.
+    """Compute the weight of each row in the error summed over all prefixes: the lobes, then three slopes of each.
 
-    The prefix of all lobes counts 1, each shorter one `emphasis`. A lobe belongs to the prefixes that reach it.
+    The prefix of all lobes has weight 1, each shorter prefix `emphasis`. A lobe belongs to all prefixes that include
+    it.
     """
     for i in range(4 * terms):
         k = i if i < terms else (i - terms) // 3
@@ -122,7 +123,7 @@ def _weigh_prefixes(inner, outer, number, channels, factors):
 
 @inner(fastmath=True)
 def best_intensities(inner, outer, terms, channels, ridge, small, intensities):
-    """Solve for least-squares intensities; return the part of the squared target explained, less the ridge's cost."""
+    """Solve for least-squares intensities; return the explained part of the squared target, minus the ridge's cost."""
     for i in range(terms):
         for j in range(terms):
             small[i, j] = inner[i, j]
@@ -140,7 +141,7 @@ def best_intensities(inner, outer, terms, channels, ridge, small, intensities):
 
 @inner(fastmath=True)
 def _normal_equations(w, terms, channels, ridge, intensities):
-    """Compute slope and curvature of the error by the v, intensities eliminated (Kaufman); return the top diagonal."""
+    """Compute slope and curvature of the error by v, with intensities eliminated (Kaufman); return the top diagonal."""
     n = 3 * terms
     for i in range(terms):
         for j in range(terms):
@@ -213,8 +214,8 @@ def refine(w, points, targets, count, total, terms, channels, v, intensities, li
         total: Sum of the squared targets.
         terms: Number of lobes.
         channels: Number of targets.
-        v: (K, 3).
-        intensities: (K, channels).
+        v: (K, 3) decay times center of each lobe, changed in place.
+        intensities: (K, channels), changed in place.
         limits: Ridge, least decay, most decay, relative gain below which to stop, maximum number of steps.
     """
     ridge, least_decay, most_decay, tolerance, steps, emphasis = limits
@@ -260,7 +261,7 @@ def refine(w, points, targets, count, total, terms, channels, v, intensities, li
 
 @inner(fastmath=True)
 def _change(w, k, channels, intensities):
-    """Return what lobe k adds to the squared error of its predecessors; below 0 if it helps."""
+    """Return the change of the squared error when lobe k is added to the lobes before it; negative if it helps."""
     change = 0.0
     for c in range(channels):
         left = w.outer[k, c]
@@ -289,8 +290,8 @@ def error_after(w, total, terms, channels, intensities):
 
 
 @inner(fastmath=True)
-def _fit_in_turn(w, terms, channels, ridge, intensities):
-    """Give each lobe the best intensity for what its predecessors leave; the error then falls along them."""
+def _fit_sequentially(w, terms, channels, ridge, intensities):
+    """Give each lobe the best intensity for what the lobes before it leave; the error then falls with each lobe."""
     for k in range(terms):
         for c in range(channels):
             left = w.outer[k, c]
@@ -301,11 +302,11 @@ def _fit_in_turn(w, terms, channels, ridge, intensities):
 
 @kernel(fastmath=True)
 def settle(w, total, terms, channels, limits, intensities, anew):
-    """Make the squared error fall from each lobe to the next; return the error after all of them.
+    """Make the squared error fall with each further lobe; return the error after all of them.
 
     Lobes that cancel each other can raise the error on the way. The intensities are then fitted again with more
-    emphasis on the shorter prefixes. In the limit, which is the last attempt, each lobe has the intensity that is best
-    for what its predecessors leave.
+    emphasis on the shorter prefixes. The last attempt gives each lobe the best intensity for what the lobes before it
+    leave.
 
     Args:
         w: Work space; inner and outer hold plain inner products of the lobes.
@@ -322,7 +323,7 @@ def settle(w, total, terms, channels, limits, intensities, anew):
         if attempt > 0:
             emphasis = max(3.0 * emphasis, 0.03)
         if attempt == _ATTEMPTS_TO_SETTLE - 1:
-            _fit_in_turn(w, terms, channels, limits[0], intensities)
+            _fit_sequentially(w, terms, channels, limits[0], intensities)
         elif attempt > 0 or anew:
             copy(w.inner, terms, terms, w.inner2)
             copy(w.outer, terms, channels, w.outer2)

@@ -24,6 +24,7 @@ _GREEN_BLUE = np.float32(0.114 / 0.587)
 
 @inner(error_model="numpy")
 def _hsl_channel(shift, hue, chroma, lightness):
+    """Return one channel of RGB from HSL; shift 0, 8, 4 for red, green, blue."""
     k = shift + hue
     k -= _12 * np.floor(k / _12)
     return lightness - chroma * max(-_1, min(k - _3, _9 - k, _1))
@@ -38,6 +39,7 @@ def _hsv_channel(shift, hue, chroma, value):
 
 @inner(error_model="numpy")
 def _from_hsl(colors):
+    """Convert HSL to RGB in place."""
     for j in range(colors.shape[1]):
         hue = _12 * (colors[0, j] - np.floor(colors[0, j]))
         saturation = min(max(colors[1, j], _0), _1)
@@ -50,6 +52,7 @@ def _from_hsl(colors):
 
 @inner(error_model="numpy")
 def _from_hsv(colors):
+    """Convert HSV to RGB in place."""
     for j in range(colors.shape[1]):
         hue = _6 * (colors[0, j] - np.floor(colors[0, j]))
         saturation = min(max(colors[1, j], _0), _1)
@@ -62,6 +65,7 @@ def _from_hsv(colors):
 
 @inner
 def _from_yuv(colors):
+    """Convert YUV to RGB in place."""
     for j in range(colors.shape[1]):
         y = colors[0, j]
         u = colors[1, j]

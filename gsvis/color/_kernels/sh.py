@@ -20,11 +20,13 @@ _FACTORS_32 = tuple(np.float32(f) for f in _FACTORS)
 
 @njit(cache=True, fastmath={"contract"})
 def _band_1(x, y, z, f):
+    """Return the sum of the three terms of band 1; `f(k, value)` scales term k."""
     return -f[1] * y, f[1] * z, -f[1] * x
 
 
 @njit(cache=True, fastmath={"contract"})
 def _band_2(x, y, z, f):
+    """Return the sum of the five terms of band 2; see `_band_1`."""
     xx = x * x
     yy = y * y
     zz = z * z
@@ -33,6 +35,7 @@ def _band_2(x, y, z, f):
 
 @njit(cache=True, fastmath={"contract"})
 def _band_3(x, y, z, f):
+    """Return the sum of the seven terms of band 3; see `_band_1`."""
     # sums, not factors: an integer factor would widen float32
     xx = x * x
     yy = y * y
@@ -138,6 +141,7 @@ def _color(i, means, sh0, higher, degree, eye):
 
 @inner
 def _color_block(block, ids, means, sh0, higher, degree, eye, lowest, features):
+    """Write the colors of one block of Gaussians; see `colors_from_sh`."""
     for j in range(_BLOCK * block, min(len(ids), _BLOCK * (block + 1))):
         red, green, blue = _color(ids[j], means, sh0, higher, degree, eye)
         features[j, 0], features[j, 1], features[j, 2] = max(red, lowest), max(green, lowest), max(blue, lowest)

@@ -1,4 +1,4 @@
-"""Kernels that split the colors of Gaussians over directions into a base and the functions that are left to fit.
+"""Kernels that split the colors of Gaussians along directions into a base and the functions to fit.
 
 Colors are (n, 3, D) RGB >= 0, with weights (n, D); a direction of weight 0 is ignored. Residuals carry the weight that
 they have in RGB.
@@ -41,6 +41,7 @@ def _pure(hue, shift):
 
 @inner
 def _largest(colors, weights):
+    """Return the largest channel of the colors along directions of positive weight."""
     largest = np.float32(0.0)
     for c in range(3):
         for d in range(len(weights)):
@@ -160,7 +161,7 @@ def _nearest_lightness(color, offsets, saturation):
 @in_parts(lambda colors, *_: len(colors))
 @kernel(error_model="numpy")
 def hold_saturation(begin, end, colors, weights, scales, base, lightness, by_lightness):
-    """Replace lightness by the nearest in RGB with hue and saturation held at their bases; arguments as above."""
+    """Replace lightness by the nearest in RGB with hue and saturation held at their bases; see `split_hsl`."""
     for g in range(begin, end):
         turn = base[g, 0]
         scale = scales[g]

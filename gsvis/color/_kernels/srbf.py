@@ -64,6 +64,7 @@ def _add_group(typing_context, slots, first, count, x, gates, sums, group):
     signature = types.void(slots, i64, i64, x, gates, sums, i64)
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        """Emit the code."""
         lanes = Builder(builder, LANES, "float32")
         source, eye, factors, target = (
             context.make_array(sig.args[k])(context, builder, args[k]) for k in (0, 3, 4, 5)
@@ -103,6 +104,7 @@ def _add_along(typing_context, slots, slot, lane, x, sums):
     signature = types.void(slots, types.int64, types.int64, x, sums)
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        """Emit the code."""
         lanes = Builder(builder, LANES, "float32")
         source, points, target = (context.make_array(sig.args[k])(context, builder, args[k]) for k in (0, 3, 4))
         place = builder.add(builder.mul(args[1], ir.Constant(_I64, SLOT * LANES)), args[2])
@@ -241,6 +243,7 @@ def colors_from_eye(begin, end, windows, means, eye, space, packed, active, out)
 
 @inner
 def _group_along(group, x, space, packed, out):
+    """Write colors of one group along shared directions; see `colors_along`."""
     order, offsets, starts, slots, base, scales = packed
     window = group // GROUPS
     width = x.shape[1]

@@ -20,7 +20,7 @@ __all__ = ["LANES", "STRIDE", "blend_block", "take_largest"]
 
 LANES = 16
 STRIDE = 64 + LANES
-"""Pixels from a row of a square to the next: its own, and as many as a block may lie beyond it."""
+"""Pixels from a row of a square to the next: the square's width, and room for a block that extends beyond it."""
 
 _LOG2_255 = 7.994353436858858
 _I64 = ir.IntType(64)
@@ -65,13 +65,13 @@ def blend_block(typing_context, square, lit, form, spent, far, x, y, rows, most)
         spent: Transmittance below which a pixel is spent.
         far: Distance of the Gaussian.
         x: First column of the block in the square.
-        y: First row of it.
-        rows: Number of its rows, 1 to 16.
-        most: (32,) float32, changed in place: largest weight and largest light, lane by lane. Spent pixels do not
-            count, and do not change.
+        y: First row of the block in the square.
+        rows: Number of rows of the block, 1 to 16.
+        most: (32,) float32, changed in place: largest weight and largest light, lane by lane. Spent pixels are
+            skipped.
 
     Returns:
-        int64, how many pixels became spent.
+        int64, number of pixels that became spent.
     """
     del typing_context
     f32 = types.float32
@@ -79,6 +79,7 @@ def blend_block(typing_context, square, lit, form, spent, far, x, y, rows, most)
     signature = i64(square, lit, types.UniTuple(f32, 6), f32, f32, i64, i64, i64, most)
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        """Emit the code."""
         lanes = Builder(builder, LANES, "float32")
         data, words, largest = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (0, 1, 8))
         form = cgutils.unpack_tuple(builder, args[2], 6)
@@ -141,6 +142,7 @@ def take_largest(typing_context, most, which):
     signature = types.float32(most, types.int64)
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        """Emit the code."""
         lanes = Builder(builder, LANES, "float32")
         found = context.make_array(sig.args[0])(context, builder, args[0]).data
         place = builder.mul(args[1], _int(LANES))

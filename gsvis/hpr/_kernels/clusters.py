@@ -1,6 +1,6 @@
-"""Kernels of clusters: runs of neighboring rows of the table of splats, and where each may lie on the six faces.
+"""Kernels that bound clusters, runs of neighboring rows of the splat table, and place them on the six faces.
 
-Rows lie along a Morton curve, so that a run of them is compact. What holds of a cluster is a bound: no member reaches
+Rows follow a Morton curve, so that a run of them is compact. Bounds are conservative: no member of a cluster reaches
 a pixel outside its rectangle or lies nearer than its distance. World frame, scene units; faces as in `sphere.py`.
 """
 
@@ -45,11 +45,13 @@ def bound_clusters(near, out, columns):
 
 @inner
 def _least_tangent(u, z_low, z_high):
+    """Return the least tangent u / z for z between `z_low` and `z_high`."""
     return u / z_high if u >= 0.0 else u / z_low
 
 
 @inner
 def _first_pixel(place, size):
+    """Return the first pixel whose center lies at or after a place on a face."""
     return np.int16(min(max(math.floor(min(max(place, -1.0), size + 1.0)), 0), size))
 
 

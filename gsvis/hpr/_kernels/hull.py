@@ -93,10 +93,10 @@ def cells_of(begin, end, flipped, size, out):
 
 
 @kernel
-def in_order_of_cells(cells, count, out):
-    """Write the indices of the points in the order of their cells (M,) into out (M,); stable within a cell.
+def sort_by_cell(cells, count, out):
+    """Write the indices of the points, sorted by cell (M,), into out (M,); stable within a cell.
 
-    Returns (count + 1,), the beginning of each cell.
+    Returns (count + 1,), the start of each cell.
     """
     begins = np.zeros(count + 1, np.int64)
     for cell in cells:
@@ -339,10 +339,10 @@ def _close_up(corners, neighbors, facets, last):
 
 @kernel
 def count_creases(points, corners, neighbors, band, out):
-    """Count sides of facets at which the hull bends by more than `band`, at both their ends, into out (N,).
+    """Count the sides of facets at which the hull bends by more than `band` into out (N,), at both their ends.
 
-    A corner with fewer than three lies within about the band of the hull of the others. Returns 1 if the hull bends
-    inward by more than the band: rounding has broken it.
+    A corner with a count below three lies within about `band` of the hull of the other corners. Returns 1 if the hull
+    bends inward by more than `band`, which means that rounding has broken it.
     """
     for f in range(len(corners)):
         a = corners[f, 0]
@@ -368,7 +368,7 @@ def count_creases(points, corners, neighbors, band, out):
 
 @kernel
 def facets_of_cells(points, corners, neighbors, inner, slack, reach, size, out):
-    """Write a facet near the direction of each cell into out (6 size^2,): one with a corner there, or at its center."""
+    """Write a facet near the direction of each cell into out (6 size^2,): one with a corner in it, or at its center."""
     out[:] = -1
     for f in range(len(corners)):
         for k in range(3):
@@ -386,7 +386,7 @@ def facets_of_cells(points, corners, neighbors, inner, slack, reach, size, out):
 @in_parts(lambda *arguments: (len(arguments[-1]) + _BLOCK - 1) // _BLOCK)
 @kernel(error_model="numpy")
 def not_inside(begin, end, points, corners, neighbors, starts, size, inner, slack, band, out):
-    """Write whether each of the first points may lie outside the hull into out (M,); False is certain by the band."""
+    """Write whether each of the first M points may lie outside the hull into out (M,); False is certain."""
     most = np.int64(_MOST_STEPS)  # a literal would compile `locate` once more
     for block in range(begin, end):
         for i in range(block * _BLOCK, min(len(out), (block + 1) * _BLOCK)):

@@ -1,4 +1,4 @@
-"""The first test of a Gaussian against a square of pixels, sixteen neighbors of a cluster at a time."""
+"""Test sixteen neighboring Gaussians of a cluster at a time against a square of pixels."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numba.extending import intrinsic
 from gsvis._kernels.simd import Builder, Vector
 from gsvis.hpr._kernels.sphere import CLAMP, DILATION, NEAR
 
-__all__ = ["CLUSTER", "LANES", "who_reaches"]
+__all__ = ["CLUSTER", "LANES", "find_reaching"]
 
 CLUSTER = 64
 LANES = 16
@@ -21,20 +21,20 @@ _I64 = ir.IntType(64)
 
 
 @intrinsic
-def who_reaches(typing_context, columns, first, axes, toward, half, box):
+def find_reaching(typing_context, columns, first, axes, toward, half, box):
     """Find the Gaussians that may reach a pixel of a box on a face.
 
     Args:
         typing_context: The typing context of numba, unused.
         columns: (B, 5, CLUSTER) float32: x, y, z of the mean, largest scale times reach, reach; NaN for no Gaussian.
-        first: int64, place of the first of sixteen x in it.
-        axes: Three int64: the axis along which the face looks, that of its columns, that of its rows.
-        toward: Four float32: 1 or -1, the direction of the face, then the eye along the three axes above.
+        first: int64, flat index in `columns` of the x of the first of the sixteen.
+        axes: Three int64: the axis along which the face looks, the axis of its columns, the axis of its rows.
+        toward: Four float32: 1 or -1 for the direction of the face, then the eye's coordinates on these three axes.
         half: float32, half the side of the face in pixels.
-        box: Four float32: first and last column, first and last row, as centers of pixels.
+        box: Four float32: first and last column, first and last row; centers of pixels.
 
     Returns:
-        uint64, bit k set for the k-th of the sixteen.
+        uint64, bit k is set if the k-th of the sixteen may reach the box.
     """
     del typing_context
     f32 = types.float32
@@ -43,6 +43,7 @@ def who_reaches(typing_context, columns, first, axes, toward, half, box):
     signature = types.uint64(columns, i64, *tuples)
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        """Emit the code."""
         lanes = Builder(builder, LANES, "float32")
         data = context.make_array(sig.args[0])(context, builder, args[0]).data
         axes = cgutils.unpack_tuple(builder, args[2], 3)
@@ -51,6 +52,7 @@ def who_reaches(typing_context, columns, first, axes, toward, half, box):
         x_low, x_high, y_low, y_high = (lanes.splat(entry) for entry in cgutils.unpack_tuple(builder, args[5], 4))
 
         def column(k: Any) -> Vector:
+            """Return column k of the sixteen Gaussians."""
             return lanes.load(data, builder.add(args[1], builder.mul(k, ir.Constant(_I64, CLUSTER))))
 
         z, u, v = (column(k) - e for k, e in zip(axes, eye, strict=True))

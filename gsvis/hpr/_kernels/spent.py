@@ -1,4 +1,4 @@
-"""Kernels of the occlusion hull: Gaussians as seen from an eye, and where light is spent in each direction.
+"""Kernels of the occlusion hull: the shape of Gaussians seen from an eye, and the depth at which light is spent.
 
 All arrays are checked and contiguous; world frame, relative to the eye, scene units. Cells are those of `hull.py`.
 """
@@ -11,7 +11,7 @@ from gsvis._kernels.compiled import kernel, njit
 from gsvis._kernels.threads import in_parts
 from gsvis.hpr._kernels.hull import cell_of, direction_of, direction_on_face
 
-_WIDE = 0.25  # standard deviations over distance
+_WIDE = 0.25  # standard deviation over distance above which a Gaussian counts as wide
 _LEAST_ALPHA = 1.0 / 64.0
 
 
@@ -190,6 +190,7 @@ def thicken(
 
 @njit(cache=True, inline="always")
 def _place_on_face(x, y, z, face):
+    """Return the place (u, v) of a direction on a face."""
     if face < 2:
         return y / abs(x), z / abs(x)
     if face < 4:
@@ -246,10 +247,10 @@ def _deepest_near(depths, x, y, z, size):
 @in_parts(lambda toward, *_: len(toward))
 @kernel(error_model="numpy")
 def nearness(begin, end, toward, quats, scales, opacities, shapes, min_alpha, depths, size, out):
-    """Write each Gaussian's least distance over the depth to which the eye sees there into out (N,).
+    """Write each Gaussian's least distance, divided by the depth to which the eye sees there, into out (N,).
 
-    Tested toward the center and, for Gaussians larger than half a cell, the six ends of the ellipsoid of one standard
-    deviation. 0 if the eye is inside, infinite if the Gaussian is too faint to be visible.
+    Tests the direction of the center and, for Gaussians larger than half a cell, of the six ends of the one-sigma
+    ellipsoid. 0 if the eye is inside, infinite if the Gaussian is too faint to be visible.
     """
     for i in range(begin, end):
         if opacities[i] < min_alpha:

@@ -1,4 +1,4 @@
-"""The six faces of a cube around an eye, and what lies behind known depths on them.
+"""Find what lies behind known depths on the six faces of a cube around an eye.
 
 A face is S x S pixels that look along one axis of the world with a field of view of 90 degrees. World frame, scene
 units; faces in the order +x, -x, +y, -y, +z, -z; on each, columns run along the first and rows along the second of the
@@ -16,7 +16,7 @@ from gsvis._kernels.threads import in_parts
 
 NEAR = 0.01
 DILATION = 0.3
-CLAMP = 1.3  # of x/z and y/z in the Jacobian, as in the rasterizer for a field of view of 90 degrees
+CLAMP = 1.3  # bound of x/z and y/z in the Jacobian, as in the rasterizer for a field of view of 90 degrees
 _CHUNK = 4096
 
 
@@ -63,7 +63,7 @@ def hidden_behind(begin, end, near, eye, pyramid, first_row, size, out):
                 v0, v1 = _span(w, v, radius, math.sqrt(w * w + v * v))
                 if u0 > u1 or v0 > v1:
                     continue
-                # One pixel more on each side: light passes between the pixel centers too.
+                # One more pixel on each side, because light also passes between pixel centers.
                 x0 = int(0.5 * size * (u0 + 1.0)) - 1
                 x1 = int(0.5 * size * (u1 + 1.0)) + 1
                 y0 = int(0.5 * size * (v0 + 1.0)) - 1

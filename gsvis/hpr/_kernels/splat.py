@@ -1,9 +1,8 @@
 """Kernels that splat Gaussians front to back onto the six faces around an eye, one square of 64 x 64 pixels at a time.
 
-Squares are independent of one another, so threads take them as they come free. A square keeps one bit for each
-pixel that has light left. Clusters come to it nearest first, a round of them at a time; a cluster, a Gaussian or a row
-of pixels without light under it is skipped. So what lies behind spent light is not considered one by one, and nothing
-depends on what was skipped. Faces as in `sphere.py`.
+Squares are independent, so each free thread takes the next one. A square keeps one bit for each pixel that has light
+left. Clusters are splatted nearest first, in rounds. A cluster, a Gaussian or a row of pixels is skipped if no pixel
+under it has light left. Skipping changes no result. Faces as in `sphere.py`.
 """
 
 from __future__ import annotations
@@ -17,12 +16,12 @@ from gsvis._kernels.compiled import inner, kernel, njit
 from gsvis._kernels.shared import raise_to, take_next
 from gsvis._kernels.threads import in_threads
 from gsvis.hpr._kernels.block import LANES, STRIDE, blend_block, take_largest
-from gsvis.hpr._kernels.reach import CLUSTER, who_reaches
+from gsvis.hpr._kernels.reach import CLUSTER, find_reaching
 from gsvis.hpr._kernels.sphere import CLAMP, DILATION
 
 SQUARE = 64
-_ROUND = 256  # Gaussians that join a square before what is near enough is splatted
-_RUN = 12  # keys sorted by insertion
+_ROUND = 256  # Gaussians collected for a square before the nearest are splatted
+_RUN = 12  # length of runs of keys that are sorted by insertion
 _LOG2_E = 1.4426950408889634
 _ONE = np.float32(1.0)
 _HALF = np.float32(0.5)
@@ -34,7 +33,7 @@ _UPPER = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])  # entries of a covariance 
 
 @inner
 def _columns(first, last):
-    """Return the bits first..last."""
+    """Return a mask with the bits first..last set."""
     return (_ALL >> np.uint64(63 - (last - first))) << np.uint64(first)
 
 
@@ -49,7 +48,7 @@ def _any_lit(lit, x0, x1, y0, y1):
 
 @njit(cache=True)
 def _pixels(center, radius, count):
-    """Return the first and the last of `count` pixels with its center within the radius."""
+    """Return the first and the last of `count` pixels whose centers lie within `radius` of `center`."""
     low = center - radius - _HALF
     high = center + radius - _HALF
     first = math.ceil(min(max(low, -1.0), 1e4))
@@ -59,7 +58,7 @@ def _pixels(center, radius, count):
 
 @inner
 def _sort(keys, room, count):
-    """Sort the first keys ascending; return the array that holds them, and the other one."""
+    """Sort the first `count` keys ascending; return the array that holds them, and the other array."""
     for start in range(0, count, _RUN):
         for i in range(start + 1, min(start + _RUN, count)):
             key = keys[i]
@@ -88,8 +87,8 @@ def _sort(keys, room, count):
 
 
 @inner
-def _grown(keys, count):
-    """Return a copy of the first keys in an array of twice the length."""
+def _enlarge(keys, count):
+    """Return a copy of the first `count` keys in an array of twice the length."""
     out = np.empty(2 * len(keys), np.uint64)
     for k in range(min(count, len(keys))):
         out[k] = keys[k]
@@ -118,7 +117,7 @@ def _frame_box(lit, extent, corner):
 
 @inner
 def _meet(columns, eye, face, corner, extent, half, c, lit, box, keys, held):
-    """Add the members of cluster c that may reach a lit pixel of the square to the keys; return how many there are.
+    """Add the members of cluster c that may reach a lit pixel of the square to the keys; return their number.
 
     A key holds the bits of the squared distance, then the row. No lit pixel lies outside `box`.
     """
@@ -131,7 +130,7 @@ def _meet(columns, eye, face, corner, extent, half, c, lit, box, keys, held):
     axes = (axis, au, av)
     toward = (sign, eye[axis], eye[au], eye[av])
     for first in range(0, CLUSTER, LANES):
-        reaching = who_reaches(columns, c * 5 * CLUSTER + first, axes, toward, half, box)
+        reaching = find_reaching(columns, c * 5 * CLUSTER + first, axes, toward, half, box)
         while reaching != _NONE:
             k = first + np.int64(lowest(reaching))
             reaching &= reaching - np.uint64(1)
@@ -157,7 +156,7 @@ def _meet(columns, eye, face, corner, extent, half, c, lit, box, keys, held):
 
 @njit(cache=True)
 def _splat(near, covars, ids, eye, face, corner, extent, half, spent, i, square, lit, most, best):
-    """Splat Gaussian i onto a square; return how many pixels it leaves without light."""
+    """Splat Gaussian i onto a square; return the number of pixels whose light it ends."""
     axis = face >> 1
     au = 1 if axis == 0 else 0
     av = 1 if axis == 2 else 2
@@ -227,7 +226,7 @@ def _splat(near, covars, ids, eye, face, corner, extent, half, spent, i, square,
 
 @njit(cache=True)
 def _open(square, lit, extent):
-    """Give light to the pixels of a square, none to those around it; return how many there are."""
+    """Give light to the pixels of a square, and none to those around it; return their number."""
     for y in range(SQUARE):
         lit[y] = _columns(np.int64(0), extent[0] - 1) if y < extent[1] else _NONE
         for x in range(STRIDE):
@@ -282,11 +281,11 @@ def _fill(scene, eye, face, corner, extent, half, spent, nearest, rectangles, or
             at += 1
             if _any_lit(lit, x0, x1, y0, y1):
                 if held + CLUSTER > len(waiting):
-                    waiting = _grown(waiting, held)
+                    waiting = _enlarge(waiting, held)
                 held = _meet(columns, eye, face, corner, extent, half, c, lit, box, waiting, held)
         while len(ready) < held:
-            ready = _grown(ready, held)
-            spare = _grown(spare, held)
+            ready = _enlarge(ready, held)
+            spare = _enlarge(spare, held)
         kept = np.int64(0)
         chosen = np.int64(0)
         for k in range(held):
@@ -309,10 +308,10 @@ def _fill(scene, eye, face, corner, extent, half, spent, nearest, rectangles, or
 @in_threads(lambda scene, eye, size, *_: 6 * ((size + SQUARE - 1) // SQUARE) ** 2)
 @kernel(error_model="numpy")
 def splat_squares(taken, scene, eye, size, spent, nearest, rectangles, lists, counts, best, light, depths):
-    """Splat what each face may see, front to back.
+    """Splat front to back all that each face may see.
 
     Args:
-        taken: (1,) int64, counts the squares taken; the caller leaves it out.
+        taken: (1,) int64, counter of the squares taken; callers omit it.
         scene: `near`, `covars`, `columns` and `ids` of the `Splats`.
         eye: (3,) float32.
         size: S.
@@ -320,11 +319,13 @@ def splat_squares(taken, scene, eye, size, spent, nearest, rectangles, lists, co
         nearest: (B,) float32, bound of the squared distance of each cluster.
         rectangles: (6, B, 4) int16, where each cluster lies.
         lists: (6, B) int64, the clusters of each face, nearest first.
-        counts: (6,) int64, how many.
+        counts: (6,) int64, number of clusters of each face.
         best: (2 N,) float32, zeros; receives for each Gaussian its largest weight and the largest light in front, over
             pixels that are not spent.
-        light: (6, S, S) float32, receives what is left behind everything, or when it fell below `spent`; or (6, 0, 0).
-        depths: (6, S, S) float32, receives the distance at which that happened, or inf; or (6, 0, 0).
+        light: (6, S, S) float32, receives the light left behind everything, or the first value below `spent`; (6, 0, 0)
+            keeps none.
+        depths: (6, S, S) float32, receives the distance at which light fell below `spent`, or inf; (6, 0, 0) keeps
+            none.
     """
     side = (size + SQUARE - 1) // SQUARE
     turn = take_next(taken)
@@ -372,7 +373,7 @@ def splat_squares(taken, scene, eye, size, spent, nearest, rectangles, lists, co
 
 @kernel
 def take_found(best):
-    """Return the Gaussians with light (K,), ascending, and their values (2, K); fill `best` (2 N,) with 0 again."""
+    """Return the Gaussians that light reaches (K,), ascending, and their values (2, K); reset `best` (2 N,) to 0."""
     count = 0
     for i in range(len(best) // 2):
         count += best[2 * i + 1] > 0.0

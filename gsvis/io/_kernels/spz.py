@@ -47,14 +47,14 @@ def unpack_fixed_points(stream, factors, out):
 
 @kernel
 def look_up(stream, table, out):
-    """Write the table values of bytes."""
+    """Write the table value of each byte."""
     for i in range(len(stream)):
         out[i] = table[stream[i]]
 
 
 @kernel
 def unpack_higher(rows, factors, out):
-    """Write (N, K) coefficients from the first K of (N, J) bytes: their distance from 128, times `factors` of each."""
+    """Write (N, K) coefficients from the first K of (N, J) bytes: their difference from 128, times the factors."""
     for i in range(len(out)):
         for k in range(len(factors)):
             out[i, k] = (np.float32(rows[i, k]) - np.float32(128.0)) * factors[k]

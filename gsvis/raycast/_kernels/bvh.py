@@ -18,6 +18,7 @@ _DEEP = 24
 
 @inner
 def _area(lo, hi):
+    """Return half the surface area of a box."""
     x = hi[0] - lo[0]
     y = hi[1] - lo[1]
     z = hi[2] - lo[2]
@@ -26,6 +27,7 @@ def _area(lo, hi):
 
 @inner
 def _bounds(order, start, stop, lo, hi, out_lo, out_hi):
+    """Write the box around boxes order[start:stop] into out_lo and out_hi."""
     out_lo[:] = np.inf
     out_hi[:] = -np.inf
     for i in range(start, stop):

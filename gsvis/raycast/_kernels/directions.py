@@ -42,7 +42,7 @@ def gather(begin, end, means, weights, viewpoints, tau, centers, planes, sets):
 
 @njit(cache=True)
 def first_free(mean, direction, free, origin, size, out):
-    """Walk the grid from `mean`; write the middle of the stretch inside the first free voxel into `out`.
+    """Walk the grid from `mean`; write the middle of the ray's segment in the first free voxel into `out`.
 
     Returns False if the ray leaves the grid before it meets a free voxel.
     """
@@ -118,7 +118,7 @@ def trace_outward(begin, end, table, content, boxes, children, targets, rays, fr
 @in_threads(lambda table, content, boxes, children, targets, *_: (len(targets) + 63) // 64)
 @kernel(error_model="numpy")
 def see_from_space(taken, table, content, boxes, children, targets, rays, free, origin, size, limits, tau, seen):
-    """Write into seen (M,) whether a free voxel sees targets (M,) along one of rays (R, 3), which are tried in turn."""
+    """Write into seen (M,) whether an eye in a free voxel sees targets (M,) along one of rays (R, 3), tried in turn."""
     blocks = (len(targets) + 63) // 64
     stack_node = np.empty(STACK, np.int64)
     stack_near = np.empty(STACK, np.float64)

@@ -1,4 +1,4 @@
-"""Kernel that finds the balls which rays may meet. World frame, scene units. Knows only balls and half-lines."""
+"""Find the balls that rays may meet. World frame, scene units. Knows only balls and half-lines."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from gsvis._kernels.threads import in_parts
 @in_parts(lambda centers, *_: len(centers))
 @kernel(error_model="numpy")
 def mark_near(begin, end, centers, reaches, rays_o, rays_d, rounding, out):
-    """Mark each ball (N,) that some ray (R, 3), unit directions, comes as near as its reach.
+    """Mark each ball (N,) whose distance from some ray (R, 3), unit directions, is at most its reach.
 
     `rounding` times the distance to the origin is added to the reach, for rays that another program rounds.
     """

@@ -37,6 +37,7 @@ def meets_eight(typing_context, boxes, node, origin, inverse, t_stop, t_near):
     signature = types.int64(boxes, types.int64, triple, triple, types.float64, t_near)
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        """Emit the code."""
         data = context.make_array(sig.args[0])(context, builder, args[0]).data
         out = context.make_array(sig.args[5])(context, builder, args[5]).data
         lanes = Builder(builder, 8, "float64")

@@ -291,7 +291,7 @@ def trace_rays(
 
 @njit(cache=True)
 def store(ids, alphas, depths, count, out_ids, out_alphas, out_weights, out_depths):
-    """Store the sorted hits of one ray with their weights in its output row."""
+    """Write the sorted hits of one ray with their weights into its output row."""
     transmittance = 1.0
     for i in range(count):
         out_ids[i], out_alphas[i], out_depths[i] = ids[i], alphas[i], max(depths[i], np.float32(0.0))
@@ -354,6 +354,7 @@ def weigh_candidates(
 
 @inner(error_model="numpy")
 def _raise_row(row, table, content, boxes, children, rays_o, rays_d, limits, taken, out):
+    """Raise the entries of a row of `out` to the weights of some rays; see `largest_weights`."""
     ids = np.empty(512, np.int64)
     alphas = np.empty(512, np.float64)
     depths = np.empty(512, np.float32)
@@ -388,7 +389,7 @@ def _raise_row(row, table, content, boxes, children, rays_o, rays_d, limits, tak
 @on_numba_threads
 @kernel
 def largest_weights(table, content, boxes, children, rays_o, rays_d, limits, out):
-    """Write the largest weight of every Gaussian over the rays into the rows of out (threads, N) float32, together."""
+    """Write the largest weight of every Gaussian over the rays into out (threads, N) float32; rows are to be joined."""
     share(
         _raise_row,
         len(out),

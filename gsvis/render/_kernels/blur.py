@@ -1,6 +1,6 @@
-"""Kernel that blurs planes of an image with a separable window: what SSIM spends its time on.
+"""Blur planes of an image with a separable window; SSIM spends most of its time here.
 
-torch's convolution of single-channel planes takes several times as long on a CPU, and its backward pass more still.
+On a CPU, torch's convolution of single-channel planes is several times slower, and its backward pass even more so.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import numpy as np
 from gsvis._kernels.compiled import kernel
 from gsvis._kernels.threads import in_parts
 
-_ROWS = 32  # of one task
+_ROWS = 32  # rows of one task
 
 
 @in_parts(lambda planes, window, margin, out: len(planes) * ((out.shape[1] + _ROWS - 1) // _ROWS))

@@ -1,12 +1,12 @@
-"""One Gaussian against one tile, as explicit vectors: which rows it reaches, blend, weigh, and blend backward.
+"""Evaluate one Gaussian on one tile with explicit vectors: find its rows, blend, weigh, and blend backward.
 
 A tile is 16 pixels wide, one vector, and 16 rows high. Its state is (16, CHANNELS, 16) float32. A Gaussian comes as a
 record of 16 float32: `p(x, y) = c + lx x + ly y + A x^2 + B x y + C y^2` = log2 alpha over the tile's pixels
 x, y = 0..15, which float32 knows well where a pixel sees the Gaussian, however far its center lies; then red, green,
 blue, depth; then the center from the tile's first pixel. A pixel whose transmittance is spent holds it negated.
 
-Records and rows are worked out for a batch of Gaussians before they are blended: the loop over the rows of one ends
-unforeseeably, and what follows must not have to wait for anything long.
+Records and rows are computed for a batch of Gaussians before they are blended: the branch predictor cannot foresee
+the end of the loop over rows, so what follows it must not depend on long computations.
 """
 
 from __future__ import annotations
@@ -52,24 +52,24 @@ class _Record:
         self._first = lanes.ir.gep(data, [lanes.ir.mul(number, _int(RECORD))])
 
     def scalar(self, k: int) -> Any:
-        """Entry k."""
+        """Return entry k."""
         return self._lanes.ir.load(self._lanes.ir.gep(self._first, [_int(k)]))
 
     def __getitem__(self, k: int) -> Vector:
-        """Entry k in all lanes."""
+        """Return entry k in all lanes."""
         return self._lanes.splat(self.scalar(k))
 
 
 @intrinsic
 def find_reached_rows(typing_context, records, number, gates, place):
-    """The rows of a tile in which the Gaussian reaches alpha 1/255 somewhere, and whose gate lies behind `place`.
+    """Return the rows of a tile where alpha of the Gaussian reaches 1/255 and whose gate lies behind `place`.
 
     Args:
         typing_context: numba's, unused.
         records: (K, 16) float32.
-        number: Which record.
-        gates: (16,) float32.
-        place: float32.
+        number: Index of the record.
+        gates: (16,) float32, for each row the largest place at which one of its pixels may still be lit.
+        place: float32, place of the Gaussian in the tile's list.
 
     Returns:
         int64, bit y set for row y.
@@ -78,6 +78,7 @@ def find_reached_rows(typing_context, records, number, gates, place):
     signature = types.int64(records, types.int64, gates, types.float32)
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        """Emit the code."""
         lanes = Builder(builder, LANES, "float32")
         record = _Record(context, lanes, sig.args[0], args[0], args[1])
         gates = context.make_array(sig.args[2])(context, builder, args[2]).data
@@ -127,17 +128,19 @@ def _each_row(lanes: Builder, state: Any, record: _Record, todo: Any, body: _Row
 
 
 def _load(lanes: Builder, row: Any, channel: int) -> Vector:
+    """Return the vector of a channel of a row."""
     return lanes.load(row, _int(channel * LANES))
 
 
 def _store(lanes: Builder, vector: Vector, row: Any, channel: int) -> None:
+    """Store a vector as a channel of a row."""
     lanes.store(vector, row, _int(channel * LANES))
 
 
 def _pass_light(
     lanes: Builder, pixels: tuple[Vector, Vector, Vector, Vector], row: Any, place: Any, lit: Any
 ) -> tuple[Vector, Vector]:
-    """Let the Gaussian take its share of the light, and keep what is left. Returns the weight and the light left.
+    """Return the weight of the Gaussian and the light it leaves, and store that light.
 
     `pixels` is (y, p, seen, t) as `_each_row` gives them. A pixel that would fall to 1e-4 blends nothing: its light is
     kept negated and the place of the Gaussian in STOP; the bit of its row in `lit` is cleared if it was the last one
@@ -181,12 +184,14 @@ def blend(typing_context, state, records, number, todo, lit, place):
     signature = types.void(state, records, types.int64, types.int64, lit, types.float32)
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        """Emit the code."""
         data, lit_rows = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (0, 4))
         lanes = Builder(builder, LANES, "float32")
         record = _Record(context, lanes, sig.args[1], args[1], args[2])
         features = [record[6 + k] for k in range(4)]
 
         def body(row: Any, y: Vector, p: Vector, seen: Vector, t: Vector) -> None:
+            """Emit the code for one row."""
             weight, after = _pass_light(lanes, (y, p, seen, t), row, args[5], lit_rows)
             for channel, value in zip((RED, GREEN, BLUE, DEPTH), features, strict=True):
                 _store(lanes, weight.times_plus(value, _load(lanes, row, channel)), row, channel)
@@ -203,7 +208,7 @@ def blend(typing_context, state, records, number, todo, lit, place):
 
 @intrinsic
 def weigh(typing_context, state, records, number, todo, lit):
-    """Like `blend` without colors: the largest and the summed weight over the tile.
+    """Return the largest and the summed weight of one Gaussian over the tile; like `blend`, without colors.
 
     Args:
         typing_context: numba's, unused.
@@ -221,12 +226,14 @@ def weigh(typing_context, state, records, number, todo, lit):
     signature = pair(state, records, types.int64, types.int64, lit)
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        """Emit the code."""
         data, lit_rows = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (0, 4))
         lanes = Builder(builder, LANES, "float32")
         record = _Record(context, lanes, sig.args[1], args[1], args[2])
         largest, total = (cgutils.alloca_once_value(builder, lanes.constant(0.0).value) for _ in range(2))
 
         def body(row: Any, y: Vector, p: Vector, seen: Vector, t: Vector) -> None:
+            """Emit the code for one row."""
             weight, _ = _pass_light(lanes, (y, p, seen, t), row, ir.Constant(_F32, 0.0), lit_rows)
             builder.store(Vector(lanes, builder.load(largest)).most(weight).value, largest)
             builder.store((Vector(lanes, builder.load(total)) + weight).value, total)
@@ -264,6 +271,7 @@ def blend_backward(typing_context, state, records, number, todo, place, sums, pa
     signature = types.void(state, records, types.int64, types.int64, types.float32, sums, types.int64)
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        """Emit the code."""
         data, out = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (0, 5))
         lanes = Builder(builder, LANES, "float32")
         record = _Record(context, lanes, sig.args[1], args[1], args[2])
@@ -278,6 +286,7 @@ def blend_backward(typing_context, state, records, number, todo, place, sums, pa
             builder.store((held + value if factor is None else value.times_plus(factor, held)).value, rooms[k])
 
         def body(row: Any, y: Vector, p: Vector, seen: Vector, t: Vector) -> None:
+            """Emit the code for one row."""
             response = p.exp2()
             live = seen & place.compare("<", _load(lanes, row, STOP))
             alpha = live.where(response.least(0.999), 0.0)

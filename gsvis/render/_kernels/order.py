@@ -14,11 +14,12 @@ from gsvis._kernels.threads import in_threads, on_numba_threads
 
 BLOCK = 1 << 13  # splats that one thread takes at a time
 DIGIT = 11  # most bits sorted by in one pass
-_SHORT = 32  # runs up to this length are sorted by insertion
+_SHORT = 32  # longest run that is sorted by insertion
 
 
 @inner
 def _join_block(block, bits, least, out):
+    """Write the keys of one block; see `join_keys`."""
     for m in range(block * BLOCK, min(len(bits), (block + 1) * BLOCK)):
         out[m] = (np.uint64(bits[m] - least) << np.uint64(32)) | np.uint64(m)
 
@@ -26,12 +27,13 @@ def _join_block(block, bits, least, out):
 @on_numba_threads
 @kernel
 def join_keys(bits, least, out):
-    """Join bits (M,) uint32, less the least of them, and indices into out (M,) uint64."""
+    """Write keys into out (M,) uint64: bits (M,) uint32 minus the least of them, then the index."""
     share(_join_block, (len(bits) + BLOCK - 1) // BLOCK, (bits, least, out))
 
 
 @inner
 def _count_block(block, keys, shift, counts):
+    """Count the digits of one block; see `count_digits`."""
     mask = np.uint64(counts.shape[1] - 1)
     for k in range(block * BLOCK, min(len(keys), (block + 1) * BLOCK)):
         counts[block, np.int64((keys[k] >> shift) & mask)] += 1
@@ -58,6 +60,7 @@ def place_blocks(counts, ends):
 
 @inner
 def _move_block(block, keys, shift, places, out):
+    """Move the keys of one block; see `move_keys`."""
     mask = np.uint64(places.shape[1] - 1)
     for k in range(block * BLOCK, min(len(keys), (block + 1) * BLOCK)):
         digit = np.int64((keys[k] >> shift) & mask)
@@ -74,7 +77,7 @@ def move_keys(keys, shift, places, out):
 
 @njit(cache=True)
 def _row_order(rows, i, j):
-    """-1, 0 or 1 as row i of an array of two dimensions sorts before, with or after row j."""
+    """Return -1, 0 or 1 if row i of an array sorts before, with or after row j."""
     for c in range(rows.shape[1]):
         if rows[i, c] != rows[j, c]:
             return -1 if rows[i, c] < rows[j, c] else 1
@@ -83,7 +86,7 @@ def _row_order(rows, i, j):
 
 @njit(cache=True)
 def _less(i, j, ids, means, rest):
-    """Content order of two splats of equal depth: means, then the rest; False if all is equal."""
+    """Return whether splat i sorts before splat j of equal depth: by mean, then by the rest of its content."""
     i = ids[i]
     j = ids[j]
     sign = _row_order(means, i, j)

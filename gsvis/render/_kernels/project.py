@@ -26,7 +26,7 @@ _MOST_REACH = 3.33  # sqrt(2 ln 255): where the most opaque Gaussian falls below
 
 @njit(cache=True, fastmath=FUSED, inline="always")
 def _rotation(i, quats, r):
-    """Rotation matrix of quaternion i, of any length, into r (3, 3)."""
+    """Write the rotation matrix of quaternion i, of any length, into r (3, 3)."""
     w = np.float64(quats[i, 0])
     x = np.float64(quats[i, 1])
     y = np.float64(quats[i, 2])
@@ -54,7 +54,7 @@ def _rotation(i, quats, r):
 
 @njit(cache=True, fastmath=FUSED, inline="always")
 def _footprint(i, means, quats, scales, viewmat, intrinsics, width, height, m, r):
-    """Camera point, and m (2, 3) = J W R S, whose m m^T is the covariance in the image before dilation.
+    """Compute the camera point and m (2, 3) = J W R S; m m^T is the covariance in the image before dilation.
 
     The rotation is left in r (3, 3). Returns x, y, z and the clamped x / z, y / z.
     """
@@ -83,7 +83,7 @@ def _footprint(i, means, quats, scales, viewmat, intrinsics, width, height, m, r
 
 @inner(fastmath=FUSED)
 def _find_candidates(means, scales, opacities, viewmat, intrinsics, width, height, first, last, out):
-    """Write into out those from first to last whose footprint may reach the image, and return how many.
+    """Write the indices of Gaussians first..last whose footprint may reach the image into out; return their number.
 
     The bound on the footprint leaves out the rotation. It is compared before the division by z, without a branch.
     """
@@ -113,7 +113,7 @@ def _find_candidates(means, scales, opacities, viewmat, intrinsics, width, heigh
 
 @njit(cache=True, fastmath=FUSED, inline="always")
 def _covariance(m):
-    """xx, xy, yy of m m^T, and its determinant without cancellation."""
+    """Return xx, xy, yy of m m^T, and its determinant without cancellation."""
     xx = m[0, 0] * m[0, 0] + m[0, 1] * m[0, 1] + m[0, 2] * m[0, 2]
     xy = m[0, 0] * m[1, 0] + m[0, 1] * m[1, 1] + m[0, 2] * m[1, 2]
     yy = m[1, 0] * m[1, 0] + m[1, 1] * m[1, 1] + m[1, 2] * m[1, 2]
@@ -173,6 +173,7 @@ def project(
 
 @inner
 def _gather_block(block, counts, starts, ids, splats, depths, out_ids, out_splats, out_depths):
+    """Copy the splats of one block; see `gather_blocks`."""
     for k in range(counts[block]):
         source = block * _BLOCK + k
         target = starts[block] + k
@@ -207,7 +208,7 @@ def project_backward(
     v_opacities,
     outs,
 ):
-    """Gradients of one view by means, quats, scales and opacities, added into outs, from the sums of the tiles.
+    """Add the gradients of one view by means, quats, scales and opacities into outs, from the sums of the tiles.
 
     `sums` (M, 10) is what `blend_backward` returns, summed over tiles; `v_means2d` (M, 2) receives the gradient in the
     image, in loss per pixel.
@@ -263,7 +264,7 @@ def _one_backward(
     r,
     v_r,
 ):
-    """`project_backward` of Gaussian i, splat j; m (2, 3), r and v_r (3, 3) are room to work in."""
+    """Run `project_backward` for Gaussian i, splat j; m (2, 3), r and v_r (3, 3) are buffers."""
     fx = intrinsics[0]
     fy = intrinsics[1]
     width, height = size
@@ -345,7 +346,7 @@ def _one_backward(
 
 @njit(cache=True, fastmath=FUSED, inline="always")
 def _add_quat_gradient(i, quats, v_r, out):
-    """Chain rule through the rotation matrix of quaternion i, of any length."""
+    """Add the gradient by quaternion i, of any length, from the gradient by its rotation matrix."""
     w = np.float64(quats[i, 0])
     x = np.float64(quats[i, 1])
     y = np.float64(quats[i, 2])

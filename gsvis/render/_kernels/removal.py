@@ -1,4 +1,4 @@
-"""Kernels that take each Gaussian out of a tile, one at a time, and sum what that does to the tile's pixels.
+"""Kernels that remove each Gaussian from a tile, one at a time, and sum the changes of the tile's pixels.
 
 A pixel's color is linear in the alpha of any one Gaussian: without it, the light it took falls on what lies behind.
 With B the color that full light would show behind it, c its own and w its weight, the pixel changes by w (B - c).
@@ -27,7 +27,7 @@ __all__ = ["remove_tiles"]
 
 TILE = LANES
 SPENT = 1e-6
-"""Light this dim no longer counts. Far below the image's 1e-4: a removal lets up to 1000 times more of it through."""
+"""Transmittance at which light counts as spent; lower than an image's, as a removal can let 1000 times more through."""
 
 PRESENT = 9
 """Entry of a record, in the place of a depth: the share of its alpha with which the Gaussian is there, in [0, 1]."""
@@ -39,7 +39,7 @@ RESIDUAL = (4, 5, 7)
 
 @intrinsic
 def _dim(typing_context, state, records, number, todo, lit, place):
-    """Let one Gaussian take its light from a tile, as far as it is present, on the way to the back.
+    """Let one Gaussian take its light from a tile, according to its presence, going front to back.
 
     A pixel whose light falls to SPENT keeps it negated, and in STOP the place behind the Gaussian that took it.
 
@@ -47,8 +47,8 @@ def _dim(typing_context, state, records, number, todo, lit, place):
         typing_context: numba's, unused.
         state: (16, CHANNELS, 16) float32.
         records: (K, 16) float32.
-        number: Which record.
-        todo: int64, rows to take it into.
+        number: Index of the record.
+        todo: int64, rows that the Gaussian reaches.
         lit: (1,) int64, rows with light left; bits are cleared as it is spent.
         place: float32, place of the Gaussian in the tile's list.
     """
@@ -56,11 +56,13 @@ def _dim(typing_context, state, records, number, todo, lit, place):
     signature = types.void(state, records, types.int64, types.int64, lit, types.float32)
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        """Emit the code."""
         data, lit_rows = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (0, 4))
         lanes = Builder(builder, LANES, "float32")
         record = _Record(context, lanes, sig.args[1], args[1], args[2])
 
         def body(row: Any, y: Vector, p: Vector, seen: Vector, t: Vector) -> None:
+            """Emit the code for one row."""
             after = seen.where(t - record[PRESENT] * p.exp2().least(0.999) * t, t)
             spent = seen & after.compare("<=", SPENT)
             room = cgutils.alloca_once(builder, lanes.type)
@@ -85,7 +87,7 @@ def _dim(typing_context, state, records, number, todo, lit, place):
 
 @intrinsic
 def _remove(typing_context, state, records, number, todo, place, sums, pair):
-    """Go past one Gaussian of a tile on the way to the front, and sum what its absence does, next to its presence.
+    """Pass one Gaussian of a tile, going back to front, and sum how its absence and its presence change the pixels.
 
     The state holds the transmittance behind the Gaussian in T, the color behind it under full light in BEHIND, and the
     image minus the target in RESIDUAL.
@@ -94,18 +96,19 @@ def _remove(typing_context, state, records, number, todo, place, sums, pair):
         typing_context: numba's, unused.
         state: (16, CHANNELS, 16) float32.
         records: (K, 16) float32.
-        number: Which record.
-        todo: int64, rows in which it may be seen.
-        place: float32, place of the Gaussian in the tile's list; pixels whose STOP it reaches never met it.
+        number: Index of the record.
+        todo: int64, rows that the Gaussian reaches.
+        place: float32, place of the Gaussian in the tile's list; pixels whose STOP it reaches never blended it.
         sums: (P, 4) float32, receives in row `pair` the sums over pixels and channels of |d|, d^2 and
-            d (2 r + (2 p - 1) d), where d is a value without the Gaussian less that with all of it, r its residual with
-            the share p of it; and a zero.
-        pair: Which row.
+            d (2 r + (2 p - 1) d), where d is a value without the Gaussian minus the value with all of it, r its
+            residual with the share p of it; and a zero.
+        pair: Row of `sums`.
     """
     del typing_context
     signature = types.void(state, records, types.int64, types.int64, types.float32, sums, types.int64)
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        """Emit the code."""
         data, out = (context.make_array(sig.args[k])(context, builder, args[k]).data for k in (0, 5))
         lanes = Builder(builder, LANES, "float32")
         record = _Record(context, lanes, sig.args[1], args[1], args[2])
@@ -116,6 +119,7 @@ def _remove(typing_context, state, records, number, todo, place, sums, pair):
         rooms = [cgutils.alloca_once_value(builder, lanes.constant(0.0).value) for _ in range(3)]
 
         def body(row: Any, y: Vector, p: Vector, seen: Vector, t: Vector) -> None:
+            """Emit the code for one row."""
             live = seen & place.compare("<", _load(lanes, row, STOP))
             alpha = live.where(p.exp2().least(0.999), 0.0)
             held = present * alpha
@@ -145,7 +149,7 @@ def _remove(typing_context, state, records, number, todo, place, sums, pair):
 
 @njit(cache=True)
 def _turn(state, gates, residual, background, left, top, rows, columns):
-    """Make the state at the back of a tile ready for the way to the front."""
+    """Prepare the state at the back of a tile for the pass to the front."""
     gates[:rows] = -1.0
     for r in range(rows):
         for k in range(columns):
@@ -159,7 +163,7 @@ def _turn(state, gates, residual, background, left, top, rows, columns):
 @in_threads(lambda splats, features, offsets, *_: len(offsets) - 1)
 @kernel(error_model="numpy")
 def remove_tiles(taken, splats, features, offsets, members, pair_of, tiles_x, background, residual, out):
-    """Sums of every (tile, splat) pair into out (P, 4) float32; see `_remove`.
+    """Write the sums of every (tile, splat) pair into out (P, 4) float32; see `_remove`.
 
     `features` is (M, 4) float32: color, and the share of its alpha with which the splat is there. `residual` is
     (H, W, 3) float32.

@@ -16,13 +16,13 @@ from gsvis.render._kernels.lanes import CHANNELS, LANES, RECORD, blend, blend_ba
 TILE = LANES
 _LOG2_255 = 7.994353436858858
 BLOCK = 1 << 11  # splats that one thread takes at a time
-_BATCH = 32  # Gaussians made ready at a time
-_MARGIN = 1e-3  # pixels; a tile too many costs little, one too few an edge
+_BATCH = 32  # Gaussians prepared at a time
+_MARGIN = 1e-3  # pixels; a surplus tile costs little, a missing tile shows as an edge
 
 
 @njit(cache=True)
 def _span(splat, low, high):
-    """Least and largest x at which the splat reaches alpha 1/255 between the lines y = low and y = high.
+    """Return the least and largest x at which the splat reaches alpha 1/255 between the lines y = low and y = high.
 
     The right side of an ellipse bulges most where its bounding box touches it, the left side opposite; on a band that
     does not hold that height, it reaches furthest at the nearer line.
@@ -43,13 +43,13 @@ def _span(splat, low, high):
 
 @njit(cache=True)
 def _tiles_between(low, high, tiles):
-    """First and last of `tiles` tiles along an axis with a pixel center in [low, high]."""
+    """Return the first and last of `tiles` tiles along an axis with a pixel center in [low, high]."""
     return max(int(np.ceil((low + 0.5) / TILE)) - 1, 0), min(int(np.floor((high - 0.5) / TILE)), tiles - 1)
 
 
 @inner
 def _box(splat, tiles_x, tiles_y):
-    """First and last column, first and last row of the tiles under the box of a splat."""
+    """Return the first and last column, and the first and last row, of the tiles under the box of a splat."""
     x0, x1 = _tiles_between(splat[0] - splat[6], splat[0] + splat[6], tiles_x)
     y0, y1 = _tiles_between(splat[1] - splat[7], splat[1] + splat[7], tiles_y)
     return x0, x1, y0, y1
@@ -57,6 +57,7 @@ def _box(splat, tiles_x, tiles_y):
 
 @inner
 def _count_under_boxes(block, splats, tiles_x, tiles_y, out):
+    """Count the tiles under the boxes of the splats of one block."""
     total = 0
     for m in range(block * BLOCK, min(len(splats), (block + 1) * BLOCK)):
         x0, x1, y0, y1 = _box(splats[m], tiles_x, tiles_y)
@@ -67,12 +68,13 @@ def _count_under_boxes(block, splats, tiles_x, tiles_y, out):
 @on_numba_threads
 @kernel
 def count_candidates(splats, tiles_x, tiles_y, out):
-    """Tiles under the boxes of the splats of each block into out (blocks,)."""
+    """Write the number of tiles under the boxes of the splats of each block into out (blocks,)."""
     share(_count_under_boxes, len(out), (splats, tiles_x, tiles_y, out))
 
 
 @inner(error_model="numpy")
 def _meet_block(block, splats, room, tiles_x, tiles_y, met, spans):
+    """Write the tiles that the splats of one block reach; see `meet_tiles`."""
     at = np.int64(0)
     for m in range(block * BLOCK, min(len(splats), (block + 1) * BLOCK)):
         splat = splats[m]
@@ -95,18 +97,18 @@ def _meet_block(block, splats, room, tiles_x, tiles_y, met, spans):
 @on_numba_threads
 @kernel
 def meet_tiles(splats, room, tiles_x, tiles_y, met, spans):
-    """Tiles that each splat reaches into met, those of block b from room[b] on.
+    """Write the tiles that each splat reaches into met; those of block b start at room[b].
 
-    spans (M, 2) receives where those of each splat begin, from room[b] on, and how many they are.
+    spans (M, 2) receives the start of each splat's tiles, counted from room[b], and their number.
     """
     share(_meet_block, len(room) - 1, (splats, room, tiles_x, tiles_y, met, spans))
 
 
 @inner
 def _find_met(order, start, count, spans, room, met, found):
-    """Where the tiles of `count` splats of the depth order begin, how many they are and the first into found (K, 3).
+    """Write the start of a splat's tiles, their number and the first tile into found (K, 3), for `count` splats.
 
-    Done for many splats at a time, as no load waits for what another one decides.
+    Handling many splats at a time lets the loads from memory overlap.
     """
     for j in range(count):
         m = order[start + j]
@@ -117,6 +119,7 @@ def _find_met(order, start, count, spans, room, met, found):
 
 @inner(error_model="numpy")
 def _count_chunk(chunk, order, spans, room, met, counts, pairs):
+    """Count the splats of one chunk in each tile; see `count_tiles`."""
     chunks = len(counts)
     found = np.empty((_BATCH, 3), np.int64)
     total = 0
@@ -145,6 +148,7 @@ def count_tiles(order, spans, room, met, counts, pairs):
 
 @inner(error_model="numpy")
 def _fill_chunk(chunk, order, spans, room, met, places, first_pair, members, pair_of):
+    """Write the splats of one chunk into the tiles' lists; see `fill_tiles`."""
     chunks = len(places)
     found = np.empty((_BATCH, 3), np.int64)
     first = len(order) * chunk // chunks
@@ -180,7 +184,7 @@ def fill_tiles(order, spans, room, met, places, first_pair, members, pair_of):
 
 @inner
 def _allocate(count):
-    """Room for `count` float32 zeros that starts on a cache line."""
+    """Return `count` float32 zeros that start on a cache line."""
     room = np.zeros(count + 16, np.float32)
     first = (-room.ctypes.data % 64) // 4
     return room[first : first + count]
@@ -188,9 +192,9 @@ def _allocate(count):
 
 @njit(cache=True)
 def _open_tile(left, top, width, height):
-    """Fresh state: light everywhere inside the image, none outside, nothing blended.
+    """Return the initial state of a tile: full light inside the image, none outside, nothing blended.
 
-    Returns the state, the gates of its rows, and the rows and columns inside the image.
+    Also returns the gates of its rows, and the numbers of rows and columns inside the image.
     """
     state = _allocate(np.int64(TILE * CHANNELS * TILE)).reshape((TILE, CHANNELS, TILE))
     gates = _allocate(np.int64(TILE))
@@ -208,7 +212,7 @@ def _open_tile(left, top, width, height):
 
 @njit(cache=True)
 def _prepare(splats, features, members, first, place, count, left, top, gates, records, todo):
-    """Records and rows of `count` Gaussians of a tile's list that starts at `first`, from `place` on."""
+    """Write the records and reached rows of `count` Gaussians of a tile's list; the list starts at `first`."""
     for j in range(count):
         m = members[first + place + j]
         x = splats[m, 0] - (left + 0.5)
@@ -296,7 +300,7 @@ def blend_tiles_backward(
     gradients,
     out,
 ):
-    """Gradient sums of every (tile, splat) pair into out (P, 12) float32; see `blend_backward`.
+    """Write the gradient sums of every (tile, splat) pair into out (P, 12) float32; see `blend_backward`.
 
     `forward` is (transmittance, depth, stop_at); `gradients` is by (image, alpha, depth).
     """
@@ -360,7 +364,7 @@ def sum_pairs(begin, end, order, first_pair, pairs, out):
 @in_threads(lambda splats, features, offsets, *_: len(offsets) - 1)
 @kernel(error_model="numpy")
 def weigh_tiles(taken, splats, features, offsets, members, pair_of, tiles_x, width, height, out):
-    """Largest and summed weight of every (tile, splat) pair into out (P, 2) float32."""
+    """Write the largest and summed weight of every (tile, splat) pair into out (P, 2) float32."""
     tiles = len(offsets) - 1
     tile = take_next(taken)
     while tile < tiles:

@@ -1,4 +1,4 @@
-"""Kernels for points inside Gaussians that hide what is behind them. Arrays are checked and contiguous; scene frame.
+"""Find points inside opaque Gaussians. Arrays are checked and contiguous; scene frame.
 
 Points lie in bins: `bins` is the lowest corner (3,) of a cube of `side` bins along each axis, bins per unit (3,), and
 (side**3 + 1,) where the points of each bin begin, the last axis fastest. Points are in the order of their bins.
@@ -15,7 +15,7 @@ from gsvis._kernels.compiled import inner, kernel
 
 @inner
 def _bin(at, origin, per_unit, side):
-    """Return the bin of a coordinate, the nearest one beyond the cube. It never falls where the coordinate rises."""
+    """Return the bin of a coordinate, clamped to the cube; monotonic in the coordinate."""
     return int(min(max((at - origin) * per_unit, 0.0), side - 1.0))
 
 
@@ -39,7 +39,7 @@ def bin_points(points, origin, per_unit, side, out):
 
 @inner
 def _holds(low, high, i, points, p):
-    """Return whether a box holds a point. By numbers: rows would cost more than what is compared."""
+    """Return whether a box holds a point. Takes indices, because making row views would cost more than the test."""
     return (
         low[i, 0] <= points[p, 0] <= high[i, 0]
         and low[i, 1] <= points[p, 1] <= high[i, 1]

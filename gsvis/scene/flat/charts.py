@@ -1,6 +1,6 @@
 """Describe surfaces as charts: a patch of the plane, in meters, that is laid into the room and painted.
 
-Meters, z up. A chart knows where it lies and what color it has, and nothing of light. Shapes return lists of charts;
+Meters, z up. A chart has a place and a color, but no light. Shapes return lists of charts;
 `move` turns and shifts them, so that furniture is built at the origin, facing +y.
 """
 
@@ -24,15 +24,15 @@ Place = Callable[[F64, F64], F64]
 
 @dataclass(frozen=True)
 class Look:
-    """State what a surface looks like.
+    """The appearance of a surface.
 
     Args:
-        paint: From (...,) meters along u and v to (..., 3) sRGB colors in [0, 1].
+        paint: Function from (...,) meters along u and v to (..., 3) sRGB colors in [0, 1].
         gloss: Share of light that it mirrors when seen from the front, 0 to 1.
-        glow: Light that it sends out by itself, in units of the color.
+        glow: Light that it emits, in units of the color.
         texel: Size of the finest detail, meters.
-        detail: How much its detail counts when Gaussians are shared out.
-        rim: How much a sharp border counts.
+        detail: Weight of its detail in the distribution of Gaussians.
+        rim: Weight of a sharp border.
     """
 
     paint: Paint
@@ -48,11 +48,11 @@ class Chart:
     """A painted surface.
 
     Args:
-        place: From u and v (n,), in [0, 1], to (n, 3) points.
-        size: Its extent along u and v, meters.
+        place: Function from u and v (n,), in [0, 1], to (n, 3) points.
+        size: Extent along u and v, meters.
         look: Color and gloss.
-        holes: (u0, v0, u1, v1), meters, that are left out.
-        bend: How curved it is: 0 for a plane, about 1 for a cushion.
+        holes: Rectangles (u0, v0, u1, v1), meters, that are left out.
+        bend: Curvature: 0 for a plane, about 1 for a cushion.
         side: 1 if du x dv points to the visible side, else -1.
     """
 
@@ -89,6 +89,7 @@ def plain(color: Triple, **options: float) -> Look:
     """Return a look of one color."""
 
     def paint(u: F64, v: F64) -> F64:
+        """Return the color at u and v."""
         return np.broadcast_to(np.array(color), (*np.shape(u), 3))
 
     return Look(paint, **options)
@@ -107,6 +108,7 @@ def rectangle(
     origin, along, up = (np.asarray(each, np.float64) for each in (corner, u_edge, v_edge))
 
     def place(u: F64, v: F64) -> F64:
+        """Return (n, 3) points of the chart at u and v."""
         return np.asarray(origin + u[:, None] * along + v[:, None] * up)
 
     size = (float(np.linalg.norm(along)), float(np.linalg.norm(up)))
@@ -119,7 +121,7 @@ def box(low: Triple, high: Triple, look: Look, *, rounded: float = 0.0, faces: s
     Args:
         low: Lowest corner.
         high: Highest corner.
-        look: Of all faces; u is horizontal on the sides.
+        look: Look of all faces; u is horizontal on the sides.
         rounded: Radius of the edges, meters.
         faces: A letter for each face: lower case at the low end of an axis, upper case at the high end.
     """
@@ -131,6 +133,7 @@ def box(low: Triple, high: Triple, look: Look, *, rounded: float = 0.0, faces: s
 
 
 def _face(low: F64, high: F64, axis: int, upper: bool, look: Look, rounded: float) -> Chart:
+    """Return one face of a box."""
     across, up = ((1, 2), (0, 2), (0, 1))[axis]
     corner = low.copy()
     corner[axis] = high[axis] if upper else low[axis]
@@ -147,6 +150,7 @@ def _face(low: F64, high: F64, axis: int, upper: bool, look: Look, rounded: floa
     inner_high = high - radius
 
     def place(u: F64, v: F64) -> F64:
+        """Return (n, 3) points of the chart at u and v."""
         points = flat.place(u, v)
         core = np.clip(points, inner_low, inner_high)
         away = points - core
@@ -156,18 +160,19 @@ def _face(low: F64, high: F64, axis: int, upper: bool, look: Look, rounded: floa
 
 
 def tube(base: Triple, height: float, radii: Pair, look: Look, *, profile: Callable[[F64], F64] | None = None) -> Chart:
-    """Return the side of an upright cylinder or cone, or of a turned shape.
+    """Return the side of an upright cylinder, cone or other round shape.
 
     Args:
         base: Center of the lower end.
         height: Meters.
-        radii: At the lower and at the upper end.
-        look: Its look; u runs around.
-        profile: A factor of the radius for each height in [0, 1].
+        radii: Radii at the lower and the upper end.
+        look: Look; u runs around.
+        profile: Function from heights in [0, 1] to factors of the radius.
     """
     origin = np.array(base)
 
     def place(u: F64, v: F64) -> F64:
+        """Return (n, 3) points of the chart at u and v."""
         radius = radii[0] + (radii[1] - radii[0]) * v
         if profile is not None:
             radius = radius * profile(v)
@@ -183,6 +188,7 @@ def disc(center: Triple, radius: float, look: Look, *, facing: float = 1.0) -> C
     origin = np.array(center)
 
     def place(u: F64, v: F64) -> F64:
+        """Return (n, 3) points of the chart at u and v."""
         x = 2.0 * u - 1.0
         y = 2.0 * v - 1.0
         flat_x = x * np.sqrt(1.0 - 0.5 * y * y)
@@ -198,6 +204,7 @@ def ellipsoid(center: Triple, radii: Triple, look: Look) -> Chart:
     half = np.array(radii)
 
     def place(u: F64, v: F64) -> F64:
+        """Return (n, 3) points of the chart at u and v."""
         angle = 2.0 * np.pi * u
         height = np.pi * (0.02 + 0.96 * v)
         ring = np.sin(height)
@@ -217,7 +224,8 @@ def move(charts: Iterable[Chart], to: Triple, yaw: float = 0.0) -> list[Chart]:
 
 
 def _moved(place: Place, turn: F64, shift: F64) -> Place:
-    def moved(u: F64, v: F64) -> F64:
+    def transformed(u: F64, v: F64) -> F64:
+        """Return the points, rotated and shifted."""
         return np.asarray(place(u, v) @ turn.T + shift)
 
-    return moved
+    return transformed

@@ -1,7 +1,7 @@
-"""Make Gaussians of pieces: flat, of the size of the piece, with the color it shows in each direction.
+"""Convert pieces to flat Gaussians of the same size, with view-dependent colors.
 
-A layer of large pieces lies behind the fine ones, as trained scenes have it, and stops the light that passes between
-them. What a glossy piece mirrors is traced in some directions and fitted with spherical harmonics.
+As in trained scenes, a layer of large pieces lies behind the fine ones and stops the light that passes between them.
+Reflections of glossy pieces are traced in some directions and fitted with spherical harmonics.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ DULL = 0.04  # gloss below which nothing is traced
 
 @dataclass(frozen=True)
 class Batch:
-    """Gaussians in the making.
+    """Gaussians before they become a scene.
 
     Args:
         means: (N, 3).
@@ -57,7 +57,7 @@ def displayed(radiance: F64) -> F64:
 
 
 def exposed(color: F64) -> F64:
-    """Return the linear light that is displayed as a color; the inverse of `displayed`."""
+    """Return the linear light that a display shows as a color; the inverse of `displayed`."""
     y = np.clip(color, 0.0, 0.995) ** 2.2
     a = 2.43 * y - 2.51
     b = 0.59 * y - 0.03
@@ -70,7 +70,7 @@ def paint_canvas(chart: Chart, i: int, baked: Baked) -> Canvas:
 
     Args:
         chart: The chart.
-        i: Its number. One that is not lit shows its colors as they are: it is out of doors.
+        i: Index of the chart. Charts that are not lit, those outdoors, keep their colors.
         baked: All light.
     """
     columns, rows = (int(np.clip(np.ceil(side / (chart.look.texel * baked.coarseness)), 2, 900)) for side in chart.size)
@@ -85,7 +85,7 @@ def paint_canvas(chart: Chart, i: int, baked: Baked) -> Canvas:
         light = resized(baked.map_of(i), rows, columns)
         if baked.sunny[i]:
             light = light + resized(sun_map(baked.rays, chart, baked.sky), rows, columns)
-        one = colors.strides[:2] == (0, 0)  # one color all over
+        one = colors.strides[:2] == (0, 0)  # one color everywhere
         own = linear(colors[:1, :1]) if one else linear(colors)
         colors = displayed(own * (light + chart.look.glow))
     return Canvas(colors, solid, chart.size, chart.look.detail, chart.bend, chart.look.rim)
@@ -101,7 +101,7 @@ def gaussians_of(
         pieces: The pieces.
         rng: Source of randomness.
         width: Standard deviation over the side of a piece.
-        behind: How far behind the surface it lies, meters.
+        behind: Distance behind the surface, meters.
     """
     n = len(pieces.charts)
     middle = 0.5 * (pieces.low + pieces.high)
@@ -135,7 +135,7 @@ def gaussians_of(
 
 
 def add_gloss(batch: Batch, charts: Sequence[Chart], pieces: Pieces, baked: Baked) -> Batch:
-    """Return the batch with what its glossy pieces mirror, in `colors` and `higher`."""
+    """Return the batch with the reflections of glossy pieces, in `colors` and `higher`."""
     gloss = np.array([chart.look.gloss if i < len(baked.sunny) else 0.0 for i, chart in enumerate(charts)])
     chosen = np.flatnonzero(gloss[pieces.charts] >= DULL)
     normals = batch.rotations[chosen, :, 2]
@@ -174,13 +174,14 @@ def finish(batches: Sequence[Batch], sh_degree: int) -> Gaussians:
 
 
 def _by_chart(pieces: Pieces) -> list[tuple[int, NDArray[np.int64]]]:
+    """Return the ids of the pieces of each chart."""
     order = np.argsort(pieces.charts, kind="stable")
     ids, starts = np.unique(pieces.charts[order], return_index=True)
     return list(zip(ids.tolist(), np.split(order, starts[1:]), strict=True))
 
 
 def _higher(charts: Sequence[Chart], pieces: Pieces, rng: np.random.Generator) -> F64:
-    """Return (n, 15, 3) small coefficients of matte pieces: noise as training leaves it."""
+    """Return (n, 15, 3) small coefficients of matte pieces: noise as left by training."""
     n = len(pieces.charts)
     fall = np.repeat([1.0, 0.6, 0.4], [3, 5, 7])[:, None]
     shared = rng.normal(0.0, 0.010, (len(charts), 15, 1))[pieces.charts]
@@ -197,7 +198,7 @@ def _hemisphere(count: int) -> F64:
 
 
 def _frames(count: int = 200) -> F64:
-    """Return (F, 3, 3) rotations whose third column are directions all over the sphere, the six axes among them."""
+    """Return (F, 3, 3) rotations whose third columns cover the sphere, including the six axes."""
     half = _hemisphere(count // 2)
     normals = np.concatenate([np.eye(3), -np.eye(3), half, -half])
     first, second = across(normals)
@@ -205,7 +206,7 @@ def _frames(count: int = 200) -> F64:
 
 
 def _solvers(toward: F64) -> F64:
-    """Return (F, 16, D) matrices that fit harmonics to colors seen from (F, D, 3) directions, smooth where none is."""
+    """Return (F, 16, D) matrices that fit harmonics to colors seen from (F, D, 3) directions, smooth elsewhere."""
     basis = np.stack([sh_basis(-each, 3) for each in toward])
     bands = np.repeat([0.0, 1.0, 2.0, 3.0], [1, 3, 5, 7])
     penalty = np.diag(RIDGE * bands**2 * toward.shape[1] / 100.0)

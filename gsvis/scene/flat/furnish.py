@@ -1,4 +1,4 @@
-"""Put the furniture into the rooms; lamps come with the light that they give."""
+"""Place the furniture in the rooms, and list the lamps with their light."""
 
 from __future__ import annotations
 
@@ -47,12 +47,12 @@ ROUNDS = abstract((0.85, 0.84, 0.80), ((0.30, 0.42, 0.36), (0.74, 0.56, 0.48), (
 
 
 def furniture() -> list[Chart]:
-    """Return the charts of all that stands in the rooms."""
+    """Return the charts of everything that stands in the rooms."""
     return [*_living(), *_kitchen(), *_dining(), *_bedroom(), *_hall(), *_study(), *_bath()]
 
 
 def lamps() -> tuple[Lamp, ...]:
-    """Return the lamps that are on."""
+    """Return the lamps that are switched on."""
     return (
         Lamp((0.55, 3.85, 1.50), WARM),
         Lamp((7.9, 2.75, 1.62), (2.0, 1.5, 0.95)),
@@ -71,6 +71,7 @@ def _mat(x: float, y: float, wide: float, deep: float, look: Look) -> list[Chart
 
 
 def _living() -> list[Chart]:
+    """Return the charts of the living room."""
     teal = cloth((0.24, 0.42, 0.44), seed=4)
     rust = cloth((0.74, 0.42, 0.26), seed=6)
     mustard = cloth((0.82, 0.64, 0.28), seed=7)
@@ -103,12 +104,14 @@ def _living() -> list[Chart]:
 
 
 def _rail(first: tuple[float, float], last: tuple[float, float]) -> list[Chart]:
+    """Return a curtain rail between two points."""
     low = (first[0] - 0.012, first[1] - 0.012, 2.47)
     high = (last[0] + 0.012, last[1] + 0.012, 2.495)
     return box(low, high, DARK, rounded=0.011, faces="xXyYzZ")
 
 
 def _kitchen() -> list[Chart]:
+    """Return the charts of the kitchen."""
     front = plain((0.36, 0.46, 0.43), gloss=0.04, texel=0.02)
     stone = marble((0.86, 0.85, 0.83), (0.52, 0.50, 0.49))
     metro = tiles((0.93, 0.93, 0.91), (0.70, 0.69, 0.66), (0.2, 0.1), bond=0.5, vary=0.03)
@@ -160,6 +163,7 @@ def _cupboards(corner: tuple[float, float, float], count: int, wide: float, fron
 
 
 def _dining() -> list[Chart]:
+    """Return the charts of the dining area."""
     x = 7.9
     y = 2.75
     found = move(round_table(0.58, 0.75, PALE, WHITE), (x, y, 0.0))
@@ -179,6 +183,7 @@ def _dining() -> list[Chart]:
 
 
 def _bedroom() -> list[Chart]:
+    """Return the charts of the bedroom."""
     wool = stripes(
         ((0.80, 0.76, 0.68), (0.36, 0.42, 0.48), (0.80, 0.76, 0.68), (0.72, 0.50, 0.40)), (0.30, 0.05, 0.08, 0.05)
     )
@@ -204,6 +209,7 @@ def _bedroom() -> list[Chart]:
 
 
 def _wardrobe() -> list[Chart]:
+    """Return a wardrobe."""
     found = box((3.5, 6.25, 0.0), (4.08, 8.05, 2.25), WHITE, faces="xyYZ")
     for i in range(3):
         low = 6.27 + 0.593 * i
@@ -213,6 +219,7 @@ def _wardrobe() -> list[Chart]:
 
 
 def _hall() -> list[Chart]:
+    """Return the charts of the hall."""
     runner = rug((4.2, 0.72), (0.20, 0.28, 0.36), (0.66, 0.30, 0.22), (0.88, 0.80, 0.64), 4)
     found = _mat(7.3, 5.06, 4.2, 0.72, runner)
     for x in (5.6, 8.6):
@@ -237,6 +244,7 @@ def _hall() -> list[Chart]:
 
 
 def _study() -> list[Chart]:
+    """Return the charts of the study."""
     found = move(table(1.5, 0.7, 0.74, PALE, WHITE), (5.5, 8.2, 0.0))
     found += move(box((-0.32, -0.015, 0.10), (0.32, 0.015, 0.50), BLACK, faces="xXyYzZ"), (5.45, 8.38, 0.74), 0.0)
     found += move([tube((0.0, 0.0, 0.0), 0.12, (0.10, 0.02), STEEL)], (5.45, 8.38, 0.74))
@@ -256,6 +264,7 @@ def _study() -> list[Chart]:
 
 
 def _bath() -> list[Chart]:
+    """Return the charts of the bathroom."""
     white = plain((0.95, 0.95, 0.94), gloss=0.09, texel=0.02)
     found = box((9.25, 6.9, 0.0), (9.98, 8.58, 0.56), white, rounded=0.05)
     found += [rectangle((9.32, 6.98, 0.565), (0.6, 0.0, 0.0), (0.0, 1.52, 0.0), plain((0.80, 0.88, 0.90), gloss=0.10))]

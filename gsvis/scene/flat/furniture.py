@@ -53,6 +53,7 @@ def cushion(center: Triple, radii: Triple, look: Look, *, power: float = 2.6) ->
     middle = np.array(center)
 
     def place(u: F64, v: F64) -> F64:
+        """Return (n, 3) points of the chart at u and v."""
         ball = chart.place(u, v)
         squared = np.sign(ball) * np.abs(ball) ** (2.0 / power)
         return np.asarray(middle + half * squared)
@@ -113,7 +114,7 @@ def round_table(radius: float, height: float, top: Look, leg: Look) -> list[Char
 
 
 def chair(frame: Look, seat: Look) -> list[Chart]:
-    """Return a chair; one who sits on it looks along +y."""
+    """Return a chair; a person on it looks along +y."""
     found = box((-0.21, -0.2, 0.42), (0.21, 0.22, 0.47), seat, rounded=0.02, faces="xXyYzZ")
     found += box((-0.2, -0.23, 0.62), (0.2, -0.20, 0.88), frame, rounded=0.012, faces="xXyYzZ")
     for x in (-0.18, 0.18):
@@ -141,7 +142,7 @@ def bookcase(width: float, height: float, depth: float, look: Look, boards: int,
 
 
 def _books(left: float, right: float, floor: float, room: float, depth: float, seed: int) -> list[Chart]:
-    """Return a row of books that ends before the board does, and something that stands beside them."""
+    """Return a row of books that ends before the board does, and a thing beside them."""
     found: list[Chart] = []
     at = left + 0.005
     i = 0
@@ -175,6 +176,7 @@ def _spine(color: F64, tall: float, kind: float) -> Look:
     mark = np.array((0.92, 0.84, 0.62) if color.sum() < 1.6 else (0.25, 0.2, 0.2))
 
     def paint(u: F64, v: F64) -> F64:
+        """Return the color at u and v."""
         high = v / tall
         label = (
             (high > 0.6) & (high < 0.82) if kind < 0.35 else (np.abs(high - 0.15) < 0.02) | (np.abs(high - 0.85) < 0.02)
@@ -203,6 +205,7 @@ def _rippled(chart: Chart) -> Chart:
     """Return a chart with the soft folds of a blanket."""
 
     def place(u: F64, v: F64) -> F64:
+        """Return (n, 3) points of the chart at u and v."""
         points = chart.place(u, v)
         x, y, z = points.T
         fold = 0.012 * np.sin(9.0 * x + 3.0 * np.sin(3.1 * y)) + 0.010 * np.sin(7.0 * y - 4.0 * x + 5.0 * z)
@@ -212,9 +215,10 @@ def _rippled(chart: Chart) -> Chart:
 
 
 def curtain(width: float, height: float, look: Look, folds: float = 7.0) -> list[Chart]:
-    """Return a hanging curtain in the plane y = 0, from x = 0; both of its sides are seen."""
+    """Return a hanging curtain in the plane y = 0, starting at x = 0; both sides are visible."""
 
     def place(u: F64, v: F64) -> F64:
+        """Return (n, 3) points of the chart at u and v."""
         wave = (0.045 + 0.012 * np.sin(17.0 * u)) * np.sin(2.0 * np.pi * folds * u + 0.6 * np.sin(3.0 * v))
         drawn = u + 0.02 * np.sin(2.0 * np.pi * folds * u)
         return np.stack([width * drawn, wave * (0.75 + 0.25 * (1.0 - v)), height * v], axis=1)
@@ -227,6 +231,7 @@ def pot(radius: float, height: float, look: Look) -> list[Chart]:
     """Return a vase or a flower pot."""
 
     def profile(v: F64) -> F64:
+        """Return the factor of the radius at a height."""
         return 0.72 + 0.42 * np.sin(np.pi * (0.15 + 0.72 * v))
 
     soil = plain((0.20, 0.15, 0.11), texel=0.02)
@@ -253,6 +258,7 @@ def pendant(drop: float, radius: float, outside: Look) -> list[Chart]:
     """Return a lamp that hangs from the ceiling at the origin."""
 
     def profile(v: F64) -> F64:
+        """Return the factor of the radius at a height."""
         return np.sqrt(np.clip(1.0 - (0.96 * v) ** 2, 0.0, 1.0))
 
     cord = tube((0.0, 0.0, -drop), drop, (0.006, 0.006), plain((0.12, 0.12, 0.12), texel=0.02))
@@ -265,5 +271,6 @@ def pendant(drop: float, radius: float, outside: Look) -> list[Chart]:
 
 
 def _shade(base: Triple, height: float, low: float, high: float) -> list[Chart]:
+    """Return a lamp shade, visible from both sides."""
     side = tube(base, height, (low, high), SHADE)
     return [side, replace(side, side=-1.0)]

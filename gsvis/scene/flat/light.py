@@ -1,6 +1,6 @@
-"""Bake light into the charts of the flat: sky through windows, the sun, lamps, and what surfaces pass on to others.
+"""Bake light into the charts of the flat: sky through windows, the sun, lamps, and light reflected by surfaces.
 
-`Baked.light` is irradiance over pi, so that a matte surface sends out its color times it, in linear units. Shadows,
+`Baked.light` is irradiance over pi, so that a matte surface emits its color times this, in linear units. Shadows,
 ambient occlusion and the bleeding of colors follow from the rays; nothing is painted by hand.
 """
 
@@ -25,7 +25,7 @@ Triple = tuple[float, float, float]
 PITCH = 0.10  # meters between samples of soft light
 SUN_PITCH = 0.03
 MOST = 64  # samples along a side of a chart
-ROUNDS = 4  # how often surfaces pass light on
+ROUNDS = 4  # reflections from surface to surface
 GAMMA = 2.2
 
 
@@ -41,7 +41,7 @@ class Window:
 
 @dataclass(frozen=True)
 class Lamp:
-    """A small lamp: where it is, its light at a distance of one meter, and its radius."""
+    """A small lamp: its position, its light at a distance of one meter, and its radius."""
 
     position: Triple
     light: Triple
@@ -50,14 +50,14 @@ class Lamp:
 
 @dataclass(frozen=True)
 class Sky:
-    """What lights the flat.
+    """The light sources of the flat.
 
     Args:
         windows: Openings through which the sky is seen.
         lamps: Lamps that are on.
         to_sun: Unit vector to the sun.
         sun: Light of the sun on a surface that faces it.
-        brightness: Of the sky, times its color.
+        brightness: Brightness of the sky, a factor of its color.
     """
 
     windows: tuple[Window, ...]
@@ -69,14 +69,14 @@ class Sky:
 
 @dataclass(frozen=True)
 class Grids:
-    """Samples of C charts: (C,) where they begin, rows along v, columns along u."""
+    """Grids of samples of C charts: (C,) starts of the samples, rows along v, columns along u."""
 
     starts: I64
     rows: I64
     columns: I64
 
     def at(self, charts: I64, where: F64) -> I64:
-        """Return (n,) samples nearest to (n, 2) places on charts; 0 where there is no chart."""
+        """Return (n,) samples nearest to (n, 2) places on charts; 0 for no chart."""
         chosen = np.maximum(charts, 0)
         rows = self.rows[chosen]
         columns = self.columns[chosen]
@@ -85,7 +85,7 @@ class Grids:
         return np.where(charts >= 0, self.starts[chosen] + row * columns + column, 0)
 
     def reshape(self, i: int, values: F64) -> F64:
-        """Return (rows, columns, 3): the values of one chart of those of all."""
+        """Return (rows, columns, 3) the values of one chart, out of the values of all."""
         rows = int(self.rows[i])
         columns = int(self.columns[i])
         start = int(self.starts[i])
@@ -97,14 +97,14 @@ class Baked:
     """Light on the charts.
 
     Args:
-        rays: The rays against the charts.
-        grids: Where the samples of each chart are.
-        light: (S, 3) of all samples.
-        albedo: (S, 3) linear colors there.
-        glow: (S, 3) light that is sent out there by itself.
+        rays: Ray tracer of the charts.
+        grids: Grids of the samples of each chart.
+        light: (S, 3) light at all samples.
+        albedo: (S, 3) linear colors at the samples.
+        glow: (S, 3) light emitted at the samples.
         sunny: (C,) whether a sample of the chart is in the sun.
-        sky: What lit it.
-        coarseness: How much coarser than usual everything is.
+        sky: The light sources.
+        coarseness: Spacing of samples, relative to the usual.
     """
 
     rays: Rays
@@ -121,7 +121,7 @@ class Baked:
         return self.grids.reshape(i, self.light)
 
     def look_along(self, starts: F64, directions: F64) -> F64:
-        """Return (n, 3) the light that comes back along rays: of the surface they meet, else of the sky."""
+        """Return (n, 3) light that comes back along rays, from the surface they meet or from the sky."""
         charts, where = self.rays.hits(starts, directions)
         at = self.grids.at(charts, where)
         found = self.light[at] * self.albedo[at] + self.glow[at]
@@ -129,12 +129,12 @@ class Baked:
 
 
 def linear(color: F64) -> F64:
-    """Return linear colors of sRGB ones."""
+    """Return linear colors of sRGB colors."""
     return np.asarray(np.clip(color, 0.0, 1.0) ** GAMMA)
 
 
 def sky_color(directions: F64) -> F64:
-    """Return (n, 3) the light of the outside in some directions: blue above, bright at the horizon, dim below."""
+    """Return (n, 3) light of the outside along directions: blue above, bright at the horizon, dim below."""
     height = directions[:, 2] / np.linalg.norm(directions, axis=1)
     above = np.clip(height, 0.0, 1.0)[:, None]
     bright = np.array([0.96, 1.0, 1.06]) * (1.0 - 0.35 * above) + np.array([-0.22, -0.05, 0.22]) * above
@@ -146,9 +146,9 @@ def bake(charts: Sequence[Chart], sky: Sky, rng: np.random.Generator, coarseness
 
     Args:
         charts: The surfaces.
-        sky: What lights them.
+        sky: The light sources.
         rng: Source of randomness for soft shadows.
-        coarseness: How far apart samples of light are, relative to the usual.
+        coarseness: Spacing of samples, relative to the usual.
     """
     rays = Rays(charts)
     grids, points, normals, albedo, glow = _samples(charts, PITCH * coarseness)
@@ -189,7 +189,7 @@ def sun_map(rays: Rays, chart: Chart, sky: Sky, pitch: float = SUN_PITCH) -> F64
 
 
 def resized(values: F64, rows: int, columns: int) -> F64:
-    """Return (rows, columns, 3): a map at another size, linear between samples."""
+    """Return (rows, columns, 3) a map resampled to a new size, linear between samples."""
     for axis, size in ((0, rows), (1, columns)):
         at = (np.arange(size) + 0.5) * values.shape[axis] / size - 0.5
         at = np.clip(at, 0.0, values.shape[axis] - 1.0)
@@ -201,13 +201,14 @@ def resized(values: F64, rows: int, columns: int) -> F64:
 
 
 def _in_the_sun(rays: Rays, points: F64, normals: F64, to_sun: F64) -> NDArray[np.bool_]:
-    """Return (n,) which points face the sun and see it."""
+    """Return (n,) whether points face the sun and see it."""
     lit = normals @ to_sun > 0.0
     lit[lit] = ~rays.blocked(points[lit], points[lit] + 40.0 * to_sun)
     return np.asarray(lit, bool)
 
 
 def _centers(rows: int, columns: int) -> tuple[F64, F64]:
+    """Return the centers of the cells of a grid in [0, 1]^2."""
     u = np.tile((np.arange(columns) + 0.5) / columns, rows)
     v = np.repeat((np.arange(rows) + 0.5) / rows, columns)
     return u, v
@@ -216,7 +217,7 @@ def _centers(rows: int, columns: int) -> tuple[F64, F64]:
 def _samples(charts: Sequence[Chart], pitch: float) -> tuple[Grids, F64, F64, F64, F64]:
     """Return grids, and of all samples: (S, 3) points off the surface, normals, linear colors, glow."""
     sides = np.array([chart.size for chart in charts])
-    sides[:, 0] *= 1.0 + np.array([chart.bend for chart in charts])  # folds and round sides need more around them
+    sides[:, 0] *= 1.0 + np.array([chart.bend for chart in charts])  # curved charts need more samples around
     columns, rows = np.clip(np.ceil(sides / pitch), 2, MOST).astype(np.int64).T
     parts: list[tuple[F64, F64, F64, F64]] = []
     for i, chart in enumerate(charts):
@@ -237,7 +238,7 @@ def _mean_color(chart: Chart, u: F64, v: F64) -> F64:
 
 
 def _gather(rays: Rays, points: F64, normals: F64, rng: np.random.Generator, count: int = 16) -> tuple[I64, F64]:
-    """Return what `count` rays from each point meet, spread as the cosine to the normal; order (n, count)."""
+    """Return the hits of `count` rays from each point, distributed as the cosine to the normal; order (n, count)."""
     i = (np.arange(count) + rng.random((len(points), 1))) / count
     angle = 2.0 * np.pi * (np.arange(count) * 0.6180339887 + rng.random((len(points), 1)))
     radius = np.sqrt(i)
@@ -263,7 +264,7 @@ def across(normals: F64) -> tuple[F64, F64]:
 def _add_window(
     light: F64, rays: Rays, points: F64, normals: F64, window: Window, brightness: float, rng: np.random.Generator
 ) -> None:
-    """Add the sky that points see through a window, with nine rays each."""
+    """Add the light of the sky through a window, with nine rays for each point."""
     inward = np.array(window.normal)
     corner = np.array(window.corner)
     u_edge = np.array(window.u_edge)
@@ -301,7 +302,7 @@ def _add_lamp(light: F64, rays: Rays, points: F64, normals: F64, lamp: Lamp, rng
 
 
 def _smoothed(values: F64, grids: Grids, width: float) -> F64:
-    """Return values with the noise of few rays taken out, chart by chart; those of one size at once."""
+    """Return values with the noise of few rays smoothed, chart by chart; charts of one size together."""
     from scipy.ndimage import gaussian_filter
 
     smooth: F64 = values.copy()

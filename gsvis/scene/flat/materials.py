@@ -27,12 +27,12 @@ Triple = tuple[float, float, float]
 
 
 def tinted(color: Triple, factor: F64) -> F64:
-    """Return (..., 3): a color times a factor for each point, in [0, 1]."""
+    """Return (..., 3) a color times a factor for each point, in [0, 1]."""
     return np.clip(np.array(color) * factor[..., None], 0.0, 1.0)
 
 
 def mixed(first: Triple | F64, second: Triple | F64, share: F64) -> F64:
-    """Return (..., 3): two colors mixed; `share` is that of the second."""
+    """Return (..., 3) a mixture of two colors; `share` is that of the second."""
     part = share[..., None]
     return np.asarray(np.asarray(first) * (1.0 - part) + np.asarray(second) * part)
 
@@ -41,6 +41,7 @@ def planks(color: Triple, width: float = 0.16, length: float = 1.5, gloss: float
     """Return floor boards along u."""
 
     def paint(u: F64, v: F64) -> F64:
+        """Return the color at u and v."""
         row = np.floor(v / width)
         shifted = u / length + 7.3 * chance(row, seed)
         board = np.floor(shifted)
@@ -61,6 +62,7 @@ def wood(color: Triple, gloss: float = 0.04, texel: float = 0.01, seed: int = 1)
     """Return wood in one piece, its veins along u."""
 
     def paint(u: F64, v: F64) -> F64:
+        """Return the color at u and v."""
         bent = v + 0.03 * grain(0.12 * u + 0.17 * seed, 0.2 * v)
         factor = 0.97 + 0.06 * grain(0.16 * u, 1.7 * bent + 0.37 * seed) + 0.05 * np.sin(70.0 * bent + seed)
         return tinted(color, factor)
@@ -72,6 +74,7 @@ def plaster(color: Triple, gloss: float = 0.0) -> Look:
     """Return a painted wall with faint marks of the roller."""
 
     def paint(u: F64, v: F64) -> F64:
+        """Return the color at u and v."""
         return tinted(color, 1.0 + 0.008 * grain(0.31 * u, 0.31 * v) + 0.006 * grain(0.05 * u + 0.4, 0.05 * v))
 
     return Look(paint, gloss=gloss, texel=0.02)
@@ -89,6 +92,7 @@ def tiles(
     """Return tiles with joints; `bond` shifts every second row, in widths of a tile."""
 
     def paint(u: F64, v: F64) -> F64:
+        """Return the color at u and v."""
         row = np.floor(v / size[1])
         along = u / size[0] + bond * (row % 2.0)
         column = np.floor(along)
@@ -102,9 +106,10 @@ def tiles(
 
 
 def checkered(light: Triple, dark: Triple, size: float = 0.4, gloss: float = 0.07) -> Look:
-    """Return stone slabs of two colors in turn."""
+    """Return stone slabs of two alternating colors."""
 
     def paint(u: F64, v: F64) -> F64:
+        """Return the color at u and v."""
         row = np.floor(v / size)
         column = np.floor(u / size)
         veins = np.abs(grain(0.22 * u + chance(row, column), 0.22 * v))
@@ -120,6 +125,7 @@ def marble(color: Triple, vein: Triple, gloss: float = 0.06) -> Look:
     """Return polished stone with veins."""
 
     def paint(u: F64, v: F64) -> F64:
+        """Return the color at u and v."""
         bent = 0.4 * u + 0.25 * v + 0.10 * grain(0.2 * u, 0.2 * v)
         share = np.exp(-14.0 * np.abs(np.sin(9.0 * bent))) * (0.4 + 0.3 * np.tanh(grain(0.1 * u + 0.3, 0.1 * v)))
         return np.asarray(np.clip(mixed(color, vein, share) + 0.015 * grain(1.1 * u, 1.1 * v)[..., None], 0.0, 1.0))
@@ -128,9 +134,10 @@ def marble(color: Triple, vein: Triple, gloss: float = 0.06) -> Look:
 
 
 def cloth(color: Triple, weave: float = 0.05, texel: float = 0.016, seed: int = 1) -> Look:
-    """Return woven cloth with folds in its tone."""
+    """Return woven cloth with soft folds."""
 
     def paint(u: F64, v: F64) -> F64:
+        """Return the color at u and v."""
         threads = grain(2.3 * u + 0.1 * seed, 0.9 * v) + grain(0.9 * u, 2.3 * v + 0.1 * seed)
         soft = grain(0.21 * u + 0.3 * seed, 0.21 * v)
         return tinted(color, 1.0 + weave * (0.45 * threads + 0.6 * soft))
@@ -143,6 +150,7 @@ def stripes(colors: tuple[Triple, ...], widths: tuple[float, ...], texel: float 
     ends = np.cumsum(widths)
 
     def paint(u: F64, v: F64) -> F64:
+        """Return the color at u and v."""
         which = np.searchsorted(ends, v % ends[-1], side="right").clip(0, len(colors) - 1)
         fibers = 1.0 + 0.04 * grain(1.7 * u, 1.7 * v)
         return np.asarray(np.clip(np.array(colors)[which] * fibers[..., None], 0.0, 1.0))
@@ -154,6 +162,7 @@ def carpet(color: Triple) -> Look:
     """Return a soft carpet from wall to wall."""
 
     def paint(u: F64, v: F64) -> F64:
+        """Return the color at u and v."""
         factor = 1.0 + 0.05 * grain(1.3 * u, 1.3 * v) + 0.05 * grain(0.15 * u, 0.15 * v)
         return tinted(color, factor)
 
@@ -164,6 +173,7 @@ def rug(size: tuple[float, float], ground: Triple, band: Triple, light: Triple, 
     """Return a knotted rug: borders, a medallion, and flowers on a grid that is mirrored twice."""
 
     def paint(u: F64, v: F64) -> F64:
+        """Return the color at u and v."""
         x = np.abs(u - 0.5 * size[0])
         y = np.abs(v - 0.5 * size[1])
         rim = np.minimum(0.5 * size[0] - x, 0.5 * size[1] - y)
@@ -191,7 +201,7 @@ def _flowers(
     seed: int,
     where: NDArray[np.bool_] | None = None,
 ) -> None:
-    """Paint a flower into every field of a grid, over `color` (..., 3), where `where` holds."""
+    """Paint a flower into every field of a grid, over `color` (..., 3), where `where` is true."""
     column = np.floor(x / pitch)
     row = np.floor(y / pitch)
     dx = x / pitch - column - 0.5
@@ -206,9 +216,10 @@ def _flowers(
 
 
 def leaves(ground: Triple, leaf: Triple, bloom: Triple, pitch: float = 0.32) -> Look:
-    """Return wallpaper with sprigs: pairs of leaves on stems, and a bloom on every second one."""
+    """Return wallpaper with sprigs: pairs of leaves on stems, every second one with a bloom."""
 
     def paint(u: F64, v: F64) -> F64:
+        """Return the color at u and v."""
         column = np.floor(u / pitch)
         shifted = v / pitch + 0.5 * (column % 2.0)
         row = np.floor(shifted)

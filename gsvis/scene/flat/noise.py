@@ -1,4 +1,4 @@
-"""Look up noise without state: a smooth table that repeats, and random numbers that depend on integers alone."""
+"""Look up noise without state: a smooth table that repeats, and random numbers that depend only on integers."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SIDE = 512
 
 @cache
 def _table() -> NDArray[np.float32]:
-    """(SIDE, SIDE) noise of all wavelengths, mean 0 and standard deviation 1, that repeats at its borders."""
+    """Return (SIDE, SIDE) noise of all wavelengths, mean 0 and standard deviation 1, that repeats at its borders."""
     rng = np.random.default_rng(11)
     frequency = np.hypot(np.fft.fftfreq(SIDE)[:, None], np.fft.rfftfreq(SIDE)[None, :]) * SIDE
     amplitude = np.where(frequency >= 3.0, np.maximum(frequency, 1.0) ** -1.1, 0.0)
@@ -26,14 +26,14 @@ def _table() -> NDArray[np.float32]:
 
 
 def grain(x: ArrayLike, y: ArrayLike) -> F64:
-    """Return noise about 0 with standard deviation 1; it repeats after 1 along each axis."""
+    """Return noise of mean 0 and standard deviation 1; it repeats after 1 along each axis."""
     columns = np.floor(np.asarray(x) * SIDE).astype(np.int64) & (SIDE - 1)
     rows = np.floor(np.asarray(y) * SIDE).astype(np.int64) & (SIDE - 1)
     return np.asarray(_table()[rows, columns], np.float64)
 
 
 def chance(*integers: ArrayLike) -> F64:
-    """Return a number in [0, 1) for each combination of integers, the same one always."""
+    """Return a fixed random number in [0, 1) for each combination of integers."""
     mixed = np.uint64(0x9E3779B97F4A7C15)
     with np.errstate(over="ignore"):
         for each in integers:

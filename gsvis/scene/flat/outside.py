@@ -1,7 +1,7 @@
-"""Paint what is seen through the windows: houses across the street, trees, a lawn and the sky.
+"""Paint the view through the windows: houses across the street, trees, a lawn and the sky.
 
-It is not lit: its colors are those of a bright afternoon. Its charts say that they are smaller than they are, by their
-distance, so that a house across the street gets as many Gaussians as a picture of it on the wall.
+It is not lit; its colors are those of a bright afternoon. Its charts are scaled down by their distance, so that a house
+across the street gets as many Gaussians as a picture of it on the wall.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ MIDDLE = np.array([5.0, 4.3])
 
 
 def outside() -> list[Chart]:
-    """Return all charts of the outside."""
+    """Return all charts of the view outside."""
     found = [_sky(), _lawn()]
     facades: tuple[Triple, ...] = ((0.80, 0.62, 0.50), (0.88, 0.84, 0.74), (0.66, 0.50, 0.44), (0.78, 0.78, 0.76))
     number = 0
@@ -49,6 +49,7 @@ def _shrunk(chart: Chart, paint: Paint, distance: float) -> Chart:
     by = 1.5 / distance
 
     def smaller(u: F64, v: F64) -> F64:
+        """Return the color at u and v of the scaled chart."""
         return paint(u / by, v / by)
 
     look = Look(smaller, texel=0.016, detail=0.7, rim=0.15)
@@ -56,12 +57,16 @@ def _shrunk(chart: Chart, paint: Paint, distance: float) -> Chart:
 
 
 def _at(distance: float, bearing: float) -> F64:
+    """Return the point at a distance and a bearing from the flat."""
     angle = np.radians(bearing)
     return np.asarray(MIDDLE + distance * np.array([np.cos(angle), np.sin(angle)]))
 
 
 def _sky() -> Chart:
+    """Return the chart of the sky."""
+
     def paint(u: F64, v: F64) -> F64:
+        """Return the color at u and v."""
         height = np.clip((v + GROUND - 1.5) / 34.0, 0.0, 1.0)
         blue = mixed((0.90, 0.94, 0.97), (0.45, 0.66, 0.90), height**0.8)
         cloud = grain(u / 260.0, v / 110.0 + 0.2) + 0.5 * grain(u / 90.0, v / 45.0)
@@ -73,7 +78,10 @@ def _sky() -> Chart:
 
 
 def _lawn() -> Chart:
+    """Return the chart of the ground outside."""
+
     def paint(u: F64, v: F64) -> F64:
+        """Return the color at u and v."""
         x = u - 50.0
         y = v - 50.0
         green = mixed((0.52, 0.62, 0.34), (0.36, 0.50, 0.26), np.clip(0.5 + 0.4 * grain(u / 60.0, v / 60.0), 0.0, 1.0))
@@ -99,6 +107,7 @@ def _house(distance: float, bearing: float, color: Triple, seed: int) -> list[Ch
     corner = np.array([*center, GROUND]) - 0.5 * wide * along
 
     def paint(u: F64, v: F64) -> F64:
+        """Return the color at u and v."""
         column = np.floor(u / 1.9)
         row = np.floor(v / 2.9)
         inner_u = u - 1.9 * column
@@ -111,6 +120,7 @@ def _house(distance: float, bearing: float, color: Triple, seed: int) -> list[Ch
         return np.where(pane[..., None], glass, np.where(rim[..., None], np.array([0.95, 0.94, 0.92]), wall))
 
     def slate(u: F64, v: F64) -> F64:
+        """Return the color of the roof at u and v."""
         rows = 1.0 + 0.10 * (chance(np.floor(v / 0.35), np.floor(u / 0.5), seed) - 0.5)
         return np.clip(np.array([0.50, 0.33, 0.27]) * rows[..., None], 0.0, 1.0)
 
@@ -129,6 +139,7 @@ def _tree(distance: float, bearing: float, seed: int) -> list[Chart]:
     tall = 4.2 + 2.3 * float(chance(seed, 3))
 
     def bark(u: F64, v: F64) -> F64:
+        """Return the color of the trunk at u and v."""
         return np.clip(np.array([0.36, 0.29, 0.22]) * (1.0 + 0.1 * grain(u / 3.0, v / 9.0))[..., None], 0.0, 1.0)
 
     found = [_shrunk(tube((x, y, GROUND), 0.7 * tall, (0.22, 0.14), Look(bark)), bark, 1.5 * distance)]
@@ -143,9 +154,11 @@ def _tree(distance: float, bearing: float, seed: int) -> list[Chart]:
 
 
 def _foliage(radius: float, seed: int) -> Paint:
+    """Return the paint of leaves."""
     tall = np.pi * radius
 
     def paint(u: F64, v: F64) -> F64:
+        """Return the color at u and v."""
         lit = np.clip(v / tall, 0.0, 1.0)
         spots = np.clip(0.55 * lit + 0.22 * grain(u / 9.0 + 0.1 * seed, v / 9.0) + 0.15, 0.0, 1.0)
         return mixed((0.16, 0.26, 0.12), (0.55, 0.66, 0.30), spots)

@@ -21,9 +21,9 @@ def framed(
     """Return a picture centered at the origin that hangs on a wall behind it and faces +y.
 
     Args:
-        wide: Meters across.
-        tall: Meters up.
-        art: What is painted, over the whole size.
+        wide: Width, meters.
+        tall: Height, meters.
+        art: Paint of the picture, over the whole size.
         frame: Color of the frame.
         mat: Width of the white border inside the frame, meters.
     """
@@ -39,6 +39,7 @@ def framed(
         found += box(low, high, rail, faces="xXYzZ")
 
     def paint(u: F64, v: F64) -> F64:
+        """Return the color at u and v."""
         inner = np.minimum.reduce([u, wide - u, v, tall - v]) > mat + rim
         return np.asarray(np.where(inner[..., None], art(u / wide, v / tall), np.array([0.93, 0.92, 0.88])))
 
@@ -51,6 +52,7 @@ def hills(sky: Triple, tones: tuple[Triple, ...], seed: int = 1) -> Paint:
     """Return a landscape: a sun, and ranges of hills from far to near; u and v in [0, 1]."""
 
     def paint(u: F64, v: F64) -> F64:
+        """Return the color at u and v."""
         color = mixed((0.97, 0.88, 0.74), sky, np.clip(v * 1.4 - 0.3, 0.0, 1.0))
         color = np.where((np.hypot(u - 0.68, (v - 0.72) * 0.8) < 0.07)[..., None], np.array([0.98, 0.82, 0.55]), color)
         for i, tone in enumerate(tones):
@@ -69,6 +71,7 @@ def abstract(ground: Triple, tones: tuple[Triple, ...], seed: int = 1) -> Paint:
     """Return overlapping round and square shapes."""
 
     def paint(u: F64, v: F64) -> F64:
+        """Return the color at u and v."""
         color = np.broadcast_to(np.array(ground), (*u.shape, 3)).copy()
         for i in range(9):
             x, y, size, kind = (float(chance(i, k, seed)) for k in range(4))
@@ -84,9 +87,10 @@ def abstract(ground: Triple, tones: tuple[Triple, ...], seed: int = 1) -> Paint:
 
 
 def waves(low: Triple, high: Triple, seed: int = 1) -> Paint:
-    """Return bands of brush strokes from one color to another, as of a sea."""
+    """Return bands of brush strokes from one color to another, like a sea."""
 
     def paint(u: F64, v: F64) -> F64:
+        """Return the color at u and v."""
         bent = v + 0.03 * np.sin(9.0 * u + seed) + 0.02 * grain(0.3 * u + 0.1 * seed, 0.3 * v)
         share = np.clip(np.floor(9.0 * bent) / 9.0 + 0.05 * grain(0.2 * u, 2.0 * v), 0.0, 1.0)
         foam = (np.abs(9.0 * bent - np.rint(9.0 * bent)) < 0.05) & (grain(0.9 * u, 0.2 * v) > 0.1)

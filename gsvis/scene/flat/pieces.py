@@ -1,7 +1,7 @@
-"""Cut painted charts into pieces, each of about one color: small ones where there is detail, large ones elsewhere.
+"""Cut painted charts into pieces of about one color: small ones in areas with detail, large ones elsewhere.
 
-All pieces are cut at once, in rounds. A cut lies where it takes away most of the variance of color, as in a regression
-tree; its candidates are random, so that no lattice appears. Sums over pieces come from summed-area tables.
+All pieces are cut together, in rounds. A cut is placed where it reduces the variance of color most, as in a regression
+tree. Candidates are random, so that no lattice appears. Sums over pieces come from summed-area tables.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ class Canvas:
         solid: (H, W) whether there is surface.
         size: Meters along u and v.
         detail: Weight of its detail.
-        bend: How curved it is.
-        rim: How much a sharp border counts.
+        bend: Curvature.
+        rim: Weight of a sharp border.
     """
 
     colors: F64
@@ -54,7 +54,7 @@ class Pieces:
     """P pieces of charts.
 
     Args:
-        charts: (P,) which chart.
+        charts: (P,) index of the chart.
         low: (P, 2) lower corner (u, v) in [0, 1].
         high: (P, 2) upper corner.
         colors: (P, 3) mean colors.
@@ -144,8 +144,8 @@ def cut(canvases: Sequence[Canvas], count: int, rng: np.random.Generator) -> Pie
     """Return about `count` pieces of all canvases.
 
     Args:
-        canvases: What to cut.
-        count: How many pieces, at least.
+        canvases: Charts to cut.
+        count: Least number of pieces.
         rng: Source of randomness.
     """
     tables = _Tables(canvases)
@@ -180,7 +180,7 @@ def cut(canvases: Sequence[Canvas], count: int, rng: np.random.Generator) -> Pie
 
 
 def _best_cuts(tables: _Tables, charts: I64, boxes: I64, rng: np.random.Generator) -> tuple[F64, I64]:
-    """Return (n,) what the best cut of each box is worth, and (n, 2) its axis and its place; -1 for no cut."""
+    """Return (n,) the worth of the best cut of each box, and (n, 2) its axis and its place; -1 for no cut."""
     found = tables.corners(charts, boxes)
     whole = found.whole
     best = np.full(len(boxes), -1.0)
@@ -233,13 +233,13 @@ def _scatter(sums: F64) -> F64:
 
 
 def _holes(sums: F64, boxes: I64) -> F64:
-    """Return (n,) how mixed boxes are of surface and hole: 0 for all of either."""
+    """Return (n,) a measure of how much boxes mix surface and hole: 0 if a box has only one of them."""
     area = (boxes[:, 2:] - boxes[:, :2]).prod(axis=1)
     return np.asarray(sums[:, 0] * (1.0 - sums[:, 0] / np.maximum(area, 1)))
 
 
 def _rims(tables: _Tables, charts: I64, boxes: I64, axis: int, at: I64) -> F64:
-    """Return (n,) by how much a cut makes what touches the border of the chart narrower, meters."""
+    """Return (n,) how much narrower a cut makes pieces at the border of the chart, meters."""
     ends = (tables.columns, tables.rows)[axis][charts]
     low = np.where(boxes[:, axis] == 0, boxes[:, 2 + axis] - at, 0)
     high = np.where(boxes[:, 2 + axis] == ends, at - boxes[:, axis], 0)
@@ -247,6 +247,7 @@ def _rims(tables: _Tables, charts: I64, boxes: I64, axis: int, at: I64) -> F64:
 
 
 def _pieces(tables: _Tables, charts: I64, boxes: I64) -> Pieces:
+    """Return the boxes as pieces, without those that are empty."""
     sums = tables.corners(charts, boxes).whole
     area = (boxes[:, 2:] - boxes[:, :2]).prod(axis=1)
     cover = sums[:, 0] / np.maximum(area, 1)

@@ -15,7 +15,7 @@ INNER = 0.12
 
 @dataclass(frozen=True)
 class Room:
-    """A room: its name and its clear extent."""
+    """A room: its name and its inner extent."""
 
     name: str
     x: tuple[float, float]
@@ -28,10 +28,10 @@ class Opening:
 
     Args:
         axis: 0 if the wall lies across x, 1 if across y.
-        low: Where the hole begins on that axis, at one face of the wall.
-        high: Where it ends, at the other face.
-        span: Its extent along the wall.
-        z: Its extent upwards.
+        low: Start of the hole on that axis, at one face of the wall.
+        high: End of the hole, at the other face.
+        span: Extent along the wall.
+        z: Vertical extent.
     """
 
     axis: int

@@ -1,4 +1,4 @@
-"""Grow plants: leaves are small bent charts on stems, turned by the golden angle."""
+"""Build plants: leaves are small bent charts on stems, rotated by the golden angle."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def palm(height: float, seed: int, vessel: Look, count: int = 34) -> list[Chart]
 
 
 def bush(size: float, seed: int, vessel: Look, count: int = 30) -> list[Chart]:
-    """Return a small plant for a board or a sill."""
+    """Return a small plant for a shelf or a window sill."""
     found = pot(0.30 * size, 0.45 * size, vessel)
     for i in range(count):
         length = size * (0.32 + 0.25 * float(chance(i, seed)))
@@ -61,6 +61,7 @@ def _leaf(length: float, width: float, lean: float, i: int, seed: int) -> Chart:
     droop = 0.7 + 0.5 * float(chance(i, seed, 3))
 
     def place(u: F64, v: F64) -> F64:
+        """Return (n, 3) points of the chart at u and v."""
         angle = lean + droop * u
         along = length * np.stack(
             [np.cos(0.5 * (lean + angle)), np.zeros_like(u), -np.sin(0.5 * (lean + angle))], axis=1
@@ -72,6 +73,7 @@ def _leaf(length: float, width: float, lean: float, i: int, seed: int) -> Chart:
     tone = (0.17 + 0.10 * float(chance(i, seed, 4)), 0.32 + 0.11 * float(chance(i, seed, 5)), 0.17)
 
     def paint(u: F64, v: F64) -> F64:
+        """Return the color at u and v."""
         rib = np.abs(v / width - 0.5) < 0.05
         factor = np.where(rib, 1.35, 1.0 + 0.10 * grain(0.9 * u + 0.1 * i, 0.9 * v))
         return tinted(tone, factor)

@@ -1,4 +1,4 @@
-"""Put the flat together: shell, furniture and outside, lit, cut into pieces, dressed as Gaussians."""
+"""Assemble the flat: build shell, furniture and outside, light them, cut them into pieces, convert to Gaussians."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ F64 = NDArray[np.float64]
 USUAL = 240_000
 BASE = 0.06  # share of the Gaussians that lie behind the others
 FLOATERS = 0.0015
-CLEARANCE = 0.25  # meters between an eye and what is solid
+CLEARANCE = 0.25  # meters between an eye and surfaces
 UP = (0.0, 0.0, 1.0)
 EYES = ((3.4, 1.1, 1.55), (5.2, 3.7, 1.6), (6.5, 3.9, 1.6), (2.6, 5.6, 1.6), (7.4, 5.2, 1.6), (6.4, 7.3, 1.5))
 
@@ -40,7 +40,7 @@ def furnished_flat(count: int = USUAL, sh_degree: int = 3, seed: int = 1) -> Gau
     Args:
         count: Approximate number of Gaussians.
         sh_degree: 0 to 3.
-        seed: Of all that is random.
+        seed: Seed of all random numbers.
 
     Raises:
         ValueError: If `count` or `sh_degree` is out of range.
@@ -70,8 +70,8 @@ def _surfaces() -> tuple[tuple[Chart, ...], tuple[Chart, ...]]:
 
 
 def navigable_space(g: Gaussians) -> NavigableSpace:
-    """Return where eyes of people who sit or stand can be: in the rooms and doors, away from all that is solid."""
-    from scipy import ndimage  # here: it takes long to import, and few need it
+    """Return the space for the eyes of people who sit or stand: in rooms and doors, away from surfaces."""
+    from scipy import ndimage  # slow to import, seldom needed
 
     grid = NavigableSpace.from_box((0.0, 0.0, 0.0), (10.0, 8.6, HEIGHT), 100)
     shape = grid.free.shape
@@ -99,7 +99,7 @@ def navigable_space(g: Gaussians) -> NavigableSpace:
 
 
 def _surface_points() -> F64:
-    """Return points on all that is solid, less than a voxel apart."""
+    """Return points on all surfaces, less than a voxel apart."""
     found = []
     for chart in itertools.chain(*_surfaces()):
         columns, rows = (int(np.ceil(side / 0.07)) for side in chart.size)
@@ -115,19 +115,21 @@ def _surface_points() -> F64:
 
 
 def _inside(points: NDArray[np.floating[Any]], x: tuple[float, float], y: tuple[float, float]) -> NDArray[np.bool_]:
+    """Return whether points lie in a rectangle."""
     low = np.array((x[0], y[0]))
     high = np.array((x[1], y[1]))
     return np.asarray(((points[:, :2] >= low) & (points[:, :2] <= high)).all(axis=1))
 
 
 def _sky() -> Sky:
+    """Return the light sources."""
     to_sun = np.array([-0.42, -0.72, 0.62])
     x, y, z = (float(each) for each in to_sun / np.linalg.norm(to_sun))
     return Sky(opening_windows(), lamps(), (x, y, z), (15.0, 13.2, 10.5), 7.5)
 
 
 def _floaters(count: int, rng: np.random.Generator) -> Batch:
-    """Return faint Gaussians in the air of the rooms, as training leaves them."""
+    """Return faint Gaussians in the air of the rooms, as left by training."""
     low = np.array([0.2, 0.2, 0.2])
     high = np.array([9.8, 8.4, HEIGHT - 0.2])
     turns, _ = np.linalg.qr(rng.normal(size=(count, 3, 3)))

@@ -1,4 +1,4 @@
-"""Build what does not move: floors, ceilings, walls with their openings, frames, doors, skirting boards."""
+"""Build the fixed parts: floors, ceilings, walls with openings, frames, doors, skirting boards."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ SIDES = ("west", "east", "south", "north")
 
 
 def shell() -> list[Chart]:
-    """Return all charts of the shell; the borders of walls are corners, and need not be sharp."""
+    """Return all charts of the shell; borders of walls are corners, so they need not be sharp."""
     found: list[Chart] = []
     for room in ROOMS:
         found += [replace(chart, look=replace(chart.look, rim=0.1)) for chart in _room(room)]
@@ -63,6 +63,7 @@ def shell() -> list[Chart]:
 
 
 def _room(room: Room) -> list[Chart]:
+    """Return floor, ceiling and walls of a room."""
     finish = FINISHES[room.name]
     (x0, x1), (y0, y1) = room.x, room.y
     wide = x1 - x0
@@ -77,6 +78,7 @@ def _room(room: Room) -> list[Chart]:
 
 
 def _wall(room: Room, side: str, finish: Finish) -> list[Chart]:
+    """Return one wall of a room, with its openings."""
     axis = 0 if side in ("west", "east") else 1
     span, across = (room.y, room.x) if axis == 0 else (room.x, room.y)
     at = across[0] if side in ("west", "south") else across[1]
@@ -117,7 +119,7 @@ def _skirting(room: Room, side: str, holes: list[Opening]) -> list[Chart]:
 
 
 def _reveal(opening: Opening, look: Look, *, sill: bool) -> list[Chart]:
-    """Return the four inner faces of an opening; the lower one only of a window."""
+    """Return the four inner faces of an opening; the lower face only for a window."""
     low, high, (begin, end), (bottom, top) = opening.low, opening.high, opening.span, opening.z
     first = (low, begin, bottom)
     last = (high, end, top)
@@ -139,6 +141,7 @@ def _reveal(opening: Opening, look: Look, *, sill: bool) -> list[Chart]:
 
 
 def _turned(chart: Chart) -> Chart:
+    """Return a chart with its other side visible."""
     return replace(chart, side=-chart.side)
 
 
@@ -184,6 +187,7 @@ def _door_leaves() -> list[Chart]:
     """Return open doors with handles, each hinged at the origin along +x before it is moved."""
 
     def leaf(width: float) -> list[Chart]:
+        """Return a door leaf with its handles."""
         handle = plain((0.72, 0.66, 0.52), gloss=0.3, texel=0.01)
         found = box((0.0, -0.02, 0.01), (width, 0.02, 2.04), DOOR, faces="xXyYZ")
         for low, high in ((0.25, 0.95), (1.15, 1.85)):

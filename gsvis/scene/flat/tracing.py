@@ -1,4 +1,4 @@
-"""Trace rays against the charts of the flat: which are blocked, and what light is found where one ends.
+"""Trace rays against the charts of the flat: whether they are blocked, and which chart they hit.
 
 Every chart becomes triangles; a triangle knows its chart and the (u, v) of its corners.
 """
@@ -25,14 +25,14 @@ OFF = 0.004  # meters between a surface and the rays that start on it
 
 
 class Rays:
-    """Answer rays with Embree.
+    """Trace rays with Embree.
 
     Args:
         charts: The surfaces.
     """
 
     def __init__(self, charts: Sequence[Chart]) -> None:
-        from embreex.mesh_construction import TriangleMesh  # here: it takes long to import, and few need it
+        from embreex.mesh_construction import TriangleMesh  # slow to import, seldom needed
         from embreex.rtcore_scene import EmbreeScene
 
         corners = []
@@ -50,13 +50,13 @@ class Rays:
         self._places: F64 = np.concatenate(places)
 
     def blocked(self, starts: F64, ends: F64) -> Mask:
-        """Return (n,) whether anything lies between (n, 3) starts and (n, 3) ends."""
+        """Return (n,) whether a surface lies between (n, 3) starts and (n, 3) ends."""
         way = (ends - starts).astype(np.float32)
         reach = np.full(len(way), 0.999, np.float32)
         return np.asarray(self._scene.run(starts.astype(np.float32), way, dists=reach, query="OCCLUDED") >= 0)
 
     def hits(self, starts: F64, directions: F64) -> tuple[I64, F64]:
-        """Return (n,) the chart that each ray meets first, -1 for none, and (n, 2) where on it."""
+        """Return (n,) the chart that each ray meets first, -1 for none, and (n, 2) the place on it."""
         found = self._scene.run(starts.astype(np.float32), directions.astype(np.float32), output=1)
         triangle = np.asarray(found["primID"], np.int64)
         met = triangle >= 0
