@@ -29,7 +29,7 @@ from _harness import add_arguments, realdata, write_result
 from chosen_eyes import Moved, move
 from numpy.typing import NDArray
 
-from gsvis.cli.arguments import Pvs
+from gsvis.cli.options import Where
 from gsvis.cli.source import Source, load_source
 from gsvis.cli.where import find_place
 from gsvis.io import save_scene
@@ -116,7 +116,7 @@ def judge(chosen: Chosen, source: Source, options: argparse.Namespace) -> dict[s
     """Return how far images from the sets of the eyes' cells are from those of the whole scene."""
     rng = np.random.default_rng([options.seed, 42])
     g = source.gaussians
-    space = find_place(source, Pvs(str(source.path or source.name), out="sets.pvs")).required("")
+    space = find_place(source, Where()).required("")
     grid = CellGrid.over(space, max_cells=fitting_cells(g, space, CELLS))
     drawn = draw_eyes(grid.cell_at(chosen.eyes), options.eyes, rng)
     row: dict[str, Any] = {"gaussians": len(g), "kind": space.kind.kind, "cells": len(grid)}

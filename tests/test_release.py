@@ -115,14 +115,15 @@ def test_compose_uses_the_site_that_is_tested() -> None:
 
 
 def test_commands_of_the_containers_are_commands_of_gsvis() -> None:
-    from gsvis.cli.arguments_serve import Serve
+    from gsvis.cli.arguments import Serve
+    from gsvis.cli.options import leaves
 
     services = read_yaml(ROOT / "compose.yml")["services"]
     (in_image,) = re.findall(r"^CMD \[(.*)\]$", read("Dockerfile"), flags=re.MULTILINE)
     for words in (services["gsvis"]["command"], re.findall(r'"(.*?)"', in_image)):
         assert words[0] == "serve"
         options = {word[2:].replace("-", "_") for word in words if word.startswith("--")}
-        assert options <= set(Serve.__dataclass_fields__)
+        assert options <= {leaf.name for leaf in leaves(Serve)}
 
 
 def test_the_image_copies_files_that_exist_and_are_sent() -> None:

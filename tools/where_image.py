@@ -8,7 +8,7 @@ from pathlib import Path
 
 from PIL import Image
 
-from gsvis.cli.arguments_where import Where
+from gsvis.cli.options import Where
 from gsvis.cli.showing import picture_of
 from gsvis.cli.source import load_source
 from gsvis.cli.where import find_place

@@ -7,7 +7,6 @@ full disk.
 from __future__ import annotations
 
 import os
-import re
 import signal
 import sys
 from collections.abc import Sequence
@@ -88,18 +87,18 @@ def parse(arguments: Sequence[str]) -> Command:
     """
     import tyro
 
-    from gsvis.cli.arguments import Command
-    from gsvis.cli.help import ALL
+    from gsvis.cli.help import ALL, find_command
     from gsvis.cli.spelling import expand_home, misspelling, paths_first
 
     wrong = misspelling(arguments)
     if wrong is not None:
         raise SystemExit(_exit_with(f"error: {wrong}", 2))
+    kind = find_command(arguments[0])
+    assert kind is not None, "misspelling has refused unknown commands"
     if {"-h", "--help", ALL} & set(arguments[1:]):
-        _print_help(arguments[0], every=ALL in arguments)
-    command: Command = tyro.cli(
-        Command, prog="gsvis", description="", args=_axes_as_values(paths_first(arguments)), config=_style()
-    )
+        _print_help(kind, arguments[0], every=ALL in arguments)
+    name, *words = _axes_as_values(paths_first(arguments))
+    command: Command = tyro.cli(kind, prog=f"gsvis {name}", args=words, config=_style())
     return expand_home(command)
 
 
@@ -109,7 +108,7 @@ def _style() -> tuple[Any, ...]:
     return FlagCreatePairsOff, OmitArgPrefixes
 
 
-def _print_help(name: str, *, every: bool) -> None:
+def _print_help(kind: type, name: str, *, every: bool) -> None:
     """Print the options of a command, all or those that matter first, and how to see the others.
 
     Raises:
@@ -117,10 +116,8 @@ def _print_help(name: str, *, every: bool) -> None:
     """
     import tyro
 
-    from gsvis.cli.help import ALL, find_command, long_help, short_help
+    from gsvis.cli.help import ALL, long_help, short_help
 
-    kind = find_command(name)
-    assert kind is not None, "misspelling has refused unknown commands"
     shown, others = (long_help(kind), 0) if every else short_help(kind)
     try:
         tyro.cli(shown, prog=f"gsvis {name}", args=["--help"], config=_style())
@@ -172,7 +169,9 @@ def _remove_abandoned() -> None:
 
 
 def _run(command: Command) -> None:
-    name = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", type(command).__name__).lower()
+    from gsvis.cli.options import command_name
+
+    name = command_name(type(command)).replace("-", "_")
     home = import_module(f"gsvis.cli.{_HOMES.get(name, name)}")
     with _losses_on_stderr(), _dropping(command):
         getattr(home, f"run_{name}")(command)
@@ -189,7 +188,7 @@ def _dropping(command: Command) -> AbstractContextManager[None]:
     """Return a context in which readers leave invalid rows out if the command says so."""
     from gsvis.io.invalid import dropping_invalid
 
-    return dropping_invalid(getattr(command, "drop_invalid", False))
+    return dropping_invalid(getattr(command.output, "drop_invalid", False))
 
 
 def _explain(error: Exception) -> tuple[str, int]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,18 +11,13 @@ import numpy as np
 from gsvis._extras import require
 from gsvis.cli import version
 from gsvis.cli.arguments import Analyze
+from gsvis.cli.options import command_line, config_of, refuse, values_of
 from gsvis.cli.showing import picture_of
 from gsvis.cli.shown import check_shown, load_shown
-from gsvis.cli.source import (
-    check_report,
-    evenly,
-    file_cameras,
-    framed_cameras,
-    inspect_scene_of,
-    is_builtin,
-)
+from gsvis.cli.source import evenly, file_cameras, framed_cameras, inspect_scene_of, is_builtin, open_source
+from gsvis.cli.targets import check_report
 from gsvis.cli.terminal import Status, facts, print_json, show
-from gsvis.cli.where import WORDS, check_where, find_place, space_document, spell, suspect_views
+from gsvis.cli.where import check_where, find_place, space_document, suspect_views
 from gsvis.errors import SceneError
 from gsvis.raycast import CrossCheck, describe_check
 from gsvis.render.judges import JUDGES
@@ -49,23 +43,16 @@ _STREAM = 3
 
 
 def run_analyze(command: Analyze) -> None:
-    """Analyze a scene: read, trace, render, write the report, print a table or JSON.
-
-    Raises:
-        GsvisError: If a file cannot be read, or the scene cannot be used.
-        ValueError: If an argument is wrong.
-        FileNotFoundError: If a file is missing.
-        OSError: If the report cannot be written.
-    """
+    """Analyze a scene: read, trace, render, write the report, print a table or JSON."""
     require("gsvis analyze", "matplotlib")
     check_shown(command.scene, command.lod)
     check_report(command.out)
-    walk = check_where(command)
+    walk = check_where(command.where)
     given = _given_cameras(command)
     differs = _differs(command, 0 if given is None else len(given))  # read it now: the file may change later
     with Status() as status:
         document, remarks = _write_report(command, given, walk, differs, status)
-    if command.json:
+    if command.output.json:
         print_json(document)
     else:
         show(*_tables(document), *remarks, *_remarks(document), f" Report: {Path(command.out) / 'report.html'}")
@@ -79,33 +66,25 @@ def _write_report(
     from gsvis.raycast.analysis import AnalysisConfig, analyze
     from gsvis.report import Subject, picture_views, write_report
 
-    config = AnalysisConfig(
-        tau=command.tau, traced_sample=command.traced_sample, rays_per_face=command.rays_per_face, seed=command.seed
-    )
-    status("reading", 0, 1)
-    source = load_shown(command.scene, command.lod)
+    config = config_of(AnalysisConfig, command.tracing)
+    source = open_source(command.scene, command.lod, status, "see", load_shown)
     g = source.gaussians
-    if len(g) == 0:
-        raise SceneError(f"{command.scene}: the scene has no Gaussian: there is nothing to see")
     facts_found = inspect_scene_of(source)
-    status("reading", 1, 1)
-    status("space", 0, 1)
     framed: list[str] = []
-    if given is not None and command.cameras is not None:
-        given, framed = framed_cameras(source, given, command.cameras, command.cameras_frame)
-    for each in framed:
-        status.line(each.strip())
-    place = find_place(source, command, None, walk, given)
-    navigable = place.space
-    no_space = place.why_not
-    cameras = given if given is not None else _sample_cameras(command, navigable, no_space)
-    status("space", 1, 1)
+    with status.stage("space"):
+        if given is not None:
+            given, framed = framed_cameras(source, given, command.where)
+        for each in framed:
+            status.line(each.strip())
+        place = find_place(source, command.where, walk, given)
+        navigable = place.space
+        no_space = place.why_not
+        cameras = given if given is not None else _sample_cameras(command, navigable, no_space)
     remarks = (
         framed + place.remarks + _buried_cameras(g, given) + ([] if navigable is None else suspect_views(g, navigable))
     )
-    status("kernels", 0, 1)
-    _warm_up()
-    status("kernels", 1, 1)
+    with status.stage("kernels"):
+        _warm_up()
     tracer = Tracer(EllipsoidProxies.from_scene(g))
     analysis = analyze(g, cameras, config, navigable=navigable, tracer=tracer, progress=status)
     if no_space:
@@ -120,8 +99,8 @@ def _write_report(
         title=source.name,
         gaussians=g,
         up=navigable.up if navigable is not None else np.array(facts_found["up_vector"]),
-        cameras_from="sampled in navigable space" if given is None else f"of {command.cameras}",
-        command=_command_line(command),
+        cameras_from="sampled in navigable space" if given is None else f"of {command.where.cameras}",
+        command=command_line(command),
         version=version(),
         facts={"path": command.scene, "lod": source.lod, **facts_found, "space": space, "remarks": sentences},
         parameters=_parameters(command, cameras),
@@ -138,9 +117,9 @@ def _judge(command: Analyze, g: Gaussians, space: NavigableSpace, status: Status
     from gsvis.pvs.judged import judge_shares
     from gsvis.scene.view_sampling import ViewSampling
 
-    views = ViewSampling(JUDGES, *_SMALL, command.fov or _FOV, command.seed, _STREAM)
+    views = ViewSampling(JUDGES, *_SMALL, command.fov or _FOV, command.tracing.seed, _STREAM)
     try:
-        return judge_shares(g, space, views, command.tau, progress=status).as_dict()
+        return judge_shares(g, space, views, command.tracing.tau, progress=status).as_dict()
     except SceneError:
         return None
 
@@ -155,7 +134,7 @@ def _differs(command: Analyze, cameras: int) -> str:
     """Return why these figures cannot be compared with the paper's; empty if they can."""
     if is_builtin(command.scene):
         return "this scene was made, not captured"
-    if command.cameras is None:
+    if command.where.cameras is None:
         return "the cameras here are drawn at random where a visitor may stand, not the views of a capture"
     if _repeats_views(command):
         return "the cameras here are those of a report of gsvis, not the views of a capture"
@@ -168,7 +147,7 @@ def _repeats_views(command: Analyze) -> bool:
     """Return whether gsvis wrote these cameras into a report or a rendering."""
     from gsvis.io.cameras import holds_repeated_views
 
-    return command.cameras is not None and holds_repeated_views(command.cameras)
+    return command.where.cameras is not None and holds_repeated_views(command.where.cameras)
 
 
 def _warm_up() -> None:
@@ -182,14 +161,11 @@ def _warm_up() -> None:
 
 def _given_cameras(command: Analyze) -> Cameras | None:
     """Return the cameras of --cameras at the size of --width and --height; None without a file."""
-    if command.cameras is None:
+    if command.where.cameras is None:
         return None
-    if command.fov is not None:
-        raise ValueError(
-            f"--fov: expected none with --cameras, whose file states it, got {command.fov:g}; leave it out"
-        )
+    refuse(command, ["fov"], "with --cameras, whose file states it")
     at_most = None if _repeats_views(command) else _WIDTH  # views of a report keep their size
-    cameras = file_cameras(command.cameras, command.width, command.height, at_most=at_most)
+    cameras = file_cameras(command.where.cameras, command.width, command.height, at_most=at_most)
     return cameras if command.views is None else evenly(cameras, command.views)
 
 
@@ -200,7 +176,7 @@ def _sample_cameras(command: Analyze, navigable: NavigableSpace | None, no_space
         )
     return navigable.sample_cameras(
         command.views or _VIEWS,
-        np.random.default_rng(command.seed),
+        np.random.default_rng(command.tracing.seed),
         width=command.width or _WIDTH,
         height=command.height or _HEIGHT,
         fov=command.fov or _FOV,
@@ -209,32 +185,14 @@ def _sample_cameras(command: Analyze, navigable: NavigableSpace | None, no_space
 
 def _parameters(command: Analyze, cameras: Cameras) -> dict[str, Any]:
     """Return all parameters that the result depends on, with defaults filled in."""
+    silent = ("out", "json", "debug", "drop_invalid")
     return {
-        "scene": command.scene,
-        "lod": command.lod,
-        "cameras": command.cameras,
-        "cameras_frame": command.cameras_frame,
-        **{name: getattr(command, name) for name in WORDS},
+        **{name: value for name, value in values_of(command).items() if name not in silent},
         "views": len(cameras),
         "width": cameras.width,
         "height": cameras.height,
-        "fov": None if command.cameras else (command.fov or _FOV),
-        "seed": command.seed,
-        "tau": command.tau,
-        "traced_sample": command.traced_sample,
-        "rays_per_face": command.rays_per_face,
+        "fov": None if command.where.cameras else (command.fov or _FOV),
     }
-
-
-def _command_line(command: Analyze) -> str:
-    """Return the command line that makes the report again."""
-    words = ["gsvis", "analyze", command.scene, "-o", command.out]
-    more = ("views", "width", "height", "fov", "seed", "tau", "traced_sample", "rays_per_face")
-    for name in ("lod", "cameras", "cameras_frame", *WORDS, *more):
-        value = getattr(command, name)
-        if value is not None and value != getattr(Analyze, name):
-            words += ["--" + name.replace("_", "-"), *spell(value)]
-    return shlex.join(words)
 
 
 def _tables(document: dict[str, Any]) -> list[Any]:

@@ -11,56 +11,42 @@ import shlex
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import Field, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
+from gsvis.cli.options import Shown
 from gsvis.cli.showing import Choice, find_choices, place_beside, write_picture
 from gsvis.cli.source import Source, parse_up
 from gsvis.cli.terminal import Status
-from gsvis.cli.where import Place
+from gsvis.cli.where import Place, find_place, suspect_views
 from gsvis.files.temporary import temporary_folder
+from gsvis.scene.cameras import Cameras
 from gsvis.scene.kinds import KINDS
+from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.paths import HeadPath
 
-__all__ = ["Settled", "settle"]
+__all__ = ["Settled", "settle", "settle_space"]
 
 _WORDS = {kind: word for word, kind in KINDS.items()}
 _TRIES = 3  # answers that nobody understands
 _QUESTIONS = 3  # one after the other: an answer about up leaves the kind open
 
 
-class Asking(Protocol):
-    """A command that says where people stand, or is asked."""
-
-    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
-
-    @property
-    def json(self) -> bool:
-        """Whether its output is for a program."""
-
-    @property
-    def kind(self) -> str | None:
-        """The kind that was stated; None without."""
-
-    @property
-    def show(self) -> str | None:
-        """The file of --show; None without."""
-
-
-C = TypeVar("C", bound=Asking)
+W = TypeVar("W", bound=Shown)
 
 
 @dataclass(frozen=True, eq=False)
-class Settled(Generic[C]):
+class Settled(Generic[W]):
     """Where people stand, after the question.
 
     Attributes:
-        command: The command, with the answers as if they had been options.
+        where: The options, with the answers as if they had been given.
         place: Where eyes may be.
         picture: The picture that was written; None if none was.
     """
 
-    command: C
+    where: W
     place: Place
     picture: Path | None
 
@@ -79,46 +65,93 @@ class Settled(Generic[C]):
 
 
 def settle(
-    command: C, source: Source, find: Callable[[C], Place], status: Status, *, beside: str | None = None
-) -> Settled[C]:
+    where: W,
+    source: Source,
+    find: Callable[[W], Place],
+    status: Status,
+    *,
+    quiet: bool = False,
+    beside: str | None = None,
+) -> Settled[W]:
     """Find where people stand; in doubt show it, and ask on a terminal.
 
     Args:
-        command: The command; its `show`, `kind`, `up` and `json` are read.
+        where: The options.
         source: The scene.
-        find: Finds the place for a command.
+        find: Finds the place for options.
         status: The display of progress, which pauses for the question.
+        quiet: Ask nothing, as with --json.
         beside: The output of a dry run, beside which a picture is written in doubt; None otherwise.
 
     Raises:
         OutputError: If a picture cannot be written.
         KeyboardInterrupt: If the user presses Ctrl-C at the question.
     """
-    place = find(command)
+    place = find(where)
     if place.space is None:
-        return Settled(command, place, None)
+        return Settled(where, place, None)
     for _ in range(_QUESTIONS):
-        if not place.doubt or not _may_ask(command):
+        if quiet or not place.doubt or not _may_ask(where):
             break
         answer = _ask(source, place, status)
         if not answer:
             break
-        command = replace(command, **answer)
+        given: dict[str, Any] = {**answer}
+        where = replace(where, **given)
         status.line(f"taken as you say; {_spell(answer)} says so without a question")
-        place = find(command)
+        place = find(where)
         if "kind" in answer:
             break
     target = place_beside(beside) if place.doubt else None
-    if command.show is not None:
-        target = Path(command.show)
+    if where.show is not None:
+        target = Path(where.show)
     if target is not None and place.space is not None:
         write_picture(target, source, place)
-    return Settled(command, place, target)
+    return Settled(where, place, target)
 
 
-def _may_ask(command: Asking) -> bool:
+def settle_space(
+    where: W,
+    source: Source,
+    walk: HeadPath | None,
+    status: Status,
+    *,
+    quiet: bool,
+    beside: str | None = None,
+    cameras: Cameras | None = None,
+    remedy: str = "say where eyes may be with --box or --around",
+) -> tuple[Settled[W], NavigableSpace, list[str]]:
+    """Find the navigable space of a scene, after a question in doubt, and look at a few views from it.
+
+    Args:
+        where: The options.
+        source: The scene.
+        walk: The walk of --path.
+        status: The display of progress.
+        quiet: Ask nothing, as with --json.
+        beside: The output of a dry run, beside which a picture is written in doubt; None otherwise.
+        cameras: Cameras that took photos of the scene; those of --cameras by default.
+        remedy: What the user can do if there is no space.
+
+    Returns:
+        Where people stand, the space, and remarks for the user.
+
+    Raises:
+        SceneError: If there is no space.
+        OutputError: If a picture cannot be written.
+        KeyboardInterrupt: If the user presses Ctrl-C at the question.
+    """
+    with status.stage("space"):
+        settled = settle(
+            where, source, lambda w: find_place(source, w, walk, cameras), status, quiet=quiet, beside=beside
+        )
+        space = settled.place.required(remedy)
+        return settled, space, [*settled.remarks, *suspect_views(source.gaussians, space)]
+
+
+def _may_ask(where: Shown) -> bool:
     """Return whether somebody sits at a terminal in front of this command, and has not answered yet."""
-    if command.json or command.kind is not None:
+    if where.kind is not None:
         return False
     try:
         if not (sys.stdin.isatty() and sys.stderr.isatty()):

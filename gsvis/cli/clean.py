@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,19 +12,12 @@ from gsvis.cli import version
 from gsvis.cli.arguments import Clean
 from gsvis.cli.asking import settle
 from gsvis.cli.clean_large import clean_in_tiles, in_tiles, remark_on_unseen
-from gsvis.cli.scene_out import check_one_level, check_outputs, check_scene_out
-from gsvis.cli.showing import check_show, picture_of
-from gsvis.cli.source import (
-    check_report,
-    check_source,
-    evenly,
-    file_cameras,
-    framed_cameras,
-    load_source,
-    parse_up,
-)
+from gsvis.cli.options import command_line, config_of, leaves, refuse
+from gsvis.cli.showing import picture_of
+from gsvis.cli.source import check_source, evenly, file_cameras, framed_cameras, open_source
+from gsvis.cli.targets import check_exists, check_one_level, check_outputs, check_report, check_scene_out
 from gsvis.cli.terminal import Status, facts, print_json, show, size_of
-from gsvis.cli.where import WORDS, Place, check_where, find_place, given, space_document, spell
+from gsvis.cli.where import Place, check_where, find_place, space_document
 from gsvis.errors import SceneError
 
 if TYPE_CHECKING:
@@ -40,54 +32,34 @@ if TYPE_CHECKING:
 __all__ = ["run_clean"]
 
 _CAMERAS = 200  # most photographs whose viewpoints are eyes
-_SEARCH = (
-    "report",
-    "select",
-    "cameras",
-    "strength",
-    "eyes",
-    "held_out",
-    "min_psnr",
-    "max_changed",
-    "up",
-    "show",
-    "seed",
-)
+_APPLIED = ("out", "lod", "apply", "classes", "max_memory", "overwrite", "json", "drop_invalid", "debug")
+"""Options that go with --apply."""
 
 
 def run_clean(command: Clean) -> None:
-    """Clean a scene: read, look, guard, write what was asked for, print the result.
-
-    Raises:
-        GsvisError: If a file cannot be read, the scene cannot be used, or everything would go.
-        ValueError: If an argument is wrong, or something else would be replaced.
-        FileNotFoundError: If a file is missing.
-        OSError: If the result cannot be written.
-    """
+    """Clean a scene: read, look, guard, write what was asked for, print the result."""
     config = _check_arguments(command)
     if in_tiles(command):
         clean_in_tiles(command, config)
         return
-    walk = check_where(command)
-    cameras = None if command.cameras is None else evenly(file_cameras(command.cameras, None, None), _CAMERAS)
+    walk = check_where(command.where)
+    cameras = (
+        None if command.where.cameras is None else evenly(file_cameras(command.where.cameras, None, None), _CAMERAS)
+    )
     with Status() as status:
-        status("reading", 0, 1)
-        source = load_source(command.scene, command.lod)
-        if len(source.gaussians) == 0:
-            raise SceneError(f"{command.scene}: the scene has no Gaussian: there is nothing to clean")
-        status("reading", 1, 1)
+        source = open_source(command.scene, command.lod, status, "clean")
         if command.apply is not None:
             _apply(command, config, source, status)
             return
         framed: list[str] = []
-        if cameras is not None and command.cameras is not None:
-            cameras, framed = framed_cameras(source, cameras, command.cameras, command.cameras_frame)
+        if cameras is not None:
+            cameras, framed = framed_cameras(source, cameras, command.where)
         command, found, place, remarks = _find(command, config, source, walk, cameras, status)
         remarks = [*framed, *remarks]
         _check_left(command, found.kept)
         picture = None if command.report is None else picture_of(source, place)
         document = _write(command, config, source, found, remarks, picture, status)
-    if command.json:
+    if command.output.json:
         print_json(document)
         return
     show(*_tables(document, source), *remarks, *_lines(command, document))
@@ -99,17 +71,14 @@ def _check_arguments(command: Clean) -> CleanConfig:
 
     check_source(command.scene, command.lod)
     check_one_level(command.scene)
-    parse_up(command.up)
-    check_show(command)
+    search = command.search
     try:
-        config = CleanConfig(
+        config = config_of(
+            CleanConfig,
+            search,
             classes=command.classes or CLASSES,
-            strength=command.strength,
-            eyes=command.eyes,
-            held_out=command.held_out,
-            least_db=command.min_psnr,
-            most_changed=command.max_changed,
-            seed=command.seed,
+            least_db=search.min_psnr,
+            most_changed=search.max_changed,
         )
     except ValueError as error:
         raise ValueError(f"--{str(error).replace('_', '-', 1)}") from None
@@ -125,12 +94,9 @@ def _check_apply(command: Clean) -> None:
     assert command.apply is not None
     if command.out is None:
         raise ValueError("--apply: expected -o OUT with it, got none; add it")
-    for name in (*_SEARCH, *WORDS):
-        if getattr(command, name) != getattr(Clean, name):
-            spelled = name.replace("_", "-")
-            raise ValueError(f"--{spelled}: expected none with --apply, which looks for nothing; leave it out")
-    if not Path(command.apply).exists():
-        raise FileNotFoundError(2, "no such file or folder", command.apply)
+    names = [leaf.name for leaf in leaves(Clean) if leaf.name not in _APPLIED and not leaf.is_positional]
+    refuse(command, names, "with --apply, which looks for nothing")
+    check_exists(command.apply)
 
 
 def _check_outputs(command: Clean) -> None:
@@ -153,19 +119,24 @@ def _find(
     """Find navigable space, without haze and flyaways, and what can go; return remarks, and the command as answered."""
     from gsvis.edit import clean, core_of, find_in_parcels
 
-    status("space", 0, 1)
-    surfaces = replace(source, gaussians=core_of(source.gaussians))
-    settled = settle(command, source, lambda c: find_place(surfaces, c, c.up, walk, cameras), status)
-    command = settled.command
-    place = settled.place
-    space = place.required("say where eyes may be with --box, --around or --path")
-    stated = space.kind.kind == "given" or command.kind not in (None, "auto")
-    if not given(command) and cameras is None and not stated:
-        space = find_in_parcels(surfaces.gaussians, space, progress=status)
-    status("space", 1, 1)
+    with status.stage("space"):
+        surfaces = replace(source, gaussians=core_of(source.gaussians))
+        settled = settle(
+            command.where,
+            source,
+            lambda where: find_place(surfaces, where, walk, cameras),
+            status,
+            quiet=command.output.json,
+        )
+        command = replace(command, where=settled.where)
+        place = settled.place
+        space = place.required("say where eyes may be with --box, --around or --path")
+        stated = space.kind.kind == "given" or command.where.kind not in (None, "auto")
+        if not command.where.given and cameras is None and not stated:
+            space = find_in_parcels(surfaces.gaussians, space, progress=status)
     looking, space = _split(space, cameras)
     found = clean(source.gaussians, navigable=space, cameras=looking, config=config, progress=status)
-    remark = "" if given(command) else remark_on_unseen(found.counts, len(source.gaussians))
+    remark = "" if command.where.given else remark_on_unseen(found.counts, len(source.gaussians))
     return command, found, place, [*settled.remarks, *([f" {remark}."] if remark else [])]
 
 
@@ -204,9 +175,9 @@ def _write(
     subject = CleanSubject(
         title=source.name,
         gaussians=g,
-        command=_command_line(command),
+        command=command_line(command, ("show", "apply", "max_memory", "overwrite")),
         version=version(),
-        parameters={**asdict(config), "classes": list(config.classes), "cameras": command.cameras},
+        parameters={**asdict(config), "classes": list(config.classes), "cameras": command.where.cameras},
         facts={
             "path": command.scene,
             "lod": source.lod,
@@ -243,7 +214,7 @@ def _apply(command: Clean, config: CleanConfig, source: Source, status: Status) 
     status("writing", 0, 1)
     save_scene(source.gaussians[kept], command.out)
     status("writing", 1, 1)
-    if command.json:
+    if command.output.json:
         counts = {name: int(np.count_nonzero(~kept & (classes == class_of(name)))) for name in CLASSES}
         print_json(
             {
@@ -304,31 +275,3 @@ def _lines(command: Clean, document: dict[str, Any]) -> list[str]:
     elif command.select is None:
         lines.append(" Nothing was removed; -o OUT writes the clean scene.")
     return lines
-
-
-def _command_line(command: Clean) -> str:
-    """Return the command line that gives the same result."""
-    words = ["gsvis", "clean", command.scene]
-    names = (
-        "out",
-        "lod",
-        *WORDS,
-        "report",
-        "select",
-        "strength",
-        "cameras",
-        "cameras_frame",
-        "eyes",
-        "held_out",
-        "min_psnr",
-        "max_changed",
-        "up",
-        "seed",
-    )
-    for name in names:
-        value = getattr(command, name)
-        if value is not None and value != getattr(Clean, name):
-            words += ["--" + name.replace("_", "-"), *spell(value)]
-    if command.classes is not None:
-        words += ["--classes", *command.classes]
-    return shlex.join(words)

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 from gsvis.cli import version
 from gsvis.cli.arguments import Clean
 from gsvis.cli.memory import count_gaussians, expected_memory
+from gsvis.cli.options import Where, changed
 from gsvis.cli.source import is_builtin, parse_up
 from gsvis.cli.terminal import Status, facts, least_size_of, print_json, show, size_of
-from gsvis.cli.where import WORDS
 from gsvis.errors import SceneError
 from gsvis.files.temporary import temporary_folder
 
@@ -23,7 +23,9 @@ if TYPE_CHECKING:
 
 __all__ = ["clean_in_tiles", "in_tiles", "remark_on_unseen"]
 
-_WHOLE = ("report", "select", "apply", "cameras", "cameras_frame", "show", *WORDS)  # options that need the whole scene
+_WHOLE = ("report", "select", "apply", "cameras", "cameras_frame", "show", *Where.WORDS)
+"""Options that need the whole scene."""
+
 _LEAST = 50_000  # Gaussians of a tile: smaller ones are mostly halo
 _MOST_UNSEEN = 0.2  # of a scene that no eye sees, above which there is a warning
 
@@ -41,9 +43,7 @@ def in_tiles(command: Clean) -> bool:
     if need <= command.max_memory:
         return False
     words = f"--max-memory: expected at least {least_size_of(need)} for {count:,} Gaussians at once"
-    given = [name for name in _WHOLE if getattr(command, name) != getattr(Clean, name)]
-    if given:
-        option = "--" + given[0].replace("_", "-")
+    for option in changed(command, _WHOLE):
         raise ValueError(f"{words}, got {size_of(command.max_memory)}; {option} needs all of them: leave it out")
     if command.out is not None and Path(command.out).suffix.lower() != ".ply":
         raise ValueError(f"{words}, got {size_of(command.max_memory)}; tiles are written to a .ply: name one with -o")
@@ -66,7 +66,7 @@ def clean_in_tiles(command: Clean, config: CleanConfig) -> None:
     from gsvis.world.tiling import TilingConfig
 
     assert command.max_memory is not None
-    up = parse_up(command.up)
+    up = parse_up(command.where.up)
     direction = None if up is None else (float(up[0]), float(up[1]), float(up[2]))
     tiling = TilingConfig(_most(command.max_memory), up=direction)
     with Status() as status:
@@ -90,7 +90,7 @@ def clean_in_tiles(command: Clean, config: CleanConfig) -> None:
                 status("writing", 0, 1)
                 save_ply_parts(found.parts(), command.out, found.kept, found.sh_degree, found.facts)
                 status("writing", 1, 1)
-    if command.json:
+    if command.output.json:
         print_json(_document(command, found))
         return
     rows = [

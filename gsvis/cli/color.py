@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-import shlex
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,29 +16,21 @@ from gsvis.cli.arguments import Color
 from gsvis.cli.color_result import print_result
 from gsvis.cli.kernels import warm_colors
 from gsvis.cli.memory import check_memory
-from gsvis.cli.source import (
-    Source,
-    check_file,
-    check_report,
-    check_source,
-    inputs_of,
-    inspect_scene_of,
-    load_source,
-    parse_up,
-    spaces_of_build,
-)
+from gsvis.cli.options import Fit, command_line, config_of, refuse, values_of
+from gsvis.cli.source import Source, check_source, inputs_of, inspect_scene_of, open_source, spaces_of_build
+from gsvis.cli.targets import check_exists, check_report
 from gsvis.cli.terminal import Status
-from gsvis.cli.where import WORDS, check_where, find_place, spell, suspect_views
+from gsvis.cli.where import check_where, find_place, suspect_views
 from gsvis.color.epsilon import DEFAULT_EPSILON
 from gsvis.errors import OutputError, SceneError
 from gsvis.files.limits import open_regular
+from gsvis.files.output import check_file
 from gsvis.pvs.store import VisibilityStore
 from gsvis.scene.content import space_hash
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
 
 if TYPE_CHECKING:
-    from gsvis.cli.arguments import Prepare
     from gsvis.color.fit import FitConfig
     from gsvis.prepare.colors import ColorConfig
     from gsvis.prepare.fitted_colors import FittedColors
@@ -52,23 +43,7 @@ _HELD_OUT = 1  # stream of random numbers of the held-out views; that of the fit
 _HEAD = 4096
 _PAGE = b"<title>Can you see it?"
 _FOV = 60.0
-_PATHS = ("scene", "out", "lod", "pvs", "active", "report", "staircase")
-_SPELLED = {("epsilon", 0.0): "auto", ("mean_terms", math.inf): "all"}
-_NUMBERS = (
-    *WORDS,
-    "cameras",
-    "cameras_frame",
-    "variant",
-    "max_terms",
-    "mean_terms",
-    "no_refine",
-    "views",
-    "held_out",
-    "up",
-    "seed",
-    "precision",
-    "epsilon",
-)
+_SILENT = ("max_memory", "json", "debug", "drop_invalid")
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,17 +58,9 @@ class _Plan:
 
 
 def run_color(command: Color) -> None:
-    """Fit colors: read, find directions, fit, write, compare, print the result.
-
-    Raises:
-        GsvisError: If a file cannot be read, the visible sets are of another scene, or the scene cannot be used.
-        ValueError: If an argument is wrong.
-        FileNotFoundError: If a file is missing.
-        OSError: If a file cannot be written.
-        KeyboardInterrupt: If the user presses Ctrl-C; the message says what is kept.
-    """
+    """Fit colors: read, find directions, fit, write, compare, print the result."""
     config = _check_arguments(command)
-    walk = check_where(command, "" if command.pvs is None else "--pvs")
+    walk = check_where(command.where, "" if command.pvs is None else "--pvs")
     with ExitStack() as opened, Status() as status:
         store = None if command.pvs is None else opened.enter_context(VisibilityStore.open(command.pvs))
         plan = _plan(command, config, store, walk, status)
@@ -105,9 +72,8 @@ def run_color(command: Color) -> None:
 def _check_arguments(command: Color) -> ColorConfig:
     """Check the arguments before work begins; return the settings of the fit."""
     check_source(command.scene, command.lod)
-    if command.pvs is not None and not Path(command.pvs).exists():
-        raise FileNotFoundError(2, "no such file or folder", command.pvs)
-    targets = {name: getattr(command, name) for name in ("out", "active", "staircase")}
+    check_exists(command.pvs)
+    targets = {"out": command.out, "active": command.active, "staircase": command.staircase}
     for name, path in targets.items():
         if path is not None:
             check_file(path)
@@ -120,11 +86,10 @@ def _check_arguments(command: Color) -> ColorConfig:
         raise ValueError("--out, --active, --staircase: expected files of their own, got one twice; name another")
     if command.active is not None and command.pvs is None:
         raise ValueError("--active: expected --pvs with it, got none; gsvis pvs builds one")
-    if command.up is not None and command.pvs is not None:
-        raise ValueError(f"--up: expected none with --pvs, which knows it, got {command.up.strip()}; leave it out")
-    if command.report is not None and command.held_out == 0:
+    if command.pvs is not None:
+        refuse(command, ["up"], "with --pvs, which knows it")
+    if command.report is not None and command.compared.held_out == 0:
         raise ValueError("--held-out: expected at least 1 with --report, got 0; leave it out")
-    parse_up(command.up)
     remedy = "raise it, or let gsvis world fit the colors of tiles; gsvis world --until levels leaves their scenes"
     check_memory("color", [(command.scene, command.lod)], command.max_memory, remedy)
     from gsvis.prepare.colors import ColorConfig
@@ -134,19 +99,16 @@ def _check_arguments(command: Color) -> ColorConfig:
         from gsvis.prepare.color_quality import check_flip
 
         check_flip()
-    fit = replace(fit_config(command), refine=not command.no_refine)
-    return ColorConfig(fit, ViewSampling(command.views, seed=command.seed))
+    fit = replace(fit_config(command.fit), refine=not command.fit.no_refine)
+    return ColorConfig(fit, ViewSampling(command.compared.views, seed=command.compared.seed))
 
 
-def fit_config(command: Color | Prepare) -> FitConfig:
-    """Return the settings of the fit from the arguments."""
+def fit_config(fit: Fit) -> FitConfig:
+    """Return the settings of the fit from the options."""
     from gsvis.color.fit import FitConfig
 
-    chosen: dict[str, Any] = {name: getattr(command, name) for name in ("variant", "max_terms", "mean_terms")}
-    chosen = {name: value for name, value in chosen.items() if value is not None}
-    if chosen.get("mean_terms") == math.inf:
-        chosen["mean_terms"] = None
-    return FitConfig(**chosen)
+    config = config_of(FitConfig, fit)
+    return replace(config, mean_terms=None) if config.mean_terms == math.inf else config
 
 
 def _check_no_input(name: str, path: str, command: Color) -> None:
@@ -169,27 +131,21 @@ def _plan(
     command: Color, config: ColorConfig, store: VisibilityStore | None, walk: HeadPath | None, status: Status
 ) -> _Plan:
     """Read the scene and find its navigable space."""
-    status("reading", 0, 1)
-    source = load_source(command.scene, command.lod)
+    source = open_source(command.scene, command.lod, status, "color")
     g = source.gaussians
-    if len(g) == 0:
-        raise SceneError(f"{command.scene}: the scene has no Gaussian: there is nothing to color")
-    if store is not None:
-        store.check_scene(source.whole)
-    status("reading", 1, 1)
-    status("space", 0, 1)
     remarks: list[str] = []
     space: NavigableSpace | None
-    if store is not None:
-        space = _space_of(store, source)
-        why_not = ""
-    else:
-        place = find_place(source, command, command.up, walk)
-        space = place.space
-        why_not = place.why_not
-        remarks += place.remarks
-        remarks += [] if space is None else suspect_views(g, space)
-    status("space", 1, 1)
+    with status.stage("space"):
+        if store is not None:
+            store.check_scene(source.whole)
+            space = _space_of(store, source)
+            why_not = ""
+        else:
+            place = find_place(source, command.where, walk)
+            space = place.space
+            why_not = place.why_not
+            remarks += place.remarks
+            remarks += [] if space is None else suspect_views(g, space)
     if space is None and g.sh_degree > 0:
         raise SceneError(f"{why_not}; say where eyes may be with --box, or give visible sets with --pvs")
     if g.sh_degree == 0:
@@ -250,8 +206,15 @@ def _outputs(command: Color) -> ColorOutputs:
     needed = command.epsilon is not None or command.active is not None
     quality = ColorQualityConfig(flip=has_flip())
     held_out = None
-    if command.held_out:
-        held_out = ViewSampling(command.held_out, command.width, command.height, _FOV, command.seed, _HELD_OUT)
+    if command.compared.held_out:
+        held_out = ViewSampling(
+            command.compared.held_out,
+            command.compared.width,
+            command.compared.height,
+            _FOV,
+            command.compared.seed,
+            _HELD_OUT,
+        )
     return ColorOutputs(
         precision=command.precision,
         epsilon=command.epsilon or None,
@@ -269,7 +232,9 @@ def _observed(command: Color) -> ViewSampling:
     """Return the views of the model observer, which the test for a person shows too."""
     from gsvis.prepare.scene_colors import OBSERVED
 
-    return replace(OBSERVED, width=command.width, height=command.height, fov=_FOV, seed=command.seed)
+    return replace(
+        OBSERVED, width=command.compared.width, height=command.compared.height, fov=_FOV, seed=command.compared.seed
+    )
 
 
 def _remarks(command: Color, plan: _Plan, outputs: ColorOutputs, fitted: FittedColors) -> list[str]:
@@ -279,7 +244,7 @@ def _remarks(command: Color, plan: _Plan, outputs: ColorOutputs, fitted: FittedC
         remarks.append(" Epsilon was not calibrated: there are no terms to leave out.")
     if fitted.calibration is not None and not fitted.calibration.converged:
         remarks.append(f" Epsilon was not found for certain: {fitted.calibration.reason}.")
-    if plan.space is None and (command.staircase is not None or command.held_out):
+    if plan.space is None and (command.staircase is not None or command.compared.held_out):
         remarks.append(" Nothing was compared: there is nowhere to look from.")
     return remarks
 
@@ -310,22 +275,10 @@ def _write_report(command: Color, plan: _Plan, fitted: FittedColors, status: Sta
         gaussians=plan.source.gaussians,
         up=plan.space.up,
         cameras_from=f"drawn at random where eyes may be ({plan.space.rule})",
-        command=_command_line(command),
+        command=command_line(command, ("max_memory",)),
         version=version(),
         facts={"path": command.scene, "lod": plan.source.lod, **inspect_scene_of(plan.source)},
-        parameters={name: getattr(command, name) for name in (*_PATHS, *_NUMBERS)},
+        parameters={name: value for name, value in values_of(command).items() if name not in _SILENT},
         seconds=dict(status.seconds),
     )
     write_color_report(command.report, fitted, subject, progress=status)
-
-
-def _command_line(command: Color) -> str:
-    """Return the command line that makes all this again."""
-    words = ["gsvis", "color", command.scene, "-o", command.out]
-    for name in (*_PATHS[2:], *_NUMBERS):
-        value = getattr(command, name)
-        if value is not None and value != getattr(Color, name):
-            words.append("--" + name.replace("_", "-"))
-            if value is not True:
-                words += [_SPELLED[name, value]] if (name, value) in _SPELLED else spell(value)
-    return shlex.join(words)

@@ -37,7 +37,7 @@ def print_result(
         seconds: How long each stage took.
     """
     document = fitted.as_dict()
-    if command.json:
+    if command.output.json:
         about: dict[str, Any] = {
             "format": "gsvis-color",
             "version": 1,
@@ -48,7 +48,7 @@ def print_result(
         about["levels"] = summarize_levels(source)
         about["space"] = None if space is None else space_document(space)
         about["remarks"] = [each.strip() for each in remarks]
-        written = {name: getattr(command, name) for name in ("active", "report", "staircase")}
+        written = {"active": command.active, "report": command.report, "staircase": command.staircase}
         print_json({**about, **written, **document, "seconds": seconds})
         return
     lines = list(remarks)

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gsvis.cli.arguments_convert import Convert
+from gsvis.cli.arguments import Convert
 from gsvis.cli.memory import check_memory
-from gsvis.cli.scene_out import check_scene_out
 from gsvis.cli.source import Source, check_source, is_builtin, is_levels, load_source, title_of, up_of
 from gsvis.cli.starts import find_starts
+from gsvis.cli.targets import check_scene_out
 from gsvis.cli.terminal import Status, print_json, show
 from gsvis.cli.visits import Visit, plan_visit
 from gsvis.io.batches import Batch, list_batches
@@ -33,17 +33,10 @@ _KSPLAT_DEGREE = 2
 
 
 def run_convert(command: Convert) -> None:
-    """Convert scenes: read, merge, convert, write, print the result.
-
-    Raises:
-        GsvisError: If a file cannot be read, nothing is left of the scene, or a page is wanted and no viewer is built.
-        ValueError: If an argument is wrong.
-        FileNotFoundError: If there is no such file.
-        OSError: If the result cannot be written.
-    """
+    """Convert scenes: read, merge, convert, write, print the result."""
     scenes, out = _split_paths(command)
     lods = _check_inputs(scenes, command.lod)
-    up = _axes(command.change_up)
+    up = _axes(command.placement.change_up)
     given = scenes[0] if len(scenes) == 1 else scenes
     target = check_scene_out(out, given, command.overwrite, name="OUT", source="IN", others=(_PAGE,))
     _check_options(command, target)
@@ -52,9 +45,9 @@ def run_convert(command: Convert) -> None:
         crop=None if command.crop is None else (command.crop[:3], command.crop[3:]),
         min_opacity=command.min_opacity,
         up=up,
-        scale=command.scale,
-        rotate=command.rotate or (0.0, 0.0, 0.0),
-        translate=command.translate or (0.0, 0.0, 0.0),
+        scale=command.placement.scale,
+        rotate=command.placement.rotate or (0.0, 0.0, 0.0),
+        translate=command.placement.translate or (0.0, 0.0, 0.0),
     )
     batches = _batches(command, scenes, lods, target)
     if batches:
@@ -66,9 +59,9 @@ def run_convert(command: Convert) -> None:
         inputs, before, known_up = _read(scenes, lods, status)
         after = convert(before, max_sh_degree=_degree(command, target, before, status))
         if target.suffix.lower() == _PAGE:
-            as_read = up is None and command.rotate is None and len(inputs) == 1
+            as_read = up is None and command.placement.rotate is None and len(inputs) == 1
             upright = known_up if up is None else axis_vector(up[1])
-            turned = rotation_about_axes(command.rotate or (0.0, 0.0, 0.0)) @ upright
+            turned = rotation_about_axes(command.placement.rotate or (0.0, 0.0, 0.0)) @ upright
             name = " + ".join(each.name for each in inputs)
             _write_page(target, name, after, None if as_read else turned, status)
         else:
@@ -129,7 +122,7 @@ def _print_result(
 ) -> None:
     size = target.stat().st_size
     before = sum(each.gaussians for each in inputs)
-    if command.json:
+    if command.output.json:
         print_json(_document(command, out, inputs, gaussians, sh_degree) | {"bytes": size})
         return
     kept = f"{gaussians:,} of {before:,} Gaussians" if gaussians < before else f"{gaussians:,} Gaussians"
@@ -284,10 +277,10 @@ def _document(command: Convert, out: str, inputs: list[_Input], gaussians: int, 
         "sh_degree_in": max(each.sh_degree for each in inputs),
         "sh_degree_out": sh_degree,
         "placement": {
-            "up": None if command.change_up is None else command.change_up.strip(),
-            "scale": command.scale,
-            "rotate": list(command.rotate or (0.0, 0.0, 0.0)),
-            "translate": list(command.translate or (0.0, 0.0, 0.0)),
+            "up": None if command.placement.change_up is None else command.placement.change_up.strip(),
+            "scale": command.placement.scale,
+            "rotate": list(command.placement.rotate or (0.0, 0.0, 0.0)),
+            "translate": list(command.placement.translate or (0.0, 0.0, 0.0)),
         },
     }
 

@@ -10,10 +10,11 @@ import numpy as np
 
 from gsvis.cli.arguments import Cut
 from gsvis.cli.kernels import warm_sets
-from gsvis.cli.scene_out import check_one_level, check_outputs, check_scene_out, write_array
-from gsvis.cli.source import Source, check_source, file_cameras, framed_cameras, load_source, parse_up
+from gsvis.cli.options import config_of
+from gsvis.cli.source import Source, check_source, file_cameras, framed_cameras, open_source
+from gsvis.cli.targets import check_one_level, check_outputs, check_scene_out, write_array
 from gsvis.cli.terminal import Status, print_json, show, size_of
-from gsvis.cli.where import check_where, find_place, given, space_document
+from gsvis.cli.where import check_where, find_place, space_document
 from gsvis.errors import SceneError
 from gsvis.io.scenes import save_scene
 from gsvis.raycast import describe_check
@@ -44,14 +45,7 @@ class _Eyes:
 
 
 def run_cut(command: Cut) -> None:
-    """Cut a scene: read, look, certify, compare views, write, print the result.
-
-    Raises:
-        GsvisError: If a file cannot be read, eyes have no place, or nothing would be kept.
-        ValueError: If an argument is wrong.
-        FileNotFoundError: If a file is missing.
-        OSError: If the result cannot be written.
-    """
+    """Cut a scene: read, look, certify, compare views, write, print the result."""
     walk = _check_arguments(command)
     target = check_scene_out(command.out, command.scene, command.overwrite)
     if command.select is not None:
@@ -59,18 +53,14 @@ def run_cut(command: Cut) -> None:
         check_outputs(outputs, {"SCENE": command.scene}, command.overwrite)
     config = _config(command)
     with Status() as status:
-        status("reading", 0, 1)
-        source = load_source(command.scene, command.lod)
-        status("reading", 1, 1)
-        status("space", 0, 1)
-        place = _place_eyes(command, source, walk)
-        status("space", 1, 1)
+        source = open_source(command.scene, command.lod, status)
+        with status.stage("space"):
+            place = _place_eyes(command, source, walk)
         found = _cut(source.gaussians, place, config, status)
-        status("writing", 0, 1)
-        save_scene(source.gaussians[found.kept], target)
-        if command.select is not None:
-            write_array(Path(command.select), found.kept)
-        status("writing", 1, 1)
+        with status.stage("writing"):
+            save_scene(source.gaussians[found.kept], target)
+            if command.select is not None:
+                write_array(Path(command.select), found.kept)
     _show_result(command, source, place, found)
 
 
@@ -78,30 +68,27 @@ def _check_arguments(command: Cut) -> HeadPath | None:
     """Check the arguments before work begins; return the walk of --path."""
     check_source(command.scene, command.lod)
     check_one_level(command.scene)
-    parse_up(command.up)
-    if command.cameras is None and not given(command):
+    if command.where.cameras is None and not command.where.given:
         raise ValueError(
             "--path: expected one of --path, --cameras, --box and --around, got none; say where the eyes are"
         )
-    if command.fov is not None and command.path is None:
+    if command.fov is not None and command.where.path is None:
         raise ValueError(f"--fov: expected --path with it, got {command.fov:g} alone; cameras state their own")
-    if command.cameras is None:
-        return check_where(command)
-    return check_where(replace(command, margin=None), "--cameras")  # here a margin is one of cameras
+    if command.where.cameras is None:
+        return check_where(command.where)
+    return check_where(replace(command.where, margin=None), "--cameras")  # here a margin is one of cameras
 
 
 def _config(command: Cut) -> CutConfig:
     from gsvis.edit import CutConfig
 
     usual = CutConfig()
-    return replace(
-        usual,
-        tau=command.tau,
-        size=command.face_size or usual.size,
-        limit=max(command.limit, 1e-6),
-        views=replace(usual.views, count=command.held_out),
-        min_psnr=command.min_psnr,
-        seed=command.seed,
+    return config_of(
+        CutConfig,
+        command.looking,
+        size=command.looking.face_size,
+        limit=max(command.looking.limit, 1e-6),
+        views=replace(usual.views, count=command.looking.held_out),
     )
 
 
@@ -114,17 +101,17 @@ def _place_eyes(command: Cut, source: Source, walk: HeadPath | None) -> _Eyes:
     """
     from gsvis.edit import EyesInSpace, EyesOfCameras
 
-    if command.cameras is not None:
-        cameras = file_cameras(command.cameras, None, None, at_most=_WIDEST)
-        cameras, framed = framed_cameras(source, cameras, command.cameras, command.cameras_frame)
+    if command.where.cameras is not None:
+        cameras = file_cameras(command.where.cameras, None, None, at_most=_WIDEST)
+        cameras, framed = framed_cameras(source, cameras, command.where)
         words = f"{len(cameras):,} cameras"
-        if command.margin is not None:
-            words += f", or up to {command.margin:g} beside them"
-        return _Eyes(EyesOfCameras(cameras, command.margin or 0.0), words, None, framed)
-    found = find_place(source, command, command.up, walk)
+        if command.where.margin is not None:
+            words += f", or up to {command.where.margin:g} beside them"
+        return _Eyes(EyesOfCameras(cameras, command.where.margin or 0.0), words, None, framed)
+    found = find_place(source, command.where, walk)
     space = found.required("say where the eyes are with --cameras or --box")
-    if command.path is None:
-        words = "eyes in the box" if command.box is not None else "eyes around the scene"
+    if command.where.path is None:
+        words = "eyes in the box" if command.where.box is not None else "eyes around the scene"
         return _Eyes(EyesInSpace(space), f"{words}, all around", space, found.remarks)
     assert found.path is not None
     if command.fov is None:
@@ -132,7 +119,7 @@ def _place_eyes(command: Cut, source: Source, walk: HeadPath | None) -> _Eyes:
     steady = found.path.resample(_RATE)
     cameras = steady.cameras(*_FRAME, command.fov)
     words = f"frames of the path, {command.fov:g} degrees wide"
-    return _Eyes(EyesOfCameras(cameras, command.margin or 0.0, looks=_LOOKS), words, space, found.remarks)
+    return _Eyes(EyesOfCameras(cameras, command.where.margin or 0.0, looks=_LOOKS), words, space, found.remarks)
 
 
 def _cut(g: Gaussians, place: _Eyes, config: CutConfig, status: Status) -> Found:
@@ -148,7 +135,7 @@ def _cut(g: Gaussians, place: _Eyes, config: CutConfig, status: Status) -> Found
 
 def _show_result(command: Cut, source: Source, place: _Eyes, found: Found) -> None:
     size = Path(command.out).stat().st_size
-    if command.json:
+    if command.output.json:
         document: dict[str, Any] = {
             "format": "gsvis-cut",
             "version": 1,

@@ -7,24 +7,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gsvis._text import as_line
-from gsvis.cli.arguments_export import Export
-from gsvis.cli.showing import check_show
-from gsvis.cli.source import (
-    Source,
-    check_file,
-    check_folder,
-    check_new,
-    check_source,
-    is_builtin,
-    load_source,
-    parse_up,
-    title_of,
-    up_to_turn,
-)
+from gsvis.cli.arguments import Export
+from gsvis.cli.options import PLACING, changed
+from gsvis.cli.source import Source, check_source, is_builtin, open_source, parse_up, title_of, up_to_turn
+from gsvis.cli.targets import check_exists, check_new
 from gsvis.cli.terminal import Status, print_json, show, size_of
-from gsvis.cli.visits import Visit, settle_visit
-from gsvis.cli.where import PLACING, check_where, typed
+from gsvis.cli.visits import settle_visit
+from gsvis.cli.where import check_where
 from gsvis.files.origins import parse_origins
+from gsvis.files.output import check_file, check_folder
 from gsvis.package.manifest import MANIFEST
 
 if TYPE_CHECKING:
@@ -39,17 +30,11 @@ if TYPE_CHECKING:
 __all__ = ["open_scene", "run_export"]
 
 Triple = tuple[float, float, float]
+_PLACING = tuple(name for name in PLACING if name != "up")
 
 
 def run_export(command: Export) -> None:
-    """Write a scene in the format of the command, and print what it takes.
-
-    Raises:
-        GsvisError: If the scene cannot be read, or the viewer is not built.
-        ValueError: If an argument is wrong.
-        FileNotFoundError: If there is no such scene.
-        OSError: If the result cannot be written.
-    """
+    """Write a scene in the format of the command, and print what it takes."""
     walk = _check_options(command)
     opens = parse_origins("--page-origins", command.page_origins)
     _check_target(command)
@@ -68,8 +53,9 @@ def run_export(command: Export) -> None:
 
     with ExitStack() as stack, Status() as status:
         scene, name, up, source = open_scene(command, stack, status)
-        visit = None if source is None else _visit(command, source, walk, status)
-        if visit is not None:
+        visit = None
+        if source is not None:
+            _, visit = settle_visit(command.where, source, walk, status, quiet=command.output.json)
             up = _triple(visit.up)
         options = StaticOptions(name, up, poses=None if visit is None else visit.starts)
         if command.format == "static":
@@ -78,7 +64,7 @@ def run_export(command: Export) -> None:
             found = write_html(command.out, scene, options, progress=status)
     made = found.scene
     remarks = [] if visit is None else visit.remarks
-    if command.json:
+    if command.output.json:
         facts: dict[str, Any] = {
             "format": "gsvis-export",
             "version": 1,
@@ -114,20 +100,18 @@ def _check_options(command: Export) -> HeadPath | None:
         "--meters-per-unit": (command.meters_per_unit, gltf),
         "--request-volumes": (command.request_volumes or None, ("3dtiles",)),
         "--name": (command.name, pages),
-        **{option: (words, ("static", "html")) for option, words in typed(command, ("show", *PLACING)).items()},
+        **{option: (words, ("static", "html")) for option, words in changed(command, _PLACING).items()},
         "--page-origins": (command.page_origins or None, ("static",)),
     }
     for option, (value, formats) in given.items():
         if value is not None and command.format not in formats:
             known = " or ".join(formats)
             raise ValueError(f"{option}: expected --format {known} with it, got {command.format}; leave it out")
-    walk = check_where(command)
-    check_show(command)
+    walk = check_where(command.where)
     sets = command.pvs is not None or (Path(command.scene) / MANIFEST).is_file()
     if command.request_volumes and not sets:
         raise ValueError("--request-volumes: expected a package or --pvs FILE with it, got neither; see gsvis pvs")
-    if command.pvs is not None and not Path(command.pvs).exists():
-        raise FileNotFoundError(2, "no such file or folder", command.pvs)
+    check_exists(command.pvs)
     return walk
 
 
@@ -180,28 +164,18 @@ def open_scene(
     command: Export, stack: ExitStack, status: Status
 ) -> tuple[Package | Levels | Gaussians, str, Triple | None, Source | None]:
     """Return the package or scene of a command, its name, its up axis if that is known, and how a scene was read."""
-    up = parse_up(command.up)
+    up = parse_up(command.where.up)
     if (Path(command.scene) / MANIFEST).is_file():
         from gsvis.package import Package
 
-        for option, words in typed(command, ("lod", "show", *PLACING)).items():
+        for option, words in changed(command, ("lod", *_PLACING)).items():
             raise ValueError(f"{option}: expected none for a package, got {' '.join(words) or option}; leave it out")
         name = as_line(command.name or Path(command.scene).resolve().name.removesuffix(".gsvis"))
         return stack.enter_context(Package.open(command.scene)), name, _triple(up), None
     check_source(command.scene, command.lod)
-    status("reading", 0, 1)
-    source = load_source(command.scene, command.lod)
-    status("reading", 1, 1)
+    source = open_source(command.scene, command.lod, status)
     name = as_line(command.name or title_of(command.scene, source.lod))
     return source.whole, name, _triple(up_to_turn(source) if up is None else up), source
-
-
-def _visit(command: Export, source: Source, walk: HeadPath | None, status: Status) -> Visit:
-    """Return how a visit of a scene that is no package begins, by options or what a user answers."""
-    status("start", 0, 1)
-    _, found = settle_visit(command, source, walk, status)
-    status("start", 1, 1)
-    return found
 
 
 def _triple(vector: NDArray[np.float64] | None) -> Triple | None:

@@ -6,7 +6,7 @@ from contextlib import ExitStack
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from gsvis.cli.arguments_export import Export
+from gsvis.cli.arguments import Export
 from gsvis.cli.terminal import Status, facts, print_json, show, size_of
 
 if TYPE_CHECKING:
@@ -16,13 +16,7 @@ __all__ = ["export_tiles"]
 
 
 def export_tiles(command: Export) -> None:
-    """Write a scene as 3D Tiles or as one GLB, and print what it takes; the target has been checked.
-
-    Raises:
-        GsvisError: If the scene or its visible sets cannot be read, or nothing would be left.
-        ValueError: If an argument is wrong, or the scene is too large for one GLB.
-        OSError: If the result cannot be written.
-    """
+    """Write a scene as 3D Tiles or as one GLB, and print what it takes; the target has been checked."""
     from gsvis.cli.export import open_scene
     from gsvis.export import GlbReport, TilesOptions, write_glb, write_tiles
     from gsvis.export.leaves import LEAF
@@ -32,7 +26,7 @@ def export_tiles(command: Export) -> None:
     with ExitStack() as stack, Status() as status:
         store = None if command.pvs is None else stack.enter_context(VisibilityStore.open(command.pvs))
         scene, _, up, _ = open_scene(command, stack, status)
-        if store is not None and command.up is None:
+        if store is not None and command.where.up is None:
             up = None  # the visible sets know it
         options = TilesOptions(
             leaf=command.leaf or LEAF,
@@ -49,7 +43,7 @@ def export_tiles(command: Export) -> None:
                 command.out, scene, options, visibility=store, overwrite=command.overwrite, progress=status
             )
         )
-    if command.json:
+    if command.output.json:
         given: dict[str, Any] = {"format": "gsvis-export", "version": 1, "in": command.scene, "out": command.out}
         listed = asdict(found)
         del listed["path"], listed["nbytes"]

@@ -7,18 +7,18 @@ from __future__ import annotations
 
 import ast
 import inspect
-import re
 import textwrap
-from dataclasses import MISSING, Field, field, fields, make_dataclass
+from dataclasses import MISSING, field, make_dataclass
 from functools import partial
 from itertools import pairwise
-from typing import Annotated, Any, get_args, get_type_hints
+from typing import Annotated, Any, get_args
+
+from gsvis.cli.options import Leaf, command_name, leaves
 
 __all__ = [
     "ALL",
     "FIRST",
     "GROUPS",
-    "command_name",
     "find_command",
     "long_help",
     "option_texts",
@@ -138,7 +138,7 @@ def short_help(kind: type) -> tuple[type, int]:
         kind: The dataclass of a command. The result is for printing help alone.
     """
     shown = FIRST[command_name(kind)]
-    hidden = {each.name for each in fields(kind) if each.name not in shown and each.default is not MISSING}
+    hidden = {leaf.name for leaf in leaves(kind) if leaf.name not in shown and leaf.default is not MISSING}
     return _for_print(kind, hidden), len(hidden)
 
 
@@ -148,35 +148,40 @@ def long_help(kind: type) -> type:
 
 
 def _for_print(kind: type, hidden: set[str]) -> type:
-    """Return a command without the hidden options, whose texts `tyro` wraps to the width of the terminal.
+    """Return a command without groups and without the hidden options, whose texts `tyro` wraps to the terminal.
 
     `tyro` keeps the line breaks of the strings below the fields, so that their lines would end early.
     """
     from tyro import conf
 
     hide: Any = conf.Suppress
-    hints = get_type_hints(kind, include_extras=True)
     replaced = []
     texts = option_texts(kind)
-    for each in sorted(fields(kind), key=partial(_importance, command_name(kind))):
-        hint = hints[each.name]
+    for each in sorted(leaves(kind), key=partial(_importance, command_name(kind))):
         kept = field() if each.default is MISSING else field(default=each.default)
-        described: Any = Annotated[hint, conf.arg(help=texts[each.name])]
-        replaced.append((each.name, hide[hint] if each.name in hidden else described, kept))
+        described: Any = Annotated[each.hint, conf.arg(help=texts[each.name])]
+        replaced.append((each.name, hide[each.hint] if each.name in hidden else described, kept))
     names = {"__doc__": kind.__doc__}
     return make_dataclass(kind.__name__, replaced, namespace=names, frozen=True, kw_only=True)
 
 
-def _importance(command: str, argument: Field[Any]) -> int:
+def _importance(command: str, leaf: Leaf) -> int:
     """Return the place of an argument in the help: positional ones, the first options, then the others."""
     first = FIRST[command]
-    if argument.name in first:
-        return first.index(argument.name)
-    return -1 if argument.default is MISSING else len(first)
+    if leaf.name in first:
+        return first.index(leaf.name)
+    return -1 if leaf.default is MISSING else len(first) + (leaf.name == "debug")
 
 
 def option_texts(kind: type) -> dict[str, str]:
-    """Return the text of each argument of a command, one line each, from the strings below the fields."""
+    """Return the text of each argument of a command, one line each: its own, or the string below the field."""
+    found = leaves(kind)
+    below = {owner: _strings_below_fields(owner) for owner in dict.fromkeys(leaf.owner for leaf in found)}
+    return {leaf.name: leaf.text or below[leaf.owner][leaf.name] for leaf in found}
+
+
+def _strings_below_fields(kind: type) -> dict[str, str]:
+    """Return the string below each field of a dataclass and of those that it extends."""
     found: dict[str, str] = {}
     for base in reversed(kind.__mro__[:-1]):
         tree = ast.parse(textwrap.dedent(inspect.getsource(base)))
@@ -193,8 +198,3 @@ def find_command(name: str) -> type | None:
     from gsvis.cli.arguments import Command
 
     return next((kind for kind in get_args(Command) if command_name(kind) == name), None)
-
-
-def command_name(kind: type[Any]) -> str:
-    """Return the name of a command from that of its dataclass: PvsReport is pvs-report."""
-    return re.sub(r"(?<!^)(?=[A-Z])", "-", kind.__name__).lower()

@@ -8,7 +8,7 @@ from typing import Any
 from gsvis.cli.arguments import Inspect
 from gsvis.cli.histograms import TITLES, band_lines, can_draw_blocks, histogram_lines, line_width
 from gsvis.cli.shown import judged_of, load_shown
-from gsvis.cli.source import Source, inspect_scene_of
+from gsvis.cli.source import Source, inspect_scene_of, open_source
 from gsvis.cli.terminal import Status, facts, print_json, show, size_of
 from gsvis.cli.where import check_where, find_place, flyaway_remarks, space_document, suspect_views
 from gsvis.io.facts import facts_to_json
@@ -21,30 +21,21 @@ __all__ = ["run_inspect"]
 
 
 def run_inspect(command: Inspect) -> None:
-    """Inspect a scene: read it, measure it, print a table or JSON.
-
-    Raises:
-        GsvisError: If the file cannot be read as a scene.
-        ValueError: If an argument is wrong.
-        FileNotFoundError: If there is no such file.
-    """
-    walk = check_where(command)
+    """Inspect a scene: read it, measure it, print a table or JSON."""
+    walk = check_where(command.where)
     with Status() as status:
-        status("reading", 0, 1)
-        source = load_shown(command.scene, command.lod)
+        source = open_source(command.scene, command.lod, status, load=load_shown)
         report = inspect_scene_of(source)
         report["facts"] = facts_to_json(source.gaussians.facts)
-        status("reading", 1, 1)
-        status("space", 0, 1)
-        report["space"], remarks = _space(command, source, walk)
+        with status.stage("space"):
+            report["space"], remarks = _space(command, source, walk)
         report["problems"] += [remark.strip() for remark in remarks]
         report["judged"] = judged_of(command.scene)
         if report["judged"] is not None and report["judged"].get("warning"):
             report["problems"].append(str(report["judged"]["warning"]))
-        status("space", 1, 1)
         spread = measure_histograms(source.gaussians) if command.histograms else {}
         bands = measure_bands(source.gaussians) if command.histograms else []
-    if command.json:
+    if command.output.json:
         place = {"scene": source.name, "lod": source.lod, "lods_present": list(source.lods)}
         if command.histograms:
             report["histograms"] = {name: each.as_dict() for name, each in spread.items()}
@@ -69,7 +60,7 @@ def _space(command: Inspect, source: Source, walk: HeadPath | None) -> tuple[dic
     """Return where eyes may be, for JSON, None if nowhere; and what is implausible about it."""
     if len(source.gaussians) == 0:
         return None, []
-    place = find_place(source, command, walk=walk)
+    place = find_place(source, command.where, walk)
     counted = flyaway_remarks(source.gaussians)  # the report counts them, too
     said = [remark for remark in place.remarks if remark not in counted]
     if place.space is None:

@@ -11,18 +11,20 @@ from typing import TYPE_CHECKING
 
 from gsvis._extras import require
 from gsvis.cli.arguments import Levels
-from gsvis.cli.asking import settle
+from gsvis.cli.asking import settle_space
 from gsvis.cli.image_size import image_size
 from gsvis.cli.kernels import warm_levels
 from gsvis.cli.levels_result import print_result, record_of
 from gsvis.cli.memory import check_memory, machine_memory, training_grows
-from gsvis.cli.showing import check_show
-from gsvis.cli.source import Source, check_folder, check_source, load_source, parse_up
+from gsvis.cli.options import refuse
+from gsvis.cli.source import Source, check_source, open_source, parse_up
 from gsvis.cli.stopping import between_steps
+from gsvis.cli.targets import check_exists
 from gsvis.cli.terminal import Status
-from gsvis.cli.where import check_where, find_place, suspect_views
-from gsvis.errors import ArgumentError, FormatError, OutputError, SceneError
+from gsvis.cli.where import check_where
+from gsvis.errors import ArgumentError, FormatError, OutputError
 from gsvis.files.atomic import find_interrupted_moves
+from gsvis.files.output import check_folder
 from gsvis.io.levels import MAP, check_names, levels_info, load_levels, save_levels
 from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
@@ -30,7 +32,7 @@ from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
 
 if TYPE_CHECKING:
-    from gsvis.cli.arguments import Prepare
+    from gsvis.cli.options import Levels as Training
     from gsvis.scene.view_sampling import ViewSampling
     from gsvis.train.level_views import LevelViews
     from gsvis.train.levels import LevelsConfig, TrainedLevels
@@ -80,18 +82,10 @@ class _Plan:
 
 
 def run_levels(command: Levels) -> None:
-    """Make levels: check, draw or read views, choose what stays, train, measure, write, print the result.
-
-    Raises:
-        GsvisError: If a file cannot be read, or the scene or the photographs cannot be used.
-        ValueError: If an argument is wrong, or something else would be replaced.
-        FileNotFoundError: If a file is missing.
-        OSError: If the folder cannot be written.
-        KeyboardInterrupt: If the user presses Ctrl-C; the message says what is kept.
-    """
+    """Make levels: check, draw or read views, choose what stays, train, measure, write, print the result."""
     require("gsvis levels", "torch")
     config = _check_arguments(command)
-    walk = check_where(command, "" if command.photos is None else "--photos")
+    walk = check_where(command.where, "" if command.training.photos is None else "--photos")
     with Status() as status:
         plan = _plan(command, config, walk, status)
         warm_levels(config, status)
@@ -115,38 +109,27 @@ def _target(out: str) -> Path:
 def _check_arguments(command: Levels) -> LevelsConfig:
     """Check the arguments before work begins; return the settings of the levels."""
     check_source(command.scene, command.lod)
-    if command.photos is not None:
-        if not Path(command.photos).exists():
-            raise FileNotFoundError(2, "no such file or folder", command.photos)
-        for name in ("views", "held_out", "up", "show"):
-            if getattr(command, name) is not None:
-                spelled = name.replace("_", "-")
-                value = str(getattr(command, name)).strip()
-                raise ValueError(f"--{spelled}: expected none with --photos, got {value}; leave it out")
-    parse_up(command.up)
-    check_show(command)
-    size = level_image_size(command)
+    if command.training.photos is not None:
+        check_exists(command.training.photos)
+        refuse(command, ["views", "held_out", "up", "show"], "with --photos")
+    size = level_image_size(command.training)
     if size is not None and min(size) < _LEAST_SIDE:
         name, got = ("--width", size[0]) if size[0] < _LEAST_SIDE else ("--height", size[1])
         raise ValueError(f"{name}: expected at least {_LEAST_SIDE} pixels, got {got}")
-    try:
-        sizes = command.levels, command.reuse, command.names, command.preview
-        config = levels_config(*sizes, command.steps, command.seed)
-    except ValueError as error:
-        raise named_option(error) from None
+    config = levels_config(command.training, command.seed)
     check_folder(command.out)
     check_folder(_target(command.out).parent)  # unfinished work is kept there
     _check_target(command, config.level_names)
     images = 0
-    if command.photos is None:
-        sampling = view_sampling(command.views, level_image_size(command), command.seed)
-        held_out = _HELD_OUT if command.held_out is None else command.held_out
+    if command.training.photos is None:
+        sampling = view_sampling(command.training, command.seed)
+        held_out = _held_out(command)
         check_views(sampling, held_out)
         images = image_bytes(sampling, held_out)
     elif command.max_memory is not None:
         from gsvis.train.photos import photo_bytes
 
-        images = photo_bytes(command.photos, size)
+        images = photo_bytes(command.training.photos, size)
     remedy = (
         "raise it, take fewer --views or a smaller --width and --height, or make levels of tiles with gsvis world"
         " --until levels"
@@ -157,34 +140,35 @@ def _check_arguments(command: Levels) -> LevelsConfig:
         command.max_memory,
         remedy,
         more=images,
-        grows=training_grows(command.levels),
+        grows=training_grows(command.training.levels),
     )
     return config
 
 
-def levels_config(
-    shares: tuple[float, ...],
-    reuse: tuple[float, ...] | None,
-    names: tuple[str, ...] | None,
-    preview: float | None,
-    iterations: int,
-    seed: int,
-) -> LevelsConfig:
-    """Return the settings of levels from the arguments.
+def levels_config(training: Training, seed: int) -> LevelsConfig:
+    """Return the settings of levels from the options.
 
     Raises:
         ValueError: If they contradict each other, or a name cannot be a file name.
     """
     from gsvis.train.levels import LevelsConfig
 
+    shares = training.levels
     lower = len(shares)
-    names = names or _NAMES.get(lower) or (*(f"level{k}" for k in range(lower)), "high")
-    reuse = reuse or (*_REUSE[:lower], *_REUSE[-1:] * (lower - len(_REUSE)))
-    config = LevelsConfig(shares, reuse, names, iterations, seed=seed)
-    if preview is not None:  # also in a small scene
-        config = replace(config, preview=preview, preview_from=0)
-    check_names(names)
+    names = training.names or _NAMES.get(lower) or (*(f"level{k}" for k in range(lower)), "high")
+    reuse = training.reuse or (*_REUSE[:lower], *_REUSE[-1:] * (lower - len(_REUSE)))
+    try:
+        config = LevelsConfig(shares, reuse, names, training.steps, seed=seed)
+        if training.preview is not None:  # also in a small scene
+            config = replace(config, preview=training.preview, preview_from=0)
+        check_names(names)
+    except ValueError as error:
+        raise named_option(error) from None
     return config
+
+
+def _held_out(command: Levels) -> int:
+    return _HELD_OUT if command.training.held_out is None else command.training.held_out
 
 
 def check_views(sampling: ViewSampling, held_out: int) -> None:
@@ -210,24 +194,20 @@ def image_bytes(sampling: ViewSampling, held_out: int) -> int:
 
 def _plan(command: Levels, config: LevelsConfig, walk: HeadPath | None, status: Status) -> _Plan:
     """Read the scene, draw or read the views, and find the folder of unfinished work."""
-    status("reading", 0, 1)
-    source = load_source(command.scene, command.lod)
+    source = open_source(command.scene, command.lod, status, "make levels of")
     g = source.gaussians
-    if len(g) == 0:
-        raise SceneError(f"{command.scene}: the scene has no Gaussian: there is nothing to make levels of")
     config = config.fit_to(len(g))
     try:
         config.sizes(len(g))
     except ValueError as error:
         raise named_option(error) from None
     _check_replaced(command, g)
-    status("reading", 1, 1)
     space: NavigableSpace | None = None
     remarks: list[str] = []
-    if command.photos is not None:
+    if command.training.photos is not None:
         from gsvis.train.level_views import load_photograph_views
 
-        drawn = load_photograph_views(g, command.photos, level_image_size(command), progress=status)
+        drawn = load_photograph_views(g, command.training.photos, level_image_size(command.training), progress=status)
     else:
         command, drawn, space, remarks = _draw_views(command, source, walk, status)
     remarks += [f" {remark}" for remark in drawn.remarks]
@@ -292,17 +272,13 @@ def _draw_views(
     """
     from gsvis.train.level_views import draw_views
 
-    status("space", 0, 1)
-    settled = settle(command, source, lambda c: find_place(source, c, c.up, walk), status)
-    command = settled.command
-    space = settled.place.required(
-        "photographs with cameras, --photos, serve as well, and --box says where eyes may be"
+    remedy = "photographs with cameras, --photos, serve as well, and --box says where eyes may be"
+    settled, space, remarks = settle_space(
+        command.where, source, walk, status, quiet=command.output.json, remedy=remedy
     )
-    remarks = [*settled.remarks, *suspect_views(source.gaussians, space)]
-    status("space", 1, 1)
-    held_out = _HELD_OUT if command.held_out is None else command.held_out
-    sampling = view_sampling(command.views, level_image_size(command), command.seed)
-    return command, draw_views(source.gaussians, space, sampling, held_out, progress=status), space, remarks
+    sampling = view_sampling(command.training, command.seed)
+    drawn = draw_views(source.gaussians, space, sampling, _held_out(command), progress=status)
+    return replace(command, where=settled.where), drawn, space, remarks
 
 
 def named_option(error: ValueError) -> ValueError:
@@ -314,20 +290,21 @@ def named_option(error: ValueError) -> ValueError:
     return error.renamed("--levels", error.remedy or "larger shares, or a finer --lod")
 
 
-def level_image_size(command: Levels | Prepare) -> tuple[int, int] | None:
+def level_image_size(training: Training) -> tuple[int, int] | None:
     """Return (width, height) of the views that levels are measured on; None for the usual ones.
 
     Raises:
         ValueError: If only one of both is given, for photographs.
     """
-    return image_size(command, (_WIDTH, _HEIGHT) if command.photos is None else None)
+    return image_size(training, (_WIDTH, _HEIGHT) if training.photos is None else None)
 
 
-def view_sampling(views: int | None, size: tuple[int, int] | None, seed: int) -> ViewSampling:
+def view_sampling(training: Training, seed: int) -> ViewSampling:
     """Return how to sample cameras to train on without photographs."""
     from gsvis.scene.view_sampling import ViewSampling
 
-    return ViewSampling(views or _VIEWS, *(size or (_WIDTH, _HEIGHT)), _FOV, seed)
+    size = level_image_size(training) or (_WIDTH, _HEIGHT)
+    return ViewSampling(training.views or _VIEWS, *size, _FOV, seed)
 
 
 def _run(command: Levels, plan: _Plan, status: Status) -> tuple[TrainedLevels, dict[str, object]]:
@@ -350,7 +327,7 @@ def _run(command: Levels, plan: _Plan, status: Status) -> tuple[TrainedLevels, d
             made = make_levels(g, plan.drawn, plan.config, work=work, progress=report)
         plan.remarks.extend([f" {made.warning}"] if made.warning else [])
         record = record_of(command, plan, made.trained, made.quality, made.judged)
-        up = plan.source.known_up if command.up is None else parse_up(command.up)
+        up = plan.source.known_up if command.where.up is None else parse_up(command.where.up)
         if up is not None:
             record["up"] = [float(value) for value in up]
         status("writing", 0, 1)

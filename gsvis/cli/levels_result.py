@@ -111,7 +111,7 @@ def print_result(
     for row in rows:
         row["bytes"] = (folder / row["file"]).stat().st_size
     spent = sum(value for stage, value in seconds.items() if stage != "kernels")
-    if command.json:
+    if command.output.json:
         about = {name: value for name, value in record.items() if name != "levels"}
         times = {stage: value for stage, value in seconds.items() if stage != "kernels"}
         about["space"] = None if space is None else space_document(space)

@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from gsvis.cli.arguments import Unpack, Verify
-from gsvis.cli.source import check_folder, check_source, load_source, navigable_space
+from gsvis.cli.source import check_source, navigable_space, open_source
 from gsvis.cli.terminal import Status, facts, print_json, show, size_of
 from gsvis.errors import FormatError, SceneError
+from gsvis.files.output import check_folder
 from gsvis.files.places import TABLES, cache_folder
 from gsvis.io.levels import MAP, levels_info
 from gsvis.package import Fidelity, Manifest, Package, Spread, unpack_package
@@ -30,14 +31,7 @@ _SAME = 0.1  # dB by which two measurements of the same scene may differ
 
 
 def run_verify(command: Verify) -> None:
-    """Verify a package: read everything, compare it with its scene if that is given, and print what it holds.
-
-    Raises:
-        FormatError: If anything is missing, damaged or of a newer version.
-        SceneError: If the scene is empty, or no eye can be found in it.
-        ValueError: If an argument is wrong.
-        FileNotFoundError: If there is no such folder or scene.
-    """
+    """Verify a package: read everything, compare it with its scene if that is given, and print what it holds."""
     if command.scene is None and command.lod is not None:
         raise ValueError(f"--lod: expected none without --scene, got {command.lod}; leave it out")
     if is_world(command.package):
@@ -54,7 +48,7 @@ def run_verify(command: Verify) -> None:
         remarks: list[str] = []
         if command.scene is not None:
             fidelity, name, remarks = _compare(command.scene, command.lod, package, status)
-    if command.json:
+    if command.output.json:
         print_json(
             {
                 "format": "gsvis-verification",
@@ -97,7 +91,7 @@ def _verify_world(command: Verify) -> None:
         world = World.open(command.package)
         found = world.verify(progress=status)
         kept = check_kept(WorldPackage(world, set()), _tables_of(command))
-    if command.json:
+    if command.output.json:
         document = {"format": "gsvis-world-verification", "version": 1, "world": command.package}
         print_json({**document, **asdict(found), "kept_files": len(kept)})
         return
@@ -131,12 +125,8 @@ def _compare(scene: str, lod: int | None, package: Package, status: Status) -> t
     from gsvis.package.compare import measure_fidelity
     from gsvis.prepare.config import PrepareConfig
 
-    status("reading", 0, 1)
-    source = load_source(scene, lod)
+    source = open_source(scene, lod, status, "compare with")
     recorded = package.manifest.info.fidelity
-    if len(source.gaussians) == 0:
-        raise SceneError(f"{scene}: the scene has no Gaussian: there is nothing to compare with")
-    status("reading", 1, 1)
     if recorded is not None:
         cameras = recorded.cameras
     else:
@@ -196,13 +186,7 @@ def _decibels(spread: Spread) -> tuple[str, str]:
 
 
 def run_unpack(command: Unpack) -> None:
-    """Unpack a package: write one PLY for each level and print the paths.
-
-    Raises:
-        FormatError: If the package is damaged.
-        ValueError: If an argument is wrong.
-        OSError: If the folder cannot be written.
-    """
+    """Unpack a package: write one PLY for each level and print the paths."""
     target = Path(command.out)
     if target.exists() and not target.is_dir():
         raise ValueError(f"--out: expected a folder, got the file {command.out!r}")
@@ -211,7 +195,7 @@ def run_unpack(command: Unpack) -> None:
         _check_replaced(target, package.manifest)
         levels = unpack_package(package, target, sh_degree=command.sh_degree, progress=status)
     files = {name: target / f"{name}.ply" for name in levels.names}
-    if command.json:
+    if command.output.json:
         rows = [
             {"name": name, "file": str(files[name]), "gaussians": count, "bytes": files[name].stat().st_size}
             for name, count in zip(levels.names, levels.counts, strict=True)

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 from gsvis.cli.arguments import Paint
 from gsvis.cli.kernels import warm_sets
-from gsvis.cli.scene_out import check_one_level, check_outputs, check_scene_out, write_array
-from gsvis.cli.source import check_source, load_source, parse_up
+from gsvis.cli.options import refuse
+from gsvis.cli.source import check_source, open_source
+from gsvis.cli.targets import check_exists, check_one_level, check_outputs, check_scene_out, write_array
 from gsvis.cli.terminal import Status, print_json, show
 from gsvis.cli.where import check_where, find_place
 from gsvis.files.atomic import atomic_path
@@ -37,35 +38,25 @@ class _Files:
 
 
 def run_paint(command: Paint) -> None:
-    """Paint a scene: read, measure, write the scene and its legend, print the legend.
-
-    Raises:
-        GsvisError: If a file cannot be read, visible sets are of another scene, or eyes have no place or see nothing.
-        ValueError: If an argument is wrong.
-        FileNotFoundError: If a file is missing.
-        OSError: If a file cannot be written.
-    """
+    """Paint a scene: read, measure, write the scene and its legend, print the legend."""
     from gsvis.edit import bands_of, draw_legend, paint
 
     walk = _check_arguments(command)
     files = _check_files(command)
     with ExitStack() as opened, Status() as status:
         store = None if command.pvs is None else opened.enter_context(VisibilityStore.open(command.pvs))
-        status("reading", 0, 1)
-        source = load_source(command.scene, command.lod)
+        source = open_source(command.scene, command.lod, status)
         if store is not None:
             store.check_scene(source.whole)
-        status("reading", 1, 1)
         quantity, remarks = _measure(command, source, store, walk, status)
-        status("writing", 0, 1)
-        save_scene(paint(source.gaussians, quantity), files.scene)
-        with atomic_path(files.legend) as partial:
-            partial.write_bytes(draw_legend(quantity))
-        if files.values is not None:
-            write_array(files.values, quantity.values)
-        status("writing", 1, 1)
+        with status.stage("writing"):
+            save_scene(paint(source.gaussians, quantity), files.scene)
+            with atomic_path(files.legend) as partial:
+                partial.write_bytes(draw_legend(quantity))
+            if files.values is not None:
+                write_array(files.values, quantity.values)
     bands = bands_of(quantity)
-    if command.json:
+    if command.output.json:
         document = _document(command, source, files, quantity, bands)
         print_json({**document, "remarks": [each.strip() for each in remarks]})
         return
@@ -77,17 +68,12 @@ def _check_arguments(command: Paint) -> HeadPath | None:
     """Check the arguments before work begins; return the walk of --path."""
     check_source(command.scene, command.lod)
     check_one_level(command.scene)
-    parse_up(command.up)
     if command.pvs is not None:
-        if not Path(command.pvs).exists():
-            raise FileNotFoundError(2, "no such file or folder", command.pvs)
-        for name in ("eyes", "face_size", "up"):
-            if getattr(command, name) is not None:
-                value = str(getattr(command, name)).strip()
-                raise ValueError(f"--{name.replace('_', '-')}: expected none with --pvs, got {value}; leave it out")
+        check_exists(command.pvs)
+        refuse(command, ["eyes", "face_size", "up"], "with --pvs")
         if command.by == "importance":
             raise ValueError("--by: expected no importance with --pvs, whose sets do not know it; leave --pvs out")
-    return check_where(command, "" if command.pvs is None else "--pvs")
+    return check_where(command.where, "" if command.pvs is None else "--pvs")
 
 
 def _check_files(command: Paint) -> _Files:
@@ -111,10 +97,9 @@ def _measure(
 
     if store is not None:
         return stored_quantity(store, command.by, progress=status), []
-    status("space", 0, 1)
-    place = find_place(source, command, command.up, walk)
-    space = place.required("say where eyes are with --box or --around, or give visible sets with --pvs")
-    status("space", 1, 1)
+    with status.stage("space"):
+        place = find_place(source, command.where, walk)
+        space = place.required("say where eyes are with --box or --around, or give visible sets with --pvs")
     if command.by != "importance":
         warm_sets(PvsConfig(), status)
     config = QuantityConfig(seed=command.seed)

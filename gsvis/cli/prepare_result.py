@@ -39,7 +39,7 @@ def print_result(
     levels = [{"name": n, "gaussians": c} for n, c in zip(m.names, m.counts, strict=True)]
     for row, spread in zip(levels, (prepared.quality or {}).get("psnr", ()), strict=False):
         row["psnr"] = spread
-    if command.json:
+    if command.output.json:
         about = {"format": "gsvis-preparation", "version": 1, **_about(command, source, space)}
         print_json({**about, **_document(command, prepared, levels, remarks)})
         return
@@ -67,7 +67,7 @@ def print_result(
     if not command.discard:
         rows.append(("kept beside it", f"{prepared.work.name}, {size_of(prepared.work_bytes)}; may be deleted"))
     rows.append(("time", clock(seconds)))
-    given = source.levels is not None or not command.levels
+    given = source.levels is not None or not command.training.levels
     stages = [
         (
             _CALLED[stage.name],
@@ -116,7 +116,7 @@ def print_estimate(
     command: Prepare, source: Source, space: NavigableSpace, estimate: PreparationEstimate, remarks: list[str]
 ) -> None:
     """Print the estimated cost, as a JSON document or as tables."""
-    if command.json:
+    if command.output.json:
         print_json(
             {
                 "format": "gsvis-preparation-estimate",

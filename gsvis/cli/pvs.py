@@ -13,23 +13,16 @@ from typing import Any
 import numpy as np
 
 from gsvis.cli.arguments import Pvs
-from gsvis.cli.asking import settle
+from gsvis.cli.asking import settle_space
 from gsvis.cli.kernels import warm_sets
 from gsvis.cli.memory import IN_TILES, check_sets
-from gsvis.cli.showing import check_show
-from gsvis.cli.source import (
-    Source,
-    check_file,
-    check_source,
-    levels_spelled,
-    load_source,
-    parse_up,
-    summarize_levels,
-)
+from gsvis.cli.options import Cluster, Work, config_of, refuse
+from gsvis.cli.source import Source, check_source, levels_spelled, open_source, summarize_levels
 from gsvis.cli.terminal import Status, busy_note, clock, facts, print_json, show, size_of
-from gsvis.cli.where import check_where, find_place, kind_row, space_document, suspect_views
-from gsvis.errors import ArgumentError, FormatError, SceneError
+from gsvis.cli.where import check_where, kind_row, space_document
+from gsvis.errors import ArgumentError, FormatError
 from gsvis.files.limits import open_regular
+from gsvis.files.output import check_file
 from gsvis.pvs.build import build_pvs, journal_of
 from gsvis.pvs.cell_count import fitting_cells
 from gsvis.pvs.cells import MAX_CELLS, CellGrid
@@ -44,7 +37,7 @@ from gsvis.scene.lengths import spell_length, spell_volume
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
 
-__all__ = ["local_workers", "named_memory", "run_pvs", "sets_config", "spell_certificates"]
+__all__ = ["check_workers", "local_workers", "named_memory", "open_workers", "run_pvs", "spell_certificates"]
 
 _CELLS = 512
 
@@ -62,20 +55,12 @@ class _Plan:
 
 
 def run_pvs(command: Pvs) -> None:
-    """Build a store: read, cut the space into cells, find visible sets, write the store, print the result.
-
-    Raises:
-        GsvisError: If a file cannot be read, the scene cannot be used, or no cluster answers.
-        ValueError: If an argument is wrong.
-        FileNotFoundError: If a file is missing.
-        OSError: If the store cannot be written.
-        KeyboardInterrupt: If the user presses Ctrl-C; the message says what is kept.
-    """
+    """Build a store: read, cut the space into cells, find visible sets, write the store, print the result."""
     config = _check_arguments(command)
-    walk = check_where(command)
-    with Status() as status, _workers(command) as workers, named_memory():
+    walk = check_where(command.where)
+    with Status() as status, open_workers(command.work) as workers, named_memory():
         plan = _plan(command, config, walk, status)
-        if command.dry_run:
+        if command.work.dry_run:
             estimate = estimate_pvs(
                 plan.source.whole, plan.grid, plan.space, command.out, config, workers=workers, progress=status
             )
@@ -84,7 +69,7 @@ def run_pvs(command: Pvs) -> None:
             began = time.perf_counter()
             store = _built(command, plan, workers, status)
             seconds = time.perf_counter() - began
-    if command.dry_run:
+    if command.work.dry_run:
         _print_estimate(command, plan, estimate)
         return
     with store:
@@ -96,33 +81,10 @@ def _check_arguments(command: Pvs) -> PvsConfig:
     check_source(command.scene, command.lod)
     check_file(command.out)
     _check_target(command)
-    for other in ("workers", "max_memory"):
-        if command.scheduler is not None and getattr(command, other) is not None:
-            spelled = other.replace("_", "-")
-            raise ValueError(
-                f"--{spelled}: expected none with --scheduler, got {getattr(command, other)}; leave one out"
-            )
-    parse_up(command.up)
-    check_show(command)
-    if command.scheduler is not None:
-        from gsvis.pvs.cluster import check_address
-
-        check_address(command.scheduler)
-    config = sets_config(
-        method=command.method,
-        tau=command.tau,
-        size=command.face_size,
-        limit=command.limit,
-        rays=command.certify,
-        max_inner=command.max_inner,
-    )
-    check_sets(command.scene, command.lod, config, command.max_memory)
+    check_workers(command.work)
+    config = config_of(PvsConfig, command.sets, size=command.sets.face_size, rays=command.sets.certify)
+    check_sets(command.scene, command.lod, config, command.work.max_memory)
     return config
-
-
-def sets_config(**given: Any) -> PvsConfig:
-    """Return how to find visible sets; an argument of None takes its default."""
-    return PvsConfig(**{name: value for name, value in given.items() if value is not None})
 
 
 def _check_target(command: Pvs) -> None:
@@ -157,15 +119,25 @@ def _check_replaced(command: Pvs, source: Source) -> None:
         )
 
 
-@contextmanager
-def _workers(command: Pvs) -> Iterator[Workers]:
-    if command.scheduler is not None:
-        from gsvis.pvs.cluster import connect
+def check_workers(work: Cluster) -> None:
+    """Raise if options of this machine are given with a scheduler, or its address is none."""
+    if work.scheduler is not None:
+        from gsvis.pvs.cluster import check_address
 
-        with connect(command.scheduler) as workers:
-            yield workers
+        refuse(work, ["workers", "max_memory"], "with --scheduler")
+        check_address(work.scheduler)
+
+
+@contextmanager
+def open_workers(work: Cluster) -> Iterator[Workers]:
+    """Yield the workers of a Dask scheduler, or processes of this machine."""
+    if work.scheduler is None:
+        yield local_workers(work)
         return
-    yield local_workers(command.workers, command.max_memory)
+    from gsvis.pvs.cluster import connect
+
+    with connect(work.scheduler) as workers:
+        yield workers
 
 
 @contextmanager
@@ -177,31 +149,30 @@ def named_memory(remedy: str = IN_TILES) -> Iterator[None]:
         raise (error.renamed("--max-memory", remedy) if error.name == "max_memory" else error) from None
 
 
-def local_workers(count: int | None, max_memory: int | None) -> Workers:
+def local_workers(work: Work) -> Workers:
     """Return worker processes on this machine, one per core by default."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return Workers(count or cores, max_memory)
+    return Workers(work.workers or cores, work.max_memory)
 
 
 def _plan(command: Pvs, config: PvsConfig, walk: HeadPath | None, status: Status) -> _Plan:
     """Read the scene, find its navigable space and cut it into cells."""
-    status("reading", 0, 1)
-    source = load_source(command.scene, command.lod)
-    if len(source.gaussians) == 0:
-        raise SceneError(f"{command.scene}: the scene has no Gaussian: there is nothing to see")
+    source = open_source(command.scene, command.lod, status, "see")
     _check_replaced(command, source)
-    status("reading", 1, 1)
-    status("space", 0, 1)
-    beside = command.out if command.dry_run else None
-    settled = settle(command, source, lambda c: find_place(source, c, c.up, walk), status, beside=beside)
-    space = settled.place.required("say where eyes may be with --box or --around")
-    remarks = [*settled.remarks, *suspect_views(source.gaussians, space)]
-    size = command.cell_size
+    settled, space, remarks = settle_space(
+        command.where,
+        source,
+        walk,
+        status,
+        quiet=command.output.json,
+        beside=command.out if command.work.dry_run else None,
+    )
+    size = command.sets.cell_size
+    most = command.sets.cells
     if size is None:
-        grid = CellGrid.over(space, max_cells=command.cells or fitting_cells(source.gaussians, space, _CELLS))
+        grid = CellGrid.over(space, max_cells=most or fitting_cells(source.gaussians, space, _CELLS))
     else:
-        grid = CellGrid.over(space, max_cells=command.cells or MAX_CELLS, cell_size=size)
-    status("space", 1, 1)
+        grid = CellGrid.over(space, max_cells=most or MAX_CELLS, cell_size=size)
     return _Plan(source, grid, space, config, remarks, settled.written)
 
 
@@ -253,7 +224,7 @@ def _rows(plan: _Plan) -> list[tuple[str, str]]:
 
 
 def _print_estimate(command: Pvs, plan: _Plan, estimate: Estimate) -> None:
-    if command.json:
+    if command.output.json:
         print_json({"format": "gsvis-pvs-estimate", "version": 2, **_about(plan), "estimate": asdict(estimate)})
         return
     rows = [*_rows(plan), ("shared viewpoints", f"{estimate.viewpoints:,}"), ("workers", f"{estimate.workers:,}")]
@@ -295,7 +266,7 @@ def _print_result(command: Pvs, plan: _Plan, store: VisibilityStore, seconds: fl
     above = int(np.count_nonzero(certified.bound > plan.config.limit))
     twice = store.info.config.get("traced_twice")
     ever = len(store.ever_visible()) / n
-    if command.json:
+    if command.output.json:
         spread = {"mean": float(shares.mean()), "min": float(shares.min()), "max": float(shares.max())}
         looked = {"mean": float(viewpoints.mean()), "min": int(viewpoints.min()), "max": int(viewpoints.max())}
         print_json(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,17 +11,18 @@ import numpy as np
 from gsvis._extras import require
 from gsvis.cli import version
 from gsvis.cli.arguments import PvsReport
+from gsvis.cli.options import command_line, config_of, values_of
 from gsvis.cli.showing import picture_of
 from gsvis.cli.source import (
     Source,
-    check_report,
     check_source,
     file_cameras,
     framed_cameras,
     inspect_scene_of,
-    load_source,
+    open_source,
     spaces_of_build,
 )
+from gsvis.cli.targets import check_exists, check_report
 from gsvis.cli.terminal import Status, facts, print_json, show, size_of
 from gsvis.cli.where import Place, check_cameras
 from gsvis.errors import SceneError
@@ -41,41 +41,19 @@ __all__ = ["run_pvs_report"]
 # pixels of views that judge, and a stream of the seed
 _SMALL = (160, 120)
 _STREAM = 3
-_OPTIONS = (
-    "lod",
-    "cameras",
-    "cameras_frame",
-    "cells",
-    "eyes",
-    "dense",
-    "width",
-    "height",
-    "fov",
-    "raycast",
-    "certify",
-    "bytes_per_gaussian",
-    "seed",
-)
+_SILENT = ("out", "json", "debug", "drop_invalid")
 
 
 def run_pvs_report(command: PvsReport) -> None:
-    """Report on a store: open it, read the scene, measure, write the report, print tables or JSON.
-
-    Raises:
-        GsvisError: If a file cannot be read, the store is damaged or of another scene, or nothing can be measured.
-        ValueError: If an argument is wrong.
-        FileNotFoundError: If a file is missing.
-        OSError: If the report cannot be written.
-    """
+    """Report on a store: open it, read the scene, measure, write the report, print tables or JSON."""
     require("gsvis pvs-report", "matplotlib")
-    if not Path(command.store).exists():
-        raise FileNotFoundError(2, "no such file or folder", command.store)
+    check_exists(command.store)
     check_source(command.scene, command.lod)
     check_report(command.out)
-    check_cameras(command)
+    check_cameras(command.where)
     with VisibilityStore.open(command.store) as store, Status() as status:
         document = _write_report(command, store, status)
-    if command.json:
+    if command.output.json:
         print_json(document)
     else:
         show(*_tables(document), *_remarks(document), f" Report: {Path(command.out) / 'report.html'}")
@@ -83,22 +61,17 @@ def run_pvs_report(command: PvsReport) -> None:
 
 def _write_report(command: PvsReport, store: VisibilityStore, status: Status) -> dict[str, Any]:
     """Read the scene, measure the store and write the report; return its document."""
-    status("reading", 0, 1)
-    source = load_source(command.scene, command.lod)
+    source = open_source(command.scene, command.lod, status)
     store.check_scene(source.whole)
     facts_found = inspect_scene_of(source)
-    status("reading", 1, 1)
     witnesses, framed = _witnesses(command, source)
-    status("space", 0, 1)
-    viewpoints, text = _viewpoints(store, source)
-    status("space", 1, 1)
+    with status.stage("space"):
+        viewpoints, text = _viewpoints(store, source)
     from gsvis.pvs.quality import QualityConfig, measure_quality
     from gsvis.report import Subject  # imports matplotlib
     from gsvis.report.pvs_document import write_pvs_report
 
-    names = ("cells", "dense", "width", "height", "fov", "certify", "bytes_per_gaussian", "seed")
-    same = {name: getattr(command, name) for name in names}
-    config = QualityConfig(viewpoints=command.eyes, rays=command.raycast, **same)
+    config = config_of(QualityConfig, command.quality, viewpoints=command.quality.eyes, rays=command.quality.raycast)
     found = measure_quality(store, source.whole, viewpoints, config, progress=status)
     judged, unjudged = _judge(command, store, source, replace(viewpoints.space, witnesses=witnesses), status)
     subject = Subject(
@@ -106,10 +79,10 @@ def _write_report(command: PvsReport, store: VisibilityStore, status: Status) ->
         gaussians=source.gaussians,
         up=store.grid.up,
         cameras_from=text,
-        command=_command_line(command),
+        command=command_line(command),
         version=version(),
         facts={"path": command.scene, "lod": source.lod, **facts_found, "remarks": [*framed, *unjudged]},
-        parameters={name: getattr(command, name) for name in ("store", "scene", *_OPTIONS)},
+        parameters={name: value for name, value in values_of(command).items() if name not in _SILENT},
         seconds=dict(status.seconds),
         judged=judged,
         place=picture_of(source, Place(viewpoints.space, "", [], upright=Upright(store.grid.up, 1.0, "of the store"))),
@@ -119,13 +92,13 @@ def _write_report(command: PvsReport, store: VisibilityStore, status: Status) ->
 
 def _witnesses(command: PvsReport, source: Source) -> tuple[Witnesses | None, list[str]]:
     """Return the cameras that judge, none without --cameras, and remarks on their frame."""
-    if command.cameras is None:
+    if command.where.cameras is None:
         return None, []
-    cameras = file_cameras(command.cameras, *_SMALL)
-    cameras, framed = framed_cameras(source, cameras, command.cameras, command.cameras_frame)
+    cameras = file_cameras(command.where.cameras, *_SMALL)
+    cameras, framed = framed_cameras(source, cameras, command.where)
     kept = hold_out(len(cameras))[1]
     some = cameras[kept] if len(kept) else cameras
-    return Witnesses(some, f"{len(some):,} cameras of {command.cameras}"), framed
+    return Witnesses(some, f"{len(some):,} cameras of {command.where.cameras}"), framed
 
 
 def _judge(
@@ -134,7 +107,7 @@ def _judge(
     """Return what eyes of two rules see of the sets, or a remark why nothing judges them."""
     from gsvis.pvs.judged import judge_sets
 
-    views = ViewSampling(JUDGES, *_SMALL, command.fov, command.seed, _STREAM)
+    views = ViewSampling(JUDGES, *_SMALL, command.quality.fov, command.quality.seed, _STREAM)
     try:
         return judge_sets(as_levels(source.whole), space, store, views, progress=status).as_dict(), []
     except SceneError as error:  # the report stands without judges
@@ -158,18 +131,6 @@ def _viewpoints(store: VisibilityStore, source: Source) -> tuple[CellViewpoints,
             pass
     text = "anywhere in the boxes of the cells, since the space they were cut from is not known"
     return CellViewpoints(store.grid, box_space(store.grid, source.gaussians)), text
-
-
-def _command_line(command: PvsReport) -> str:
-    """Return the command line that makes the report again."""
-    words = ["gsvis", "pvs-report", command.store, command.scene, "-o", command.out]
-    for name in _OPTIONS:
-        value = getattr(command, name)
-        if value is not None and value != getattr(PvsReport, name):
-            words.append("--" + name.replace("_", "-"))
-            if value is not True:
-                words.append(f"{value:g}" if isinstance(value, float) else str(value))
-    return shlex.join(words)
 
 
 def _tables(document: dict[str, Any]) -> list[Any]:

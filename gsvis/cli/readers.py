@@ -5,69 +5,13 @@ This module imports nothing heavy, so that `gsvis --help` is quick.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 from tyro.constructors import PrimitiveConstructorSpec
-
-__all__ = [
-    "ADDRESSES",
-    "ANGLES",
-    "AROUND",
-    "BOX",
-    "BYTES",
-    "CELLS",
-    "CHANGE",
-    "COLOR",
-    "COMPRESSION",
-    "COUNTED",
-    "DECIBELS",
-    "DEGREES",
-    "DISTANCE",
-    "ELEVATION",
-    "EPSILON",
-    "FACE_PIXELS",
-    "FACE_RAYS",
-    "FACTOR",
-    "HOSTS",
-    "INDICES",
-    "KIND",
-    "LEAF",
-    "LODS",
-    "MEAN_TERMS",
-    "NAMES",
-    "OPACITY",
-    "ORIGINS",
-    "PACKAGES",
-    "PATHS",
-    "PIXEL",
-    "PIXELS",
-    "PLAIN",
-    "POINT",
-    "PORT",
-    "PREVIEW_SHARE",
-    "RADIANS",
-    "RATE",
-    "SCALE",
-    "SCENES",
-    "SECONDS",
-    "SHARE",
-    "SHARES",
-    "SHARES_OR_NONE",
-    "SH_DEGREE",
-    "STEPS",
-    "STRENGTH",
-    "TAU",
-    "TERMS",
-    "WEIGHT",
-    "WHOLE",
-    "Flag",
-    "Lod",
-    "Scene",
-    "hint",
-]
 
 
 def _number(metavar: str, kind: type[int] | type[float], low: float, high: float, what: str) -> Any:
@@ -85,13 +29,26 @@ def _number(metavar: str, kind: type[int] | type[float], low: float, high: float
     return _spec(1, metavar, read)
 
 
-def _spec(nargs: int | Literal["*"], metavar: str, read: Callable[[list[str]], Any]) -> Any:
+def spell(value: Any) -> list[str]:
+    """Return a value as the words that are read as it."""
+    if isinstance(value, tuple):
+        return [word for each in value for word in spell(each)]
+    return [f"{value:.9g}" if isinstance(value, float) else str(value)]
+
+
+def _spec(
+    nargs: int | Literal["*"],
+    metavar: str,
+    read: Callable[[list[str]], Any],
+    write: Callable[[Any], list[str]] = spell,
+) -> Any:
+    """Return a tyro parser of `nargs` words; `write` undoes `read`."""
     return PrimitiveConstructorSpec(
         nargs=nargs,
         metavar=metavar,
         instance_from_str=read,
         is_instance=lambda value: value is None or isinstance(value, int | float | str | tuple),
-        str_from_instance=lambda value: [str(value)],
+        str_from_instance=lambda value: [] if value is None else write(value),
     )
 
 
@@ -233,25 +190,25 @@ SH_DEGREE = _number("D", int, 0, 3, "an SH degree of 0 to 3")
 FACE_RAYS = _spec(1, "K", _read_face_rays)
 BOX = _spec(6, "X0 Y0 Z0 X1 Y1 Z1", _read_box)
 KIND = _spec(1, "KIND", _read_kind)
-AROUND = _spec("*", "X Y Z R|auto", _read_around)
+AROUND = _spec("*", "X Y Z R|auto", _read_around, lambda value: spell(value) or ["auto"])
 POINT = _numbers("X Y Z")
 ANGLES = _numbers("DEG DEG DEG", -36000.0, 36000.0, "three angles in [-36000, 36000] degrees")
 SCALE = _number("S", float, 1e-9, 1e9, "a factor above 0, 1e-9 to 1e9")
 COMPRESSION = _number("N", int, 0, 2, "0, 1 or 2")
 COLOR = _numbers("R G B", 0.0, 1.0, "three numbers in [0, 1]")
 INDICES = _spec("*", "I [I ...]", _read_indices)
-PIXEL = _spec(1, "X,Y", _read_pixel)
+PIXEL = _spec(1, "X,Y", _read_pixel, lambda value: [",".join(map(str, value))])
 DISTANCE = _number("R", float, 1e-12, 1e12, "a distance above 0")
 ELEVATION = _number("DEG", float, -89.0, 89.0, "degrees in [-89, 89]")
-BYTES = _spec(1, "SIZE", _read_bytes)
+BYTES = _spec(1, "SIZE", _read_bytes, lambda value: [f"{value}B"])
 FACE_PIXELS = _number("PX", int, 4, 4096, "4 to 4096 pixels")
 TAU = _number("W", float, 1e-6, 0.5, "a weight in [1e-6, 0.5]")
 SHARE = _number("S", float, 0.0, 1.0, "a share in [0, 1]")
 PREVIEW_SHARE = _number("S", float, 0.0, 0.1, "a share in [0, 0.1]")
 SHARES = _spec("*", "S [S ...]", _read_shares)
-SHARES_OR_NONE = _spec("*", "S [S ...]|none", _read_shares_or_none)
+SHARES_OR_NONE = _spec("*", "S [S ...]|none", _read_shares_or_none, lambda value: spell(value) or ["none"])
 NAMES = _spec("*", "NAME [NAME ...]", _read_names)
-LODS = _spec(1, "N[,N...]", _read_lods)
+LODS = _spec(1, "N[,N...]", _read_lods, lambda value: [",".join(map(str, value))])
 PATHS = _spec("*", "IN [IN ...] [OUT]", tuple)
 SCENES = _spec("*", "SCENE [SCENE ...]", tuple)
 RADIANS = _number("RAD", float, 1e-5, 1.0, "radians in [1e-5, 1]")
@@ -265,17 +222,25 @@ CELLS = _number("N", int, 1, 100_000, "a whole number of 1 to 100000")
 LEAF = _number("N", int, 64, 1 << 19, "a whole number of 64 to 524288")
 TERMS = _number("N", int, 0, 32, "a whole number of 0 to 32")
 CHANGE = _number("E", float, 1e-4, 1.0, "a change of color in [0.0001, 1]")
-MEAN_TERMS = _spec(1, "X|all", _read_mean_terms)
-EPSILON = _spec(1, "E|auto", _read_epsilon)
+MEAN_TERMS = _spec(1, "X|all", _read_mean_terms, lambda value: ["all"] if value == math.inf else spell(value))
+EPSILON = _spec(1, "E|auto", _read_epsilon, lambda value: spell(value) if value else ["auto"])
 FACTOR = _number("F", float, 1.0, 64.0, "a factor of 1 to 64")
 STEPS = _number("N", int, 1, 10_000_000, "a whole number of 1 to 10000000")
 STRENGTH = _number("S", float, 0.01, 2.0, "a strength of 0.01 to 2")
 RATE = _number("F", float, 0.1, 50.0, "0.1 to 50 frames a second")
+FILES = _spec("*", "FILE [FILE ...]", tuple)
+MBIT = _number("MBIT", float, 0.001, 100_000.0, "Mbit/s in [0.001, 100000]")
+MILLISECONDS = _number("MS", float, 0.0, 10_000.0, "milliseconds in [0, 10000]")
 
 
-def hint(text: str) -> Any:
-    """Return the tyro setting that shows a text as the default in the help."""
-    return arg(help_behavior_hint=f"(default: {text})")
+def hint(text: str, metavar: str | None = None) -> Any:
+    """Return the tyro setting that shows a text as the default in the help, and a metavar."""
+    return arg(metavar=metavar, help_behavior_hint=f"(default: {text})")
+
+
+def out(metavar: str, missing: str = "(required)") -> Any:
+    """Return the tyro setting of -o, with what the help says of a command without it."""
+    return arg(aliases=["-o"], metavar=metavar, help_behavior_hint=missing)
 
 
 PLAIN = arg(help_behavior_hint="")
@@ -283,3 +248,9 @@ PLAIN = arg(help_behavior_hint="")
 Scene = Annotated[Positional[str], arg(metavar="SCENE", help_behavior_hint="")]
 Lod = Annotated[int | None, WHOLE, hint("the finest that is there")]
 Flag = Annotated[bool, PLAIN]
+Count = Annotated[int | None, COUNTED]
+Seed = Annotated[int, WHOLE]
+Units = Annotated[float | None, DISTANCE]
+File = Annotated[str | None, hint("none", "FILE")]
+Memory = Annotated[int | None, BYTES, hint("no bound")]
+Up = Annotated[str | None, hint("the likely one", "UP")]

@@ -12,16 +12,16 @@ import numpy as np
 from gsvis._check import plain
 from gsvis._extras import has, require
 from gsvis.cli.arguments import Render
-from gsvis.cli.pictures import Frame, Target, target_of, write_frames
 from gsvis.cli.shown import check_shown, load_shown
-from gsvis.cli.source import Source, framed_cameras
+from gsvis.cli.source import Source, framed_cameras, open_source
 from gsvis.cli.terminal import Status, facts, print_json, show
 from gsvis.cli.views import camera_count, check_buried, check_views, given_cameras, place_cameras
 from gsvis.cli.where import space_document
-from gsvis.errors import BackendError, SceneError
+from gsvis.errors import BackendError
 from gsvis.io.report_cameras import describe_cameras
 from gsvis.render import PixelContributors, contributors, rasterize
 from gsvis.render.cuda import is_available
+from gsvis.report.frames import Frame, Target, target_of, write_frames
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
@@ -48,15 +48,8 @@ class _Done:
 
 
 def run_render(command: Render) -> None:
-    """Render a scene: read, place cameras, draw, write, print the result.
-
-    Raises:
-        GsvisError: If a file cannot be read, the scene cannot be used, or the backend cannot run here.
-        ValueError: If an argument is wrong.
-        FileNotFoundError: If a file is missing.
-        OSError: If the pictures cannot be written.
-    """
-    if command.depth:
+    """Render a scene: read, place cameras, draw, write, print the result."""
+    if command.picture.depth:
         require("gsvis render --depth", "matplotlib")
     check_shown(command.scene, command.lod)
     walk = check_views(command)
@@ -66,7 +59,7 @@ def run_render(command: Render) -> None:
     older = target.older() if target else 0
     with Status() as status:
         done = _render(command, given, walk, target, backend, status)
-    if command.json:
+    if command.output.json:
         print_json(_document(command, target, done))
         return
     parts: list[Any] = []
@@ -83,36 +76,31 @@ def _render(
     command: Render, given: Cameras | None, walk: HeadPath | None, target: Target | None, backend: str, status: Status
 ) -> _Done:
     """Read the scene, render it and write the pictures; return the result."""
-    status("reading", 0, 1)
-    source = load_shown(command.scene, command.lod)
-    if len(source.gaussians) == 0:
-        raise SceneError(f"{command.scene}: the scene has no Gaussian: there is nothing to see")
-    status("reading", 1, 1)
-    status("space", 0, 1)
-    if given is None:
-        cameras, space, remarks = place_cameras(command, source, walk)
-    else:
-        assert command.cameras is not None
-        cameras, framed = framed_cameras(source, given, command.cameras, command.cameras_frame)
-        space = None
-        remarks = framed + check_buried(source.gaussians, cameras.viewpoints, "the cameras of --cameras")
-        for each in framed:
-            status.line(each.strip())
-    status("space", 1, 1)
+    source = open_source(command.scene, command.lod, status, "see", load_shown)
+    with status.stage("space"):
+        if given is None:
+            cameras, space, remarks = place_cameras(command, source, walk)
+        else:
+            cameras, framed = framed_cameras(source, given, command.where)
+            space = None
+            remarks = framed + check_buried(source.gaussians, cameras.viewpoints, "the cameras of --cameras")
+            for each in framed:
+                status.line(each.strip())
     if command.contributors is not None:
         _check_pixel(command.contributors, cameras)
-    status("kernels", 0, 1)
-    _warm_up(backend)
-    status("kernels", 1, 1)
+    with status.stage("kernels"):
+        _warm_up(backend)
     start = time.perf_counter()
     depth_range = None
     if target:
         frames = _frames(command, source.gaussians, cameras, backend, status)
-        depth_range = write_frames(target, frames, depth=command.depth, fps=command.fps or _FPS)
+        depth_range = write_frames(target, frames, depth=command.picture.depth, fps=command.picture.fps or _FPS)
     seconds = time.perf_counter() - start
     found = None
     if command.contributors is not None:
-        found = contributors(source.gaussians, cameras, command.contributors, antialiased=command.antialiased or None)
+        found = contributors(
+            source.gaussians, cameras, command.contributors, antialiased=command.picture.antialiased or None
+        )
     return _Done(source, cameras, space, remarks, backend, seconds, depth_range, found)
 
 
@@ -129,9 +117,9 @@ def _frames(command: Render, g: Gaussians, cameras: Cameras, backend: str, statu
             scene,
             cameras[i],
             backend=backend,
-            background=command.background,
-            sh_degree=command.sh_degree,
-            antialiased=command.antialiased or g.facts.antialiased,
+            background=command.picture.background,
+            sh_degree=command.picture.sh_degree,
+            antialiased=command.picture.antialiased or g.facts.antialiased,
         )
         yield Frame(*(plain(part[0]) for part in (seen.images, seen.alphas, seen.depths)))
         status("rendering", i + 1, len(cameras))
@@ -163,16 +151,16 @@ def _target(command: Render, count: int) -> Target | None:
     if command.contributors is not None and count > 1:
         raise ValueError(f"--contributors: expected one camera, got {count}; choose one, as with --index 0")
     if command.out is None:
-        if command.contributors is None or command.depth or command.fps is not None:
+        if command.contributors is None or command.picture.depth or command.picture.fps is not None:
             raise ValueError("-o: expected where to write, such as image.png, orbit.gif or frames/, got nothing")
         return None
     target = target_of(command.out, count)
-    if not command.overwrite and (others := target.foreign(command.depth)):
+    if not command.overwrite and (others := target.foreign(command.picture.depth)):
         raise ValueError(
             f"-o: expected a new file, or a picture of gsvis to replace, got {others[0]}, which something else wrote;"
             " name another, or say --overwrite"
         )
-    if command.fps is not None and target.kind != "gif":
+    if command.picture.fps is not None and target.kind != "gif":
         raise ValueError(f"--fps: expected OUT to be a .gif with it, got {command.out!r}; leave it out")
     return target
 
@@ -195,7 +183,7 @@ def _lines(command: Render, target: Target, done: _Done) -> list[str]:
     else:
         where = f"{target.files[0]} to {target.files[-1].name}" if target.kind == "folder" else str(target.path)
         lines = [f"{where}: {count} frames of {size}, {took} a frame"]
-    if command.depth:
+    if command.picture.depth:
         more = " and on" if target.kind == "folder" and count > 1 else ""
         text = "nothing is seen"
         if done.depth_range:
@@ -253,7 +241,7 @@ def _document(command: Render, target: Target | None, done: _Done) -> dict[str, 
         "remarks": [each.strip() for each in done.remarks],
         "contributors": None,
     }
-    if target and command.depth:
+    if target and command.picture.depth:
         near, far = done.depth_range or (None, None)
         document["depth"] = {"files": [str(path) for path in target.depth_files], "near": near, "far": far}
     if found is not None:

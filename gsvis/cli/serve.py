@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gsvis.cli.arguments_serve import Serve
+from gsvis.cli.arguments import Serve
 from gsvis.cli.terminal import print_json
 from gsvis.errors import BackendError
 from gsvis.files.limits import open_regular
@@ -31,13 +31,7 @@ _BARE = ("meta.json", "lod-meta.json", "levels.arrow")  # what folders of bare s
 
 
 def run_serve(command: Serve) -> None:
-    """Open the packages and serve them.
-
-    Raises:
-        FormatError: If no package can be opened because all are damaged.
-        OSError: If the address is taken.
-        ValueError: If an argument is wrong.
-    """
+    """Open the packages and serve them."""
     from gsvis.serve import JsonLines, TextLines
     from gsvis.serve.processes import Child
 
@@ -45,7 +39,7 @@ def run_serve(command: Serve) -> None:
     child = Child.from_environment()
     number = None if child is None else child.number
     form = JsonLines(number) if command.log_format == "json" else TextLines(number)
-    with log_to_stderr(form, logging.DEBUG if command.debug else logging.INFO):
+    with log_to_stderr(form, logging.DEBUG if command.output.debug else logging.INFO):
         if child is None and command.workers > 1:
             _supervise(command)
         else:
@@ -76,25 +70,26 @@ def _serve(command: Serve, child: Child | None) -> None:
     from gsvis.serve.siblings import Siblings
     from gsvis.stream import Quality
 
+    bounds = command.bounds
     limits = Limits(
-        connections=command.clients,
-        message_bytes=command.message_bytes,
-        messages_per_s=float(command.messages),
-        poses_per_s=float(command.poses),
-        handshake_s=command.handshake,
-        idle_s=command.idle,
-        stall_s=command.stall,
-        keep_alive_s=command.keep_alive,
-        per_address=command.per_address,
-        close_s=command.close,
-        tables_bytes=command.tables_memory,
+        connections=bounds.clients,
+        message_bytes=bounds.message_bytes,
+        messages_per_s=float(bounds.messages),
+        poses_per_s=float(bounds.poses),
+        handshake_s=bounds.handshake,
+        idle_s=bounds.idle,
+        stall_s=bounds.stall,
+        keep_alive_s=bounds.keep_alive,
+        per_address=bounds.per_address,
+        close_s=bounds.close,
+        tables_bytes=bounds.tables_memory,
     )
-    token = command.token if command.token is not None else os.environ.get("GSVIS_TOKEN") or None
+    token = command.access.token if command.access.token is not None else os.environ.get("GSVIS_TOKEN") or None
     abr = AbrConfig(policy=command.policy, fill=not command.no_fill)
-    opens = parse_origins("--page-origins", command.page_origins)
-    config = AppConfig(token, command.origins, limits, abr, command.hosts, command.proxies, opens)
-    address = Address(command.host, command.port, command.ssl_certfile, command.ssl_keyfile)
-    for path in (command.ssl_certfile, command.ssl_keyfile):
+    opens = parse_origins("--page-origins", command.access.page_origins)
+    config = AppConfig(token, command.access.origins, limits, abr, command.access.hosts, command.access.proxies, opens)
+    address = Address(**vars(command.address))
+    for path in (command.address.ssl_certfile, command.address.ssl_keyfile):
         if path is not None:
             open_regular(path).close()  # an error of OpenSSL would not name the file
     quality = Quality() if command.coarse else None
@@ -113,7 +108,7 @@ def _serve(command: Serve, child: Child | None) -> None:
         if child is not None:
             child.say_ready()
             child.watch(server.stop)
-        elif command.json:
+        elif command.output.json:
             _print_address(server.url, command)
         with _start_spared_by_gc(), suppress(KeyboardInterrupt):  # how a server ends
             server.run()
@@ -129,11 +124,11 @@ def _supervise(command: Serve) -> None:
     from gsvis.serve.processes import Supervisor
     from gsvis.serve.server import Address, listen, url_of
 
-    address = Address(command.host, command.port, command.ssl_certfile, command.ssl_keyfile)
+    address = Address(**vars(command.address))
     with listen(address) as listener:
         supervisor = Supervisor([sys.executable, "-m", "gsvis", *sys.argv[1:]], command.workers, listener)
         url = url_of(address, int(listener.getsockname()[1]))
-        status = supervisor.run(lambda: _print_address(url, command) if command.json else None)
+        status = supervisor.run(lambda: _print_address(url, command) if command.output.json else None)
     if status > 0:  # a signal ends a server as it should: with 0, as without --workers
         raise SystemExit(status)
 

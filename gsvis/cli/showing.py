@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gsvis.cli.source import Source, check_folder
+from gsvis.cli.source import Source
 from gsvis.cli.starts import thin
 from gsvis.cli.where import Place
 from gsvis.errors import SceneError
@@ -28,9 +28,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Choice",
-    "Showing",
     "brief_direction",
-    "check_show",
     "find_choices",
     "picture_of",
     "place_beside",
@@ -45,14 +43,6 @@ _DRAWN = 12  # views that the first one is chosen from, as in `gsvis view`
 _PICTURED = 1_000_000  # Gaussians that pictures show, at most
 _RESOLUTION = 96  # voxels along the longest side, for the eyes of a reading
 _SAME = 5.0  # degrees within which two up axes are one answer
-
-
-class Showing(Protocol):
-    """What a command says about its picture."""
-
-    @property
-    def show(self) -> str | None:
-        """The file of --show; None without."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,25 +66,6 @@ def brief_direction(up: NDArray[np.float64]) -> str:
     """Return a direction in few words: the name of an axis, or the vector."""
     text = describe_direction(up)
     return text.rpartition(", ")[0] or text
-
-
-def check_show(command: Showing) -> None:
-    """Check --show before work begins.
-
-    Raises:
-        ValueError: If the name does not end in .png, or is that of a file that gsvis did not write.
-        OutputError: If nothing can be written there.
-    """
-    if command.show is None:
-        return
-    from gsvis.cli.pictures import is_own
-
-    target = Path(command.show)
-    if target.suffix.lower() != ".png" or target.is_dir():
-        raise ValueError(f"--show: expected the name of a .png, got {command.show!r}")
-    if target.exists() and not is_own(target):
-        raise ValueError(f"--show: expected a new file, or a picture of gsvis, got {command.show}; name another")
-    check_folder(target.absolute().parent)
 
 
 def place_beside(out: str | None) -> Path | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -10,10 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 from gsvis._extras import has, remedy_of
 from gsvis.cli import version
-from gsvis.cli.arguments_simulate import Simulate
+from gsvis.cli.arguments import Simulate
 from gsvis.cli.made_from import Original, find_original, load_original, own_file
 from gsvis.cli.memory import check_simulation
-from gsvis.cli.source import check_report, check_source
+from gsvis.cli.options import command_line, config_of, refuse, values_of
+from gsvis.cli.source import check_source
+from gsvis.cli.targets import check_exists, check_report
 from gsvis.cli.terminal import Status, facts, print_json, say, show
 from gsvis.errors import ArgumentError, FormatError
 from gsvis.io.poses import is_recording, load_path
@@ -30,18 +31,10 @@ if TYPE_CHECKING:
 __all__ = ["run_simulate"]
 
 _MBIT = 10.0
-_NOT_SPELLED = ("package", "path", "out", "json", "debug")
 
 
 def run_simulate(command: Simulate) -> None:
-    """Simulate sessions: read, play, watch, write the report, print tables or JSON.
-
-    Raises:
-        GsvisError: If a file cannot be read, a package is damaged, or the path fits nowhere.
-        ValueError: If an argument is wrong.
-        FileNotFoundError: If a file is missing.
-        OSError: If the report cannot be written.
-    """
+    """Simulate sessions: read, play, watch, write the report, print tables or JSON."""
     _check(command)
     check_report(command.out)
     walk = load_path(command.path)
@@ -51,7 +44,7 @@ def run_simulate(command: Simulate) -> None:
         document = _write_report(command, walk, trace, originals, status)
     from gsvis.report.session_page import content_remarks
 
-    if command.json:
+    if command.output.json:
         for remark in content_remarks(document):
             say(remark)
         print_json(document)
@@ -68,18 +61,15 @@ def _check(command: Simulate) -> None:
     """Raise if arguments contradict each other, or an input is missing or cannot be opened."""
     if not command.package:
         raise ValueError("PACKAGE: expected at least one package, got none")
-    if command.trace is not None and command.mbit is not None:
-        raise ValueError(f"--mbit: expected none with --trace, got {command.mbit:g}; leave one out")
-    for name in ("scene", "whole_file"):
-        given = getattr(command, name)
+    if command.link.trace is not None:
+        refuse(command, ["mbit"], "with --trace")
+    for name, given in (("scene", command.scene), ("whole_file", command.whole_file)):
         if name == "scene" and len(command.package) == 1 and is_world(command.package[0]):
             continue  # a world is made of several scenes
         if given and len(given) != len(command.package):
             spelled = "--" + name.replace("_", "-")
             raise ValueError(f"{spelled}: expected one for each package, {len(command.package)}, got {len(given)}")
-    for file in (*command.whole_file, *((command.trace,) if command.trace else ()), command.path):
-        if not Path(file).exists():
-            raise FileNotFoundError(2, "no such file or folder", file)
+    check_exists(*command.whole_file, command.link.trace, command.path)
     for scene in command.scene:
         check_source(scene, command.lod)
 
@@ -125,15 +115,15 @@ def _trace(command: Simulate) -> BandwidthTrace:
     """Return the bandwidth of the link over time."""
     from gsvis.abr import BandwidthTrace, load_trace
 
-    return load_trace(command.trace) if command.trace else BandwidthTrace.constant(command.mbit or _MBIT)
+    return load_trace(command.link.trace) if command.link.trace else BandwidthTrace.constant(command.link.mbit or _MBIT)
 
 
 def _kind_of_link(command: Simulate) -> str:
     """Return what the link is; "recorded" only of a log of a device, because any text can be written by a program."""
-    if command.trace is None:
+    if command.link.trace is None:
         return "a constant link"
-    logged = Path(command.trace).suffix.lower() in (".csv", ".gz")
-    return "a recorded link" if logged else f"the link of {Path(command.trace).name}"
+    logged = Path(command.link.trace).suffix.lower() in (".csv", ".gz")
+    return "a recorded link" if logged else f"the link of {Path(command.link.trace).name}"
 
 
 def _kind_of_walk(command: Simulate) -> str:
@@ -150,15 +140,9 @@ def _write_report(
     from gsvis.simulate import Link, ViewingConfig
     from gsvis.simulate.visits import simulate_visits
 
-    link = Link(trace, command.round_trip / 1000.0)
-    config = ViewingConfig(
-        seconds=command.seconds,
-        fine=min(3.0, command.seconds),
-        every=min(command.every, command.seconds),
-        width=command.width,
-        height=command.height,
-        fov=command.fov,
-    )
+    link = Link(trace, command.link.round_trip / 1000.0)
+    shown = command.viewing
+    config = config_of(ViewingConfig, shown, fine=min(3.0, shown.seconds), every=min(shown.every, shown.seconds))
     with ExitStack() as opened:
         visits = simulate_visits(
             _places(command, walk, originals, opened, status),
@@ -173,9 +157,9 @@ def _write_report(
     simulation = Simulation(
         visits,
         link,
-        _command_line(command),
+        command_line(command),
         version(),
-        {name: _plain(value) for name, value in vars(command).items() if name not in ("json", "debug")},
+        {name: _plain(value) for name, value in values_of(command).items() if name not in ("json", "debug")},
         dict(status.seconds),
         _kind_of_walk(command),
         _kind_of_link(command),
@@ -221,26 +205,6 @@ def _open_place(
 
     package = opened.enter_context(Package.open(folder))
     return Place.open(package, reference=reference, whole_file=whole, as_is=command.as_is)
-
-
-def _command_line(command: Simulate) -> str:
-    """Return the command line that makes the report again."""
-    words = ["gsvis", "simulate", *command.package, "--path", command.path, "-o", command.out]
-    for name, value in vars(command).items():
-        if name in _NOT_SPELLED or value == getattr(Simulate, name):
-            continue
-        words.append("--" + name.replace("_", "-"))
-        if isinstance(value, tuple):
-            words += value
-        elif value is not True:
-            words.append(_spell(name, value))
-    return shlex.join(words)
-
-
-def _spell(name: str, value: Any) -> str:
-    if name == "max_memory":
-        return f"{value}B"
-    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _plain(value: Any) -> Any:

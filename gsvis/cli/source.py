@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis._text import as_line
-from gsvis.errors import ArgumentError, FormatError, SceneError
-from gsvis.files.atomic import find_interrupted_moves
-from gsvis.files.limits import open_regular
-from gsvis.files.output import check_writable, output_errors
+from gsvis.errors import ArgumentError, SceneError
 from gsvis.scene.axes import AXES, axis_vector, nearest_axis
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.facts import SceneFacts
@@ -28,12 +24,12 @@ from gsvis.scene.procedural import CLEARANCE, BuiltinScene, builtin_scene
 from gsvis.scene.stated import stated_space
 from gsvis.scene.upright import find_up
 
+if TYPE_CHECKING:
+    from gsvis.cli.options import Framed
+    from gsvis.progress import Progress
+
 __all__ = [
     "Source",
-    "check_file",
-    "check_folder",
-    "check_new",
-    "check_report",
     "check_source",
     "evenly",
     "file_cameras",
@@ -45,6 +41,7 @@ __all__ = [
     "levels_spelled",
     "load_source",
     "navigable_space",
+    "open_source",
     "parse_up",
     "spaces_of_build",
     "summarize_levels",
@@ -89,6 +86,9 @@ class Source:
     def union(self) -> Gaussians:
         """The Gaussians of the scene, or those of all levels together."""
         return self.gaussians if self.levels is None else self.levels.union
+
+
+Loader = Callable[[str, "int | None"], Source]
 
 
 def is_levels(scene: str) -> bool:
@@ -177,6 +177,31 @@ def load_source(scene: str, lod: int | None) -> Source:
         lod = lods[0]
     known_up = None if g.facts.up is None else np.asarray(g.facts.up, np.float64)
     return Source(title_of(scene, lod), g, path, lod, lods, known_up=known_up)
+
+
+def open_source(
+    scene: str, lod: int | None, status: Progress, what: str | None = None, load: Loader = load_source
+) -> Source:
+    """Load a scene and show that it is read.
+
+    Args:
+        scene: A path or a `builtin:NAME`.
+        lod: Level of detail of a streamed scene.
+        status: The display of progress.
+        what: Completes "there is nothing to", where an empty scene is an error; None takes any scene.
+        load: What loads it, such as `load_shown`.
+
+    Raises:
+        GsvisError: If the file cannot be read as a scene, or is empty.
+        ValueError: If there is no built-in scene of that name.
+        FileNotFoundError: If there is no such file.
+    """
+    status("reading", 0, 1)
+    source = load(scene, lod)
+    if what is not None and len(source.gaussians) == 0:
+        raise SceneError(f"{scene}: the scene has no Gaussian: there is nothing to {what}")
+    status("reading", 1, 1)
+    return source
 
 
 def _builtin_facts(made: BuiltinScene) -> SceneFacts:
@@ -355,9 +380,7 @@ def file_cameras(path: str, width: int | None, height: int | None, *, at_most: i
     return cameras
 
 
-def framed_cameras(
-    source: Source, cameras: Cameras, path: str, frame: Literal["auto", "scene", "capture"] = "auto"
-) -> tuple[Cameras, list[str]]:
+def framed_cameras(source: Source, cameras: Cameras, where: Framed) -> tuple[Cameras, list[str]]:
     """Return cameras of a file in the frame of a scene, and remarks for the user: moved, or most see nothing.
 
     Every command that takes cameras calls this once the scene is read.
@@ -365,18 +388,15 @@ def framed_cameras(
     Args:
         source: The scene.
         cameras: Of `file_cameras`.
-        path: The file or folder that they are of.
-        frame: Value of --cameras-frame.
+        where: The file that they are of, and their frame.
 
     Raises:
         ValueError: If they are to be moved, and no file says how.
     """
-    from gsvis.cli.frames import cameras_in_scene
     from gsvis.io.frames import fit_cameras
 
-    placed = cameras_in_scene(cameras, path, source.gaussians)
     try:
-        found = fit_cameras(source.gaussians, placed, path, source.path, frame=frame)
+        found = fit_cameras(source.gaussians, cameras, where.cameras, source.path, frame=where.cameras_frame)
     except ArgumentError as error:
         raise error.renamed("--cameras-frame") from None
     return found.cameras, [f" {each}" for each in found.remarks]
@@ -405,74 +425,3 @@ def inputs_of(scene: str) -> list[Path]:
     from gsvis.io.levels import MAP, levels_info
 
     return [Path(scene, name) for name in (MAP, *levels_info(scene).files)]
-
-
-def check_file(path: str | os.PathLike[str]) -> None:
-    """Raise unless a file can be written; leave no file behind.
-
-    Raises:
-        ValueError: If the path is a folder, or a folder above it is a file.
-        OutputError: If nothing can be written there.
-    """
-    if Path(path).is_dir():
-        raise ValueError(f"{path}: expected the name of a file, got a folder; name a file in it")
-    check_folder(Path(path).absolute().parent)
-
-
-def check_new(path: str | os.PathLike[str], overwrite: bool) -> None:
-    """Raise if a file exists, unless it may be overwritten: a typo must not destroy a scene.
-
-    Raises:
-        ValueError: If the file exists and `overwrite` is false.
-    """
-    if not overwrite and os.path.lexists(path):
-        raise ValueError(f"{path}: expected a new file, got one that exists; name another, or say --overwrite")
-
-
-def check_report(path: str | os.PathLike[str]) -> None:
-    """Raise unless a report can be written into a folder without mixing with other files.
-
-    A report replaces an earlier report of gsvis, but no pictures and pages that gsvis did not write.
-
-    Raises:
-        ValueError: If the folder holds pictures or pages of something else.
-        OutputError: If nothing can be written there.
-    """
-    check_folder(path)
-    folder = Path(path)
-    if not folder.is_dir() or _holds_report(folder / "report.json"):
-        return
-    others = [name for name in ("report.html", "report.json") if (folder / name).exists()]
-    others += sorted(file.name for file in folder.glob("*.png"))
-    moved = find_interrupted_moves(folder)
-    others = [name for name in others if name not in moved]  # an interrupted report of gsvis may be replaced
-    if others:
-        raise ValueError(
-            f"{path}: expected a new folder, or one of an earlier report, got one with {others[0]} of something else;"
-            " name another"
-        )
-
-
-def _holds_report(path: Path) -> bool:
-    """Return whether a file starts like a `report.json` of gsvis."""
-    try:
-        with open_regular(path) as file:
-            return file.read(64).lstrip(b"{ \r\n").startswith(b'"format": "gsvis-')
-    except (FormatError, OSError):
-        return False
-
-
-def check_folder(path: str | os.PathLike[str]) -> None:
-    """Raise unless files can be written into a folder, which may not exist yet; leave no file behind.
-
-    Raises:
-        ValueError: If the path, or a folder above it, is a file.
-        OutputError: If nothing can be written there.
-    """
-    folder = Path(path).absolute()
-    while not folder.exists():
-        folder = folder.parent
-    if not folder.is_dir():
-        raise ValueError(f"{path}: expected a folder to write to, got the file {folder}; name another")
-    with output_errors(path, folder):
-        check_writable(folder)

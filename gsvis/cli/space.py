@@ -9,16 +9,18 @@ from typing import Any
 import numpy as np
 
 from gsvis._extras import require
-from gsvis.cli.arguments_space import Space
-from gsvis.cli.scene_out import check_outputs
-from gsvis.cli.source import check_source, load_source, parse_up
+from gsvis.cli.arguments import Space
+from gsvis.cli.options import changed
+from gsvis.cli.source import Source, check_source, open_source, parse_up
+from gsvis.cli.targets import check_outputs
 from gsvis.cli.terminal import Status, facts, print_json, show, size_of
-from gsvis.cli.where import WORDS, check_where, find_place, flyaway_remarks, kind_row
+from gsvis.cli.where import check_where, find_place, flyaway_remarks, kind_row
 from gsvis.errors import SceneError
 from gsvis.files.atomic import atomic_path
 from gsvis.io.voxels import VOXELS, save_voxels
 from gsvis.scene.lengths import spell_length, spell_point, spell_volume
 from gsvis.scene.navigable import NavigableSpace
+from gsvis.scene.paths import HeadPath
 
 __all__ = ["run_space"]
 
@@ -26,42 +28,21 @@ _REMEDY = "say where eyes may be with --box or --around, or raise --resolution"
 
 
 def run_space(command: Space) -> None:
-    """Find the navigable space of a scene and write it.
-
-    Raises:
-        GsvisError: If the scene cannot be read, has no navigable space, or a package is missing.
-        ValueError: If an argument is wrong.
-        FileNotFoundError: If there is no such scene.
-        OSError: If the result cannot be written.
-    """
+    """Find the navigable space of a scene and write it."""
     files = _files(command)
-    walk = check_where(command)
+    walk = check_where(command.where)
     check_source(command.scene, command.lod)
     with Status() as status:
-        status("reading", 0, 1)
-        source = load_source(command.scene, command.lod)
-        status("reading", 1, 1)
-        status("space", 0, 1)
-        if command.resolution is None:
-            place = find_place(source, command, command.up, walk)
-            space = place.required(_REMEDY)
-            remarks = place.remarks
-        else:
-            up = source.known_up if command.up is None else parse_up(command.up)
-            remarks = flyaway_remarks(source.gaussians)
-            try:
-                space = NavigableSpace.from_scene(source.gaussians, resolution=command.resolution, up=up)
-            except SceneError as error:
-                raise SceneError(f"{command.scene}: {error.problem}; {_REMEDY}") from None
-        status("space", 1, 1)
-        status("writing", 0, 1)
+        source = open_source(command.scene, command.lod, status)
+        with status.stage("space"):
+            space, remarks = _find(command, source, walk)
         meters = command.meters_per_unit or source.gaussians.facts.meters_per_unit
-        found = (
-            _write_voxels(space, files)
-            if len(files) == 2
-            else _write_meshes(command, space, files[0], meters, source.gaussians.facts.origin)
-        )
-        status("writing", 1, 1)
+        with status.stage("writing"):
+            found = (
+                _write_voxels(space, files)
+                if len(files) == 2
+                else _write_meshes(command, space, files[0], meters, source.gaussians.facts.origin)
+            )
     origin = source.gaussians.facts.origin
     nbytes = sum(file.stat().st_size for file in files)
     low = space.origin
@@ -79,7 +60,7 @@ def run_space(command: Space) -> None:
         "navigable_volume": float(np.count_nonzero(space.free)) * space.voxel_size**3,
         **found,
     }
-    if command.json:
+    if command.output.json:
         print_json({**said, "remarks": [each.strip() for each in remarks]})
         return
     rows = [
@@ -90,6 +71,19 @@ def run_space(command: Space) -> None:
         *((name.replace("_", " "), f"{value:,}") for name, value in found.items() if isinstance(value, int)),
     ]
     show(facts(source.name, rows), *remarks, f" {' and '.join(map(str, files))}, {size_of(nbytes)}")
+
+
+def _find(command: Space, source: Source, walk: HeadPath | None) -> tuple[NavigableSpace, list[str]]:
+    """Return the navigable space, and remarks for the user."""
+    if command.resolution is None:
+        place = find_place(source, command.where, walk)
+        return place.required(_REMEDY), place.remarks
+    up = source.known_up if command.where.up is None else parse_up(command.where.up)
+    try:
+        space = NavigableSpace.from_scene(source.gaussians, resolution=command.resolution, up=up)
+    except SceneError as error:
+        raise SceneError(f"{command.scene}: {error.problem}; {_REMEDY}") from None
+    return space, flyaway_remarks(source.gaussians)
 
 
 def _files(command: Space) -> list[Path]:
@@ -114,7 +108,7 @@ def _files(command: Space) -> list[Path]:
     if command.resolution is not None:
         if not 8 <= command.resolution <= 384:
             raise ValueError(f"--resolution: expected 8 to 384 voxels, got {command.resolution}")
-        if any(getattr(command, word) not in (None, False) for word in WORDS):
+        if changed(command, command.where.WORDS):
             raise ValueError("--resolution: expected no --box, --around or --path with it; leave one of them out")
     check_outputs({f"--out ({file.name})": file for file in files}, {"SCENE": command.scene}, command.overwrite)
     return files

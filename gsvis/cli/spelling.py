@@ -8,40 +8,20 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin, get_type_hints
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 
-from gsvis.cli.help import command_name
+from gsvis.cli.options import Leaf, command_name, leaves, replaced
 from gsvis.cli.renamed import current_name
 
 if TYPE_CHECKING:
     from gsvis.cli.arguments import Command
 
-__all__ = ["expand_home", "misspelling", "paths_first"]
+__all__ = ["expand_home", "is_path", "misspelling", "names_of", "paths_first"]
 
 _PATHS = frozenset(
     {"DIR", "FILE", "IMAGES", "IN", "OUT", "PACKAGE", "PHOTOS", "SCENE", "STORE"}
 )  # metavars of paths, by their first word
-
-
-@dataclass(frozen=True)
-class _Option:
-    """One argument of a command.
-
-    Attributes:
-        field: Its field in the dataclass.
-        names: Its names; none for a positional one.
-        choices: Its choices if it is a Literal.
-        path: Whether it is a path.
-        words: Number of its words; 0 for a flag.
-    """
-
-    field: str
-    names: tuple[str, ...]
-    choices: tuple[str, ...]
-    path: bool
-    words: int
 
 
 def misspelling(arguments: Sequence[str]) -> str | None:
@@ -59,7 +39,7 @@ def misspelling(arguments: Sequence[str]) -> str | None:
             return f"expected a command before {name!r}, such as gsvis inspect; gsvis --help lists them"
         near = _suggestion(name, commands)
         return f"no command {name[:80]!r}; {near or 'gsvis --help lists the commands'}"
-    options = {each: option for option in _options(commands[name]) for each in option.names}
+    options = {each: leaf for leaf in leaves(commands[name]) for each in names_of(leaf)}
     for place, word in enumerate(arguments[1:], 1):
         if not re.match(r"--?[A-Za-z]", word):
             continue  # a value, perhaps a negative number
@@ -72,11 +52,11 @@ def misspelling(arguments: Sequence[str]) -> str | None:
         if option is None and given.startswith("--") and given not in ("--help", "--help-all", "--debug"):
             near = _suggestion(_hyphens(given), [each for each in options if each.startswith("--")])
             return f"gsvis {name} has no option {given[:80]}; {near or f'gsvis {name} --help lists its options'}"
-        if option is not None and option.choices:
+        if option is not None and (choices := _choices(option)):
             value = value if equals else arguments[place + 1] if place + 1 < len(arguments) else ""
-            if value and value not in option.choices:
-                near = _suggestion(value, option.choices)
-                known = f"{given}: expected one of {', '.join(option.choices)}, got {value[:80]!r}"
+            if value and value not in choices:
+                near = _suggestion(value, choices)
+                known = f"{given}: expected one of {', '.join(choices)}, got {value[:80]!r}"
                 return known + (f"; {near}" if near else "")
     return None
 
@@ -89,7 +69,7 @@ def paths_first(arguments: Sequence[str]) -> list[str]:
     if arguments[:1] != ["convert"]:
         return list(arguments)
     kind = next(kind for kind in _kinds() if command_name(kind) == "convert")
-    words = {name: option.words for option in _options(kind) for name in option.names}
+    words = {name: _count_words(leaf) for leaf in leaves(kind) for name in names_of(leaf)}
     paths = []
     options = []
     rest = list(arguments[1:])
@@ -115,16 +95,12 @@ def expand_home(command: Command) -> Command:
 
     `new/../scene.ply` names `scene.ply` once a writer has made the folder `new`, so it is compared as that.
     """
-    changed: dict[str, Any] = {}
-    for option in _options(type(command)):
-        value = getattr(command, option.field)
-        if not option.path or value is None:
-            continue
-        if isinstance(value, str):
-            changed[option.field] = _plain(value)
-        else:
-            changed[option.field] = tuple(map(_plain, value))
-    return replace(command, **changed)
+    changed: dict[tuple[str, ...], Any] = {}
+    for leaf in leaves(type(command)):
+        value = leaf.of(command)
+        if is_path(leaf) and value is not None:
+            changed[leaf.path] = _plain(value) if isinstance(value, str) else tuple(map(_plain, value))
+    return replaced(command, changed)
 
 
 def _plain(path: str) -> str:
@@ -146,21 +122,28 @@ def _kinds() -> tuple[type, ...]:
     return get_args(arguments.Command)
 
 
-def _options(kind: type) -> Iterator[_Option]:
-    """Yield the arguments of a command; positional arguments have no names."""
-    hints = get_type_hints(kind, include_extras=True)
-    for each in fields(kind):
-        hint = hints[each.name]
-        extras: tuple[Any, ...] = hint.__metadata__ if get_origin(hint) is Annotated else ()
-        metavars = [str(extra.metavar) for extra in extras if getattr(extra, "metavar", None)]
-        aliases = [alias for extra in extras for alias in getattr(extra, "aliases", None) or ()]
-        placed = any("POSITIONAL" in str(extra).upper() for extra in extras)
-        plain = get_args(hint)[0] if extras else hint
-        choices = tuple(map(str, get_args(plain))) if get_origin(plain) is Literal else ()
-        names = () if placed else (f"--{_hyphens(each.name)}", *aliases)
-        counts = [extra.nargs for extra in extras if isinstance(getattr(extra, "nargs", None), int)]
-        count = 0 if plain is bool else counts[0] if counts else 1
-        yield _Option(each.name, names, choices, any(word.split()[0] in _PATHS for word in metavars), count)
+def names_of(leaf: Leaf) -> tuple[str, ...]:
+    """Return the names of an option; none for a positional argument."""
+    aliases = (alias for extra in leaf.extras for alias in getattr(extra, "aliases", None) or ())
+    return () if leaf.is_positional else (leaf.option, *aliases)
+
+
+def is_path(leaf: Leaf) -> bool:
+    """Return whether an argument is a path."""
+    metavars = (str(extra.metavar) for extra in leaf.extras if getattr(extra, "metavar", None))
+    return any(word.split()[0] in _PATHS for word in metavars)
+
+
+def _choices(leaf: Leaf) -> tuple[str, ...]:
+    plain = get_args(leaf.hint)[0] if leaf.extras else leaf.hint
+    return tuple(map(str, get_args(plain))) if get_origin(plain) is Literal else ()
+
+
+def _count_words(leaf: Leaf) -> int:
+    """Return the number of words of the value of an option; 0 for a flag."""
+    plain = get_args(leaf.hint)[0] if leaf.extras else leaf.hint
+    counts = [extra.nargs for extra in leaf.extras if isinstance(getattr(extra, "nargs", None), int)]
+    return 0 if plain is bool else counts[0] if counts else 1
 
 
 def _hyphens(name: str) -> str:

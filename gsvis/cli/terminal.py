@@ -141,6 +141,13 @@ class Status(AbstractContextManager["Status"]):
             self._say(f"{said}: {done:,} of {total:,}, about {clock(left)} left{'; ' if note else ''}{note}")
 
     @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Show a stage of one step while this block runs."""
+        self(name, 0, 1)
+        yield
+        self(name, 1, 1)
+
+    @contextmanager
     def paused(self) -> Iterator[None]:
         """Show no bars in this block, as while a question is asked."""
         if self._bars:

@@ -15,12 +15,13 @@ from gsvis._text import as_json
 from gsvis.cli import version
 from gsvis.cli.arguments import Train
 from gsvis.cli.image_size import image_size
-from gsvis.cli.source import check_file, check_new
 from gsvis.cli.stopping import between_steps
+from gsvis.cli.targets import check_exists, check_new
 from gsvis.cli.terminal import Status, clock, facts, print_json, show, size_of
 from gsvis.errors import OutputError
 from gsvis.files.atomic import atomic_path, remove_partials
 from gsvis.files.limits import open_regular
+from gsvis.files.output import check_file
 from gsvis.io.scenes import WRITTEN
 
 if TYPE_CHECKING:
@@ -59,15 +60,7 @@ class _Plan:
 
 
 def run_train(command: Train) -> None:
-    """Train a scene: check, read photographs, train, measure, write, print the result.
-
-    Raises:
-        GsvisError: If there is no model, it is damaged or distorted, or images do not fit it.
-        ValueError: If an argument is wrong, or the checkpoint is of another run.
-        FileNotFoundError: If a folder is missing.
-        OSError: If a file cannot be written.
-        KeyboardInterrupt: If the user presses Ctrl-C; the message says how to resume.
-    """
+    """Train a scene: check, read photographs, train, measure, write, print the result."""
     require("gsvis train", "torch")
     config = _check_arguments(command)
     with Status() as status:
@@ -93,8 +86,7 @@ def record_of(command: Train) -> Path:
 
 def _check_arguments(command: Train) -> TrainConfig:
     """Check the arguments before work begins; return the settings of the training."""
-    if not Path(command.source).exists():
-        raise FileNotFoundError(2, "no such file or folder", command.source)
+    check_exists(command.source)
     out = Path(command.out)
     if out.suffix.lower() not in WRITTEN or out.name.lower().endswith(".compressed.ply"):
         raise ValueError(f"--out: expected a name that ends in {', '.join(WRITTEN)}, got {command.out!r}")
@@ -106,9 +98,9 @@ def _check_arguments(command: Train) -> TrainConfig:
     if command.restart or not checkpoint_of(command).exists():  # else an earlier run has passed this check
         check_new(out, command.overwrite)
         check_new(record_of(command), command.overwrite)
-    if image_size(command, None) is not None and command.downscale is not None:
+    if image_size(command.photos, None) is not None and command.photos.downscale is not None:
         raise ValueError("--downscale: expected none with --width and --height, got both; leave one out")
-    if command.test_every == 1:
+    if command.training.test_every == 1:
         raise ValueError("--test-every: expected 0 or at least 2, got 1; it would leave nothing to train on")
     return _config(command)
 
@@ -125,21 +117,21 @@ def _config(command: Train) -> TrainConfig:
     from gsvis.train.densify import DensifyConfig
     from gsvis.train.trainer import TrainConfig
 
-    steps = command.steps
+    steps = command.training.steps
     usual = DensifyConfig()
     densify = replace(
         usual,
         start=min(usual.start, steps // 14),
         stop=min(usual.stop, steps // 2),
-        most_count=command.max_gaussians or usual.most_count,
+        most_count=command.training.max_gaussians or usual.most_count,
     )
     return TrainConfig(
         iterations=steps,
-        sh_degree=command.sh_degree,
+        sh_degree=command.training.sh_degree,
         sh_every=min(TrainConfig.sh_every, max(1, steps // 7)),
         densify=densify,
-        evaluate_every=command.evaluate_every,
-        seed=command.seed,
+        evaluate_every=command.training.evaluate_every,
+        seed=command.training.seed,
     )
 
 
@@ -152,22 +144,22 @@ def _plan(command: Train, config: TrainConfig, status: Status) -> _Plan:
     device = _device(command.backend)
     photos = load_photos(
         command.source,
-        images=command.images,
-        downscale=command.downscale,
-        size=image_size(command, None),
+        images=command.photos.images,
+        downscale=command.photos.downscale,
+        size=image_size(command.photos, None),
         progress=status,
     )
     views = photos.views
     held_out = None
-    if command.test_every:
-        views, held_out = photos.views.split(command.test_every)
+    if command.training.test_every:
+        views, held_out = photos.views.split(command.training.test_every)
     points = photos.points
     text = ""
     if points is not None:
         text = f"{len(points):,} points of the reconstruction"
-    if points is None or command.random_points is not None:
-        count = command.random_points or _RANDOM_POINTS
-        points = random_points(views.cameras, count, np.random.default_rng([command.seed, 1]))
+    if points is None or command.training.random_points is not None:
+        count = command.training.random_points or _RANDOM_POINTS
+        points = random_points(views.cameras, count, np.random.default_rng([command.training.seed, 1]))
         text = f"{count:,} random points"
     trainer = Trainer(views, gaussians_from_points(points), config, held_out=held_out, device=device)
     checkpoint = checkpoint_of(command)
@@ -311,7 +303,7 @@ def _write_record(command: Train, document: dict[str, Any]) -> None:
 
 def _print_result(command: Train, plan: _Plan, document: dict[str, Any]) -> None:
     """Print the result, as a JSON document or as a table."""
-    if command.json:
+    if command.output.json:
         print_json(document)
         return
     photographs = document["photographs"]

@@ -10,14 +10,16 @@ import threading
 import webbrowser
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
-from gsvis.cli.arguments_view import View
+from gsvis.cli.arguments import View
+from gsvis.cli.options import PLACING, changed
 from gsvis.cli.serve import log_to_stderr
 from gsvis.cli.terminal import Status, print_json, say
-from gsvis.cli.where import PLACING, check_where, typed
+from gsvis.cli.where import check_where
 from gsvis.errors import GsvisError
 from gsvis.files.temporary import temporary_folder
 from gsvis.package.manifest import MANIFEST
@@ -34,19 +36,12 @@ _CACHE = 512_000_000
 
 
 def run_view(command: View) -> None:
-    """Open a scene, serve it to this machine, and open the browser.
-
-    Raises:
-        GsvisError: If the scene cannot be read.
-        ValueError: If an argument is wrong.
-        FileNotFoundError: If there is no such file.
-        OSError: If the address is taken, or there is no room for temporary files.
-    """
+    """Open a scene, serve it to this machine, and open the browser."""
     from gsvis.serve import TextLines
     from gsvis.serve.scenes import Scenes, open_scene
 
     with ExitStack() as stack:
-        stack.enter_context(log_to_stderr(TextLines(), logging.DEBUG if command.debug else logging.WARNING))
+        stack.enter_context(log_to_stderr(TextLines(), logging.DEBUG if command.output.debug else logging.WARNING))
         command, folder, name, remarks = _folder_of(command, stack)
         scene = open_scene(folder, name, max_cache_bytes=_CACHE)
         scenes = stack.enter_context(Scenes([scene]))
@@ -54,7 +49,7 @@ def run_view(command: View) -> None:
         server = _listen(command, scenes)
         stack.enter_context(_preparing(command, scenes, name))
         page = server.page(name)
-        if command.json:
+        if command.output.json:
             found = {"format": "gsvis-viewing", "version": 1, "url": page, "stream": server.url, "scene": name}
             print_json(found | {"remarks": [each.strip() for each in remarks]})
             sys.stdout.flush()
@@ -80,25 +75,22 @@ def _folder_of(command: View, stack: ExitStack) -> tuple[View, Path, str, list[s
 
     path = Path(command.scene)
     if (path / MANIFEST).is_file() or is_site(path) or is_world(path):
-        for option, words in typed(command, ("lod", "up", "prepare", "show", *PLACING)).items():
+        for option, words in changed(command, ("lod", "prepare", *PLACING)).items():
             got = " ".join(words) or option
             raise ValueError(
                 f"{option}: expected none for a package, a world or a static scene, got {got}; leave it out"
             )
         return command, path, "", []
-    from gsvis.cli.source import load_source, title_of
+    from gsvis.cli.source import open_source, title_of
     from gsvis.cli.visits import settle_visit
     from gsvis.export.static import StaticOptions, write_static
 
     walk = _check_scene(command)
     with Status() as status:
-        status("reading", 0, 1)
-        source = load_source(command.scene, command.lod)
-        status("reading", 1, 1)
+        source = open_source(command.scene, command.lod, status)
         folder = Path(stack.enter_context(temporary_folder()))
-        status("start", 0, 1)
-        command, visit = settle_visit(command, source, walk, status)
-        status("start", 1, 1)
+        where, visit = settle_visit(command.where, source, walk, status, quiet=command.output.json)
+        command = replace(command, where=where)
         x, y, z = visit.up.tolist()
         shown = StaticOptions(title_of(command.scene, source.lod), (x, y, z), poses=visit.starts)
         write_static(folder, source.whole, shown, progress=status)
@@ -107,12 +99,9 @@ def _folder_of(command: View, stack: ExitStack) -> tuple[View, Path, str, list[s
 
 def _check_scene(command: View) -> HeadPath | None:
     """Check the options of a scene that is no package, before it is read; return the walk of --path."""
-    from gsvis.cli.showing import check_show
-    from gsvis.cli.source import check_folder, parse_up
+    from gsvis.files.output import check_folder
 
-    parse_up(command.up)
-    walk = check_where(command)
-    check_show(command)
+    walk = check_where(command.where)
     if command.prepare is not None:
         if os.path.lexists(command.prepare):
             raise ValueError(f"--prepare: expected a new folder, got {command.prepare}, which exists; name another")
@@ -146,7 +135,7 @@ def _preparing(command: View, scenes: Scenes, name: str) -> Iterator[None]:
         yield
         return
     words = [sys.executable, "-m", "gsvis", "prepare", command.scene, "-o", command.prepare]
-    for option, values in typed(command, ("lod", "up", *PLACING, "drop_invalid")).items():
+    for option, values in changed(command, ("lod", *PLACING, "drop_invalid")).items():
         words += [option, *(value.strip() for value in values)]
     scenes[name].preparing, ending = True, threading.Event()
     nobody = subprocess.DEVNULL  # it must not ask while the scene is shown

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.cli.arguments import Render
+from gsvis.cli.options import refuse, values_of
 from gsvis.cli.source import Source, file_cameras, parse_up
 from gsvis.cli.where import check_where, find_place
 from gsvis.scene.axes import describe_direction
@@ -36,22 +37,21 @@ def check_views(command: Render) -> HeadPath | None:
     Raises:
         ValueError: If they do; the message names them.
     """
-    ways = [way for way in ("cameras", "orbit", "eye") if getattr(command, way) is not None]
+    given = {name: value for name, value in values_of(command).items() if value is not None}
+    ways = [way for way in ("cameras", "orbit", "eye") if way in given]
     if len(ways) > 1:
         raise ValueError(f"--{ways[1]}: expected none with --{ways[0]}, got both; leave one out")
     way = ways[0] if ways else ""
     needs = {"index": ("cameras",), "radius": ("orbit",), "elevation": ("orbit",), "target": ("orbit", "eye")}
     for name, wanted in needs.items():
-        if getattr(command, name) is not None and way not in wanted:
+        if name in given and way not in wanted:
             raise ValueError(f"--{name}: expected {' or '.join('--' + each for each in wanted)} with it, got it alone")
-    for name in ("fov", "up"):
-        if getattr(command, name) is not None and way == "cameras":
-            raise ValueError(f"--{name}: expected none with --cameras, whose file states it; leave it out")
-    parse_up(command.up)
-    if command.eye is not None and command.eye == command.target:
-        point = " ".join(f"{value:g}" for value in command.eye)
+    if way == "cameras":
+        refuse(command, ["fov", "up"], "with --cameras, whose file states it")
+    if command.cast.eye is not None and command.cast.eye == command.cast.target:
+        point = " ".join(f"{value:g}" for value in command.cast.eye)
         raise ValueError(f"--target: expected a point that is not --eye, got {point} for both")
-    return check_where(command, f"--{way}" if way else "")
+    return check_where(command.where, f"--{way}" if way else "")
 
 
 def given_cameras(command: Render) -> Cameras | None:
@@ -62,22 +62,22 @@ def given_cameras(command: Render) -> Cameras | None:
         FileNotFoundError: If there is no file.
         ValueError: If an index is too large.
     """
-    if command.cameras is None:
+    if command.where.cameras is None:
         return None
-    cameras = file_cameras(command.cameras, command.width, command.height)
-    if command.index is None:
+    cameras = file_cameras(command.where.cameras, command.picture.width, command.picture.height)
+    if command.cast.index is None:
         return cameras
-    if max(command.index) >= len(cameras):
+    if max(command.cast.index) >= len(cameras):
         raise ValueError(
-            f"--index: expected 0 to {len(cameras) - 1}, as {command.cameras} holds {len(cameras)} cameras,"
-            f" got {max(command.index)}"
+            f"--index: expected 0 to {len(cameras) - 1}, as {command.where.cameras} holds {len(cameras)} cameras,"
+            f" got {max(command.cast.index)}"
         )
-    return cameras[np.array(command.index)]
+    return cameras[np.array(command.cast.index)]
 
 
 def camera_count(command: Render, given: Cameras | None) -> int:
     """Return the number of cameras to render."""
-    return len(given) if given is not None else command.orbit or 1
+    return len(given) if given is not None else command.cast.orbit or 1
 
 
 def place_cameras(
@@ -88,29 +88,33 @@ def place_cameras(
     Raises:
         SceneError: If there is no navigable space for a sampled camera.
     """
-    size = {"width": command.width or _WIDTH, "height": command.height or _HEIGHT}
-    fov = command.fov or _FOV
+    size = {"width": command.picture.width or _WIDTH, "height": command.picture.height or _HEIGHT}
+    fov = command.picture.fov or _FOV
     up, remarks = _up(command, source)
     g = source.gaussians
-    if command.eye is None and command.orbit is None:
-        place = find_place(source, command, command.up, walk)
+    if command.cast.eye is None and command.cast.orbit is None:
+        place = find_place(source, command.where, walk)
         space = place.required("name a place with --eye X Y Z, --orbit N, --box or --around")
-        if command.up is None:
+        if command.where.up is None:
             space = replace(space, up=up)
         cameras = space.sample_cameras(1, np.random.default_rng(command.seed), fov=fov, **size)
         more = check_buried(g, cameras.viewpoints, "the sampled eye")
         return cameras, space, [*remarks, *place.remarks, *more, f" Again: {_options_of(cameras)}"]
     middle, reach = _extent(g)
     frame = SourceFrame.from_scene(g)
-    target = middle if command.target is None else frame.points([command.target])[0]
-    if command.eye is not None:
-        eye = frame.points([command.eye])
+    target = middle if command.cast.target is None else frame.points([command.cast.target])[0]
+    if command.cast.eye is not None:
+        eye = frame.points([command.cast.eye])
         remarks += check_buried(g, eye, "--eye")
         return Cameras.look_at(eye, target, up=up, fov=fov, **size), None, remarks
     half = np.tan(np.radians(fov) / 2.0) * min(1.0, size["height"] / size["width"])
-    radius = command.radius or reach / np.sin(np.arctan(half))
-    elevation = _ELEVATION if command.elevation is None else command.elevation
-    return Cameras.orbit(target, radius, command.orbit or 1, up=up, elevation=elevation, fov=fov, **size), None, remarks
+    radius = command.cast.radius or reach / np.sin(np.arctan(half))
+    elevation = _ELEVATION if command.cast.elevation is None else command.cast.elevation
+    return (
+        Cameras.orbit(target, radius, command.cast.orbit or 1, up=up, elevation=elevation, fov=fov, **size),
+        None,
+        remarks,
+    )
 
 
 def check_buried(g: Gaussians, eyes: F64, name: str) -> list[str]:
@@ -128,7 +132,7 @@ def check_buried(g: Gaussians, eyes: F64, name: str) -> list[str]:
 
 def _up(command: Render, source: Source) -> tuple[F64, list[str]]:
     """Return the up axis, and remarks: the user's, the known one, or a guess, with a remark if uncertain."""
-    given = parse_up(command.up)
+    given = parse_up(command.where.up)
     known = source.known_up if given is None else given
     if known is not None:
         return known, []

@@ -3,27 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gsvis.cli.arguments_export import Export
-from gsvis.cli.arguments_view import View
-from gsvis.cli.arguments_where import Where
 from gsvis.cli.asking import settle
+from gsvis.cli.options import Placed, Shown, Where
 from gsvis.cli.source import Source, parse_up, up_of
 from gsvis.cli.starts import starts_in, thin
 from gsvis.cli.terminal import Status
-from gsvis.cli.where import Place, find_place, given
+from gsvis.cli.where import Place, find_place
 
 if TYPE_CHECKING:
     from gsvis.export.start import Start
     from gsvis.scene.paths import HeadPath
 
 __all__ = ["Visit", "plan_visit", "settle_visit"]
-
-C = TypeVar("C", View, Export)
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +37,7 @@ class Visit:
     remarks: list[str]
 
 
-def plan_visit(source: Source, where: Where | None = None, up: str | None = None) -> Visit:
+def plan_visit(source: Source, where: Where | None = None) -> Visit:
     """Return how a visit of a scene begins.
 
     Where that is not sure, a remark says so, and views are drawn from where either reading has eyes.
@@ -49,21 +45,24 @@ def plan_visit(source: Source, where: Where | None = None, up: str | None = None
     Args:
         source: The scene.
         where: What the user said of where eyes may be; None for nothing.
-        up: Value of --up; None means the known one, else that of cameras, else the likely one.
     """
     some = thin(source)
-    place = find_place(some, where or Where(), up)
+    place = find_place(some, where or Where())
+    up = where.up if isinstance(where, Placed) else None
     return _begin(some, place, up, place.remarks)
 
 
-def settle_visit(command: C, source: Source, walk: HeadPath | None, status: Status) -> tuple[C, Visit]:
-    """Return how a visit begins after a question on a terminal in doubt, and the command with the answers in it.
+def settle_visit(
+    where: Shown, source: Source, walk: HeadPath | None, status: Status, *, quiet: bool
+) -> tuple[Shown, Visit]:
+    """Return how a visit begins after a question on a terminal in doubt, and the options with the answers in them.
 
     Args:
-        command: The command.
+        where: The options.
         source: The scene.
         walk: The walk of --path.
         status: The display of progress, which pauses for the question.
+        quiet: Ask nothing, as with --json.
 
     Raises:
         SceneError: If no eye fits where the user said that eyes are.
@@ -71,10 +70,13 @@ def settle_visit(command: C, source: Source, walk: HeadPath | None, status: Stat
         KeyboardInterrupt: If the user presses Ctrl-C at the question.
     """
     some = thin(source)
-    settled = settle(command, source, lambda c: find_place(some, c, c.up, walk), status)
-    if given(command) or command.kind not in (None, "auto"):
+    status("start", 0, 1)
+    settled = settle(where, source, lambda w: find_place(some, w, walk), status, quiet=quiet)
+    if where.given or where.kind not in (None, "auto"):
         settled.place.required("leave it out, or say where eyes may be with --box or --around")
-    return settled.command, _begin(some, settled.place, settled.command.up, settled.remarks)
+    visit = _begin(some, settled.place, settled.where.up, settled.remarks)
+    status("start", 1, 1)
+    return settled.where, visit
 
 
 def _begin(some: Source, place: Place, up: str | None, remarks: list[str]) -> Visit:

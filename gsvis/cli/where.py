@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, fields, replace
-from pathlib import Path
-from typing import Any, Literal, Protocol, runtime_checkable
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 
-from gsvis.cli.arguments_where import Framed, Where, WhereSeen
+from gsvis.cli.options import Framed, Placed, Shown, Where, refuse
 from gsvis.cli.source import Source, file_cameras, framed_cameras, navigable_space, parse_up
+from gsvis.cli.targets import check_exists, check_show
 from gsvis.errors import FormatError, SceneError
 from gsvis.io.poses import load_path
 from gsvis.scene.axes import describe_direction, snap_to_axis
@@ -27,8 +26,6 @@ from gsvis.scene.upright import SURE, Upright, doubt_up, find_up
 from gsvis.scene.witnesses import Witnesses, hold_out
 
 __all__ = [
-    "PLACING",
-    "WORDS",
     "Evidence",
     "Place",
     "check_cameras",
@@ -36,20 +33,10 @@ __all__ = [
     "evidence_cameras",
     "find_place",
     "flyaway_remarks",
-    "given",
     "kind_row",
     "space_document",
-    "spell",
     "suspect_views",
-    "typed",
 ]
-
-WORDS = ("box", "around", "path", "margin", "retarget", "kind")
-"""Names of the options."""
-
-PLACING = tuple(each.name for each in fields(WhereSeen))
-"""Names of all arguments that say where eyes may be, cameras included."""
-
 
 _BOX_VOXELS = 96  # along the longest side of a box
 _TRIED = 256  # eyes tested for lying inside something solid
@@ -64,14 +51,6 @@ _CLOSE = 0.01  # of the scene's diagonal: views that end within it look into one
 
 
 _DECIDE = "--kind, --up, --cameras, --box, --around or --path decides"
-
-
-@runtime_checkable
-class _HasCameras(Protocol):
-    """Arguments of a command that takes cameras."""
-
-    @property
-    def cameras(self) -> str | None: ...
 
 
 @dataclass(frozen=True)
@@ -127,11 +106,6 @@ class Place:
         return self.space
 
 
-def given(where: Where) -> list[str]:
-    """Return the options that say by hand where eyes may be."""
-    return [name for name in ("box", "around", "path") if getattr(where, name) is not None]
-
-
 def check_where(where: Where, other: str = "") -> HeadPath | None:
     """Check the options before work begins; return the walk of --path.
 
@@ -143,48 +117,39 @@ def check_where(where: Where, other: str = "") -> HeadPath | None:
         ValueError: If they contradict each other.
         FormatError: If the walk cannot be read.
     """
+    if isinstance(where, Placed):
+        parse_up(where.up)
+    if isinstance(where, Shown):
+        check_show(where.show)
     for name in ("margin", "retarget"):
         if getattr(where, name) and where.path is None:
             raise ValueError(f"--{name}: expected --path with it, got none; add it or leave this out")
-    names = given(where)
+    names = where.given
     if names and other:
         raise ValueError(f"--{names[0]}: expected none with {other}, which says where eyes are; leave one out")
     if where.kind not in (None, "auto") and (other or names):
-        wrong = other or f"--{names[0]}"
-        raise ValueError(
-            f"--kind: expected none with {wrong}, which says where eyes are, got {where.kind}; leave one out"
-        )
-    if len(names) > 1:
-        value = getattr(where, names[1])
-        raise ValueError(f"--{names[1]}: expected none with --{names[0]}, got {' '.join(spell(value))}; leave one out")
+        refuse(where, ["kind"], f"with {other or f'--{names[0]}'}, which says where eyes are")
+    refuse(where, names[1:], f"with --{names[0] if names else ''}")
     check_cameras(where)
     return None if where.path is None else load_path(where.path)
 
 
-def check_cameras(command: Framed) -> None:
+def check_cameras(where: Framed) -> None:
     """Check --cameras and --cameras-frame before work begins.
 
     Raises:
         ValueError: If a frame is given without cameras.
         FileNotFoundError: If there is no file of cameras.
     """
-    cameras = cameras_of(command)
-    if cameras is None and command.cameras_frame != "auto":
-        got = command.cameras_frame
+    if where.cameras is None and where.cameras_frame != "auto":
+        got = where.cameras_frame
         raise ValueError(f"--cameras-frame: expected --cameras with it, got {got} alone; leave it out")
-    if cameras is not None and not Path(cameras).exists():
-        raise FileNotFoundError(2, "no such file or folder", cameras)
-
-
-def cameras_of(command: Framed) -> str | None:
-    """Return the file of --cameras; None without, and for commands that have no such option."""
-    return command.cameras if isinstance(command, _HasCameras) else None
+    check_exists(where.cameras)
 
 
 def find_place(
     source: Source,
     where: Where,
-    up: str | None = None,
     walk: HeadPath | None = None,
     cameras: Cameras | None = None,
 ) -> Place:
@@ -194,8 +159,7 @@ def find_place(
 
     Args:
         source: The scene.
-        where: What the user said.
-        up: Value of --up; None means the known one, else that of cameras, else the likely one.
+        where: What the user said. Without --up it is the known one, else that of cameras, else the likely one.
         walk: The walk of --path.
         cameras: Cameras that took photos of the scene; those of --cameras by default.
 
@@ -207,11 +171,11 @@ def find_place(
     walk = None if walk is None else frame.walk(walk)
     framed: list[str] = []
     if cameras is None and (cameras := evidence_cameras(where)) is not None:
-        cameras, framed = framed_cameras(source, cameras, cameras_of(where) or "", where.cameras_frame)
-    upright, doubts = _upright(source, up, cameras)
+        cameras, framed = framed_cameras(source, cameras, where)
+    upright, doubts = _upright(source, where.up if isinstance(where, Placed) else None, cameras)
     far = flyaway_remarks(source.gaussians) if where.box is None else []  # nothing outside of a box counts
     remarks = [*far, *framed, *doubts]
-    found = _find(source, where, upright, walk, cameras, remarks)
+    found = _find(source, where, frame, upright, walk, cameras, remarks)
     if found.space is None:
         return found
     evidence = found.evidence or _weigh(found.space, where, cameras)
@@ -226,7 +190,7 @@ def find_place(
     return replace(found, remarks=[*found.remarks, *more])
 
 
-def evidence_cameras(command: Framed) -> Cameras | None:
+def evidence_cameras(where: Framed) -> Cameras | None:
     """Return the cameras of --cameras; None without.
 
     Raises:
@@ -234,28 +198,33 @@ def evidence_cameras(command: Framed) -> Cameras | None:
         FileNotFoundError: If there is no file.
         ValueError: If it holds no camera.
     """
-    path = cameras_of(command)
-    if path is None:
+    if where.cameras is None:
         return None
     try:
-        return file_cameras(path, None, None)
+        return file_cameras(where.cameras, None, None)
     except FormatError:
-        return file_cameras(path, *_NOMINAL)  # of several sizes, which do not matter here; else it fails again
+        return file_cameras(where.cameras, *_NOMINAL)  # of several sizes, which do not matter here; else it fails again
 
 
 def _find(
-    source: Source, where: Where, upright: Upright, walk: HeadPath | None, cameras: Cameras | None, remarks: list[str]
+    source: Source,
+    where: Where,
+    frame: SourceFrame,
+    upright: Upright,
+    walk: HeadPath | None,
+    cameras: Cameras | None,
+    remarks: list[str],
 ) -> Place:
     """Return the place that the strongest evidence gives."""
     if where.box is not None:
-        low, high = SourceFrame.from_scene(source.gaussians).points([where.box[:3], where.box[3:]])
+        low, high = frame.points([where.box[:3], where.box[3:]])
         space = NavigableSpace.from_box(low, high, _BOX_VOXELS, up=upright.up)
         return Place(space, "", [*remarks, *_check_buried(source, space, "box")])
     if where.around is not None:
         center = None
         radius = None
         if where.around:
-            center = SourceFrame.from_scene(source.gaussians).points([where.around[:3]])[0]
+            center = frame.points([where.around[:3]])[0]
             radius = where.around[3]
         try:
             space = NavigableSpace.around(source.gaussians, center, radius, up=upright.up)
@@ -332,7 +301,7 @@ def _witnesses(where: Where, walk: HeadPath | None, cameras: Cameras | None, evi
     """Return who stood in the scene and can judge: cameras or a walk, without those that the space was found by."""
     if cameras is not None:
         kept = np.arange(len(cameras)) if evidence.source != "cameras" else hold_out(len(cameras))[1]
-        what = f"{len(kept):,} of the {len(cameras):,} cameras of {cameras_of(where) or 'the photos'}"
+        what = f"{len(kept):,} of the {len(cameras):,} cameras of {where.cameras or 'the photos'}"
         return Witnesses(cameras[kept], what) if len(kept) else None
     if walk is None or where.retarget:
         return None
@@ -449,30 +418,6 @@ def suspect_views(g: Gaussians, space: NavigableSpace) -> list[str]:
     if np.mean(close) >= 0.5:
         found.append(f" Implausible: {np.mean(close):.0%} of the views look into one surface{remedy}.")
     return found
-
-
-def spell(value: Any) -> list[str]:
-    """Return the value of an option as the words of a command line; none for a flag."""
-    if value is True:
-        return []
-    if isinstance(value, tuple):
-        return [f"{each:.9g}" for each in value] or ["auto"]
-    return [f"{value:g}" if isinstance(value, float) else str(value)]
-
-
-def typed(command: Any, names: Iterable[str]) -> dict[str, list[str]]:
-    """Return the options of a command that differ from their defaults, each with its words on a command line.
-
-    Args:
-        command: A dataclass of arguments.
-        names: Names of arguments, of which each has a default.
-    """
-    values = {name: getattr(command, name) for name in names}
-    return {
-        f"--{name.replace('_', '-')}": spell(value)
-        for name, value in values.items()
-        if value != getattr(type(command), name)
-    }
 
 
 def kind_row(space: NavigableSpace) -> tuple[str, str]:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,16 +14,18 @@ from gsvis._extras import require
 from gsvis.cli import version
 from gsvis.cli.arguments import World
 from gsvis.cli.made_from import about_files
-from gsvis.cli.pvs import local_workers, named_memory, sets_config
-from gsvis.cli.source import Source, check_folder, framed_cameras, is_builtin, is_levels, parse_up, title_of
+from gsvis.cli.options import config_of
+from gsvis.cli.pvs import check_workers, named_memory, open_workers
+from gsvis.cli.source import Source, framed_cameras, is_builtin, is_levels, parse_up, title_of
 from gsvis.cli.terminal import Status, busy_note, clock, facts, least_size_of, print_json, show, size_of
 from gsvis.cli.where import check_cameras, evidence_cameras
 from gsvis.errors import ArgumentError
-from gsvis.io.batches import align_batches, facts_of_batches, list_batches
+from gsvis.files.output import check_folder
+from gsvis.io.batches import align_batches, facts_of_batches, list_batches, read_batch
 from gsvis.io.poses import load_path
 from gsvis.io.scenes import check_scene
 from gsvis.package.made_from import note_paths
-from gsvis.pvs.workers import Workers
+from gsvis.pvs.config import PvsConfig
 from gsvis.scene.facts import SceneFacts
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.source_frame import SourceFrame
@@ -47,15 +47,7 @@ _CLUSTERS = (4, 16, 64, 256)
 
 
 def run_world(command: World) -> None:
-    """Prepare a world: check, run what is missing, write the folder, print the result.
-
-    Raises:
-        GsvisError: If a scene cannot be read or used, or the workers or the store cannot be reached.
-        ValueError: If an argument is wrong, or a tile does not fit the memory.
-        FileNotFoundError: If a scene is missing.
-        OSError: If the world cannot be written.
-        KeyboardInterrupt: If the user presses Ctrl-C; the message says what is kept.
-    """
+    """Prepare a world: check, run what is missing, write the folder, print the result."""
     from gsvis.world.estimate import estimate_world
     from gsvis.world.graph import TOO_LARGE
     from gsvis.world.prepare import prepare_world
@@ -64,14 +56,14 @@ def run_world(command: World) -> None:
     scenes = _check_scenes(command)
     config = _check_arguments(command)
     config = _in_frame(config, scenes, command.meters_per_unit is None)
-    cameras = evidence_cameras(command)
+    cameras = evidence_cameras(command.where)
     remarks: list[str] = []
     with Status() as status:
         if cameras is not None:
             cameras, remarks = _place_cameras(command, cameras, scenes)
             config = replace(config, cameras=cameras)
-        if command.dry_run:
-            with _workers(command) as workers:
+        if command.work.dry_run:
+            with open_workers(command.work) as workers:
                 count = workers.count
             estimate = estimate_world(scenes, config, workers=count, progress=status)
         else:
@@ -82,20 +74,20 @@ def run_world(command: World) -> None:
             }
             work = Path(f"{os.path.abspath(command.out)}.work")
             try:
-                with _workers(command) as workers, named_memory(TOO_LARGE):
-                    common: dict[str, Any] = {"store": command.work, "workers": workers, "progress": status}
+                with open_workers(command.work) as workers, named_memory(TOO_LARGE):
+                    common: dict[str, Any] = {"store": command.work.work, "workers": workers, "progress": status}
                     if command.until == "world":
                         made = prepare_world(scenes, command.out, config, about=about, **common)
                     else:
                         tiles = write_tiles(scenes, command.out, command.until, config, **common)
             except KeyboardInterrupt:
-                kept = f"what was finished is kept in {command.work or work.name}; run the same command to resume"
+                kept = f"what was finished is kept in {command.work.work or work.name}; run the same command to resume"
                 raise KeyboardInterrupt(kept) from None
             if command.discard:
                 shutil.rmtree(work, ignore_errors=True)
             elif command.until == "world":
                 note_paths(command.out, [path for path, _ in scenes])
-    if command.dry_run:
+    if command.work.dry_run:
         _print_estimate(command, estimate, remarks)
     elif command.until == "world":
         _print_result(command, made, remarks)
@@ -155,73 +147,54 @@ def _check_arguments(command: World) -> WorldConfig:
 
     check_folder(Path(command.out).absolute().parent)
     (check_world_target if command.until == "world" else check_tiles_target)(Path(command.out))
-    check_cameras(command)
-    if command.margin is not None and command.path is None:
+    check_cameras(command.where)
+    if command.where.margin is not None and command.where.path is None:
         raise ValueError("--margin: expected --path with it, got none; add it or leave this out")
-    for other in ("workers", "max_memory"):
-        if command.scheduler is not None and getattr(command, other) is not None:
-            got = getattr(command, other)
-            raise ValueError(f"--{other.replace('_', '-')}: expected none with --scheduler, got {got}; leave one out")
-    if command.scheduler is not None:
-        from gsvis.pvs.cluster import check_address
-
-        check_address(command.scheduler)
+    check_workers(command.work)
     levels = None
-    if command.levels:
+    if command.tiling.levels:
         require("levels: training them", "torch")
-        count = len(command.levels)
+        count = len(command.tiling.levels)
         names = ("low", "medium")[:count] if count <= 2 else tuple(f"level{k}" for k in range(count))
         reuse = LevelsConfig.reuse if count == 2 else (0.9,) * count
         try:
             levels = LevelsConfig(
-                command.levels, reuse, (*names, _HIGHEST), iterations=command.steps, seed=command.seed
+                command.tiling.levels, reuse, (*names, _HIGHEST), iterations=command.tiling.steps, seed=command.seed
             )
         except ArgumentError as error:
             raise error.renamed("--levels") from None
     package = PrepareConfig(
         levels=levels,
         level_views=replace(PrepareConfig.level_views, seed=command.seed),
-        cells=command.cells,
-        cell_size=command.cell_size,
-        sets=sets_config(size=command.face_size, limit=command.limit),
+        cells=command.sets.cells,
+        cell_size=command.sets.cell_size,
+        sets=config_of(PvsConfig, command.sets, size=command.sets.face_size),
         meters_per_unit=command.meters_per_unit or 0.0,
     )
-    up = parse_up(command.up)
+    up = parse_up(command.where.up)
     direction = None if up is None else (float(up[0]), float(up[1]), float(up[2]))
-    config = WorldConfig(TilingConfig(command.tile, up=direction), package, command.far, command.angle)
-    if command.path is None:
+    config = WorldConfig(
+        TilingConfig(command.tiling.tile, up=direction), package, command.tiling.far, command.tiling.angle
+    )
+    if command.where.path is None:
         return config
-    margin = WorldConfig.margin if command.margin is None else command.margin
-    return replace(config, walk=tuple(map(tuple, load_path(command.path).positions.tolist())), margin=margin)
+    margin = WorldConfig.margin if command.where.margin is None else command.where.margin
+    return replace(config, walk=tuple(map(tuple, load_path(command.where.path).positions.tolist())), margin=margin)
 
 
 def _place_cameras(command: World, cameras: Cameras, scenes: list[tuple[str, int | None]]) -> tuple[Cameras, list[str]]:
     """Return cameras in the frame of the scenes, by some of their Gaussians, and remarks on their frame."""
-    from gsvis.io.batches import align_batches, list_batches, read_batch
-
     batches = [batch for scene in align_batches([list_batches(*each) for each in scenes]) for batch in scene]
     chosen = np.unique(np.linspace(0, len(batches) - 1, min(len(batches), _LOOKED)).astype(int))
     parts = [read_batch(batches[k]) for k in chosen]
     some = Gaussians.concatenate([g[:: max(1, len(g) * len(parts) // _SOME)] for g in parts])
     path = Path(scenes[0][0])
-    assert command.cameras is not None
-    return framed_cameras(Source(path.name, some, path), cameras, command.cameras, command.cameras_frame)
-
-
-@contextmanager
-def _workers(command: World) -> Iterator[Workers]:
-    if command.scheduler is not None:
-        from gsvis.pvs.cluster import connect
-
-        with connect(command.scheduler) as workers:
-            yield workers
-        return
-    yield local_workers(command.workers, command.max_memory)
+    return framed_cameras(Source(path.name, some, path), cameras, command.where)
 
 
 def _print_estimate(command: World, estimate: WorldEstimate, remarks: list[str]) -> None:
     remarks = [each.strip() for each in (*remarks, *estimate.remarks)]
-    if command.json:
+    if command.output.json:
         document = {"format": "gsvis-world-estimate", "version": 1, **asdict(estimate), "remarks": remarks}
         times = {str(count): estimate.seconds_with(count) for count in (estimate.workers, *_more_workers(estimate))}
         print_json(
@@ -278,7 +251,7 @@ def _how_found(estimate: WorldEstimate) -> str:
 
 def _print_tiles(command: World, tiles: list[WrittenTile]) -> None:
     count = sum(tile.gaussians for tile in tiles)
-    if command.json:
+    if command.output.json:
         print_json(
             {
                 "format": "gsvis-written-tiles",
@@ -305,7 +278,7 @@ def _print_result(command: World, made: PreparedWorld, remarks: list[str]) -> No
     seconds = sum(result.cpu for result in made.results.values())
     judged = m.provenance["judged"]
     peak = max((result.peak for result in made.results.values()), default=0)
-    if command.json:
+    if command.output.json:
         print_json(
             {
                 "format": "gsvis-prepared-world",

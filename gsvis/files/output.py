@@ -14,7 +14,7 @@ from pathlib import Path
 
 from gsvis.errors import OutputError
 
-__all__ = ["TEMPORARY", "check_writable", "keeping", "output_errors"]
+__all__ = ["TEMPORARY", "check_file", "check_folder", "check_writable", "keeping", "output_errors"]
 
 TEMPORARY = "make room there, or name a folder for temporary files on another disk in TMPDIR"
 """Remedy if the temporary files of a command do not fit."""
@@ -75,3 +75,31 @@ def check_writable(folder: str | os.PathLike[str]) -> None:
     with output_errors(folder), tempfile.TemporaryFile(dir=folder) as file:
         file.write(b"0")
         file.flush()
+
+
+def check_file(path: str | os.PathLike[str]) -> None:
+    """Raise unless a file can be written; leave no file behind.
+
+    Raises:
+        ValueError: If the path is a folder, or a folder above it is a file.
+        OutputError: If nothing can be written there.
+    """
+    if Path(path).is_dir():
+        raise ValueError(f"{path}: expected the name of a file, got a folder; name a file in it")
+    check_folder(Path(path).absolute().parent)
+
+
+def check_folder(path: str | os.PathLike[str]) -> None:
+    """Raise unless files can be written into a folder, which may not exist yet; leave no file behind.
+
+    Raises:
+        ValueError: If the path, or a folder above it, is a file.
+        OutputError: If nothing can be written there.
+    """
+    folder = Path(path).absolute()
+    while not folder.exists():
+        folder = folder.parent
+    if not folder.is_dir():
+        raise ValueError(f"{path}: expected a folder to write to, got the file {folder}; name another")
+    with output_errors(path, folder):
+        check_writable(folder)

@@ -1,7 +1,8 @@
 """Transform cameras into the frame of a scene, and warn if they see nothing of it.
 
 Every command that takes cameras calls `fit_cameras`. It applies the `dataparser_transforms.json` of nerfstudio beside
-the cameras or the scene if the cameras see the scene only then.
+the cameras or the scene if the cameras see the scene only then. If the scene has an origin, they
+may be in the coordinates of its source.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.sight import blind
 from gsvis.scene.similarity import Similarity
+from gsvis.scene.source_frame import SourceFrame
 
 __all__ = ["Framed", "fit_cameras", "move_cameras"]
 
@@ -71,7 +73,9 @@ def fit_cameras(
         FormatError: If there is a `dataparser_transforms.json` that is malformed and the cameras need it.
     """
     _check.one_of("frame", frame, ("auto", "scene", "capture"))
-    lost = _share(g, cameras)
+    place = SourceFrame.from_scene(g).cameras
+    stand = place(cameras)
+    lost = _share(g, stand)
     forced = frame == "capture"
     looked = forced or (frame == "auto" and lost > 0.0)
     found = find_dataparser(path, scene) if looked else None
@@ -84,7 +88,7 @@ def fit_cameras(
     moved = None
     if found is not None:
         for each in _candidates(found, path, inverted=not forced):
-            share = _share(g, move_cameras(cameras, each))
+            share = _share(g, place(move_cameras(cameras, each)))
             if share < best:
                 best = share
                 moved = each
@@ -96,8 +100,8 @@ def fit_cameras(
             f" it, {_seeing(lost, count)} without the transform."
         )
         warning = () if best < _MANY else (_warning(best, count),)
-        return Framed(move_cameras(cameras, moved), moved, (line, *warning), best)
-    return Framed(cameras, None, () if lost < _MANY else (_warning(lost, len(cameras)),), lost)
+        return Framed(place(move_cameras(cameras, moved)), moved, (line, *warning), best)
+    return Framed(stand, None, () if lost < _MANY else (_warning(lost, len(cameras)),), lost)
 
 
 def move_cameras(cameras: Cameras, transform: Similarity) -> Cameras:

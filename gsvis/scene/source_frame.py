@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
+from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.paths import HeadPath
 
@@ -49,11 +50,19 @@ class SourceFrame:
                 which they are nearer to the scene is chosen.
         """
         given = _check.floats("points", points, ("P", 3), np.float64)
-        if not self.origin.any() or len(given) == 0:
-            return given
-        away = np.median(given, axis=0) - self.middle
-        return given - self.origin if np.linalg.norm(away - self.origin) < np.linalg.norm(away) else given
+        return given - self.origin if self._is_of_source(given) else given
 
     def walk(self, walk: HeadPath) -> HeadPath:
         """Return a walk in the scene's frame; see `points`."""
         return replace(walk, positions=self.points(walk.positions)) if self.origin.any() else walk
+
+    def cameras(self, cameras: Cameras) -> Cameras:
+        """Return cameras in the scene's frame; see `points`."""
+        return cameras.with_origin(self.origin) if self._is_of_source(cameras.viewpoints) else cameras
+
+    def _is_of_source(self, points: F64) -> bool:
+        """Return whether (P, 3) positions are in the coordinates of the source: the scene lies nearer to them there."""
+        if not self.origin.any() or len(points) == 0:
+            return False
+        away = np.median(points, axis=0) - self.middle
+        return bool(np.linalg.norm(away - self.origin) < np.linalg.norm(away))

@@ -8,17 +8,17 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from gsvis.cli import asking, main
-from gsvis.cli.arguments_where import Where
 from gsvis.cli.asking import Settled, settle
-from gsvis.cli.showing import Choice, check_show, find_choices
+from gsvis.cli.options import Placed, Shown
+from gsvis.cli.showing import Choice, find_choices
 from gsvis.cli.source import Source
+from gsvis.cli.targets import check_show
 from gsvis.cli.terminal import Status
 from gsvis.cli.where import Evidence, Place, find_place
 from gsvis.scene.gaussians import Gaussians
@@ -31,15 +31,6 @@ UP, OTHER = np.array([0.0, 0.0, 1.0]), np.array([0.0, -1.0, 0.0])
 TINY = Source("tiny", Gaussians([[0, 0, 0]], [[1, 0, 0, 0]], [[1, 1, 1]], [0.5], np.zeros((1, 1, 3))))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Asked(Where):
-    """A command that may ask."""
-
-    up: str | None = None
-    show: str | None = None
-    json: bool = False
-
-
 def place_of(kind_sure: bool, up_sure: bool) -> Place:
     """A place with the doubts that a test needs."""
     confidence = 0.95 if kind_sure else 0.6
@@ -49,21 +40,21 @@ def place_of(kind_sure: bool, up_sure: bool) -> Place:
     return Place(space, "", [], upright=upright, evidence=Evidence("scene", confidence, "rooms: it looks so"))
 
 
-def found(command: Asked) -> Place:
+def found(command: Shown) -> Place:
     """Nothing is sure but what an option says."""
     return place_of(command.kind not in (None, "auto"), command.up is not None)
 
 
 @pytest.fixture
-def answers(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], Settled[Asked]]:
+def answers(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], Settled[Shown]]:
     """Return a function that settles a doubtful place with what a user types."""
-    monkeypatch.setattr(asking, "_may_ask", lambda command: not command.json and command.kind is None)
+    monkeypatch.setattr(asking, "_may_ask", lambda where: where.kind is None)
     monkeypatch.setattr(asking, "write_picture", lambda path, source, place: Path(path).write_bytes(b"png"))
 
-    def typed(text: str, command: Asked | None = None) -> Settled[Asked]:
+    def typed(text: str, command: Shown | None = None) -> Settled[Shown]:
         monkeypatch.setattr("sys.stdin", io.StringIO(text))
         with Status() as status:
-            return settle(command or Asked(), TINY, found, status)
+            return settle(command or Shown(), TINY, found, status)
 
     return typed
 
@@ -88,9 +79,9 @@ class TestChoices:
 
 
 class TestQuestion:
-    def test_a_number_chooses_a_reading(self, answers: Callable[..., Settled[Asked]], capsys: Capture) -> None:
+    def test_a_number_chooses_a_reading(self, answers: Callable[..., Settled[Shown]], capsys: Capture) -> None:
         settled = answers("2\n")
-        assert (settled.command.kind, settled.command.up) == ("object", "0 0 1")
+        assert (settled.where.kind, settled.where.up) == ("object", "0 0 1")
         assert settled.place.doubt == ""
         assert settled.picture is None
         err = capsys.readouterr().err
@@ -100,28 +91,28 @@ class TestQuestion:
         assert "taken as you say; --kind object --up '0 0 1' says so without a question" in err
 
     @pytest.mark.parametrize("text", ["\n", "", "what\nis\nthis\n"])
-    def test_everything_else_is_the_safe_reading(self, text: str, answers: Callable[..., Settled[Asked]]) -> None:
+    def test_everything_else_is_the_safe_reading(self, text: str, answers: Callable[..., Settled[Shown]]) -> None:
         settled = answers(text)
-        assert settled.command == Asked()
+        assert settled.where == Shown()
         assert settled.place.doubt != ""
 
-    def test_an_axis_is_up_and_the_kind_is_asked_next(self, answers: Callable[..., Settled[Asked]]) -> None:
+    def test_an_axis_is_up_and_the_kind_is_asked_next(self, answers: Callable[..., Settled[Shown]]) -> None:
         settled = answers("0.1 -0.98 0.17\n1\n")
-        assert (settled.command.kind, settled.command.up) == ("rooms", "0.1 -0.98 0.17")
-        assert answers("-y\n\n").command == Asked(up="-y")
+        assert (settled.where.kind, settled.where.up) == ("rooms", "0.1 -0.98 0.17")
+        assert answers("-y\n\n").where == Shown(up="-y")
 
     def test_a_picture_of_an_unsettled_place_goes_where_it_is_wanted(
-        self, answers: Callable[..., Settled[Asked]], tmp_path: Path
+        self, answers: Callable[..., Settled[Shown]], tmp_path: Path
     ) -> None:
         shown = tmp_path / "eyes.png"
-        settled = answers("\n", Asked(show=str(shown)))
+        settled = answers("\n", Shown(show=str(shown)))
         assert settled.picture == shown
         assert shown.read_bytes() == b"png"
         assert str(shown) in settled.remarks[-1]
         assert settled.written == " Nothing else was written."
         with Status() as status:
-            beside = settle(Asked(json=True), TINY, found, status, beside=str(tmp_path / "p.gsvis"))
-            sure = settle(Asked(kind="rooms", up="+z"), TINY, found, status, beside=str(tmp_path / "q.gsvis"))
+            beside = settle(Shown(), TINY, found, status, quiet=True, beside=str(tmp_path / "p.gsvis"))
+            sure = settle(Shown(kind="rooms", up="+z"), TINY, found, status, beside=str(tmp_path / "q.gsvis"))
         assert beside.picture == tmp_path / "p.gsvis.where.png"
         assert (sure.picture, sure.remarks, sure.written) == (None, [], " Nothing was written.")
         assert sorted(path.name for path in tmp_path.iterdir()) == ["eyes.png", "p.gsvis.where.png"]
@@ -130,7 +121,7 @@ class TestQuestion:
         for stdin in (io.StringIO("1\n"), None):
             monkeypatch.setattr("sys.stdin", stdin)
             with Status() as status:
-                assert settle(Asked(), TINY, found, status).command == Asked()
+                assert settle(Shown(), TINY, found, status).where == Shown()
         assert "Which" not in capsys.readouterr().err
 
 
@@ -148,12 +139,12 @@ class TestTerminal:
             "from pathlib import Path\n"
             "from gsvis.cli import asking\n"
             "from gsvis.cli.terminal import Status\n"
-            "from tests.cli.test_asking import TINY, Asked, found\n"
+            "from tests.cli.test_asking import TINY, Shown, found\n"
             "asking.write_picture = lambda path, source, place: Path(path).write_bytes(b'png')\n"
             "def run(command):\n"
             "    with Status() as status:\n"
-            "        settled = asking.settle(Asked(), TINY, found, status)\n"
-            "    print('asked:', settled.command.kind)\n"
+            "        settled = asking.settle(Shown(), TINY, found, status)\n"
+            "    print('asked:', settled.where.kind)\n"
             "gsvis.cli._run = run\n"
             "sys.exit(gsvis.cli.main(['inspect', 'builtin:two_rooms']))\n"
         )
@@ -196,7 +187,7 @@ class TestShow:
         other.write_bytes(b"not of gsvis")
         for name in ("picture.jpg", str(tmp_path), str(other)):
             with pytest.raises(ValueError, match=r"^--show: expected"):
-                check_show(Asked(show=name))
+                check_show(name)
         assert other.read_bytes() == b"not of gsvis"
 
     def test_a_kind_contradicts_a_place_given_by_hand(self, tmp_path: Path, capsys: Capture) -> None:
@@ -209,7 +200,7 @@ def test_a_kind_that_is_stated_leaves_no_doubt_about_it() -> None:
     from tests.scene.places import statue
 
     for kind in ("object", "open-place"):
-        place = find_place(Source("statue", statue()), Where(kind=kind), "+z")
+        place = find_place(Source("statue", statue()), Placed(kind=kind, up="+z"))
         assert place.evidence is not None
         assert (place.evidence.source, place.doubt) == ("kind", "")
         assert place.space is not None

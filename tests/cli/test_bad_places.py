@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gsvis.cli.arguments_where import Where
+from gsvis.cli.options import Placed, Where
 from gsvis.cli.source import Source
 from gsvis.cli.where import Place, find_place
 from gsvis.io.poses import write_poses
@@ -53,16 +53,16 @@ def test_a_scene_that_tells_nothing_is_not_sure(name: str, turned: bool) -> None
 
 
 def test_up_that_is_stated_wrongly_is_seen_from_the_ground() -> None:
-    wrong = find_place(Source("rooms", apartment()), Where(), "+x")
+    wrong = find_place(Source("rooms", apartment()), Placed(up="+x"))
     (line,) = [each for each in lines(wrong) if each.startswith("Check the up axis")]
     assert "up is +x, but ground and walls are level with +z up: 90 degrees off?" in line
-    assert not any("Check" in each for each in lines(find_place(Source("rooms", apartment()), Where(), "+z")))
+    assert not any("Check" in each for each in lines(find_place(Source("rooms", apartment()), Placed(up="+z"))))
 
 
 def test_cameras_that_contradict_the_scene_are_said() -> None:
     eyes = np.array([[900.0 + k, -700.0, 40.0] for k in range(8)])
     cameras = Cameras.look_at(eyes, eyes + [[np.cos(k), np.sin(k), 0.0] for k in range(8)], width=64, height=48)
-    place = find_place(Source("rooms", apartment()), Where(), "+z", None, cameras)
+    place = find_place(Source("rooms", apartment()), Placed(up="+z"), None, cameras)
     assert place.space is not None
     assert not place.space.contains(eyes).any()
     assert place.space.contains([[2.0, 2.5, 1.5], [6.0, 2.5, 1.5]]).any()  # eyes are where the scene has them
@@ -74,7 +74,7 @@ def test_a_walk_through_a_wall_is_said_and_taken_as_it_is(tmp_path: object) -> N
     places = np.column_stack([np.linspace(1.0, 7.0, 41), np.full(41, 0.8), np.full(41, 1.5)])
     walk = HeadPath(np.arange(41.0), places, np.tile([1.0, 0, 0, 0], (41, 1)), up=np.array([0, 0, 1.0]))
     write_poses(walk, f"{tmp_path}/walk.csv")
-    place = find_place(Source("rooms", apartment()), Where(path=f"{tmp_path}/walk.csv"), "+z", walk)
+    place = find_place(Source("rooms", apartment()), Placed(path=f"{tmp_path}/walk.csv", up="+z"), walk)
     assert place.space is not None
     assert place.space.contains(places).all()
     (line,) = [each for each in lines(place) if "leads through something solid" in each]

@@ -14,6 +14,7 @@ import pytest
 from gsvis.cli import clean_large, main, parse
 from gsvis.cli.arguments import Clean
 from gsvis.cli.asking import Settled
+from gsvis.cli.options import Shown
 from gsvis.cli.source import Source
 from gsvis.cli.terminal import Status
 from gsvis.cli.where import Place
@@ -95,7 +96,7 @@ def test_without_out_nothing_is_written(folder: Path, capsys: pytest.CaptureFixt
         (["SCENE", "--classes", "mist"], "--classes"),
         (["SCENE", "--apply", "TAKEN"], "-o OUT"),
         (["SCENE", "--apply", "TAKEN", "-o", "OUT.ply", "--eyes", "3"], "--eyes"),
-        (["SCENE", "--apply", "TAKEN", "-o", "OUT.ply"], "another scene"),
+        (["SCENE", "--apply", "TAKEN", "-o", "OUT.ply"], "a different scene"),
         (["SCENE", "--apply", "OTHER", "-o", "OUT.ply"], "an .npy file"),
         (["OTHER", "--apply", "ALL", "-o", "OUT.ply"], "everything would go: nothing written"),
         (["OTHER", "--apply", "MANY", "-o", "OUT.ply"], "0 to 255"),
@@ -186,8 +187,10 @@ def test_a_remark_says_that_most_is_never_seen(
 def test_a_report_repeats_what_was_answered_and_a_stated_kind_is_kept(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def answered(command: Clean, source: Source, find: Callable[[Clean], Place], status: Status) -> Settled[Clean]:
-        said = replace(command, kind="rooms")
+    def answered(
+        where: Shown, source: Source, find: Callable[[Shown], Place], status: Status, *, quiet: bool
+    ) -> Settled[Shown]:
+        said = replace(where, kind="rooms")
         return Settled(said, find(said), None)
 
     def parcels(*_: object, **__: object) -> NavigableSpace:
@@ -199,7 +202,7 @@ def test_a_report_repeats_what_was_answered_and_a_stated_kind_is_kept(
     assert main([*words, "--up", "+z", "--json"]) == 0
     again = parse(shlex.split(json.loads(capsys.readouterr().out)["command"])[1:])
     assert isinstance(again, Clean)
-    assert again.kind == "rooms"
+    assert again.where.kind == "rooms"
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,8 @@ import pytest
 
 from gsvis.cli import main, parse
 from gsvis.cli.arguments import Analyze, Convert, Inspect
-from gsvis.cli.source import check_folder, evenly
+from gsvis.cli.source import evenly
+from gsvis.files.output import check_folder
 from gsvis.io import load_scene, save_scene
 from gsvis.io.facts import spell_facts
 from gsvis.io.report_cameras import describe_cameras
@@ -255,8 +256,8 @@ def test_the_up_axis_may_begin_with_a_minus() -> None:
     for words in (["--change-up", "-y:+z"], ["--change-up=-y:+z"]):
         command = parse(["convert", "a", "b", *words])
         assert isinstance(command, Convert)
-        assert command.change_up is not None
-        assert command.change_up.strip() == "-y:+z"
+        assert command.placement.change_up is not None
+        assert command.placement.change_up.strip() == "-y:+z"
 
 
 def test_defaults_are_those_the_help_states() -> None:

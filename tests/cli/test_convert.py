@@ -90,7 +90,7 @@ def test_names_that_begin_with_a_minus_stand_behind_two(here: Path) -> None:
     (here / "a.ply").rename(here / "-a.ply")
     command = parse(["convert", "--scale", "2", "--", "-a.ply", "c.ply"])
     assert isinstance(command, Convert)
-    assert (command.paths, command.scale) == (("-a.ply", "c.ply"), 2.0)
+    assert (command.paths, command.placement.scale) == (("-a.ply", "c.ply"), 2.0)
 
 
 def test_crop_and_thinning_come_before_the_placement_of_the_whole() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gsvis.cli import parse
-from gsvis.cli.arguments_where import Where, WhereSeen
+from gsvis.cli.options import Placed, Where, value_of
 from gsvis.cli.source import Source, parse_up
 from gsvis.cli.where import check_where, find_place
 from gsvis.scene.cameras import Cameras
@@ -21,10 +21,10 @@ OBLIQUE = np.array([0.1, -0.98, 0.17])
 @pytest.mark.parametrize("words", [["0.1 -0.98 0.17"], ["0.1,-0.98,0.17"], ["0.1", "-0.98", "0.17"]])
 def test_up_takes_any_direction(words: list[str]) -> None:
     command = parse(["pvs", "--up", *words, "scene.ply", "-o", "x"])
-    up = parse_up(getattr(command, "up"))  # noqa: B009
+    up = parse_up(value_of(command, "up"))
     assert up is not None
     assert np.allclose(up, OBLIQUE / np.linalg.norm(OBLIQUE), atol=1e-15)
-    assert getattr(command, "scene") == "scene.ply"  # noqa: B009
+    assert value_of(command, "scene") == "scene.ply"
 
 
 @pytest.mark.parametrize("scale", [1e-300, 1.0, 1e300])
@@ -49,7 +49,7 @@ def test_cameras_say_where_eyes_are_and_which_way_is_up(tmp_path: Path) -> None:
     frames = [{"file_path": f"{k}.png", "transform_matrix": pose.tolist()} for k, pose in enumerate(poses)]
     file = tmp_path / "transforms.json"
     file.write_text(json.dumps({"fl_x": 55.4, "w": 64, "h": 48, "frames": frames}))
-    where = WhereSeen(cameras=str(file))
+    where = Where(cameras=str(file))
     check_where(where)
     place = find_place(Source("rooms", g), where)
     assert place.evidence is not None
@@ -64,7 +64,7 @@ def test_cameras_say_where_eyes_are_and_which_way_is_up(tmp_path: Path) -> None:
 
 
 def test_a_box_keeps_the_direction_that_is_given() -> None:
-    place = find_place(Source("rooms", apartment()), Where(box=(1.0, 1.0, 1.0, 2.0, 2.0, 2.0)), "0.1 -0.98 0.17")
+    place = find_place(Source("rooms", apartment()), Placed(box=(1.0, 1.0, 1.0, 2.0, 2.0, 2.0), up="0.1 -0.98 0.17"))
     assert place.space is not None
     assert np.allclose(place.space.up, OBLIQUE / np.linalg.norm(OBLIQUE))
     assert any("Check the up axis" in each for each in place.remarks)  # the floor lies elsewhere
@@ -72,7 +72,7 @@ def test_a_box_keeps_the_direction_that_is_given() -> None:
 
 def test_a_missing_file_of_cameras_is_said_before_work_begins() -> None:
     with pytest.raises(FileNotFoundError):
-        check_where(WhereSeen(cameras="nowhere.json"))
+        check_where(Where(cameras="nowhere.json"))
 
 
 @pytest.mark.parametrize(("box", "judging"), [(None, 10), ((0.5, 0.5, 0.5, 2.0, 2.0, 2.0), 20)])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import fields
 from pathlib import Path
 from typing import get_args
 
@@ -13,7 +12,7 @@ import pytest
 
 from gsvis.cli import main
 from gsvis.cli.arguments import Command
-from gsvis.cli.help import command_name
+from gsvis.cli.options import command_name, leaves
 from gsvis.io import save_scene
 from gsvis.scene.procedural import two_rooms
 
@@ -79,7 +78,7 @@ def _texts(value: object) -> list[str]:
 
 
 def test_every_command_that_takes_cameras_takes_their_frame() -> None:
-    takes = {command_name(kind): {each.name for each in fields(kind)} for kind in get_args(Command)}
+    takes = {command_name(kind): {leaf.name for leaf in leaves(kind)} for kind in get_args(Command)}
     with_cameras = {name for name, names in takes.items() if "cameras" in names}
     assert with_cameras == {name for name, names in takes.items() if "cameras_frame" in names}
     assert with_cameras == set(WITH_CAMERAS)

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import re
-from dataclasses import MISSING, fields
+from dataclasses import MISSING
 from typing import get_args
 
 import pytest
 
 from gsvis.cli import main
 from gsvis.cli.arguments import Command
-from gsvis.cli.help import FIRST, GROUPS, command_name, overview
+from gsvis.cli.help import FIRST, GROUPS, overview
+from gsvis.cli.options import command_name, leaves
 
 KINDS = {command_name(kind): kind for kind in get_args(Command)}
 Capture = pytest.CaptureFixture[str]
@@ -41,16 +42,16 @@ def test_the_first_options_are_at_most_ten_and_exist(name: str) -> None:
     first = FIRST[name]
     assert len(first) <= 10
     assert len(set(first)) == len(first)
-    assert set(first) <= {each.name for each in fields(KINDS[name])}
+    assert set(first) <= {leaf.name for leaf in leaves(KINDS[name])}
 
 
 @pytest.mark.parametrize("name", ["prepare", "verify", "render"])
 def test_short_help_shows_the_first_options_and_names_the_way_to_all(capsys: Capture, name: str) -> None:
     assert main([name, "--help"]) == 0
     text = capsys.readouterr().out
-    required = {each.name for each in fields(KINDS[name]) if each.default is MISSING}
+    required = {each.name for each in leaves(KINDS[name]) if each.default is MISSING}
     shown = set(FIRST[name]) | required
-    hidden = [each.name for each in fields(KINDS[name]) if each.name not in shown]
+    hidden = [each.name for each in leaves(KINDS[name]) if each.name not in shown]
     assert (f"{len(hidden)} more" in text) == bool(hidden)
     assert (f"gsvis {name} --help-all" in text) == bool(hidden)
     assert main([name, "--help-all"]) == 0

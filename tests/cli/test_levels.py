@@ -252,7 +252,7 @@ def test_a_scene_that_does_not_fit_the_memory_is_refused_before_it_is_read(
 def test_photographs_count_before_the_scene_is_read(
     command: str, ply: Path, photos: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(f"gsvis.cli.{command}.load_source", lambda *given: pytest.fail("the scene was read"))
+    monkeypatch.setattr(f"gsvis.cli.{command}.open_source", lambda *given: pytest.fail("the scene was read"))
     monkeypatch.setattr("gsvis.train.photos.photo_bytes", lambda folder, size: 9_000_000_000)
     words = [command, str(ply), "-o", str(tmp_path / "out.gsvis"), "--photos", str(photos), "--max-memory", "5GB"]
     assert main(words) != 0

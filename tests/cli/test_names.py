@@ -5,16 +5,17 @@ from __future__ import annotations
 import re
 from collections import defaultdict
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Literal, get_args, get_origin, get_type_hints
+from typing import Literal, get_args, get_origin
 
 import pytest
 
 from gsvis.cli import main
 from gsvis.cli.arguments import Command
-from gsvis.cli.help import command_name, option_texts
+from gsvis.cli.help import option_texts
+from gsvis.cli.options import command_name, leaves
 from gsvis.cli.renamed import RENAMED, SYNONYMS
 
 KINDS = {command_name(kind): kind for kind in get_args(Command)}
@@ -87,16 +88,14 @@ class Option:
 
 def options() -> Iterator[Option]:
     for command, kind in KINDS.items():
-        texts, hints = option_texts(kind), get_type_hints(kind, include_extras=True)
-        for each in fields(kind):
-            hint = hints[each.name]
-            extras = hint.__metadata__ if get_origin(hint) is Annotated else ()
-            if any("POSITIONAL" in str(extra).upper() for extra in extras):
+        texts = option_texts(kind)
+        for leaf in leaves(kind):
+            if leaf.is_positional:
                 continue
-            metavar = " ".join(str(extra.metavar) for extra in extras if getattr(extra, "metavar", None))
-            plain = get_args(hint)[0] if extras else hint
+            metavar = " ".join(str(extra.metavar) for extra in leaf.extras if getattr(extra, "metavar", None))
+            plain = get_args(leaf.hint)[0] if leaf.extras else leaf.hint
             choices = frozenset(get_args(plain)) if get_origin(plain) is Literal else frozenset[str]()
-            yield Option(command, f"--{each.name.replace('_', '-')}", metavar, plain, choices, texts[each.name])
+            yield Option(command, leaf.option, metavar, plain, choices, texts[leaf.name])
 
 
 OPTIONS = tuple(options())
@@ -135,7 +134,7 @@ def test_a_name_means_the_same_in_all_commands(name: str) -> None:
 def test_every_command_that_reads_a_scene_can_leave_rows_out() -> None:
     """The error about such rows names this option, whichever command reads them."""
     of_scenes = {"scene", "scenes", "paths"}
-    reading = {command for command, kind in KINDS.items() if of_scenes & {each.name for each in fields(kind)}}
+    reading = {command for command, kind in KINDS.items() if of_scenes & {leaf.name for leaf in leaves(kind)}}
     assert len(reading) >= 17
     assert {each.command for each in BY_NAME["--drop-invalid"]} == reading
 

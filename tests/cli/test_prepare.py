@@ -156,7 +156,7 @@ def test_a_scene_that_does_not_fit_the_memory_is_refused_before_it_is_read(
 ) -> None:
     scene, target = tmp_path / "s.ply", tmp_path / "s.gsvis"
     save_scene(random_scene(np.random.default_rng(0), 3000), scene)
-    monkeypatch.setattr("gsvis.cli.prepare.load_source", lambda *given: pytest.fail("the scene was read"))
+    monkeypatch.setattr("gsvis.cli.prepare.open_source", lambda *given: pytest.fail("the scene was read"))
 
     def least(*words: str) -> float:
         said = refused(capsys, scene, "-o", target, "--max-memory", "300MB", *words)

@@ -124,8 +124,8 @@ def test_defaults_are_those_of_the_library() -> None:
     assert isinstance(command, PvsReport)
     config = QualityConfig()
     for name in ("cells", "dense", "width", "height", "fov", "bytes_per_gaussian", "seed"):
-        assert getattr(command, name) == getattr(config, name)
-    assert (command.eyes, command.raycast) == (config.viewpoints, config.rays)
+        assert getattr(command.quality, name) == getattr(config, name)
+    assert (command.quality.eyes, command.quality.raycast) == (config.viewpoints, config.rays)
 
 
 def test_another_scene_a_damaged_store_and_missing_files_are_refused_in_one_line(

@@ -15,10 +15,10 @@ from PIL import Image
 
 from gsvis.cli import main, parse
 from gsvis.cli.arguments import Render
-from gsvis.cli.pictures import target_of
 from gsvis.cli.render import _backend
 from gsvis.io import load_scene, save_scene
 from gsvis.render import rasterize
+from gsvis.report.frames import target_of
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.procedural import builtin_scene, two_rooms
@@ -297,7 +297,7 @@ def test_defaults_are_those_the_help_states() -> None:
     assert parse(["render", "x", "-o", "d"]) == Render("x", "d")
     command = parse(["render", "x", "--index", "3", "5", "--up", "-y", "--eye", "-1", "-.5", "2", "-o", "y"])
     assert isinstance(command, Render)
-    assert (command.index, command.eye, command.out) == ((3, 5), (-1.0, -0.5, 2.0), "y")
+    assert (command.cast.index, command.cast.eye, command.out) == ((3, 5), (-1.0, -0.5, 2.0), "y")
 
 
 @pytest.mark.parametrize(

@@ -114,7 +114,7 @@ def test_a_path_is_brought_into_the_scene_and_the_scene_can_be_given(
 def test_what_cannot_be_is_refused_in_one_line(folder: Path, tmp_path: Path, capsys: Capture) -> None:
     begin = ["simulate", street(folder), "--path", folder / "walk.csv", "-o", tmp_path / "report"]
     assert "no such file" in refused(capsys, *begin, "--trace", folder / "nothing")
-    assert "leave one out" in refused(capsys, *begin, "--trace", folder / "link.txt", "--mbit", "3")
+    assert "leave it out" in refused(capsys, *begin, "--trace", folder / "link.txt", "--mbit", "3")
     assert "one for each package, 1, got 2" in refused(capsys, *begin, "--scene", "a.ply", "b.ply")
     assert "--whole-file: expected one for each" in refused(capsys, *begin, "--whole-file", "a", "b")
     assert "manifest" in refused(capsys, "simulate", folder, *begin[2:], "--as-is")

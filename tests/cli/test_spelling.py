@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Annotated, Any, get_args, get_origin
 
 import pytest
 
 from gsvis.cli import main, parse
-from gsvis.cli.help import command_name
-from gsvis.cli.spelling import _kinds, _options, expand_home, misspelling
+from gsvis.cli.options import command_name, leaves, value_of
+from gsvis.cli.spelling import _kinds, expand_home, is_path, misspelling, names_of
 from gsvis.io import load_scene, save_scene
 from gsvis.io.poses import load_path, write_poses
 from gsvis.scene.paths import HeadPath
@@ -27,6 +28,7 @@ NOT_PATHS = {
     "token",
     "name",
     "names",
+    "kind",
     "classes",
     "origins",
     "proxies",
@@ -72,7 +74,7 @@ def test_every_name_is_known_and_a_lost_letter_is_found_again() -> None:
         assert misspelling([command, "x", "--help"]) is None
         lost = f"{command[:2]}{command[3:]}"
         assert f"did you mean {command}?" in (misspelling([lost]) or "")
-        names = [name for option in _options(kind) for name in option.names if name.startswith("--")]
+        names = [name for leaf in leaves(kind) for name in names_of(leaf) if name.startswith("--")]
         for name in names:
             assert misspelling([command, name.replace("-", "_").replace("__", "--")]) is None
             if len(name) > 7:
@@ -83,7 +85,7 @@ def test_every_name_is_known_and_a_lost_letter_is_found_again() -> None:
 def test_names_are_those_of_the_documentation() -> None:
     text = (Path(__file__).parents[2] / "docs" / "cli.md").read_text(encoding="utf-8")
     documented = set(re.findall(r"^ *│? *(?:-\w [A-Z]+, )?(--[a-z][a-z-]+)", text, re.M))
-    known = {name for _, kind in commands() for option in _options(kind) for name in option.names}
+    known = {name for _, kind in commands() for leaf in leaves(kind) for name in names_of(leaf)}
     assert len(documented) > 50
     assert documented - {"--help", "--version"} <= known
 
@@ -97,15 +99,23 @@ def test_values_that_look_like_options_are_left_alone() -> None:
 def test_home_is_expanded_in_paths_and_in_nothing_else(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("HOME", str(tmp_path))
     for _, kind in commands():
-        texts = {field for field, hint in kind.__annotations__.items() if "str" in hint and "Literal" not in hint}
-        paths = {option.field for option in _options(kind) if option.path}
+        texts = {
+            leaf.name for leaf in leaves(kind) if "str" in _plain(leaf.hint) and "Literal" not in _plain(leaf.hint)
+        }
+        paths = {leaf.name for leaf in leaves(kind) if is_path(leaf)}
         assert texts - paths <= NOT_PATHS
     command = parse(["simulate", "~/a.gsvis", "--path", "~/walk.csv", "--trace=~/link.csv", "-o", "~"])
     assert (command.package, command.path) == ((f"{tmp_path}/a.gsvis",), f"{tmp_path}/walk.csv")  # type: ignore[union-attr]
     assert expand_home(command) == command
     served = parse(["serve", "~/a", "b", "--token", "~/secret", "--ssl-certfile", "~/c.pem"])
     assert served.package == (f"{tmp_path}/a", "b")  # type: ignore[union-attr]
-    assert (served.token, served.ssl_certfile) == ("~/secret", f"{tmp_path}/c.pem")  # type: ignore[union-attr]
+    assert value_of(served, "token") == "~/secret"
+    assert value_of(served, "ssl_certfile") == f"{tmp_path}/c.pem"
+
+
+def _plain(hint: Any) -> str:
+    """Return the text of a type without the settings of tyro."""
+    return str(get_args(hint)[0] if get_origin(hint) is Annotated else hint)
 
 
 def test_home_is_expanded_by_the_library(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: Capture) -> None:

@@ -11,9 +11,7 @@ import numpy as np
 import pytest
 
 from gsvis.cli import asking, starts
-from gsvis.cli.arguments_export import Export
-from gsvis.cli.arguments_view import View
-from gsvis.cli.arguments_where import Where, WhereSeen
+from gsvis.cli.options import Placed, Shown, Where
 from gsvis.cli.source import Source, load_source, navigable_space
 from gsvis.cli.starts import find_starts, thin
 from gsvis.cli.terminal import Status
@@ -93,15 +91,14 @@ def test_a_visit_says_what_is_not_sure_and_begins_where_either_reading_has_eyes(
     assert not any("Not sure" in each for each in known.remarks)
 
 
-@pytest.mark.parametrize("command", [View("cloud"), Export("cloud", "site")])
 def test_a_visit_in_doubt_asks_as_every_command_does(
-    command: View | Export, cloud: Source, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    cloud: Source, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(asking, "_may_ask", lambda command: command.kind is None)
+    monkeypatch.setattr(asking, "_may_ask", lambda where: where.kind is None)
     monkeypatch.setattr(asking, "write_picture", lambda path, source, place: Path(path).write_bytes(b"png"))
     monkeypatch.setattr("sys.stdin", io.StringIO("1\n"))
     with Status() as status:
-        answered, visit = settle_visit(command, cloud, None, status)
+        answered, visit = settle_visit(Shown(), cloud, None, status, quiet=False)
     said = capsys.readouterr().err
     assert "Not sure: " in said
     assert "where.png" in said
@@ -112,8 +109,8 @@ def test_a_visit_in_doubt_asks_as_every_command_does(
 
 def test_a_visit_in_doubt_shows_where_people_stand(cloud: Source, tmp_path: Path) -> None:
     with Status() as status:
-        _, unasked = settle_visit(View("cloud", json=True), cloud, None, status)
-        _, visit = settle_visit(View("cloud", json=True, show=str(tmp_path / "a.png")), cloud, None, status)
+        _, unasked = settle_visit(Shown(), cloud, None, status, quiet=True)
+        _, visit = settle_visit(Shown(show=str(tmp_path / "a.png")), cloud, None, status, quiet=True)
     assert unasked.remarks[-1] == " --show FILE.png shows the first view and a plan with eyes."
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
     assert str(tmp_path / "a.png") in visit.remarks[-1]
@@ -123,7 +120,7 @@ def test_a_visit_begins_in_the_box_of_the_user() -> None:
     source = load_source("builtin:two_rooms", None)
     box = (0.5, 0.5, 1.0, 1.5, 1.5, 2.0)
     with Status() as status:
-        _, visit = settle_visit(View("rooms", box=box), source, None, status)
+        _, visit = settle_visit(Shown(box=box), source, None, status, quiet=True)
     assert visit.starts
     for each in visit.starts:
         assert np.all(each.position >= np.array(box[:3])) & np.all(each.position <= np.array(box[3:]))
@@ -139,9 +136,9 @@ def test_cameras_say_where_a_visit_begins_and_which_way_is_up(tmp_path: Path) ->
     frames = [{"file_path": f"{k}.png", "transform_matrix": pose.tolist()} for k, pose in enumerate(poses)]
     file = tmp_path / "transforms.json"
     file.write_text(json.dumps({"fl_x": 55.4, "w": 64, "h": 48, "frames": frames}))
-    seen = WhereSeen(cameras=str(file))
+    seen = Placed(cameras=str(file))
     visit = plan_visit(Source("rooms", turned), seen)
     assert np.allclose(visit.up, [0, 1, 0], atol=1e-3)
     assert visit.starts
-    given = plan_visit(Source("rooms", turned), seen, "-z")
+    given = plan_visit(Source("rooms", turned), replace(seen, up="-z"))
     assert given.up.tolist() == [0, 0, -1]

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from gsvis.cli import main
-from gsvis.cli.arguments_where import Where
+from gsvis.cli.options import Where
 from gsvis.cli.source import Source, load_source
 from gsvis.cli.where import find_place
 from gsvis.scene.facts import SceneFacts

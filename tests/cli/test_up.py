@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gsvis.cli import convert, main
-from gsvis.cli.arguments_where import Where
+from gsvis.cli.options import Where
 from gsvis.cli.source import Source, inspect_scene_of, load_source, navigable_space, up_of, up_to_turn
 from gsvis.cli.where import find_place
 from gsvis.export.start import Start

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from gsvis.cli import main, parse
-from gsvis.cli.arguments_where import Where
+from gsvis.cli.options import Placed, Where, changed, value_of
 from gsvis.cli.source import Source
-from gsvis.cli.where import check_where, find_place, spell, suspect_views
+from gsvis.cli.where import check_where, find_place, suspect_views
 from gsvis.errors import SceneError
 from gsvis.io import save_scene
 from gsvis.io.poses import write_poses
@@ -99,16 +99,12 @@ class TestByHand:
     def test_every_command_that_samples_eyes_takes_a_place(self, command: str) -> None:
         out = [] if command in ("inspect", "render") else ["-o", "x"]
         around = parse([command, "scene.ply", *out, "--around", "-1", "0", "2.5", "0.5"])
-        assert isinstance(around, Where)
-        assert around.around == (-1.0, 0.0, 2.5, 0.5)
+        assert value_of(around, "around") == (-1.0, 0.0, 2.5, 0.5)
         whole, boxed = (parse([command, "scene.ply", *out, *more]) for more in (["--around", "auto"], BOX))
-        assert isinstance(whole, Where)
-        assert whole.around == ()
-        assert isinstance(boxed, Where)
-        assert boxed.box == (0.5, 0.5, 0.5, 3.5, 3.5, 2.5)
+        assert value_of(whole, "around") == ()
+        assert value_of(boxed, "box") == (0.5, 0.5, 0.5, 3.5, 3.5, 2.5)
         walked = parse([command, "scene.ply", *out, "--path", "w.csv", "--margin", "0.3", "--retarget"])
-        assert isinstance(walked, Where)
-        assert (walked.path, walked.margin, walked.retarget) == ("w.csv", 0.3, True)
+        assert [value_of(walked, name) for name in ("path", "margin", "retarget")] == ["w.csv", 0.3, True]
 
     @pytest.mark.parametrize("command", ["inspect", "analyze", "render", "color", "pvs", "prepare"])
     def test_a_box_is_where_eyes_are(self, command: str, tmp_path: Path, capsys: Capture) -> None:
@@ -128,8 +124,7 @@ class TestByHand:
     def test_values_are_spelled_as_they_are_read(self) -> None:
         for words in (["--around", "auto"], ["--around", "1", "-2", "3", "0.25"], BOX):
             command = parse(["pvs", "scene.ply", "-o", "x", *words])
-            assert isinstance(command, Where)
-            assert spell(getattr(command, words[0][2:])) == words[1:]
+            assert changed(command) == {words[0]: words[1:]}
 
 
 class TestBadInput:
@@ -194,8 +189,8 @@ class TestBadInput:
 
     def test_places_exclude_each_other(self) -> None:
         for where, message in (
-            (Where(box=(0, 0, 0, 1, 1, 1), around=()), "--around: expected none with --box, got auto; leave one out"),
-            (Where(around=(), path="w.csv"), "--path: expected none with --around, got w.csv; leave one out"),
+            (Where(box=(0, 0, 0, 1, 1, 1), around=()), "--around: expected none with --box, got auto; leave it out"),
+            (Where(around=(), path="w.csv"), "--path: expected none with --around, got w.csv; leave it out"),
             (Where(margin=1.0), "--margin: expected --path with it, got none"),
             (Where(retarget=True), "--retarget: expected --path with it, got none"),
         ):
@@ -214,18 +209,18 @@ class TestBadInput:
         times = np.arange(4.0)
         away = HeadPath(times, 500.0 + np.eye(4)[:, :3], np.tile([1.0, 0, 0, 0], (4, 1)), up=np.array([0, 0, 1.0]))
         write_poses(away, tmp_path / "walk.csv")
-        where = Where(path=str(tmp_path / "walk.csv"))
+        where = Placed(path=str(tmp_path / "walk.csv"), up="+z")
         source = Source("rooms", apartment())
         with pytest.raises(ValueError, match="--retarget brings it there"):
-            find_place(source, where, "+z", check_where(where))
+            find_place(source, where, check_where(where))
 
     @pytest.mark.parametrize("make", [filled, lambda: discs(np.zeros((1, 3)), (5.0, 5.0, 5.0), 0.99)])
     def test_a_path_inside_something_solid(self, make: Callable[[], Gaussians], tmp_path: Path) -> None:
         times, places = np.arange(3.0), np.array([[0.0, 0, 0], [0.1, 0, 0], [0.2, 0, 0]])
         walk = HeadPath(times, places, np.tile([1.0, 0, 0, 0], (3, 1)), up=np.array([0, 0, 1.0]))
         write_poses(walk, tmp_path / "walk.csv")
-        where = Where(path=str(tmp_path / "walk.csv"))
-        place = find_place(Source("solid", make()), where, "+z", check_where(where))
+        where = Placed(path=str(tmp_path / "walk.csv"), up="+z")
+        place = find_place(Source("solid", make()), where, check_where(where))
         assert place.space is not None
         assert place.space.contains(places).all()  # somebody walked there
         assert place.evidence is not None

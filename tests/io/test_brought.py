@@ -14,12 +14,12 @@ import pytest
 from numpy.typing import NDArray
 
 from gsvis.cli import main
-from gsvis.cli.frames import cameras_in_scene
 from gsvis.color.sh import sh_colors
 from gsvis.errors import FormatError
 from gsvis.io.batches import align_batches, list_batches, read_batch
 from gsvis.io.convert import convert_scene, merge_scenes
 from gsvis.io.convert_batches import convert_batches
+from gsvis.io.frames import fit_cameras, move_cameras
 from gsvis.io.gltf_splats_writer import save_glb
 from gsvis.io.invalid import dropping_invalid
 from gsvis.io.losses import watch_losses
@@ -29,6 +29,7 @@ from gsvis.io.spz import load_spz
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.facts import SceneFacts
 from gsvis.scene.gaussians import Gaussians
+from gsvis.scene.similarity import Similarity
 from tests.io.scene_files import glb_parts, ply_bytes, random_scene, raw_columns, spz_bytes
 
 UTM = np.array([500_123.25, 4_649_776.5, 212.0])
@@ -443,8 +444,21 @@ def test_cameras_of_a_file_stand_in_a_scene_with_an_origin(tmp_path: Path) -> No
     here = Cameras.look_at([[1.0, 2.0, 3.0]], (0.0, 0.0, 0.0), width=8, height=6)
     there = here.with_origin(-UTM)
     np.testing.assert_allclose(there.viewpoints, here.viewpoints + UTM, atol=1e-6)
-    write = {"w": 8, "h": 6, "fl_x": 8.0, "frames": [{"file_path": "a.png", "transform_matrix": np.eye(4).tolist()}]}
-    file = str(put(tmp_path, "transforms.json", json.dumps(write).encode()))
     scene = random_scene().with_facts(SceneFacts(origin=(float(UTM[0]), float(UTM[1]), float(UTM[2]))))
-    np.testing.assert_allclose(cameras_in_scene(there, file, scene).viewpoints, here.viewpoints, atol=1e-6)
-    assert cameras_in_scene(there, file, random_scene()) is there
+    for given in (here, there):  # of a report of gsvis, and of the source
+        np.testing.assert_allclose(fit_cameras(scene, given).cameras.viewpoints, here.viewpoints, atol=1e-6)
+    assert fit_cameras(random_scene(), there).cameras is there
+
+
+def test_cameras_of_a_capture_are_moved_before_the_origin_is_taken_off(tmp_path: Path) -> None:
+    here = Cameras.look_at([[1.0, 2.0, 3.0]], (0.0, 0.0, 0.0), width=8, height=6)
+    scene = random_scene().with_facts(SceneFacts(origin=(float(UTM[0]), float(UTM[1]), float(UTM[2]))))
+    transform = Similarity(scale=0.25, translation=(7.0, -3.0, 2.0))  # capture to the coordinates of the source
+    capture = move_cameras(here.with_origin(-UTM), transform.inverse())
+    rows = {"transform": np.eye(4)[:3].tolist(), "scale": 0.25}
+    rows["transform"] = [[float(i == j) for j in range(3)] + [t / 0.25] for i, t in enumerate((7.0, -3.0, 2.0))]
+    put(tmp_path, "dataparser_transforms.json", json.dumps(rows).encode())
+    for frame in ("capture", "auto"):
+        found = fit_cameras(scene, capture, tmp_path, frame=frame)  # type: ignore[arg-type]
+        assert found.transform is not None
+        np.testing.assert_allclose(found.cameras.viewpoints, here.viewpoints, atol=1e-6)

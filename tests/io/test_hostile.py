@@ -145,7 +145,7 @@ OPENED_OTHERWISE = {
     "report/html.py": "read_text",  # pages that come with gsvis
     "report/staircase.py": "read_text",
     "pvs/_workers.py": "memmap",  # what this run wrote for its workers
-    "cli/pictures.py": "load",  # what this run wrote
+    "report/frames.py": "load",  # what this run wrote
     "cli/streams.py": "open",  # the null device
 }
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gsvis.cli.source import check_report
+from gsvis.cli.targets import check_report
 from gsvis.raycast import Analysis, AnalysisConfig, EllipsoidProxies, Tracer, analyze
 from gsvis.report import Subject, ViewPicture, picture_views, report_document, write_report
 from gsvis.report.maps import Ground

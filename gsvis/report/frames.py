@@ -17,11 +17,10 @@ from numpy.typing import NDArray
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
-from gsvis.cli.source import check_folder
 from gsvis.errors import FormatError
 from gsvis.files.atomic import atomic_folder, atomic_path
 from gsvis.files.limits import open_regular
-from gsvis.files.output import TEMPORARY, output_errors
+from gsvis.files.output import TEMPORARY, check_folder, output_errors
 from gsvis.files.temporary import temporary_folder
 
 __all__ = ["Frame", "Target", "eight_bit", "is_own", "target_of", "write_frames"]

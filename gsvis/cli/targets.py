@@ -1,8 +1,9 @@
-"""Check where a command may write a scene and the files beside it, and write arrays, before and after the work."""
+"""Check the files that a command reads and writes, before the work; write arrays."""
 
 from __future__ import annotations
 
 import io
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,11 +11,96 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis import _check
-from gsvis.cli.source import check_folder, check_new, inputs_of, is_levels
-from gsvis.files.atomic import atomic_path
+from gsvis.cli.source import inputs_of, is_levels
+from gsvis.errors import FormatError
+from gsvis.files.atomic import atomic_path, find_interrupted_moves
+from gsvis.files.limits import open_regular
+from gsvis.files.output import check_folder
 from gsvis.io.scenes import WRITTEN
 
-__all__ = ["check_one_level", "check_outputs", "check_scene_out", "write_array"]
+__all__ = [
+    "check_exists",
+    "check_new",
+    "check_one_level",
+    "check_outputs",
+    "check_report",
+    "check_scene_out",
+    "check_show",
+    "write_array",
+]
+
+
+def check_exists(*paths: str | None) -> None:
+    """Raise unless each path that is given exists.
+
+    Raises:
+        FileNotFoundError: If one does not.
+    """
+    for path in paths:
+        if path is not None and not Path(path).exists():
+            raise FileNotFoundError(2, "no such file or folder", path)
+
+
+def check_new(path: str | os.PathLike[str], overwrite: bool) -> None:
+    """Raise if a file exists, unless it may be overwritten: a typo must not destroy a scene.
+
+    Raises:
+        ValueError: If the file exists and `overwrite` is false.
+    """
+    if not overwrite and os.path.lexists(path):
+        raise ValueError(f"{path}: expected a new file, got one that exists; name another, or say --overwrite")
+
+
+def check_show(path: str | None) -> None:
+    """Check --show before work begins.
+
+    Raises:
+        ValueError: If the name does not end in .png, or is that of a file that gsvis did not write.
+        OutputError: If nothing can be written there.
+    """
+    if path is None:
+        return
+    from gsvis.report.frames import is_own
+
+    target = Path(path)
+    if target.suffix.lower() != ".png" or target.is_dir():
+        raise ValueError(f"--show: expected the name of a .png, got {path!r}")
+    if target.exists() and not is_own(target):
+        raise ValueError(f"--show: expected a new file, or a picture of gsvis, got {path}; name another")
+    check_folder(target.absolute().parent)
+
+
+def check_report(path: str | os.PathLike[str]) -> None:
+    """Raise unless a report can be written into a folder without mixing with other files.
+
+    A report replaces an earlier report of gsvis, but no pictures and pages that gsvis did not write.
+
+    Raises:
+        ValueError: If the folder holds pictures or pages of something else.
+        OutputError: If nothing can be written there.
+    """
+    check_folder(path)
+    folder = Path(path)
+    if not folder.is_dir() or _holds_report(folder / "report.json"):
+        return
+    others = [name for name in ("report.html", "report.json") if (folder / name).exists()]
+    others += sorted(file.name for file in folder.glob("*.png"))
+    moved = find_interrupted_moves(folder)
+    others = [name for name in others if name not in moved]  # an interrupted report of gsvis may be replaced
+    if others:
+        raise ValueError(
+            f"{path}: expected a new folder, or one of an earlier report, got one with {others[0]} of something else;"
+            " name another"
+        )
+
+
+def _holds_report(path: Path) -> bool:
+    """Return whether a file starts like a `report.json` of gsvis."""
+    try:
+        with open_regular(path) as file:
+            return file.read(64).lstrip(b"{ \r\n").startswith(b'"format": "gsvis-')
+    except (FormatError, OSError):
+        return False
 
 
 def check_scene_out(
