@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 from gsvis.cli.arguments import Convert
 from gsvis.cli.memory import check_memory
 from gsvis.cli.source import Source, check_source, is_builtin, is_levels, load_source, title_of, up_of
-from gsvis.cli.starts import find_starts
 from gsvis.cli.targets import check_scene_out
 from gsvis.cli.terminal import Status, print_json, show
-from gsvis.cli.visits import Visit, plan_visit
+from gsvis.cli.visits import Visit, find_starts, plan_visit
 from gsvis.io.batches import Batch, list_batches
 from gsvis.io.convert import AXES, convert_scene, merge_scenes, rotation_about_axes
 from gsvis.io.convert_batches import convert_batches

@@ -39,15 +39,10 @@ def run_export(command: Export) -> None:
     opens = parse_origins("--page-origins", command.page_origins)
     _check_target(command)
     _check_apart(command)
-    if command.format == "streamed-sog":
-        from gsvis.cli.export_streamed import export_streamed
+    if command.format in ("streamed-sog", "3dtiles", "glb"):
+        from gsvis.cli.export_leaves import export_leaves
 
-        export_streamed(command)
-        return
-    if command.format in ("3dtiles", "glb"):
-        from gsvis.cli.export_tiles import export_tiles
-
-        export_tiles(command)
+        export_leaves(command)
         return
     from gsvis.export import StaticOptions, write_html, write_site
 

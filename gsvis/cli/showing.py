@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gsvis.cli.source import Source
-from gsvis.cli.starts import thin
 from gsvis.cli.where import Place
 from gsvis.errors import SceneError
 from gsvis.scene.axes import describe_direction, tilt_of
@@ -111,7 +110,7 @@ def picture_of(source: Source, place: Place, title: str = "") -> bytes:
     from gsvis.report.places import Places, Reading, draw_places
 
     assert place.space is not None
-    some = thin(source).gaussians
+    some = source.thin().gaussians
     choices = find_choices(place)
     readings = []
     for choice in choices:
@@ -133,7 +132,7 @@ def picture_of(source: Source, place: Place, title: str = "") -> bytes:
         cameras=none if place.cameras is None else place.cameras.viewpoints,
         walk=none if place.path is None else place.path.positions,
     )
-    return draw_places(thin(source, _PICTURED).gaussians, shown)
+    return draw_places(source.thin(_PICTURED).gaussians, shown)
 
 
 def write_picture(path: Path, source: Source, place: Place) -> None:

@@ -51,6 +51,9 @@ __all__ = [
 ]
 
 BUILTIN = "builtin:"
+SOME = 100_000
+"""Gaussians of a thin scene: what place it is, and where it is free, shows in few."""
+
 _TURNED = 0.5  # confidence from which a scene is turned by an oblique angle
 
 
@@ -86,6 +89,19 @@ class Source:
     def union(self) -> Gaussians:
         """The Gaussians of the scene, or those of all levels together."""
         return self.gaussians if self.levels is None else self.levels.union
+
+    def thin(self, most: int | None = None) -> Source:
+        """Return the scene with Gaussians drawn at random, larger by as much as keeps the area of all together.
+
+        Args:
+            most: Gaussians that remain, at most; by default as many as a view to begin with needs.
+        """
+        g = self.gaussians
+        most = most or SOME
+        if len(g) > most:
+            some = np.sort(np.random.default_rng(0).choice(len(g), most, replace=False))
+            g = replace(g[some], scales=g.scales[some] * np.float32(np.sqrt(len(g) / most)))
+        return replace(self, gaussians=g, levels=None)
 
 
 Loader = Callable[[str, "int | None"], Source]

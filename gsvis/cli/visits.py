@@ -6,20 +6,22 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from gsvis.cli.asking import settle
 from gsvis.cli.options import Placed, Shown, Where
-from gsvis.cli.source import Source, parse_up, up_of
-from gsvis.cli.starts import starts_in, thin
+from gsvis.cli.source import Source, navigable_space, parse_up, up_of
 from gsvis.cli.terminal import Status
 from gsvis.cli.where import Place, find_place
+from gsvis.scene.navigable import NavigableSpace
 
 if TYPE_CHECKING:
     from gsvis.export.start import Start
     from gsvis.scene.paths import HeadPath
 
-__all__ = ["Visit", "plan_visit", "settle_visit"]
+__all__ = ["Visit", "find_starts", "plan_visit", "settle_visit", "starts_in"]
+
+_DRAWN = 12  # views that those to begin with are chosen from
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +48,7 @@ def plan_visit(source: Source, where: Where | None = None) -> Visit:
         source: The scene.
         where: What the user said of where eyes may be; None for nothing.
     """
-    some = thin(source)
+    some = source.thin()
     place = find_place(some, where or Where())
     up = where.up if isinstance(where, Placed) else None
     return _begin(some, place, up, place.remarks)
@@ -69,7 +71,7 @@ def settle_visit(
         OutputError: If the picture of --show cannot be written.
         KeyboardInterrupt: If the user presses Ctrl-C at the question.
     """
-    some = thin(source)
+    some = source.thin()
     status("start", 0, 1)
     settled = settle(where, source, lambda w: find_place(some, w, walk), status, quiet=quiet)
     if where.given or where.kind not in (None, "auto"):
@@ -88,3 +90,34 @@ def _begin(some: Source, place: Place, up: str | None, remarks: list[str]) -> Vi
         axis = up_of(some) if known is None else known
     starts = None if place.space is None else starts_in(some, place.space)
     return Visit(starts, axis, remarks)
+
+
+def find_starts(source: Source, up: ArrayLike) -> tuple[Start, ...] | None:
+    """Return upright views that show much of a scene, the best first; None if no eye finds room.
+
+    They are found among a part of the Gaussians: about two seconds for any scene, and not the views that `gsvis
+    prepare` would choose.
+
+    Args:
+        source: The scene.
+        up: (3,) unit axis that points upwards.
+    """
+    some = source.thin()
+    space, _ = navigable_space(some, up=up)
+    return None if space is None else starts_in(some, space)
+
+
+def starts_in(some: Source, space: NavigableSpace) -> tuple[Start, ...] | None:
+    """Return upright views from a navigable space, the best first; None if no eye finds room.
+
+    Args:
+        some: The scene, or as much of it as `Source.thin` leaves.
+        space: Where eyes may be.
+    """
+    from gsvis.export.start import Mode, Start
+    from gsvis.prepare.start_views import choose_start_views
+    from gsvis.scene.poses import describe_poses
+
+    mode: Mode = "orbit" if space.kind.kind == "object" else "fly"
+    found = describe_poses(choose_start_views(some.gaussians, space, drawn=_DRAWN))
+    return tuple(Start.from_dict(view, mode) for view in found) or None

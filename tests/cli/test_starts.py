@@ -10,12 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsvis.cli import asking, starts
+from gsvis.cli import asking
 from gsvis.cli.options import Placed, Shown, Where
 from gsvis.cli.source import Source, load_source, navigable_space
-from gsvis.cli.starts import find_starts, thin
 from gsvis.cli.terminal import Status
-from gsvis.cli.visits import plan_visit, settle_visit
+from gsvis.cli.visits import find_starts, plan_visit, settle_visit
 from gsvis.cli.where import find_place
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians, rotations_from_quats
@@ -26,11 +25,11 @@ UP = np.array([0.0, 0.0, 1.0])
 
 
 def test_a_visit_of_rooms_begins_within_them_upright(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(starts, "_PART", 20_000)  # half of its Gaussians
+    monkeypatch.setattr("gsvis.cli.source.SOME", 20_000)  # half of its Gaussians
     source = load_source("builtin:two_rooms", None)
     found = find_starts(source, UP)
     assert found is not None
-    space, _ = navigable_space(thin(source))
+    space, _ = navigable_space(source.thin())
     assert space is not None
     known = two_rooms().navigable
     for start in found:
@@ -64,8 +63,8 @@ def test_a_scene_without_room_for_an_eye_has_no_such_view() -> None:
 
 def test_a_part_of_a_scene_covers_as_much(monkeypatch: pytest.MonkeyPatch) -> None:
     source = load_source("builtin:two_rooms", None)
-    monkeypatch.setattr(starts, "_PART", 10_000)
-    some = thin(source)
+    monkeypatch.setattr("gsvis.cli.source.SOME", 10_000)
+    some = source.thin()
     assert len(some.gaussians) == 10_000
     scales = [each.gaussians.scales for each in (source, some)]
     area = [float(np.sort(each, axis=1)[:, 1:].prod(axis=1).sum()) for each in scales]
