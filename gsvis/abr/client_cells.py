@@ -1,20 +1,38 @@
-"""Candidates as one client sees them, for the kernels: with the terms that it has not received yet."""
+"""The surroundings of one client, for the kernels: its cell and the shells around it, with what it has not received.
+
+The client goes through the shells one by one, and begins again when it enters a cell.
+"""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis._kernels.blank import blank
+from gsvis.abr._kernels.evict import owe_again
 from gsvis.abr._kernels.plan import Cell
-from gsvis.abr._kernels.take import forget_paid
+from gsvis.abr._kernels.take import forget_paid, is_left
 from gsvis.abr.candidate_sets import Candidates
 from gsvis.abr.candidates import CandidateIndex
 from gsvis.abr.holdings import Holdings
-from gsvis.abr.replaced import Replaced
+from gsvis.abr.replacements import Replacements
+from gsvis.pvs.codec import pack
 
-__all__ = ["ClientCells"]
+__all__ = ["ClientCells", "Near"]
 
+I32 = NDArray[np.int32]
 Words = NDArray[np.uint64]
+
+
+class Near(NamedTuple):
+    """A cell as its viewer sees it, to return to after filling."""
+
+    here: Candidates
+    cell_ahead: int
+    first: Cell  # for the first pass over a view
+    again: Cell  # for the passes behind it, which check terms anew
 
 
 class ClientCells:
@@ -23,25 +41,104 @@ class ClientCells:
     Args:
         candidates: Candidates of the scene.
         holdings: What the client holds.
-        replaced: What it is to drop.
+        replacements: What it is to drop.
         kinds: Kinds of terms, K.
         has_terms: Whether the client may hold terms.
 
     Attributes:
+        replacements: As given.
         has_terms: As given; set it when the client gets one.
+        near: The cell of the viewer; None before the first.
+        shells: Number of shells around it; 0 if the client held every record when it entered the cell.
+        shell: Number of the first shell of which something may be left; `shells` if nothing is.
+        seen: (W,) candidates of the cell and of the shells so far; None before the first shell.
     """
 
     def __init__(
-        self, candidates: CandidateIndex, holdings: Holdings, replaced: Replaced, kinds: int, *, has_terms: bool
+        self, candidates: CandidateIndex, holdings: Holdings, replacements: Replacements, kinds: int, *, has_terms: bool
     ) -> None:
+        self.replacements = replacements
         self.has_terms = has_terms
+        self.near: Near | None = None
+        self.shells = 0
+        self.shell = 0
+        self.seen: Words | None = None
         self._candidates = candidates
         self._holdings = holdings
-        self._replaced = replaced
         self._kinds = kinds
-        self._shell: Cell | None = None  # the last one; written anew for one with the same words
+        self._last_shell: Cell | None = None  # written anew for a shell with the same words
+        self._is_complete = False  # the client holds every record
 
-    def of(self, here: Candidates, owing: Words, active: Words) -> Cell:
+    def enter(self, here: Candidates, cell_ahead: int) -> Cell:
+        """Enter a cell, or come back to it from its shells; return it for the first pass."""
+        before = self.near
+        is_new = before is None or before.here is not here
+        if is_new:
+            self.shell = 0
+            self.seen = None
+            self.replacements.leave_cell()
+        self.replacements.bound(here, make=not is_new)
+        self.shells = 0 if self._is_complete else self._candidates.count_shells(here.cell)
+        if before is not None and not is_new and before.cell_ahead == cell_ahead:
+            return before.first
+        if cell_ahead == here.cell:
+            first = self._cell_of(here, here.owing, here.active)
+        else:
+            ahead, owing, active = self._candidates.ahead_of(here, cell_ahead)
+            first = self._cell_of(here, owing, active)._replace(ahead=ahead)
+        checked = np.zeros_like(first.checked)
+        again = first._replace(checked=checked, checked_at=np.zeros_like(first.checked_at))
+        self.near = Near(here, cell_ahead, first, again)
+        return first
+
+    def next_shell(self, number: int) -> tuple[Candidates, Cell] | None:
+        """Go on to the next shell of which something is left to send; return None if there is none.
+
+        Args:
+            number: The shell to begin with.
+        """
+        near = self.near
+        if near is None:
+            return None
+        shared = self._candidates
+        held = self._holdings.words
+        if self.seen is None:
+            self.seen = self._begin_seen(near.here.union)
+        for k in range(number, self.shells):
+            self.shell = k
+            shell = shared.shell(near.here, k)
+            cell = self._shell_of(shell.candidates, self.seen)
+            if is_left(shell.seen, shared.highest, held, cell.owed, cell.allowed):
+                self.replacements.widen(self.seen, shell.seen, held)
+                return shell.candidates, self.replacements.allow(cell)
+        self.shell = self.shells
+        self._is_complete = self.replacements.given_up is None
+        return None
+
+    def evict(self, ids: I32) -> None:
+        """Take in what was evicted for this view."""
+        assert self.near is not None
+        words = pack(ids, len(self._candidates.index))
+        for cell in (self.near.first, self.near.again):
+            owe_again(cell.words, words, cell.owed, cell.checked)
+        self.replacements.give_up(ids, words)
+        self.shell = 0
+        self._is_complete = False
+
+    def _begin_seen(self, union: Words) -> Words:
+        """Begin to widen the candidates of the cell, (W,); return a copy of them."""
+        assert self.near is not None
+        self.replacements.begin_far()
+        seen: Words
+        if self._candidates.is_small:
+            seen = union.copy()
+        else:
+            words = self.near.here.words
+            seen = blank(len(union), np.uint64)
+            seen[words] = union[words]
+        return seen
+
+    def _cell_of(self, here: Candidates, owing: Words, active: Words) -> Cell:
         """Return candidates of which all may be sent.
 
         Args:
@@ -64,32 +161,32 @@ class ClientCells:
             ahead=empty,
             checked=np.zeros((self._kinds, len(owed)), np.uint64),
             checked_at=np.zeros((self._kinds, len(owed)), np.float32),
-            arrived=self._replaced.arrived,
-            looks=self._replaced.looks,
-            sure=self._replaced.sure,
+            arrived=self.replacements.arrived,
+            looks=self.replacements.looks,
+            sure=self.replacements.sure,
             last=shared.index.last,
-            shares=self._replaced.shares,
+            shares=self.replacements.shares,
         )
         self._forget_paid(cell)
         return cell
 
-    def of_shell(self, here: Candidates, seen: Words) -> Cell:
+    def _shell_of(self, here: Candidates, seen: Words) -> Cell:
         """Return candidates of a shell, of which nothing may be sent yet; the cell of the shell before may change.
 
         Args:
             here: The candidates.
             seen: (W,) candidates of the cell and of the shells so far.
         """
-        made = self._shell
+        made = self._last_shell
         if made is None or made.words is not here.words:
-            made = self.of(here, here.owing, here.active)
-            self._shell = made = made._replace(allowed=np.empty_like(made.allowed))
+            made = self._cell_of(here, here.owing, here.active)
+            self._last_shell = made = made._replace(allowed=np.empty_like(made.allowed))
         elif len(made.owed):
             made.owed[:] = here.owing
             made.checked[:] = 0
             made.checked_at[:] = 0.0
             self._forget_paid(made)
-        return made._replace(candidates=seen, looks=self._replaced.looks_far)
+        return made._replace(candidates=seen, looks=self.replacements.looks_far)
 
     def _forget_paid(self, cell: Cell) -> None:
         if self.has_terms:

@@ -10,16 +10,14 @@ and no message: time and rate are arguments.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
-from gsvis._kernels.blank import blank
 from gsvis.abr._kernels import plan as kernels
-from gsvis.abr._kernels.evict import owe_again
-from gsvis.abr._kernels.take import is_left, take
+from gsvis.abr._kernels.take import take
 from gsvis.abr._kernels.units import EDGE, INSIDE, OUTSIDE
 from gsvis.abr.batches import Batch
 from gsvis.abr.candidate_sets import Candidates
@@ -30,24 +28,56 @@ from gsvis.abr.config import AbrConfig
 from gsvis.abr.holdings import Holdings
 from gsvis.abr.memory import ClientMemory
 from gsvis.abr.outside import step_of
-from gsvis.abr.policies import edge_offset, filling_table, regime_of, table
+from gsvis.abr.policies import edge_offset, regime_of
 from gsvis.abr.predict import Pose, PosePredictor, predictor
 from gsvis.abr.ranking import Ranking
-from gsvis.abr.replaced import Replaced
+from gsvis.abr.replacements import Replacements
 from gsvis.abr.viewer import Viewer
-from gsvis.pvs.codec import pack
 
 __all__ = ["Planner"]
 
 F32 = NDArray[np.float32]
 I32 = NDArray[np.int32]
-Words = NDArray[np.uint64]
 
 _REACH = 0.4  # seconds of data to rank at a time: most views last no longer
-_FOOTPRINT = 3.6e-5  # steradians, of a square of 6 mrad
 # Stages: what the view needs, smaller changes by terms, terms of what is out of view, the first shell.
 _NEEDS, _DETAILS, _AROUND, _SHELLS = range(4)
 _NO_PLANES = np.zeros((0, 5, 4), np.float32)
+
+
+class Cursor(NamedTuple):
+    """Where a planner is in the order of a view.
+
+    Attributes:
+        regime: Bandwidth regime of the view.
+        stage: What is sent: one of the stages above; `_SHELLS` + k for shell k.
+        here: The candidates that are ranked.
+        cell: They as the client sees them.
+        view: What the client looks at; nothing while the link is filled.
+        is_full: Whether nothing fits into the client's memory that is worth more than what it holds.
+    """
+
+    regime: str
+    stage: int
+    here: Candidates
+    cell: kernels.Cell
+    view: kernels.View
+    is_full: bool = False
+
+    @property
+    def is_filling(self) -> bool:
+        """Whether what is sent only fills an idle link."""
+        return self.stage > _DETAILS
+
+
+class Outlook(NamedTuple):
+    """What was ranked for: a pose, the pose predicted from it, and what follows from both."""
+
+    now: Pose
+    then: Pose
+    cell: int
+    cell_ahead: int
+    regime: str
 
 
 class Planner:
@@ -67,9 +97,7 @@ class Planner:
         config: The settings.
         holdings: What the client holds.
         reach: Least bytes to rank at a time.
-        regime: Bandwidth regime, one of `REGIMES`; None before the first batch.
         cell: The cell of the viewer; -1 before the first pose.
-        cell_ahead: The cell that the viewer is about to enter; often `cell`.
         plans: Number of views for which records were ranked.
         memory: The memory of the client; None if it can hold the whole scene.
 
@@ -96,43 +124,33 @@ class Planner:
         if (self.holdings.gaussians, self.holdings.terms) != (len(index), index.num_terms):
             raise ValueError(f"holdings: expected those of {index!r}, got {self.holdings!r}")
         self.memory = None if memory is None else ClientMemory(candidates, self.holdings, memory)
-        self._picture = index.highest_within(self.config.picture)
-        by_change = index.cones is not None and index.num_terms > 0 and self.config.policy == "utility"
-        self._strong = tuple(self.config.strong) if by_change else ()
-        self._kinds = 1 + len(self._strong)
         has_edge = edge_offset(self.config.policy, self.config.utility)
         self._middle = replace(self.view, margin=0.0) if has_edge else None
-        self._is_full = False  # nothing fits that is worth more than what the client holds
-        self._given_up: Words | None = None  # what was evicted for this view, and is not sent again for it
-        self.regime: str | None = None
         self.cell = -1
-        self.cell_ahead = -1
         self.plans = 0
         self._viewer = Viewer(poses or predictor(self.config.predictor))
-        self._planned: tuple[int, int, Pose, Pose, str] | None = None
-        self._here: Candidates | None = None
-        self._near: tuple[Candidates, int, kernels.Cell, kernels.Cell] | None = None  # to return to after filling
-        self._cell = kernels.Cell(*(np.zeros(0, np.int32),) * 15)
-        self._seen: Words = np.zeros(0, np.uint64)  # candidates of the cell and of the shells so far
-        self._is_wide = False  # whether `_seen` is that of this cell
-        self._view = kernels.View(*(np.zeros(0, np.float32),) * 9)
-        self._travelled = 0.0
-        self._aimed = "high"
-        self._fresh = False
-        self._stage = _NEEDS
-        self._stages = _AROUND
-        self._filled = _SHELLS
-        self._complete = False
+        self._outlook: Outlook | None = None
+        self._cursor: Cursor | None = None
+        self._ranking = Ranking(candidates, self.holdings, self.config)
         shares = np.full(index.num_levels, self.config.replaced)
-        shares[: self._picture + 1] = self.config.covered
-        self._replaced = Replaced(candidates, shares)
+        shares[: self._ranking.picture + 1] = self.config.covered
+        replacements = Replacements(candidates, shares)
         self._cells = ClientCells(
-            candidates, self.holdings, self._replaced, self._kinds, has_terms=holdings is not None
+            candidates, self.holdings, replacements, self._ranking.kinds, has_terms=holdings is not None
         )
-        self._ranking = Ranking(candidates, self.holdings, self._kinds)
         if holdings is not None:
-            self._replaced.doubt(holdings.received)
-            self._replaced.doubt(holdings.replaced)
+            replacements.doubt(holdings.received)
+            replacements.doubt(holdings.replaced)
+
+    @property
+    def regime(self) -> str | None:
+        """Bandwidth regime, one of `REGIMES`; None before the first batch."""
+        return None if self._outlook is None else self._outlook.regime
+
+    @property
+    def cell_ahead(self) -> int:
+        """The cell that the viewer is about to enter; often `cell`. -1 before the first batch."""
+        return -1 if self._outlook is None else self._outlook.cell_ahead
 
     @property
     def done(self) -> bool:
@@ -140,36 +158,26 @@ class Planner:
 
         Also if the memory of the client is full of what is worth as much.
         """
-        return self._is_full or (self._ranking.is_used_up and self._next_stage >= self._stages)
+        is_full = self._cursor is not None and self._cursor.is_full
+        return is_full or (self._ranking.is_used_up and self._is_last_stage)
 
     @property
     def filling(self) -> bool:
         """Whether the next batch only fills an idle link; False if a pose came after the last batch."""
-        if self._here is None or self._fresh:
+        if self._cursor is None or self._viewer.has_moved:
             return False
-        return (self._stage > _DETAILS or (self._ranking.is_used_up and self._next_stage > _DETAILS)) and not self.done
+        is_next = self._ranking.is_used_up and self._next_stage > _DETAILS
+        return (self._cursor.is_filling or is_next) and not self.done
 
     @property
     def has_to_prepare(self) -> bool:
         """Whether the candidates of the viewer's cell are to be made first."""
-        near = None if self._near is None else (self._near[0].cell, self._near[0].step)
-        return self.cell >= 0 and near != (self.cell, self._step) and not self.candidates.has(self.cell, self._step)
+        step = self._step
+        return self.cell >= 0 and not self._is_in(self.cell, step) and not self.candidates.has(self.cell, step)
 
     def prepare(self) -> None:
         """Make the candidates of the viewer's cell, and keep them for all viewers."""
         self.candidates.in_cell(self.cell, self._step)
-
-    @property
-    def _step(self) -> int:
-        """How far the viewer is outside of all cells, see `gsvis.abr.outside`."""
-        pose = self._viewer.pose
-        return 0 if pose is None else step_of(self.candidates.index, self.cell, pose.position)
-
-    @property
-    def _next_stage(self) -> int:
-        if self._stage < _AROUND and self.candidates.index.num_terms:
-            return self._stage + 1
-        return max(self._filled, self._stage + 1)
 
     def on_pose(self, t: float, position: ArrayLike, quat: ArrayLike) -> None:
         """Update the pose of the client at time t; ignore one that is older than the last.
@@ -183,7 +191,6 @@ class Planner:
             ValueError: If a value is not finite, or the quaternion is 0. Nothing changes then.
         """
         if self._viewer.observe(t, position, quat) and self._viewer.pose is not None:
-            self._fresh = True
             self.cell = self.candidates.index.cell_of(self._viewer.pose.position)
 
     def position_in(self, seconds: float) -> NDArray[np.float64] | None:
@@ -228,11 +235,12 @@ class Planner:
                 view, see `UtilityConfig.edge`. None means that nothing is.
             step: How far outside of the cell the eye is, see `gsvis.abr.outside`.
         """
-        view = _check.floats("eye", eye, (3,)), _check.floats("planes", planes, ("F", 5, 4))
+        at = _check.floats("eye", eye, (3,))
+        frusta = _check.floats("planes", planes, ("F", 5, 4))
         others = np.zeros((0, 3)) if eyes is None else _check.floats("eyes", eyes, ("P", 3))
-        every = np.concatenate([view[0][None], others]).astype(np.float32)
+        every = np.concatenate([at[None], others]).astype(np.float32)
         inner = _NO_PLANES if middle is None else _check.floats("middle", middle, ("G", 5, 4))
-        self._aim(self._find(cell, step), *view, inner, regime, every, cell if cell_ahead is None else cell_ahead)
+        self._aim(self._find(cell, step), at, every, frusta, inner, regime, cell if cell_ahead is None else cell_ahead)
 
     def take(self, budget: float, *, spare: float | None = None) -> Batch:
         """Return the next records of the view, of at most `budget` bytes. They count as held from now on.
@@ -243,236 +251,202 @@ class Planner:
         """
         if not budget >= 0:
             raise ValueError(f"budget: expected bytes >= 0, got {budget!r}")
-        self._fresh = False
+        self._viewer.has_moved = False
         spare = budget if spare is None else min(budget, spare)
-        if self._here is None or self.done:
+        if self._cursor is None or self.done:
             return Batch.empty()
-        shared = self.candidates
-        counts = (self.holdings.gaussians, self.holdings.terms)
-        most = [min(n, int(min(budget, 1e12) / size) + 1) for n, size in zip(counts, shared.least_sizes, strict=True)]
-        out = np.empty(most[0], np.int32), np.empty(most[1], np.uint32), *shared.scratch.taken()
+        out = self._room(budget)
         taken = [0, 0, 0, 0]
         total = 0.0
         evicted = None
+        cursor = self._cursor
         while True:
-            limit = self._limit(budget if self._stage <= _DETAILS else spare)
+            wanted = spare if cursor.is_filling else budget
+            limit = self._limit(wanted, cursor)
             if self._ranking.is_used_up:
-                if (sum(taken[:2]) and self._stage <= _DETAILS < self._next_stage) or not self._go_on():
+                begins_to_fill = not cursor.is_filling and self._next_stage > _DETAILS
+                if (sum(taken[:2]) and begins_to_fill) or not self._go_on(cursor):
                     break  # what fills the link has batches of its own
+                cursor = self._cursor
                 continue
             if self._ranking.is_at_end:
-                self._ranking.rank_more(self._here, self._cell, self._view, max(self.reach, budget - total))
-            rest = kernels.Taken(*(array[count:] for array, count in zip(out, taken, strict=True)))
-            self._ranking.place, *found, size = take(
-                self._ranking.plan,
-                self._ranking.place,
-                self._cell,
-                self.holdings.words,
-                self._view,
-                shared.records,
-                shared.links,
-                limit - total,
-                rest,
-            )
+                self._ranking.rank_more(cursor.here, cursor.cell, cursor.view, max(self.reach, budget - total))
+            found, size = self._take_next(cursor, limit - total, out, taken)
             taken = [a + b for a, b in zip(taken, found, strict=True)]
             total += size
             if self._ranking.is_at_end:
                 continue
-            blocked = not sum(taken[:2]) and limit < (budget if self._stage <= _DETAILS else spare)
-            if not blocked or self._stage > _DETAILS or evicted is not None:
-                self._is_full = blocked
+            is_blocked = not sum(taken[:2]) and limit < wanted
+            if not is_blocked or cursor.is_filling or evicted is not None:
+                if is_blocked:
+                    self._cursor = cursor._replace(is_full=True)
                 break
-            evicted = self._evict((budget - limit) / self.candidates.sent_per_stored)
+            evicted = self._evict((budget - limit) / self.candidates.sent_per_stored, cursor)
+            cursor = self._cursor = cursor._replace(cell=self._cells.replacements.allow(cursor.cell))
         gaussians, terms, dropped, gone = (a[:count].copy() for a, count in zip(out, taken, strict=True))
         self._cells.has_terms |= taken[1] > 0
         if self.memory is not None:
             self.memory.add(taken[0], taken[1], dropped)
-        filling = self._stage > _DETAILS and sum(taken[:2]) > 0
+        filling = cursor.is_filling and sum(taken[:2]) > 0
         return Batch(gaussians, terms, dropped, total, filling, dropped[:0] if evicted is None else evicted, gone)
 
-    def _limit(self, budget: float) -> float:
+    def _room(self, budget: float) -> kernels.Taken:
+        """Return room for the ids of a batch of at most so many bytes."""
+        shared = self.candidates
+        counts = (self.holdings.gaussians, self.holdings.terms)
+        gaussians, terms = (
+            min(n, int(min(budget, 1e12) / size) + 1) for n, size in zip(counts, shared.least_sizes, strict=True)
+        )
+        return kernels.Taken(np.empty(gaussians, np.int32), np.empty(terms, np.uint32), *shared.scratch.taken())
+
+    def _take_next(
+        self, cursor: Cursor, budget: float, out: kernels.Taken, taken: list[int]
+    ) -> tuple[list[int], float]:
+        """Take the next records that were ranked, behind those taken already; return their numbers and bytes."""
+        ranking = self._ranking
+        rest = kernels.Taken(*(array[count:] for array, count in zip(out, taken, strict=True)))
+        ranking.place, *found, size = take(
+            ranking.plan,
+            ranking.place,
+            cursor.cell,
+            self.holdings.words,
+            cursor.view,
+            self.candidates.records,
+            self.candidates.links,
+            budget,
+            rest,
+        )
+        return found, size
+
+    def _limit(self, budget: float, cursor: Cursor) -> float:
         """Return the bytes that fit into the memory of the client, at most a budget."""
         if self.memory is None:
             return budget
-        if self._stage > _DETAILS and self.memory.is_full:
+        if cursor.is_filling and self.memory.is_full:
             return 0.0
         return min(budget, self.memory.free * self.candidates.sent_per_stored)
 
-    def _evict(self, needed: float) -> I32:
+    def _evict(self, needed: float, cursor: Cursor) -> I32:
         """Make room for the next record of the plan, and return what is evicted."""
         assert self.memory is not None
-        assert self._near is not None
-        shared = self.candidates
-        near = self._near
+        assert self._cells.near is not None
+        near = self._cells.near.here
         entry = self._ranking.plan.entries[self._ranking.place]
-        word = shared.spheres[near[0].words[entry >> kernels.KIND_BITS]]
+        word = self.candidates.spheres[near.words[entry >> kernels.KIND_BITS]]
         sides = np.zeros(1, np.uint8)
-        for frustum in self._view.planes:
+        view = cursor.view
+        for frustum in view.planes:
             kernels.test_words(*word[:, None], frustum, sides)
-        found = self.memory.make_room(needed, near[0].union, self._view.eye, self._view.planes, for_view=bool(sides[0]))
-        words = pack(found, len(shared.index))
-        for cell in (near[2], near[3]):
-            owe_again(cell.words, words, cell.owed, cell.checked)
-        self._replaced.doubt(found)
-        self._filled = _SHELLS
-        self._complete = False
-        if self._given_up is None:
-            self._given_up = words
-        else:
-            np.bitwise_or.at(self._given_up, found >> 6, np.uint64(1) << (found & 63).astype(np.uint64))
-        self._cell = self._without_evicted(self._cell)
+        found = self.memory.make_room(needed, near.union, view.eye, view.planes, for_view=bool(sides[0]))
+        self._cells.evict(found)
         return found
 
-    def _without_evicted(self, cell: kernels.Cell) -> kernels.Cell:
-        """Return a cell that allows nothing that was evicted for this view."""
-        if self._given_up is None:
-            return cell
-        return cell._replace(allowed=cell.allowed & ~self._given_up[cell.words])
+    # the stages
 
-    def _go_on(self) -> bool:
+    @property
+    def _next_stage(self) -> int:
+        stage = _NEEDS if self._cursor is None else self._cursor.stage
+        if stage < _AROUND and self.candidates.index.num_terms:
+            return stage + 1
+        return max(_SHELLS + self._cells.shell, stage + 1)
+
+    @property
+    def _is_last_stage(self) -> bool:
+        return self._next_stage >= (_SHELLS + self._cells.shells if self.config.fill else _AROUND)
+
+    def _go_on(self, cursor: Cursor) -> bool:
         """Go on to the next stage; return False if there is none."""
-        if self._near is None:
+        near = self._cells.near
+        if near is None or self._is_last_stage:
             return False
-        config = self.config
-        levels = self.candidates.index.num_levels
-        if self._next_stage >= self._stages:
+        stage = self._next_stage
+        if stage <= _AROUND:
+            parts = (INSIDE, OUTSIDE, EDGE) if stage == _AROUND else (INSIDE,)
+            self._ranking.begin_terms(cursor.regime, parts)
+            view = cursor.view._replace(gains=self._ranking.gains)
+            cell = self._cells.replacements.allow(near.again)
+            self._cursor = cursor._replace(stage=stage, cell=cell, view=view)
+            return True
+        found = self._cells.next_shell(stage - _SHELLS)
+        if found is None:
             return False
-        if self._next_stage <= _AROUND:
-            self._stage = self._next_stage
-            parts = (INSIDE, OUTSIDE, EDGE) if self._stage == _AROUND else (INSIDE,)
-            self._restart(self._aimed, terms_in=parts)
-            self._cell = self._without_evicted(self._near[3])
-            self._view = self._view._replace(gains=_gains(config.epsilon, *self._strong))
-        elif self._enter_shell(self._near[0]):
-            self._ranking.restart(*filling_table(config.policy, levels, config.utility, kinds=self._kinds))
-        else:
-            self._complete = self._given_up is None  # every record is held
-            return False
+        here, cell = found
+        view = cursor.view._replace(planes=_NO_PLANES, middle=_NO_PLANES, eyes=np.zeros((0, 3), np.float32))
+        self._cursor = cursor._replace(stage=_SHELLS + self._cells.shell, here=here, cell=cell, view=view)
+        self._ranking.begin_shell()
         return True
 
-    def _restart(self, regime: str, **more: tuple[Any, ...]) -> None:
-        """Rank anew, by a regime; see `gsvis.abr.policies.table` for more."""
-        config = self.config
-        levels = self.candidates.index.num_levels
-        self._ranking.restart(
-            *table(config.policy, regime, levels, config.utility, picture=self._picture, kinds=self._kinds, **more)
-        )
+    # the view
 
-    def _enter_shell(self, near: Candidates) -> bool:
-        """Go on to the next shell around a cell of which something is left to send; return False if there is none."""
-        shared = self.candidates
-        held = self.holdings.words
-        if not self._is_wide:
-            self._begin_wide(near)
-        while self._next_stage < self._stages:
-            self._stage = self._filled = self._next_stage
-            shell = shared.shell(near, self._stage - _SHELLS)
-            cell = self._cells.of_shell(shell.candidates, self._seen)
-            if is_left(shell.seen, shared.highest, held, cell.owed, cell.allowed):
-                break
-        else:
-            self._filled = self._stages
-            return False
-        self._replaced.widen(self._seen, shell.seen, held)
-        self._here = shell.candidates
-        self._cell = self._without_evicted(cell)
-        self._view = self._view._replace(planes=_NO_PLANES, middle=_NO_PLANES, eyes=np.zeros((0, 3), np.float32))
-        return True
+    @property
+    def _step(self) -> int:
+        """How far the viewer is outside of all cells, see `gsvis.abr.outside`."""
+        pose = self._viewer.pose
+        return 0 if pose is None else step_of(self.candidates.index, self.cell, pose.position)
 
-    def _begin_wide(self, near: Candidates) -> None:
-        """Begin to widen the candidates of a cell."""
-        self._is_wide = True
-        self._replaced.begin_far()
-        if self.candidates.is_small:
-            self._seen = near.union.copy()
-            return
-        self._seen = blank(len(near.union), np.uint64)
-        self._seen[near.words] = near.union[near.words]
+    def _is_in(self, cell: int, step: int) -> bool:
+        """Whether records are ranked for a cell at a step outside of it."""
+        near = self._cells.near
+        return near is not None and (near.here.cell, near.here.step) == (cell, step)
+
+    def _find(self, cell: int, step: int) -> Candidates:
+        """Return the candidates of a cell at a step outside of it; the last ones need no cache."""
+        near = self._cells.near
+        return near.here if near is not None and self._is_in(cell, step) else self.candidates.in_cell(cell, step)
 
     def _follow(self, now: Pose, t: float, rate: float) -> None:
         """Rank for a pose and the pose predicted from it, if these, the cell or the regime have changed enough."""
         config = self.config
         then = self._viewer.ahead(now, t, config.lead)
         here = self._find(self.cell, self._step)
-        self.regime = regime_of(rate, here.level_bytes, config.horizon, self.regime)
-        self.cell_ahead = self.candidates.index.cell_of(self._viewer.ahead(now, t, config.ahead).position)
-        if self._planned is not None:
-            *cells, was, was_then, regime = self._planned
-            near = self._near is not None and self._near[0] is here
-            near = near and self._is_near(now, was) and self._is_near(then, was_then)
-            if cells == [self.cell, self.cell_ahead] and regime == self.regime and near:
-                return
+        regime = regime_of(rate, here.level_bytes, config.horizon, self.regime)
+        cell_ahead = self.candidates.index.cell_of(self._viewer.ahead(now, t, config.ahead).position)
+        outlook = Outlook(now, then, self.cell, cell_ahead, regime)
+        if self._is_ranked(here, outlook):
+            return
         poses = (now,) if config.lead <= 0 else (now, then)
         planes = self.view.frusta(poses)
         middle = _NO_PLANES if self._middle is None else self._middle.frusta(poses)
         self.reach = _REACH * rate
         eyes = np.array([pose.position for pose in poses], np.float32)
-        self._aim(here, eyes[0], planes, middle, self.regime, eyes, self.cell_ahead)
-        self._planned = self.cell, self.cell_ahead, now, then, self.regime
+        self._aim(here, eyes[0], eyes, planes, middle, regime, cell_ahead)
+        self._outlook = outlook
         self.plans += 1
 
-    def _find(self, cell: int, step: int) -> Candidates:
-        """Return the candidates of a cell at a step outside of it; the last ones need no cache."""
-        near = self._near
-        if near is not None and (near[0].cell, near[0].step) == (cell, step):
-            return near[0]
-        return self.candidates.in_cell(cell, step)
-
-    def _aim(
-        self, here: Candidates, eye: F32, planes: F32, middle: F32, regime: str, eyes: F32, cell_ahead: int
-    ) -> None:
-        config = self.config
-        shared = self.candidates
-        self._enter(here, cell_ahead)
-        self._aimed = regime
-        self._is_full = False
-        self._given_up = None
-        if len(self._view.eye):
-            self._travelled += float(np.linalg.norm(eye - self._view.eye))
-        self._view = kernels.View(
-            eye=eye,
-            eyes=eyes if shared.index.cones is not None else eyes[:0],
-            travelled=self._travelled,
-            gains=_gains(config.first_epsilon, *self._strong),
-            pixel=shared.pixel_area,
-            parallax=config.parallax,
-            planes=planes,
-            middle=middle,
-            bodies=shared.bodies,
-        )
-        self._restart(regime, strong=self._strong)
+    def _is_ranked(self, here: Candidates, outlook: Outlook) -> bool:
+        """Whether records are ranked for a view like this one."""
+        near = self._cells.near
+        was = self._outlook
+        if was is None or near is None or near.here is not here:
+            return False
+        if (was.cell, was.cell_ahead, was.regime) != (outlook.cell, outlook.cell_ahead, outlook.regime):
+            return False
+        return self._is_near(outlook.now, was.now) and self._is_near(outlook.then, was.then)
 
     def _is_near(self, a: Pose, b: Pose) -> bool:
         still = a.distance_to(b) <= self.config.move * self.candidates.index.grid.cell_size
         return still and a.turn_to(b) <= self.config.turn
 
-    def _enter(self, here: Candidates, cell_ahead: int) -> None:
-        """Switch to the units of a cell, from another cell or from filling."""
-        before = self._near
-        self._here = here
-        is_new = before is None or before[0] is not here
-        if is_new:
-            self._filled = _SHELLS
-            self._is_wide = False
-            self._replaced.leave_cell()
-        self._replaced.bound(here, make=not is_new)
-        shells = 0 if self._complete else self.candidates.count_shells(here.cell)
-        self._stages = _SHELLS + shells if self.config.fill else _AROUND
-        if before is not None and before[0] is here and before[1] == cell_ahead:
-            self._cell = before[2]
-            self._stage = _NEEDS
-            return
-        if cell_ahead == here.cell:
-            self._cell = self._cells.of(here, here.owing, here.active)
-        else:
-            ahead, owing, active = self.candidates.ahead_of(here, cell_ahead)
-            self._cell = self._cells.of(here, owing, active)._replace(ahead=ahead)
-        checked = np.zeros_like(self._cell.checked)
-        again = self._cell._replace(checked=checked, checked_at=np.zeros_like(self._cell.checked_at))
-        self._near = here, cell_ahead, self._cell, again
-        self._stage = _NEEDS
-
-
-def _gains(*epsilons: float) -> NDArray[np.float64]:
-    """Return the logarithms of what a change is multiplied by, so that the term is sent where the result is above 1."""
-    return np.asarray(-np.log(epsilons) - 0.5 * np.log(_FOOTPRINT))
+    def _aim(
+        self, here: Candidates, eye: F32, eyes: F32, planes: F32, middle: F32, regime: str, cell_ahead: int
+    ) -> None:
+        shared = self.candidates
+        cell = self._cells.enter(here, cell_ahead)
+        self._cells.replacements.given_up = None
+        travelled = 0.0
+        if self._cursor is not None:
+            before = self._cursor.view
+            travelled = before.travelled + float(np.linalg.norm(eye - before.eye))
+        view = kernels.View(
+            eye=eye,
+            eyes=eyes if shared.index.cones is not None else eyes[:0],
+            travelled=travelled,
+            gains=self._ranking.first_gains,
+            pixel=shared.pixel_area,
+            parallax=self.config.parallax,
+            planes=planes,
+            middle=middle,
+            bodies=shared.bodies,
+        )
+        self._cursor = Cursor(regime, _NEEDS, here, cell, view)
+        self._ranking.begin_view(regime)

@@ -2,39 +2,55 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.abr._kernels.plan import Cell, Limits, Plan, View, rank
 from gsvis.abr.candidate_sets import Candidates
 from gsvis.abr.candidates import CandidateIndex
+from gsvis.abr.config import AbrConfig
 from gsvis.abr.holdings import Holdings
+from gsvis.abr.policies import filling_table, table
 
 __all__ = ["Ranking"]
 
+_FOOTPRINT = 3.6e-5  # steradians, of a square of 6 mrad
 _NOTHING = Plan(np.zeros(0, np.int32), np.zeros(0, np.uint64), np.zeros(0, np.float32))
 
 
 class Ranking:
-    """Ranks the records of a view, as far as they are asked for.
+    """Ranks the records of a view by the policy of a configuration, as far as they are asked for.
 
     Args:
         candidates: Candidates of the scene.
         holdings: What the client holds.
-        kinds: Kinds of terms, K.
+        config: Settings.
 
     Attributes:
         plan: What was ranked last.
         place: Entries of it that have been taken.
+        picture: Highest level of the first picture; -1 if there is none.
+        kinds: Kinds of terms, K.
+        first_gains: (K,) `View.gains` of the first pass over a view.
+        gains: (K,) the same of the passes behind it.
     """
 
-    def __init__(self, candidates: CandidateIndex, holdings: Holdings, kinds: int) -> None:
+    def __init__(self, candidates: CandidateIndex, holdings: Holdings, config: AbrConfig) -> None:
+        index = candidates.index
+        by_change = index.cones is not None and index.num_terms > 0 and config.policy == "utility"
         self.plan = _NOTHING
         self.place = 0
+        self.picture = index.highest_within(config.picture)
+        self._strong = tuple(config.strong) if by_change else ()
+        self.kinds = 1 + len(self._strong)
+        self.first_gains = _gains(config.first_epsilon, *self._strong)
+        self.gains = _gains(config.epsilon, *self._strong)
         self._candidates = candidates
         self._holdings = holdings
-        self._kinds = kinds
-        self._table = np.zeros((0, 1 + kinds, 3), np.int32)
+        self._config = config
+        self._table = np.zeros((0, 1 + self.kinds, 3), np.int32)
         self._keys = 0
         self._least = 0
         self._is_whole = True  # nothing is to be ranked behind the plan
@@ -50,13 +66,27 @@ class Ranking:
         """Whether all that is left to send has been taken."""
         return self._is_whole and self.is_at_end
 
-    def restart(self, table: NDArray[np.int32], keys: int) -> None:
-        """Begin with nothing ranked.
+    def begin_view(self, regime: str) -> None:
+        """Begin with what a view needs: its Gaussians, and its terms that change the image much."""
+        self._begin(*self._table_of(regime, strong=self._strong))
 
-        Args:
-            table: The order, see `gsvis.abr.policies.table`.
-            keys: Number of its keys.
-        """
+    def begin_terms(self, regime: str, parts: tuple[int, ...]) -> None:
+        """Begin with what a view needs, with smaller changes by terms of Gaussians in some parts of the view."""
+        self._begin(*self._table_of(regime, terms_in=parts))
+
+    def begin_shell(self) -> None:
+        """Begin with a shell, which only fills the link."""
+        config = self._config
+        levels = self._candidates.index.num_levels
+        self._begin(*filling_table(config.policy, levels, config.utility, kinds=self.kinds))
+
+    def _table_of(self, regime: str, **more: tuple[Any, ...]) -> tuple[NDArray[np.int32], int]:
+        config = self._config
+        levels = self._candidates.index.num_levels
+        return table(config.policy, regime, levels, config.utility, picture=self.picture, kinds=self.kinds, **more)
+
+    def _begin(self, table: NDArray[np.int32], keys: int) -> None:
+        """Begin with nothing ranked, in the order of a table with a number of keys."""
         self.plan = _NOTHING
         self.place = 0
         self._table = table
@@ -76,8 +106,13 @@ class Ranking:
         """
         self._wanted = max(2.0 * self._wanted, enough)
         self.place = 0
-        work = self._candidates.scratch.work(len(here.words), len(here), self._keys, self._kinds)
+        work = self._candidates.scratch.work(len(here.words), len(here), self._keys, self.kinds)
         limits = Limits(float(self._wanted), self._least)
         self.plan, self._least, self._is_whole = rank(
             here.units, here.runs, cell, self._holdings.words, view, self._table, limits, work
         )
+
+
+def _gains(*epsilons: float) -> NDArray[np.float64]:
+    """Return the logarithms of what a change is multiplied by, so that the term is sent where the result is above 1."""
+    return np.asarray(-np.log(epsilons) - 0.5 * np.log(_FOOTPRINT))

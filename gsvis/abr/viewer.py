@@ -18,10 +18,12 @@ class Viewer:
 
     Attributes:
         pose: The last pose; None before the first.
+        has_moved: Whether a pose came; who answers it sets False.
     """
 
     def __init__(self, poses: PosePredictor) -> None:
         self.pose: Pose | None = None
+        self.has_moved = False
         self._time = -np.inf
         self._poses = poses
 
@@ -39,6 +41,7 @@ class Viewer:
         self._poses.observe(t, pose.position, pose.quat)
         self._time = t
         self.pose = pose
+        self.has_moved = True
         return True
 
     def ahead(self, pose: Pose, t: float, seconds: float) -> Pose:

@@ -241,7 +241,7 @@ def test_none_waits_for_longer_than_it_has_to_while_views_change(seed, regime, f
     for _ in range(20):
         batch = planner.take(300.0)
         held, gone = planner.holdings.received, ids_of(planner.holdings.gone)
-        candidates = ids_of(planner._cell.candidates)
+        candidates = ids_of(planner._cursor.cell.candidates)
         for x in np.unique(replaced[np.isin(index.replacement_ids, batch.gaussians)]).tolist():
             low, high = index.replacement_offsets[x : x + 2]
             wanted = np.intersect1d(index.replacement_ids[low:high], candidates)

@@ -132,7 +132,8 @@ def test_counting_what_arrives_changes_no_batch(seed: int, replaced: float, memo
             if k % 3 == 0:
                 planner.on_pose(0.1 * k, index.grid.centers[cells[k // 30]], rng.normal(size=4))
             if checked:
-                for looks in (planner._replaced.looks, planner._replaced.looks_far, planner._replaced.sure):
+                replacements = planner._cells.replacements
+                for looks in (replacements.looks, replacements.looks_far, replacements.sure):
                     looks[:] = 0
             found.append(planner.next_batch(0.1 * k, 40.0, 5000.0))
         return found

@@ -61,9 +61,14 @@ def row_of_tiles(tiles: int) -> CandidateIndex:
 
 def held_by(planner: Planner) -> dict[str, int]:
     """Bytes of the pages that arrays of a planner, of its holdings and of its cell use."""
-    here, held = planner._cell, planner.holdings
+    here, held = planner._cursor.cell, planner.holdings
     arrays = {name: getattr(here, name) for name in here._fields if name not in ("last", "active", "shares")}
-    arrays |= {"sent": held.sent, "gone": held.gone, "looks_far": planner._replaced.looks_far, "seen": planner._seen}
+    arrays |= {
+        "sent": held.sent,
+        "gone": held.gone,
+        "looks_far": planner._cells.replacements.looks_far,
+        "seen": planner._cells.seen,
+    }
     return {name: used_bytes(array) for name, array in arrays.items() if isinstance(array, np.ndarray)}
 
 

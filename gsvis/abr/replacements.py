@@ -1,6 +1,7 @@
 """Which Gaussians a client is to drop: what has arrived of the replacements of each, and when to look at it again.
 
 Arrays are by number of a replaced Gaussian, in [0, E). Kernels write to them; see `gsvis.abr._kernels.plan.Cell`.
+What was evicted for a view is kept here too, because it is not sent again for that view.
 """
 
 from __future__ import annotations
@@ -9,19 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis._kernels.blank import blanks, clear
-from gsvis.abr._kernels.plan import Held
+from gsvis.abr._kernels.plan import Cell, Held
 from gsvis.abr._kernels.take import adopt, doubt, widen
 from gsvis.abr._kernels.units import Seen
 from gsvis.abr.candidate_sets import Bounds, Candidates
 from gsvis.abr.candidates import CandidateIndex
 
-__all__ = ["Replaced"]
+__all__ = ["Replacements"]
 
 I32 = NDArray[np.int32]
 Words = NDArray[np.uint64]
 
 
-class Replaced:
+class Replacements:
     """The replaced Gaussians of a scene, as one client has them.
 
     Args:
@@ -34,6 +35,7 @@ class Replaced:
         looks: (E,) how much has to have arrived before each is looked at, among the candidates of the cell.
         looks_far: (E,) the same among those of the shells so far.
         sure: (E,) how much suffices without a look.
+        given_up: (W,) packed set of what was evicted for this view; None for nothing.
     """
 
     def __init__(self, candidates: CandidateIndex, shares: NDArray[np.float64]) -> None:
@@ -43,6 +45,21 @@ class Replaced:
         count = len(candidates.links.ending)  # those of far tiles take no memory
         self.arrived: I32
         self.arrived, self.looks, self.looks_far, self.sure = blanks(4, count, np.int32)
+        self.given_up: Words | None = None
+
+    def give_up(self, ids: I32, words: Words) -> None:
+        """Note that Gaussians (M,), as a packed set `words` (W,), were evicted for this view."""
+        self.doubt(ids)
+        if self.given_up is None:
+            self.given_up = words
+        else:
+            self.given_up |= words
+
+    def allow(self, cell: Cell) -> Cell:
+        """Return a cell that allows nothing that was evicted for this view."""
+        if self.given_up is None:
+            return cell
+        return cell._replace(allowed=cell.allowed & ~self.given_up[cell.words])
 
     def doubt(self, ids: NDArray[np.integer]) -> None:
         """Note that it is not known what has arrived of the replacements of what some Gaussians (M,) replace."""
