@@ -11,9 +11,10 @@ import textwrap
 from dataclasses import MISSING, field, make_dataclass
 from functools import partial
 from itertools import pairwise
-from typing import Annotated, Any, get_args
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
-from gsvis.cli.options import Leaf, command_name, leaves
+if TYPE_CHECKING:
+    from gsvis.cli.options import Leaf
 
 __all__ = [
     "ALL",
@@ -137,6 +138,8 @@ def short_help(kind: type) -> tuple[type, int]:
     Args:
         kind: The dataclass of a command. The result is for printing help alone.
     """
+    from gsvis.cli.options import command_name, leaves
+
     shown = FIRST[command_name(kind)]
     hidden = {leaf.name for leaf in leaves(kind) if leaf.name not in shown and leaf.default is not MISSING}
     return _for_print(kind, hidden), len(hidden)
@@ -153,6 +156,8 @@ def _for_print(kind: type, hidden: set[str]) -> type:
     `tyro` keeps the line breaks of the strings below the fields, so that their lines would end early.
     """
     from tyro import conf
+
+    from gsvis.cli.options import command_name, leaves
 
     hide: Any = conf.Suppress
     replaced = []
@@ -175,6 +180,8 @@ def _importance(command: str, leaf: Leaf) -> int:
 
 def option_texts(kind: type) -> dict[str, str]:
     """Return the text of each argument of a command, one line each: its own, or the string below the field."""
+    from gsvis.cli.options import leaves
+
     found = leaves(kind)
     below = {owner: _strings_below_fields(owner) for owner in dict.fromkeys(leaf.owner for leaf in found)}
     return {leaf.name: leaf.text or below[leaf.owner][leaf.name] for leaf in found}
@@ -196,5 +203,6 @@ def _strings_below_fields(kind: type) -> dict[str, str]:
 def find_command(name: str) -> type | None:
     """Return the dataclass of a command by its name; None if there is none."""
     from gsvis.cli.arguments import Command
+    from gsvis.cli.options import command_name
 
     return next((kind for kind in get_args(Command) if command_name(kind) == name), None)

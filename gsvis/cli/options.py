@@ -10,6 +10,7 @@ import re
 import shlex
 from collections.abc import Iterable
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
+from functools import cache
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from gsvis.cli import readers
@@ -269,29 +270,35 @@ class Leaf:
         return list(write(value)) if write is not None else readers.spell(value)
 
 
-def leaves(kind: type, path: tuple[str, ...] = (), other: Told | None = None) -> list[Leaf]:
-    """Return the options of a command, those of its groups included, in the order of their fields.
+def leaves(kind: type) -> tuple[Leaf, ...]:
+    """Return the options of a command, those of its groups included, in the order of their fields."""
+    return _leaves(kind, (), None)
+
+
+@cache
+def _leaves(kind: Any, path: tuple[str, ...], other: Told | None) -> tuple[Leaf, ...]:
+    """Return the options of a command or of a group.
 
     Args:
-        kind: The dataclass of a command or of a group.
+        kind: The dataclass.
         path: Names of the fields that lead to the group.
         other: Other words for its options.
     """
     hints = get_type_hints(kind, include_extras=True)
     other = other or told()
-    found = []
+    found: list[Leaf] = []
     for each in fields(kind):
         hinted = hints[each.name]
         where = (*path, each.name)
         plain, *extras = get_args(hinted) if get_origin(hinted) is Annotated else (hinted,)
         if isinstance(plain, type) and is_dataclass(plain):
             words = next((extra for extra in extras if isinstance(extra, Told)), None)
-            found += leaves(plain, where, words)
+            found += _leaves(plain, where, words)
             continue
         if each.name in other.defaults:
             hinted = Annotated[hinted, hint(other.defaults[each.name])]
         found.append(Leaf(each.name, where, hinted, each.default, other.texts.get(each.name), kind))
-    return found
+    return tuple(found)
 
 
 def values_of(command: Any) -> dict[str, Any]:
