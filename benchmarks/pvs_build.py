@@ -24,11 +24,11 @@ import numpy as np
 from _harness import add_arguments, realdata, write_result
 
 from gsvis.io import load_scene
+from gsvis.jobs.workers import Workers
 from gsvis.pvs.build import build_pvs
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.config import PvsConfig
 from gsvis.pvs.viewpoints import CellViewpoints
-from gsvis.pvs.workers import Workers
 from gsvis.raycast import EllipsoidProxies, Tracer, visible_from
 from gsvis.render import view_weights
 from gsvis.scene.cameras import Cameras

@@ -34,12 +34,12 @@ from numba import get_num_threads
 from numpy.typing import NDArray
 
 from gsvis.cli.source import Source, load_source
+from gsvis.jobs.workers import Workers
 from gsvis.pvs.build import build_pvs
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.config import PvsConfig
 from gsvis.pvs.store import VisibilityStore
 from gsvis.pvs.viewpoints import CellViewpoints, SharedViewpoints
-from gsvis.pvs.workers import Workers
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels

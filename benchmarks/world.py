@@ -21,10 +21,10 @@ from _harness import add_arguments, need, realdata, write_result
 from _memory import watch_memory
 from _worlds import write_copies
 
-from gsvis.files.objects import open_store
+from gsvis.jobs.objects import open_store
+from gsvis.jobs.workers import Workers
 from gsvis.prepare.config import PrepareConfig
 from gsvis.progress import silent
-from gsvis.pvs.workers import Workers
 from gsvis.world.build import WorldBuild
 from gsvis.world.config import WorldConfig
 from gsvis.world.tiling import TilingConfig

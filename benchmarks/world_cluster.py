@@ -27,11 +27,11 @@ from typing import Any
 from _harness import add_arguments, need, realdata, write_result
 from _worlds import small_street
 
-from gsvis.files.objects import open_store
 from gsvis.io.ply import save_ply
+from gsvis.jobs.cluster import connect
+from gsvis.jobs.objects import open_store
 from gsvis.prepare.config import PrepareConfig
 from gsvis.progress import silent
-from gsvis.pvs.cluster import connect
 from gsvis.pvs.config import PvsConfig
 from gsvis.world.build import WorldBuild
 from gsvis.world.config import WorldConfig

@@ -28,9 +28,9 @@ import numpy as np
 from _harness import add_arguments, need, write_result
 from world_whole import add_world_options, config_of, exponents, keep_peak, open_world_store, scenes_of
 
-from gsvis.pvs.workers import Workers
+from gsvis.jobs.graph import Result
+from gsvis.jobs.workers import Workers
 from gsvis.world.build import WorldBuild
-from gsvis.world.graph import Result
 
 
 class Lines:

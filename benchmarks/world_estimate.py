@@ -28,9 +28,9 @@ from world_whole import STAGES
 
 from gsvis.io import load_scene
 from gsvis.io.ply import save_ply
+from gsvis.jobs.processes import limit_threads, use_threads
+from gsvis.jobs.workers import Workers
 from gsvis.prepare.config import PrepareConfig
-from gsvis.pvs.processes import limit_threads, use_threads
-from gsvis.pvs.workers import Workers
 from gsvis.scene.gaussians import Gaussians
 from gsvis.train.levels import LevelsConfig
 from gsvis.world.config import WorldConfig

@@ -31,12 +31,12 @@ from _worlds import small_street
 from world_whole import scenes_of
 
 from gsvis.io.ply import save_ply
+from gsvis.jobs import graph
+from gsvis.jobs.workers import Workers
 from gsvis.prepare.config import PrepareConfig
 from gsvis.pvs.config import PvsConfig
-from gsvis.pvs.workers import Workers
 from gsvis.scene.view_sampling import ViewSampling
 from gsvis.train.levels import LevelsConfig
-from gsvis.world import graph
 from gsvis.world.config import WorldConfig
 from gsvis.world.manifest import WORLD, WorldManifest
 from gsvis.world.prepare import prepare_world

@@ -28,9 +28,9 @@ from _harness import add_arguments, need, realdata, write_result
 from _memory import pss, watch_memory
 from _worlds import write_copies
 
+from gsvis.jobs.workers import Workers
 from gsvis.prepare.config import PrepareConfig
 from gsvis.pvs.config import PvsConfig
-from gsvis.pvs.workers import Workers
 from gsvis.scene.view_sampling import ViewSampling
 from gsvis.stream import Quality, StreamedScene
 from gsvis.world import World

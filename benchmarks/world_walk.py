@@ -31,10 +31,10 @@ from gsvis.abr.classes import FieldOfView
 from gsvis.abr.config import AbrConfig
 from gsvis.io import load_scene
 from gsvis.io.ply import save_ply
+from gsvis.jobs.workers import Workers
 from gsvis.prepare.config import PrepareConfig
 from gsvis.prepare.prepare import prepare_package
 from gsvis.pvs.config import PvsConfig
-from gsvis.pvs.workers import Workers
 from gsvis.render import psnr, rasterize
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.corridor import space_along

@@ -25,11 +25,11 @@ from _harness import add_arguments, need, realdata, write_result
 from _memory import watch_memory
 from _worlds import write_copies
 
-from gsvis.files.objects import ObjectStore, open_store
+from gsvis.jobs.objects import ObjectStore, open_store
+from gsvis.jobs.work_folder import WorkFolder
+from gsvis.jobs.workers import Workers
 from gsvis.prepare.config import PrepareConfig
-from gsvis.prepare.work_folder import WorkFolder
 from gsvis.progress import silent
-from gsvis.pvs.workers import Workers
 from gsvis.train.levels import LevelsConfig
 from gsvis.world.build import WorldBuild
 from gsvis.world.config import WorldConfig

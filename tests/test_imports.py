@@ -20,6 +20,7 @@ ROOMS = (
     "_kernels",
     "scene",
     "io",
+    "jobs",
     "color",
     "render",
     "raycast",

@@ -19,7 +19,7 @@ from gsvis.files.temporary import temporary_folder
 
 if TYPE_CHECKING:
     from gsvis.edit import CleanConfig, LargeCleaning
-    from gsvis.files.objects import ObjectStore
+    from gsvis.jobs.objects import ObjectStore
 
 __all__ = ["clean_in_tiles", "in_tiles", "remark_on_unseen"]
 
@@ -62,7 +62,7 @@ def clean_in_tiles(command: Clean, config: CleanConfig) -> None:
     """Clean a scene in tiles: look, guard, write the PLY, print the result."""
     from gsvis.edit import clean_large
     from gsvis.io.ply import save_ply_parts
-    from gsvis.pvs.workers import Workers
+    from gsvis.jobs.workers import Workers
     from gsvis.world.tiling import TilingConfig
 
     assert command.max_memory is not None
@@ -123,8 +123,8 @@ def _most(max_memory: int) -> int:
 @contextmanager
 def _store(command: Clean) -> Iterator[ObjectStore]:
     """Yield where results of tasks lie: beside OUT until it is complete, so that a killed run resumes."""
-    from gsvis.files.objects import open_store
-    from gsvis.prepare.work_folder import WorkFolder
+    from gsvis.jobs.objects import open_store
+    from gsvis.jobs.work_folder import WorkFolder
 
     if command.out is None:
         with temporary_folder() as folder:

@@ -119,7 +119,7 @@ def check_sets(scene: str, lod: int | None, config: PvsConfig, max_memory: int |
     Raises:
         ValueError: If it does not fit.
     """
-    from gsvis.pvs.workers import sets_memory
+    from gsvis.pvs.memory import sets_memory
 
     if max_memory is not None and not is_levels(scene):
         count, degree = count_gaussians(scene, lod)
@@ -143,7 +143,7 @@ def check_preparation(
         ValueError: If a stage does not fit.
     """
     from gsvis.prepare.memory import kept_memory
-    from gsvis.pvs.workers import sets_memory
+    from gsvis.pvs.memory import sets_memory
 
     if max_memory is None or is_levels(scene):
         return

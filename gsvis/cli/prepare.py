@@ -45,8 +45,8 @@ __all__ = ["run_prepare"]
 
 def run_prepare(command: Prepare) -> None:
     """Prepare a package: check, make what is missing, write the package, print the result."""
+    from gsvis.jobs.work_folder import WorkFolder
     from gsvis.prepare import estimate_preparation, prepare_package
-    from gsvis.prepare.work_folder import WorkFolder
 
     config = _check_arguments(command)
     walk = check_where(command.where)
@@ -116,10 +116,10 @@ def _photo_cameras(command: Prepare) -> Cameras | None:
 
 def _check_arguments(command: Prepare) -> PrepareConfig:
     """Check the arguments before work begins; return the settings of the preparation."""
+    from gsvis.jobs.work_folder import WorkFolder
     from gsvis.package.writer import check_target
     from gsvis.prepare import PrepareConfig
     from gsvis.prepare.colors import ColorConfig
-    from gsvis.prepare.work_folder import WorkFolder
 
     check_source(command.scene, command.lod)
     check_exists(command.training.photos)

@@ -23,6 +23,7 @@ from gsvis.cli.where import check_where, kind_row, space_document
 from gsvis.errors import ArgumentError, FormatError
 from gsvis.files.limits import open_regular
 from gsvis.files.output import check_file
+from gsvis.jobs.workers import Workers
 from gsvis.pvs.build import build_pvs, journal_of
 from gsvis.pvs.cell_count import fitting_cells
 from gsvis.pvs.cells import MAX_CELLS, CellGrid
@@ -30,7 +31,6 @@ from gsvis.pvs.config import PvsConfig
 from gsvis.pvs.estimate import Estimate, estimate_pvs
 from gsvis.pvs.store import VisibilityStore
 from gsvis.pvs.stored_certificates import StoredCertificates
-from gsvis.pvs.workers import Workers
 from gsvis.raycast import CrossCheck, describe_check
 from gsvis.scene.content import scene_hash
 from gsvis.scene.lengths import spell_length, spell_volume
@@ -122,7 +122,7 @@ def _check_replaced(command: Pvs, source: Source) -> None:
 def check_workers(work: Cluster) -> None:
     """Raise if options of this machine are given with a scheduler, or its address is none."""
     if work.scheduler is not None:
-        from gsvis.pvs.cluster import check_address
+        from gsvis.jobs.cluster import check_address
 
         refuse(work, ["workers", "max_memory"], "with --scheduler")
         check_address(work.scheduler)
@@ -134,7 +134,7 @@ def open_workers(work: Cluster) -> Iterator[Workers]:
     if work.scheduler is None:
         yield local_workers(work)
         return
-    from gsvis.pvs.cluster import connect
+    from gsvis.jobs.cluster import connect
 
     with connect(work.scheduler) as workers:
         yield workers

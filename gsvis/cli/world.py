@@ -48,8 +48,8 @@ _CLUSTERS = (4, 16, 64, 256)
 
 def run_world(command: World) -> None:
     """Prepare a world: check, run what is missing, write the folder, print the result."""
+    from gsvis.jobs.graph import TOO_LARGE
     from gsvis.world.estimate import estimate_world
-    from gsvis.world.graph import TOO_LARGE
     from gsvis.world.prepare import prepare_world
     from gsvis.world.stages import write_tiles
 

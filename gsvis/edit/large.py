@@ -17,17 +17,17 @@ from numpy.typing import NDArray
 from gsvis.edit.classes import CLASSES, HIDDEN, KEPT, CleanConfig, class_of
 from gsvis.edit.parcels import AROUND
 from gsvis.files.archive import load_arrays
-from gsvis.files.objects import ObjectStore
 from gsvis.files.temporary import temporary_folder
 from gsvis.io.batches import facts_of_batches, read_batch
+from gsvis.jobs.graph import Facts, Result, Task, run_graph
+from gsvis.jobs.objects import ObjectStore
+from gsvis.jobs.workers import Workers
 from gsvis.progress import Progress, silent
-from gsvis.pvs.workers import Workers
 from gsvis.scene.facts import SceneFacts
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.judged import Judged
 from gsvis.world.build import WorldBuild
 from gsvis.world.config import WorldConfig
-from gsvis.world.graph import Facts, Result, Task, run_graph
 from gsvis.world.tiling import OUTSIDE, Rect, TilingConfig, tile_name, tiles_of
 
 __all__ = ["JOINT", "LargeCleaning", "clean_large"]

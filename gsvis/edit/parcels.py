@@ -17,12 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.errors import SceneError
+from gsvis.jobs.graph import Facts
 from gsvis.scene.axes import axis_vector
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import MAX_RESOLUTION, NavigableSpace
-from gsvis.world.graph import Facts
-from gsvis.world.memory import MOST_VOXELS
-from gsvis.world.tiles import near_tile, within_tile
+from gsvis.world.tiles import MOST_VOXELS, near_tile, within_tile
 
 __all__ = [
     "AROUND",

@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 
 from gsvis.edit.parcels import PARCEL, VOXELS, indoors, join_spaces, lay_parcels, mixed_space, rows_near
 from gsvis.errors import SceneError
+from gsvis.jobs.graph import Facts
 from gsvis.progress import Progress, silent
 from gsvis.scene.axes import nearest_axis
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.kinds import SpaceKind
 from gsvis.scene.navigable import NavigableSpace
-from gsvis.world.graph import Facts
 from gsvis.world.tiles import near_tile
 from gsvis.world.tiling import sampling_interval, thin_out
 

@@ -24,11 +24,11 @@ from gsvis.edit.places import Parcel, join_parcels, parcels_of, space_of_parcel
 from gsvis.edit.shape import Shape, far_from
 from gsvis.edit.whole import Whole, core_within, find_space, load_whole, save_whole
 from gsvis.files.archive import load_arrays, save_arrays
+from gsvis.jobs.graph import Facts, Given
 from gsvis.scene.axes import nearest_axis
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.kinds import SpaceKind
 from gsvis.world.districts import merge_down
-from gsvis.world.graph import Facts, Given
 from gsvis.world.rows import content_order, flatten, load_gaussians, load_rows, save_gaussians
 from gsvis.world.tiles import MARGIN, cut_to_tile, load_space, near_tile, save_space
 

@@ -1,4 +1,4 @@
-"""Bytes on disk apart from scenes: atomic writes, locks, the Arrow container, limits, caches, one way to resume."""
+"""Bytes on disk apart from scenes: atomic writes, locks, the Arrow container, limits, caches."""
 
 _MODULES = (
     "apart",
@@ -11,12 +11,10 @@ _MODULES = (
     "joined",
     "limits",
     "locks",
-    "objects",
     "origins",
     "mapped",
     "output",
     "places",
-    "resume",
     "sections",
     "shelf",
     "sums",

@@ -27,8 +27,7 @@ from gsvis.errors import FormatError
 from gsvis.files.atomic import atomic_path
 from gsvis.files.fields import Fields, parse_object
 from gsvis.files.limits import DAMAGED, open_regular
-from gsvis.files.resume import seal, unseal
-from gsvis.files.sums import PIECE, word_sums
+from gsvis.files.sums import PIECE, seal, unseal, word_sums
 
 __all__ = ["ArrayFiles", "MappedArrays", "resident_bytes", "write_arrays"]
 

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import hashlib
 import os
+import struct
+import zlib
 from functools import cache
 from pathlib import Path
 
@@ -16,7 +18,12 @@ from numpy.typing import NDArray
 
 from gsvis.files.limits import open_regular
 
-__all__ = ["PIECE", "file_sum", "word_sums"]
+__all__ = ["PIECE", "SEAL", "file_sum", "seal", "unseal", "word_sums"]
+
+_HEAD = struct.Struct("<4sI")
+_MAGIC = b"gvc2"
+SEAL = _HEAD.size
+"""Bytes that `seal` adds."""
 
 PIECE = 1 << 15
 """Words of a piece; their factors fit into a processor's cache."""
@@ -60,3 +67,17 @@ def _factors() -> NDArray[np.uint64]:
     found = (found ^ (found >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     odd: NDArray[np.uint64] = (found ^ (found >> np.uint64(31))) | np.uint64(1)
     return odd
+
+
+def seal(data: bytes) -> bytes:
+    """Return the bytes with a head that holds their checksum."""
+    return _HEAD.pack(_MAGIC, zlib.crc32(data)) + data
+
+
+def unseal(data: bytes) -> bytes | None:
+    """Return the bytes that were given to `seal`; None if a byte has changed or is missing."""
+    if len(data) < _HEAD.size:
+        return None
+    magic, crc = _HEAD.unpack_from(data)
+    body = data[_HEAD.size :]
+    return body if magic == _MAGIC and zlib.crc32(body) == crc else None

@@ -16,6 +16,8 @@ import numpy as np
 from gsvis.color.records import bytes_per_term
 from gsvis.color.srbf import SrbfColors
 from gsvis.color.storage import load_srbf
+from gsvis.jobs.cost import machine_load
+from gsvis.jobs.workers import Workers
 from gsvis.prepare.coded_size import bytes_of_record
 from gsvis.prepare.config import PrepareConfig
 from gsvis.prepare.memory import kept_memory, left_for_sets
@@ -23,8 +25,8 @@ from gsvis.prepare.prepare import stages_of
 from gsvis.prepare.stages import Stages
 from gsvis.progress import Progress, silent
 from gsvis.pvs.estimate import estimate_pvs
+from gsvis.pvs.memory import expected_memory
 from gsvis.pvs.store import VisibilityStore
-from gsvis.pvs.workers import Workers, expected_memory, machine_load
 from gsvis.render.rasterizer import rasterize
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gsvis.files.resume import folder_beside
+from gsvis.jobs.resume import folder_beside
 from gsvis.progress import Progress, silent
 from gsvis.render.judges import count_views
 from gsvis.scene.content import scene_hash

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from gsvis.jobs.cost import COARSER, memory_error
+from gsvis.jobs.workers import Workers
 from gsvis.pvs.config import PvsConfig
-from gsvis.pvs.workers import COARSER, Workers, expected_memory, memory_error
+from gsvis.pvs.memory import expected_memory
 from gsvis.scene.levels import Levels
 
 __all__ = ["kept_memory", "left_for_sets"]

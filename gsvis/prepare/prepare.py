@@ -18,17 +18,17 @@ from gsvis import _check
 from gsvis._extras import has, missing
 from gsvis.color import quantize
 from gsvis.errors import FormatError, SceneError
+from gsvis.jobs.work_folder import WorkFolder
+from gsvis.jobs.workers import Workers
 from gsvis.package import Package, PackageInfo, write_package
 from gsvis.package.manifest import MANIFEST, Manifest
 from gsvis.package.writer import check_target
 from gsvis.prepare.config import PrepareConfig
 from gsvis.prepare.stages import StageRecord, Stages, around_of
 from gsvis.prepare.start_views import choose_start_views
-from gsvis.prepare.work_folder import WorkFolder
 from gsvis.progress import Progress, silent
 from gsvis.pvs.store import VisibilityStore
 from gsvis.pvs.stored_certificates import StoredCertificates
-from gsvis.pvs.workers import Workers
 from gsvis.raycast.proxies import MIN_ALPHA
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels

@@ -21,7 +21,7 @@ from gsvis.color.epsilon import FLIP_JND, EpsilonCalibration, MetricObserver, ca
 from gsvis.color.srbf import SrbfColors
 from gsvis.color.storage import save_srbf
 from gsvis.errors import OutputError
-from gsvis.files.resume import KeptWork
+from gsvis.jobs.resume import KeptWork
 from gsvis.prepare.active_terms import build_active_terms
 from gsvis.prepare.approximations import Approximations, flip_difference
 from gsvis.prepare.color_quality import ColorQualityConfig, measure_colors

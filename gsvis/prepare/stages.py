@@ -28,6 +28,8 @@ from gsvis.files.atomic import atomic_path
 from gsvis.files.fields import parse_object
 from gsvis.files.limits import read_whole
 from gsvis.io.levels import MAP, levels_info, load_levels, save_levels
+from gsvis.jobs.work_folder import WorkFolder, digest_of_folder
+from gsvis.jobs.workers import Workers
 from gsvis.package import Contents, Cost, ExactLevel, Fidelity, in_package_order, measure_cost, measure_fidelity
 from gsvis.package.active_terms import colors_hash
 from gsvis.package.cell_terms import CellTerms
@@ -37,14 +39,12 @@ from gsvis.prepare.judged import judge_tile, small_views
 from gsvis.prepare.levels import make_levels
 from gsvis.prepare.memory import left_for_sets
 from gsvis.prepare.surroundings import Surroundings
-from gsvis.prepare.work_folder import WorkFolder, digest_of_folder
 from gsvis.progress import Progress
 from gsvis.pvs.build import build_pvs
 from gsvis.pvs.cell_count import MOST_CELLS, fitting_cells
 from gsvis.pvs.cells import MAX_CELLS, CellGrid
 from gsvis.pvs.judged import judge_sets
 from gsvis.pvs.store import VisibilityStore
-from gsvis.pvs.workers import Workers
 from gsvis.scene.content import scene_hash, space_hash
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels

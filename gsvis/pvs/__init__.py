@@ -18,14 +18,12 @@ if TYPE_CHECKING:
     from gsvis.pvs.build import build_pvs
     from gsvis.pvs.cells import CellGrid
     from gsvis.pvs.certificate import Certificate, CertificateConfig, Certifier
-    from gsvis.pvs.cluster import connect
     from gsvis.pvs.config import PvsConfig
     from gsvis.pvs.estimate import Estimate, estimate_pvs
     from gsvis.pvs.quality import Quality, QualityConfig, measure_quality
     from gsvis.pvs.store import CellSet, StoreInfo, VisibilityStore, write_store
     from gsvis.pvs.viewpoints import CellViewpoints, FreeVoxels, SharedViewpoints
     from gsvis.pvs.why import Why
-    from gsvis.pvs.workers import Workers
 
 __all__ = [
     "CellGrid",
@@ -43,9 +41,7 @@ __all__ = [
     "StoreInfo",
     "VisibilityStore",
     "Why",
-    "Workers",
     "build_pvs",
-    "connect",
     "estimate_pvs",
     "measure_quality",
     "staged_bound",
@@ -65,7 +61,6 @@ _HOMES = {
         "CertificateConfig",
         "Certifier",
     ),
-    "cluster": ("connect",),
     "config": ("PvsConfig",),
     "estimate": (
         "Estimate",
@@ -88,7 +83,6 @@ _HOMES = {
         "SharedViewpoints",
     ),
     "why": ("Why",),
-    "workers": ("Workers",),
 }
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from gsvis.files.resume import KeptWork
+from gsvis.jobs.resume import KeptWork
 from gsvis.pvs.cell_view import CellView, Figures, Sighting
 from gsvis.pvs.codec import CodecError, decompress
 

@@ -24,10 +24,12 @@ from numpy.typing import NDArray
 from gsvis import _check
 from gsvis.errors import OutputError, SceneError
 from gsvis.files.output import output_errors
-from gsvis.files.resume import KeptWork
+from gsvis.jobs.processes import Processes
+from gsvis.jobs.resume import KeptWork
+from gsvis.jobs.workers import Workers
 from gsvis.progress import Progress, silent
 from gsvis.pvs._journal import find_kept, name_cell, name_viewpoint, read_packed, read_view
-from gsvis.pvs._workers import (
+from gsvis.pvs._tasks import (
     CellTask,
     Result,
     SceneArrays,
@@ -42,10 +44,9 @@ from gsvis.pvs._workers import (
 from gsvis.pvs.cell_view import CellView
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.config import PvsConfig
-from gsvis.pvs.processes import Processes
+from gsvis.pvs.memory import fitting_workers
 from gsvis.pvs.store import CellSet, StoreInfo, StoreWriter, VisibilityStore
 from gsvis.pvs.viewpoints import CellViewpoints, SharedViewpoints
-from gsvis.pvs.workers import Workers, fitting_workers
 from gsvis.raycast.directions import NUM_FACES
 from gsvis.raycast.proxies import MIN_ALPHA
 from gsvis.scene.content import scene_hash, space_hash

@@ -11,22 +11,17 @@ from numba import get_num_threads, set_num_threads
 from numpy.typing import NDArray
 
 from gsvis import _check
+from gsvis.jobs.cost import machine_load, speed_up
+from gsvis.jobs.workers import Workers
 from gsvis.progress import Progress, silent
 from gsvis.pvs._journal import pack_sighting, pack_view
-from gsvis.pvs._workers import forget_scene
+from gsvis.pvs._tasks import forget_scene
 from gsvis.pvs.build import Work, plan_work
 from gsvis.pvs.cell_view import Finder
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.coded_size import BESIDE, bytes_of_cell
 from gsvis.pvs.config import PvsConfig
-from gsvis.pvs.workers import (
-    SCENE_BYTES,
-    Workers,
-    expected_memory,
-    fitting_workers,
-    machine_load,
-    speed_up,
-)
+from gsvis.pvs.memory import SCENE_BYTES, expected_memory, fitting_workers
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis import _check
-from gsvis.files.resume import KeptWork
+from gsvis.jobs.resume import KeptWork
 from gsvis.progress import Progress, silent
 from gsvis.render.removal import removal_effects
 from gsvis.scene.cameras import Cameras

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from gsvis import _check
 from gsvis._extras import require
 from gsvis.errors import FormatError
-from gsvis.files.resume import KeptWork
+from gsvis.jobs.resume import KeptWork
 from gsvis.progress import Progress, silent
 from gsvis.render.rasterizer import rasterize
 from gsvis.render.removal import removal_effects

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from gsvis import _check
 from gsvis._extras import require
 from gsvis.errors import ArgumentError, FormatError
-from gsvis.files.resume import KeptWork
+from gsvis.jobs.resume import KeptWork
 from gsvis.progress import Progress, silent
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.content import scene_hash, sight_hash

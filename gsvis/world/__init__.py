@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from gsvis.world.coding import TileBytes
     from gsvis.world.config import WorldConfig
     from gsvis.world.estimate import WorldEstimate, estimate_world
-    from gsvis.world.graph import Given, Result, Task, run_graph
     from gsvis.world.prepare import PreparedWorld, prepare_world
     from gsvis.world.stages import WrittenTile, write_tiles
     from gsvis.world.tiling import TilingConfig
@@ -31,13 +30,10 @@ __all__ = [
     "Beyond",
     "BeyondTable",
     "District",
-    "Given",
     "Grid",
     "Piece",
     "PreparedWorld",
-    "Result",
     "SeenNode",
-    "Task",
     "Tile",
     "TileBytes",
     "TilingConfig",
@@ -51,7 +47,6 @@ __all__ = [
     "estimate_world",
     "is_world",
     "prepare_world",
-    "run_graph",
     "write_tiles",
 ]
 
@@ -59,7 +54,6 @@ _HOMES = {
     "coding": ("TileBytes",),
     "config": ("WorldConfig",),
     "estimate": ("WorldEstimate", "estimate_world"),
-    "graph": ("Given", "Result", "Task", "run_graph"),
     "prepare": ("PreparedWorld", "prepare_world"),
     "stages": ("WrittenTile", "write_tiles"),
     "tiling": ("TilingConfig",),

@@ -17,14 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.errors import SceneError
-from gsvis.files.objects import ObjectStore
 from gsvis.io.batches import Batch, align_batches, list_batches
+from gsvis.jobs.graph import Facts, Result, Task, run_graph
+from gsvis.jobs.objects import ObjectStore
+from gsvis.jobs.workers import Workers
 from gsvis.progress import Progress
-from gsvis.pvs.workers import Workers
 from gsvis.scene.corridor import fill_in
 from gsvis.scene.witnesses import hold_out
 from gsvis.world.config import WorldConfig
-from gsvis.world.graph import Facts, Result, Task, run_graph
 from gsvis.world.tiles import MARGIN, SURROUNDINGS, near_tile
 from gsvis.world.tiling import Rect, grid_of, sampling_interval, tile_name
 

@@ -5,20 +5,21 @@ They are made bottom-up: that of a tile from its lowest level, that of several f
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from gsvis.jobs.graph import Facts, Given
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from gsvis.scene.sh import SH_C0
 from gsvis.train.merge import merge_gaussians
 from gsvis.world.bare import Reach, reach_of, write_bare_package
-from gsvis.world.graph import Facts, Given
 from gsvis.world.rows import content_order, flatten, load_gaussians, load_tile_levels, median_spacing, save_gaussians
 
-__all__ = ["VERSIONS", "make_district", "merge_down", "round_colors", "round_shapes"]
+__all__ = ["MEMORY", "VERSIONS", "make_district", "merge_down", "round_colors", "round_shapes"]
 
 VERSIONS = {"make_district": 3}
 
@@ -89,3 +90,16 @@ def round_colors(g: Gaussians, reach: Reach) -> Gaussians:
     rounded = np.minimum(_STEP * np.rint(places / _STEP), _SHADES - _SHADES % _STEP)
     sh0 = (low + span * rounded / _SHADES - 0.5) / SH_C0
     return replace(g, sh0=sh0[:, None])
+
+
+def _memory_of_district(params: Facts, inputs: Sequence[Facts]) -> int:
+    return int((130 << 20) + 900 * _lowest(inputs))
+
+
+def _lowest(nodes: Sequence[Facts]) -> int:
+    """Return the Gaussians in the lowest levels of tiles, and in districts, which have one level."""
+    return sum(each["levels"][0][1] if "spacings" in each else each["gaussians"] for each in nodes)
+
+
+MEMORY = {"make_district": _memory_of_district}
+"""The bytes that tasks need beyond an idle process."""

@@ -15,18 +15,19 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from gsvis import _check
-from gsvis.files.objects import open_store
 from gsvis.files.temporary import temporary_folder
+from gsvis.jobs.cost import IDLE, machine_load, needed_memory
+from gsvis.jobs.graph import Facts
+from gsvis.jobs.objects import open_store
+from gsvis.jobs.workers import Workers
 from gsvis.progress import Progress, silent
 from gsvis.pvs.cell_count import MOST_CELLS
 from gsvis.pvs.coded_size import BESIDE
-from gsvis.pvs.workers import Workers, machine_load
 from gsvis.train.levels import LevelsConfig
 from gsvis.world.build import WorldBuild, plan_districts
 from gsvis.world.coding import TileBytes
 from gsvis.world.config import WorldConfig
-from gsvis.world.graph import Facts
-from gsvis.world.memory import least_limit, needed_memory, tile_memory
+from gsvis.world.packages import tile_memory
 from gsvis.world.standing import distances_of, nodes_around, own_districts
 from gsvis.world.trial import Trial, try_tiles
 
@@ -376,7 +377,7 @@ def _memory(sizes: _Sizes, build: WorldBuild, largest: int, most: int, workers: 
         task = max(task, needed_memory("gsvis.world.pieces:choose_nodes", params, [own, {}, *facts]))
         packages = max(packages, needed_memory("gsvis.world.packages:prepare_tile", params, inputs))
     # A package is asked for more than it takes: which parts of tiles stand around it is known when it is made.
-    return int(_PEAK * least_limit(task, tile, 1)), least_limit(max(task, packages), tile, workers)
+    return int(_PEAK * _least_limit(task, tile, 1)), _least_limit(max(task, packages), tile, workers)
 
 
 def _districts(sizes: _Sizes, build: WorldBuild) -> tuple[list[Facts], list[Facts]]:
@@ -405,3 +406,15 @@ def _terms_of(config: WorldConfig, degree: int) -> float:
     """Return the expected terms of a Gaussian."""
     fit = config.package.colors.fit
     return float(fit.max_terms if fit.mean_terms is None else min(fit.mean_terms, fit.max_terms)) if degree else 0.0
+
+
+def _least_limit(task: int, tile: int, workers: int) -> int:
+    """Return the least limit of all processes under which each task fits, one at a time.
+
+    Args:
+        task: Most bytes that a task needs beyond an idle process.
+        tile: Bytes of a worker that makes a package, `tile_memory`.
+        workers: Processes; 1 works in the process that gives out tasks.
+    """
+    idle = IDLE * (workers + 1 if workers > 1 else 1)
+    return max(idle + task, idle - IDLE + tile)

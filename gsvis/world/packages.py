@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,26 +12,39 @@ import numpy as np
 
 from gsvis.errors import SceneError
 from gsvis.files.limits import read_whole
+from gsvis.jobs.cost import IDLE, memory_error
+from gsvis.jobs.graph import TOO_LARGE, Facts, Given
 from gsvis.package import Package
+from gsvis.prepare.memory import kept_memory
 from gsvis.prepare.prepare import finish_package, stages_of
 from gsvis.prepare.stages import VERSIONS as STAGES
 from gsvis.prepare.surroundings import Surroundings
 from gsvis.progress import silent
-from gsvis.pvs.workers import memory_error
+from gsvis.pvs.config import PvsConfig
 from gsvis.scene.cameras import Cameras, intrinsics
 from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.witnesses import Witnesses
 from gsvis.world.bare import PACKAGE, facts_of_package, reach_of, write_bare_package
-from gsvis.world.graph import TOO_LARGE, Facts, Given
-from gsvis.world.memory import tile_memory
 from gsvis.world.pieces import free_box, join_surroundings, part_of_district, parts_of_tile
 from gsvis.world.rows import load_gaussians, load_tile_levels
 from gsvis.world.tiles import config_of, load_space
 
-__all__ = ["VERSIONS", "prepare_tile"]
+__all__ = ["MEMORY", "VERSIONS", "prepare_tile", "tile_memory"]
 
 VERSIONS = {"prepare_tile": [3, {name: version for name, version in STAGES.items() if name != "levels"}]}
+
+_HELD = 60 << 20  # bytes that earlier tasks leave in a worker
+
+# Bytes of the package of a tile: for each Gaussian in and around it; for each of the largest level, of which looks and
+# tracer are in memory while it is looked at (docs/design/070); for each pixel of a look.
+_JOINT = 120
+_LEVEL = {"hybrid": 420, "raster": 650, "raycast": 910}
+_PIXEL = 6 * 64
+# most of a tile's Gaussians that stand: of a dozen tiles, of all others
+_NEAR = 12
+_STANDS = 0.75
+_FAR_STANDS = 0.4
 
 
 def prepare_tile(params: Facts, given: Given, out: Path, work: Path) -> Facts:
@@ -115,3 +129,42 @@ def _bare(params: Facts, levels: Levels, out: Path) -> Facts:
     shutil.rmtree(out / PACKAGE, ignore_errors=True)
     _, facts = write_bare_package(out, levels, params["up"], params["config"]["meters_per_unit"], reach_of(params))
     return {**facts, "cells": 0, "pieces": []}
+
+
+def tile_memory(own: int, counts: Sequence[int], joint: int, sh_degree: int, sets: PvsConfig) -> int:
+    """Return the bytes of a worker while it makes the package of a tile.
+
+    Args:
+        own: Gaussians of all levels of the tile together.
+        counts: Gaussians in and around it, in each level, lowest first.
+        joint: Gaussians in and around it, of all levels together.
+        sh_degree: Of the scene.
+        sets: How visible sets are found.
+    """
+    looks = _LEVEL[sets.method] * max(counts) + _PIXEL * sets.size**2
+    return _HELD + kept_memory(own, sh_degree) + _JOINT * joint + looks
+
+
+def _memory_of_tile(params: Facts, inputs: Sequence[Facts]) -> int:
+    own = inputs[0]["gaussians"]
+    if params["outside"] or not inputs[1]["voxels"]:
+        return int((150 << 20) + 500 * own)
+    around = _count_standing([each for each in inputs[2:] if "spacings" in each])
+    around += sum(each["gaussians"] for each in inputs[2:] if "spacings" not in each)
+    sets = PvsConfig(**params["config"]["sets"])
+    joint = own + around
+    return tile_memory(own, [joint], joint, 0, sets) - IDLE
+
+
+def _count_standing(tiles: Sequence[Facts]) -> int:
+    """Return how many Gaussians of the tiles around one may stand there; the more there are, the farther most are."""
+    largest = sorted(tiles, key=lambda tile: tile["gaussians"], reverse=True)
+    shares = [_STANDS if k < _NEAR else _FAR_STANDS for k in range(len(largest))]
+    return sum(
+        max(int(tile["levels"][0][1]), int(share * tile["gaussians"]))
+        for tile, share in zip(largest, shares, strict=True)
+    )
+
+
+MEMORY = {"prepare_tile": _memory_of_tile}
+"""The bytes that tasks need beyond an idle process."""

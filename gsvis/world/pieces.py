@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis.jobs.graph import Facts, Given
 from gsvis.prepare.surroundings import Surroundings
 from gsvis.pvs.look import Look
 from gsvis.raycast.tracer import TAU
@@ -21,13 +22,13 @@ from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.solid import Solid
-from gsvis.world.graph import Facts, Given
 from gsvis.world.rows import flatten, load_gaussians, load_tile_levels
 from gsvis.world.standing import distances_of, nodes_around, own_districts
 from gsvis.world.tiles import load_space
 
 __all__ = [
     "BLOCK",
+    "MEMORY",
     "VERSIONS",
     "Part",
     "Runs",
@@ -46,6 +47,8 @@ Runs = list[tuple[int, int]]
 """(first id, count), ascending."""
 
 VERSIONS = {"choose_nodes": 2}
+
+_BESIDE = 0.5  # how far beyond the Gaussians of a tile its eyes may be, at most, in its longest side
 
 BLOCK = 256
 """Ids that get one level together; they lie near each other along the Morton curve of a package."""
@@ -180,3 +183,18 @@ def free_box(space: NavigableSpace) -> tuple[F64, F64]:
     voxels = np.argwhere(space.free)
     low = space.origin + space.voxel_size * voxels.min(axis=0)
     return np.asarray(low), np.asarray(space.origin + space.voxel_size * (voxels.max(axis=0) + 1))
+
+
+def _memory_of_choice(params: Facts, inputs: Sequence[Facts]) -> int:
+    """Return the bytes of a choice of nodes: of the districts it reads those that may stand, from wherever eyes are."""
+    districts = inputs[2:]
+    own = own_districts(params["districts"])
+    low, high = (np.array(districts[own[params["tile"]]][name]) for name in ("low", "high"))
+    beside = _BESIDE * float(np.max(high - low))
+    standing, tiles = nodes_around(params, districts, distances_of(low - beside, high + beside, districts))
+    stand = sum(districts[k]["gaussians"] for k in (*standing, *(own[tile] for tile in tiles)))
+    return int((120 << 20) + 550 * (inputs[0]["levels"][0][1] + stand))
+
+
+MEMORY = {"choose_nodes": _memory_of_choice}
+"""The bytes that tasks need beyond an idle process."""

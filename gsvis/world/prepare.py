@@ -14,17 +14,17 @@ from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.files.atomic import atomic_folder, atomic_path
 from gsvis.files.limits import digest_of
-from gsvis.files.objects import ObjectStore, open_store
 from gsvis.files.temporary import temporary_folder
+from gsvis.jobs.graph import Facts, Result
+from gsvis.jobs.objects import ObjectStore, open_store
+from gsvis.jobs.work_folder import WorkFolder
+from gsvis.jobs.workers import Workers
 from gsvis.package.manifest import MANIFEST
-from gsvis.prepare.work_folder import WorkFolder
 from gsvis.progress import Progress, silent
-from gsvis.pvs.workers import Workers
 from gsvis.scene.judged import Judged
 from gsvis.world.bare import PACKAGE
 from gsvis.world.build import WorldBuild
 from gsvis.world.config import WorldConfig
-from gsvis.world.graph import Facts, Result
 from gsvis.world.manifest import WORLD, BeyondTable, District, Piece, Tile, WorldManifest
 from gsvis.world.tiling import grid_of
 from gsvis.world.world import BEYOND, PACKAGES

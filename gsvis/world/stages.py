@@ -18,13 +18,13 @@ from typing import Any, Literal
 from gsvis import _check
 from gsvis.errors import FormatError
 from gsvis.files.atomic import atomic_path
-from gsvis.files.objects import open_store
 from gsvis.files.temporary import temporary_folder
 from gsvis.io.levels import MAP, save_levels
 from gsvis.io.ply import save_ply
-from gsvis.prepare.work_folder import WorkFolder
+from gsvis.jobs.objects import open_store
+from gsvis.jobs.work_folder import WorkFolder
+from gsvis.jobs.workers import Workers
 from gsvis.progress import Progress, silent
-from gsvis.pvs.workers import Workers
 from gsvis.world.build import WorldBuild
 from gsvis.world.config import WorldConfig
 from gsvis.world.rows import load_gaussians, load_tile_levels

@@ -6,6 +6,7 @@ Scene frame and units. Each function here is a task of a graph.
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from gsvis.color.fit import FitConfig
 from gsvis.errors import ArgumentError, SceneError
 from gsvis.files.archive import load_arrays, save_arrays
+from gsvis.jobs.graph import Facts, Given
 from gsvis.package import in_package_order
 from gsvis.prepare.colors import ColorConfig
 from gsvis.prepare.config import PrepareConfig
@@ -31,12 +33,12 @@ from gsvis.scene.navigable import MAX_RESOLUTION, NavigableSpace
 from gsvis.scene.view_sampling import ViewSampling
 from gsvis.train.levels import LevelsConfig
 from gsvis.world.districts import merge_down
-from gsvis.world.graph import Facts, Given
-from gsvis.world.memory import MOST_VOXELS
 from gsvis.world.rows import flatten, load_gaussians, load_rows, median_spacing, save_gaussians, save_tile_levels
 
 __all__ = [
     "MARGIN",
+    "MEMORY",
+    "MOST_VOXELS",
     "SURROUNDINGS",
     "VERSIONS",
     "config_of",
@@ -52,6 +54,14 @@ __all__ = [
 ]
 
 VERSIONS = {"gather_rows": 1, "make_tile_levels": [2, STAGES["levels"]], "tile_space": 6}
+
+MOST_VOXELS = 1 << 23
+"""Of the space of a tile and its surroundings, unless the resolution of the tile alone asks for more."""
+
+_VOXEL = 30  # bytes of a voxel of a space, while it is looked for
+# gradients of a view; bytes for each pixel of all views, of which most are smaller
+_TRAINING = 160 << 20
+_IMAGE = 7
 
 MARGIN = 0.15
 """How far beyond a tile what is solid counts, in its longer side."""
@@ -251,3 +261,27 @@ def _merge(g: Gaussians, most: int) -> Levels:
     low = merge_down(g, most)
     level = np.repeat(np.array([0, 1], np.uint8), [len(low), len(g)])
     return Levels(Gaussians.concatenate([low, g]), level, level, ("low", "high"))
+
+
+def _memory_of_rows(params: Facts, inputs: Sequence[Facts]) -> int:
+    return int((10 << 20) + 250 * sum(inputs[number]["counts"][name] for number, name in params["files"]))
+
+
+def _memory_of_space(params: Facts, inputs: Sequence[Facts]) -> int:
+    counts = [each["gaussians"] for each in inputs]
+    least = params["resolution"]
+    side = min(MAX_RESOLUTION, 4 * params["resolution"])
+    rows = 900 * counts[0] + 160 * max(counts) + 60 * sum(counts[1:])
+    return int((80 << 20) + _VOXEL * min(max(MOST_VOXELS, least**3), side**3) + rows)
+
+
+def _memory_of_levels(params: Facts, inputs: Sequence[Facts]) -> int:
+    count = inputs[0]["gaussians"]
+    trained = params["config"]["levels"] is not None
+    views = params["config"]["level_views"]
+    images = _IMAGE * views["count"] * views["width"] * views["height"]
+    return int((40 << 20) + (_TRAINING + images + 1400 * count if trained else 750 * count))
+
+
+MEMORY = {"gather_rows": _memory_of_rows, "tile_space": _memory_of_space, "make_tile_levels": _memory_of_levels}
+"""The bytes that tasks need beyond an idle process."""

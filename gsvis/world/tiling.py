@@ -20,17 +20,18 @@ from numpy.typing import NDArray
 from gsvis import _check
 from gsvis.errors import SceneError
 from gsvis.io.batches import Batch, read_batch
+from gsvis.jobs.graph import Facts, Given
 from gsvis.raycast.proxies import MIN_ALPHA
 from gsvis.scene.axes import axis_vector, describe_direction, nearest_axis, snap_to_axis, tilt_of
 from gsvis.scene.cameras import Cameras, intrinsics
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.sh import SH_C0
 from gsvis.scene.upright import Upright, doubt_up, find_up
-from gsvis.world.graph import Facts, Given
 from gsvis.world.manifest import Grid
 from gsvis.world.rows import content_order, flatten, load_gaussians, save_gaussians
 
 __all__ = [
+    "MEMORY",
     "OUTSIDE",
     "VERSIONS",
     "Rect",
@@ -50,6 +51,8 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 VERSIONS = {"sample_rows": 2, "find_grid": 4, "split_batch": 3}
+
+_GUESSED = 1 << 18  # Gaussians of a batch that only reading counts
 
 OUTSIDE = "outside"
 """Name of the tile of what lies outside all squares."""
@@ -300,3 +303,16 @@ def _hashes(means: NDArray[np.float32]) -> NDArray[np.uint32]:
 def _triple(values: F64 | list[float]) -> tuple[float, float, float]:
     x, y, z = (float(v) for v in values)
     return x, y, z
+
+
+def _memory_of_batch(params: Facts, inputs: Sequence[Facts]) -> int:
+    count = params["batch"]["count"]
+    return int((10 << 20) + 200 * (count if count >= 0 else max(_GUESSED, params["batch"]["nbytes"] // 16)))
+
+
+def _memory_of_grid(params: Facts, inputs: Sequence[Facts]) -> int:
+    return int((20 << 20) + 450 * sum(each["sampled"] for each in inputs))
+
+
+MEMORY = {"sample_rows": _memory_of_batch, "find_grid": _memory_of_grid, "split_batch": _memory_of_batch}
+"""The bytes that tasks need beyond an idle process."""

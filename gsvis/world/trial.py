@@ -18,6 +18,7 @@ from gsvis._kernels.threads import one_thread
 from gsvis.errors import SceneError
 from gsvis.files.temporary import temporary_folder
 from gsvis.io.batches import read_batch
+from gsvis.jobs.graph import Facts
 from gsvis.prepare.coded_size import bytes_of_record
 from gsvis.prepare.config import PrepareConfig
 from gsvis.pvs.build import plan_work
@@ -40,7 +41,6 @@ from gsvis.world.coding import (
     levels_of,
     surroundings_of,
 )
-from gsvis.world.graph import Facts
 from gsvis.world.rows import flatten, load_gaussians
 from gsvis.world.tiles import near_tile, space_of_tile
 from gsvis.world.tiling import tiles_of

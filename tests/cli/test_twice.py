@@ -12,7 +12,7 @@ import pytest
 
 from gsvis.cli import main
 from gsvis.export.page import write_site
-from gsvis.files.resume import unseal
+from gsvis.files.sums import unseal
 from gsvis.io import save_scene
 from gsvis.io.poses import write_poses
 from gsvis.scene.navigable import NavigableSpace

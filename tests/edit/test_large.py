@@ -9,10 +9,10 @@ import pytest
 from numpy.typing import NDArray
 
 from gsvis.edit import CLASSES, LargeCleaning, class_of, clean_large
-from gsvis.files.objects import open_store
 from gsvis.io import batches, load_scene, save_scene
 from gsvis.io.ply import save_ply_parts
-from gsvis.pvs.workers import Workers
+from gsvis.jobs.objects import open_store
+from gsvis.jobs.workers import Workers
 from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
 from gsvis.world.tiling import TilingConfig

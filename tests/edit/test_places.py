@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from gsvis.edit import CleanConfig, clean, clean_large, find_in_parcels
 from gsvis.edit.parcels import mixed_space, rows_near
 from gsvis.edit.places import is_well_known, join_parcels, parcels_of
-from gsvis.files.objects import open_store
 from gsvis.io import batches, save_scene
+from gsvis.jobs.graph import Facts
+from gsvis.jobs.objects import open_store
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
-from gsvis.world.graph import Facts
 from gsvis.world.tiling import TilingConfig
 from tests.scene.places import apartment, box, sheet, statue
 

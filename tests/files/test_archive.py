@@ -11,7 +11,7 @@ import pytest
 
 from gsvis.errors import FormatError
 from gsvis.files.archive import load_arrays, save_arrays
-from gsvis.files.resume import KeptWork
+from gsvis.jobs.resume import KeptWork
 
 ARRAYS = {"sets": np.arange(20, dtype=np.uint8).reshape(2, 10), "traced": np.array([7])}
 LIKE = {"sets": ((2, 10), np.uint8), "traced": ((1,), np.int64)}

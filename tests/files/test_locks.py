@@ -13,8 +13,8 @@ from typing import IO
 import pytest
 
 from gsvis.files.locks import lock_file, try_lock
-from gsvis.files.resume import KeptWork
-from gsvis.prepare.work_folder import WorkFolder
+from gsvis.jobs.resume import KeptWork
+from gsvis.jobs.work_folder import WorkFolder
 
 ROOT = Path(__file__).parents[2]
 KINDS = ("system", "no fcntl", "no locks")
@@ -96,7 +96,7 @@ def test_a_lock_on_a_folder_that_was_just_removed_is_taken_again(
             Path(file.name).parent.mkdir()  # where there are no locks, a mark is written beside the file
         return lock_file(file)
 
-    monkeypatch.setattr("gsvis.files.resume.lock_file", lock)
+    monkeypatch.setattr("gsvis.jobs.resume.lock_file", lock)
     first, second = KeptWork(tmp_path / "work", {}), KeptWork(tmp_path / "work", {})
     with first.opened():
         assert len(calls) == 2

@@ -12,8 +12,9 @@ import pytest
 
 from gsvis.color.storage import load_srbf, save_srbf, srbf_info
 from gsvis.errors import FormatError
-from gsvis.files.resume import KeptWork, seal
+from gsvis.files.sums import seal
 from gsvis.io.levels import MAP, levels_info, load_levels, save_levels
+from gsvis.jobs.resume import KeptWork
 from gsvis.package.active_terms import ActiveTerms
 from gsvis.pvs._journal import (
     find_kept,
@@ -249,7 +250,8 @@ def in_staircase(folder: Path, case: Case) -> None:
     assert load_staircase_result(folder / name).epsilon > 0
 
 
-PVS, FILES, TRAIN, IO = "gsvis.pvs.", "gsvis.files.", "gsvis.train.", "gsvis.io."
+PVS, FILES, JOBS = "gsvis.pvs.", "gsvis.files.", "gsvis.jobs."
+TRAIN, IO = "gsvis.train.", "gsvis.io."
 
 TARGETS = [
     Target(
@@ -283,14 +285,14 @@ TARGETS = [
         kinds={"a.arrow": "active"},
         modules=("gsvis.package.active_terms",),
     ),
-    Target("kept", kept_files, in_kept, (), modules=(FILES + "resume", FILES + "archive"), refuses=False),
+    Target("kept", kept_files, in_kept, (), modules=(JOBS + "resume", FILES + "archive"), refuses=False),
     Target(
         "journal",
         journals,
         in_journal,
         (),
         {name(k): kind for k in range(3) for name, kind in ((name_cell, "view"), (name_viewpoint, "sighting"))},
-        modules=(PVS + "_journal", FILES + "resume"),
+        modules=(PVS + "_journal", JOBS + "resume"),
         refuses=False,
     ),
     Target(

@@ -22,8 +22,10 @@ from gsvis.errors import BackendError
 from gsvis.export.static import FORMAT, is_static
 from gsvis.files.limits import digest_of
 from gsvis.files.mapped import MappedArrays, write_arrays
-from gsvis.files.objects import open_store
-from gsvis.files.resume import KeptWork, seal
+from gsvis.files.sums import seal
+from gsvis.jobs.graph import Result, find_result
+from gsvis.jobs.objects import open_store
+from gsvis.jobs.resume import KeptWork
 from gsvis.package import Package
 from gsvis.scene.procedural import random_scene
 from gsvis.serve.sites import SCENE, Site
@@ -32,7 +34,6 @@ from gsvis.stream import kept as tables
 from gsvis.train.importance import ROUNDS, read_rounds
 from gsvis.world import rows
 from gsvis.world.beyond import Beyond
-from gsvis.world.graph import Result, find_result
 from gsvis.world.manifest import BeyondTable, Piece
 from tests.fuzz.asked import answer, asked_name
 from tests.fuzz.cameras import files_in
@@ -306,7 +307,7 @@ def in_rounds(folder: Path, case: Case) -> None:
 
 
 KINDS.update({"mapped": change_mapped, "note": change_note})
-FILES, WORLD = "gsvis.files.", "gsvis.world."
+FILES, JOBS, WORLD = "gsvis.files.", "gsvis.jobs.", "gsvis.world."
 
 TARGETS = [
     Target("static-scene", sites, in_site, kinds={"request.name": "text"}, modules=("gsvis.serve.sites",), weight=0.5),
@@ -326,7 +327,7 @@ TARGETS = [
         notes,
         in_notes,
         kinds={f"s/notes/{KEY}.json": "note"},
-        modules=(FILES + "objects", WORLD + "graph"),
+        modules=(JOBS + "objects", JOBS + "graph"),
         weight=0.5,
     ),
     Target("world-rows", row_files, in_rows, modules=(WORLD + "rows", FILES + "archive"), weight=0.5),
@@ -342,7 +343,7 @@ TARGETS = [
         "rounds",
         rounds,
         in_rounds,
-        modules=("gsvis.train.importance", FILES + "resume"),
+        modules=("gsvis.train.importance", JOBS + "resume"),
         weight=0.5,
         beginnings=("path: expected ",),  # another run's
     ),

@@ -24,7 +24,6 @@ from gsvis.errors import FormatError
 from gsvis.files.archive import load_arrays
 from gsvis.files.fields import estimate_parsed_bytes, parse_json
 from gsvis.files.limits import MIN_BUDGET, Budget, inside, open_regular, read_whole
-from gsvis.files.resume import KeptWork
 from gsvis.files.sections import HEAD_BYTES, SectionWriter
 from gsvis.io.cameras import load_cameras
 from gsvis.io.checkpoint import is_checkpoint, load_checkpoint
@@ -32,6 +31,7 @@ from gsvis.io.levels import load_levels
 from gsvis.io.points import load_points
 from gsvis.io.poses import load_path
 from gsvis.io.scenes import load_scene
+from gsvis.jobs.resume import KeptWork
 from gsvis.package import Package
 from gsvis.package.active_terms import ActiveTerms
 from gsvis.pvs._writer import FILE_KIND, FORMAT
@@ -144,7 +144,7 @@ OPENED_OTHERWISE = {
     "files/arrow.py": "memory_map",  # opened as a regular file before
     "report/html.py": "read_text",  # pages that come with gsvis
     "report/staircase.py": "read_text",
-    "pvs/_workers.py": "memmap",  # what this run wrote for its workers
+    "pvs/_tasks.py": "memmap",  # what this run wrote for its workers
     "report/frames.py": "load",  # what this run wrote
     "cli/streams.py": "open",  # the null device
 }

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from gsvis.errors import ArgumentError
+from gsvis.jobs.workers import Workers
 from gsvis.prepare.memory import left_for_sets
 from gsvis.pvs.config import PvsConfig
-from gsvis.pvs.workers import Workers, fitting_workers
+from gsvis.pvs.memory import fitting_workers
 from gsvis.scene.levels import Levels
 from gsvis.scene.procedural import random_scene
 

@@ -15,6 +15,7 @@ from PIL import Image
 
 from gsvis.color.fit import FitConfig
 from gsvis.errors import FormatError, SceneError
+from gsvis.jobs.workers import Workers
 from gsvis.package import Package, Spread, in_package_order
 from gsvis.package.fidelity import STEPS
 from gsvis.prepare import PrepareConfig, Prepared, estimate_preparation, prepare_package
@@ -22,7 +23,6 @@ from gsvis.prepare import estimate as estimates
 from gsvis.prepare.colors import ColorConfig
 from gsvis.pvs import estimate as pvs_estimates
 from gsvis.pvs.config import PvsConfig
-from gsvis.pvs.workers import Workers
 from gsvis.scene.content import scene_hash
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels

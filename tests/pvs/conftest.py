@@ -24,9 +24,9 @@ def warm_processes() -> Iterator[None]:
         yield
         return
     context = get_context("forkserver")
-    context.set_forkserver_preload(["gsvis.pvs.processes", "gsvis.pvs._workers", "gsvis.pvs.build"])
+    context.set_forkserver_preload(["gsvis.jobs.processes", "gsvis.pvs._tasks", "gsvis.pvs.build"])
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("gsvis.pvs.processes.get_context", lambda method: context)
+        patch.setattr("gsvis.jobs.processes.get_context", lambda method: context)
         yield
 
 

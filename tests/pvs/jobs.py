@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from gsvis.jobs.workers import Workers
 from gsvis.progress import Progress, silent
 from gsvis.pvs.build import build_pvs, journal_of
 from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.config import PvsConfig
 from gsvis.pvs.viewpoints import CellViewpoints, SharedViewpoints
-from gsvis.pvs.workers import Workers
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 

@@ -19,7 +19,8 @@ import pytest
 
 from gsvis._extras import has
 from gsvis.errors import FormatError, GsvisError, SceneError
-from gsvis.files.resume import KeptWork
+from gsvis.jobs.resume import KeptWork
+from gsvis.jobs.workers import Workers
 from gsvis.pvs import build
 from gsvis.pvs._journal import name_cell, name_viewpoint
 from gsvis.pvs.build import build_pvs, journal_of
@@ -28,7 +29,6 @@ from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.estimate import estimate_pvs
 from gsvis.pvs.store import VisibilityStore
 from gsvis.pvs.viewpoints import CellViewpoints, SharedViewpoints
-from gsvis.pvs.workers import Workers
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.solid import Solid
@@ -96,7 +96,7 @@ def test_the_processes_that_look_find_the_sets_too(job: Job, tmp_path: Path) -> 
 
 
 def test_the_number_of_threads_does_not_change_a_byte(job: Job, tmp_path: Path) -> None:
-    from gsvis.pvs.processes import use_threads
+    from gsvis.jobs.processes import use_threads
 
     use_threads(1)
     try:

@@ -16,9 +16,9 @@ from pathlib import Path
 import pytest
 
 from gsvis.errors import BackendError
+from gsvis.jobs.cluster import check_address, connect
 from gsvis.pvs.build import build_pvs
 from gsvis.pvs.cells import CellGrid
-from gsvis.pvs.cluster import check_address, connect
 from gsvis.pvs.config import PvsConfig
 from gsvis.scene.procedural import two_rooms
 

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from gsvis.jobs.workers import Workers
 from gsvis.pvs import estimate as estimates
 from gsvis.pvs.build import build_pvs
 from gsvis.pvs.cell_view import Finder
 from gsvis.pvs.estimate import estimate_pvs
-from gsvis.pvs.workers import Workers
 from gsvis.scene.kinds import SpaceKind
 from tests.pvs.jobs import CONFIG, Job, Stop
 

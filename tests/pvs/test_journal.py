@@ -15,7 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gsvis.files.atomic import _host, atomic_path
-from gsvis.files.resume import KeptWork, seal, unseal
+from gsvis.files.sums import seal, unseal
+from gsvis.jobs.resume import KeptWork
 from gsvis.pvs._journal import (
     find_kept,
     name_cell,

@@ -12,6 +12,7 @@ from scipy.stats import binom
 import gsvis.prepare.colors as colors_module
 from gsvis.color.fit import FitConfig
 from gsvis.errors import FormatError, SceneError
+from gsvis.jobs.workers import Workers
 from gsvis.prepare.colors import ColorConfig, find_kept, prepare_colors
 from gsvis.prepare.importance import importance_from_views
 from gsvis.pvs.build import build_pvs, journal_of
@@ -22,7 +23,6 @@ from gsvis.pvs.config import PvsConfig
 from gsvis.pvs.estimate import estimate_pvs
 from gsvis.pvs.store import VisibilityStore
 from gsvis.pvs.viewpoints import CellViewpoints, SharedViewpoints
-from gsvis.pvs.workers import Workers
 from gsvis.raycast import EllipsoidProxies, Tracer
 from gsvis.raycast.directions import trace_directions
 from gsvis.scene.content import scene_hash

@@ -50,7 +50,7 @@ def test_what_is_set_apart_is_named_in_full_and_is_there(tool: ModuleType) -> No
         ("gsvis.io.levels", "check", False),
         ("gsvis.pvs.store", "VisibilityStore.union", True),
         ("gsvis.pvs.config", "union", False),
-        ("gsvis.files.resume", "KeptWork.opened", False),
+        ("gsvis.jobs.resume", "KeptWork.opened", False),
         ("gsvis.io._ply_rows", "unpack.compiled", True),
         ("gsvis.io.levels", "save_levels.inner", True),
         ("gsvis.io.levels", "save_levels_of", False),

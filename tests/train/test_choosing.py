@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gsvis.errors import FormatError
-from gsvis.files.resume import KeptWork
+from gsvis.jobs.resume import KeptWork
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.kinds import SpaceKind

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gsvis.errors import FormatError
-from gsvis.files.resume import KeptWork
+from gsvis.jobs.resume import KeptWork
 from gsvis.render import rasterize
 from gsvis.render.removal import RemovalEffects
 from gsvis.scene.cameras import Cameras

@@ -14,13 +14,13 @@ import pytest
 pytest.importorskip("distributed")
 
 from gsvis.errors import BackendError
-from gsvis.files.objects import open_store
-from gsvis.pvs.cluster import connect
-from gsvis.world.graph import Task, run_graph
+from gsvis.jobs.cluster import connect
+from gsvis.jobs.graph import Task, run_graph
+from gsvis.jobs.objects import open_store
 from gsvis.world.prepare import prepare_world
+from tests.jobs.small_tasks import HERE, tree
 from tests.pvs.test_cluster import scheduler, two_workers  # noqa: F401  fixtures
 from tests.world import cities
-from tests.world.small_tasks import HERE, tree
 
 Processes = list[subprocess.Popen[bytes]]
 
@@ -55,7 +55,7 @@ def test_a_cluster_gives_the_same_world(scheduler: str, two_workers: Processes, 
 
 
 def test_a_scheduler_that_says_nothing_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gsvis.pvs.cluster._SLACK", 0.5)
+    monkeypatch.setattr("gsvis.jobs.cluster._SLACK", 0.5)
     with socket.create_server(("127.0.0.1", 0)) as silent:
         address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
         with pytest.raises(BackendError, match="no Dask scheduler answers"), connect(address, timeout=0.5):

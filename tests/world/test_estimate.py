@@ -11,14 +11,14 @@ from typing import Any, cast
 import pytest
 
 from gsvis.errors import ArgumentError, SceneError
-from gsvis.pvs.workers import Workers
+from gsvis.jobs.cost import IDLE, needed_memory
+from gsvis.jobs.workers import Workers
 from gsvis.train.levels import LevelsConfig
 from gsvis.world import estimate as estimates
 from gsvis.world import trial as trials
 from gsvis.world.build import WorldBuild
 from gsvis.world.config import WorldConfig
 from gsvis.world.estimate import estimate_world
-from gsvis.world.memory import IDLE, needed_memory
 from gsvis.world.prepare import prepare_world
 from tests.world import cities
 

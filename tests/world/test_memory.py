@@ -6,10 +6,11 @@ import itertools
 from dataclasses import asdict
 from typing import Any
 
+from gsvis.jobs.cost import needed_memory
 from gsvis.prepare.config import PrepareConfig
 from gsvis.pvs.config import PvsConfig
 from gsvis.world.build import plan_districts
-from gsvis.world.memory import needed_memory, tile_memory
+from gsvis.world.packages import tile_memory
 
 RUN = "gsvis.world.packages:prepare_tile"
 SPACE = {"voxels": 9}

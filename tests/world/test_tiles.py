@@ -12,15 +12,15 @@ import pytest
 from scipy.spatial import cKDTree
 
 from gsvis.errors import SceneError
-from gsvis.files.objects import open_store
 from gsvis.io.convert import rotation_about_axes
+from gsvis.jobs.cost import needed_memory
+from gsvis.jobs.objects import open_store
+from gsvis.jobs.workers import Workers
 from gsvis.progress import silent
-from gsvis.pvs.workers import Workers
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.kinds import SpaceKind
 from gsvis.scene.procedural import nested_shells, two_rooms
 from gsvis.world.build import WorldBuild
-from gsvis.world.memory import needed_memory
 from gsvis.world.packages import _witnesses
 from gsvis.world.rows import load_gaussians, load_tile_levels
 from gsvis.world.tiles import load_space, space_of_tile

@@ -11,13 +11,15 @@ import numpy as np
 import pytest
 
 from gsvis.errors import SceneError
-from gsvis.files.objects import open_store
 from gsvis.io import batches, load_scene
 from gsvis.io.batches import list_batches, read_batch
 from gsvis.io.convert import rotation_about_axes
 from gsvis.io.ply import save_ply
+from gsvis.jobs.cost import needed_memory
+from gsvis.jobs.graph import Given
+from gsvis.jobs.objects import open_store
+from gsvis.jobs.workers import Workers
 from gsvis.progress import silent
-from gsvis.pvs.workers import Workers
 from gsvis.scene.axes import tilt_of
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.content import scene_hash
@@ -25,8 +27,6 @@ from gsvis.scene.facts import SceneFacts
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.procedural import random_scene
 from gsvis.world.build import WorldBuild
-from gsvis.world.graph import Given
-from gsvis.world.memory import needed_memory
 from gsvis.world.rows import content_order, load_gaussians
 from gsvis.world.tiling import TilingConfig, cut_squares, find_grid
 from tests.world import cities

@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 
 from gsvis.errors import FormatError, SceneError
+from gsvis.jobs import graph
+from gsvis.jobs.workers import Workers
 from gsvis.package import Package
-from gsvis.pvs.workers import Workers
 from gsvis.train.levels import LevelsConfig
-from gsvis.world import Tile, World, graph, packages
+from gsvis.world import Tile, World, packages
 from gsvis.world.prepare import check_world_target, prepare_world
 from tests.world import cities
 

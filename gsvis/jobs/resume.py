@@ -17,8 +17,6 @@ import hashlib
 import json
 import os
 import shutil
-import struct
-import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -34,11 +32,10 @@ from gsvis.files.atomic import atomic_path, remove_all_partials
 from gsvis.files.limits import digest_of, read_whole
 from gsvis.files.locks import MARK, lock_file
 from gsvis.files.output import output_errors
+from gsvis.files.sums import SEAL, seal, unseal
 
-__all__ = ["PLAN", "KeptWork", "folder_beside", "seal", "unseal"]
+__all__ = ["PLAN", "KeptWork", "folder_beside"]
 
-_HEAD = struct.Struct("<4sI")
-_MAGIC = b"gvc2"
 _LOCK = "lock"
 PLAN = "plan.json"
 """Name of the file that describes the kept work for people."""
@@ -145,7 +142,7 @@ class KeptWork:
 
     def read(self, name: str, *, at_most: int | None = None) -> bytes | None:
         """Return the bytes of an entry; None if it is missing, damaged, or longer than `at_most` bytes."""
-        most = None if at_most is None else _HEAD.size + at_most
+        most = None if at_most is None else SEAL + at_most
         try:
             return unseal(read_whole(self.folder / name, most))
         except (FileNotFoundError, IsADirectoryError, NotADirectoryError, FormatError):
@@ -223,20 +220,6 @@ class KeptWork:
     def remove(self) -> None:
         """Delete the folder."""
         shutil.rmtree(self.folder, ignore_errors=True)
-
-
-def seal(data: bytes) -> bytes:
-    """Return the bytes with a head that holds their checksum."""
-    return _HEAD.pack(_MAGIC, zlib.crc32(data)) + data
-
-
-def unseal(data: bytes) -> bytes | None:
-    """Return the bytes that were given to `seal`; None if a byte has changed or is missing."""
-    if len(data) < _HEAD.size:
-        return None
-    magic, crc = _HEAD.unpack_from(data)
-    body = data[_HEAD.size :]
-    return body if magic == _MAGIC and zlib.crc32(body) == crc else None
 
 
 def _digest(plan: Any) -> str:

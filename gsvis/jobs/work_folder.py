@@ -18,7 +18,7 @@ from typing import Any
 from gsvis import _check
 from gsvis.files.limits import digest_of
 from gsvis.files.output import keeping
-from gsvis.files.resume import KeptWork
+from gsvis.jobs.resume import KeptWork
 
 __all__ = ["WorkFolder", "digest_of_folder"]
 

@@ -15,9 +15,9 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from gsvis.files.locks import try_lock
-from gsvis.files.objects import FolderStore, ObjectStore
 from gsvis.files.output import output_errors
 from gsvis.files.temporary import private_folder, temporary_folder
+from gsvis.jobs.objects import FolderStore, ObjectStore
 
 __all__ = ["forget_work", "work_folder"]
 

@@ -9,10 +9,10 @@ import time
 from pathlib import Path
 
 from gsvis.errors import FormatError, OutputError
-from gsvis.world.graph import Facts, Given, Task
+from gsvis.jobs.graph import Facts, Given, Task
 
 VERSIONS = {"count": 1, "join": 1, "fail": 1, "fill": 1, "die": 1, "slow": 1}
-HERE = "tests.world.small_tasks"
+HERE = "tests.jobs.small_tasks"
 
 
 def count(params: Facts, given: Given, out: Path, work: Path) -> Facts:

@@ -28,12 +28,12 @@ from typing import Any
 from gsvis.errors import ArgumentError, BackendError, FormatError, GsvisError, OutputError
 from gsvis.files.fields import Fields, parse_object
 from gsvis.files.limits import DAMAGED
-from gsvis.files.objects import ObjectStore, StoredObject, open_store
+from gsvis.jobs.cost import IDLE, memory_error, needed_memory
+from gsvis.jobs.objects import ObjectStore, StoredObject, open_store
+from gsvis.jobs.processes import Processes, limit_threads, one_at_a_time
+from gsvis.jobs.task_folder import forget_work, work_folder
+from gsvis.jobs.workers import Workers
 from gsvis.progress import Progress, silent
-from gsvis.pvs.processes import Processes, limit_threads, one_at_a_time
-from gsvis.pvs.workers import Workers, memory_error
-from gsvis.world.memory import IDLE, needed_memory
-from gsvis.world.work import forget_work, work_folder
 
 __all__ = ["TOO_LARGE", "Given", "Job", "Result", "Task", "machine_kind", "perform", "run_graph"]
 
@@ -56,7 +56,7 @@ class Task:
     Attributes:
         name: Name for people, different from all others of the graph.
         run: Function, as `module:name`. Its module has a version for it in `VERSIONS`, of JSON values; change it if
-            results change.
+            results change. It may declare the memory of the function in `MEMORY`, see `jobs.cost`.
         params: JSON values.
         needs: Names of the tasks whose results it reads, in order.
     """

@@ -12,11 +12,16 @@ from typing import Any
 
 from numba import get_num_threads, set_num_threads
 
-__all__ = ["Processes", "limit_threads", "one_at_a_time", "use_threads"]
+from gsvis.files.cache import Cache
+
+__all__ = ["Processes", "limit_threads", "one_at_a_time", "ready", "use_threads"]
 
 one_at_a_time = threading.RLock()
 """Held while a task runs, also by a task inside of another one: kernels must not run from two threads under numba's
 default threading layer."""
+
+ready: Cache[Any] = Cache(max_items=1)
+"""What tasks of this process have prepared and the next ones use again, such as the last scene, by its key."""
 
 _threads: list[int] = []  # at most one entry: threads that kernels of this process may use
 

@@ -1,30 +1,16 @@
-"""The workers of a build: how many there are, the memory that each needs, and how much faster they are than one."""
+"""The memory that finding visible sets needs, and how many processes fit a limit."""
 
 from __future__ import annotations
 
-import math
-import os
 from collections.abc import Sequence
-from concurrent.futures import Executor
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from gsvis import _check
-from gsvis.errors import ArgumentError
+from gsvis.jobs.cost import COARSER, memory_error
+from gsvis.jobs.workers import Workers
 from gsvis.pvs.config import PvsConfig
 from gsvis.scene.levels import Levels
 
-__all__ = [
-    "COARSER",
-    "SCENE_BYTES",
-    "Workers",
-    "expected_memory",
-    "fitting_workers",
-    "machine_load",
-    "memory_error",
-    "sets_memory",
-    "speed_up",
-]
+__all__ = ["SCENE_BYTES", "expected_memory", "fitting_workers", "sets_memory"]
 
 # Measured peaks with a margin (docs/design/070): bytes of a process with its libraries, and for each Gaussian: of its
 # looks, and of the tracer that certifies.
@@ -38,37 +24,6 @@ _CHECK_PER_GAUSSIAN = 420  # hierarchy of the first
 
 SCENE_BYTES = 58
 """Bytes of each Gaussian in the file of the scene that workers map."""
-
-_EFFICIENCY = 0.9  # of processes with one thread each, which share the memory
-
-
-COARSER = "raise it, or take a coarser level of the scene"
-"""What to do about a scene that does not fit the memory."""
-
-
-@dataclass(frozen=True)
-class Workers:
-    """The workers of a build.
-
-    Attributes:
-        count: Processes of this machine; 1 works in this process, with all its threads.
-        max_memory: Bytes that this process and its workers may use together. Fewer workers start if they do not fit.
-            None sets no limit.
-        executor: An object with the interface of `concurrent.futures.Executor`, used instead of processes. It gets
-            2 x `count` tasks at a time. Dask: `client.get_executor()`.
-        scatter: Takes the scene and returns the argument that tasks get in its place, such as a Dask future. So the
-            scene is sent once to each worker. None sends it with each task.
-    """
-
-    count: int = 1
-    max_memory: int | None = None
-    executor: Executor | None = None
-    scatter: Any = None
-
-    def __post_init__(self) -> None:
-        _check.positive_int("count", self.count)
-        if self.max_memory is not None:
-            _check.positive_int("max_memory", self.max_memory)
 
 
 class _Sizes(NamedTuple):
@@ -136,41 +91,6 @@ def expected_memory(levels: Levels, config: PvsConfig, count: int) -> int:
     if count == 1:
         return _alone(sizes, config)
     return _parent(sizes) + max(_check_twice(sizes), count * _worker(sizes, config))
-
-
-def speed_up(count: int, workers: Workers, threads: float = 1.0) -> float:
-    """Return the speed-up by `count` workers over one process that uses all threads of this machine.
-
-    Args:
-        count: Workers.
-        workers: Which workers.
-        threads: Speed-up of the one process by its threads.
-    """
-    if workers.executor is not None:
-        return max(1.0, _EFFICIENCY * count)
-    return _EFFICIENCY * min(count, os.cpu_count() or 1) / threads if count > 1 else 1.0
-
-
-def machine_load() -> float | None:
-    """Return how many processes have used or waited for a core in the last minute, mean; None where nobody knows."""
-    try:
-        return round(os.getloadavg()[0], 2)
-    except (AttributeError, OSError):
-        return None
-
-
-def memory_error(need: int, limit: int, what: str, remedy: str) -> ArgumentError:
-    """Return the error of work that does not fit the memory. The need is rounded up: a limit of that suffices.
-
-    Args:
-        need: Bytes.
-        limit: Bytes, `Workers.max_memory`.
-        what: What needs them.
-        remedy: What to do.
-    """
-    least = math.ceil(need / 1e6) / 1e3
-    got = math.floor(limit / 1e6) / 1e3
-    return ArgumentError("max_memory", f"expected at least {least:.10g} GB for {what}, got {got:.10g} GB", remedy)
 
 
 def fitting_workers(levels: Levels, config: PvsConfig, workers: Workers) -> int:

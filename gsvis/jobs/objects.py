@@ -23,7 +23,7 @@ from gsvis.files.apart import call_apart
 from gsvis.files.atomic import atomic_path, remove_all_partials
 from gsvis.files.limits import DAMAGED, digest_of, read_whole
 from gsvis.files.output import output_errors
-from gsvis.files.resume import seal, unseal
+from gsvis.files.sums import seal, unseal
 
 __all__ = ["ObjectStore", "StoredObject", "open_store"]
 

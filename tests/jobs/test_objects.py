@@ -13,7 +13,7 @@ fsspec = pytest.importorskip("fsspec")
 from fsspec.implementations.memory import MemoryFileSystem  # noqa: E402
 
 from gsvis.errors import BackendError, FormatError  # noqa: E402
-from gsvis.files.objects import open_store  # noqa: E402
+from gsvis.jobs.objects import open_store  # noqa: E402
 
 
 class FlexibleChecksumError(Exception):

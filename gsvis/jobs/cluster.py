@@ -1,7 +1,7 @@
-"""Visible sets on a Dask cluster: `with connect("tcp://10.0.0.5:8786") as workers: build_pvs(..., workers=workers)`.
+"""Workers of a Dask cluster: `with connect("tcp://10.0.0.5:8786") as workers: build_pvs(..., workers=workers)`.
 
-Each worker of the cluster needs the same version of gsvis. The scene is sent once. If a worker dies, the scheduler
-gives its tasks to other workers, also to workers that join later. The store equals a local one, byte for byte.
+Each worker needs the same version of gsvis. If one dies, the scheduler gives its tasks to the others, also to workers
+that join later. Results equal local ones, byte for byte.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from typing import Any
 from gsvis._extras import require
 from gsvis.errors import BackendError
 from gsvis.files.apart import call_apart
-from gsvis.pvs import _workers, processes
-from gsvis.pvs.workers import Workers
+from gsvis.jobs import processes
+from gsvis.jobs.workers import Workers
 
 __all__ = ["check_address", "connect"]
 
@@ -47,7 +47,7 @@ def connect(address: str, *, timeout: float = 10.0) -> Iterator[Workers]:
         timeout: Seconds to wait for the scheduler, and then for its first worker.
 
     Yields:
-        The `workers` argument of `build_pvs`.
+        The `workers` argument of `build_pvs`, `prepare_package` and `prepare_world`.
 
     Raises:
         ValueError: If the address is malformed.
@@ -66,15 +66,15 @@ def connect(address: str, *, timeout: float = 10.0) -> Iterator[Workers]:
         idempotent = True
 
         def setup(self, worker: Any) -> None:
-            from gsvis.pvs import processes
+            from gsvis.jobs import processes
 
             processes.use_threads(worker.state.nthreads)
 
         def teardown(self, worker: Any) -> None:
-            from gsvis.pvs import _workers, processes
+            from gsvis.jobs import processes
 
             processes.use_threads(None)
-            _workers.forget_scene()
+            processes.ready.clear()
 
     with config.set({"distributed.comm.timeouts.connect": f"{timeout} s"}):
         try:
@@ -159,6 +159,5 @@ def _check_versions(client: Any) -> None:
 
 
 def _version() -> str:
-    assert _workers
     assert processes
     return version("gsvis")

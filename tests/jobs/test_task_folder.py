@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from gsvis.files.objects import open_store
-from gsvis.world import work
-from gsvis.world.work import work_folder
+from gsvis.jobs import task_folder as work
+from gsvis.jobs.objects import open_store
+from gsvis.jobs.task_folder import work_folder
 
 KEY = "0" * 64
 

@@ -25,12 +25,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.errors import GsvisError
-from gsvis.files.cache import Cache
 from gsvis.files.output import output_errors
+from gsvis.jobs.processes import Processes, limit_threads, one_at_a_time, ready
 from gsvis.pvs._journal import pack_sighting, pack_view, unpack_sighting
 from gsvis.pvs.cell_view import Finder
 from gsvis.pvs.config import PvsConfig
-from gsvis.pvs.processes import Processes, limit_threads, one_at_a_time
 from gsvis.pvs.viewpoints import FreeVoxels
 from gsvis.raycast import Tracer
 from gsvis.scene.gaussians import Gaussians
@@ -56,8 +55,6 @@ Result = tuple[int, bytes]
 _SHAPES = {"means": (-1, 3), "quats": (-1, 4), "scales": (-1, 3), "opacities": (-1,), "sh0": (-1, 1, 3)}
 _MEMBERSHIP = ("first", "last")  # first and last level of each Gaussian
 _RESTARTS = 3  # consecutive restarts without a finished task
-
-_ready: Cache[Finder] = Cache(max_items=1)  # the last scene and configuration of this process
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,9 +97,9 @@ class SceneArrays:
 
     def finder(self) -> Finder:
         """Return the prepared levels; cached until another scene or configuration is asked for."""
-        finder = _ready.find(self.key)
+        finder = ready.find(self.key)
         if finder is None:
-            _ready.clear()
+            ready.clear()
             source = self.source
             if isinstance(source, Path):
                 source = _map(source)
@@ -110,7 +107,7 @@ class SceneArrays:
             union = Gaussians(*(source[name] for name in _SHAPES))
             levels = Levels(union, first, last, [str(k) for k in range(int(last.max()) + 1)])
             finder = Finder(levels, self.config, self.shelf)
-            _ready.keep(self.key, finder)
+            ready.keep(self.key, finder)
         return finder
 
 
@@ -175,12 +172,12 @@ def perform(scene: SceneArrays, task: Task) -> bytes:
 
 def forget_scene() -> None:
     """Release the memory of the last scene."""
-    _ready.clear()
+    ready.clear()
 
 
 def ready_tracer(key: str) -> Tracer | None:
     """Return the tracer of the highest level of the last scene, if that has this key; None if it has not."""
-    finder = _ready.find(key)
+    finder = ready.find(key)
     return None if finder is None else finder.tracer
 
 

@@ -16,13 +16,14 @@ from typing import Any
 import pytest
 
 from gsvis.errors import BackendError, FormatError, GsvisError, OutputError
-from gsvis.files.objects import open_store
+from gsvis.jobs import graph
+from gsvis.jobs.cost import IDLE
+from gsvis.jobs.graph import Task, machine_kind, run_graph
+from gsvis.jobs.objects import open_store
+from gsvis.jobs.workers import Workers
 from gsvis.prepare.stages import VERSIONS as STAGES
-from gsvis.pvs.workers import Workers
-from gsvis.world import graph, packages, tiles
-from gsvis.world.graph import Task, machine_kind, run_graph
-from gsvis.world.memory import IDLE
-from tests.world.small_tasks import HERE, tree
+from gsvis.world import packages, tiles
+from tests.jobs.small_tasks import HERE, tree
 
 HANG_S = 300.0
 TOTAL = "(((leaf 0 leaf 1) (leaf 2 leaf 3)) ((leaf 4 leaf 5) (leaf 6 leaf 7)))"
@@ -171,7 +172,7 @@ def test_another_version_or_processor_is_refused(tmp_path: Path, monkeypatch: py
         graph.perform(job)
     here = graph.key_of(tree(2)[0], (), machine_kind())
     assert here != graph.key_of(tree(2)[0], (), "m68k base")
-    monkeypatch.setattr("tests.world.small_tasks.VERSIONS", {"count": 2})
+    monkeypatch.setattr("tests.jobs.small_tasks.VERSIONS", {"count": 2})
     assert here != graph.key_of(tree(2)[0], (), machine_kind())
     monkeypatch.undo()
     monkeypatch.setattr(graph, "_version", lambda: "0.0.1")  # what another release has made is not mixed in
@@ -202,9 +203,9 @@ def test_wrong_graphs_are_refused(tmp_path: Path) -> None:
 
 SCRIPT = """
 import sys
-from gsvis.files.objects import open_store
-from gsvis.world.graph import run_graph
-from tests.world.small_tasks import HERE, Task, tree
+from gsvis.jobs.objects import open_store
+from gsvis.jobs.graph import run_graph
+from tests.jobs.small_tasks import HERE, Task, tree
 tasks = [Task(t.name, t.run if t.needs else HERE + ":slow", {**t.params, "seconds": 0.02}, t.needs) for t in tree(8)]
 run_graph(tasks, open_store(sys.argv[1]))
 """
