@@ -310,6 +310,7 @@ def test_strays_are_counted_and_removed_by_the_next_run(scene: Scene, city: Path
 def test_surroundings_that_do_not_fit_the_memory_are_refused(
     scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setitem(packages.MEMORY, "prepare_tile", lambda params, inputs: 0)  # the task itself refuses
     monkeypatch.setattr(packages, "tile_memory", lambda own, counts, joint, *_: 10**9 if joint > own else 0)
     with pytest.raises(
         ValueError, match=r"max_memory: expected at least .* GB for a worker .* tile \d+-\d+, got 0.48 GB; raise it"
