@@ -38,14 +38,14 @@ import numpy as np
 from _harness import add_arguments, realdata, write_result
 from _lightness import FUNCTIONS, STRESS, even_directions, unit_variance
 from numpy.typing import NDArray
+from paper.sphere import SphereConfig, SphereFit, fit_function
+from paper.spheres import sphere_figure
 from PIL import Image
 
 from gsvis.color import FitConfig, evaluate_along, fit_srbf
 from gsvis.color.sh import sh_colors_along
-from gsvis.color.sphere import SphereConfig, SphereFit, fit_function
 from gsvis.io import load_scene
 from gsvis.render import view_weights
-from gsvis.report.spheres import sphere_figure
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.icosphere import face_directions, face_shares
 from gsvis.scene.navigable import NavigableSpace

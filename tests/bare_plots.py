@@ -10,7 +10,7 @@ import pytest
 
 __all__ = ["PAGES", "draw_bare_plots"]
 
-PAGES = ("document", "color_document", "pvs_document", "spheres", "theme")
+PAGES = ("document", "color_document", "pvs_document", "theme")
 """Modules of the room report in which plots are drawn; others import `draw_png` from theme when they need it."""
 
 

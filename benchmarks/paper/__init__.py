@@ -1,4 +1,5 @@
-"""What only the study of the paper needs: rival systems, ablation, walks that are measured, the radius of HPR.
+"""What only the study of the paper needs.
 
-gsvis imports none of it. Benchmarks and tests do.
+Rival systems, ablation, measured walks, the radius of HPR, and the search and the picture of figure 15. gsvis imports
+none of it. Benchmarks and tests do.
 """

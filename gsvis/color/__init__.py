@@ -45,7 +45,6 @@ from gsvis.color.spaces import (
     rgb_to_yuv,
     yuv_to_rgb,
 )
-from gsvis.color.sphere import SphereConfig, SphereFit, fit_function
 from gsvis.color.srbf import SrbfColors, spherical_coordinates, srbf, unit_vectors
 from gsvis.color.storage import SrbfInfo, load_srbf, save_srbf, srbf_info
 from gsvis.color.to_sh import FittedSh, to_sh
@@ -72,8 +71,6 @@ __all__ = [
     "Precision",
     "QuantizedColors",
     "SparseCodes",
-    "SphereConfig",
-    "SphereFit",
     "SrbfColors",
     "SrbfFit",
     "SrbfInfo",
@@ -89,7 +86,6 @@ __all__ = [
     "contributions",
     "evaluate",
     "evaluate_along",
-    "fit_function",
     "fit_srbf",
     "hsl_to_rgb",
     "hsv_to_rgb",

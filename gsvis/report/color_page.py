@@ -7,8 +7,8 @@ from typing import Any
 
 from gsvis.prepare.fitted_colors import FittedColors
 from gsvis.report.color_plots import ACTIVE_TARGET, PAPER_EPSILONS
+from gsvis.report.color_spheres import COUNTS
 from gsvis.report.html import Figure, describe_run, figure, fill_template, plain, table, tiles
-from gsvis.report.spheres import COUNTS
 
 __all__ = ["DIFFERENCE", "color_page"]
 

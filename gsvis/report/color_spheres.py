@@ -1,7 +1,7 @@
 """Draw Gaussians of a scene as spheres of their color in each direction: by SH, and by more and more terms.
 
-Figure 15 of the paper for real colors: 2, 6, 10, 15, 20 and 30 terms; `gsvis.report.spheres` draws functions of one
-number. The fits are made only for the picture, over all directions and without a price for terms.
+Figure 15 of the paper for real colors: 2, 6, 10, 15, 20 and 30 terms. The fits are made only for the picture, over all
+directions and without a price for terms.
 """
 
 from __future__ import annotations
@@ -17,12 +17,16 @@ from gsvis.color.evaluate import evaluate_along
 from gsvis.color.fit import FitConfig, fit_srbf
 from gsvis.color.sh import sh_colors_along, towards_gaussian
 from gsvis.prepare.fitted_colors import FittedColors
-from gsvis.report.spheres import COUNTS, sphere_directions
 from gsvis.report.theme import Theme
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.icosphere import face_directions, face_shares
 
-__all__ = ["Spheres", "draw_spheres", "fit_spheres"]
+__all__ = ["COUNTS", "EYE", "Spheres", "draw_spheres", "fit_spheres", "sphere_directions"]
+
+COUNTS = (2, 6, 10, 15, 20, 30)
+"""Numbers of terms in the paper's figure."""
+EYE = np.array([np.cos(np.radians(20.0)), 0.0, np.sin(np.radians(20.0))])
+"""Direction from the center of a sphere to the eye: 20 degrees above the equator."""
 
 _SIDE = 180  # pixels of a sphere
 # pixels from one sphere to the next, with its figure below
@@ -43,6 +47,31 @@ class Spheres:
     ids: NDArray[np.int64]
     images: NDArray[np.float32]
     errors: NDArray[np.float64]
+
+
+def sphere_directions(side: float = 0.0, pixels: int = 240) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return what a distant eye sees of the unit sphere: the cover of each pixel, and its point on the sphere.
+
+    Args:
+        side: Rotation of the sphere about z in degrees, counter-clockwise from above; at 0 the eye is at +x.
+        pixels: P, the width in pixels.
+
+    Returns:
+        cover: (P, P) in [0, 1].
+        points: (P, P, 3) unit vectors, from the center of the sphere; beyond the rim those of the rim.
+    """
+    at = (np.arange(pixels) + 0.5) / pixels * 2.0 - 1.0
+    right, up = np.meshgrid(at, -at)
+    radius = np.hypot(right, up)
+    toward = np.sqrt(np.maximum(1.0 - radius**2, 0.0))
+    right = right / np.maximum(radius, 1.0)
+    up = up / np.maximum(radius, 1.0)
+    forward, _, rise = EYE
+    turn = -np.radians(side)
+    out = toward * forward - up * rise
+    z = toward * rise + up * forward
+    points = [out * np.cos(turn) - right * np.sin(turn), out * np.sin(turn) + right * np.cos(turn), z]
+    return np.clip((1.0 - radius) * 0.5 * pixels + 0.5, 0.0, 1.0), np.stack(points, axis=-1)
 
 
 def fit_spheres(fitted: FittedColors, count: int = 3, variant: str | None = None) -> Spheres:

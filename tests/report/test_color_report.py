@@ -18,8 +18,7 @@ from gsvis.prepare.colors import ColorConfig, prepare_colors
 from gsvis.prepare.fitted_colors import FittedColors, round_colors
 from gsvis.report import Subject
 from gsvis.report.color_document import color_document, write_color_report
-from gsvis.report.color_spheres import fit_spheres
-from gsvis.report.spheres import COUNTS
+from gsvis.report.color_spheres import COUNTS, fit_spheres
 from gsvis.scene.procedural import OccluderScene, two_rooms
 from gsvis.scene.view_sampling import ViewSampling
 

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from paper.sphere import SphereConfig, SphereFit, fit_function
 
 from gsvis.color import srbf
-from gsvis.color.sphere import SphereConfig, SphereFit, fit_function
 from gsvis.scene.icosphere import face_directions, face_shares
 
 X = face_directions(4).reshape(-1, 3)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from gsvis.scene.icosphere import icosphere
 
 if TYPE_CHECKING:
-    from gsvis.color.sphere import SphereConfig
+    from paper.sphere import SphereConfig
 
 __all__ = ["Fit", "LobeSearch"]
 

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
-from gsvis.color._lobe_search import LEAST_DECAY, Fit, LobeSearch
 from gsvis.color.omp import orthogonal_matching_pursuit
 from gsvis.color.srbf import MAX_DECAY
 from gsvis.progress import Progress, silent
+from paper.lobe_search import LEAST_DECAY, Fit, LobeSearch
 
 __all__ = ["SphereConfig", "SphereFit", "fit_function"]
 

@@ -17,15 +17,14 @@ from matplotlib.patches import Circle
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
-from gsvis.color.sphere import SphereFit
+from gsvis.report.color_spheres import COUNTS, EYE, sphere_directions
 from gsvis.report.theme import LIGHT, Theme, draw_png
+from paper.sphere import SphereFit
 
-__all__ = ["COUNTS", "SIDES", "draw_sphere_figure", "sphere_directions", "sphere_figure"]
+__all__ = ["SIDES", "draw_sphere_figure", "sphere_figure"]
 
 F64 = NDArray[np.float64]
 
-COUNTS = (2, 6, 10, 15, 20, 30)
-"""Numbers of terms in the paper's figure."""
 SIDES = (0.0, 120.0, 240.0)
 """Degrees of rotation about z, as in the paper's figure."""
 
@@ -33,33 +32,7 @@ _SIDE = 240  # pixels of a sphere
 # pixels from one sphere to the next
 _STEP = 262
 _ROW = 254
-_HEIGHT = 20.0  # degrees of the eye above the equator
 _GAP = 46  # above the row of differences, for the errors
-
-
-def sphere_directions(side: float = 0.0, pixels: int = _SIDE) -> tuple[F64, F64]:
-    """Return what a distant eye sees of the unit sphere: the cover of each pixel, and its point on the sphere.
-
-    Args:
-        side: Rotation of the sphere about z in degrees, counter-clockwise from above; at 0 the eye is at +x.
-        pixels: P, the width in pixels.
-
-    Returns:
-        cover: (P, P) in [0, 1].
-        points: (P, P, 3) unit vectors, from the center of the sphere; beyond the rim those of the rim.
-    """
-    at = (np.arange(pixels) + 0.5) / pixels * 2.0 - 1.0
-    right, up = np.meshgrid(at, -at)
-    radius = np.hypot(right, up)
-    toward = np.sqrt(np.maximum(1.0 - radius**2, 0.0))
-    right = right / np.maximum(radius, 1.0)
-    up = up / np.maximum(radius, 1.0)
-    forward, _, rise = _eye()
-    turn = -np.radians(side)
-    out = toward * forward - up * rise
-    z = toward * rise + up * forward
-    points = [out * np.cos(turn) - right * np.sin(turn), out * np.sin(turn) + right * np.cos(turn), z]
-    return np.clip((1.0 - radius) * 0.5 * pixels + 0.5, 0.0, 1.0), np.stack(points, axis=-1)
 
 
 def sphere_figure(
@@ -117,7 +90,7 @@ def draw_sphere_figure(
     rows = len(SIDES) + 1
     canvas = np.empty((rows * _ROW + _GAP, columns * _STEP, 3))
     canvas[:] = _rgb(theme.paper)
-    lit = 0.8 + 0.2 * sphere_directions()[1] @ _eye()
+    lit = 0.8 + 0.2 * sphere_directions()[1] @ EYE
     for row, column in np.ndindex(rows, columns):
         y, x = _corner(row, column)
         if row < len(SIDES):
@@ -144,12 +117,6 @@ def draw_sphere_figure(
         bar.ax.tick_params(labelsize=7)
         bar.ax.grid(visible=False)
         bar.set_label(label, fontsize=8, color=theme.ink)
-
-
-def _eye() -> F64:
-    """Return the direction of the eye from the center of a sphere without rotation."""
-    height = np.radians(_HEIGHT)
-    return np.array([np.cos(height), 0.0, np.sin(height)])
 
 
 def _count(fit: SphereFit, terms: int) -> int:

@@ -7,10 +7,11 @@ import io
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from paper.sphere import SphereConfig, SphereFit, fit_function
+from paper.spheres import SIDES, sphere_figure
 from PIL import Image
 
-from gsvis.color.sphere import SphereConfig, SphereFit, fit_function
-from gsvis.report.spheres import SIDES, sphere_directions, sphere_figure
+from gsvis.report.color_spheres import sphere_directions
 from gsvis.report.theme import DARK, LIGHT
 from gsvis.scene.icosphere import face_directions
 
