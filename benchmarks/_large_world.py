@@ -31,9 +31,8 @@ from gsvis.pvs._writer import FILE_KIND
 from gsvis.pvs.codec import word_count
 from gsvis.stream.header import SceneHeader, identity_of
 from gsvis.stream.kept import _key
-from gsvis.world import World
 from gsvis.world.manifest import Grid, WorldManifest
-from gsvis.world.streamed import WorldPackage, open_world
+from gsvis.world.streamed import WorldSource, open_world
 from gsvis.world.world import tile_of_package
 
 PIXEL = 2e-3
@@ -133,13 +132,13 @@ def _move_store(store: Path, to: Path, by: np.ndarray) -> None:
 
 def write_tables(world: Path, part: Path, folder: Path) -> None:
     """Write the file of tables of a world whose first nodes are those of another one; the rest of it are holes."""
-    whole = WorldPackage(World.open(world), set())
+    whole = WorldSource.open(world)
     path = folder / f"{_key(whole, PIXEL, None)}.tables"
     if path.is_file():
         return
     _, kept = open_world(part, tables=folder, quality=None)
     assert kept is not None
-    own = WorldPackage(World.open(part), set())
+    own = WorldSource.open(part)
     known = MappedArrays(folder / f"{_key(own, PIXEL, None)}.tables")
     about = SceneHeader.parse(base64.b64decode(known.facts["welcome"]))
     assert about.grids == whole.manifest.grids

@@ -30,14 +30,13 @@ from gsvis.abr.candidates import CandidateIndex
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.config import AbrConfig
 from gsvis.abr.estimate import ThroughputEstimator, estimator
-from gsvis.abr.index import SceneIndex, SceneTerms, extents
+from gsvis.abr.index import CellSets, SceneIndex, SceneTerms, extents
 from gsvis.abr.planner import Planner
 from gsvis.abr.policies import POLICIES
 from gsvis.io import load_scene
 from gsvis.io.eyenav import read_eyenav
 from gsvis.package.order import in_package_order
 from gsvis.pvs.cells import CellGrid
-from gsvis.pvs.codec import pack
 from gsvis.scene.levels import Levels
 from gsvis.scene.paths import HeadPath
 
@@ -46,25 +45,21 @@ CLIENTS = 50
 VIEW = FieldOfView.from_degrees(90, 70, margin=8)
 
 
-class NearestCells:
+class NearestCells(CellSets):
     """Cells that see what is nearest to them."""
 
     def __init__(self, means: np.ndarray, centers: np.ndarray, share: float, terms: int) -> None:
         rng = np.random.default_rng(0)
-        self._members, self._words = [], []
+        self._members = []
         for center in centers:
             apart = np.linalg.norm(means - center, axis=1)
             ids = np.flatnonzero(apart <= np.partition(apart, int(share * len(apart)) - 1)[int(share * len(apart)) - 1])
             classes = rng.integers(0, 4, len(ids)).astype(np.uint8)
             self._members.append((ids, classes))
-            self._words.append(pack(ids, len(means)))
         self._terms = np.flatnonzero(rng.random(terms) < 0.1)
 
     def classes(self, cell: int) -> tuple[np.ndarray, np.ndarray]:
         return self._members[cell]
-
-    def visible_words(self, cell: int) -> np.ndarray:
-        return self._words[cell]
 
     def active_ids(self, cell: int) -> np.ndarray:
         return self._terms
@@ -219,7 +214,7 @@ def main() -> None:
         rounds = [together(index, walks, min(args.seconds, 10.0)) for _ in range(3)]
         say(f"{scene_name}: 50 clients, a tick of one, mean", np.mean(np.median(rounds, axis=0)) / CLIENTS, 0.5)
         say(f"{scene_name}: the same, least of three", np.mean(np.min(rounds, axis=0)) / CLIENTS, None)
-        candidates = CandidateIndex(index).in_cell(index.cell_of(walks[0].positions[0]))
+        candidates = CandidateIndex(index).in_cell(index.grid.nearest(walks[0].positions[0]))
         say(f"{scene_name}: bare, reading once what is ranked", bare(candidates), None)
         details[f"{scene_name}, 50 clients"] = {"rounds_ms": rounds, "units": len(candidates)}
         details[f"{scene_name}, yardstick after it"] = yardstick()

@@ -58,16 +58,16 @@ def planes(rows: np.ndarray) -> int:
 def sizes(scene: StreamedScene, ids: np.ndarray) -> dict[str, float]:
     """Bytes of a Gaussian and of a term, coded and otherwise."""
     c, coding = scene.contents, scene.coding
-    records = coding.encode_records(c.records[ids], ids, c.chunks[ids], scene.chunk_numbers)
+    records = coding.encode_records(c.records[ids], ids, c.chunks[ids], scene.records.chunk_numbers)
     found = {
         "record": len(records) / len(ids),
         "record, zstd": planes(c.records[ids]) / len(ids),
         "record, plain": 16.0,
     }
-    terms = np.flatnonzero(np.isin(scene.owners, ids))
+    terms = np.flatnonzero(np.isin(scene.records.owners, ids))
     if len(terms):
         rows = c.term_records[terms]
-        found["term"] = len(coding.encode_terms(rows, scene.owners[terms])) / len(terms)
+        found["term"] = len(coding.encode_terms(rows, scene.records.owners[terms])) / len(terms)
         found |= {"term, zstd": planes(rows) / len(terms), "term, plain": scene.about.term_bits / 8}
     return found
 
@@ -76,16 +76,16 @@ def message(scene: StreamedScene, ids: np.ndarray) -> bytes:
     """The first batch of a session that sends these Gaussians without terms."""
     c, none = scene.contents, np.zeros(0, np.int64)
     chunks = np.unique(c.chunks[ids])
-    records = scene.coding.encode_records(c.records[ids], ids, c.chunks[ids], scene.chunk_numbers)
+    records = scene.coding.encode_records(c.records[ids], ids, c.chunks[ids], scene.records.chunk_numbers)
     rows = np.zeros(0, np.uint8)
     return Sections(
-        1, c.table.starts[chunks], scene.chunk_rows[chunks], ids, records, none, none, rows, none
+        1, c.table.starts[chunks], scene.records.chunk_rows[chunks], ids, records, none, none, rows, none
     ).to_message(scene.about)
 
 
 def times(scene: StreamedScene, ids: np.ndarray, repeats: int) -> dict[str, float]:
     c, coding, data = scene.contents, scene.coding, message(scene, ids)
-    given = c.records[ids], ids, c.chunks[ids], scene.chunk_numbers
+    given = c.records[ids], ids, c.chunks[ids], scene.records.chunk_numbers
     coded = coding.encode_records(*given)
     assert np.array_equal(coding.decode_records(coded, *given[1:]), c.records[ids])
     found = {

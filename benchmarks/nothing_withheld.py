@@ -112,17 +112,17 @@ def chosen_eyes(scene: StreamedScene, name: str, most: int) -> Iterator[Eye]:
     for chosen in CHOSEN:
         if chosen.name == name:
             for position, target in zip(chosen.eyes, chosen.targets, strict=True):
-                if most and step_of(scene.index, scene.index.cell_of(position), position):
+                if most and step_of(scene.index, scene.index.grid.nearest(position), position):
                     most -= 1
                     yield Eye("chosen, outside", position, target)
 
 
 def measure(scene: StreamedScene, stage: Stage, eye: Eye, rate: float) -> dict[str, Any]:
     """Return the figures of one eye, by both rules."""
-    up = np.asarray(scene.package.manifest.info.up, np.float64)
+    up = np.asarray(scene.source.manifest.info.up, np.float64)
     camera = Cameras.look_at(eye.position[None], eye.target, up=up, width=WIDTH, height=HEIGHT, fov=FOV)
     frame, row = Frame(stage, camera), {}
-    step = step_of(scene.index, scene.index.cell_of(eye.position), eye.position)
+    step = step_of(scene.index, scene.index.grid.nearest(eye.position), eye.position)
     for rule, of in (("widened", step_of), ("nearest", lambda *_: 0)):
         with patch("gsvis.abr.planner.step_of", of):
             visit = play(scene, frame, camera, rate)

@@ -37,7 +37,7 @@ from gsvis.world import World
 from gsvis.world.config import WorldConfig
 from gsvis.world.manifest import District, WorldManifest
 from gsvis.world.prepare import prepare_world
-from gsvis.world.streamed import WorldPackage, open_world
+from gsvis.world.streamed import WorldSource, open_world
 from gsvis.world.tiling import TilingConfig
 
 
@@ -166,7 +166,7 @@ def opened(world: Path, tables: Path | None) -> dict[str, float]:
     before, cpu, began = pss(os.getpid()), time.process_time(), time.perf_counter()
     with watch_memory(0.05) as peak:
         if tables is None:
-            scene = StreamedScene.open(WorldPackage(World.open(world), set()), quality=Quality())
+            scene = StreamedScene.open(WorldSource.open(world), quality=Quality())
         else:
             scene, _ = open_world(world, tables=tables, quality=Quality())
     assert len(scene)

@@ -165,10 +165,12 @@ def checked(visitors: Sequence[Visitor], scene: StreamedScene) -> dict[str, int]
             found["twice"] += int(held[ids].sum())
             held[ids] = True
             found["gaussians"] += len(ids)
-            same = scene.coding.encode_some(scene.parts, ids, scene.chunks[ids], scene.chunk_numbers)
+            same = scene.coding.encode_some(
+                scene.records.parts, ids, scene.records.chunks[ids], scene.records.chunk_numbers
+            )
             records = np.frombuffer(bytes(s.records), np.uint8)
             wrong = len(records) if len(records) != len(same) else int((records != same).sum())
-            rows = scene.chunk_rows[scene.chunks[s.chunks]]
+            rows = scene.records.chunk_rows[scene.records.chunks[s.chunks]]
             found["wrong"] += wrong + int((np.asarray(s.rows) != rows).sum())
     return found
 

@@ -47,7 +47,7 @@ from gsvis.stream.header import SceneHeader
 from gsvis.train.levels import LevelsConfig
 from gsvis.world.config import WorldConfig
 from gsvis.world.prepare import prepare_world
-from gsvis.world.streamed import WorldPackage, open_world
+from gsvis.world.streamed import WorldSource, open_world
 from gsvis.world.tiling import TilingConfig
 
 VIEW = FieldOfView.from_degrees(90.0, 70.0, margin=8.0)
@@ -156,9 +156,9 @@ def stream_walk(scene: StreamedScene, steps: list[Pose], truth: list[np.ndarray]
 def node_counts(scene: StreamedScene, came: list[int]) -> dict[str, int]:
     """How many of the Gaussians that came are of districts and of each level of tiles, by the lowest that has them."""
     ids, index = np.array(came, np.int64), scene.index
-    package = scene.package
+    package = scene.source
     district = np.zeros(len(ids), bool)
-    if isinstance(package, WorldPackage):
+    if isinstance(package, WorldSource):
         district = ids >= package.bases[len(package.world.manifest.tiles)]
     named = {
         name: int(np.count_nonzero(~district & (index.first[ids] == k))) for k, name in enumerate(index.level_names)

@@ -21,7 +21,6 @@ MOST_PARAMETERS = 8
 MOST_ATTRIBUTES = 15
 LARGE_OBJECTS = {
     "abr/_kernels/plan.py:Work": 16,
-    "abr/candidates.py:CandidateIndex": 24,
     "abr/config.py:AbrConfig": 21,
     "abr/index.py:SceneIndex": 18,
     "pvs/quality_result.py:Quality": 23,
@@ -29,7 +28,6 @@ LARGE_OBJECTS = {
     "serve/_guard.py:Guard": 28,
     "serve/connection.py:Connection": 23,
     "serve/metrics.py:Metrics": 23,
-    "stream/scene.py:StreamedScene": 16,
     "train/config.py:TrainConfig": 16,
 }
 """Objects that have more attributes still: how many they may have."""

@@ -16,10 +16,10 @@ from gsvis.abr.classes import FieldOfView
 from gsvis.abr.config import AbrConfig
 from gsvis.abr.index import CellSets, SceneIndex
 from gsvis.package.layout import RECORD_BYTES
-from gsvis.pvs.codec import pack
 from gsvis.simulate.baselines import terms_of
 from gsvis.simulate.delivery import Adaptive, Parcel
-from gsvis.stream.scene import EveryCell, StreamedScene
+from gsvis.stream.scene import StreamedScene
+from gsvis.stream.source import EveryCell
 
 __all__ = ["ABLATIONS", "ablated", "without_levels", "without_sets", "without_terms"]
 
@@ -87,7 +87,7 @@ def without_levels(scene: StreamedScene) -> StreamedScene:
         sent=highest,
     )
     if index.active is not None:
-        index = replace(index, active=_SomeTerms(scene.index, highest[scene.owners]))
+        index = replace(index, active=_SomeTerms(scene.index, highest[scene.records.owners]))
     return scene.with_index(index)
 
 
@@ -112,23 +112,18 @@ def without_terms(scene: StreamedScene, sh_bytes: float) -> StreamedScene:
     return scene.with_index(index)
 
 
-class _Some:
+class _Some(CellSets):
     """Visible sets, restricted to some Gaussians."""
 
     def __init__(self, sets: CellSets, some: NDArray[np.bool_]) -> None:
         self._sets = sets
         self._some = some
-        self._words = pack(np.flatnonzero(some), len(some))
 
     def classes(self, cell: int) -> tuple[I64, NDArray[np.uint8]]:
         """Return ids and classes; see `CellSets`."""
         ids, classes = self._sets.classes(cell)
         kept = self._some[ids]
         return ids[kept], classes[kept]
-
-    def visible_words(self, cell: int) -> NDArray[np.uint64]:
-        """Return the set as words; see `CellSets`."""
-        return np.asarray(self._sets.visible_words(cell) & self._words)
 
 
 class _SomeTerms:

@@ -10,9 +10,8 @@ cells the candidates of the nearest one are widened by the distance, see `gsvis.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,19 +19,18 @@ from numpy.typing import NDArray
 from gsvis import _check
 from gsvis._kernels.bits import count as ones
 from gsvis._kernels.blank import blank
-from gsvis.abr._kernels import plan
 from gsvis.abr._kernels import units as kernels
 from gsvis.abr._kernels.take import bound
 from gsvis.abr._kernels.units import Runs, Seen, Units
 from gsvis.abr.candidate_sets import Bounds, Candidates, Shell
-from gsvis.abr.cones import TermCones
 from gsvis.abr.index import SceneIndex
-from gsvis.abr.links import links_of
 from gsvis.abr.outside import near_cells, widen
-from gsvis.abr.rings import RINGS, Shells, ring_cells
+from gsvis.abr.piecewise import tables_of
+from gsvis.abr.rings import RINGS, Shells
 from gsvis.abr.scratch import Scratch
 from gsvis.abr.seen import SeenSets
-from gsvis.abr.words import level_bytes, room, strengths, word_means
+from gsvis.abr.tables import CandidateTables
+from gsvis.abr.words import level_bytes, room
 from gsvis.files.cache import Cache
 from gsvis.pvs.codec import pack, pack_some, word_count
 
@@ -46,28 +44,6 @@ Words = NDArray[np.uint64]
 
 _DENSE = 1 << 16  # words of a scene up to which all of them are looked at in place of those of a shell
 _REST = 1 << 13  # words of a shell of what no cell sees, in a larger scene
-_ARRAYS = {
-    "spheres": "spheres",
-    "spreads": "spreads",
-    "bodies": "bodies",
-    "highest": "highest",
-    "word_bytes": "_word_bytes",
-    "word_terms": "_word_terms",
-    "owners": "_owners",
-}
-"""Arrays of `CandidateIndex` in files, by name."""
-
-_NUMBERS = {
-    "pixel_area": "pixel_area",
-    "term_size": "_term_size",
-    "least_sizes": "least_sizes",
-    "stored": "stored",
-    "sent_per_stored": "sent_per_stored",
-}
-"""Numbers of it."""
-
-_WHOLE = ("words", "places", "owing", "union", "active", "level_bytes")  # arrays of `CandidateIndex.everything`
-_Tuple = TypeVar("_Tuple")
 
 
 class CandidateIndex:
@@ -79,25 +55,18 @@ class CandidateIndex:
             Gaussian.
         stored: Bytes that a Gaussian and a term take in the memory of a client.
         cache: Cache of candidates and sets of cells; None means one of 256 MiB.
+        tables: What was computed of the scene before, with that pixel; None computes it.
 
     Attributes:
         index: The scene.
+        tables: What is known of it whatever the cell.
         cache: The cache.
-        pixel_area: Steradians that the rasterizer adds to the solid angle of each Gaussian.
-        spheres: (W, 4) float32 center and radius of a sphere around the Gaussians of each word.
-        spreads: (W,) float32 mean square of the distance of these Gaussians from the center.
-        bodies: (4, 64 W) float32 center and radius of each Gaussian, coordinate by coordinate; the radius is -inf if
-            there is no such Gaussian.
-        least_sizes: Bytes of the smallest record of a Gaussian, and of a term.
-        stored: Bytes that a Gaussian and a term take in the memory of a client.
-        sent_per_stored: Least bytes of a record for each byte that it takes in the memory of a client.
-        records: Bytes of all records.
-        links: Which Gaussians replace which.
-        everything: All Gaussians and terms as candidates of no cell, in ring 1: those of each shell of a small scene.
-        highest: (W,) uint64, the Gaussians of the highest level.
         seen: What each cell sees.
         shells: The cells around each cell.
         scratch: Memory in which threads plan.
+
+    Raises:
+        ValueError: If the angle is out of range.
     """
 
     def __init__(
@@ -107,121 +76,15 @@ class CandidateIndex:
         pixel: float = 2e-3,
         stored: tuple[float, float] = (16.0, 4.5),
         cache: Cache[Any] | None = None,
+        tables: CandidateTables | None = None,
     ) -> None:
-        if not 0.0 <= pixel < 1.0:
-            raise ValueError(f"pixel: expected radians in [0, 1), got {pixel!r}")
-        self.pixel_area = 2.0 * np.pi * 0.3 * pixel**2
         self.index = index
+        self.tables = tables_of(index, pixel=pixel, stored=stored) if tables is None else tables
         self.cache = Cache(256 << 20) if cache is None else cache
-        self.stored = stored
-        self.links = links_of(index)
-        self._describe_words()
-        self._describe_records()
-        self._open_shared()
-        self._list_everything()
-
-    def _describe_words(self) -> None:
-        """Take from the scene what is known of each word and of each Gaussian in it."""
-        index = self.index
-        count = word_count(len(index))
-        self.spheres = np.zeros((count, 4), np.float32)
-        self.spreads = np.zeros(count, np.float32)
-        kernels.word_spheres(*_check.read_only(index.means, index.radii, index.areas), self.spheres, self.spreads)
-        self.bodies = np.zeros((4, 64 * count), np.float32)
-        self.bodies[:3, : len(index)] = index.means.T
-        self.bodies[3, : len(index)] = index.radii
-        self.bodies[3, len(index) :] = -np.inf
-        self.highest = pack(np.flatnonzero(index.last == index.num_levels - 1), len(index))
-        self._word_bytes = word_means(index.gaussian_bytes, count)
-        self._word_terms = word_means(np.diff(index.term_offsets), count)
-        pairs = index.first.astype(np.uint16) * index.num_levels + index.last
-        mixed = np.zeros(count, np.bool_)
-        mixed[(np.flatnonzero(np.diff(pairs)) + 1) >> 6] = True
-        self._traits = kernels.Traits(*_check.read_only(strengths(index, self.pixel_area), pairs, mixed))
-
-    def _describe_records(self) -> None:
-        """Take from the scene what records of Gaussians and of terms take."""
-        index = self.index
-        self.least_sizes = _least(index.gaussian_bytes), _least(index.term_bytes)
-        ratios = [size / each for size, each in zip(self.least_sizes, self.stored, strict=True)]
-        self.sent_per_stored = min(ratios) if index.num_terms else ratios[0]
-        self._term_size = float(index.term_bytes.mean()) if index.num_terms else 0.0
-        self._owners = np.repeat(np.arange(len(index), dtype=np.int32), np.diff(index.term_offsets))
-        sizes = index.gaussian_bytes
-        sizes = sizes[:1] if len(sizes) and sizes.min() == sizes.max() else sizes
-        cones = TermCones.none() if index.cones is None else index.cones
-        terms = index.term_offsets, index.term_bytes, cones.centers, cones.places, cones.cosines, cones.widths
-        self.records = plan.Records(*_check.read_only(sizes, *terms, index.areas))
-
-    def _open_shared(self) -> None:
-        """Begin with what threads share, empty."""
-        self.scratch = Scratch(len(self.links.ending))
-        self.seen = SeenSets(self.index, self.cache)
-        self.shells = Shells(self.index.grid, self.cache)
+        self.seen = SeenSets(index, self.cache)
+        self.shells = Shells(index.grid, self.cache)
+        self.scratch = Scratch(len(self.tables.links.ending))
         self._words = (np.zeros(0, np.uint64),) * 2
-
-    def _list_everything(self) -> None:
-        """Make the units of the whole scene."""
-        index = self.index
-        all_words = np.arange(-(-len(index) // 64), dtype=np.int32)
-        every = Seen(all_words, pack(np.arange(len(index)), len(index))[: len(all_words)])
-        weight = np.array([np.mean(index.class_weights)], np.float32)
-        units = self._split(every, np.zeros(len(index), np.uint8), weight, np.zeros(0, np.int64))
-        self._every = Units(*(array.copy() for array in units))
-        sent = index.num_terms if index.cones is not None or index.active is not None else 0
-        owners = np.flatnonzero(np.diff(index.term_offsets)) if sent else np.zeros(0, np.int64)
-        self._every_term = pack(np.arange(sent), index.num_terms), pack(owners, len(index))
-        owing = self._every_term[1][: len(all_words)]
-        units = self._every._replace(codes=self._every.codes + np.uint16(index.num_levels**2))
-        self.everything = self._assemble(-1, [units], every, self._every_term[0], owing, float(sent))
-
-    def to_arrays(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        """Return all arrays by name, and all numbers, from which `from_arrays` makes the same object."""
-        every = self.everything
-        arrays = {name: getattr(self, attribute) for name, attribute in _ARRAYS.items()}
-        arrays |= self._traits._asdict()
-        arrays["active"], arrays["owing"] = self._every_term
-        arrays |= _named("record", self.records) | _named("link", self.links) | _named("every", self._every)
-        arrays |= _named("unit", every.units) | _named("run", every.runs)
-        arrays |= {f"all_{name}": getattr(every, name) for name in _WHOLE}
-        numbers = {name: getattr(self, attribute) for name, attribute in _NUMBERS.items()}
-        return arrays, {**numbers, "term_bytes": every.term_bytes}
-
-    @classmethod
-    def from_arrays(
-        cls, index: SceneIndex, arrays: Mapping[str, NDArray[Any]], numbers: Mapping[str, Any], *, cache: Cache[Any]
-    ) -> CandidateIndex:
-        """Return the object that `to_arrays` took apart; read no array.
-
-        Args:
-            index: The scene.
-            arrays: Arrays by name, such as views of a memory-mapped file.
-            numbers: Numbers by name.
-            cache: Cache of candidates and sets of cells.
-        """
-        self = cls.__new__(cls)
-        self.index = index
-        self.cache = cache
-        for name, attribute in _ARRAYS.items():
-            setattr(self, attribute, arrays[name])
-        for name, attribute in _NUMBERS.items():
-            value = numbers[name]
-            setattr(self, attribute, tuple(value) if isinstance(value, list) else value)
-        self._traits = kernels.Traits(*_check.read_only(*(arrays[name] for name in kernels.Traits._fields)))
-        self._every_term = arrays["active"], arrays["owing"]
-        self.records = _typed("record", plan.Records, arrays)
-        self.links = _typed("link", plan.Links, arrays)
-        self._every = _typed("every", Units, arrays)
-        self._open_shared()
-        self.everything = Candidates(
-            cell=-1,
-            step=0,
-            units=_typed("unit", Units, arrays),
-            runs=_typed("run", Runs, arrays),
-            term_bytes=numbers["term_bytes"],
-            **{name: arrays[f"all_{name}"] for name in _WHOLE},
-        )
-        return self
 
     def in_cell(self, cell: int, step: int = 0) -> Candidates:
         """Return the candidates of a cell, or for an eye that is so far outside of it.
@@ -245,46 +108,46 @@ class CandidateIndex:
         index = self.index
         levels = index.num_levels
         cells = [cell]
-        seen_by = self.seen.of_rings(ring_cells(index.grid, cell))
+        seen_by = self.seen.of_rings(index.grid.rings(cell))
         if step == 0:
             classes = index.sets.classes(cell)[1]
             weights = index.class_weights
         else:
             cells = near_cells(index, self.shells, cell, step)
-            every = self._all_in(self.everything.words) if self.is_small else None
+            every = self._all_in(self.tables.everything.words) if self.is_small else None
             members, classes, weights = widen(index, self.seen, cells, step, every)
             seen_by[0] = [members]
         fresh, seen = self.seen.join(seen_by)
-        parts = [self._split(fresh[0], classes, weights, index.standing(cell))]
+        parts = [self._split(fresh[0], classes, weights, index.sets.standing(cell))]
         sums = np.zeros(levels * levels)
-        kernels.pair_bytes(parts[0].slots, parts[0].masks, parts[0].codes, self._word_bytes, sums)
+        kernels.pair_bytes(parts[0].slots, parts[0].masks, parts[0].codes, self.tables.word_bytes, sums)
         parts += [self._units_of(ring, fresh[ring]) for ring in range(1, RINGS)]
         if index.cones is None:
             active, owners = self._active_terms(cells)
             owing = owners[seen.words]
             terms = float(ones(active))
         else:  # which are active is tested for the eye
-            active = self._every_term[0]
-            owing = self._every_term[1][seen.words] & seen.masks
+            active = self.tables.active
+            owing = self.tables.owing[seen.words] & seen.masks
             own = np.zeros(levels * levels)
-            kernels.pair_bytes(parts[0].slots, parts[0].masks, parts[0].codes, self._word_terms, own)
+            kernels.pair_bytes(parts[0].slots, parts[0].masks, parts[0].codes, self.tables.word_terms, own)
             terms = float(own.sum())
         return replace(self._assemble(cell, parts, seen, active, owing, terms, sums), step=step)
 
     @property
     def is_small(self) -> bool:
         """Whether passes over all words of the scene take less time than lists of some."""
-        return len(self.everything.words) <= _DENSE
+        return len(self.tables.everything.words) <= _DENSE
 
     def _all_in(self, words: I32) -> Seen:
         """Return all Gaussians of some words (S,) that may be sent."""
         sent = self.index.sent
-        masks = self.everything.union[words]
+        masks = self.tables.everything.union[words]
         return Seen(words, masks if sent is None else masks & pack(np.flatnonzero(sent), len(sent))[words])
 
     def count_shells(self, cell: int) -> int:
         """Return the number of shells around a cell; all records are in one of them, in the last what no cell sees."""
-        return self.shells.count(cell) + (1 if self.is_small else -(-len(self.everything.words) // _REST))
+        return self.shells.count(cell) + (1 if self.is_small else -(-len(self.tables.everything.words) // _REST))
 
     def shell(self, here: Candidates, number: int) -> Shell:
         """Return what the cells of a shell around a cell see, or part of the whole scene in the last; cache it.
@@ -293,7 +156,7 @@ class CandidateIndex:
             here: Candidates of the cell.
             number: Number of the shell.
         """
-        made = self.everything
+        made = self.tables.everything
         part = number - self.shells.count(here.cell)
         if self.is_small and number == 0:
             return Shell(Seen(made.words, here.union[: len(made.words)]), made)
@@ -306,7 +169,7 @@ class CandidateIndex:
 
     def _make_shell(self, here: Candidates, number: int, part: int) -> tuple[Shell, int]:
         """Return a shell and its bytes in memory; `part` is that of what no cell sees, below 0 for other shells."""
-        made = self.everything
+        made = self.tables.everything
         if part >= 0:
             seen = self._all_in(made.words if self.is_small else made.words[_REST * part : _REST * (part + 1)])
         elif self.is_small:
@@ -317,9 +180,9 @@ class CandidateIndex:
             seen = here.seen
         if self.is_small:
             return Shell(seen, made), seen.masks.nbytes  # shells differ in their masks alone
-        units = self._units_of(1, Seen(seen.words, seen.masks & self.highest[seen.words]))
-        owing = self._every_term[1][seen.words]
-        own = self._assemble(-1, [units], seen, self._every_term[0], owing, 0.0, has_union=False)
+        units = self._units_of(1, Seen(seen.words, seen.masks & self.tables.highest[seen.words]))
+        owing = self.tables.owing[seen.words]
+        own = self._assemble(-1, [units], seen, self.tables.active, owing, 0.0, has_union=False)
         return Shell(seen, replace(own, term_bytes=made.term_bytes)), own.nbytes + seen.masks.nbytes
 
     def full_and_empty(self, slots: int) -> tuple[Words, Words]:
@@ -341,7 +204,7 @@ class CandidateIndex:
         found: Bounds | None = self.cache.find(key)
         if found is None and make:
             known, *out = self.scratch.bounds()
-            count = bound(here.seen, self.links, self.index.last, shares, known, *out)
+            count = bound(here.seen, self.tables.links, self.index.last, shares, known, *out)
             found = Bounds(*(array[:count].copy() for array in out))
             self.cache.keep(key, found, sum(array.nbytes for array in found))
         return found
@@ -389,10 +252,10 @@ class CandidateIndex:
         slots = np.empty_like(of)
         kernels.slots_in(words, of, slots)
         starts = np.append(np.flatnonzero(np.diff(slots, prepend=-1)), len(slots)).astype(np.int32)
-        rows = self.spheres[words].T, self.spreads[words][None], self._word_bytes[words][None]
+        rows = self.tables.spheres[words].T, self.tables.spreads[words][None], self.tables.word_bytes[words][None]
         levels = self.index.num_levels
-        owned = terms * self._term_size
-        union: Words = blank(len(self.spheres) if has_union else 0, np.uint64)
+        owned = terms * self.tables.numbers.term_size
+        union: Words = blank(len(self.tables.spheres) if has_union else 0, np.uint64)
         if has_union:
             kernels.put_in(words, seen.masks, union)
         return Candidates(
@@ -411,23 +274,23 @@ class CandidateIndex:
 
     def _units_of(self, ring: int, members: Seen) -> Units:
         """Return the units of any Gaussians, in a ring, with words instead of slots."""
-        starts = self.everything.runs.starts  # every word has one run
+        starts = self.tables.everything.runs.starts  # every word has one run
         found = room(int((starts[members.words + 1] - starts[members.words]).sum()))
-        count = kernels.ring_units(members, starts, self._every, found)
+        count = kernels.ring_units(members, starts, self.tables.every, found)
         found.codes[:count] += np.uint16(ring * self.index.num_levels**2)
         return Units(*(array[:count] for array in found))
 
     def _active_terms(self, cells: list[int]) -> tuple[Words, Words]:
         """Return the active terms of cells, and the Gaussians that own them."""
         index = self.index
-        owing = blank(len(self.spheres), np.uint64)
+        owing = blank(len(self.tables.spheres), np.uint64)
         if index.active is None or not index.num_terms:
             return np.zeros(0, np.uint64), owing
         active = np.zeros(word_count(index.num_terms), np.uint64)
         for cell in cells:
             ids = _check.integers("terms", index.active.active_ids(cell), ("A",))
             _check.in_range("terms", ids, 0, index.num_terms - 1)
-            kernels.active_words(ids, self._owners, active, owing)
+            kernels.active_words(ids, self.tables.owners, active, owing)
         return active, owing
 
     def _split(self, seen: Seen, classes: NDArray[np.uint8], weights: F32, standing: I64) -> Units:
@@ -440,19 +303,5 @@ class CandidateIndex:
         stands = np.zeros(len(seen.words) if len(words) else 0, np.uint64)
         stands[np.searchsorted(seen.words, words)] = masks
         of_cell = *_check.read_only(weights, stands), self.index.num_levels
-        count = kernels.cell_units(seen, classes, self._traits, *of_cell, found)
+        count = kernels.cell_units(seen, classes, self.tables.traits, *of_cell, found)
         return Units(*(array[:count] for array in found))
-
-
-def _named(prefix: str, arrays: Any) -> dict[str, NDArray[Any]]:
-    """Return the arrays of a named tuple, as `prefix_field`."""
-    return {f"{prefix}_{name}": array for name, array in arrays._asdict().items()}
-
-
-def _typed(prefix: str, kind: Callable[..., _Tuple], arrays: Mapping[str, NDArray[Any]]) -> _Tuple:
-    """Return the named tuple whose arrays `_named` named."""
-    return kind(**{name: arrays[f"{prefix}_{name}"] for name in kind._fields})  # type: ignore[attr-defined]
-
-
-def _least(sizes: F32) -> float:
-    return float(sizes.min()) if len(sizes) else 1.0

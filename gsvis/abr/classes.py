@@ -18,8 +18,8 @@ from gsvis import _check
 from gsvis.abr._kernels import units as kernels
 from gsvis.abr.index import SceneIndex
 from gsvis.abr.predict import Pose, finite_vector
-from gsvis.abr.rings import RINGS, ring_cells
-from gsvis.pvs.codec import ids_of
+from gsvis.abr.rings import RINGS
+from gsvis.pvs.codec import ids_in
 
 __all__ = ["ADJACENT", "FOV", "NONE", "PERIPHERAL", "Classes", "FieldOfView", "classify"]
 
@@ -164,12 +164,12 @@ def classify(index: SceneIndex, cell: int, planes: ArrayLike) -> Classes:
     frusta = _check.floats("planes", frusta[None] if frusta.ndim == 2 else frusta, ("F", 5, 4))
     classes = np.full(len(index), NONE, np.uint8)
     distances = np.full(len(index), np.inf, np.float32)
-    rings = ring_cells(index.grid, cell)
+    rings = index.grid.rings(cell)
     for ring in range(RINGS - 1, 0, -1):
         for other in rings[ring]:
-            ids = ids_of(index.sets.visible_words(other))
+            ids = ids_in(*index.sets.visible_masks(other))
             classes[ids], distances[ids] = ADJACENT, index.grid.cell_size * np.sqrt(ring)
-    ids = ids_of(index.sets.visible_words(cell))
+    ids = ids_in(*index.sets.visible_masks(cell))
     inside = np.zeros(len(ids), np.bool_)
     kernels.in_view(frusta, index.means[ids], index.radii[ids], inside)
     classes[ids] = np.where(inside, FOV, PERIPHERAL)

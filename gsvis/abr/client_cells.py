@@ -108,7 +108,7 @@ class ClientCells:
             self.shell = k
             shell = shared.shell(near.here, k)
             cell = self._shell_of(shell.candidates, self.seen)
-            if is_left(shell.seen, shared.highest, held, cell.owed, cell.allowed):
+            if is_left(shell.seen, shared.tables.highest, held, cell.owed, cell.allowed):
                 self.replacements.widen(self.seen, shell.seen, held)
                 return shell.candidates, self.replacements.allow(cell)
         self.shell = self.shells

@@ -10,24 +10,24 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gsvis import _check
 from gsvis.abr.cones import TermCones
-from gsvis.pvs.cells import CellGrid
+from gsvis.pvs.cells import Cells
+from gsvis.pvs.codec import pack_some
+from gsvis.pvs.store import VisibilityStore
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 
 __all__ = [
     "ActiveSets",
     "CellSets",
-    "RingSets",
     "SceneIndex",
     "SceneTerms",
-    "SparseSets",
     "extents",
     "nearest_replacements",
 ]
@@ -42,37 +42,53 @@ EXTENT = 3.0
 """Standard deviations from its center at which a Gaussian ends, for the test if it is in view."""
 
 
-class CellSets(Protocol):
-    """Interface of the visible sets of cells, such as a `VisibilityStore`. Several threads call it at once."""
+class CellSets:
+    """What cells see. Derive from it and write `classes`; the rest follows. Several threads call it at once."""
 
     def classes(self, cell: int, /) -> tuple[I64, U8]:
         """Return (V,) ascending ids of the Gaussians that a cell sees, and (V,) the weight class of each."""
-        ...
-
-    def visible_words(self, cell: int, /) -> Words:
-        """Return the visible set of a cell, packed as by `gsvis.pvs.codec.pack`."""
-        ...
-
-
-@runtime_checkable
-class RingSets(Protocol):
-    """Visible sets of cells that are joined before they are listed: neighbors see much of the same."""
-
-    def ring_masks(self, rings: Sequence[Sequence[int]], /) -> list[list[tuple[I32, Words]]]:
-        """Return sets of each ring of cells, as `SparseSets.visible_masks` does.
-
-        Those of a ring and of earlier ones together are what the cells of these rings see.
-        """
-        ...
-
-
-@runtime_checkable
-class SparseSets(Protocol):
-    """Visible sets of cells that see little of a large scene, such as those of a world."""
+        raise NotImplementedError
 
     def visible_masks(self, cell: int, /) -> tuple[I32, Words]:
         """Return the words (S,) of the visible set of a cell that are not empty, ascending, and their masks (S,)."""
-        ...
+        return pack_some(self.classes(cell)[0])
+
+    def ring_masks(self, rings: Sequence[Sequence[int]], /) -> list[list[tuple[I32, Words]]]:
+        """Return sets of each ring of cells, as `visible_masks` does: one for each cell, or fewer that hold as much.
+
+        Those of a ring and of earlier ones together are what the cells of these rings see.
+        """
+        return [[self.visible_masks(cell) for cell in ring] for ring in rings]
+
+    def standing(self, cell: int, /) -> I64:
+        """Return ascending ids of the Gaussians that a cell sees at all levels above their last.
+
+        None, unless a cell sees a part of the scene at a lower level, as of the far tiles of a world.
+        """
+        return np.zeros(0, np.int64)
+
+    def store_of(self, gaussian: int, /) -> tuple[VisibilityStore, int, int] | None:
+        """Return the store that lists a Gaussian, its id there, and the cell that is the first of the store.
+
+        None if no store lists it: it is always sent.
+        """
+        return None
+
+    @property
+    def whole_store(self) -> VisibilityStore | None:
+        """The store that lists all Gaussians; None if there is none, or several."""
+        return None
+
+    def tiles_near(self, cell: int, /) -> dict[int, tuple[float, float]]:
+        """Return the tiles around a cell, and the share of all ids that each has, from one number to another."""
+        return {0: (0.0, 1.0)}
+
+    def is_open(self, tile: int, /) -> bool:
+        """Return whether the sets of a tile can be read at once."""
+        return True
+
+    def load(self, tile: int, /) -> None:
+        """Open the sets of a tile, so that the first viewer who comes need not wait for it. Any thread may."""
 
 
 class ActiveSets(Protocol):
@@ -142,7 +158,7 @@ class SceneIndex:
     replacement_offsets: I64
     replacement_ids: I32
     class_weights: F32
-    grid: CellGrid
+    grid: Cells
     sets: CellSets
     active: ActiveSets | None = None
     cones: TermCones | None = None
@@ -200,7 +216,7 @@ class SceneIndex:
     def from_levels(
         cls,
         levels: Levels,
-        grid: CellGrid,
+        grid: Cells,
         sets: CellSets,
         *,
         terms: SceneTerms | None = None,
@@ -290,34 +306,6 @@ class SceneIndex:
         owners = np.repeat(np.arange(n, dtype=np.int32), np.diff(self.replacement_offsets))
         order = np.argsort(self.replacement_ids, kind="stable")
         return _offsets(self.replacement_ids, n), owners[order]
-
-    def cell_of(self, position: NDArray[np.float64]) -> int:
-        """Return the cell that contains a position (3,); if none does, the cell with the nearest center."""
-        grid = self.grid
-        (x, y, z), (a, b, c), side = position.tolist(), grid.origin.tolist(), float(grid.cell_size)
-        found = self._boxes.get(((x - a) / side // 1.0, (y - b) / side // 1.0, (z - c) / side // 1.0))
-        if found is not None:
-            return found
-        apart = np.clip(grid.centers - position, -1e100, 1e100)  # squares that do not overflow
-        return int(np.linalg.norm(apart, axis=1).argmin())
-
-    def box_of(self, cell: int) -> tuple[list[float], float]:
-        """Return the lowest corner (x, y, z) of the box of a cell, and its side."""
-        origin = self.grid.origin.tolist()
-        box = self.grid.coords[cell].tolist()
-        side = float(self.grid.cell_size)
-        return [low + side * place for low, place in zip(origin, box, strict=True)], side
-
-    def standing(self, cell: int) -> I64:
-        """Return ascending ids of the Gaussians that a cell sees at all levels above their last.
-
-        Empty where there are none: in a package, whose cells see all levels of what they see.
-        """
-        return np.zeros(0, np.int64)
-
-    @cached_property
-    def _boxes(self) -> dict[tuple[float, ...], int]:
-        return {tuple(map(float, box)): cell for cell, box in enumerate(self.grid.coords.tolist())}
 
     def as_dict(self) -> Mapping[str, Any]:
         """Return counts and bytes, ready for JSON."""

@@ -9,38 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.abr._kernels import plan
-from gsvis.abr.index import SceneIndex
 
-__all__ = ["links_of", "only_links"]
+__all__ = ["only_links"]
 
 I32 = NDArray[np.int32]
 I64 = NDArray[np.int64]
-
-
-def links_of(index: SceneIndex) -> plan.Links:
-    """Return which Gaussians replace which."""
-    ending = np.flatnonzero(np.diff(index.replacement_offsets)).astype(np.int32)
-    starts = np.append(index.replacement_offsets[ending], len(index.replacement_ids))
-    offsets, owners = index.replaced
-    ranks = np.searchsorted(ending, owners).astype(np.int32)
-    areas = np.maximum(index.areas, np.float32(1e-30)).astype(np.float64)
-    counts = np.diff(offsets)
-    theirs = areas[index.replacement_ids]
-    every = np.add.reduceat(theirs, starts[:-1]) if len(ending) else np.zeros(0)
-    units = np.ceil(plan.UNITS * np.repeat(areas, counts) / every[ranks]).astype(np.int32)
-    only, firsts = only_links(counts, ranks, units)
-    return plan.Links(
-        only=only,
-        firsts=firsts,
-        offsets=offsets,
-        ranks=ranks,
-        units=units,
-        ending=ending,
-        starts=starts,
-        ids=index.replacement_ids,
-        areas=theirs.astype(np.float32),
-        every=every,
-    )
 
 
 def only_links(counts: I64, ranks: I32, units: I32) -> tuple[NDArray[np.uint32], I32]:

@@ -32,7 +32,7 @@ class ClientMemory:
         candidates: Candidates of the scene.
         holdings: What the client holds. `make_room` changes it.
         most_bytes: Bytes that the client can hold: of Gaussians that it shows, and of their terms; see
-            `CandidateIndex.stored`.
+            `TableNumbers.stored`.
 
     Attributes:
         most_bytes: Bytes that the client can hold.
@@ -62,7 +62,9 @@ class ClientMemory:
 
     def add(self, gaussians: int, terms: int, dropped: I32) -> None:
         """Count a batch that was sent: numbers of records, and the (D,) ids of Gaussians that they replaced."""
-        self.held_bytes += gaussians * self._shared.stored[0] + terms * self._shared.stored[1]
+        self.held_bytes += (
+            gaussians * self._shared.tables.numbers.stored[0] + terms * self._shared.tables.numbers.stored[1]
+        )
         if len(dropped):
             self.held_bytes -= self._bytes_of(dropped)
 
@@ -83,7 +85,7 @@ class ClientMemory:
         held = self._holdings.words
         some = np.flatnonzero(held.gaussians)
         shown = held.gaussians[some] & ~held.gone[some]
-        spheres = shared.spheres[some]
+        spheres = shared.tables.spheres[some]
         apart = np.square(spheres[:, :3] - eye).sum(axis=1)
         out = np.empty(self._holdings.gaussians, np.int32)
         found = [np.zeros(0, np.int32)]
@@ -92,7 +94,14 @@ class ClientMemory:
             words = np.flatnonzero(masks)
             order = words[np.argsort(-apart[words], kind="stable")]
             count, freed = kernels.evict(
-                some[order], masks[order], needed, shared.stored, held, shared.index.term_offsets, shared.links, out
+                some[order],
+                masks[order],
+                needed,
+                shared.tables.numbers.stored,
+                held,
+                shared.index.term_offsets,
+                shared.tables.links,
+                out,
             )
             found.append(out[:count].copy())
             self.held_bytes -= freed
@@ -105,7 +114,7 @@ class ClientMemory:
         """Return the bytes of Gaussians (M,) with those of their terms that are held."""
         shared = self._shared
         terms = kernels.held_terms_of(ids, self._holdings.sent_terms, shared.index.term_offsets)
-        return float(len(ids) * shared.stored[0] + terms * shared.stored[1])
+        return float(len(ids) * shared.tables.numbers.stored[0] + terms * shared.tables.numbers.stored[1])
 
 
 def _stages(shown: Words, near: Words, spheres: F32, planes: F32, *, for_view: bool) -> list[Words]:

@@ -49,7 +49,7 @@ class Widened(NamedTuple):
 
 def step_of(index: SceneIndex, cell: int, position: NDArray[np.float64]) -> int:
     """Return how far a position (3,) is outside of a cell, as one of `STEPS` steps; 0 inside."""
-    low, side = index.box_of(cell)
+    low, side = index.grid.box_of(cell)
     away = [max(first - at, at - first - side, 0.0) for first, at in zip(low, position.tolist(), strict=True)]
     sides = math.hypot(*away) / side
     return 0 if sides <= _INSIDE else 1 + bisect_left(_BORDERS, sides)
@@ -73,7 +73,7 @@ def weights_of(class_weights: F32, step: int) -> F32:
 
 def near_cells(index: SceneIndex, shells: Shells, cell: int, step: int) -> list[int]:
     """Return the cells that are about as near to a cell as an eye is, the nearest first; of many, the nearest ones."""
-    reach = np.inf if step > len(_BORDERS) else (1.0 + _BORDERS[step - 1]) * index.box_of(cell)[1]
+    reach = np.inf if step > len(_BORDERS) else (1.0 + _BORDERS[step - 1]) * index.grid.box_of(cell)[1]
     found = [other for k in range(min(_SHELLS, shells.count(cell))) for other in shells.cells(cell, k)]
     centers = index.grid.centers
     return [other for other in found if np.linalg.norm(centers[other] - centers[cell]) <= reach]

@@ -1,7 +1,7 @@
-"""The arrays of a `CandidateIndex`, computed piece by piece into files, for scenes that do not fit the memory.
+"""The arrays of `CandidateTables`, computed piece by piece: memory need not hold the scene.
 
 Pieces are ranges of consecutive ids. What replaces what is known piece by piece; what belongs to words of 64 ids is
-computed block by block at the end. The arrays equal those of `CandidateIndex.to_arrays`. Scene frame and units.
+computed block by block at the end. A `SceneIndex` in memory is one piece. Scene frame and units.
 """
 
 from __future__ import annotations
@@ -16,9 +16,12 @@ from numpy.typing import NDArray
 from gsvis import _check
 from gsvis.abr._kernels import plan
 from gsvis.abr._kernels import units as kernels
+from gsvis.abr.cones import TermCones
+from gsvis.abr.index import SceneIndex
 from gsvis.abr.links import only_links
-from gsvis.abr.words import room, word_means
-from gsvis.files.mapped import ArrayFiles
+from gsvis.abr.tables import CandidateTables, TableNumbers
+from gsvis.abr.words import room, strengths, word_means
+from gsvis.files.mapped import ArrayLists, GrowingArrays
 from gsvis.pvs.codec import pack, word_count
 
 __all__ = [
@@ -26,6 +29,8 @@ __all__ = [
     "JOINED",
     "SAME",
     "PieceNumbers",
+    "RecordSizes",
+    "tables_of",
     "write_gaussians",
     "write_links",
     "write_reversed",
@@ -46,13 +51,48 @@ SAME = {"all_active": "active", "every_slots": "unit_slots"} | {
 FROZEN = (
     *("record_term_offsets", "record_term_sizes", "link_ids", "replacement_offsets", "first", "last"),
     *("record_sizes", "record_areas", "strengths", "pairs", "mixed"),
+    *("record_centers", "record_places", "record_cosines", "record_widths"),
 )
 """Arrays that nobody may write to, as in a scene in memory: kernels are compiled for one of the two."""
 
 _BLOCK = 1 << 16  # ids; `word_count` rounds up to as many
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
+class RecordSizes:
+    """Bytes of the records of a scene.
+
+    Attributes:
+        gaussians: (N,) float32 of Gaussians, (1,) where all are equal.
+        terms: (T,) float32 of terms, (1,) where all are equal; empty without terms.
+    """
+
+    gaussians: F32
+    terms: F32
+
+    @classmethod
+    def of_means(cls, gaussian: float, term: float, terms: int) -> RecordSizes:
+        """Return equal sizes for all Gaussians, and for all of some terms."""
+        return cls(np.array([gaussian], np.float32), np.full(min(terms, 1), term, np.float32))
+
+    def of_gaussians(self, low: int, high: int) -> F32:
+        """Return the bytes of the Gaussians from one id to before another."""
+        if len(self.gaussians) == 1:
+            return np.full(high - low, self.gaussians[0], np.float32)
+        return self.gaussians[low:high]
+
+    @property
+    def least(self) -> tuple[float, float]:
+        """Bytes of the smallest record of a Gaussian, and of a term; 1 where there is none."""
+        return _least(self.gaussians), _least(self.terms)
+
+    @property
+    def mean_term(self) -> float:
+        """Mean bytes of a term; 0 without terms."""
+        return float(self.terms.mean()) if len(self.terms) else 0.0
+
+
+@dataclass(frozen=True, eq=False)
 class PieceNumbers:
     """Numbers of the whole scene.
 
@@ -60,30 +100,89 @@ class PieceNumbers:
         gaussians: N.
         terms: T.
         levels: L.
-        nbytes: Mean bytes of a record of a Gaussian.
-        term_bytes: And of a term.
+        sizes: Bytes of records.
         pixel_area: Steradians that the rasterizer adds to the solid angle of each Gaussian.
+        stored: Bytes that a Gaussian and a term take in the memory of a client.
         weight: Mean weight of a class.
+        sends_terms: Whether terms are sent.
     """
 
     gaussians: int
     terms: int
     levels: int
-    nbytes: float
-    term_bytes: float
+    sizes: RecordSizes
     pixel_area: float
+    stored: tuple[float, float]
     weight: float
+    sends_terms: bool
+
+
+def tables_of(index: SceneIndex, *, pixel: float = 2e-3, stored: tuple[float, float] = (16.0, 4.5)) -> CandidateTables:
+    """Return the tables of a scene in memory.
+
+    Args:
+        index: The scene.
+        pixel: Angle of a pixel of the clients, radians: the rasterizer adds 0.3 square pixels to the size of each
+            Gaussian.
+        stored: Bytes that a Gaussian and a term take in the memory of a client.
+
+    Raises:
+        ValueError: If the angle is out of range.
+    """
+    if not 0.0 <= pixel < 1.0:
+        raise ValueError(f"pixel: expected radians in [0, 1), got {pixel!r}")
+    n = len(index)
+    sizes = index.gaussian_bytes
+    sizes = sizes[:1] if n and sizes.min() == sizes.max() else sizes
+    numbers = PieceNumbers(
+        gaussians=n,
+        terms=index.num_terms,
+        levels=index.num_levels,
+        sizes=RecordSizes(sizes, index.term_bytes),
+        pixel_area=pixel_area(pixel),
+        stored=stored,
+        weight=float(np.mean(index.class_weights)),
+        sends_terms=index.cones is not None or index.active is not None,
+    )
+    out = ArrayLists()
+    bodies = index.means, index.radii, index.areas
+    write_gaussians(out, *bodies, (index.first, index.last), numbers, importance=index.importance)
+    out.append("owners", np.repeat(np.arange(n, dtype=np.int32), np.diff(index.term_offsets)))
+    cones = TermCones.none() if index.cones is None else index.cones
+    of_terms: dict[str, NDArray[Any]] = {
+        "term_offsets": index.term_offsets,
+        "term_sizes": index.term_bytes,
+        "centers": cones.centers,
+        "places": cones.places,
+        "cosines": cones.cosines,
+        "widths": cones.widths,
+    }
+    for name, array in of_terms.items():
+        out.append(f"record_{name}", array)
+    owners = np.repeat(np.arange(n), np.diff(index.replacement_offsets))
+    ends = write_links(out, 0, n, np.stack([owners, index.replacement_ids.astype(np.int64)], axis=1))
+    write_reversed(out, [(0, n)], [ends], [[0]])
+    found = write_words(out, numbers)
+    return CandidateTables.from_arrays(out.arrays(joined=JOINED, same=SAME, frozen=FROZEN), found)
+
+
+def pixel_area(pixel: float) -> float:
+    """Return the steradians that the rasterizer adds to each Gaussian, for pixels of so many radians."""
+    return float(2.0 * np.pi * 0.3 * pixel**2)
 
 
 def write_gaussians(
-    out: ArrayFiles,
+    out: GrowingArrays,
     means: F32,
     radii: F32,
     areas: F32,
     levels: tuple[NDArray[np.uint8], NDArray[np.uint8]],
     numbers: PieceNumbers,
+    *,
+    importance: F32,
 ) -> None:
-    """Append the Gaussians of a piece: bodies, levels, strengths."""
+    """Append the Gaussians of the next piece: bodies, levels, strengths; `importance` is as in `SceneIndex`."""
+    low = out.count("body_3")
     for k in range(3):
         out.append(f"body_{k}", means[:, k])
     out.append("body_3", radii)
@@ -92,12 +191,11 @@ def write_gaussians(
     out.append("first", first)
     out.append("last", last)
     out.append("pairs", first.astype(np.uint16) * np.uint16(numbers.levels) + last)
-    value = (np.ones(len(areas), np.float32) / np.float32(numbers.nbytes)).astype(np.float64)
-    both = np.stack([value * areas, value * numbers.pixel_area], axis=1)
-    out.append("strengths", np.minimum(both, 1e30).astype(np.float32))
+    sizes = numbers.sizes.of_gaussians(low, low + len(areas))
+    out.append("strengths", strengths(importance, sizes, areas, numbers.pixel_area))
 
 
-def write_links(out: ArrayFiles, low: int, count: int, pairs: I64) -> int:
+def write_links(out: GrowingArrays, low: int, count: int, pairs: I64) -> int:
     """Append what replaces the Gaussians of a piece, and return how many are replaced by now.
 
     Args:
@@ -108,7 +206,7 @@ def write_links(out: ArrayFiles, low: int, count: int, pairs: I64) -> int:
     """
     if low == 0:
         out.append("replacement_offsets", np.zeros(1, np.int64))
-    before = 0 if low == 0 else out.count("link_ids")
+    before = out.count("link_ids")
     counts = np.bincount(pairs[:, 0] - low, minlength=count)
     offsets = before + np.cumsum(counts)
     out.append("replacement_offsets", offsets.astype(np.int64))
@@ -126,7 +224,7 @@ def write_links(out: ArrayFiles, low: int, count: int, pairs: I64) -> int:
 
 
 def write_reversed(
-    out: ArrayFiles, ranges: Sequence[tuple[int, int]], ends: Sequence[int], sources: Sequence[Iterable[int]]
+    out: GrowingArrays, ranges: Sequence[tuple[int, int]], ends: Sequence[int], sources: Sequence[Iterable[int]]
 ) -> None:
     """Append what each Gaussian replaces, piece by piece, when `write_links` was called for all.
 
@@ -163,53 +261,83 @@ def write_reversed(
             out.append(f"link_{name}", array)
 
 
-def write_words(out: ArrayFiles, numbers: PieceNumbers) -> dict[str, Any]:
-    """Append everything about words of 64 Gaussians, and return the numbers of `CandidateIndex.from_arrays`."""
-    n = numbers.gaussians
+def write_words(out: GrowingArrays, numbers: PieceNumbers) -> TableNumbers:
+    """Append everything about words of 64 Gaussians, and return the numbers of the tables."""
     owed = 0
-    last_pair = None
-    for low in range(0, word_count(n) * 64, _BLOCK):
-        high = min(low + _BLOCK, n)
-        terms = np.diff(out.rows("record_term_offsets", low, high + 1))
-        means = np.stack([out.rows(f"body_{k}", low, high) for k in range(3)], axis=1)
-        radii = out.rows("body_3", low, high)
-        areas = out.rows("record_areas", low, high)
-        pairs = out.rows("pairs", low, high)
-        lasts = out.rows("last", low, high)
-        mixed = np.zeros(_BLOCK // 64, np.bool_)
-        before = pairs[0] if last_pair is None else last_pair
-        mixed[np.flatnonzero(np.diff(pairs, prepend=before)) >> 6], last_pair = True, pairs[-1]
-        owing = pack(np.flatnonzero(terms) if numbers.terms else np.zeros(0, np.int64), _BLOCK)
-        owed += int(np.count_nonzero(terms)) if numbers.terms else 0
-        traits = kernels.Traits(*_check.read_only(out.rows("strengths", low, high), pairs, mixed))
-        own = _Block(low // 64, means, radii, areas, traits)
-        sizes = np.full(high - low, numbers.nbytes, np.float32)
-        links = out.rows("link_offsets", low, high + 1)
-        rows = int(links[0]), int(links[-1])
-        only, firsts = only_links(np.diff(links), out.rows("link_ranks", *rows), out.rows("link_units", *rows))
-        named: dict[str, NDArray[Any]] = {
-            "link_only": only,
-            "link_firsts": firsts,
-            "mixed": mixed,
-            "highest": pack(np.flatnonzero(lasts == numbers.levels - 1), _BLOCK),
-            "owing": owing,
-            "word_bytes": word_means(sizes, _BLOCK // 64),
-            "word_terms": word_means(terms, _BLOCK // 64),
-            "all_union": pack(np.arange(high - low), _BLOCK),
-        }
-        for name, array in named.items():
-            out.append(name, array)
-        own.write(out, numbers, owing, named["word_bytes"])
-    _pad_bodies(out, word_count(n) * 64 - n)
+    last_pair = np.zeros(0, np.uint16)
+    for low in range(0, max(word_count(numbers.gaussians) * 64, 1), _BLOCK):
+        found, last_pair = _write_block(out, numbers, low, last_pair)
+        owed += found
+    _pad_bodies(out, word_count(numbers.gaussians) * 64 - numbers.gaussians)
     out.append("run_starts", np.array([out.count("unit_slots")], np.int32))
+    sent = numbers.terms if numbers.sends_terms else 0
     for low in range(0, max(numbers.terms, 1), _BLOCK):
-        count = min(_BLOCK, numbers.terms - low)
-        out.append("active", pack(np.arange(count), _BLOCK) if count > 0 else np.zeros(0, np.uint64))
-    size = float(np.float32(numbers.term_bytes)) if numbers.terms else 0.0
-    least = float(np.float32(numbers.nbytes)), float(np.float32(numbers.term_bytes)) if numbers.terms else 1.0
-    out.append("all_level_bytes", np.zeros(numbers.levels) + numbers.terms * size)
-    out.append("record_sizes", np.array([numbers.nbytes], np.float32))
-    return {"term_size": size, "least_sizes": least, "term_bytes": numbers.terms * size / max(owed, 1)}
+        some = np.arange(min(_BLOCK, max(sent - low, 0)))
+        out.append("active", pack(some, _BLOCK if numbers.terms else 0))
+    size = numbers.sizes.mean_term
+    out.append("all_level_bytes", np.zeros(numbers.levels) + sent * size)
+    out.append("record_sizes", numbers.sizes.gaussians)
+    least = numbers.sizes.least
+    ratios = [bytes_sent / held for bytes_sent, held in zip(least, numbers.stored, strict=True)]
+    return TableNumbers(
+        pixel_area=numbers.pixel_area,
+        term_size=size,
+        term_bytes=sent * size / max(owed, 1),
+        least_sizes=least,
+        stored=numbers.stored,
+        sent_per_stored=min(ratios) if numbers.terms else ratios[0],
+    )
+
+
+def _write_block(
+    out: GrowingArrays, numbers: PieceNumbers, low: int, last_pair: NDArray[np.uint16]
+) -> tuple[int, NDArray[np.uint16]]:
+    """Append the words that begin at an id.
+
+    Args:
+        out: The arrays.
+        numbers: Numbers of the scene.
+        low: First id of the block.
+        last_pair: (1,) the levels of the Gaussian before it; empty at the begin.
+
+    Returns:
+        How many of its Gaussians own terms that are sent, and the levels of the last of them.
+    """
+    high = min(low + _BLOCK, numbers.gaussians)
+    ids = min(_BLOCK, 64 * word_count(numbers.gaussians))
+    words = ids // 64
+    terms = np.diff(out.rows("record_term_offsets", low, high + 1))
+    pairs = out.rows("pairs", low, high)
+    mixed = np.zeros(words, np.bool_)
+    before = last_pair if len(last_pair) else pairs[:1]
+    mixed[np.flatnonzero(np.diff(pairs, prepend=before)) >> 6] = True
+    owing = pack(np.flatnonzero(terms) if numbers.sends_terms else np.zeros(0, np.int64), ids)
+    links = out.rows("link_offsets", low, high + 1)
+    rows = int(links[0]), int(links[-1])
+    only, firsts = only_links(np.diff(links), out.rows("link_ranks", *rows), out.rows("link_units", *rows))
+    nbytes = word_means(numbers.sizes.of_gaussians(low, high), words)
+    named: dict[str, NDArray[Any]] = {
+        "link_only": only,
+        "link_firsts": firsts,
+        "mixed": mixed,
+        "highest": pack(np.flatnonzero(out.rows("last", low, high) == numbers.levels - 1), ids),
+        "owing": owing,
+        "word_bytes": nbytes,
+        "word_terms": word_means(terms, words),
+        "all_union": pack(np.arange(high - low), ids),
+    }
+    for name, array in named.items():
+        out.append(name, array)
+    own = _Block(
+        first=low // 64,
+        words=words,
+        means=np.stack([out.rows(f"body_{k}", low, high) for k in range(3)], axis=1),
+        radii=out.rows("body_3", low, high),
+        areas=out.rows("record_areas", low, high),
+        traits=kernels.Traits(*_check.read_only(out.rows("strengths", low, high), pairs, mixed)),
+    )
+    own.write(out, numbers, owing, nbytes)
+    return int(np.count_nonzero(terms)) if numbers.sends_terms else 0, pairs[-1:]
 
 
 @dataclass(frozen=True)
@@ -217,17 +345,17 @@ class _Block:
     """Some words."""
 
     first: int
+    words: int
     means: F32
     radii: F32
     areas: F32
     traits: kernels.Traits
 
-    def write(self, out: ArrayFiles, numbers: PieceNumbers, owing: NDArray[np.uint64], nbytes: F32) -> None:
+    def write(self, out: GrowingArrays, numbers: PieceNumbers, owing: NDArray[np.uint64], nbytes: F32) -> None:
         """Append the spheres and the units of the words."""
-        words = _BLOCK // 64
         n = len(self.means)
-        spheres = np.zeros((words, 4), np.float32)
-        spreads = np.zeros(words, np.float32)
+        spheres = np.zeros((self.words, 4), np.float32)
+        spreads = np.zeros(self.words, np.float32)
         kernels.word_spheres(*_check.read_only(self.means, self.radii, self.areas), spheres, spreads)
         out.append("spheres", spheres)
         out.append("spreads", spreads)
@@ -237,12 +365,12 @@ class _Block:
         out.append("all_words", np.arange(self.first, self.first + used, dtype=np.int32))
         out.append("all_owing", owing[:used])
         found, (weights,) = room(n), _check.read_only(np.array([numbers.weight], np.float32))
-        members = kernels.Seen(np.arange(used, dtype=np.int32), pack(np.arange(n), _BLOCK)[:used])
+        members = kernels.Seen(np.arange(used, dtype=np.int32), pack(np.arange(n), 64 * self.words)[:used])
         none = _check.read_only(np.zeros(0, np.uint64))[0]
         count = kernels.cell_units(members, np.zeros(n, np.uint8), self.traits, weights, none, numbers.levels, found)
         slots = found.slots[:count] + np.int32(self.first)
         starts = np.flatnonzero(np.diff(slots, prepend=-1)).astype(np.int32)
-        before = out.count("unit_slots") if self.first else 0
+        before = out.count("unit_slots")
         out.append("run_starts", starts + np.int32(before))
         out.append("run_slots", slots[starts])
         out.append("unit_slots", slots)
@@ -254,14 +382,14 @@ class _Block:
             out.append(f"unit_{name}", array)
 
 
-def _pad_bodies(out: ArrayFiles, count: int) -> None:
+def _pad_bodies(out: GrowingArrays, count: int) -> None:
     """Append bodies of no Gaussian."""
     for k in range(3):
         out.append(f"body_{k}", np.zeros(count, np.float32))
     out.append("body_3", np.full(count, -np.inf, np.float32))
 
 
-def _areas_of(out: ArrayFiles, ids: NDArray[np.int32]) -> NDArray[np.float64]:
+def _areas_of(out: GrowingArrays, ids: NDArray[np.int32]) -> NDArray[np.float64]:
     """Return the areas of Gaussians whose ids lie in a few ranges."""
     if not len(ids):
         return np.zeros(0)
@@ -278,3 +406,7 @@ def _areas_of(out: ArrayFiles, ids: NDArray[np.int32]) -> NDArray[np.float64]:
             found[part] = out.rows("record_areas", int(some[0]), int(some[-1]) + 1)[some - some[0]]
     areas: NDArray[np.float64] = np.maximum(found, np.float32(1e-30)).astype(np.float64)
     return areas
+
+
+def _least(sizes: F32) -> float:
+    return float(sizes.min()) if len(sizes) else 1.0

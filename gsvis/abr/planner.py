@@ -89,7 +89,7 @@ class Planner:
         config: Settings; None means `AbrConfig()`.
         holdings: What the client holds; None means nothing. `take` changes it.
         poses: Predictor of poses; None means the one that the config names.
-        memory: Bytes that the client can hold, see `CandidateIndex.stored`; None means no limit.
+        memory: Bytes that the client can hold, see `TableNumbers.stored`; None means no limit.
 
     Attributes:
         candidates: Candidates of the scene.
@@ -191,7 +191,7 @@ class Planner:
             ValueError: If a value is not finite, or the quaternion is 0. Nothing changes then.
         """
         if self._viewer.observe(t, position, quat) and self._viewer.pose is not None:
-            self.cell = self.candidates.index.cell_of(self._viewer.pose.position)
+            self.cell = self.candidates.index.grid.nearest(self._viewer.pose.position)
 
     def position_in(self, seconds: float) -> NDArray[np.float64] | None:
         """Extrapolate the position of the client; see `Viewer.position_in`."""
@@ -281,7 +281,7 @@ class Planner:
                 if is_blocked:
                     self._cursor = cursor._replace(is_full=True)
                 break
-            evicted = self._evict((budget - limit) / self.candidates.sent_per_stored, cursor)
+            evicted = self._evict((budget - limit) / self.candidates.tables.numbers.sent_per_stored, cursor)
             cursor = self._cursor = cursor._replace(cell=self._cells.replacements.allow(cursor.cell))
         gaussians, terms, dropped, gone = (a[:count].copy() for a, count in zip(out, taken, strict=True))
         self._cells.has_terms |= taken[1] > 0
@@ -295,7 +295,8 @@ class Planner:
         shared = self.candidates
         counts = (self.holdings.gaussians, self.holdings.terms)
         gaussians, terms = (
-            min(n, int(min(budget, 1e12) / size) + 1) for n, size in zip(counts, shared.least_sizes, strict=True)
+            min(n, int(min(budget, 1e12) / size) + 1)
+            for n, size in zip(counts, shared.tables.numbers.least_sizes, strict=True)
         )
         return kernels.Taken(np.empty(gaussians, np.int32), np.empty(terms, np.uint32), *shared.scratch.taken())
 
@@ -311,8 +312,8 @@ class Planner:
             cursor.cell,
             self.holdings.words,
             cursor.view,
-            self.candidates.records,
-            self.candidates.links,
+            self.candidates.tables.records,
+            self.candidates.tables.links,
             budget,
             rest,
         )
@@ -324,7 +325,7 @@ class Planner:
             return budget
         if cursor.is_filling and self.memory.is_full:
             return 0.0
-        return min(budget, self.memory.free * self.candidates.sent_per_stored)
+        return min(budget, self.memory.free * self.candidates.tables.numbers.sent_per_stored)
 
     def _evict(self, needed: float, cursor: Cursor) -> I32:
         """Make room for the next record of the plan, and return what is evicted."""
@@ -332,7 +333,7 @@ class Planner:
         assert self._cells.near is not None
         near = self._cells.near.here
         entry = self._ranking.plan.entries[self._ranking.place]
-        word = self.candidates.spheres[near.words[entry >> kernels.KIND_BITS]]
+        word = self.candidates.tables.spheres[near.words[entry >> kernels.KIND_BITS]]
         sides = np.zeros(1, np.uint8)
         view = cursor.view
         for frustum in view.planes:
@@ -400,7 +401,7 @@ class Planner:
         then = self._viewer.ahead(now, t, config.lead)
         here = self._find(self.cell, self._step)
         regime = regime_of(rate, here.level_bytes, config.horizon, self.regime)
-        cell_ahead = self.candidates.index.cell_of(self._viewer.ahead(now, t, config.ahead).position)
+        cell_ahead = self.candidates.index.grid.nearest(self._viewer.ahead(now, t, config.ahead).position)
         outlook = Outlook(now, then, self.cell, cell_ahead, regime)
         if self._is_ranked(here, outlook):
             return
@@ -442,11 +443,11 @@ class Planner:
             eyes=eyes if shared.index.cones is not None else eyes[:0],
             travelled=travelled,
             gains=self._ranking.first_gains,
-            pixel=shared.pixel_area,
+            pixel=shared.tables.numbers.pixel_area,
             parallax=self.config.parallax,
             planes=planes,
             middle=middle,
-            bodies=shared.bodies,
+            bodies=shared.tables.bodies,
         )
         self._cursor = Cursor(regime, _NEEDS, here, cell, view)
         self._ranking.begin_view(regime)

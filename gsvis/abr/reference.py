@@ -18,7 +18,7 @@ from gsvis.abr.holdings import Holdings
 from gsvis.abr.index import SceneIndex
 from gsvis.abr.outside import near_cells, weights_of
 from gsvis.abr.policies import AHEAD, UtilityConfig, bounds, edge_offset, first_offset, lowest_last, offsets
-from gsvis.abr.rings import RINGS, ring_cells
+from gsvis.abr.rings import RINGS
 from gsvis.abr.words import strengths
 from gsvis.pvs.codec import ids_of
 
@@ -75,7 +75,7 @@ def order_records(
     """
     index = shared.index
     units = _units(shared, view)
-    strength = strengths(index, shared.pixel_area)
+    strength = strengths(index.importance, index.gaussian_bytes, index.areas, shared.tables.numbers.pixel_area)
     in_view = _in_view(index, view.planes)
     in_middle = in_view if view.middle is None else _in_view(index, view.middle)
     weights = weights_of(index.class_weights, view.step) if view.step else index.class_weights
@@ -242,9 +242,9 @@ def _units(shared: CandidateIndex, view: View) -> list[Unit]:
     cell = view.cell
     found: dict[tuple[int, int, int, int, int], list[int]] = {}
     placed: set[int] = set()
-    standing = set(index.standing(cell).tolist())
+    standing = set(index.sets.standing(cell).tolist())
     top = index.num_levels - 1
-    for ring, cells in zip(range(RINGS), ring_cells(index.grid, cell), strict=True):
+    for ring, cells in zip(range(RINGS), index.grid.rings(cell), strict=True):
         here: dict[int, int] = {}
         for other in cells:
             ids, classes = index.sets.classes(other)
@@ -270,8 +270,8 @@ def _units(shared: CandidateIndex, view: View) -> list[Unit]:
 
 def _gain(shared: CandidateIndex, word: int, strength: list[F32], eye: F32, weight: np.float32) -> NDArray[np.float32]:
     """Return the mean weighted solid angle per byte of Gaussians of a word with given strengths."""
-    x, y, z = shared.spheres[word, :3] - eye
-    square = x * x + y * y + z * z + shared.spreads[word] + np.float32(1e-12)
+    x, y, z = shared.tables.spheres[word, :3] - eye
+    square = x * x + y * y + z * z + shared.tables.spreads[word] + np.float32(1e-12)
     area, pixel = (np.float32(float(weight) * sum(float(pair[k]) for pair in strength) / len(strength)) for k in (0, 1))
     return np.asarray(area / square + pixel, np.float32)
 
@@ -283,7 +283,7 @@ class _Walk:
         self.out: list[tuple[str, int]] = []
         self._shares = shares
         self._index = shared.index
-        self._pixel = shared.pixel_area
+        self._pixel = shared.tables.numbers.pixel_area
         self._held = set(holdings.received.tolist())
         self._held_terms = set(holdings.received_terms.tolist())
         self._gone = set(ids_of(holdings.gone).tolist())

@@ -42,7 +42,7 @@ class Replacements:
         self.shares = shares
         self._candidates = candidates
         self._bounds: Bounds | None = None
-        count = len(candidates.links.ending)  # those of far tiles take no memory
+        count = len(candidates.tables.links.ending)  # those of far tiles take no memory
         self.arrived: I32
         self.arrived, self.looks, self.looks_far, self.sure = blanks(4, count, np.int32)
         self.given_up: Words | None = None
@@ -63,7 +63,7 @@ class Replacements:
 
     def doubt(self, ids: NDArray[np.integer]) -> None:
         """Note that it is not known what has arrived of the replacements of what some Gaussians (M,) replace."""
-        doubt(ids, self._candidates.links, self.arrived, self.looks, self.looks_far)
+        doubt(ids, self._candidates.tables.links, self.arrived, self.looks, self.looks_far)
 
     def leave_cell(self) -> None:
         """Forget what holds among the candidates of a cell."""
@@ -96,4 +96,4 @@ class Replacements:
 
     def widen(self, seen: Words, others: Seen, held: Held) -> None:
         """Add others to the candidates `seen` (W,) among which is looked."""
-        widen(seen, others, held, self._candidates.links, self.looks_far)
+        widen(seen, others, held, self._candidates.tables.links, self.looks_far)

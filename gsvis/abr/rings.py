@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.files.cache import Cache
-from gsvis.pvs.cells import CellGrid
+from gsvis.pvs.cells import Cells
 
-__all__ = ["RINGS", "Shells", "ring_cells"]
+__all__ = ["RINGS", "Shells"]
 
 RINGS = 4
 
@@ -33,7 +33,7 @@ class Shells:
         recent: For what is made of shells: they are many and large, and would push all cells out of the cache.
     """
 
-    def __init__(self, grid: Any, cache: Cache[Any]) -> None:
+    def __init__(self, grid: Cells, cache: Cache[Any]) -> None:
         self._grid = grid
         self._cache = cache
         self._counts = dict[int, int]()
@@ -49,7 +49,7 @@ class Shells:
     def cells(self, cell: int, number: int) -> list[int]:
         """Return the cells of a shell around a cell: of shell 0 the rings, of each further one the next nearest."""
         if number == 0:
-            return [other for ring in ring_cells(self._grid, cell) for other in ring]
+            return [other for ring in self._grid.rings(cell) for other in ring]
         enough = (number * _SHELL - 1) // _SORTED + 1
         key = "order", cell, 1 << (enough - 1).bit_length()
         far: NDArray[np.int64] | None = self._cache.find(key)
@@ -70,15 +70,3 @@ class Shells:
             return np.zeros(0, np.int64)
         some = np.flatnonzero(apart <= np.partition(apart, count - 1)[count - 1])
         return some[np.argsort(apart[some], kind="stable")][:count]
-
-
-def ring_cells(grid: Any, cell: int) -> list[list[int]]:
-    """Return four lists: the cell, and its neighbors by face, by edge and by corner."""
-    if not isinstance(grid, CellGrid):  # cells of several grids know their neighbors
-        return grid.rings(cell)  # type: ignore[no-any-return]
-    rings: list[list[int]] = [[grid.checked(cell)], [], [], []]
-    others = grid.neighbors(cell)
-    steps = np.abs(grid.coords[others] - grid.coords[cell]).sum(axis=1)
-    for other, ring in zip(others.tolist(), steps.tolist(), strict=True):
-        rings[ring].append(other)
-    return rings

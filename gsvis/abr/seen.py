@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gsvis._kernels.blank import blank
 from gsvis.abr._kernels import units as kernels
 from gsvis.abr._kernels.units import Seen
-from gsvis.abr.index import RingSets, SceneIndex, SparseSets
+from gsvis.abr.index import SceneIndex
 from gsvis.files.cache import Cache
 from gsvis.pvs.codec import word_count
 
@@ -44,17 +44,7 @@ class SeenSets:
         """
         found: Seen | None = self._cache.find(("words", cell))
         if found is None:
-            sets = self._index.sets
-            n = len(self._index)
-            if isinstance(sets, SparseSets):
-                found = Seen(*sets.visible_masks(cell))
-            else:
-                packed = sets.visible_words(cell)
-                if len(packed) != word_count(n):
-                    got = f"one of {64 * len(packed):,} ids"
-                    raise ValueError(f"words: expected a set of {n:,} Gaussians, got {got}; {_STRANGERS}")
-                words = np.flatnonzero(packed).astype(np.int32)
-                found = Seen(words, packed[words])
+            found = Seen(*self._index.sets.visible_masks(cell))
             self._cache.keep(("words", cell), self._checked(found), sum(array.nbytes for array in found))
         return found
 
@@ -64,10 +54,8 @@ class SeenSets:
         Raises:
             ValueError: If they name Gaussians that the scene does not have.
         """
-        sets = self._index.sets
-        if isinstance(sets, RingSets):
-            return [[self._checked(Seen(*masks)) for masks in ring] for ring in sets.ring_masks(rings)]
-        return [[self.of_cell(cell) for cell in ring] for ring in rings]
+        found = self._index.sets.ring_masks(rings)
+        return [[self._checked(Seen(*masks)) for masks in ring] for ring in found]
 
     def join(self, rings: list[list[Seen]]) -> tuple[list[Seen], Seen]:
         """Return what the sets of each ring have that those of earlier rings lack, and all together."""

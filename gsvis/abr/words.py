@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.abr._kernels.units import Units
-from gsvis.abr.index import SceneIndex
 
 __all__ = ["level_bytes", "room", "strengths", "word_means"]
 
@@ -16,10 +15,10 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
 
-def strengths(index: SceneIndex, pixel_area: float) -> F32:
+def strengths(importance: F32, nbytes: F32, areas: F32, pixel_area: float) -> F32:
     """Return (N, 2) per byte: importance times area, and importance times the area that a pixel adds at distance 1."""
-    value = (index.importance / index.gaussian_bytes).astype(np.float64)
-    both = np.stack([value * index.areas, value * pixel_area], axis=1)
+    value = (importance / nbytes).astype(np.float64)
+    both = np.stack([value * areas, value * pixel_area], axis=1)
     return np.minimum(both, 1e30).astype(np.float32)
 
 

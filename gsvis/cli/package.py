@@ -16,7 +16,7 @@ from gsvis.io.levels import MAP, levels_info
 from gsvis.package import Fidelity, Manifest, Package, Spread, unpack_package
 from gsvis.stream.kept import check_kept
 from gsvis.world import World, is_world
-from gsvis.world.streamed import WorldPackage
+from gsvis.world.streamed import WorldSource
 
 __all__ = ["fidelity_table", "run_unpack", "run_verify", "size_rows"]
 
@@ -90,7 +90,7 @@ def _verify_world(command: Verify) -> None:
     with Status() as status:
         world = World.open(command.package)
         found = world.verify(progress=status)
-        kept = check_kept(WorldPackage(world, set()), _tables_of(command))
+        kept = check_kept(WorldSource(world), _tables_of(command))
     if command.output.json:
         document = {"format": "gsvis-world-verification", "version": 1, "world": command.package}
         print_json({**document, **asdict(found), "kept_files": len(kept)})

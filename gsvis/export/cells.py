@@ -23,7 +23,7 @@ from gsvis.progress import Progress
 from gsvis.pvs.cells import CellGrid
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
-from gsvis.stream.scene import class_weights
+from gsvis.stream.source import class_weights
 
 __all__ = ["CellRows", "rows_of_package", "rows_of_scene"]
 

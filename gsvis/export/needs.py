@@ -21,7 +21,7 @@ from gsvis.export.blocks import GAIN_STEPS, quantize_gains
 from gsvis.export.leaves import Leaves
 from gsvis.progress import Progress, silent
 from gsvis.pvs.store import VisibilityStore
-from gsvis.stream.scene import class_weights
+from gsvis.stream.source import class_weights
 
 __all__ = ["FORMAT", "LOST", "VERSION", "LeafNeeds", "find_needs"]
 

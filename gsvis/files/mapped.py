@@ -17,7 +17,7 @@ import struct
 from collections.abc import Collection, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,7 @@ from gsvis.files.fields import Fields, parse_object
 from gsvis.files.limits import DAMAGED, open_regular
 from gsvis.files.sums import PIECE, seal, unseal, word_sums
 
-__all__ = ["ArrayFiles", "MappedArrays", "resident_bytes", "write_arrays"]
+__all__ = ["ArrayFiles", "ArrayLists", "GrowingArrays", "MappedArrays", "resident_bytes", "write_arrays"]
 
 _MAGIC = b"\x93gsvis2\n"
 _HEAD = struct.Struct("<8sQ")  # magic, bytes of the sealed JSON after it
@@ -71,6 +71,68 @@ def write_arrays(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]
         _write_sums(file, end)
 
 
+class GrowingArrays(Protocol):
+    """Named arrays that grow piece by piece: in files (`ArrayFiles`) or in memory (`ArrayLists`)."""
+
+    def append(self, name: str, piece: NDArray[Any]) -> None:
+        """Add rows to an array; all of its pieces have one type and one shape of a row."""
+        ...
+
+    def count(self, name: str) -> int:
+        """Return how many rows an array has by now; 0 without any piece."""
+        ...
+
+    def rows(self, name: str, first: int = 0, end: int | None = None) -> NDArray[Any]:
+        """Return some rows of an array."""
+        ...
+
+
+class ArrayLists:
+    """Arrays that grow piece by piece in memory."""
+
+    def __init__(self) -> None:
+        self._pieces: dict[str, list[NDArray[Any]]] = {}
+
+    def append(self, name: str, piece: NDArray[Any]) -> None:
+        """Add rows to an array; all of its pieces have one type and one shape of a row."""
+        self._pieces.setdefault(name, []).append(np.ascontiguousarray(piece))
+
+    def count(self, name: str) -> int:
+        """Return how many rows an array has by now; 0 without any piece."""
+        return sum(len(piece) for piece in self._pieces.get(name, []))
+
+    def rows(self, name: str, first: int = 0, end: int | None = None) -> NDArray[Any]:
+        """Return some rows of an array."""
+        return self._whole(name)[first:end]
+
+    def arrays(
+        self,
+        *,
+        joined: Mapping[str, Sequence[str]] | None = None,
+        same: Mapping[str, str] | None = None,
+        frozen: Collection[str] = (),
+    ) -> dict[str, NDArray[Any]]:
+        """Return all arrays by name, as `MappedArrays` returns those that `ArrayFiles.write` wrote.
+
+        Args:
+            joined: For each of these names, the arrays that become its rows; they have one length.
+            same: For each of these names, the array that it is another name of.
+            frozen: Names of arrays that nobody may write to.
+        """
+        rows = joined or {}
+        inner = {part for parts in rows.values() for part in parts}
+        found = {name: self._whole(name) for name in self._pieces if name not in inner}
+        found |= {name: np.stack([self._whole(part) for part in parts]) for name, parts in rows.items()}
+        found |= {name: found[of] for name, of in (same or {}).items()}
+        return {name: _with_flag(array, name not in frozen) for name, array in found.items()}
+
+    def _whole(self, name: str) -> NDArray[Any]:
+        pieces = self._pieces[name]
+        if len(pieces) > 1:
+            pieces[:] = [np.concatenate(pieces)]
+        return pieces[0]
+
+
 class ArrayFiles:
     """Arrays that grow piece by piece, each in a file of a folder, until they become one file for `MappedArrays`.
 
@@ -105,8 +167,8 @@ class ArrayFiles:
         self._rows[name] = kind, shape, count + len(whole)
 
     def count(self, name: str) -> int:
-        """Return how many rows an array has by now."""
-        return self._rows[name][2]
+        """Return how many rows an array has by now; 0 without any piece."""
+        return self._rows[name][2] if name in self._rows else 0
 
     def rows(self, name: str, first: int = 0, end: int | None = None) -> NDArray[Any]:
         """Return some rows of an array, read from its file."""
@@ -283,6 +345,15 @@ def resident_bytes() -> int:
         return int(Path("/proc/self/statm").read_bytes().split()[2]) * mmap.PAGESIZE
     except (OSError, IndexError, ValueError):
         return 0
+
+
+def _with_flag(array: NDArray[Any], is_writeable: bool) -> NDArray[Any]:
+    """Return an array that may be written to, or a view that may not."""
+    if is_writeable:
+        return array if array.flags.writeable else array.copy()
+    view: NDArray[Any] = array.view()
+    view.flags.writeable = False
+    return view
 
 
 def _write_sums(file: BinaryIO, nbytes: int) -> None:

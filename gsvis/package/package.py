@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from gsvis import _check
 from gsvis.errors import FormatError, SceneError
-from gsvis.files.atomic import atomic_path
+from gsvis.files.cache import Cache
 from gsvis.files.limits import Budget
 from gsvis.files.output import TEMPORARY, output_errors
 from gsvis.files.temporary import temporary_folder
@@ -31,6 +31,7 @@ from gsvis.package.contents import Contents, base_places
 from gsvis.package.layout import RECORD_BYTES, RecordLayout, TermLayout
 from gsvis.package.manifest import MANIFEST, Blob, Manifest
 from gsvis.package.parts import PartFolder
+from gsvis.package.sets import open_sets
 from gsvis.progress import Progress, silent
 from gsvis.pvs.store import VisibilityStore
 
@@ -95,7 +96,6 @@ class Package:
         self.manifest = Manifest.read(self.path / MANIFEST)
         self._parts = PartFolder(self.path / PARTS)
         self._opened = ExitStack()
-        self._store: Path | None = None
 
     @classmethod
     def open(cls, path: str | PathLike[str]) -> Package:
@@ -171,29 +171,39 @@ class Package:
             SceneError: If the package has no visible sets.
             FormatError: If the store is damaged, or belongs to another scene.
         """
-        joined = self._store or self._join(self.manifest.visibility, "sets.pvs")
-        store = VisibilityStore(joined)
-        self._opened.callback(store.close)
-        if store.info.scene != self.manifest.scene or store.gaussians != len(self):
-            raise self._fault("visibility", f"sets of {self.manifest.scene[:12]}...", f"{store.info.scene[:12]}...")
-        return store
+        self.set_files(verify=True)
+        return self.open_sets()
 
-    def keep_store(self, path: Path, *, again: bool = False) -> None:
-        """Read visible sets from a file that stays after `close`; write it from the parts if it is missing.
+    def open_sets(self, cache: Cache[Any] | None = None, *, order: NDArray[np.int32] | None = None) -> VisibilityStore:
+        """Open the visible sets where they lie; `close` closes them. What is read is checked by checksums of the store.
 
         Args:
-            path: The file.
-            again: Whether to replace the file if it is there.
+            cache: Keeps all that is decoded; None means one of its own.
+            order: (N,) `VisibilityStore.order`, where it is known.
 
         Raises:
             SceneError: If the package has no visible sets.
-            FormatError: If a part is damaged.
-            OutputError: If the file cannot be written.
+            FormatError: If the store is damaged, or belongs to another scene.
         """
-        if again or not path.is_file():
-            with atomic_path(path) as partial:
-                self._write_joined(self.manifest.visibility, partial)
-        self._store = path
+        store = open_sets(self._parts.folder, self.manifest, cache, order=order)
+        self._opened.callback(store.close)
+        return store
+
+    def set_files(self, *, verify: bool = False) -> list[Path]:
+        """Return the files of the visible sets; none without visible sets.
+
+        Args:
+            verify: Whether to read them and compare their content with their names; otherwise only their sizes.
+
+        Raises:
+            FormatError: If one is missing or damaged.
+        """
+        blob = self.manifest.visibility
+        return (
+            []
+            if blob is None
+            else [self._parts.path_of(part) if verify else self._parts.check_size(part) for part in blob.parts]
+        )
 
     def check_parts(self) -> None:
         """Raise unless every part is there in its size; read none of them.

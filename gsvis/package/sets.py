@@ -21,7 +21,7 @@ _REMEDY = "prepare the package again"
 
 
 def open_sets(
-    parts: Path, manifest: Manifest, cache: Cache[Any], *, order: NDArray[np.int32] | None = None
+    parts: Path, manifest: Manifest, cache: Cache[Any] | None = None, *, order: NDArray[np.int32] | None = None
 ) -> VisibilityStore:
     """Open the visible sets of a package.
 
@@ -30,7 +30,7 @@ def open_sets(
     Args:
         parts: Folder of the parts.
         manifest: The manifest of the package.
-        cache: Keeps all that is decoded.
+        cache: Keeps all that is decoded; None means one of its own.
         order: (N,) `VisibilityStore.order`, where it is known.
 
     Raises:

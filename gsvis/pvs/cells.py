@@ -6,8 +6,10 @@ cell. Cells are numbered in lexicographic order of (x, y, z). This module knows 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,7 +18,7 @@ from gsvis import _check
 from gsvis.errors import SceneError
 from gsvis.scene.navigable import NavigableSpace
 
-__all__ = ["MAX_CELLS", "CellGrid"]
+__all__ = ["MAX_CELLS", "CellGrid", "Cells"]
 
 F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
@@ -24,6 +26,57 @@ I64 = NDArray[np.int64]
 
 MAX_CELLS = 100_000
 """Most cells in a grid. More cells raise an error: a grid that fine is a mistake of units."""
+
+
+class Cells(Protocol):
+    """C cells with numbers from 0, of one grid (`CellGrid`) or of several."""
+
+    @property
+    def centers(self) -> F64:
+        """(C, 3) centers of the cells."""
+        ...
+
+    @property
+    def cell_size(self) -> float:
+        """Side of the smallest cell, scene units."""
+        ...
+
+    @property
+    def up(self) -> F64:
+        """(3,) unit up axis."""
+        ...
+
+    def __len__(self) -> int:
+        """Return C."""
+        ...
+
+    def box_of(self, cell: int) -> tuple[list[float], float]:
+        """Return the lowest corner (x, y, z) of the box of a cell, and its side."""
+        ...
+
+    def corners(self) -> F64:
+        """Return (8, 3) the corners of a box around all cells."""
+        ...
+
+    def cell_at(self, positions: F64) -> I64:
+        """Return (M,) the cell that holds each of the (M, 3) positions; -1 outside all cells."""
+        ...
+
+    def nearest(self, position: F64) -> int:
+        """Return the cell that contains a position (3,); if none does, the nearest cell."""
+        ...
+
+    def neighbors(self, cell: int) -> I64:
+        """Return the numbers of the cells that touch a cell, ascending."""
+        ...
+
+    def rings(self, cell: int) -> list[list[int]]:
+        """Return four lists: the cell, and its neighbors by face, by edge and by corner."""
+        ...
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the cells as arrays by name."""
+        ...
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -158,6 +211,35 @@ class CellGrid:
         found = self._numbers(self.coords[self.checked(cell)] + steps.astype(np.int64))
         return np.sort(found[found >= 0])
 
+    def rings(self, cell: int) -> list[list[int]]:
+        """Return four lists: the cell, and its neighbors by face, by edge and by corner."""
+        found: list[list[int]] = [[self.checked(cell)], [], [], []]
+        others = self.neighbors(cell)
+        steps = np.abs(self.coords[others] - self.coords[cell]).sum(axis=1)
+        for other, ring in zip(others.tolist(), steps.tolist(), strict=True):
+            found[ring].append(other)
+        return found
+
+    def nearest(self, position: F64) -> int:
+        """Return the cell that contains a position (3,); if none does, the cell with the nearest center."""
+        (x, y, z), (a, b, c), side = position.tolist(), self.origin.tolist(), self.cell_size
+        found = self._boxes.get(((x - a) / side // 1.0, (y - b) / side // 1.0, (z - c) / side // 1.0))
+        if found is not None:
+            return found
+        apart = np.clip(self.centers - position, -1e100, 1e100)  # squares that do not overflow
+        return int(np.linalg.norm(apart, axis=1).argmin())
+
+    def box_of(self, cell: int) -> tuple[list[float], float]:
+        """Return the lowest corner (x, y, z) of the box of a cell, and its side."""
+        low, _ = self.bounds(cell)
+        return low.tolist(), self.cell_size
+
+    def corners(self) -> F64:
+        """Return (8, 3) the corners of the box around the whole grid."""
+        x, y, z = self.shape
+        ends = [[i, j, k] for i in (0, x) for j in (0, y) for k in (0, z)]
+        return np.asarray(self.origin + self.cell_size * np.array(ends, np.float64))
+
     def gaps(self, cell: int) -> F64:
         """Return (C,) distances between the box of this cell and every box; 0 where they touch, scene units."""
         apart = np.abs(self.coords.astype(np.int64) - self.coords[self.checked(cell)]) - 1
@@ -172,6 +254,22 @@ class CellGrid:
             "shape": list(self.shape),
             "up": self.up.tolist(),
         }
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the grid as arrays by name, for `from_arrays`."""
+        box = np.array([*self.origin, self.cell_size, *self.up], np.float64)
+        return {"cell_box": box, "cell_shape": np.array(self.shape, np.int64), "cell_coords": self.coords}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> CellGrid:
+        """Return the grid that `to_arrays` took apart."""
+        box = arrays["cell_box"]
+        x, y, z = arrays["cell_shape"].tolist()
+        return cls(np.array(box[:3]), float(box[3]), (x, y, z), np.array(arrays["cell_coords"]), np.array(box[4:]))
+
+    @cached_property
+    def _boxes(self) -> dict[tuple[float, ...], int]:
+        return {tuple(map(float, box)): cell for cell, box in enumerate(self.coords.tolist())}
 
     def _numbers(self, boxes: I64) -> I64:
         inside = np.all((boxes >= 0) & (boxes < np.array(self.shape)), axis=1)

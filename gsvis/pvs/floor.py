@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis.pvs.cells import Cells
+
 __all__ = ["floor_of_cells"]
 
 F64 = NDArray[np.float64]
@@ -25,7 +27,7 @@ _LONG = 0.6  # least length of a run in that of the longest around
 _OUT = 0.2  # share of runs that stick out least
 
 
-def floor_of_cells(grid: Any, meters_per_unit: float, *, corners: F64 | None = None) -> dict[str, Any]:
+def floor_of_cells(grid: Cells, meters_per_unit: float) -> dict[str, Any]:
     """Return the heights at which a walker's eye can be, over a grid of level squares.
 
     A square belongs to the floor if a cell lies over it. The eye is in the lowest run of cells there: in its middle,
@@ -34,21 +36,17 @@ def floor_of_cells(grid: Any, meters_per_unit: float, *, corners: F64 | None = N
     such as are far shorter belong to no floor.
 
     Args:
-        grid: A `CellGrid`, or other cells with its `up`, `cell_size` and `cell_at`.
+        grid: The cells.
         meters_per_unit: Meters in a scene unit, 0 if unknown.
-        corners: (M, 3) corners of a box that holds all cells; None means those of a `CellGrid`.
 
     Returns:
         `origin` (3,) the corner of square (0, 0) at height 0, `side` of a square, `first` and `second` the unit axes
         along a row and from row to row, `up`, `columns`, `rows`, and `heights`, row after row, above `origin` along
         `up`; null where nobody can stand.
     """
-    if corners is None:
-        ends = [[x, y, z] for x in (0, grid.shape[0]) for y in (0, grid.shape[1]) for z in (0, grid.shape[2])]
-        corners = grid.origin + grid.cell_size * np.array(ends, np.float64)
     up = grid.up
     first, second = _level_axes(up)
-    along = corners @ np.stack([first, second, up], axis=1)
+    along = grid.corners() @ np.stack([first, second, up], axis=1)
     low = along.min(axis=0)
     high = along.max(axis=0)
     slanted = float(np.abs(up).max()) < _LEVEL

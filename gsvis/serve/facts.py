@@ -15,7 +15,6 @@ from gsvis.pvs.floor import floor_of_cells
 from gsvis.pvs.store import VisibilityStore
 from gsvis.scene.icosphere import NUM_FACES, face_directions
 from gsvis.stream import StreamedScene
-from gsvis.world.cells import WorldCells, WorldSets
 
 __all__ = ["describe_cells", "describe_floor", "describe_sight", "explain"]
 
@@ -36,7 +35,7 @@ def explain(scene: StreamedScene, gaussian: int) -> dict[str, Any]:
         ValueError: If there is no such Gaussian.
         FormatError: If the package is damaged where it is read.
     """
-    contents, start = scene.package.part_of(gaussian)
+    contents, start = scene.source.part_of(gaussian)
     place = gaussian - start
     one = contents.gaussians(np.array([place]))
     names = contents.names
@@ -49,19 +48,15 @@ def explain(scene: StreamedScene, gaussian: int) -> dict[str, Any]:
         "scales": _rounded(one.scales[0]),
         "opacity": round(float(one.opacities[0]), 4),
         "levels": [names[first], names[last]],
-        "chunk": int(scene.chunks[gaussian]),
+        "chunk": int(scene.records.chunks[gaussian]),
         "terms": int(contents.term_counts[place]),
         "cells": None,
         "directions": None,
     }
-    sets: Any = scene.index.sets
-    own = gaussian
-    first_cell = 0
-    if isinstance(sets, WorldSets):  # the cells of its own tile
-        tile = sets.of_gaussian(gaussian)
-        sets, own, first_cell = tile or (None, 0, 0)
-    if not isinstance(sets, VisibilityStore):
+    listed = scene.index.sets.store_of(gaussian)
+    if listed is None:
         return found  # prepared without visible sets: it is always sent
+    sets, own, first_cell = listed
     grid = sets.grid
     cells = sets.seers(own)
     eyes = grid.centers[cells] - mean
@@ -87,9 +82,9 @@ def _row(sets: VisibilityStore, gaussian: int, cell: int, eye: F64, distance: fl
 
 def describe_cells(scene: StreamedScene) -> dict[str, Any]:
     """Return the grid of cells: where eyes may be, and how many Gaussians each cell sees; and views to begin with."""
-    grid = scene.index.grid
-    sets = scene.index.sets
-    counts = sets.visible_counts.tolist() if isinstance(sets, VisibilityStore) else [len(scene)] * len(grid)
+    grid: Any = scene.index.grid
+    sets = scene.index.sets.whole_store
+    counts = [len(scene)] * len(grid) if sets is None else sets.visible_counts.tolist()
     return {
         "origin": grid.origin.tolist(),
         "size": grid.cell_size,
@@ -97,7 +92,7 @@ def describe_cells(scene: StreamedScene) -> dict[str, Any]:
         "up": grid.up.tolist(),
         "boxes": grid.coords.tolist(),
         "visible": counts,
-        "views": scene.package.manifest.views,
+        "views": scene.source.manifest.views,
     }
 
 
@@ -109,8 +104,8 @@ def describe_sight(scene: StreamedScene) -> dict[str, Any] | None:
         weight class from any cell, spread from 0 (no cell sees it) to 255 (the highest class); (N,) uint8 by id, as
         base64. `classes`, the lowest weight of each class.
     """
-    sets = scene.index.sets
-    if not isinstance(sets, VisibilityStore) or sets.gaussians > _MOST_MARKED:
+    sets = scene.index.sets.whole_store
+    if sets is None or sets.gaussians > _MOST_MARKED:
         return None
     seers = np.zeros(sets.gaussians, np.int64)
     classes = np.zeros(sets.gaussians, np.int64)
@@ -126,12 +121,9 @@ def describe_sight(scene: StreamedScene) -> dict[str, Any] | None:
 
 def describe_floor(scene: StreamedScene) -> dict[str, Any] | None:
     """Return the floor of `floor_of_cells`; None where nothing is known of cells."""
-    grid: Any = scene.index.grid
-    if isinstance(grid, WorldCells):
-        return floor_of_cells(grid, scene.about.meters_per_unit, corners=grid.corners())
-    if isinstance(scene.index.sets, VisibilityStore):
-        return floor_of_cells(grid, scene.about.meters_per_unit)
-    return None
+    if not scene.source.has_cells:
+        return None
+    return floor_of_cells(scene.index.grid, scene.about.meters_per_unit)
 
 
 def _rounded(values: NDArray[np.floating[Any]]) -> list[float]:

@@ -27,7 +27,6 @@ from gsvis.serve._log import LOGGER, EventLog
 from gsvis.serve.sites import Site, is_site
 from gsvis.stream import Hello, Quality, Session, StreamedScene
 from gsvis.stream.kept import KeptTables, open_kept
-from gsvis.stream.scene import OwnIndex
 from gsvis.world import is_world
 
 __all__ = ["Scenes", "ServedScene", "name_of", "open_scene", "open_scenes"]
@@ -147,7 +146,7 @@ class ServedScene:
         try:
             if self.users or self.opened is None or self.reopen is None or now - self.used_at < after_s:
                 return False
-            self.opened.package.close()
+            self.opened.source.close()
             self.opened = self.tables = None
             return True
         finally:
@@ -162,7 +161,7 @@ class ServedScene:
     def _note(self, scene: StreamedScene) -> None:
         """Keep what is asked of the scene while it is closed."""
         self.openings += 1
-        self._is_world = isinstance(scene.package, OwnIndex)
+        self._is_world = not scene.source.is_single
         grid = scene.index.grid
         low = grid.centers.min(axis=0) - grid.cell_size
         high = grid.centers.max(axis=0) + grid.cell_size
@@ -237,7 +236,7 @@ class Scenes(Mapping[str, ServedScene]):
         """Close the packages; the scenes must not be served after that."""
         for scene in (*self.values(), *self._former):
             if scene.opened is not None:
-                scene.opened.package.close()
+                scene.opened.source.close()
 
 
 def name_of(package: str | PathLike[str]) -> str:
@@ -351,7 +350,7 @@ def open_scene(
             served.warm_up()
         return served
     except BaseException:
-        scene.package.close()
+        scene.source.close()
         raise
 
 

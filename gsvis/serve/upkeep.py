@@ -7,9 +7,8 @@ viewers, those used longest ago before others.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any, Protocol, runtime_checkable
 
 from gsvis.files.mapped import resident_bytes
 from gsvis.serve._log import EventLog
@@ -24,23 +23,6 @@ LOOK_S = 0.25
 
 AHEAD_S = 3.0
 """Seconds ahead of a walk for which tiles are opened."""
-
-
-@runtime_checkable
-class Tiled(Protocol):
-    """An index of many tiles."""
-
-    def shares_near(self, cells: Iterable[int]) -> dict[int, tuple[float, float]]:
-        """Return the tiles around some cells, and the share of all ids that each has, from one number to another."""
-        ...
-
-    def closed_at(self, position: Any) -> list[int]:
-        """Return the tiles around a position (3,) that are not open."""
-        ...
-
-    def open_tile(self, tile: int) -> None:
-        """Open a tile; any thread may."""
-        ...
 
 
 class Upkeep:
@@ -103,20 +85,24 @@ class Upkeep:
         """Return what opens the tiles that viewers are about to enter; threads may run it."""
         found = dict[tuple[str, int], Callable[[], None]]()
         for scene in self._scenes.values():
-            index: Any = None if scene.opened is None else scene.opened.index
-            if isinstance(index, Tiled):
-                for session in scene.sessions:
-                    position = session.planner.position_in(AHEAD_S)
-                    for tile in [] if position is None else index.closed_at(position):
-                        found[scene.name, tile] = partial(index.open_tile, tile)
+            if scene.opened is None:
+                continue
+            index = scene.opened.index
+            for session in scene.sessions:
+                position = session.planner.position_in(AHEAD_S)
+                near = [] if position is None else index.sets.tiles_near(index.grid.nearest(position))
+                for tile in sorted(near):
+                    if not index.sets.is_open(tile):
+                        found[scene.name, tile] = partial(index.sets.load, tile)
         return list(found.values())
 
     def _release_tiles(self, scene: ServedScene) -> None:
         """Give back the memory of tiles of a world that viewers have left, if there is too much."""
-        index: Any = None if scene.opened is None else scene.opened.index
-        if not isinstance(index, Tiled):
+        if scene.opened is None:
             return
-        near = index.shares_near(cell for each in scene.sessions if (cell := each.planner.cell) >= 0)
+        sets = scene.opened.index.sets
+        cells = {cell for each in scene.sessions if (cell := each.planner.cell) >= 0}
+        near = {tile: share for cell in cells for tile, share in sets.tiles_near(cell).items()}
         touched = self._touched.setdefault(scene.name, {})
         left = [share for tile, share in touched.items() if tile not in near]
         if left and scene.tables is not None and self._excess() > self._limits.tables_bytes:

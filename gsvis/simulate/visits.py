@@ -149,7 +149,7 @@ class Place:
             SceneError: If the full scene is empty, or has no navigable space.
             ArgumentError: If the whole file is empty.
         """
-        path = scene.package.path
+        path = scene.source.path
         if not highest.any():
             raise SceneError(f"{path}: {whole} has no Gaussian in its highest level: there is nothing to see")
         full = contents.gaussians(np.flatnonzero(highest))
@@ -315,7 +315,7 @@ def _cut_walk(place: Place, walk: HeadPath, seconds: float, visit: int, seed: in
     facts: dict[str, Any] = {"from_s": start, "seconds": part.duration}
     if place.space is None:
         return part, {**facts, "rule": "left as it is"}
-    meters = place.scene.package.manifest.info.meters_per_unit
+    meters = place.scene.source.manifest.info.meters_per_unit
     config = RetargetConfig(meters_per_unit=meters or None, project=True, seed=seed + visit)
     moved = retarget(part, place.space, config)
     return moved.path, {**facts, **moved.as_dict()}

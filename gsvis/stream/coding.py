@@ -171,11 +171,11 @@ class Coding:
         """Bits of the fields of terms."""
         return term_fields(TermLayout.from_grids(self.grids))
 
-    def mean_bytes(self, contents: Contents) -> tuple[float, float]:
-        """Return about how many bytes a Gaussian and a term of a package take, ids not counted."""
-        ids = np.arange(0, len(contents), 2)[:_PIECE]
+    def mean_bytes(self, contents: Contents, *, most: int = _PIECE) -> tuple[float, float]:
+        """Return about how many bytes a Gaussian and a term of a package take, ids not counted; code `most` of each."""
+        ids = np.arange(0, len(contents), 2)[:most]
         found = self.encode_records(contents.records[ids], ids, contents.chunks[ids], chunks_of(contents.table))
-        owners = np.repeat(np.arange(len(contents), dtype=np.int32), contents.term_counts)[:_PIECE]
+        owners = np.repeat(np.arange(len(contents), dtype=np.int32), contents.term_counts)[:most]
         of_terms = self.encode_terms(contents.term_records[: len(owners)].copy(), owners)
         return len(found) / len(ids) if len(ids) else 16.0, len(of_terms) / len(owners) if len(owners) else 4.0
 

@@ -23,25 +23,27 @@ from pathlib import Path
 
 from gsvis import _check
 from gsvis.errors import FormatError, GsvisError
+from gsvis.files.limits import DAMAGED
 from gsvis.files.locks import try_lock
-from gsvis.files.mapped import MappedArrays, write_arrays
+from gsvis.files.mapped import MappedArrays
 from gsvis.files.sums import file_sum
 from gsvis.package.package import Package
 from gsvis.stream.coding import Quality
 from gsvis.stream.header import identity_of
-from gsvis.stream.piecewise import Pieces, write_tables
+from gsvis.stream.piecewise import SceneTables, write_tables
 from gsvis.stream.scene import StreamedScene
+from gsvis.stream.source import SceneSource, as_source
 
 __all__ = ["KeptTables", "check_kept", "open_kept"]
 
-_FORMAT = 6  # raise it when the content of the tables changes
+_FORMAT = 7  # raise it when the content of the tables changes
 _LOG = logging.getLogger(__name__)
 _AGAIN = "remove the file; it is made again"
 _LOOK_S = 0.05
 _PIXEL = 2e-3  # radians
 _UNUSED_S = 30 * 86400.0  # after so many seconds without use, tables are removed when others are written
 _TABLES = ".tables"
-_SETS = ".pvs"
+_SETS = ".pvs"  # of earlier versions: visible sets are read where they lie
 _LOCK = ".lock"
 _MAKING = ".making"
 
@@ -67,7 +69,7 @@ class KeptTables:
 
 
 def open_kept(
-    package: Package,
+    scene: SceneSource | Package,
     folder: str | os.PathLike[str],
     *,
     max_cache_bytes: int = 512 << 20,
@@ -79,7 +81,7 @@ def open_kept(
     If another process computes the same tables, this one waits for it.
 
     Args:
-        package: An open package, which the caller closes.
+        scene: An open package or source, which the caller closes.
         folder: Folder of tables; created if it is missing. Only its owner should be able to write to it.
         max_cache_bytes: Most bytes of decoded sets and candidates of cells to keep; the last is kept in any case.
         pixel: Angle of a pixel of the clients, radians.
@@ -93,28 +95,27 @@ def open_kept(
         OSError: If the package cannot be read.
     """
     place = _check.path("folder", folder)
-    key = _key(package, pixel, quality)
-    package.check_parts()
+    source = as_source(scene)
+    key = _key(source, pixel, quality)
+    source.check_parts()
     try:
         place.mkdir(mode=0o700, parents=True, exist_ok=True)
         path = place / (key + _TABLES)
-        mapped = _find(path, package) or _make(package, place, key, pixel=pixel, quality=quality)
-        if package.manifest.visibility is not None:
-            _keep_sets(package, path.with_suffix(_SETS), mapped)
+        mapped = _find(path, source) or _make(source, place, key, pixel=pixel, quality=quality)
     except OSError as error:
         _LOG.warning("tables are not kept: %s", error)
-        return StreamedScene.open(package, max_cache_bytes=max_cache_bytes, pixel=pixel, quality=quality), None
-    scene = StreamedScene.from_arrays(
-        package, mapped.arrays, mapped.facts, max_cache_bytes=max_cache_bytes, quality=quality
-    )
-    return scene, KeptTables(mapped)
+        return StreamedScene.open(source, max_cache_bytes=max_cache_bytes, pixel=pixel, quality=quality), None
+    _check_sets(source, mapped)
+    tables = SceneTables(mapped.arrays, mapped.facts)
+    opened = StreamedScene(source, tables, max_cache_bytes=max_cache_bytes, quality=quality)
+    return opened, KeptTables(mapped)
 
 
-def check_kept(package: Package, folder: str | os.PathLike[str]) -> list[Path]:
-    """Read all that a folder keeps of a package; change nothing.
+def check_kept(scene: SceneSource | Package, folder: str | os.PathLike[str]) -> list[Path]:
+    """Read all that a folder keeps of a scene; change nothing.
 
     Args:
-        package: The open package.
+        scene: The open package or source.
         folder: Folder of tables; it may be missing.
 
     Returns:
@@ -124,28 +125,22 @@ def check_kept(package: Package, folder: str | os.PathLike[str]) -> list[Path]:
         FormatError: If one is damaged.
         OSError: If one cannot be read.
     """
-    ours = {_key(package, _PIXEL, quality) for quality in (None, Quality())}
+    source = as_source(scene)
+    ours = {_key(source, _PIXEL, quality) for quality in (None, Quality())}
     found = []
     for path in sorted(Path(folder).glob(f"*{_TABLES}")):
-        mapped = _read_own(path, package, certain=path.stem in ours)
-        if mapped is None:
-            continue
-        found.append(path)
-        sets = path.with_suffix(_SETS)
-        if sets.exists():
-            if not _are_sets(sets, mapped):
-                got = "sets that are damaged, or of a different package"
-                raise FormatError(sets, "", "the visible sets of the package", got, _AGAIN)
-            found.append(sets)
+        mapped = _read_own(path, source, certain=path.stem in ours)
+        if mapped is not None:
+            found.append(path)
     return found
 
 
-def _read_own(path: Path, package: Package, *, certain: bool) -> MappedArrays | None:
+def _read_own(path: Path, source: SceneSource, *, certain: bool) -> MappedArrays | None:
     """Return tables, read whole; None if they are another package's, or their head cannot be read and may be so."""
     is_ours = certain
     try:
         mapped = MappedArrays(path)
-        is_ours = mapped.facts.get("identity") == identity_of(package.manifest, None)
+        is_ours = mapped.facts.get("identity") == identity_of(source.manifest, None)
         if is_ours:
             mapped.check()
             return mapped
@@ -155,9 +150,9 @@ def _read_own(path: Path, package: Package, *, certain: bool) -> MappedArrays | 
     return None
 
 
-def _key(package: Package, pixel: float, quality: Quality | None) -> str:
+def _key(source: SceneSource, pixel: float, quality: Quality | None) -> str:
     """Return what names the tables: all that they depend on."""
-    manifest = package.manifest
+    manifest = source.manifest
     facts = [
         _FORMAT,
         _version(),
@@ -180,11 +175,11 @@ def _version() -> str:
         return "unknown"
 
 
-def _find(path: Path, package: Package) -> MappedArrays | None:
+def _find(path: Path, source: SceneSource) -> MappedArrays | None:
     """Return the tables of a file; None if there are none, they are damaged, or those of another package."""
     try:
         found = MappedArrays(path)
-        identity = identity_of(package.manifest, None)
+        identity = identity_of(source.manifest, None)
         if identity != found.facts.get("identity"):
             got = repr(found.facts.get("identity"))[:80]
             raise FormatError(path, "identity", f"{identity!r}, that of the package", got, _AGAIN)
@@ -196,46 +191,31 @@ def _find(path: Path, package: Package) -> MappedArrays | None:
         return None
     with suppress(OSError):
         os.utime(path)
-        os.utime(path.with_suffix(_SETS))
     return found
 
 
-def _keep_sets(package: Package, path: Path, mapped: MappedArrays) -> None:
-    """Let a package read its visible sets from a file, which is made again if it is missing or damaged."""
-    is_whole = _are_sets(path, mapped)
-    if not is_whole and path.exists():
-        _LOG.warning("visible sets are made again: %s is damaged", path)
-    package.keep_store(path, again=not is_whole)
+def _check_sets(source: SceneSource, mapped: MappedArrays) -> None:
+    """Raise unless the visible sets are those of which the tables were made."""
+    for path, known in zip(source.set_files(), mapped.facts["sets"], strict=True):
+        found = file_sum(path)
+        if found != known:
+            raise FormatError(path, "", f"visible sets with checksum {known}", found, DAMAGED)
 
 
-def _are_sets(path: Path, mapped: MappedArrays) -> bool:
-    """Return whether a file holds the visible sets that were there when tables were made."""
-    try:
-        return file_sum(path) == mapped.facts.get("sets")
-    except (GsvisError, FileNotFoundError):
-        return False
-
-
-def _make(package: Package, folder: Path, key: str, *, pixel: float, quality: Quality | None) -> MappedArrays:
+def _make(source: SceneSource, folder: Path, key: str, *, pixel: float, quality: Quality | None) -> MappedArrays:
     """Compute and write tables, or wait for another process that does, and return them."""
     path = folder / (key + _TABLES)
     with (folder / (key + _LOCK)).open("w") as lock:
         while try_lock(lock.fileno()) == "busy":
             time.sleep(_LOOK_S)
-        if (found := _find(path, package)) is not None:
+        if (found := _find(path, source)) is not None:
             return found
         _remove_unused(folder)
-        own = {"identity": identity_of(package.manifest, None)}
-        if package.manifest.visibility is not None:
-            package.keep_store(path.with_suffix(_SETS), again=True)
-            own["sets"] = file_sum(path.with_suffix(_SETS))
-        if isinstance(package, Pieces):
-            with _empty(folder / (key + _MAKING)) as work:
-                write_tables(path, package, own, work, pixel=pixel, quality=quality)
-        else:
-            arrays, facts = StreamedScene.open(package, pixel=pixel, quality=quality).to_arrays()
-            write_arrays(path, arrays, {**facts, **own})
-    package.forget_records()
+        sets = [file_sum(each) for each in source.set_files(verify=True)]
+        own = {"identity": identity_of(source.manifest, None), "sets": sets}
+        with _empty(folder / (key + _MAKING)) as work:
+            write_tables(path, source, own, work, pixel=pixel, quality=quality)
+    source.forget_records()
     return MappedArrays(path)
 
 

@@ -1,16 +1,16 @@
-"""Tables of a scene that is made of pieces, such as a world, computed piece by piece: memory holds one at a time.
+"""Serving tables of a scene, computed piece by piece: memory need not hold more than one piece.
 
 Three passes over the pieces: sizes of Gaussians, which give the steps of rounding; symbols, which give the code; and
-records with all that planners need. What is written is what `StreamedScene.from_arrays` reads.
+records with all that planners need. `StreamedScene` works from these tables, in memory or in a mapped file.
 """
 
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,15 +19,16 @@ from gsvis.abr import piecewise
 from gsvis.abr.index import extents
 from gsvis.color.activation import Activation
 from gsvis.color.srbf import unit_vectors
-from gsvis.files.mapped import ArrayFiles
+from gsvis.files.mapped import ArrayFiles, ArrayLists, GrowingArrays
+from gsvis.package.codec import packed_bits
 from gsvis.package.contents import Contents
 from gsvis.package.layout import RECORD_BYTES
-from gsvis.package.manifest import Manifest
+from gsvis.stream.batch import CHUNK_ROW
 from gsvis.stream.coding import Coding, Limits, Quality, chunks_of, limits_for, mean_light, round_records, sizes_of
 from gsvis.stream.header import SceneHeader
-from gsvis.stream.scene import chunk_rows_of
+from gsvis.stream.source import SceneSource
 
-__all__ = ["Pieces", "write_tables"]
+__all__ = ["SceneTables", "make_tables", "write_tables"]
 
 F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]
@@ -35,49 +36,73 @@ I64 = NDArray[np.int64]
 _BINS = 1024  # of an octave, for medians
 _SPAN = 300  # octaves on each side of 1
 _SOME = 4096  # records of a piece that are coded to know their mean bytes
+_MOST = 1 << 16  # and of a piece that is the whole scene
+_FROZEN = (*piecewise.FROZEN, "class_weights")
 
 
-@runtime_checkable
-class Pieces(Protocol):
-    """A package made of pieces. The ids of all stand behind each other; each piece has at least one Gaussian."""
+@dataclass(frozen=True, eq=False)
+class SceneTables:
+    """All that a server needs of a scene but its visible sets.
 
-    manifest: Manifest
+    Attributes:
+        arrays: Arrays by name.
+        facts: Numbers and texts that JSON can hold.
+    """
 
-    @property
-    def epsilon(self) -> float | None:
-        """Contribution above which a term is active in a cell."""
-        ...
+    arrays: Mapping[str, NDArray[Any]]
+    facts: Mapping[str, Any]
 
-    def ranges(self) -> list[tuple[int, int]]:
-        """Return the first id of each piece, and its end."""
-        ...
 
-    def pieces(self) -> Iterator[Contents]:
-        """Yield the records of each piece, in the tables of the whole scene."""
-        ...
+def make_tables(source: SceneSource, *, pixel: float, quality: Quality | None) -> SceneTables:
+    """Compute the tables of a scene in memory.
 
-    def piece_weight(self, piece: int) -> int:
-        """Return how often the symbols of a piece count for the code."""
-        ...
+    Args:
+        source: The scene.
+        pixel: Angle of a pixel of the clients, radians.
+        quality: How to round records; None means not at all.
+    """
+    out = ArrayLists()
+    facts = _append_all(out, source, pixel, quality)
+    return SceneTables(out.arrays(joined=piecewise.JOINED, same=piecewise.SAME, frozen=_FROZEN), facts)
 
-    def piece_links(self, piece: int, contents: Contents, means: Any) -> I64:
-        """Return (P, 2) ascending pairs: a Gaussian of a piece, and an id that replaces it.
 
-        `means(low, high)` returns the centers of ids that come before the piece.
-        """
-        ...
+def write_tables(
+    path: Path, source: SceneSource, facts: Mapping[str, Any], work: Path, *, pixel: float, quality: Quality | None
+) -> None:
+    """Compute the tables of a scene and write them for `MappedArrays`.
 
-    def piece_order(self, piece: int) -> NDArray[np.int32]:
-        """Return (N,) the Gaussian at each place of the visible sets of a piece; -1 where it is not known."""
-        ...
+    Args:
+        path: The file.
+        source: The scene.
+        facts: More facts to write.
+        work: An empty folder for arrays that grow, which the caller removes; as large as the tables.
+        pixel: Angle of a pixel of the clients, radians.
+        quality: How to round records; None means not at all.
 
-    def piece_sources(self, piece: int) -> Sequence[int]:
-        """Return the pieces whose Gaussians those of a piece may replace."""
-        ...
+    Raises:
+        OutputError: If the file cannot be written.
+    """
+    with ArrayFiles(work) as out:
+        own = _append_all(out, source, pixel, quality)
+        out.write(path, {**own, **facts}, joined=piecewise.JOINED, same=piecewise.SAME, frozen=_FROZEN)
 
-    def cell_arrays(self) -> tuple[dict[str, NDArray[Any]], list[Any], F32]:
-        """Return the arrays of the cells, their box as in the facts of a scene, and the weight of each class."""
-        ...
+
+def chunk_rows_of(contents: Contents) -> NDArray[np.void]:
+    """Return the (C,) rows of chunks, as sent."""
+    table = contents.table
+    rows = np.zeros(len(contents.table), CHUNK_ROW)
+    for name, values in (
+        ("origin", table.origins),
+        ("step", table.steps),
+        ("low", table.lows),
+        ("count", table.counts),
+        ("stride", table.strides),
+        ("first_level", contents.chunk_levels[:, 0]),
+        ("last_level", contents.chunk_levels[:, 1]),
+        ("bits", packed_bits(table.bits)),
+    ):
+        rows[name] = values
+    return rows
 
 
 @dataclass(frozen=True)
@@ -90,86 +115,88 @@ class _Survey:
     limits: Limits | None  # how records are rounded
 
 
-def write_tables(
-    path: Path, package: Pieces, facts: Mapping[str, Any], work: Path, *, pixel: float, quality: Quality | None
-) -> None:
-    """Compute the tables of a package of pieces and write them.
-
-    Args:
-        path: The file.
-        package: The package.
-        facts: More facts to write.
-        work: An empty folder for arrays that grow, which the caller removes; as large as the tables.
-        pixel: Angle of a pixel of the clients, radians.
-        quality: How to round records; None means not at all.
-
-    Raises:
-        OutputError: If the file cannot be written.
-    """
-    survey = _survey(package, quality)
-    with ArrayFiles(work) as out:
-        cells, box, weights = package.cell_arrays()
-        m = package.manifest
-        ranges = package.ranges()
-        about = SceneHeader.from_manifest(m, survey.coding)
-        area = 2.0 * np.pi * 0.3 * pixel**2
-        weight = float(np.mean(weights))
-        numbers = piecewise.PieceNumbers(ranges[-1][1], about.terms, len(m.names), *survey.nbytes, area, weight)
-        ends = _write_pieces(out, package, survey, numbers)
-        terms = about.terms
-        piecewise.write_reversed(out, ranges, ends, [package.piece_sources(k) for k in range(len(ranges))])
-        found = piecewise.write_words(out, numbers)
-        for name, array in {**cells, "class_weights": weights}.items():
-            out.append(name, array)
-        stored = float(RECORD_BYTES), about.term_bits / 8
-        ratios = [size / each for size, each in zip(found["least_sizes"], stored, strict=True)]
-        found |= {"pixel_area": area, "stored": stored, "sent_per_stored": min(ratios) if terms else ratios[0]}
-        own = {
-            "numbers": found,
-            "welcome": base64.b64encode(about.to_message()).decode(),
-            "pixel": pixel,
-            "box": box,
-            "level_counts": list(m.counts),
-            "has_cones": package.epsilon is not None and terms > 0,
-            "has_active": package.epsilon is not None,
-        }
-        frozen = (*piecewise.FROZEN, *(f"record_{name}" for name in ("centers", "places", "cosines", "widths")))
-        frozen = (*frozen, "class_weights")
-        out.write(path, {**own, **facts}, joined=piecewise.JOINED, same=piecewise.SAME, frozen=frozen)
+def _append_all(out: GrowingArrays, source: SceneSource, pixel: float, quality: Quality | None) -> dict[str, Any]:
+    """Append all tables of a scene, and return its facts."""
+    if not 0.0 <= pixel < 1.0:
+        raise ValueError(f"pixel: expected radians in [0, 1), got {pixel!r}")
+    survey = _survey(source, quality)
+    m = source.manifest
+    cells, weights = source.read_cells()
+    ranges = source.ranges()
+    about = SceneHeader.from_manifest(m, survey.coding)
+    numbers = piecewise.PieceNumbers(
+        gaussians=ranges[-1][1],
+        terms=about.terms,
+        levels=len(m.names),
+        sizes=piecewise.RecordSizes.of_means(*survey.nbytes, about.terms),
+        pixel_area=piecewise.pixel_area(pixel),
+        stored=(float(RECORD_BYTES), about.term_bits / 8),
+        weight=float(np.mean(weights)),
+        sends_terms=source.active() is not None,
+    )
+    ends = _write_pieces(out, source, survey, numbers)
+    piecewise.write_reversed(out, ranges, ends, [source.piece_sources(k) for k in range(len(ranges))])
+    found = piecewise.write_words(out, numbers)
+    for name, array in {**cells.to_arrays(), "class_weights": weights}.items():
+        out.append(name, array)
+    return {
+        "numbers": asdict(found),
+        "welcome": base64.b64encode(about.to_message()).decode(),
+        "pixel": pixel,
+        "level_counts": list(m.counts),
+        "has_cones": source.epsilon is not None and about.terms > 0,
+    }
 
 
-def _survey(package: Pieces, quality: Quality | None) -> _Survey:
+def _survey(source: SceneSource, quality: Quality | None) -> _Survey:
     """Read all pieces twice: their sizes and centers, then their symbols."""
-    limits = None if quality is None else _limits(package, quality)
+    limits = None if quality is None else _limits(source, quality)
     keys = np.zeros(0, np.int64)
     coding = None
     counts = np.zeros(0, np.int64)
-    sums = np.zeros(4)
-    for k, contents in enumerate(package.pieces()):
+    for k, contents in enumerate(source.pieces()):
         rounded = contents if limits is None else round_records(contents, limits)
         if coding is None:
             coding = Coding.blank(contents.grids, None if limits is None else limits.steps)
             counts = np.zeros(len(coding.tables.levels), np.int64)
-        counts += package.piece_weight(k) * coding.count(rounded)
-        if package.epsilon is not None and len(contents.term_records):
+        counts += source.piece_weight(k) * coding.count(rounded)
+        if source.epsilon is not None and len(contents.term_records):
             keys = np.union1d(keys, _center_keys(contents))
     assert coding is not None, "a scene has pieces"
     coding = coding.filled(counts)
-    for contents in package.pieces():
+    of_gaussians = _Mean(16.0)
+    of_terms = _Mean(4.0)
+    some = _MOST if len(source.ranges()) == 1 else _SOME
+    for contents in source.pieces():
         rounded = contents if limits is None else round_records(contents, limits)
-        ids = np.arange(0, len(contents), 2)[:_SOME]
-        owners = np.repeat(np.arange(len(contents), dtype=np.int32), contents.term_counts)[:_SOME]
-        found = coding.encode_records(rounded.records[ids], ids, rounded.chunks[ids], chunks_of(rounded.table))
-        of_terms = coding.encode_terms(rounded.term_records[: len(owners)].copy(), owners)
-        shares = len(contents) / max(len(ids), 1), len(contents.term_records) / max(len(owners), 1)
-        sums += (len(found) * shares[0], len(contents), len(of_terms) * shares[1], len(contents.term_records))
-    return _Survey(coding, (sums[0] / max(sums[1], 1), sums[2] / sums[3] if sums[3] else 4.0), keys, limits)
+        found = coding.mean_bytes(rounded, most=some)
+        of_gaussians.add(found[0], len(contents))
+        of_terms.add(found[1], len(contents.term_records))
+    return _Survey(coding, (of_gaussians.value, of_terms.value), keys, limits)
 
 
-def _limits(package: Pieces, quality: Quality) -> Limits:
-    """Return how records are rounded, from sizes that are right to 1/2048 octave."""
+class _Mean:
+    """A weighted mean of numbers that come one by one, exact for a single one."""
+
+    def __init__(self, of_none: float) -> None:
+        self.value = of_none
+        self._weight = 0
+
+    def add(self, value: float, weight: int) -> None:
+        """Add a number with a weight; nothing without one."""
+        if weight:
+            self._weight += weight
+            self.value = value if self._weight == weight else self.value + (value - self.value) * weight / self._weight
+
+
+def _limits(source: SceneSource, quality: Quality) -> Limits:
+    """Return how records are rounded, from all sizes of one piece, or of several right to 1/2048 octave."""
+    if len(source.ranges()) == 1:
+        sizes = sizes_of(next(source.pieces()))
+        mean, area = np.median(sizes[:2], axis=1).tolist()
+        return limits_for(quality, mean, area, mean_light(sizes[2]))
     counts = np.zeros((3, 2 * _SPAN * _BINS), np.int64)
-    for contents in package.pieces():
+    for contents in source.pieces():
         for row, values in zip(counts, sizes_of(contents), strict=True):
             places = np.floor((np.clip(values, -_SPAN, _SPAN) + _SPAN) * _BINS).astype(np.int64)
             row += np.bincount(places.clip(0, len(row) - 1), minlength=len(row))
@@ -179,7 +206,9 @@ def _limits(package: Pieces, quality: Quality) -> Limits:
     return limits_for(quality, mean, area, mean_light(middles[found], counts[2][found]))
 
 
-def _write_pieces(out: ArrayFiles, package: Pieces, survey: _Survey, numbers: piecewise.PieceNumbers) -> list[int]:
+def _write_pieces(
+    out: GrowingArrays, source: SceneSource, survey: _Survey, numbers: piecewise.PieceNumbers
+) -> list[int]:
     """Append the records of all pieces and what replaces them; return what `write_links` returns for each."""
     ends = []
     coding = survey.coding
@@ -197,14 +226,16 @@ def _write_pieces(out: ArrayFiles, package: Pieces, survey: _Survey, numbers: pi
     else:
         out.append("record_centers", np.zeros((0, 3), np.float32))
     out.append("record_term_offsets", np.zeros(1, np.int64))
-    for piece, (low, contents) in enumerate(zip((low for low, _ in package.ranges()), package.pieces(), strict=True)):
+    for piece, (low, contents) in enumerate(zip((low for low, _ in source.ranges()), source.pieces(), strict=True)):
         rounded = contents if survey.limits is None else round_records(contents, survey.limits)
         g = contents.gaussians()
-        piecewise.write_gaussians(out, g.means, *extents(g), (contents.first, contents.last), numbers)
+        importance = np.ones(len(contents), np.float32) if source.has_cells else g.opacities
+        levels = contents.first, contents.last
+        piecewise.write_gaussians(out, g.means, *extents(g), levels, numbers, importance=importance)
         counts = contents.term_counts
-        out.append("importance", np.ones(len(contents), np.float32))
+        out.append("importance", importance)
         out.append("parts", coding.split_records(rounded))
-        out.append("set_order", package.piece_order(piece))
+        out.append("set_order", source.piece_order(piece))
         out.append("chunks", contents.chunks + np.int32(chunks))
         out.append("starts", rounded.table.starts[:-1] + low)
         out.append("chunk_rows", chunk_rows_of(rounded).view(np.uint8))
@@ -213,16 +244,16 @@ def _write_pieces(out: ArrayFiles, package: Pieces, survey: _Survey, numbers: pi
         out.append("term_records", contents.term_records)
         out.append("owners", np.repeat(np.arange(low, low + len(contents), dtype=np.int32), counts))
         out.append("record_term_offsets", terms + np.cumsum(counts, dtype=np.int64))
-        out.append("record_term_sizes", np.full(len(contents.term_records), numbers.term_bytes, np.float32))
-        _write_cones(out, contents, package.epsilon, survey.centers)
-        ends.append(piecewise.write_links(out, low, len(contents), package.piece_links(piece, contents, means)))
+        out.append("record_term_sizes", np.full(len(contents.term_records), survey.nbytes[1], np.float32))
+        _write_cones(out, contents, source.epsilon, survey.centers)
+        ends.append(piecewise.write_links(out, low, len(contents), source.piece_links(piece, contents, means)))
         chunks = chunks + len(contents.table)
         terms = terms + len(contents.term_records)
     out.append("starts", np.array([numbers.gaussians], np.int64))
     return ends
 
 
-def _write_cones(out: ArrayFiles, contents: Contents, epsilon: float | None, centers: I64) -> None:
+def _write_cones(out: GrowingArrays, contents: Contents, epsilon: float | None, centers: I64) -> None:
     """Append the directions in which the terms of a piece are active."""
     places = np.zeros(0, np.int32)
     cosines = np.zeros(0, np.float32)

@@ -97,9 +97,9 @@ class Session:
         self._overhead = _FIRST
         sizes = len(self.holdings.sent), len(self.holdings.sent_terms)
         self._marks, self._term_marks = ((blank(n, np.uint64), blank(-(-n // 64), np.uint64)) for n in sizes)
-        self._has_row = blank(len(scene.chunk_rows), bool)
+        self._has_row = blank(len(scene.records.chunk_rows), bool)
         if holdings is not None:
-            self._has_row[scene.chunks[holdings.received]] = True
+            self._has_row[scene.records.chunks[holdings.received]] = True
 
     @classmethod
     def from_hello(cls, scene: StreamedScene, hello: Hello, config: AbrConfig | None = None) -> Session:
@@ -258,17 +258,19 @@ class Session:
         terms = _sort_ids(batch.terms, *self._term_marks)
         of = np.empty_like(gaussians)
         fresh = np.empty_like(gaussians)
-        chunks = fresh[: kernels.lay_out(gaussians, scene.chunks, scene.starts, self._has_row, of, fresh)]
-        owners = scene.owners[terms]
+        chunks = fresh[
+            : kernels.lay_out(gaussians, scene.records.chunks, scene.records.starts, self._has_row, of, fresh)
+        ]
+        owners = scene.records.owners[terms]
         sections = Sections(
             sequence=self._sequence,
-            chunks=scene.starts[chunks],
-            rows=scene.chunk_rows[chunks],
+            chunks=scene.records.starts[chunks],
+            rows=scene.records.chunk_rows[chunks],
             gaussians=gaussians,
-            records=coding.encode_some(scene.parts, gaussians, of, scene.chunk_numbers),
+            records=coding.encode_some(scene.records.parts, gaussians, of, scene.records.chunk_numbers),
             terms=terms,
             owners=owners,
-            term_records=coding.encode_some_terms(scene.term_records, terms, owners),
+            term_records=coding.encode_some_terms(scene.records.term_records, terms, owners),
             gone=_sort_ids(batch.gone, *self._marks),
             evicted=np.sort(batch.evicted),
         )

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 import weakref
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any, TypeVar
@@ -16,21 +16,20 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from gsvis._kernels.blank import blank
-from gsvis.abr.index import SceneIndex
+from gsvis.abr.index import CellSets
 from gsvis.errors import GsvisError, SceneError
 from gsvis.files.cache import Cache
 from gsvis.package.manifest import Manifest
 from gsvis.package.package import PARTS
 from gsvis.package.sets import open_sets
 from gsvis.pvs.cells import CellGrid
-from gsvis.pvs.codec import pack_some, word_count
+from gsvis.pvs.codec import pack_some
 from gsvis.pvs.store import VisibilityStore
 from gsvis.world.beyond import Beyond, SeenNode
 from gsvis.world.manifest import Tile
 from gsvis.world.world import World
 
-__all__ = ["WorldCells", "WorldIndex", "WorldSets"]
+__all__ = ["WorldCells", "WorldSets"]
 
 _LOG = logging.getLogger(__name__)
 _OPEN_TILES = 64  # tiles whose stores are open at once
@@ -122,6 +121,11 @@ class WorldCells:
     def origin(self) -> F64:
         """(3,) the lowest corner of all cells."""
         return np.asarray((self.centers - self.sizes[:, None] / 2).min(axis=0))
+
+    def box_of(self, cell: int) -> tuple[list[float], float]:
+        """Return the lowest corner (x, y, z) of the box of a cell, and its side."""
+        side = float(self.sizes[cell])
+        return (self.centers[cell] - side / 2).tolist(), side
 
     def corners(self) -> F64:
         """Return (8, 3) the corners of the box around all cells."""
@@ -221,49 +225,6 @@ class WorldCells:
         return np.concatenate([np.zeros(0, np.int64), *(np.arange(starts[k], starts[k + 1]) for k in numbers)])
 
 
-class WorldIndex(SceneIndex):
-    """An index whose cells are those of several tiles."""
-
-    def cell_of(self, position: NDArray[np.float64]) -> int:
-        """Return the cell that contains a position (3,), of those the one with the nearest center; else the nearest."""
-        cells: Any = self.grid
-        return int(cells.nearest(position))
-
-    def box_of(self, cell: int) -> tuple[list[float], float]:
-        """Return the lowest corner (x, y, z) of the box of a cell, and its side."""
-        cells: Any = self.grid
-        side = float(cells.sizes[cell])
-        return (cells.centers[cell] - side / 2).tolist(), side
-
-    def shares_near(self, cells: Iterable[int]) -> dict[int, tuple[float, float]]:
-        """Return the tiles around some cells, and the share of all ids that each has, from one number to another."""
-        grid: Any = self.grid
-        sets: Any = self.sets
-        return {tile: sets.share_of(tile) for cell in set(cells) for tile in grid.tiles_near(cell)}
-
-    def closed_at(self, position: F64) -> list[int]:
-        """Return the tiles around the cell of a position (3,) whose visible sets are not open."""
-        grid: Any = self.grid
-        sets: Any = self.sets
-        return sorted(tile for tile in grid.tiles_near(self.cell_of(position)) if not sets.is_open(tile))
-
-    def open_tile(self, tile: int) -> None:
-        """Open the visible sets of a tile, so that the first viewer who comes need not wait for it. Any thread may."""
-        sets: Any = self.sets
-        sets.load(tile)
-
-    def standing(self, cell: int) -> I64:
-        """Return ascending ids of what a cell sees of tiles at a lower level that ends at this level."""
-        sets: Any = self.sets
-        ids = sets.classes(cell)[0]
-        highest = sets.highest(cell)
-        lower = np.flatnonzero(highest < self.num_levels - 1)  # often nothing
-        ids = ids[lower]
-        highest = highest[lower]
-        some: I64 = ids[self.last[ids] == highest]
-        return some
-
-
 class _Tile:
     """The open stores of a tile."""
 
@@ -272,7 +233,7 @@ class _Tile:
         self.beyond = beyond
 
 
-class WorldSets:
+class WorldSets(CellSets):
     """What the cells of a world see, in ids of the world.
 
     Args:
@@ -284,6 +245,7 @@ class WorldSets:
         cache: Keeps what is decoded.
         orders: For the ids of each tile, the Gaussian at each place of its visible sets; -1 where it is not known. None
             if none is known.
+        last: (N,) the highest level of each Gaussian of the world.
     """
 
     def __init__(
@@ -295,9 +257,11 @@ class WorldSets:
         manifests: Mapping[int, Manifest],
         cache: Cache[Any],
         *,
-        orders: NDArray[np.int32] | None = None,
+        orders: NDArray[np.int32] | None,
+        last: NDArray[np.uint8],
     ) -> None:
         self._world = world
+        self._last = last
         self._cells = cells
         self._bases = bases
         self._cache = cache
@@ -316,10 +280,13 @@ class WorldSets:
     def _n(self) -> int:
         return int(self._bases[-1])
 
-    def share_of(self, tile: int) -> tuple[float, float]:
-        """Return where the ids of a tile begin and end, as shares of all ids."""
-        low, high = self._bases[tile : tile + 2].tolist()
-        return low / self._n, high / self._n
+    def tiles_near(self, cell: int) -> dict[int, tuple[float, float]]:
+        """Return the tiles around a cell, and the share of all ids that each has, from one number to another."""
+        found = {}
+        for tile in self._cells.tiles_near(cell):
+            low, high = self._bases[tile : tile + 2].tolist()
+            found[tile] = low / self._n, high / self._n
+        return found
 
     def is_open(self, tile: int) -> bool:
         """Whether the stores of a tile are open."""
@@ -338,12 +305,15 @@ class WorldSets:
         """Return the highest level that a cell sees of the part of a node that each of these Gaussians belongs to."""
         return self._seen(cell)[2]
 
-    def visible_words(self, cell: int) -> NDArray[np.uint64]:
-        """Return the visible set of a cell, packed."""
-        words: NDArray[np.uint64] = blank(word_count(self._n), np.uint64)
-        numbers, masks = self.visible_masks(cell)
-        words[numbers] = masks
-        return words
+    def standing(self, cell: int) -> I64:
+        """Return ascending ids of what a cell sees of tiles at a lower level that ends at this level."""
+        ids = self.classes(cell)[0]
+        highest = self.highest(cell)
+        lower = np.flatnonzero(highest < self._top)  # often nothing
+        ids = ids[lower]
+        highest = highest[lower]
+        some: I64 = ids[self._last[ids] == highest]
+        return some
 
     def visible_masks(self, cell: int) -> _Masks:
         """Return the words of the visible set of a cell that are not empty, ascending, and their masks."""
@@ -358,7 +328,7 @@ class WorldSets:
         return pack_some(np.arange(low, high)) if found is None else found[0] if len(found) == 1 else _join(found)
 
     def ring_masks(self, rings: Sequence[Sequence[int]]) -> list[list[_Masks]]:
-        """Return sets of each ring of cells, joined where they are of one tile; see `RingSets`."""
+        """Return sets of each ring of cells, joined where they are of one tile; see `CellSets`."""
         found: list[list[_Masks]] = [[] for _ in rings]
         for tile in dict.fromkeys(int(self._cells.tiles[cell]) for ring in rings for cell in ring):
             mine = [[cell for cell in ring if self._cells.tiles[cell] == tile] for ring in rings]
@@ -367,7 +337,7 @@ class WorldSets:
                 found[k] += [self.visible_masks(cell) for cell in ring] if joined is None else joined[k]
         return found
 
-    def of_gaussian(self, gaussian: int) -> tuple[VisibilityStore, int, int] | None:
+    def store_of(self, gaussian: int) -> tuple[VisibilityStore, int, int] | None:
         """Return the store of the tile that holds a Gaussian, its id there, and the number of the tile's first cell.
 
         None if it belongs to a district, or to a tile without cells.

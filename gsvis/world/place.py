@@ -14,13 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis.errors import SceneError
+from gsvis.files.temporary import temporary_folder
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.paths import HeadPath
 from gsvis.scene.source_frame import SourceFrame
 from gsvis.simulate.visits import AS_IS, Place, judged_in
+from gsvis.stream.kept import open_kept
 from gsvis.world.cells import WorldCells
-from gsvis.world.streamed import WorldPackage, open_world
+from gsvis.world.streamed import WorldSource
 from gsvis.world.world import World
 
 __all__ = ["open_place"]
@@ -60,22 +62,19 @@ def open_place(
         ArgumentError: If the whole file is empty.
         OSError: If a file cannot be read.
     """
-    scene, _ = open_world(path, strict=True)
-    package = scene.package
+    source = WorldSource.open(path, strict=True)
+    with temporary_folder() as folder:  # a mapped file outlives its name
+        scene, _ = open_kept(source, folder)
     contents = scene.contents
-    assert isinstance(package, WorldPackage)
     highest = np.zeros(len(contents), bool)
-    tiles = package.tiles
+    tiles = source.tiles
     for node in tiles:  # districts belong to all levels, and stand for what the tiles hold
-        some = slice(*package.bases[node : node + 2].tolist())
+        some = slice(*source.bases[node : node + 2].tolist())
         highest[some] = contents.last[some] == len(contents.names) - 1
-    cells = scene.index.grid
-    assert isinstance(cells, WorldCells)
-    origin = np.asarray(package.manifest.info.facts.origin)
+    cells, _ = source.read_cells()
+    origin = np.asarray(source.manifest.info.facts.origin)
     walk = SourceFrame(origin, np.median(cells.centers, axis=0)).walk(walk)
-    space = (
-        None if as_is or _lies_in(walk, cells) else partial(_find_space, world=package.world, cells=cells, seed=seed)
-    )
+    space = None if as_is or _lies_in(walk, cells) else partial(_find_space, world=source.world, cells=cells, seed=seed)
     return Place.prepare(
         scene,
         contents,
@@ -86,8 +85,8 @@ def open_place(
         whole=f"all {len(tiles):,} tiles of the world" if len(tiles) > 1 else "the one tile of the world",
         facts={
             "tiles": len(tiles),
-            "districts": len(package.nodes) - len(tiles),
-            **judged_in(package.world.manifest.provenance),
+            "districts": len(source.nodes) - len(tiles),
+            **judged_in(source.world.manifest.provenance),
         },
     )
 

@@ -11,36 +11,35 @@ from __future__ import annotations
 
 import hashlib
 import logging
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gsvis.abr.index import SceneIndex, extents, nearest_replacements
+from gsvis.abr.index import nearest_replacements
 from gsvis.color.records import Grids, quantize
 from gsvis.errors import FormatError, GsvisError, SceneError
 from gsvis.files.cache import Cache
 from gsvis.files.temporary import temporary_folder
-from gsvis.package import Package
 from gsvis.package.codec import ChunkTable
 from gsvis.package.contents import Contents
 from gsvis.package.manifest import Manifest
 from gsvis.package.package import PARTS
 from gsvis.package.sets import open_sets
 from gsvis.package.terms import encode_terms
-from gsvis.scene.levels import Levels
 from gsvis.stream import Quality, StreamedScene
 from gsvis.stream.kept import KeptTables, open_kept
-from gsvis.stream.scene import EveryCell, class_weights, term_cones
-from gsvis.world.cells import WorldCells, WorldIndex, WorldSets
+from gsvis.stream.source import EveryCell, class_weights
+from gsvis.world.cells import WorldCells, WorldSets
 from gsvis.world.manifest import District
 from gsvis.world.world import World
 
-__all__ = ["WorldPackage", "open_world"]
+__all__ = ["WorldSource", "open_world"]
 
 _LOG = logging.getLogger(__name__)
 I64 = NDArray[np.int64]
@@ -65,7 +64,7 @@ def open_world(
         strict: Whether to refuse a world with a node that cannot be read; otherwise such nodes are left out.
 
     Returns:
-        The scene, whose package the caller closes, and its kept tables; None if they are not kept.
+        The scene, whose source the caller closes, and its kept tables; None if they are not kept.
 
     Raises:
         GsvisError: If the folder is no world, or no tile of it can be read, or one node with `strict`.
@@ -75,12 +74,12 @@ def open_world(
     world = World.open(path)
     without = set[int]()
     while True:
-        package = WorldPackage(world, without, strict=strict)
+        source = WorldSource(world, without, strict=strict)
         try:
             if tables is None:
                 with temporary_folder() as folder:  # a mapped file outlives its name
-                    return open_kept(package, folder, max_cache_bytes=max_cache_bytes, quality=quality)[0], None
-            return open_kept(package, tables, max_cache_bytes=max_cache_bytes, quality=quality)
+                    return open_kept(source, folder, max_cache_bytes=max_cache_bytes, quality=quality)[0], None
+            return open_kept(source, tables, max_cache_bytes=max_cache_bytes, quality=quality)
         except _DamagedNodeError as error:
             if strict:
                 raise
@@ -101,8 +100,8 @@ def _leave_out(world: World, node: int, why: str) -> None:
     _LOG.error("%s: %s %d is left out: %s", world.path.name, kind, node, why)
 
 
-class WorldPackage(Package):
-    """A world as a package: one manifest and one space of ids over all nodes. It has no parts of its own.
+class WorldSource:
+    """A world as a source of a streamed scene: one manifest and one space of ids over all nodes.
 
     Args:
         world: The world.
@@ -110,12 +109,17 @@ class WorldPackage(Package):
         strict: Whether to refuse a node that cannot be read or does not fit; otherwise it is left out.
 
     Attributes:
+        path: The folder.
+        manifest: One manifest of all nodes.
         world: The world.
         nodes: Numbers of the nodes that can be read and are needed, ascending.
         bases: First id of each node of the world, and the number of all; all other nodes have no ids.
     """
 
-    def __init__(self, world: World, without: set[int], *, strict: bool = False) -> None:
+    is_single = False
+    has_cells = True
+
+    def __init__(self, world: World, without: Collection[int] = (), *, strict: bool = False) -> None:
         self.path = world.path
         self.world = world
         self._strict = strict
@@ -151,9 +155,18 @@ class WorldPackage(Package):
         return [node for node in self.nodes if self._is_tile(node)]
 
     @classmethod
-    def open(cls, path: str | PathLike[str]) -> WorldPackage:
-        """Open a world; see `Package.open`."""
-        return cls(World.open(path), set())
+    def open(cls, path: str | PathLike[str], *, strict: bool = False) -> WorldSource:
+        """Open a world by its folder."""
+        return cls(World.open(path), strict=strict)
+
+    def __enter__(self) -> WorldSource:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        return repr(self.world)
 
     def close(self) -> None:
         """Do nothing: stores close when nobody uses them."""
@@ -173,7 +186,7 @@ class WorldPackage(Package):
         return self.manifest.info.epsilon
 
     def ranges(self) -> list[tuple[int, int]]:
-        """Return the first id of each node that can be read, and its end; see `gsvis.stream.piecewise.Pieces`."""
+        """Return the first id of each node that can be read, and its end; see `SceneSource`."""
         return [(int(self.bases[node]), int(self.bases[node + 1])) for node in self.nodes]
 
     def pieces(self) -> Iterator[Contents]:
@@ -232,10 +245,12 @@ class WorldPackage(Package):
         node, numbers = self.nodes[piece], {node: k for k, node in enumerate(self.nodes)}
         return [piece, *(numbers[k] for k, children in self._children.items() if node in children)]
 
-    def cell_arrays(self) -> tuple[dict[str, NDArray[Any]], list[Any], NDArray[np.float32]]:
-        """Return the arrays of all cells, their box, and the weight of each class."""
-        cells = self._cells()
-        return cells.to_arrays(), [cells.origin.tolist(), cells.cell_size, cells.up.tolist()], self._weights()
+    def set_files(self, *, verify: bool = False) -> list[Path]:
+        """Return nothing: visible sets are checked when they are read."""
+        return []
+
+    def forget_records(self) -> None:
+        """Do nothing: records are read node by node."""
 
     def part_of(self, gaussian: int) -> tuple[Contents, int]:
         """Return the records of the part that holds a Gaussian, and the id of the first of them; see `Package`."""
@@ -246,9 +261,8 @@ class WorldPackage(Package):
             contents, start = package.part_of(gaussian - int(self.bases[node]))
         return contents, start + int(self.bases[node])
 
-    @cached_property
-    def contents(self) -> Contents:
-        """All records, with colors in the tables of the world."""
+    def read_contents(self) -> Contents:
+        """Return all records, with colors in the tables of the world."""
         pieces = list(self.pieces())
         counts = np.cumsum([0, *(len(piece) for piece in pieces)])
         return Contents(
@@ -263,56 +277,23 @@ class WorldPackage(Package):
             pieces[0].facts,
         )
 
-    def own_arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the arrays that `index_from` needs beside those of all scenes."""
-        orders = [self.piece_order(piece) for piece in range(len(self.nodes))]
-        return {**self._cells().to_arrays(), "set_order": np.concatenate(orders)}
+    def read_cells(self) -> tuple[WorldCells, NDArray[np.float32]]:
+        """Return the cells of all tiles, and the weight of each class."""
+        return WorldCells.read(self.world, self.tiles, strict=self._strict), self._weights()
 
-    def scene_index(self, contents: Contents, nbytes: tuple[float, float], cache: Cache[Any]) -> SceneIndex:
-        """Return what planners need to know of the world."""
-        cells = self._cells()
-        levels = contents.levels()
-        (radii, areas), (offsets, ids) = extents(levels.union), self._links(levels)
-        epsilon = self.epsilon
-        n = len(contents)
-        cones = None if epsilon is None or not len(contents.term_records) else term_cones(contents, epsilon)
-        terms = np.full(len(contents.term_records), nbytes[1], np.float32)
-        counts = tuple(int(((levels.first <= k) & (k <= levels.last)).sum()) for k in range(len(levels.names)))
-        every = EveryCell(n, len(terms))
-        return WorldIndex.trusted(
-            counts,
-            means=levels.union.means,
-            radii=radii,
-            areas=areas,
-            importance=np.ones(n, np.float32),
-            gaussian_bytes=np.full(n, nbytes[0], np.float32),
-            first=levels.first,
-            last=levels.last,
-            level_names=levels.names,
-            term_offsets=_frozen(contents.term_offsets),
-            term_bytes=_frozen(terms),
-            replacement_offsets=_frozen(offsets),
-            replacement_ids=_frozen(ids),
-            class_weights=_frozen(self._weights()),
-            grid=cells,
-            sets=self.sets(cells, cache),
-            active=None if epsilon is None else every,
-            cones=cones,
-        )
+    def cells_from(self, arrays: Mapping[str, NDArray[Any]]) -> WorldCells:
+        """Return the cells that were taken apart by `WorldCells.to_arrays`."""
+        return WorldCells.from_arrays(arrays, np.array(self.manifest.info.up))
 
-    def index_from(self, arrays: Any, cache: Cache[Any], **fields: Any) -> SceneIndex:
-        """Return the index of a world whose arrays were written before."""
-        cells = WorldCells.from_arrays(arrays, np.array(self.manifest.info.up))
-        sets = self.sets(cells, cache, arrays["set_order"])
-        return WorldIndex.trusted(**{**fields, "grid": cells, "sets": sets})
-
-    def sets(self, cells: WorldCells, cache: Cache[Any], orders: NDArray[np.int32] | None = None) -> WorldSets:
-        """Return the visible sets of all cells, read tile by tile; see `WorldSets` for the orders."""
+    def sets(self, cells: Any, cache: Cache[Any], arrays: Mapping[str, NDArray[Any]]) -> WorldSets:
+        """Return the visible sets of all cells, read tile by tile; see `SceneSource.sets`."""
         levels = len(self.manifest.names)
-        return WorldSets(self.world, cells, self.bases, levels, self._manifests, cache, orders=orders)
+        own = self.bases, levels, self._manifests, cache
+        return WorldSets(self.world, cells, *own, orders=arrays.get("set_order"), last=arrays["last"])
 
-    def _cells(self) -> WorldCells:
-        return WorldCells.read(self.world, self.tiles, strict=self._strict)
+    def active(self) -> EveryCell | None:
+        """Return all terms as active in every cell; None if no terms are sent."""
+        return None if self.epsilon is None else EveryCell(int(self.bases[-1]), self.manifest.terms)
 
     def _is_tile(self, node: int) -> bool:
         return node < len(self.world.manifest.tiles)
@@ -346,17 +327,6 @@ class WorldPackage(Package):
             visibility=None,
             active_terms=None,
         )
-
-    def _links(self, levels: Levels) -> tuple[I64, NDArray[np.int32]]:
-        """Return what replaces each Gaussian, from all nodes at once."""
-        n = len(levels.union)
-        means = levels.union.means
-        pairs = [np.zeros((0, 2), np.int64)]
-        for piece, contents in enumerate(self.pieces()):
-            pairs.append(self.piece_links(piece, contents, lambda low, high: means[low:high]))
-        found = np.concatenate(pairs)
-        starts = np.concatenate([[0], np.cumsum(np.bincount(found[:, 0], minlength=n))]).astype(np.int64)
-        return starts, found[:, 1].astype(np.int32)
 
     def _lowest(self, node: int, count: int) -> I64:
         """Return the places in a node of those that replace its district: the lowest level of a tile, or all."""
@@ -442,12 +412,6 @@ def _in_world(contents: Contents, world: Manifest, is_tile: bool) -> Contents:
     return replace(
         contents, records=records, term_records=terms, grids=grids, names=world.names, chunk_levels=chunk_levels
     )
-
-
-def _frozen(array: NDArray[Any]) -> NDArray[Any]:
-    view: NDArray[Any] = array.view()
-    view.flags.writeable = False
-    return view
 
 
 def _name_of(world: World) -> str:

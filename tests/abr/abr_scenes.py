@@ -5,36 +5,36 @@ from __future__ import annotations
 import numpy as np
 
 from gsvis.abr.cones import TermCones
-from gsvis.abr.index import SceneIndex, SceneTerms, nearest_replacements
+from gsvis.abr.index import CellSets, SceneIndex, SceneTerms, nearest_replacements
 from gsvis.package.order import in_package_order
 from gsvis.pvs.cells import CellGrid
-from gsvis.pvs.codec import pack
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
 
 
-class ArrayCells:
-    """Cells from lists."""
+class ArrayCells(CellSets):
+    """Cells from lists; if some of what they see stands, as in a far tile of a world, it does at all levels above."""
 
-    def __init__(self, count: int, members: list[tuple[np.ndarray, np.ndarray]], terms: list[np.ndarray]) -> None:
-        self._count, self._members, self._terms = count, members, terms
+    def __init__(
+        self,
+        members: list[tuple[np.ndarray, np.ndarray]],
+        terms: list[np.ndarray],
+        *,
+        stands: bool = False,
+    ) -> None:
+        self._members = members
+        self._terms = terms
+        self._stands = stands
 
     def classes(self, cell: int) -> tuple[np.ndarray, np.ndarray]:
         return self._members[cell]
 
-    def visible_words(self, cell: int) -> np.ndarray:
-        return pack(self._members[cell][0], self._count)
+    def standing(self, cell: int) -> np.ndarray:
+        ids = self.classes(cell)[0]
+        return ids[np.random.default_rng(cell).random(len(ids)) < (0.3 if self._stands else 0.0)]
 
     def active_ids(self, cell: int) -> np.ndarray:
         return self._terms[cell]
-
-
-class StandingIndex(SceneIndex):
-    """A scene of which a cell sees a part at all levels above the last, as of a far tile of a world."""
-
-    def standing(self, cell: int) -> np.ndarray:
-        ids = self.sets.classes(cell)[0]
-        return ids[np.random.default_rng(cell).random(len(ids)) < 0.3]
 
 
 def random_levels(rng: np.random.Generator, count: int, levels: int, *, ordered: bool = True) -> Levels:
@@ -91,10 +91,10 @@ def random_index(
         members.append((ids, rng.integers(0, classes, len(ids)).astype(np.uint8)))
         owners = np.repeat(np.arange(count), np.diff(offsets))
         terms.append(np.flatnonzero(np.isin(owners, ids) & (rng.random(len(owners)) < 0.4)))
-    cells = ArrayCells(count, members, terms)
+    cells = ArrayCells(members, terms, stands=standing)
     found = random_cones(rng, int(offsets[-1])) if cones else None
     sizes, nbytes = rng.integers(10, 20, count), rng.uniform(3, 6, int(offsets[-1]))
-    return (StandingIndex if standing else SceneIndex).from_levels(
+    return SceneIndex.from_levels(
         made,
         grid,
         cells,

@@ -191,12 +191,12 @@ def test_the_cell_ahead_goes_before_other_neighbors() -> None:
     index = scenes.random_index(12, count=600, levels=1, shape=(3, 3, 1), share=0.15, most_terms=0)
     store = CandidateIndex(index)
     near = index.grid.neighbors(4).tolist()
-    own = set(ids_of(index.sets.visible_words(4)).tolist())
+    own = set(index.sets.classes(4)[0].tolist())
     for ahead in near:
         planner = Planner(store, VIEW, AbrConfig(policy="fov-first", fill=False))
         planner.aim(4, index.grid.centers[4], ALL_ROUND, cell_ahead=ahead)
         sent = [int(g) for batch in drained(planner) for g in batch.gaussians if int(g) not in own]
-        theirs = set(ids_of(index.sets.visible_words(ahead)).tolist())
+        theirs = set(index.sets.classes(ahead)[0].tolist())
         flags = [g in theirs for g in sent]
         assert flags == sorted(flags, reverse=True)
         assert any(flags)
@@ -263,7 +263,7 @@ def test_what_came_while_filling_is_not_sent_again_by_another_session() -> None:
 def _one_term(width: float, cosine: float) -> SceneIndex:
     index = scenes.random_index(0, count=64, levels=1, shape=(1, 1, 1), most_terms=1, share=1.0)
     big = 4.0 * np.ones(1, np.float32)
-    cells = scenes.ArrayCells(1, [(np.zeros(1, np.int64), np.zeros(1, np.uint8))], [np.zeros(1, np.int64)])
+    cells = scenes.ArrayCells([(np.zeros(1, np.int64), np.zeros(1, np.uint8))], [np.zeros(1, np.int64)])
     cones = TermCones(
         np.array([[1.0, 0.0, 0.0]], np.float32), np.zeros(1, np.int32), np.array([cosine], np.float32),
         np.array([1e-3 * width], np.float32),

@@ -125,7 +125,7 @@ def test_what_is_farthest_goes_first() -> None:
     memory = ClientMemory(store, holdings, 16.0 * len(index))
     near, eye = np.zeros_like(holdings.sent), np.zeros(3, np.float32)
     gone = memory.make_room(4 * 64 * 16.0, near, eye, np.zeros((0, 5, 4), np.float32), for_view=False)
-    apart = np.linalg.norm(store.spheres[: -(-len(index) // 64), :3], axis=1)
+    apart = np.linalg.norm(store.tables.spheres[: -(-len(index) // 64), :3], axis=1)
     assert set((gone >> 6).tolist()) == set(np.argsort(-apart)[: len(set((gone >> 6).tolist()))].tolist())
 
 

@@ -24,7 +24,7 @@ FEW = settings(max_examples=10)
 def test_the_step_is_zero_inside_and_rises_with_the_distance_in_sides_of_a_cell() -> None:
     index = scenes.random_index(3, count=50)
     for cell in range(len(index.grid)):
-        (low, side), center = index.box_of(cell), index.grid.centers[cell]
+        (low, side), center = index.grid.box_of(cell), index.grid.centers[cell]
         assert np.allclose(np.array(low) + side / 2, center)
         corners = center + side * (np.indices((2, 2, 2)).reshape(3, -1).T - 0.5)
         assert {step_of(index, cell, point) for point in [center, *corners]} == {0}

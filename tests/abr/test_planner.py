@@ -173,7 +173,7 @@ def test_the_cell_of_a_position_is_the_one_it_is_in_or_the_nearest(seed, x, y, z
     index, position = scenes.random_index(seed, count=10), np.array([x, y, z])
     inside = int(index.grid.cell_at(position[None])[0])
     apart = np.linalg.norm(index.grid.centers - position, axis=1)
-    assert index.cell_of(position) == (inside if inside >= 0 else int(apart.argmin()))
+    assert index.grid.nearest(position) == (inside if inside >= 0 else int(apart.argmin()))
 
 
 @FEW
@@ -194,7 +194,7 @@ def test_nothing_is_sent_twice_over_a_walk_and_all_that_is_seen_arrives(seed, po
             assert np.isin(owners, client.received).all()
             if batch.filling and not np.isin(batch.gaussians, reachable).all():  # what no cell sees comes last
                 assert np.isin(reachable[index.last[reachable] == index.num_levels - 1], client.received).all()
-        members = ids_of(index.sets.visible_words(view.cell))
+        members = index.sets.classes(view.cell)[0]
         wanted = members[index.last[members] == index.num_levels - 1]
         assert np.isin(wanted, client.received).all()
         active = index.active.active_ids(view.cell)

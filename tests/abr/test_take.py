@@ -58,7 +58,7 @@ def test_what_is_left_of_cells_is_what_the_plain_twin_says(
 @given(st.integers(0, 10_000))
 def test_others_that_have_arrived_before_make_what_they_replace_due(seed: int) -> None:
     index, rng = scenes.random_index(seed), np.random.default_rng(seed)
-    links, n = CandidateIndex(index).links, len(index)
+    links, n = CandidateIndex(index).tables.links, len(index)
     some, others, held, gone = (rng.permutation(n)[: int(rng.integers(n))] for _ in range(4))
     holdings, candidates = Holdings(n, index.num_terms), pack(np.sort(some), n)
     holdings.sent[:], holdings.gone[:] = pack(np.sort(held), n), pack(np.sort(gone), n)
@@ -75,7 +75,7 @@ def test_others_that_have_arrived_before_make_what_they_replace_due(seed: int) -
 @given(st.integers(0, 10_000), st.sampled_from([0.3, 0.6, 1.0]))
 def test_bounds_hold_whatever_has_arrived(seed: int, share: float) -> None:
     index, rng = scenes.random_index(seed), np.random.default_rng(seed)
-    links, n = CandidateIndex(index).links, len(index)
+    links, n = CandidateIndex(index).tables.links, len(index)
     candidates = rng.permutation(n)[: int(rng.integers(n))]
     room, *found = np.zeros((4, len(links.ending)), np.int32)
     count = bound(seen_of(candidates), links, index.last, np.full(index.num_levels, share), room, *found)

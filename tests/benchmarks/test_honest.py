@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -108,12 +109,14 @@ def test_what_the_server_builds_wrong_is_counted(
     def wrong(self: StreamedScene, *args: Any, **options: Any) -> None:
         build(self, *args, **options)
         if kind == "rows":
-            assert self.chunk_rows["last_level"].any()
-            self.chunk_rows["last_level"] = 0  # which no picture shows
-            self.chunk_rows["first_level"] = 0
+            assert self.records.chunk_rows["last_level"].any()
+            self.records.chunk_rows["last_level"] = 0  # which no picture shows
+            self.records.chunk_rows["first_level"] = 0
         else:
-            owners = np.unique(self.owners)
-            self.owners = owners[np.maximum(np.searchsorted(owners, self.owners) - 1, 0)].astype(np.int32)
+            found = self.records.owners
+            owners = np.unique(found)
+            wrong_owners = owners[np.maximum(np.searchsorted(owners, found) - 1, 0)].astype(np.int32)
+            self.records = replace(self.records, owners=wrong_owners)
 
     monkeypatch.setattr(StreamedScene, "__init__", wrong)
     with package_of(tmp_path / "s.gsvis", 1500, "rgb", stores=False) as package:

@@ -203,7 +203,7 @@ class Reader:
 def ids_in_package(package: Package) -> np.ndarray:
     """Id in the package of each id of its static form: within a chunk by the sum of weight times cross-section."""
     from gsvis.abr.index import extents
-    from gsvis.stream.scene import class_weights
+    from gsvis.stream.source import class_weights
 
     g, sets, starts = package.contents.gaussians(), package.visibility, package.contents.table.starts
     total = np.zeros(len(g))
@@ -251,7 +251,7 @@ def test_a_cell_lists_the_blocks_that_it_sees_and_what_they_and_their_terms_are_
 ) -> None:
     from gsvis.abr.index import extents
     from gsvis.color.activation import contributions
-    from gsvis.stream.scene import class_weights
+    from gsvis.stream.source import class_weights
 
     write_static(tmp_path / "out", package)
     read, g = Reader(tmp_path / "out"), package.contents.gaussians()

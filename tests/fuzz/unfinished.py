@@ -134,7 +134,7 @@ def streamed(variant: str) -> tuple[Case, bytes, bytes, bytes]:
         folder = Path(name)
         with package_of(folder / "p", 40, variant, stores=variant == "rgb") as package:
             scene, _ = tables.open_kept(package, folder / "t")
-            found = scene.header, scene.parts.tobytes()
+            found = scene.header, scene.records.parts.tobytes()
         (kept,) = (folder / "t").glob("*.tables")
         return files_in(folder / "p"), kept.read_bytes(), *found
 
@@ -176,7 +176,7 @@ def in_kept_tables(folder: Path, case: Case) -> None:
         scene, kept = tables.open_kept(package, folder / "t")
         assert isinstance(scene, StreamedScene)
         assert kept is not None
-        assert (scene.header, scene.parts.tobytes()) == (header, records)
+        assert (scene.header, scene.records.parts.tobytes()) == (header, records)
         assert place.stat().st_size == len(whole)
 
 

@@ -30,7 +30,7 @@ STILL = np.array([1.0, 0.0, 0.0, 0.0])  # looks along +z
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Iterator[StreamedScene]:
     made = street(tmp_path_factory.mktemp("rivals"))[0]
-    with made.package:
+    with made.source:
         yield made
 
 

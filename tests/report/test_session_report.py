@@ -30,7 +30,7 @@ LINK = Link(BandwidthTrace([1.0, 4.0], [0.4, 0.2], name="<a link> & more"))
 def simulation(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Simulation]:
     scene, stage = street(tmp_path_factory.mktemp("street"))
     visits = []
-    with scene.package:
+    with scene.source:
         for k in range(2):
             deliveries = (
                 Adaptive(scene, QUICK.view, AbrConfig(start_rate=5e3, fill=False)),

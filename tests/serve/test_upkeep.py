@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from gsvis.abr.index import CellSets
 from gsvis.package import Package
 from gsvis.serve import Limits, ManualClock, Metrics, open_scenes
 from gsvis.serve._log import EventLog
@@ -113,18 +113,29 @@ def test_memory_of_tables_is_given_back_oldest_first(plain: Path, celled: Path, 
 
 
 @dataclass(frozen=True)
-class RowOfTiles:
+class RowOfTiles(CellSets):
     """Ten tiles of ten cells each, one after the other along x; those that were opened are listed."""
 
     opened: set[int]
 
-    def shares_near(self, cells: Iterable[int]) -> dict[int, tuple[float, float]]:
-        return {tile: (tile / 10, (tile + 1) / 10) for cell in cells for tile in {cell // 10, min(cell + 1, 99) // 10}}
+    @property
+    def grid(self) -> RowOfTiles:
+        return self
 
-    def closed_at(self, position: np.ndarray) -> list[int]:
-        return sorted({int(position[0]) // 10} - self.opened)
+    @property
+    def sets(self) -> RowOfTiles:
+        return self
 
-    def open_tile(self, tile: int) -> None:
+    def nearest(self, position: np.ndarray) -> int:
+        return int(position[0])
+
+    def tiles_near(self, cell: int) -> dict[int, tuple[float, float]]:
+        return {tile: (tile / 10, (tile + 1) / 10) for tile in {cell // 10, min(cell + 1, 99) // 10}}
+
+    def is_open(self, tile: int) -> bool:
+        return tile in self.opened
+
+    def load(self, tile: int) -> None:
         self.opened.add(tile)
 
 

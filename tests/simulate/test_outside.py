@@ -21,7 +21,7 @@ from tests.simulate.streets import QUICK, street
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[StreamedScene, Stage]]:
     made, stage = street(tmp_path_factory.mktemp("outside"), 1200)
-    with made.package:
+    with made.source:
         yield made, stage
 
 

@@ -19,7 +19,7 @@ FAST = Link(BandwidthTrace.constant(50.0), 0.04)
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Iterator[StreamedScene]:
     made = street(tmp_path_factory.mktemp("street"))[0]
-    with made.package:
+    with made.source:
         yield made
 
 

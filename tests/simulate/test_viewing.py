@@ -37,7 +37,7 @@ SLOW = Link(BandwidthTrace.constant(0.08), 0.04)  # 10,000 bytes a second
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[StreamedScene, Stage]]:
     scene, stage = street(tmp_path_factory.mktemp("street"))
-    with scene.package:
+    with scene.source:
         yield scene, stage
 
 

@@ -27,7 +27,7 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> dict[str, StreamedScene]
     made = {v: StreamedScene.open(package_of(folder / f"{v}.gsvis", 1200, v)) for v in ("rgb", "hsl")}
     yield made
     for scene in made.values():
-        scene.package.close()
+        scene.source.close()
 
 
 def held_bytes(scene: StreamedScene, receiver: Receiver) -> float:

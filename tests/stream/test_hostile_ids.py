@@ -105,12 +105,12 @@ class Changed(ArrayCells):
     def __init__(self, index: SceneIndex, cells: list[int], words: Change | None = None, classes: Change | None = None):
         members = [index.sets.classes(cell) for cell in range(len(index.grid))]
         terms = [index.active.active_ids(cell) for cell in range(len(index.grid))]
-        super().__init__(len(index), members, terms)
+        super().__init__(members, terms)
         self._cells, self._change_words, self._change_classes = cells, words, classes
 
-    def visible_words(self, cell: int) -> np.ndarray:
-        words = super().visible_words(cell)
-        return self._change_words(words) if self._change_words and cell in self._cells else words
+    def visible_masks(self, cell: int) -> tuple[np.ndarray, np.ndarray]:
+        masks = super().visible_masks(cell)
+        return self._change_words(*masks) if self._change_words and cell in self._cells else masks
 
     def classes(self, cell: int) -> tuple[np.ndarray, np.ndarray]:
         ids, classes = super().classes(cell)
@@ -119,9 +119,9 @@ class Changed(ArrayCells):
 
 HIGH = np.uint64(1) << np.uint64(63)
 WORDS: dict[str, Change] = {
-    "longer": lambda words: np.concatenate([words, words]),
-    "shorter": lambda words: words[:1],
-    "beyond": lambda words: np.where(np.arange(len(words)) == 300 // 64, words | HIGH, words),
+    "longer": lambda words, masks: (np.append(words, words[-1] + 1), np.append(masks, HIGH)),
+    "far": lambda words, masks: (np.append(words, np.int32(1 << 25)), np.append(masks, HIGH)),
+    "beyond": lambda words, masks: (words, np.where(words == 300 // 64, masks | HIGH, masks)),
 }
 
 
@@ -140,7 +140,7 @@ def test_cells_with_classes_or_terms_that_the_scene_lacks_are_refused() -> None:
         with pytest.raises(ValueError, match="classes: expected"):
             CandidateIndex(replace(index, sets=Changed(index, [0], classes=change))).in_cell(0)
     for terms in ([index.num_terms], [0, 1 << 40], [-1]):
-        cells = ArrayCells(300, [], [np.array(terms)])
+        cells = ArrayCells([], [np.array(terms)])
         with pytest.raises(ValueError, match="terms: expected values in"):
             CandidateIndex(replace(index, active=cells)).in_cell(0)
 
@@ -173,7 +173,7 @@ def test_a_client_refuses_rows_of_chunks_that_the_protocol_does_not_have(scene: 
     first, none = np.zeros(1, np.int64), np.zeros(0, np.uint8)
 
     def receive(**values: object) -> None:
-        row = scene.chunk_rows[:1].copy()
+        row = scene.records.chunk_rows[:1].copy()
         for name, value in values.items():
             row[name] = value
         Receiver(scene.header).receive(
@@ -200,16 +200,18 @@ def test_rules_of_batches_hold_for_ids_that_came_before(scene: StreamedScene) ->
     def batch(
         sequence: int, *, chunks: np.ndarray = NONE, gone: np.ndarray = NONE, evicted: np.ndarray = NONE
     ) -> bytes:
-        rows = scene.chunk_rows[np.searchsorted(scene.starts, chunks)]
+        rows = scene.records.chunk_rows[np.searchsorted(scene.records.starts, chunks)]
         return Sections(sequence, chunks, rows, NONE, none, NONE, NONE, none, gone, evicted).to_message(about)
 
-    first, some = scene.starts[:1], np.array([1], np.int64)
+    first, some = scene.records.starts[:1], np.array([1], np.int64)
     receiver = Receiver(scene.header)
     receiver.receive(batch(1, chunks=first, gone=some))
-    receiver.receive(batch(2, chunks=scene.starts[:2]))
+    receiver.receive(batch(2, chunks=scene.records.starts[:2]))
     before = receiver.holdings.to_bytes()
     arrives = Sections.parse(message(about, gaussians=[1]), about)
-    coded = scene.coding.encode_some(scene.parts, np.ones(1, np.int32), scene.chunks[1:2], scene.chunk_numbers)
+    coded = scene.coding.encode_some(
+        scene.records.parts, np.ones(1, np.int32), scene.records.chunks[1:2], scene.records.chunk_numbers
+    )
     for data, words in (
         (batch(3, gone=some), "gone: expected each once"),
         (replace(arrives, sequence=3, records=coded).to_message(about), "expected none that is replaced"),
@@ -222,7 +224,7 @@ def test_rules_of_batches_hold_for_ids_that_came_before(scene: StreamedScene) ->
     few = Receiver(replace(about, chunks=1).to_message())
     few.receive(batch(1, chunks=first))
     with pytest.raises(ProtocolError, match="chunks: expected at most 1"):
-        few.receive(batch(2, chunks=scene.starts[1:2]))
+        few.receive(batch(2, chunks=scene.records.starts[1:2]))
 
 
 def test_a_welcome_that_promises_billions_is_refused(scene: StreamedScene) -> None:

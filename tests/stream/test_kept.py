@@ -70,8 +70,8 @@ def test_kernels_are_not_compiled_again(path: Path, tmp_path: Path) -> None:
     """Mapped arrays have the types of those in memory."""
     with Package.open(path) as package, Package.open(path) as other:
         eager, (scene, _) = StreamedScene.open(package), open_kept(other, tmp_path)
-        for name in ("records", "links", "spheres", "spreads", "bodies", "highest", "_traits", "_every"):
-            mine, theirs = getattr(scene.candidates, name), getattr(eager.candidates, name)
+        for name in ("records", "links", "spheres", "spreads", "bodies", "highest", "traits", "every"):
+            mine, theirs = getattr(scene.candidates.tables, name), getattr(eager.candidates.tables, name)
             pairs = zip(mine, theirs, strict=True) if isinstance(mine, tuple) else [(mine, theirs)]
             for a, b in pairs:
                 assert (a.dtype, a.shape, a.flags.writeable) == (b.dtype, b.shape, b.flags.writeable), name
@@ -83,8 +83,10 @@ def test_two_that_open_the_same_package_compute_once(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made: list[str] = []
-    write = module.write_arrays
-    monkeypatch.setattr(module, "write_arrays", lambda target, *a: (made.append(target.name), write(target, *a)))
+    write = module.write_tables
+    monkeypatch.setattr(
+        module, "write_tables", lambda target, *a, **b: (made.append(target.name), write(target, *a, **b))
+    )
 
     def open_one() -> None:
         with Package.open(path) as package:
@@ -127,23 +129,36 @@ def flips(data: bytes, count: int, seed: int) -> Iterator[bytes]:
 
 
 def test_no_bit_of_a_kept_file_changes_what_is_sent(small: Path, tmp_path: Path) -> None:
-    """Whatever bit of whatever file changes, the package opens, and its tables and sets are those of the package."""
+    """Whatever bit of whatever file changes, the package opens, and its tables are those of the package."""
     with Package.open(small) as package:
         open_kept(package, tmp_path)
     files = {path: path.read_bytes() for path in tmp_path.iterdir()}
-    assert {path.suffix for path in files} == {".tables", ".pvs", ".lock"}
+    assert {path.suffix for path in files} == {".tables", ".lock"}
     with Package.open(small) as package:
-        assert len(check_kept(package, tmp_path)) == 2
+        assert len(check_kept(package, tmp_path)) == 1
     for path, whole in files.items():
         for k, data in enumerate(flips(whole, 24, len(whole)) if whole else [b"x"]):
             path.write_bytes(data)
             with Package.open(small) as package:
                 assert open_kept(package, tmp_path)[1] is not None
-                assert package.visibility.path.suffix == ".pvs"
                 check_kept(package, tmp_path)
             now = {each: each.read_bytes() for each in files}
             padded = path.suffix == ".tables" and now[path] == data  # a byte between arrays, which nobody reads
             assert padded or now | {path.with_suffix(".lock"): b""} == files, (path.name, k)
+
+
+def test_visible_sets_that_changed_since_tables_were_kept_are_refused(small: Path, tmp_path: Path) -> None:
+    copy = Path(shutil.copytree(small, tmp_path / "copy.gsvis"))
+    with Package.open(copy) as package:
+        open_kept(package, tmp_path / "t")
+        sets = package.set_files()
+    for path in sets:
+        whole = path.read_bytes()
+        for data in flips(whole, 8, len(whole)):
+            path.write_bytes(data)
+            with Package.open(copy) as package, pytest.raises(FormatError):
+                open_kept(package, tmp_path / "t")
+        path.write_bytes(whole)
 
 
 def test_verify_reads_kept_tables(small: Path, tmp_path: Path) -> None:
@@ -151,8 +166,8 @@ def test_verify_reads_kept_tables(small: Path, tmp_path: Path) -> None:
         assert check_kept(package, tmp_path / "none") == []
         open_kept(package, tmp_path)
         open_kept(package, tmp_path, quality=Quality())
-        assert len(check_kept(package, tmp_path)) == 4
-        for path in [*tmp_path.glob("*.tables"), *tmp_path.glob("*.pvs")]:
+        assert len(check_kept(package, tmp_path)) == 2
+        for path in tmp_path.glob("*.tables"):
             whole = path.read_bytes()
             for place in (3, len(whole) // 2, len(whole) - 3):
                 path.write_bytes(whole[:place] + bytes([whole[place] ^ 64]) + whole[place + 1 :])
@@ -162,7 +177,7 @@ def test_verify_reads_kept_tables(small: Path, tmp_path: Path) -> None:
                     check_kept(package, tmp_path)
                 path.write_bytes(whole)
         (tmp_path / "0000.tables").write_bytes(b"of something else")
-        assert len(check_kept(package, tmp_path)) == 4
+        assert len(check_kept(package, tmp_path)) == 2
 
 
 def test_a_folder_that_cannot_be_written_means_memory(

@@ -11,8 +11,8 @@ from gsvis.abr.classes import FieldOfView
 from gsvis.abr.config import AbrConfig
 from gsvis.pvs.codec import ids_of
 from gsvis.stream import Session, StreamedScene
-from gsvis.stream.scene import class_weights
 from gsvis.stream.session import PIECE
+from gsvis.stream.source import class_weights
 from tests.stream.worlds import package_of
 
 VIEW = FieldOfView.from_degrees(80, 60, margin=8)
@@ -82,7 +82,7 @@ def test_the_first_messages_are_small(scene: StreamedScene, begin: float) -> Non
 
 
 def test_candidates_are_what_the_cell_and_its_neighbors_see(scene: StreamedScene) -> None:
-    sets = scene.package.visibility
+    sets = scene.source.package.visibility
     for cell in range(len(sets)):
         found = scene.candidates.in_cell(cell)
         around = [cell, *sets.grid.neighbors(cell).tolist()]
@@ -94,7 +94,7 @@ def test_one_cache_holds_all_that_is_decoded(scene: StreamedScene) -> None:
     scene.candidates.in_cell(0)
     scene.candidates.seen.of_cell(0)
     cache = scene.candidates.cache
-    assert scene.package.visibility.cache is cache
+    assert scene.index.sets.whole_store.cache is cache
     kinds = {key[0] for key in cache._values}
     assert kinds >= {"candidates", "words", "set", "classes"}
     assert kinds <= {"candidates", "words", "set", "classes", "order"}  # the last for viewers outside of cells
@@ -102,14 +102,13 @@ def test_one_cache_holds_all_that_is_decoded(scene: StreamedScene) -> None:
 
 
 def test_viewers_of_one_cell_share_its_candidates_in_a_cache_without_room(scene: StreamedScene) -> None:
-    small = StreamedScene.open(scene.package, max_cache_bytes=0)
+    small = StreamedScene.open(scene.source, max_cache_bytes=0)
     assert small.candidates.in_cell(0) is small.candidates.in_cell(0)
     assert len(small.candidates.cache) == 1
-    scene.package.visibility.cache = scene.candidates.cache
 
 
 def test_classes_stand_for_the_mean_of_their_ends(scene: StreamedScene) -> None:
-    sets = scene.package.visibility
+    sets = scene.source.package.visibility
     ends = [*sets.info.class_edges.tolist(), 1.0]
     expected = [np.sqrt(low * high) for low, high in pairwise(ends)]
     assert class_weights(sets) == pytest.approx(expected, rel=1e-5)

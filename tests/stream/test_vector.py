@@ -171,7 +171,7 @@ def test_a_server_of_the_record_says_the_same_bytes(record: Record, vector: dict
             step = chosen.pop()
             ids = [np.array(step[name], np.int64) for name in ("gaussians", "terms", "gone")]
             evicted, held = np.array(step.get("evicted", []), np.int64), session.holdings.received_terms
-            session.holdings.evict(evicted, held[np.isin(scene.owners[held], evicted)])
+            session.holdings.evict(evicted, held[np.isin(scene.records.owners[held], evicted)])
             before = session.holdings.gone.copy()
             session.holdings.add(*ids)
             fresh = np.flatnonzero(bits(session.holdings.gone & ~before)).astype(np.int32)

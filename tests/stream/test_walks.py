@@ -29,7 +29,7 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> dict[str, StreamedScene]
         made[name] = StreamedScene.open(package)
     yield made
     for scene in made.values():
-        scene.package.close()
+        scene.source.close()
 
 
 @FEW
@@ -104,11 +104,11 @@ def test_a_batch_is_read_on_its_own(scenes: dict[str, StreamedScene], seed: int)
             continue
         found = Sections.parse(message.data, scene.about)
         of = contents.chunks[found.gaussians]
-        records = scene.coding.decode_records(found.records, found.gaussians, of, scene.chunk_numbers)
+        records = scene.coding.decode_records(found.records, found.gaussians, of, scene.records.chunk_numbers)
         np.testing.assert_array_equal(records, contents.records[found.gaussians])
         terms = scene.coding.decode_terms(found.term_records, found.owners)
         np.testing.assert_array_equal(terms, contents.term_records[found.terms])
-        np.testing.assert_array_equal(found.owners, scene.owners[found.terms])
+        np.testing.assert_array_equal(found.owners, scene.records.owners[found.terms])
         np.testing.assert_array_equal(np.sort(message.batch.gaussians), found.gaussians)
         np.testing.assert_array_equal(np.sort(message.batch.terms), found.terms)
         assert not rows & set(found.chunks.tolist())

@@ -22,7 +22,7 @@ from gsvis.world import World
 from gsvis.world.manifest import WORLD
 from gsvis.world.place import open_place
 from gsvis.world.prepare import prepare_world
-from gsvis.world.streamed import WorldPackage
+from gsvis.world.streamed import WorldSource
 from tests.simulate.streets import QUICK
 from tests.world.cities import config, write, write_city
 
@@ -80,8 +80,8 @@ def test_the_full_scene_is_the_highest_level_of_all_tiles(city: Path) -> None:
 def test_districts_are_sent_by_gsvis_alone(city: Path) -> None:
     walk = walk_along(city)
     place = open_place(city, walk)
-    package = place.scene.package
-    assert isinstance(package, WorldPackage)
+    package = place.scene.source
+    assert isinstance(package, WorldSource)
     assert place.facts["districts"] > 0
     assert place.facts["tiles"] == len(World.open(city).manifest.tiles)
     found = visit(place, walk)

@@ -11,11 +11,10 @@ from gsvis._kernels.blank import PAGE, blank, used_bytes
 from gsvis.abr.candidates import CandidateIndex
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.config import AbrConfig
-from gsvis.abr.index import SceneIndex
+from gsvis.abr.index import CellSets, SceneIndex
 from gsvis.abr.planner import Planner
 from gsvis.files.cache import Cache
 from gsvis.pvs.cells import CellGrid
-from gsvis.pvs.codec import pack_some
 from gsvis.world.cells import WorldCells
 
 VIEW = FieldOfView.from_degrees(80, 60, margin=5)
@@ -23,19 +22,13 @@ TILE = 1 << 15  # Gaussians of a tile; three of four are of the highest level, t
 
 
 @dataclass(frozen=True)
-class OwnTile:
+class OwnTile(CellSets):
     """Each cell sees its own tile."""
 
     tiles: int
 
     def classes(self, cell: int) -> tuple[np.ndarray, np.ndarray]:
         return np.arange(cell * TILE, (cell + 1) * TILE), np.zeros(TILE, np.uint8)
-
-    def visible_words(self, cell: int) -> np.ndarray:
-        raise AssertionError("a set of the whole world")
-
-    def visible_masks(self, cell: int) -> tuple[np.ndarray, np.ndarray]:
-        return pack_some(self.classes(cell)[0])
 
 
 def row_of_tiles(tiles: int) -> CandidateIndex:

@@ -6,7 +6,7 @@ import asyncio
 import json
 import logging
 import shutil
-from dataclasses import replace
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,26 +15,26 @@ import pytest
 
 from benchmarks._worlds import small_street
 from gsvis.abr import candidates
+from gsvis.abr.candidate_sets import Candidates
 from gsvis.abr.classes import FieldOfView
 from gsvis.abr.config import AbrConfig
-from gsvis.abr.rings import ring_cells
+from gsvis.abr.piecewise import tables_of
 from gsvis.abr.seen import SeenSets
+from gsvis.abr.tables import CandidateTables
 from gsvis.color.fit import FitConfig
 from gsvis.errors import FormatError
 from gsvis.files.cache import Cache
-from gsvis.files.mapped import MappedArrays
 from gsvis.prepare.colors import ColorConfig
-from gsvis.pvs.codec import ids_of
+from gsvis.pvs.codec import ids_in, ids_of
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.view_sampling import ViewSampling
 from gsvis.serve import Address, Server, StreamClient, open_scenes
 from gsvis.stream import Quality, Receiver, Session, StreamedScene
-from gsvis.stream.coding import Coding
 from gsvis.train.levels import LevelsConfig
 from gsvis.world import Tile, World
-from gsvis.world.cells import WorldIndex, WorldSets
+from gsvis.world.cells import WorldSets
 from gsvis.world.prepare import prepare_world
-from gsvis.world.streamed import WorldPackage, open_world
+from gsvis.world.streamed import WorldSource, open_world
 from tests.serve.servers import ask, until
 from tests.world.cities import config, street, write, write_city
 
@@ -101,8 +101,8 @@ def walk(scene: StreamedScene, steps: int = 80) -> tuple[list[bytes], Receiver, 
 
 
 def test_ids_are_those_of_nodes_behind_each_other(city: Path) -> None:
-    package = WorldPackage(World.open(city), set())
-    contents = package.contents
+    package = WorldSource.open(city)
+    contents = package.read_contents()
     assert len(contents) == package.bases[-1] == package.manifest.gaussians
     for node in package.nodes:
         with package.world.package(node) as own:
@@ -121,7 +121,7 @@ def seen_districts(world: World) -> set[int]:
 
 def test_districts_that_no_cell_sees_have_no_ids(far: Path) -> None:
     world = World.open(far)
-    package, tiles, seen = WorldPackage(world, set()), len(world.manifest.tiles), seen_districts(world)
+    package, tiles, seen = WorldSource(world), len(world.manifest.tiles), seen_districts(world)
     assert 0 < len(seen) < len(world.manifest.districts)
     assert package.nodes == [*range(tiles), *sorted(seen)]
     unseen = set(range(tiles, len(world))) - seen
@@ -132,7 +132,7 @@ def test_districts_that_no_cell_sees_have_no_ids(far: Path) -> None:
 def test_a_district_is_replaced_by_all_of_its_tiles(far: Path) -> None:
     """What replaces it, and what replaces that, ends at the lowest levels of its tiles, whichever nodes lack ids."""
     world, index = World.open(far), open_world(far)[0].index
-    bases, tiles = WorldPackage(world, set()).bases, len(world.manifest.tiles)
+    bases, tiles = WorldSource(world).bases, len(world.manifest.tiles)
     for node in sorted(seen_districts(world)):
         reached = set(range(*bases[node : node + 2].tolist()))
         waiting = list(reached)
@@ -150,7 +150,7 @@ def test_a_district_is_replaced_by_all_of_its_tiles(far: Path) -> None:
 def test_the_levels_of_all_nodes_are_those_of_the_world(leveled: Path) -> None:
     """The lowest level of a node stands in all levels below, and each level of a tile is that of the world."""
     world, index = World.open(leveled), open_world(leveled)[0].index
-    package = WorldPackage(world, set())
+    package = WorldSource(world)
     assert package.nodes == [*range(len(world.manifest.tiles)), *sorted(seen_districts(world))]
     assert index.level_names == ("low", "high")
     counts = np.zeros(2, int)
@@ -170,7 +170,7 @@ def test_the_levels_of_all_nodes_are_those_of_the_world(leveled: Path) -> None:
 def test_a_viewer_of_the_highest_level_gets_all_that_stands_for_it_around_a_tile(leveled: Path) -> None:
     """A far tile stands at a lower level: the Gaussians of this level alone are sent, as those of districts are."""
     world, (scene, _) = World.open(leveled), open_world(leveled)
-    index, bases = scene.index, scene.package.bases  # type: ignore[attr-defined]
+    index, bases = scene.index, scene.source.bases  # type: ignore[attr-defined]
     alone = 0
     for cell in range(len(index.grid)):
         tile = int(index.grid.tiles[cell])
@@ -201,7 +201,7 @@ def test_a_viewer_crosses_borders_and_gets_nothing_twice(city: Path, tmp_path: P
     scene, _ = open_world(city)
     found, receiver, came = walk(scene)
     assert len(came) == len(set(came))
-    tiles = np.searchsorted(scene.package.bases, np.array(came), "right") - 1  # type: ignore[attr-defined]
+    tiles = np.searchsorted(scene.source.bases, np.array(came), "right") - 1  # type: ignore[attr-defined]
     assert len(set(tiles.tolist()) & set(range(len(World.open(city).manifest.tiles)))) > 2
     first, tables = open_world(city, tables=tmp_path)
     again, _ = open_world(city, tables=tmp_path)
@@ -214,31 +214,42 @@ def test_a_viewer_crosses_borders_and_gets_nothing_twice(city: Path, tmp_path: P
 @pytest.mark.parametrize("quality", [None, Quality()])
 @pytest.mark.parametrize("degree", [0, 1])
 def test_tables_made_node_by_node_are_those_of_the_whole(
-    far: Path, shiny: Path, tmp_path: Path, degree: int, quality: Quality | None, monkeypatch: pytest.MonkeyPatch
+    far: Path, shiny: Path, tmp_path: Path, degree: int, quality: Quality | None
 ) -> None:
-    path = shiny if degree else far
-    scene, kept = open_world(path, tables=tmp_path, quality=quality)
+    scene, kept = open_world(shiny if degree else far, tables=tmp_path, quality=quality)
     assert kept is not None
     assert not [each for each in tmp_path.iterdir() if each.is_dir()]
-    mapped = MappedArrays(next(tmp_path.glob("*.tables")))
-    nbytes = float(mapped.arrays["record_sizes"][0]), float(mapped.facts["numbers"]["term_size"])
-    monkeypatch.setattr(Coding, "from_contents", lambda contents, steps=None: scene.coding)
-    monkeypatch.setattr(Coding, "mean_bytes", lambda self, contents: nbytes)
-    arrays, facts = StreamedScene.open(WorldPackage(World.open(path), set()), quality=quality).to_arrays()
-    assert sorted(arrays) == sorted(mapped.arrays)
-    for name, array in arrays.items():
-        found = mapped.arrays[name]
-        flags = found.flags.writeable, array.flags.writeable
-        assert (found.dtype, found.shape, flags[0]) == (array.dtype, array.shape, flags[1]), name
-        if name == "all_level_bytes":  # a sum of the whole in single precision
-            assert np.allclose(found, array, rtol=1e-5)
+    found = scene.candidates.tables
+    expected = tables_of(scene.index, stored=found.numbers.stored)
+    for name, number in asdict(found.numbers).items():
+        assert number == pytest.approx(getattr(expected.numbers, name), rel=1e-5), name
+    mine, theirs = arrays_of(found), arrays_of(expected)
+    assert mine.keys() == theirs.keys()
+    for name, array in mine.items():
+        other = theirs[name]
+        flags = array.flags.writeable, other.flags.writeable
+        assert (array.dtype, array.shape, flags[0]) == (other.dtype, other.shape, flags[1]), name
+        if name == "everything level_bytes":  # a sum of the whole in single precision
+            assert np.allclose(array, other, rtol=1e-5)
         else:
-            assert np.array_equal(found, array), name
-    numbers = json.loads(json.dumps(facts.pop("numbers")))
-    assert {k: pytest.approx(v, rel=1e-5) for k, v in numbers.items()} == mapped.facts["numbers"]
-    same = {"identity": mapped.facts["identity"], "numbers": mapped.facts["numbers"]}
-    assert json.loads(json.dumps(facts)) | same == mapped.facts
-    assert bool(len(arrays["owners"])) == bool(degree)
+            assert np.array_equal(array, other), name
+    if quality is None:
+        contents = scene.contents
+        assert np.array_equal(scene.records.parts, scene.coding.split_records(contents))
+        assert np.array_equal(scene.records.term_records, contents.term_records)
+        assert np.array_equal(scene.records.chunks, contents.chunks)
+        assert np.array_equal(scene.records.starts, contents.table.starts)
+    assert bool(len(found.owners)) == bool(degree)
+
+
+def arrays_of(tables: CandidateTables) -> dict[str, np.ndarray]:
+    """Return all arrays of tables, those within named tuples, too."""
+    found: dict[str, Any] = {field.name: getattr(tables, field.name) for field in fields(tables)}
+    found |= {f"everything {each.name}": getattr(tables.everything, each.name) for each in fields(Candidates)}
+    for name, value in list(found.items()):
+        if isinstance(value, tuple):
+            found |= {f"{name} {part}": array for part, array in zip(value._fields, value, strict=True)}
+    return {name: value for name, value in found.items() if isinstance(value, np.ndarray)}
 
 
 def test_a_tile_may_have_fewer_levels_than_the_world(tmp_path: Path) -> None:
@@ -251,10 +262,10 @@ def test_a_tile_may_have_fewer_levels_than_the_world(tmp_path: Path) -> None:
     assert min(counts) < max(counts) == 2
     for tables in (None, tmp_path):
         scene, _ = open_world(path, tables=tables, quality=Quality())
-        assert isinstance(scene.package, WorldPackage)
-        few = slice(*scene.package.bases[np.argmin(counts) :][:2])
+        assert isinstance(scene.source, WorldSource)
+        few = slice(*scene.source.bases[np.argmin(counts) :][:2])
         assert (scene.index.first[few] == 0).all()
-        assert len(scene.candidates.links.ending)
+        assert len(scene.candidates.tables.links.ending)
         assert len(walk(scene)[2])
 
 
@@ -287,7 +298,7 @@ def test_an_idle_link_ends_with_all_records_of_all_tiles(
 def test_all_that_a_cell_sees_arrives(city: Path) -> None:
     """From each cell: what its tile's sets and the table of what lies beyond say, and what was held before."""
     scene, _ = open_world(city)
-    world, bases = World.open(city), scene.package.bases  # type: ignore[attr-defined]
+    world, bases = World.open(city), scene.source.bases  # type: ignore[attr-defined]
     cells = scene.index.grid
     for cell in range(len(cells)):
         tile, place = int(cells.tiles[cell]), int(cells.places[cell])  # type: ignore[attr-defined]
@@ -299,7 +310,7 @@ def test_all_that_a_cell_sees_arrives(city: Path) -> None:
                 expected |= set((seen.ids + bases[seen.node]).tolist())
             beyond.close()
         assert set(scene.index.sets.classes(cell)[0].tolist()) == expected
-        assert scene.index.cell_of(cells.centers[cell]) >= 0
+        assert scene.index.grid.nearest(cells.centers[cell]) >= 0
 
 
 def test_what_is_decoded_of_all_tiles_is_in_one_cache(city: Path) -> None:
@@ -431,28 +442,27 @@ def test_a_server_streams_a_world(city: Path, tmp_path: Path) -> None:
 
 def test_a_tile_that_is_opened_ahead_answers_as_one_that_is_not(city: Path) -> None:
     index, other = open_world(city)[0].index, open_world(city)[0].index
-    assert isinstance(index, WorldIndex)
     grid: Any = index.grid
-    bases = WorldPackage(World.open(city), set()).bases
+    sets = index.sets
+    bases = WorldSource.open(city).bases
     for cell in range(0, len(grid), 7):
-        tile, near = int(grid.tiles[cell]), index.shares_near([cell])
+        tile, near = int(grid.tiles[cell]), sets.tiles_near(cell)
         assert set(near) == {tile, *grid.tiles[grid.neighbors(cell)].tolist()}
         assert near[tile] == (bases[tile] / bases[-1], bases[tile + 1] / bases[-1])
-        assert set(index.closed_at(grid.centers[cell])) <= set(near)
-        for closed in index.closed_at(grid.centers[cell]):
-            index.open_tile(closed)
-        assert index.closed_at(grid.centers[cell]) == []
-        for mine, theirs in zip(index.sets.visible_masks(cell), other.sets.visible_masks(cell), strict=True):
+        for each in near:
+            sets.load(each)
+            assert sets.is_open(each)
+        for mine, theirs in zip(sets.visible_masks(cell), other.sets.visible_masks(cell), strict=True):
             assert np.array_equal(mine, theirs)
-        assert np.array_equal(ids_of(index.sets.visible_words(cell)), index.sets.classes(cell)[0])
+        assert np.array_equal(ids_in(*sets.visible_masks(cell)), sets.classes(cell)[0])
 
 
 def test_sets_whose_order_the_tables_hold_are_those_that_know_none(copy: Path) -> None:
     scene, _ = open_world(copy)
-    package, known = scene.package, scene.index.sets
-    assert isinstance(package, WorldPackage)
+    package, known = scene.source, scene.index.sets
+    assert isinstance(package, WorldSource)
     assert isinstance(known, WorldSets)
-    other = package.sets(scene.index.grid, Cache())  # type: ignore[arg-type]
+    other = package.sets(scene.index.grid, Cache(), {"last": scene.index.last})
     for cell in range(len(scene.index.grid)):
         for mine, theirs in zip(known.visible_masks(cell), other.visible_masks(cell), strict=True):
             assert np.array_equal(mine, theirs)
@@ -481,7 +491,7 @@ def test_rings_that_are_joined_as_they_are_stored_hold_what_their_cells_see(
                 (own.path / "parts" / part.name).write_bytes(bytes(part.nbytes))
     across = 0
     for cell in range(len(cells)):
-        rings = ring_cells(cells, cell)
+        rings = cells.rings(cell)
         across += len(set(cells.tiles[[k for ring in rings for k in ring]].tolist())) > 1  # type: ignore[attr-defined]
         fresh, every = seen.join(seen.of_rings(rings))
         expected, all_of_them = seen.join([[seen.of_cell(each) for each in ring] for ring in rings])
