@@ -1,4 +1,4 @@
-"""Edit scenes by what can be seen: clean, cut, paint; and turn the space from which they are seen into meshes."""
+"""Edit scenes by visibility: clean, cut and paint them, and convert their navigable space to meshes."""
 
 from gsvis.edit.classes import CLASSES, HIDDEN, KEPT, CleanConfig, class_of, classify
 from gsvis.edit.cleaning import Cleaning, clean, core_of, held_out_cameras

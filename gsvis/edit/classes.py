@@ -1,6 +1,6 @@
-"""Sort Gaussians into classes of what can go, by the evidence. This module draws nothing and traces nothing.
+"""Sort removable Gaussians into classes, by the evidence. This module renders and traces nothing.
 
-A Gaussian is in one class at most; the first that fits counts:
+A Gaussian has at most one class, the first that fits:
 
 - flyaways: the center lies outside 5 times the robust box, and few others there make no backdrop.
 - interior: no eye sees it, and it lies in something closed: no open air reaches the voxels around it.
@@ -42,18 +42,18 @@ _FACES = 40  # most of the 80 directions from which a floater is seen, at streng
 
 @dataclass(frozen=True, kw_only=True)
 class CleanConfig:
-    """How to clean a scene.
+    """Options of a cleaning.
 
     Attributes:
-        classes: Names of the classes that may go, of `CLASSES`.
+        classes: Names of the classes that may go, from `CLASSES`.
         strength: How readily fog and floaters are found, in (0, 2]; 1 is the default.
-        eyes: Viewpoints in navigable space that look around, at least 1.
-        size: Pixels along a side of their faces.
+        eyes: Number of viewpoints in navigable space, at least 1.
+        size: Pixels along a side of the six faces around a viewpoint.
         resolution: Voxels along the longest side of the grid in which air is found, 8 to 4096; fewer where
             the grid would hold more than 16 million.
-        held_out: Views that the guard draws; 0 for no guard.
+        held_out: Number of views that the guard renders; 0 for no guard.
         least_db: PSNR in dB that each held-out view must keep when classes of `HIDDEN` go.
-        most_changed: Share of held-out pixels, in [0, 1], of which fog or floaters that go may make more than half.
+        most_changed: Share of held-out pixels, in [0, 1], in which removed fog or floaters may make up more than half.
         tau: Least weight of a visible Gaussian, in (0, 0.5].
         seed: Seed of eyes and views.
 
@@ -99,11 +99,11 @@ def class_of(name: str) -> int:
 
 
 def classify(found: Evidence, config: CleanConfig) -> U8:
-    """Return (N,) uint8, the class of each Gaussian; 0 for those that stay.
+    """Return (N,) uint8, the class of each Gaussian; 0 for Gaussians that stay.
 
     Args:
         found: The evidence.
-        config: Which classes, and how readily. A higher strength never finds fewer.
+        config: The classes and the strength. A higher strength never finds fewer Gaussians.
     """
     s = config.strength
     fog_share = 1.0 - (1.0 - _FOG_SHARE) * min(s, 1.5)

@@ -1,4 +1,4 @@
-"""Clean a scene: find what no eye sees, fog, floaters and flyaways; give masks. Scene frame. Writes no file."""
+"""Clean a scene: find masks of unseen Gaussians, fog, floaters and flyaways. Scene frame. Writes no file."""
 
 from __future__ import annotations
 
@@ -38,16 +38,16 @@ _MOST = 256
 
 @dataclass(frozen=True, eq=False)
 class Cleaning:
-    """What can go from a scene of N Gaussians.
+    """Gaussians that can go from a scene of N Gaussians.
 
     Attributes:
         classes: (N,) uint8, 0 for Gaussians that stay, else 1 + the index in `CLASSES`.
-        found: (N,) uint8, the same before the guard gave anything back.
-        costs: What held-out views lose, by class, and "all"; empty without a guard.
-        evidence: What the classes rest on.
-        navigable: Where eyes were.
+        found: (N,) uint8, the classes before the guard restored Gaussians.
+        costs: Loss of held-out views by class, and for "all"; empty without a guard.
+        evidence: The evidence for the classes.
+        navigable: The space of the eyes.
         cameras: The held-out cameras; None without a guard.
-        judged: What eyes see that navigable space did not choose; None without a guard.
+        judged: Quality at eyes that are independent of navigable space; None without a guard.
     """
 
     classes: NDArray[np.uint8]
@@ -60,7 +60,7 @@ class Cleaning:
 
     @property
     def kept(self) -> NDArray[np.bool_]:
-        """(N,) the Gaussians that stay."""
+        """(N,) True for Gaussians that stay."""
         return np.asarray(self.classes == KEPT)
 
     @property
@@ -89,9 +89,9 @@ def clean(
 
     Args:
         g: The scene, N Gaussians.
-        navigable: Where eyes may be; None finds it without haze and flyaways.
+        navigable: Allowed viewpoints; None finds them, ignoring haze and flyaways.
         cameras: Cameras of photographs, whose viewpoints are eyes too.
-        config: Which classes, how readily, and the guard; None means `CleanConfig()`.
+        config: Classes, strength and guard; None means `CleanConfig()`.
         progress: Called with stages "space", "air", "viewpoints", "structure", "directions", "guard"
             and "judge".
 
@@ -132,13 +132,13 @@ def judge(
     *,
     progress: Progress = silent,
 ) -> Cleaning:
-    """Find what can go by the evidence, and guard held-out views.
+    """Find the Gaussians that can go by the evidence, and check held-out views.
 
     Args:
         g: The scene, N Gaussians.
         shape: Its shape.
-        navigable: Where eyes may be.
-        evidence: On the first M of the Gaussians; the others stay.
+        navigable: Allowed viewpoints.
+        evidence: Evidence for the first M Gaussians; the others stay.
         config: The classes and the guard.
         progress: Called with stages "guard" and "judge".
 
@@ -153,7 +153,7 @@ def judge(
     judged = None
     if config.held_out:
         held_out = held_out_cameras(g, shape, navigable, config.held_out, config.seed)
-        count = int(np.clip(_DRAWN // len(g), 0, _MOST))  # as many as take a few seconds
+        count = int(np.clip(_DRAWN // len(g), 0, _MOST))  # a few seconds of work
         more = held_out_cameras(g, shape, navigable, count, config.seed, stream=_STREAM + 1) if count else None
         classes, costs = guard(g, found, held_out, config, more=more, progress=progress)
         judged = _judge_eyes(g, shape, navigable, classes == KEPT, config, progress)
@@ -168,13 +168,13 @@ def _judge_eyes(
     config: CleanConfig,
     progress: Progress,
 ) -> Judged:
-    """Return what eyes of two rules see; few where few views are held out, such as in tests."""
+    """Return quality at builder's and judge's eyes; uses few eyes if few views are held out, as in tests."""
     views = ViewSampling(count_views(config.held_out, _USUAL), *_SMALL, _FOV, config.seed, _STREAM + 2)
     return judge_cleaning(g, kept, core_of(g, shape), views, navigable, progress=progress)
 
 
 def core_of(g: Gaussians, shape: Shape | None = None) -> Gaussians:
-    """Return the Gaussians that make the surfaces of a scene, in which navigable space is to be found.
+    """Return the Gaussians that form the surfaces of a scene, between which navigable space is searched.
 
     Args:
         g: The scene.
@@ -192,12 +192,12 @@ def core_of(g: Gaussians, shape: Shape | None = None) -> Gaussians:
 def held_out_cameras(
     g: Gaussians, shape: Shape, navigable: NavigableSpace, count: int, seed: int, *, stream: int = _STREAM
 ) -> Cameras:
-    """Return random cameras in navigable space that are no part of the evidence.
+    """Return random cameras in navigable space that are independent of the evidence.
 
     Args:
         g: The scene.
-        shape: Its shape; haze does not bury an eye.
-        navigable: Where eyes may be.
+        shape: Its shape; eyes may lie inside haze.
+        navigable: Allowed viewpoints.
         count: Number of cameras.
         seed: Seed of the cameras.
         stream: Index of one of the seed's independent random streams.

@@ -1,8 +1,8 @@
-"""Cut a scene to what some eyes can see: those along a walk, of cameras, or in a box.
+"""Cut a scene to the Gaussians that some eyes can see: along a walk, at cameras, or in a box.
 
-Places are looked from first. Random rays then bound the light that the set misses; what they find is added, until the
-bound is low enough. Views that were not looked from are drawn before and after at the end, and what a bad one lacks is
-added too. Scene frame and units.
+First, a set is collected from some places. Random rays then bound the light that the set misses; Gaussians that they
+find are added until the bound is low enough. Finally, held-out views of scene and set are compared, and Gaussians that
+bad views lack are added too. Scene frame and units.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ Mask = NDArray[np.bool_]
 
 _TILES = 8  # worst rays whose tiles are traced
 _TURNS = 4  # most probes of these tiles in one stage
-_LOOKED = 0.1  # part of the limit that the estimate must exceed for another look
-_MORE_RAYS = 16  # largest factor by which rays are more where few meet something
-_RESERVE = 5.0  # dB above the least PSNR up to which views are mended: others may be worse
-_FAINT = 0.25  # part of tau from which a Gaussian is added that a bad view lacks
+_LOOKED = 0.1  # share of the limit that the estimate must exceed for a further look
+_MORE_RAYS = 16  # largest factor on the number of rays if few meet something
+_RESERVE = 5.0  # dB above the least PSNR up to which views are repaired, because unseen views may be worse
+_FAINT = 0.25  # share of tau from which a Gaussian that a bad view lacks is added
 _VIEWS = ViewSampling(16, 640, 480, 90.0)
 _STREAM = 100  # first random stream of the held-out views; each round has its own
 
@@ -51,15 +51,15 @@ class CutConfig:
     Attributes:
         tau: Least weight of a Gaussian that is kept, in [1e-6, 0.5].
         size: Pixels along a side of the six faces around an eye in a space.
-        limit: Rays end when the 95% bound of the share of light that is missing is at most this.
-        tile_limit: And when no tile of 16 x 16 pixels around the worst rays misses more light than this.
-        rays: Most rays of one certificate.
-        max_stages: Most certificates; the last is kept even if it is above the limits.
-        views: Held-out views, `ViewSampling` with their number, size, field of view and seed. 0 views draw none.
-        min_psnr: If a held-out view is below this, dB, all views less than 5 dB above it get what they lack, and other
+        limit: Stages end when the 95% bound of the share of missing light is at most this, and `tile_limit` holds.
+        tile_limit: Largest share of missing light in a tile of 16 x 16 pixels around the worst rays.
+        rays: Largest number of rays of one certificate.
+        max_stages: Largest number of certificates; the last is kept even if it is above the limits.
+        views: Number, size, field of view and seed of held-out views; 0 views for none.
+        min_psnr: If a held-out view is below this, dB, Gaussians are added that views up to 5 dB above it lack, and new
             views are drawn.
-        rounds: Most rounds of held-out views; the last adds nothing.
-        seed: Seed of everything random.
+        rounds: Largest number of rounds of held-out views; the last adds nothing.
+        seed: Seed of all random numbers.
     """
 
     tau: float = TAU
@@ -88,14 +88,14 @@ class CutConfig:
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """Views that a set was not made from, drawn from the scene and from the set.
+    """Views that were not used to make a set, rendered from the scene and from the set.
 
     Attributes:
         cameras: The C views.
         psnr: (C,) dB of each view of the set against the scene; `PSNR_CAP` for equal images.
-        rounds: Rounds of views; in all but the last, what bad views lacked was added.
-        added: Gaussians that were added because of them.
-        fresh: Whether none of them was looked from before.
+        rounds: Number of rounds of views; all but the last added Gaussians that bad views lacked.
+        added: Number of Gaussians added because of them.
+        fresh: Whether none of these views was used to make the set.
     """
 
     cameras: Cameras
@@ -120,16 +120,16 @@ class HeldOut:
 
 @dataclass(frozen=True, eq=False)
 class Cut:
-    """What is kept of a scene of N Gaussians.
+    """The part of a scene of N Gaussians that is kept.
 
     Attributes:
-        kept: (N,) the Gaussians that the eyes can see.
-        weights: (N,) float32, largest weight of each kept Gaussian that was found; 0 for the others.
-        looks: Places that were looked from.
-        buried: Places that lie inside something solid, and were left out.
-        certificates: Those of the set while it grew, oldest first; empty if no ray could start.
-        check: What a second tracer found on some rays; None if it is not installed, or no ray could start.
-        held_out: Views before and after; None without.
+        kept: (N,) True for Gaussians that the eyes can see.
+        weights: (N,) float32, largest weight found of each kept Gaussian; 0 for the others.
+        looks: Number of places from which the set was collected.
+        buried: Number of places that were skipped because they lie inside something solid.
+        certificates: Certificates of the set while it grew, oldest first; empty if no ray could start.
+        check: Comparison with a second tracer on some rays; None if it is not installed, or no ray could start.
+        held_out: Held-out views; None without any.
     """
 
     kept: Mask
@@ -190,12 +190,12 @@ def cut(g: Gaussians, eyes: Eyes, config: CutConfig | None = None, *, progress: 
 
     Args:
         g: The scene, N Gaussians.
-        eyes: Where eyes are: `EyesInSpace` or `EyesOfCameras`.
+        eyes: The eyes: `EyesInSpace` or `EyesOfCameras`.
         config: Options; None means `CutConfig()`.
         progress: Called with stages "structure", "viewpoints", "certificate" and "held_out".
 
     Returns:
-        What is kept, with its certificate; `g[result.kept]` is the smaller scene.
+        The kept set with its certificates; `g[result.kept]` is the smaller scene.
 
     Raises:
         SceneError: If the eyes see nothing, or the scene has no Gaussian with an opacity of at least 1/255.
@@ -225,13 +225,13 @@ def cut(g: Gaussians, eyes: Eyes, config: CutConfig | None = None, *, progress: 
     check = None
     if certificates:
         check = cross_check(certifier.tracer, certificates[-1].checked_o, certificates[-1].checked_d)
-    del certifier  # pictures need its memory
+    del certifier  # frees memory for rendering
     held_out = growing.hold_out(progress) if config.views.count else None
     return Cut(growing.kept, growing.weights, looks, lost, tuple(certificates), check, held_out)
 
 
 class _Growing:
-    """A set while it grows.
+    """A set that is being extended.
 
     Attributes:
         weights: (N,) float32, largest weight found so far; 0 for Gaussians outside the set.
@@ -250,13 +250,13 @@ class _Growing:
         return self.weights > 0.0
 
     def add(self, found: Sight | None) -> None:
-        """Add what an eye or some rays found."""
+        """Add the Gaussians that an eye or some rays found."""
         if found is not None:
             ids, weights = found
             self.weights[ids] = np.maximum(self.weights[ids], weights)
 
     def look(self, progress: Progress) -> tuple[int, int]:
-        """Look from all places; return how many there were outside and inside something solid."""
+        """Look from all places; return the numbers of places outside and inside solid parts."""
         total = self.eyes.count_looks()
         seen = 0
         lost = 0
@@ -268,7 +268,7 @@ class _Growing:
         return seen, lost
 
     def certify(self, certifier: Certifier, progress: Progress) -> list[Certificate]:
-        """Certify the set and add what it misses, stage by stage; return the certificates, oldest first."""
+        """Certify the set and add missing Gaussians, stage by stage; return the certificates, oldest first."""
         config = self.config
         options = CertificateConfig(
             limit=config.limit, rays=config.rays, worst=_TILES, tau=config.tau, seed=config.seed
@@ -293,7 +293,7 @@ class _Growing:
         return stages
 
     def _mend_tiles(self, tracer: Tracer, found: Certificate) -> float:
-        """Add what is missed in tiles around the worst rays; return the share that the worst tile missed at last."""
+        """Add missing Gaussians in tiles around the worst rays; return the share of light that the worst tile lacks."""
         tile = 0.0
         for turn in range(_TURNS):
             tiles = probe_tiles(tracer, self.kept, found.worst_o, found.worst_d, self.config.tau, turn=turn)
@@ -304,7 +304,7 @@ class _Growing:
         return tile
 
     def hold_out(self, progress: Progress) -> HeldOut:
-        """Draw views of the scene and of the set, and add what bad ones lack, round by round."""
+        """Render views of the scene and of the set, and add Gaussians that bad views lack, round by round."""
         config = self.config
         before = int(np.count_nonzero(self.kept))
         total = config.rounds * config.views.count
@@ -328,6 +328,7 @@ class _Growing:
 
 
 def _at_least(largest: F32, floor: float) -> Sight:
+    """Return the Gaussians whose weight reaches a limit."""
     ids = np.flatnonzero(largest >= np.float32(floor))
     return ids, largest[ids]
 
@@ -339,6 +340,6 @@ def _compare(g: Gaussians, kept: Gaussians, view: Cameras) -> float:
 
 
 def _with_more_rays(options: CertificateConfig, rays: int, found: Certificate) -> CertificateConfig:
-    """Return options with as many more rays as fewer meet something: one that meets nothing proves nothing."""
+    """Return options with more rays if only few rays meet something, because the others prove nothing."""
     factor = min(_MORE_RAYS, round(1.0 / max(float(found.weights.mean()), 1.0 / _MORE_RAYS)))
     return replace(options, rays=factor * rays, round_rays=factor * CertificateConfig.round_rays)

@@ -1,8 +1,8 @@
-"""Gather what rays show of each Gaussian: does an eye see it, from where, and does it lie in air or at a surface.
+"""Gather evidence on each Gaussian by rays: whether eyes see it, from where, and whether it lies in air.
 
-Scene frame and units; lengths that decide are voxels of a grid over the scene. Eyes are viewpoints of navigable space
-and, where there are some, of photographs. Light goes through the grid from the eyes: a voxel is *air* if it
-connects with the outside or with such light, and no surface is near. This module knows no class.
+Scene frame and units; decisive lengths are measured in voxels of a grid over the scene. Eyes are viewpoints of
+navigable space and of photographs, if any. A voxel is *air* if it connects with the outside or with light from eyes,
+and no surface is near. This module knows no class.
 """
 
 from __future__ import annotations
@@ -34,19 +34,19 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-STOPS = float(np.log(2.0))  # optical depth behind which a ray counts no more
+STOPS = float(np.log(2.0))  # optical depth at which a ray ends
 CLOSED = 0.29  # optical depth of a voxel that closes a wall: a quarter of the light
-REACH = 4.0  # voxels around a Gaussian in which others count
+REACH = 4.0  # distance in voxels within which Gaussians count as neighbors
 BACKDROP = 0.05  # share of a direction's solid angle that Gaussians far outside must cover to be a backdrop
-_EYES = 512  # that find air, at least
+_EYES = 512  # least number of eyes that find air
 _FINE = 0.4  # voxels of air in those of a space that was found in parcels, as where both grids are over all of a scene
-_RAYS = 8_000_000  # outward, at most, to look again at what the first found hidden
-_SAMPLES = 32  # points of a Gaussian that say where its mass lies
+_RAYS = 8_000_000  # most outward rays for a second test of hidden Gaussians
+_SAMPLES = 32  # sample points of the mass of a Gaussian
 
 
 @dataclass(frozen=True, eq=False)
 class Air:
-    """Where a scene has air and surfaces, and eyes that look around in it.
+    """The air and the surfaces of a scene, and eyes in the air.
 
     Attributes:
         origin: (3,) lowest corner of voxel (0, 0, 0), scene frame.
@@ -65,18 +65,18 @@ class Air:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What is known about each of N Gaussians.
+    """Evidence on each of N Gaussians.
 
     Attributes:
-        seen: (N,) an eye sees it: in a look around, or on a ray outward to navigable space.
-        faces: (N,) uint8, of the 80 directions those from which looks saw it.
-        air: (N,) float32 in [0, 1], share of its mass in air, of the mass in air and at surfaces; 0 in a scene without
-            any surface, where what is thin is all there is.
-        alone: (N,) at least half of its mass is in air, and few others are near.
-        large: (N,) wide, compared with the scene.
-        far: (N,) far outside of the scene.
-        backdrop: (N,) far outside, and part of what fills that direction.
-        enclosed: (N,) no open air reaches the voxels around it.
+        seen: (N,) whether an eye sees it, in a look around or on an outward ray to navigable space.
+        faces: (N,) uint8, number of the 80 directions from which eyes see it.
+        air: (N,) float32 in [0, 1], share of its mass in air, relative to its mass in air and at surfaces; 0 in a scene
+            without surfaces.
+        alone: (N,) whether at least half of its mass is in air and few others are near.
+        large: (N,) whether it is wide compared with the scene.
+        far: (N,) whether it lies far outside of the scene.
+        backdrop: (N,) whether it lies far outside and is part of a backdrop that fills its direction.
+        enclosed: (N,) whether no open air reaches the voxels around it.
         opacities: (N,) in [0, 1].
         voxel_size: Side of a voxel of the grid, scene units.
         eyes: Number of viewpoints that looked around.
@@ -108,16 +108,16 @@ def gather_evidence(
 ) -> Evidence:
     """Gather the evidence on each Gaussian.
 
-    Haze, and what is far outside, hides nothing here: it may go, and then what is behind it is seen.
+    Haze and Gaussians far outside hide nothing here, because they may be removed.
 
     Args:
         g: The scene, N Gaussians.
         shape: Its shape.
-        navigable: Where eyes may be.
+        navigable: Allowed viewpoints.
         config: Number of eyes, size of their faces, strength.
         viewpoints: (V, 3) further eyes, such as those of photographs.
-        air: The air and the eyes of a larger scene of which `g` is a part; None finds those of `g`.
-        judged: Of so many Gaussians, the first, the evidence is wanted; None: of all. The others only hide.
+        air: The air and the eyes of a larger scene that contains `g`; None finds those of `g`.
+        judged: Number of first Gaussians for which evidence is needed, None for all; the others only hide.
         progress: Called with stages "air", "viewpoints", "structure" and "directions".
     """
     count = len(g) if judged is None else judged
@@ -139,7 +139,7 @@ def gather_evidence(
     rest = np.flatnonzero(~seen[ids] & (ids < count))
     seen[ids[rest]] = _look_outward(core, navigable, rest, config.tau, progress)
     hazy = ~shape.core & ~shape.far & (g.opacities >= MIN_ALPHA)
-    seen[hazy] = met[hazy]  # light gets to where it is
+    seen[hazy] = met[hazy]  # light reaches it
     far = np.flatnonzero(shape.far)
     backdrop = np.zeros(len(g), bool)
     backdrop[far] = part_of_backdrop(g[far], 0.5 * (shape.low + shape.high))
@@ -168,7 +168,7 @@ def find_air(
         parts: The core of the scene, part by part; iterated over three times, one part in memory at a time.
         low: (3,) lowest corner of the robust box.
         high: (3,) highest corner.
-        navigable: Where eyes may be.
+        navigable: Allowed viewpoints.
         config: Number of eyes, resolution, strength, seed.
         given: (V, 3) further eyes.
 
@@ -202,10 +202,10 @@ def _find_passed(
     config: CleanConfig,
     rng: np.random.Generator,
 ) -> tuple[Density, Mask]:
-    """Return the grid over the scene and navigable space, and (X, Y, Z) the voxels of it that light from eyes enters.
+    """Return a grid over the scene and navigable space, and (X, Y, Z) its voxels that light from eyes enters.
 
-    Navigable space itself is lit: eyes may be anywhere in it. Where it was found in parcels, the grid is fine enough
-    for their rooms.
+    Navigable space itself is lit, because eyes may be anywhere in it. If it was found in parcels, the grid is fine
+    enough for their rooms.
     """
     voxels = np.argwhere(navigable.free)
     corners = navigable.origin + navigable.voxel_size * np.stack([voxels.min(axis=0), voxels.max(axis=0) + 1])
@@ -223,14 +223,14 @@ def _find_passed(
     x, y, z = density.depth.shape
     passed = np.zeros((x, y, z), bool)
     block, free, _ = navigable.on_grid(density.origin, density.voxel_size, (x, y, z))
-    passed[block] = free  # rays need not find what is known
+    passed[block] = free  # known without rays
     starts = np.ascontiguousarray((eyes - density.origin) / density.voxel_size)
     kernels.mark_passed(density.depth, starts, directions, STOPS, passed)
     return density, passed
 
 
 def _voxels_of(points: NDArray[np.float32], air: Air) -> tuple[NDArray[np.int64], Mask]:
-    """Return (P, 3) the voxel of each of the points (P, 3), and (P,) whether it lies on the grid; 0 elsewhere."""
+    """Return (P, 3) the voxels of points (P, 3), 0 off the grid, and (P,) whether they lie on the grid."""
     with np.errstate(over="ignore"):
         places = (points.astype(np.float64) - air.origin) / air.voxel_size
     within = np.all((places >= 0.0) & (places < air.labels.shape), axis=1)
@@ -238,7 +238,7 @@ def _voxels_of(points: NDArray[np.float32], air: Air) -> tuple[NDArray[np.int64]
 
 
 def _shares_in_air(g: Gaussians, air: Air) -> tuple[F32, Mask]:
-    """Return (N,) shares of the mass in air, and (N,) whether any of it is in air or at a surface.
+    """Return (N,) shares of the mass in air, and (N,) whether any mass is in air or at a surface.
 
     Without any surface all shares are 0.
     """
@@ -257,12 +257,12 @@ def _shares_in_air(g: Gaussians, air: Air) -> tuple[F32, Mask]:
 
 
 def _find_alone(g: Gaussians, core: Gaussians, voxel_size: float, shares: F32, strength: float) -> Mask:
-    """Return (N,) Gaussians in air with few of the core around them, each of these counted by its center."""
+    """Return (N,) Gaussians in air with few centers of the core around them."""
     from scipy.spatial import KDTree
 
     alone = shares >= 0.5
     ids = np.flatnonzero(alone)
-    most = int(FEW * strength) + 1  # itself among them
+    most = int(FEW * strength) + 1  # includes itself
     reach = REACH * voxel_size
     distances, _ = KDTree(core.means).query(g.means[ids], [most + 1], distance_upper_bound=reach)
     alone[ids] = ~np.isfinite(distances[:, 0])
@@ -270,7 +270,7 @@ def _find_alone(g: Gaussians, core: Gaussians, voxel_size: float, shares: F32, s
 
 
 def _open_air(density: Density, passed: Mask) -> Mask:
-    """Return (X, Y, Z) voxels that open air touches: what connects with the outside, or with light from eyes."""
+    """Return (X, Y, Z) voxels touched by open air, which connects with the outside or with light from eyes."""
     from scipy import ndimage
 
     labels, count = ndimage.label(density.depth < CLOSED)
@@ -284,7 +284,7 @@ def _open_air(density: Density, passed: Mask) -> Mask:
 
 
 def _look(core: Gaussians, eyes: F64, config: CleanConfig, progress: Progress) -> tuple[Mask, NDArray[np.uint8]]:
-    """Return (M,) what eyes (E, 3) see, and from how many of the 80 directions."""
+    """Return (M,) whether eyes (E, 3) see each Gaussian, and from how many of the 80 directions."""
     from gsvis.pvs.look import Look
     from gsvis.raycast.directions import face_of
 
@@ -293,7 +293,7 @@ def _look(core: Gaussians, eyes: F64, config: CleanConfig, progress: Progress) -
     progress("viewpoints", 0, len(eyes))
     for done, eye in enumerate(eyes, 1):
         ids, weights = look(eye)
-        ids = ids[weights > np.float32(config.tau)]  # what the look doubts has just this weight; rays decide that
+        ids = ids[weights > np.float32(config.tau)]  # doubtful Gaussians have exactly this weight; rays decide on them
         toward = eye - core.means[ids].astype(np.float64)
         toward[~toward.any(axis=1)] = (1.0, 0.0, 0.0)
         faces = face_of(toward)
@@ -305,7 +305,7 @@ def _look(core: Gaussians, eyes: F64, config: CleanConfig, progress: Progress) -
 def _look_outward(
     core: Gaussians, navigable: NavigableSpace, ids: NDArray[np.int64], tau: float, progress: Progress
 ) -> Mask:
-    """Return (M,) which Gaussians ids (M,) an eye in navigable space sees, by rays outward."""
+    """Return (M,) whether an eye in navigable space sees each of the Gaussians ids (M,), by outward rays."""
     from gsvis.raycast import EllipsoidProxies, Tracer
     from gsvis.raycast.directions import seen_from_space
 
@@ -326,7 +326,7 @@ def _look_outward(
 
 
 def part_of_backdrop(far: Gaussians, middle: F64) -> Mask:
-    """Return (F,) which Gaussians far outside fill, together, enough of the direction in which they lie."""
+    """Return (F,) which Gaussians far outside together fill enough of the direction in which they lie."""
     from gsvis.raycast.directions import NUM_FACES, face_of
 
     if len(far) == 0:

@@ -1,7 +1,7 @@
-"""Where eyes are and which way they may look, for a scene that is cut to what they see.
+"""Define the eyes for which a scene is cut: anywhere in a space, or at cameras.
 
 Eyes in a space look all around. Eyes of cameras see only what falls into their images. Both give places to look from,
-independent rays that certify a set, and views to draw. Scene frame and units; OpenCV cameras.
+independent rays that certify a set, and views to render. Scene frame and units; OpenCV cameras.
 """
 
 from __future__ import annotations
@@ -44,19 +44,19 @@ class Eyes(Protocol):
 
     @property
     def repeats(self) -> bool:
-        """Whether the views that are drawn may be some that were looked from."""
+        """Whether rendered views may include some from which the set was collected."""
         ...
 
     def count_looks(self) -> int:
-        """Return the number of looks of `iter_looks`, before those inside something solid are left out."""
+        """Return the number of looks of `iter_looks`, including those inside something solid."""
         ...
 
     def iter_looks(self, look: Look, seed: int) -> Iterator[Sight | None]:
-        """Yield what each place sees; None for a place inside something solid."""
+        """Yield the Gaussians that each place sees; None for a place inside something solid."""
         ...
 
     def look_again(self, look: Look, origin: F64) -> Sight | None:
-        """Return what is seen from where a ray missed something; None if the eyes see no more than their rays."""
+        """Return the Gaussians seen from the origin of a ray that missed some; None if eyes see only their rays."""
         ...
 
     def certify(
@@ -71,19 +71,19 @@ class Eyes(Protocol):
         ...
 
     def draw_views(self, g: Gaussians, sampling: ViewSampling) -> Cameras:
-        """Return random views of these eyes, not more than `sampling` says."""
+        """Return random views of these eyes, at most `sampling.count`."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class EyesInSpace:
-    """Eyes anywhere in a space, which look all around.
+    """Eyes anywhere in a space that look all around.
 
     Attributes:
-        space: Where eyes may be.
-        path: The walk in the middle of the space. It is looked from too, and its poses are drawn as views; None draws
-            views in the space.
-        boxes: Most boxes that the space is divided into. Places to look from lie near their corners.
+        space: Allowed viewpoints.
+        path: A walk in the middle of the space, which adds places to look from and provides the views; None draws views
+            in the space.
+        boxes: Largest number of boxes of the space; places to look from lie near their corners.
     """
 
     space: NavigableSpace
@@ -117,13 +117,13 @@ class EyesInSpace:
         return len(self.viewpoints)
 
     def iter_looks(self, look: Look, seed: int) -> Iterator[Sight | None]:
-        """Yield what an eye at each place sees all around; None for a place inside something solid."""
+        """Yield the Gaussians that an eye at each place sees; None for a place inside something solid."""
         lost = Solid.from_scene(look.gaussians).buries(self.viewpoints)
         for place, inside in zip(self.viewpoints, lost, strict=True):
             yield None if inside else look(place)
 
     def look_again(self, look: Look, origin: F64) -> Sight | None:
-        """Return what an eye at a place sees all around."""
+        """Return the Gaussians that an eye at a place sees all around."""
         return look(origin)
 
     def certify(
@@ -149,12 +149,12 @@ class EyesInSpace:
 
 @dataclass(frozen=True, eq=False)
 class EyesOfCameras:
-    """Eyes at cameras, or near them, which see what falls into the images.
+    """Eyes at cameras, or near them, that see what falls into the images.
 
     Attributes:
         cameras: C cameras.
-        margin: Distance, scene units, up to which an eye may lie beside its camera, with the same direction of view.
-        looks: Most cameras to look from, at even steps; None looks from all. Rays come from all.
+        margin: Largest distance of an eye from its camera, scene units; it looks in the same direction.
+        looks: Largest number of cameras to look from, evenly spaced; None for all. Rays start from all cameras.
     """
 
     cameras: Cameras
@@ -176,7 +176,7 @@ class EyesOfCameras:
 
     @cached_property
     def _sample(self) -> I64:
-        """Numbers of the cameras to look from."""
+        """Indices of the cameras to look from."""
         count = len(self.cameras) if self.looks is None else min(self.looks, len(self.cameras))
         return np.floor(np.arange(count) * len(self.cameras) / count).astype(np.int64)
 
@@ -185,7 +185,7 @@ class EyesOfCameras:
         return len(self._sample) * (2 if self.margin else 1)
 
     def iter_looks(self, look: Look, seed: int) -> Iterator[Sight | None]:
-        """Yield what each camera shows, then from places at its margin; None for one inside something solid."""
+        """Yield the Gaussians that each camera shows, then from places at its margin; None inside something solid."""
         solid = Solid.from_scene(look.gaussians)
         for c in self._sample.tolist():
             yield self._show(look, self.cameras[c])
@@ -196,7 +196,7 @@ class EyesOfCameras:
             yield None if solid.buries(place)[0] else self._show(look, _move(camera, place))
 
     def look_again(self, look: Look, origin: F64) -> Sight | None:
-        """Return None: what an eye sees all around is more than the images show."""
+        """Return None, because an eye that looks all around sees more than the images show."""
         return None
 
     def certify(
@@ -211,14 +211,15 @@ class EyesOfCameras:
         solid = Solid.from_scene(certifier.tracer.proxies.gaussians) if self.margin else None
 
         def draw(count: int, rng: np.random.Generator) -> tuple[F64, F64] | None:
+            """Return origins and directions of random rays."""
             return self._draw_rays(count, rng, solid)
 
         return certifier.certify_rays(draw, ids, config, stage=stage, earlier=earlier)
 
     def draw_views(self, g: Gaussians, sampling: ViewSampling) -> Cameras:
-        """Return random cameras, if possible such that were not looked from, at most as wide as `sampling`.
+        """Return random cameras, preferably not used for looking, at most as wide as `sampling`.
 
-        With a margin they are moved beside their places, unless that is inside something solid.
+        With a margin they are moved to the side, unless that is inside something solid.
         """
         rng = np.random.default_rng([sampling.seed, sampling.stream, _CHOSEN])
         others = np.setdiff1d(np.arange(len(self.cameras)), () if self.margin else self._sample)
@@ -233,6 +234,7 @@ class EyesOfCameras:
         return _move(views, np.where(lost[:, None], views.viewpoints, places))
 
     def _show(self, look: Look, camera: Cameras) -> Sight:
+        """Return the Gaussians that a camera shows."""
         largest = view_weights(look.gaussians, camera).largest[0]
         ids = np.flatnonzero(largest >= look.floor)
         return ids, largest[ids]
@@ -258,7 +260,7 @@ class EyesOfCameras:
 
 
 def _thin(points: F64, apart: float) -> F64:
-    """Return some of the points (T, 3) of a walk, at least `apart` from each other; at most 96, farther apart then."""
+    """Return some of the points (T, 3) of a walk, at least `apart` from each other, at most 96."""
     while True:
         kept = points[:1]
         for point in points[1:]:
@@ -272,7 +274,7 @@ def _thin(points: F64, apart: float) -> F64:
 
 
 def _move(cameras: Cameras, places: F64) -> Cameras:
-    """Return the cameras at other places (C, 3), with the same directions of view."""
+    """Return the cameras at new places (C, 3), with the same directions of view."""
     viewmats = cameras.viewmats.copy()
     viewmats[:, :3, 3] = -np.einsum("cij,cj->ci", viewmats[:, :3, :3], places)
     return Cameras(viewmats, cameras.Ks, cameras.width, cameras.height, cameras.names)

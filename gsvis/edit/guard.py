@@ -1,8 +1,8 @@
-"""Keep cleaning from eating what pictures need: draw held-out views without each class, and give back what they miss.
+"""Check a cleaning: render held-out views without each class, and restore Gaussians that the views need.
 
-The views are random cameras in navigable space that gave no evidence. No PSNR separates fog that goes from a wall that
-goes, so the classes have two measures. What no eye sees must not change a view: PSNR. Fog and floaters may change a
-view, but not be what it shows: of few pixels more than half.
+The views are random cameras in navigable space that gave no evidence. PSNR cannot distinguish removed fog from a
+removed wall, so there are two measures. Unseen classes must not change a view, measured by PSNR. Fog and floaters may
+change a view, but may make up more than half of only a few pixels.
 """
 
 from __future__ import annotations
@@ -26,21 +26,20 @@ U8 = NDArray[np.uint8]
 PSNR_CAP = 100.0
 """PSNR in dB of equal images."""
 
-_MOST_OF = 0.5  # share of a pixel's light from which what goes is what the pixel shows
+_MOST_OF = 0.5  # share of a pixel's light from which the pixel mostly shows removed Gaussians
 _STAGE = "guard"
 
 
 @dataclass(frozen=True)
 class Cost:
-    """What held-out views lose when Gaussians go.
+    """Loss of held-out views when Gaussians are removed.
 
     Attributes:
         mean_db: Mean PSNR against the whole scene, dB; at most 100.
         worst_db: PSNR of the worst view, dB.
-        changed: Share of the pixels with something in them (alpha at least a half), in [0, 1], of which what goes
-            makes more than half.
+        changed: Share of the filled pixels (alpha at least a half), in [0, 1], that mostly show removed Gaussians.
         light_lost: Mean decrease of alpha over all pixels.
-        back: Number of Gaussians that the guard gave back for this; 0 if they went.
+        back: Number of Gaussians that the guard restored; 0 if they went.
     """
 
     mean_db: float
@@ -52,7 +51,7 @@ class Cost:
 
 @dataclass(frozen=True, eq=False)
 class _Views:
-    """What cameras show of a scene: images (C, H, W, 3) and alphas (C, H, W)."""
+    """Images (C, H, W, 3) and alphas (C, H, W) of a scene."""
 
     g: Gaussians
     cameras: Cameras
@@ -61,11 +60,12 @@ class _Views:
 
     @classmethod
     def draw(cls, g: Gaussians, cameras: Cameras) -> _Views:
+        """Return the views of cameras, rendered."""
         drawn = rasterize(g, cameras, backend="cpu")
         return cls(g, cameras, np.clip(drawn.images, 0.0, 1.0), drawn.alphas)
 
     def cost_of(self, gone: NDArray[np.bool_], light: NDArray[np.float32]) -> Cost:
-        """Return the cost of the views without the Gaussians gone (N,), whose light (C, H, W) is known."""
+        """Return the cost of removing Gaussians `gone` (N,), whose light (C, H, W) is known."""
         if not gone.any():
             return Cost(PSNR_CAP, PSNR_CAP, 0.0, 0.0)
         without = rasterize(self.g[~gone], self.cameras, backend="cpu")
@@ -80,7 +80,7 @@ class _Views:
         )
 
     def light_of(self, masks: list[NDArray[np.bool_]]) -> NDArray[np.float32]:
-        """Return (C, H, W, 3) the weights of one to three sets of Gaussians (N,), summed: a channel shows each set."""
+        """Return (C, H, W, 3) the summed weights of one to three sets of Gaussians (N,), one per channel."""
         g = self.g
         lit = [*masks, *[np.zeros(len(g), bool)] * (3 - len(masks))]
         base = (np.stack(lit, axis=1)[:, None].astype(np.float32) - 0.5) / SH_C0
@@ -89,11 +89,11 @@ class _Views:
 
 
 def measure_cost(g: Gaussians, kept: NDArray[np.bool_], cameras: Cameras) -> Cost:
-    """Return what views of cameras lose when only some Gaussians of a scene are kept.
+    """Return the loss of views if only some Gaussians of a scene are kept.
 
     Args:
         g: The scene, N Gaussians.
-        kept: (N,) those that stay.
+        kept: (N,) True for Gaussians that stay.
         cameras: C > 0 cameras of one size.
     """
     views = _Views.draw(g, cameras)
@@ -110,23 +110,23 @@ def guard(
     more: Cameras | None = None,
     progress: Progress = silent,
 ) -> tuple[U8, dict[str, Cost]]:
-    """Give back what held-out views need.
+    """Restore Gaussians that held-out views need.
 
-    First every Gaussian of `HIDDEN` that one of the views sees is given back. Then the views are drawn without each
-    class. A class of `HIDDEN` is given back if a view keeps less than `least_db`; fog and floaters, if more than
-    `most_changed` of the pixels show little else.
+    First every Gaussian of `HIDDEN` that one of the views sees is restored. Then the views are rendered without each
+    class. A class of `HIDDEN` is restored if a view drops below `least_db`; fog and floaters, if more than
+    `most_changed` of the pixels mostly show them.
 
     Args:
         g: The scene, N Gaussians.
         classes: (N,) uint8, the class of each Gaussian; not changed.
         cameras: C > 0 held-out cameras.
         config: The limits.
-        more: Further cameras, in which only Gaussians of `HIDDEN` are looked for; cheaper than a comparison.
+        more: Further cameras, used only to find visible Gaussians of `HIDDEN`, which is cheaper than a comparison.
         progress: Called with stage "guard", in steps.
 
     Returns:
-        The classes (N,) after it, and the cost of each class that held Gaussians, by name. "all" is the cost of what
-        goes in the end.
+        The classes (N,) afterwards, and the cost of each class with Gaussians, by name. "all" is the cost of the final
+        removal.
     """
     names = [name for name in CLASSES if np.any(classes == class_of(name))]
     steps = 2 + len([name for name in names if name not in HIDDEN]) + any(name in HIDDEN for name in names)
@@ -156,9 +156,9 @@ def guard(
 
 
 def _rescue(g: Gaussians, classes: U8, cameras: list[Cameras], tau: float) -> tuple[U8, dict[str, int]]:
-    """Return the classes without Gaussians of `HIDDEN` that a camera sees, and how many of each class that were.
+    """Return the classes without Gaussians of `HIDDEN` that a camera sees, and their number in each class.
 
-    Fog and floaters are left out: what they hide is seen when they are gone.
+    Views are rendered without fog and floaters, because their removal uncovers what they hide.
     """
     hidden = np.isin(classes, [class_of(name) for name in HIDDEN])
     if not hidden.any():
@@ -176,7 +176,7 @@ def _rescue(g: Gaussians, classes: U8, cameras: list[Cameras], tau: float) -> tu
 def _check_group(
     classes: U8, whole: _Views, group: list[str], config: CleanConfig, light: NDArray[np.float32]
 ) -> dict[str, Cost]:
-    """Return the cost of each class of a group; measured together if together they cost little enough.
+    """Return the cost of each class of a group; measured together if their joint cost is low enough.
 
     The light (C, H, W) is that of the whole group.
     """
@@ -190,12 +190,12 @@ def _check_group(
 
 
 def _members(classes: U8, group: list[str]) -> NDArray[np.bool_]:
-    """Return (N,) which Gaussians are in one of some classes."""
+    """Return (N,) which Gaussians belong to one of some classes."""
     return np.isin(classes, [class_of(name) for name in group])
 
 
 def _within(name: str, cost: Cost, config: CleanConfig) -> bool:
-    """Return whether a class may go at this cost."""
+    """Return whether a class may be removed at this cost."""
     if name in HIDDEN:
         return cost.worst_db >= config.least_db
     return cost.changed <= config.most_changed

@@ -1,7 +1,7 @@
-"""Compare a scene before and after a cleaning at eyes of two rules: in navigable space, and judge's eyes.
+"""Compare a scene before and after a cleaning, at builder's eyes in navigable space and at judge's eyes.
 
-Pictures are small, of base colors and of a thinned scene, in which a tenth of the time of full ones shows what is
-missing. Where nothing that goes is in a picture, the two are equal and neither is drawn.
+Images are small, with base colors, of a thinned scene; they show missing parts in a tenth of the time of full images.
+If an image shows no removed Gaussian, both versions are equal and are not rendered.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ def judge_cleaning(
     *,
     progress: Progress = silent,
 ) -> Judged:
-    """Return what eyes of two rules see of a scene of which only some Gaussians are kept.
+    """Return the quality at builder's and judge's eyes of a scene of which only some Gaussians are kept.
 
     Args:
         g: The scene, N Gaussians.
-        kept: (N,) those that stay.
-        core: What makes its surfaces, in which no eye stands.
-        views: Number by each rule, size, field of view and seed.
-        navigable: Where eyes may be.
+        kept: (N,) True for Gaussians that stay.
+        core: Gaussians that form its surfaces; no eye lies inside of them.
+        views: Number of views at each kind of eyes, size, field of view and seed.
+        navigable: Allowed viewpoints.
         progress: Called with stage "judge".
     """
     progress(_STAGE, 0, 1)
@@ -62,11 +62,11 @@ def judge_cleaning(
 
 
 def _compare(g: Gaussians, kept: Mask, cameras: Cameras) -> F64:
-    """Return (C,) the PSNR of views of what is kept against the whole."""
+    """Return (C,) the PSNR of views of the kept Gaussians against the whole scene."""
     found = np.full(len(cameras), PSNR_CAP)
     if kept.all() or len(cameras) == 0:
         return found
-    gone = rasterize(g[~kept], cameras, backend="cpu").alphas  # as if nothing hid them
+    gone = rasterize(g[~kept], cameras, backend="cpu").alphas  # without occlusion
     some = np.flatnonzero(gone.any(axis=(1, 2)))
     if len(some):
         whole, part = (np.clip(rasterize(each, cameras[some], backend="cpu").images, 0.0, 1.0) for each in (g, g[kept]))

@@ -1,8 +1,8 @@
-"""Clean a scene that does not fit the memory: in tiles, each in the whole scene of which what is far is coarse.
+"""Clean a scene that does not fit into memory, tile by tile, each within a coarse version of the whole scene.
 
-The classes are those of `clean`, with its eyes, its air and its voxels. What differs: what hides is coarse far from a
-tile, so a little more or less counts as seen; flyaways are judged by a sample of the scene; and what is outside all
-tiles and no flyaway stays. docs/design/036-cleaning.md.
+Classes, eyes, air and voxels are those of `clean`. Three things differ. Occluders far from a tile are coarse, so
+slightly more or fewer Gaussians count as seen. A sample of the scene decides on flyaways. Gaussians outside all tiles
+stay unless they are flyaways. docs/design/036-cleaning.md.
 """
 
 from __future__ import annotations
@@ -38,21 +38,21 @@ JOINT = 2.2
 
 @dataclass(eq=False)
 class LargeCleaning:
-    """What can go from a scene of N Gaussians in tiles.
+    """Gaussians that can go from a scene of N Gaussians in tiles.
 
     Attributes:
         gaussians: N.
-        kept: Gaussians that stay.
-        sh_degree: Of the scene.
-        found: Gaussians of each class before the guard gave anything back.
-        removed: Gaussians that go, by class.
+        kept: Number of Gaussians that stay.
+        sh_degree: SH degree of the scene.
+        found: Number of Gaussians of each class before the guard restored some.
+        removed: Number of Gaussians that go, by class.
         worst_db: The worst PSNR of a held-out view of any tile, by class and "all"; empty without a guard.
-        tiles: Tiles that were cleaned.
-        around: Gaussians around them, all together.
-        back: Classes that were given back, because all tiles together would show too much of them.
-        build: How the scene was cut.
+        tiles: Number of tiles that were cleaned.
+        around: Number of Gaussians around them, in total.
+        back: Classes that were restored, because all tiles together would show too much of them.
+        build: The division into tiles.
         results: The results of the tiles.
-        judged: What eyes of two rules see of all tiles; None without a guard.
+        judged: Quality at builder's and judge's eyes in all tiles; None without a guard.
     """
 
     gaussians: int
@@ -79,16 +79,17 @@ class LargeCleaning:
 
     @cached_property
     def facts(self) -> SceneFacts:
-        """What is known of the scene besides its Gaussians."""
+        """The facts of the scene."""
         return facts_of_batches(self.build.batches)
 
     def parts(self) -> Iterator[Gaussians]:
-        """Yield what stays of each batch, in the order of the scene."""
+        """Yield the Gaussians that stay of each batch, in the order of the scene."""
         for k, batch in enumerate(self.build.batches):
             g = read_batch(batch)
             yield g[self._classes_of(k, g) == KEPT]
 
     def _classes_of(self, number: int, g: Gaussians) -> NDArray[np.uint8]:
+        """Return the classes of the Gaussians of a batch."""
         keys = tiles_of(g.means, self.build.grid)
         classes = np.zeros(len(g), np.uint8)
         for key in np.unique(keys).tolist():
@@ -101,7 +102,7 @@ class LargeCleaning:
         return classes
 
     def _home(self, name: str) -> str:
-        """Return the task that judged the rows of a name: those of tiles with few Gaussians went to the outside."""
+        """Return the task that classified the rows of a name; tiles with few Gaussians were joined to the outside."""
         return f"clean {name}" if f"clean {name}" in self.results else f"clean {OUTSIDE}"
 
 
@@ -121,15 +122,15 @@ def clean_large(
     Args:
         scene: Path and level of detail, as for `gsvis.io.load_scene`.
         config: As for `clean`.
-        tiling: How the scene is cut. A task holds a tile and what is around it, up to `JOINT` times `most`.
-        store: Where results of tasks lie.
+        tiling: The division into tiles. A task holds a tile and its surroundings, up to `JOINT` times `most`.
+        store: Storage of the results of tasks.
         workers: The workers; None means this process.
         progress: Called with stages "sampling", "splitting", "space" and "cleaning", in tasks.
 
     Raises:
-        SceneError: If the scene has nothing to see, or no eye can be anywhere.
+        SceneError: If nothing of the scene can be seen, or it has no navigable space.
         FormatError: If the scene is damaged.
-        ValueError: If a tile does not fit the memory of a worker.
+        ValueError: If a tile does not fit into the memory of a worker.
         OSError: If a file cannot be written; finished work is kept.
     """
     workers = workers or Workers()
@@ -169,14 +170,14 @@ class _Tasks:
         return Task(_name("rows", rect), "gsvis.edit.tiles:gather_rows", params, needs)
 
     def survey(self) -> Task:
-        """Return the task that finds where eyes may be by one grid over all."""
+        """Return the task that finds navigable space by one grid over the whole scene."""
         rows = self._rows(self._build.tiles)
         samples, numbers = self._samples(len(rows))
         params = {"tiles": len(rows), "samples": numbers, "every": self._build.every, "up": self._build.grid["up"]}
         return Task("survey", "gsvis.edit.tiles:survey_scene", params, (*rows, *samples))
 
     def parcel(self, number: int, survey: Facts) -> Task:
-        """Return the task that finds where eyes may be in a parcel, by the facts of the survey."""
+        """Return the task that finds navigable space in a parcel, by the facts of the survey."""
         build = self._build
         square = survey["parcels"][number]
         near = [rect for rect in build.tiles if rect is None or _meets(build.square_of(rect), square)]
@@ -185,7 +186,7 @@ class _Tasks:
         return Task(f"parcel {number}", "gsvis.edit.tiles:find_parcel", params, self._rows(near))
 
     def whole(self, parcels: Sequence[Task]) -> Task:
-        """Return the task that finds what is known of the whole scene."""
+        """Return the task that combines the results for the whole scene."""
         rows = self._rows(self._build.tiles)
         samples, numbers = self._samples(len(rows))
         needs = (*rows, *samples, "survey", *(task.name for task in parcels))
@@ -195,7 +196,7 @@ class _Tasks:
         return Task("whole", "gsvis.edit.tiles:find_whole", params, needs)
 
     def merge(self, rect: Rect | None) -> Task:
-        """Return the task that merges a tile to few Gaussians; all tiles together are fewer than `most`."""
+        """Return the task that merges a tile to few Gaussians; all merged tiles together have fewer than `most`."""
         build = self._build
         most = build.config.tiling.most
         touching = [len(build.touching(each)) for each in build.tiles if each]
@@ -203,7 +204,7 @@ class _Tasks:
         return Task(_name("merge", rect), "gsvis.edit.tiles:merge_tile", params, (_name("rows", rect), "whole"))
 
     def clean(self, rect: Rect) -> Task:
-        """Return the task that judges a tile."""
+        """Return the task that classifies the Gaussians of a tile."""
         build = self._build
         touching = build.touching(rect)
         rows = self._rows([rect, *(build.tiles[k] for k in touching)])
@@ -233,17 +234,18 @@ class _Tasks:
         return tuple(_name("rows", rect) for rect in tiles)
 
     def _samples(self, after: int) -> tuple[tuple[str, ...], list[int]]:
-        """Return all samples, and their numbers as inputs of a task after some others."""
+        """Return all samples, and their numbers among the inputs of a task that come after some others."""
         count = len(self._build.batches)
         return tuple(f"sample {k}" for k in range(count)), list(range(after, after + count))
 
     def _common(self, rect: Rect | None) -> Facts:
+        """Return the parameters that tasks of a tile share."""
         files = [f"{batch} {name}" for batch, name in self._build.files[rect]]
         return {"config": self._config, "name": tile_name(rect), "files": files}
 
 
 def _meets(tile: Facts, square: Facts) -> bool:
-    """Return whether a tile reaches into a parcel or into what is looked at around it."""
+    """Return whether a tile overlaps a parcel or its surroundings."""
     low = np.array(square["low"])
     high = np.array(square["high"])
     reach = AROUND * (high - low).max()
@@ -255,7 +257,7 @@ def _name(kind: str, rect: Rect | None) -> str:
 
 
 def _summary(build: WorldBuild, results: dict[str, Result], config: CleanConfig) -> LargeCleaning:
-    """Return the sums over tiles. Fog or floaters of which all tiles together show too much are given back."""
+    """Return the sums over tiles. Restore fog or floaters if all tiles together show too much of them."""
     facts = [result.facts for result in results.values()]
     totals = {
         key: {name: sum(each[key].get(name, 0) for each in facts) for name in CLASSES} for key in ("found", "removed")

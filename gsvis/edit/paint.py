@@ -1,6 +1,6 @@
-"""Paint a scene by a quantity, so that any viewer shows it: the same shapes, with plain colors of a ramp or a palette.
+"""Paint a scene by a quantity, for any viewer: the same shapes, in plain colors of a ramp or a palette.
 
-What nothing sees is gray. The legend lists the colors, in text and as a picture.
+Unseen Gaussians are gray. The legend lists the colors, as text and as an image.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ __all__ = ["UNSEEN", "Band", "bands_of", "colors_of", "draw_legend", "paint"]
 F64 = NDArray[np.float64]
 
 UNSEEN = (0.5, 0.5, 0.5)
-"""sRGB of Gaussians that nothing sees."""
+"""sRGB of unseen Gaussians."""
 
 _BANDS = 6  # of a ramp
 _CELLS = 8  # of a palette: those with most Gaussians
@@ -45,8 +45,8 @@ class Band:
 
     Attributes:
         color: sRGB, each channel in [0, 1].
-        text: The values that have about this color.
-        count: Number of Gaussians with them.
+        text: The values with about this color.
+        count: Number of Gaussians with these values.
     """
 
     color: tuple[float, float, float]
@@ -67,11 +67,12 @@ def paint(g: Gaussians, quantity: Quantity) -> Gaussians:
         quantity: A value for each of them.
 
     Raises:
-        ValueError: If the quantity is of another number of Gaussians.
+        ValueError: If the number of values is not that of the Gaussians.
     """
     if len(quantity) != len(g):
         raise ValueError(
-            f"quantity: expected {len(g):,} values, one for each Gaussian, got {len(quantity):,}; is it of this scene?"
+            f"quantity: expected {len(g):,} values, one for each Gaussian, got {len(quantity):,}; was"
+            " it measured on this scene?"
         )
     sh0 = ((colors_of(quantity) - 0.5) / SH_C0).astype(np.float32)[:, None]
     return Gaussians(g.means, g.quats, g.scales, g.opacities, sh0, facts=g.facts)
@@ -89,7 +90,7 @@ def colors_of(quantity: Quantity) -> F64:
 
 
 def bands_of(quantity: Quantity) -> list[Band]:
-    """Return the lines of a legend: ranges of values in ascending order, or the largest cells; last what is unseen."""
+    """Return the lines of a legend: ranges of ascending values, or the largest cells; the unseen last."""
     seen = quantity.values[quantity.seen]
     if quantity.cells:
         counts = np.bincount(seen.astype(np.int64), minlength=quantity.cells)
@@ -111,7 +112,7 @@ def bands_of(quantity: Quantity) -> list[Band]:
 
 
 def draw_legend(quantity: Quantity) -> bytes:
-    """Return the legend as the bytes of a PNG: the ramp with its values, or colors of cells, and what is unseen."""
+    """Return the legend as the bytes of a PNG: the ramp with its values, or the colors of cells, and the unseen."""
     from PIL import Image, ImageDraw, ImageFont
 
     bands = bands_of(quantity)
@@ -142,12 +143,14 @@ def draw_legend(quantity: Quantity) -> bytes:
 
 
 def _image(pixels: NDArray[np.uint8]) -> Image.Image:
+    """Return pixels as an image."""
     from PIL import Image
 
     return Image.fromarray(pixels)
 
 
 def _spell(quantity: Quantity, part: float) -> str:
+    """Return the value at a share of the ramp as text."""
     value = quantity.value_at(part)
     if quantity.name == "visibility":
         return f"{value:.0%}"
@@ -155,5 +158,6 @@ def _spell(quantity: Quantity, part: float) -> str:
 
 
 def _triple(color: F64) -> tuple[float, float, float]:
+    """Return a color as a tuple."""
     red, green, blue = color.tolist()
     return red, green, blue

@@ -1,9 +1,8 @@
-"""Find where eyes may be in a scene of many places, on squares that are small enough for a grid to show rooms.
+"""Find navigable space in a scene of many places, on squares small enough for a grid to resolve rooms.
 
-A grid over a large scene has voxels wider than doors, and rooms close up. So it is looked at parcel by parcel: squares
-as wide as what holds two million Gaussians where the scene is as dense as mostly, each with what lies around it.
-Scene frame and units. Gives spaces; draws and traces nothing.
-docs/design/033-kinds-of-space.md.
+A grid over a large scene has voxels wider than doors, so that rooms appear closed. Therefore the search runs on
+parcels: squares that hold two million Gaussians at the usual density, each with its surroundings. Scene frame and
+units. Gives spaces; draws and traces nothing. docs/design/033-kinds-of-space.md.
 """
 
 from __future__ import annotations
@@ -39,10 +38,10 @@ F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 PARCEL = 2_000_000
-"""Gaussians of a parcel, about."""
+"""Approximate number of Gaussians of a parcel."""
 
 AROUND = 0.4
-"""How far beyond a parcel it is looked at, in its side."""
+"""Width of the surroundings of a parcel, as a multiple of its side."""
 
 VOXELS = 200
 """Voxels along the side of a parcel."""
@@ -60,27 +59,27 @@ def find_side(sample: Gaussians, every: int, up: str, most: int = PARCEL) -> flo
     """Return the side of parcels of a scene; 0 if it lies in a point.
 
     Args:
-        sample: One in `every` of its Gaussians that can be seen.
-        every: One of how many.
+        sample: One in `every` of its visible Gaussians.
+        every: Number of Gaussians that one of the sample represents.
         up: Axis that points upward, such as "+z".
-        most: Gaussians of a parcel, about, where the scene is as dense as around most of them.
+        most: Approximate number of Gaussians of a parcel, where the scene has its usual density.
     """
     across, low, longest = _footprint(sample, up)
     if not (len(across) and longest > 0.0):
         return 0.0
     cells = np.floor((across - low) / longest * (_CELLS - 1e-6)).astype(np.int64)
     counts = np.bincount(cells[:, 0] * _CELLS + cells[:, 1])
-    dense = float(np.median(np.repeat(counts, counts)))  # Gaussians of a cell, as most Gaussians have it
+    dense = float(np.median(np.repeat(counts, counts)))  # usual number of Gaussians of a cell, weighted by Gaussians
     return longest / _CELLS * float(np.sqrt(most / (every * dense)))
 
 
 def lay_parcels(sample: Gaussians, every: int, up: str, most: int = PARCEL) -> list[Facts]:
-    """Return the squares of a lattice over a scene that hold some of a sample; arguments as for `find_side`.
+    """Return the squares of a lattice over a scene that hold Gaussians of a sample; see `find_side`.
 
-    Where most Gaussians are in one spot, squares as small as that asks for would be too many: they are wider then.
+    Squares are enlarged if there would be too many, as in a scene with most Gaussians in one spot.
 
     Returns:
-        Of each square `low` and `high` on the two `axes` that are level, and `up`.
+        For each square `low` and `high` on the two level `axes`, and `up`.
     """
     across, low, _ = _footprint(sample, up)
     side = find_side(sample, every, up, most)
@@ -99,11 +98,11 @@ def lay_parcels(sample: Gaussians, every: int, up: str, most: int = PARCEL) -> l
 
 
 def rows_near(parts: Iterable[Gaussians], square: Facts) -> Gaussians:
-    """Return the Gaussians in a square and around it, of a scene in parts; if they are too many, fewer and wider ones.
+    """Return the Gaussians in and around a square, from a scene in parts; too many are replaced by fewer, wider ones.
 
     Args:
         parts: The scene, part by part; iterated over twice.
-        square: Where.
+        square: The square.
     """
     count = sum(int(np.count_nonzero(near_tile(g.means, square, AROUND))) for g in parts)
     every = max(1, -(-count // _MOST_NEAR))
@@ -114,17 +113,17 @@ def rows_near(parts: Iterable[Gaussians], square: Facts) -> Gaussians:
 
 
 def indoors(space: NavigableSpace) -> Mask:
-    """Return (X, Y, Z) the free voxels of a space above which, in its grid, something stops light."""
+    """Return (X, Y, Z) the free voxels of a space with an occupied voxel above them in its grid."""
     return space.free & space.covered()
 
 
 def mixed_space(near: Gaussians, square: Facts, voxel_size: float) -> NavigableSpace | None:
-    """Return where eyes may be in a square, in rooms and on open ground; None if nowhere.
+    """Return the navigable space in a square, in rooms and on open ground; None if there is none.
 
     Args:
-        near: What is in it and around it.
-        square: Where it is: `low` and `high` on `axes`, and `up`.
-        voxel_size: Side of voxels, scene units; they are larger where they would be too many.
+        near: Gaussians in and around the square.
+        square: The square: `low` and `high` on `axes`, and `up`.
+        voxel_size: Side of voxels, scene units; enlarged if there would be too many.
     """
     if len(near) == 0:
         return None
@@ -139,11 +138,11 @@ def mixed_space(near: Gaussians, square: Facts, voxel_size: float) -> NavigableS
 
 
 def join_spaces(spaces: Iterable[NavigableSpace], below: NavigableSpace | None = None) -> NavigableSpace:
-    """Return several spaces on one grid, with voxels of the median of their sizes, or larger if there are too many.
+    """Return several spaces on one grid, with voxels of their median size, or larger if there would be too many.
 
     Args:
-        spaces: At least one; iterated over twice. Where they overlap, what is free in one is free.
-        below: A space that is free too, but whose walls count only where none of the others is known.
+        spaces: At least one; iterated over twice. If they overlap, voxels that are free in one are free.
+        below: A further space with free voxels, whose walls count only where no other space is known.
     """
     lasts = [] if below is None else [below]
     lows = []
@@ -185,5 +184,6 @@ def _footprint(sample: Gaussians, up: str) -> tuple[F64, F64, float]:
 
 
 def _level_axes(up: str) -> list[int]:
+    """Return the two axes that are level."""
     upright = int(np.abs(axis_vector(up)).argmax())
     return [axis for axis in range(3) if axis != upright]

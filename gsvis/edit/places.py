@@ -1,10 +1,10 @@
-"""Find where eyes may be in a scene of many places, such as flats along a street, parcel by parcel.
+"""Find navigable space in a scene of many places, such as flats along a street, parcel by parcel.
 
-A grid over a whole scene shows its rooms as long as they are many voxels wide. In a larger scene they close up, and
-eyes are left above roofs or on the street alone, for which nothing inside counts. Therefore each parcel is looked at by
-itself, with what is around it, as a tile of a world is: rooms, and open ground. Where the grid over the whole shows
-most of what parcels show, it stays: it knows better what is inside and what is outside. Else eyes are in both. From far
-enough, a city is an object: such a scene is one only if most of its parcels are, too.
+A grid over a whole scene resolves rooms only if they are many voxels wide. In a larger scene rooms appear closed, so
+that eyes would only be above roofs or on the street. Therefore rooms and open ground are searched in each parcel with
+its surroundings. If the grid over the whole scene already covers most of the space of parcels, it is used alone,
+because it separates inside and outside better. Otherwise both are joined. A scene that looks like an object counts as
+one only if most of its parcels do too.
 Scene frame and units. docs/design/033-kinds-of-space.md.
 """
 
@@ -32,9 +32,9 @@ __all__ = ["Parcel", "find_in_parcels", "is_well_known", "join_parcels", "parcel
 F64 = NDArray[np.float64]
 
 Parcel = tuple[int, NavigableSpace | None]
-"""The Gaussians of a parcel, and where eyes may be in it."""
+"""The Gaussians of a parcel, and its navigable space."""
 
-_SEEN = 0.75  # least share of the Gaussians that eyes see from rooms that are all there is
+_SEEN = 0.75  # least share of the Gaussians that eyes in rooms see if the scene is only these rooms
 _SHOWN = 0.25  # least share of the space of parcels that the whole has, for it to stay as it is
 _NOTABLE = 0.05  # share of the space of parcels that is indoors, from which that has to be shown by itself
 _HELD = 0.5  # least share of the Gaussians in parcels with a place, for an object to be none
@@ -42,7 +42,7 @@ _ALONE = 96  # voxels along the longest side of a parcel that may be an object
 
 
 def is_well_known(space: NavigableSpace) -> bool:
-    """Return whether the grid over a whole scene shows it: rooms from which most of its Gaussians are seen."""
+    """Return whether the grid over a whole scene resolves it: it has rooms from which most Gaussians are seen."""
     found = space.kind
     return found.kind == "rooms" and found.evidence is not None and found.evidence.seen_within >= _SEEN
 
@@ -50,12 +50,12 @@ def is_well_known(space: NavigableSpace) -> bool:
 def find_in_parcels(
     core: Gaussians, whole: NavigableSpace, *, most: int = PARCEL, progress: Progress = silent
 ) -> NavigableSpace:
-    """Return where eyes may be in a scene, by its parcels if the grid over all of it does not show them.
+    """Return the navigable space of a scene, by its parcels if one grid does not resolve it.
 
     Args:
-        core: What hides things.
-        whole: Where eyes may be by a grid over all of it.
-        most: Gaussians of a parcel, about.
+        core: The Gaussians that hide others.
+        whole: Navigable space by a grid over the whole scene.
+        most: Approximate number of Gaussians of a parcel.
         progress: Called with stage "space", in parcels.
     """
     every = sampling_interval(len(core))
@@ -71,26 +71,26 @@ def find_in_parcels(
 
 
 def parcels_of(whole: NavigableSpace, sample: Gaussians, every: int, up: str, most: int = PARCEL) -> list[Facts]:
-    """Return the parcels of a scene, see `lay_parcels`; none if the grid over all of it shows it, or it is one parcel.
+    """Return the parcels of a scene, see `lay_parcels`; none if the grid over the whole scene suffices.
 
     Args:
-        whole: Where eyes may be by a grid over all of it.
-        sample: One in `every` of its Gaussians that can be seen.
-        every: One of how many.
-        up: Axis that points upward, such as "+z": squares lie along axes.
-        most: Gaussians of a parcel, about.
+        whole: Navigable space by a grid over the whole scene.
+        sample: One in `every` of its visible Gaussians.
+        every: Number of Gaussians that one of the sample represents.
+        up: Axis that points upward, such as "+z"; squares lie along axes.
+        most: Approximate number of Gaussians of a parcel.
     """
     found = [] if is_well_known(whole) else lay_parcels(sample, every, up, most)
     return found if len(found) > 1 else []
 
 
 def space_of_parcel(near: Gaussians, square: Facts, is_object: bool) -> NavigableSpace | None:
-    """Return where eyes may be in a parcel; None if nowhere.
+    """Return the navigable space of a parcel; None if there is none.
 
     Args:
-        near: What hides things in it and around it.
-        square: Where it lies.
-        is_object: Whether the whole scene was taken for an object. A parcel that looks like one has no place then.
+        near: The Gaussians in and around it that hide others.
+        square: The square of the parcel.
+        is_object: Whether the whole scene looks like an object. Then a parcel that also does has no space.
     """
     if len(near) == 0:
         return None
@@ -106,9 +106,9 @@ def space_of_parcel(near: Gaussians, square: Facts, is_object: bool) -> Navigabl
 
 
 def join_parcels(whole: NavigableSpace, parcels: Iterable[Parcel]) -> NavigableSpace:
-    """Return where eyes may be by a grid over a scene and by its parcels; that of the grid if it shows most of theirs.
+    """Return the navigable space of a scene from a grid over it and its parcels; only the grid if it covers most.
 
-    Indoors counts by itself if it is a notable part: a street that the grid shows is larger than the rooms beside it.
+    A notable indoor part must be covered separately, because a street is larger than the rooms beside it.
 
     Args:
         whole: The space of the scene.
@@ -133,7 +133,7 @@ def join_parcels(whole: NavigableSpace, parcels: Iterable[Parcel]) -> NavigableS
 
 
 def _volumes(parcel: NavigableSpace, whole: NavigableSpace) -> F64:
-    """Return (4,) the volume of a parcel's space, of it in the space of the whole scene, and the same indoors."""
+    """Return (4,) the volume of a parcel's space, its part in the space of the whole scene, and both indoors."""
     voxels = np.argwhere(parcel.free)
     inside = indoors(parcel)[parcel.free]
     shown = whole.contains(parcel.origin + parcel.voxel_size * (voxels + 0.5))
@@ -143,7 +143,7 @@ def _volumes(parcel: NavigableSpace, whole: NavigableSpace) -> F64:
 
 @dataclass(frozen=True)
 class _Spaces:
-    """The spaces of the parcels that have one, read again whenever they are iterated over."""
+    """The spaces of parcels that have one, read again at each iteration."""
 
     parcels: Iterable[Parcel]
 
@@ -154,9 +154,9 @@ class _Spaces:
 
 
 def _join(whole: NavigableSpace, spaces: _Spaces, count: int) -> NavigableSpace:
-    """Return the space of a scene and those of a number of its parcels as one."""
+    """Return the space of a scene joined with those of a number of its parcels."""
     places = f"in rooms and on open ground of {count} parcels of it"
-    if whole.kind.kind == "object":  # it is none, so nobody looks from around it
+    if whole.kind.kind == "object":  # the parcels show that it is not an object
         kind = SpaceKind("rooms", "many places", whole.kind.evidence, places)
         found = join_spaces(spaces)
         return replace(found, rule="by parcels", kind=kind, parcels=1 + found.parcels)

@@ -1,6 +1,6 @@
-"""Quantities of Gaussians that a scene can be painted by: how often, from where and how strongly each is seen.
+"""Measure quantities for painting a scene: how often, from where and how strongly each Gaussian is seen.
 
-They are measured from places and views drawn in navigable space, or read from a store of visible sets. Scene frame.
+They are measured from random places and views in navigable space, or read from a store of visible sets. Scene frame.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ _TRIES = 32  # draws of places until enough lie outside everything solid
 _PLACES = 1
 _OF_CELLS = 2
 _VIEWS = ViewSampling(96, 480, 360, 90.0, stream=7)
-# colors of importance span so many powers of ten below this quantile
+# colors of importance span this many powers of ten below this quantile
 _TOP = 0.999
 _DECADES = 6
 
 _LABELS = {
     "visibility": "share of the eyes that see it",
-    "directions": f"of {NUM_FACES} directions, from how many it is seen",
+    "directions": f"number of {NUM_FACES} directions from which it is seen",
     "weight": "largest weight in a pixel",
     "importance": "mean squared change of a view without it",
     "cell": "cell that sees it best",
@@ -57,11 +57,11 @@ class QuantityConfig:
     """Options of a measurement.
 
     Attributes:
-        eyes: Places to look from, all around; for "cell", the most cells instead.
+        eyes: Number of places that look all around; for "cell", the largest number of cells.
         views: Views for "importance".
         size: Pixels along a side of the six faces around an eye.
         tau: Least weight of a visible Gaussian.
-        seed: Seed of everything random.
+        seed: Seed of all random numbers.
     """
 
     eyes: int = 64
@@ -83,14 +83,14 @@ class Quantity:
 
     Attributes:
         name: One of `QUANTITIES`.
-        values: (N,) float32; a number of a cell for "cell". 0 for Gaussians that nothing sees.
-        seen: (N,) the Gaussians that something sees; the others have no color of the ramp.
+        values: (N,) float32; the number of a cell for "cell"; 0 for unseen Gaussians.
+        seen: (N,) True for seen Gaussians; the others get no color of the ramp.
         low: Value of the first color.
         high: Value of the last color, above `low`.
-        logarithmic: Whether equal ratios, not equal differences, are equally far in color.
+        logarithmic: Whether equal steps in color are equal ratios instead of equal differences.
         cells: Number of cells for "cell"; 0 for other quantities, which are continuous.
-        label: What the values are, in words.
-        unseen: What the others are, in words.
+        label: Description of the values.
+        unseen: Description of unseen Gaussians.
     """
 
     name: str
@@ -107,14 +107,14 @@ class Quantity:
         return len(self.values)
 
     def parts(self, values: NDArray[np.floating[Any]]) -> F64:
-        """Return where values (M,) lie between `low` and `high`, in [0, 1]."""
+        """Return the positions of values (M,) between `low` and `high`, in [0, 1]."""
         some = np.clip(values.astype(np.float64), self.low, self.high)
         if self.logarithmic:
             return np.asarray(np.clip(np.log(some / self.low) / np.log(self.high / self.low), 0.0, 1.0))
         return np.asarray((some - self.low) / (self.high - self.low))
 
     def value_at(self, part: float) -> float:
-        """Return the value at a part in [0, 1] of the way from `low` to `high`."""
+        """Return the value at a share in [0, 1] of the way from `low` to `high`."""
         if self.logarithmic:
             return float(self.low * (self.high / self.low) ** part)
         return self.low + part * (self.high - self.low)
@@ -128,14 +128,14 @@ def measure_quantity(
     *,
     progress: Progress = silent,
 ) -> Quantity:
-    """Measure a quantity of each Gaussian from where eyes may be.
+    """Measure a quantity of each Gaussian from navigable space.
 
     Args:
         g: The scene, N Gaussians.
-        name: "visibility": the share of random eyes that see it. "directions": from how many of 80 directions some eye
-            sees it. "weight": its largest share of a pixel. "importance": the mean squared change of random views
-            without it, per pixel. "cell": of boxes over the space, with one eye each, the one that sees it best.
-        space: Where eyes may be.
+        name: "visibility": share of random eyes that see it. "directions": number of 80 directions from which some eye
+            sees it. "weight": its largest weight in a pixel. "importance": mean squared change of random views without
+            it, per pixel. "cell": the box of the space whose eye sees it best.
+        space: Allowed viewpoints.
         config: Options; None means `QuantityConfig()`.
         progress: Called with stage "viewpoints", or "importance".
 
@@ -156,13 +156,12 @@ def stored_quantity(store: VisibilityStore, name: str, *, progress: Progress = s
 
     Args:
         store: Sets of C cells; ids are those of the scene, or of the union of levels.
-        name: "visibility": the share of cells that see it. "directions": those that the build found. "weight": the
-            least weight of its highest class. "cell": the cell that sees it with the highest class, of several the
-            first.
+        name: "visibility": share of cells that see it. "directions": directions found by the build. "weight": least
+            weight of its highest class. "cell": the first cell that sees it with the highest class.
         progress: Called with stage "cells".
 
     Raises:
-        ValueError: If the name is unknown, or is "importance", which sets do not know.
+        ValueError: If the name is unknown, or is "importance", which sets do not hold.
         SceneError: If no cell sees anything.
     """
     known = tuple(each for each in QUANTITIES if each != "importance")
@@ -192,7 +191,7 @@ def stored_quantity(store: VisibilityStore, name: str, *, progress: Progress = s
 
 
 def _from_eyes(g: Gaussians, name: str, eyes: F64, cells: int, config: QuantityConfig, progress: Progress) -> Quantity:
-    """Return what eyes (V, 3) see; eye k belongs to cell k."""
+    """Return a quantity from the Gaussians that eyes (V, 3) see; eye k belongs to cell k."""
     look = Look(g, "hybrid", config.size, config.tau)
     times = np.zeros(len(g), np.int64)
     best = np.zeros(len(g), np.float32)
@@ -223,6 +222,7 @@ def _from_views(g: Gaussians, space: NavigableSpace, config: QuantityConfig, pro
     cameras = config.views.cameras(g, space)
 
     def report(stage: str, done: int, total: int) -> None:
+        """Report progress as stage "importance"."""
         progress("importance", done, total)
 
     effects = removal_effects(g, cameras, progress=report)
@@ -243,6 +243,7 @@ def _finish(
     cells: int = 0,
     label: str = "",
 ) -> Quantity:
+    """Return the quantity with its range of colors."""
     if not seen.any():
         raise SceneError("no eye sees any of the scene: there is nothing to paint; say where eyes belong")
     shown = np.where(seen, values, 0).astype(np.float32)
@@ -250,7 +251,7 @@ def _finish(
 
 
 def _random_eyes(g: Gaussians, space: NavigableSpace, config: QuantityConfig) -> F64:
-    """Return places (V, 3) drawn in a space, outside everything solid."""
+    """Return random places (V, 3) in a space, outside everything solid."""
     rng = np.random.default_rng([config.seed, _PLACES])
     solid = Solid.from_scene(g)
     found = np.zeros((0, 3))
@@ -265,7 +266,7 @@ def _random_eyes(g: Gaussians, space: NavigableSpace, config: QuantityConfig) ->
 
 
 def _cell_eyes(g: Gaussians, space: NavigableSpace, config: QuantityConfig) -> tuple[F64, int]:
-    """Return a place (C, 3) in each box over a space, NaN where all tried lie inside something solid, and C."""
+    """Return one place (C, 3) for each box of a space, NaN if all tried places lie inside something solid, and C."""
     viewpoints = CellViewpoints(CellGrid.over(space, max_cells=config.eyes), space)
     rng = np.random.default_rng([config.seed, _OF_CELLS])
     solid = Solid.from_scene(g)

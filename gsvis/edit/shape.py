@@ -1,7 +1,7 @@
-"""Find by the Gaussians alone which of them are far outside, hazy, large, or in lonely groups.
+"""Find Gaussians that are far outside, hazy, large, or in lonely groups, from the Gaussians alone.
 
-Scene frame and units. A grid of optical depths finds surfaces; groups of few Gaussians that hang alone are none. No eye
-is known here.
+Scene frame and units. A grid of optical depths finds surfaces; isolated groups of few Gaussians are not surfaces. This
+module knows no eyes.
 """
 
 from __future__ import annotations
@@ -34,15 +34,15 @@ _VOXELS = 1 << 24  # of a grid, at most
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """What the Gaussians alone show, before any eye is known.
+    """Properties of the Gaussians that need no eyes.
 
     Attributes:
-        far: (N,) the center lies outside 5 times the robust box.
-        hazy: (N,) large in all directions and faint.
-        large: (N,) the middle standard deviation is at least 1% of the longest side of the robust box; none in a
-            scene that lies in one point.
-        lonely: (N,) the center is not at a surface, but in a small group of few Gaussians, or where they are thin;
-            none in a scene without any surface.
+        far: (N,) whether the center lies outside 5 times the robust box.
+        hazy: (N,) whether it is large in all directions and faint.
+        large: (N,) whether the middle standard deviation is at least 1% of the longest side of the robust box; False in
+            a scene that lies in one point.
+        lonely: (N,) whether the center is not at a surface, but in a small group or in thin haze; False in a scene
+            without surfaces.
         low: (3,) lowest corner of the robust box.
         high: (3,) highest corner.
     """
@@ -74,7 +74,7 @@ class Shape:
 
     @classmethod
     def within(cls, g: Gaussians, low: F64, high: F64) -> Shape:
-        """Measure a part of a scene by the robust box (3,), (3,) of the whole; which groups are lonely is not asked."""
+        """Measure a part of a scene by the robust box (3,), (3,) of the whole; does not search lonely groups."""
         half = 0.5 * (high - low)
         far = far_from(g.means, low, high)
         least, mid, _ = np.sort(g.scales, axis=1).T
@@ -84,12 +84,12 @@ class Shape:
 
     @property
     def core(self) -> Mask:
-        """(N,) Gaussians that hide things: neither far outside nor hazy."""
+        """(N,) Gaussians that hide others: neither far outside nor hazy."""
         return ~(self.far | self.hazy)
 
     @property
     def surfaces(self) -> Mask:
-        """(N,) Gaussians between which navigable space is to be found: the core without lonely groups."""
+        """(N,) Gaussians between which navigable space is searched: the core without lonely groups."""
         return self.core & ~self.lonely
 
 
@@ -102,11 +102,11 @@ def far_from(means: NDArray[np.float32], low: F64, high: F64) -> Mask:
 
 
 def affordable_resolution(sides: F64, resolution: int) -> int:
-    """Return the voxels along the longest side, `resolution` or fewer, of a grid of at most 16 million voxels.
+    """Return the voxels along the longest side, at most `resolution`, of a grid of at most 16 million voxels.
 
     Args:
         sides: (3,) sides of the box, the longest above 0.
-        resolution: Voxels along the longest side that are wanted.
+        resolution: Requested voxels along the longest side.
     """
     shares = np.maximum(sides / sides.max(), 1.0 / resolution)
     return int(np.clip(np.cbrt(_VOXELS / np.prod(shares)), 8, resolution))
@@ -115,12 +115,12 @@ def affordable_resolution(sides: F64, resolution: int) -> int:
 def find_surfaces(parts: Iterable[Gaussians], density: Density, strength: float) -> Mask:
     """Return which voxels belong to surfaces.
 
-    A voxel that takes much light belongs to a surface, unless its group is small and holds few centers.
+    A voxel that absorbs much light belongs to a surface, unless its connected group is small and holds few centers.
 
     Args:
-        parts: The Gaussians of which the grid was made, in parts.
+        parts: The Gaussians of the grid, in parts.
         density: The grid, (X, Y, Z) voxels.
-        strength: How readily a group is too small, above 0.
+        strength: Factor on the size of a group that is too small, above 0.
 
     Returns:
         (X, Y, Z) bool.
@@ -159,7 +159,7 @@ class Surfaces:
         return cls(density, find_surfaces(parts, density, 1.0))
 
     def lonely(self, means: NDArray[np.float32]) -> Mask:
-        """Return which centers (N, 3) are on the grid but at no surface; none in a scene without any surface."""
+        """Return which centers (N, 3) are on the grid but not at a surface; none in a scene without surfaces."""
         if not self.mask.any():
             return np.zeros(len(means), bool)
         within = self.density.voxels_of(means)[1]

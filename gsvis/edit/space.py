@@ -1,7 +1,7 @@
-"""Turn navigable space into meshes and voxels, for collision and walking in other programs.
+"""Convert navigable space to meshes and voxels, for collision and walking in other programs.
 
-A visitor can be wherever light passes and navigable space is reached through free voxels. Everything else is solid: so
-neither rooms that nobody can enter nor floaters inside walls leave a surface. Meshes follow the boundary of voxels by
+A visitor can be in all voxels that let light pass and connect with navigable space. Everything else is solid, so closed
+rooms and floaters inside walls leave no surface. Meshes follow the boundary of voxels by
 marching cubes (Lorensen and Cline, 1987): watertight, and at most half a voxel from the voxels' faces.
 """
 
@@ -33,7 +33,7 @@ def solid_voxels(space: NavigableSpace) -> Voxels:
     """Return the voxels that a visitor of a navigable space cannot reach.
 
     Args:
-        space: The navigable space. Voxels that keep a distance from walls are free as well, if they can be reached.
+        space: The navigable space. Free voxels close to walls also count as free if they can be reached.
     """
     from scipy import ndimage  # here: it takes long to import
 
@@ -47,8 +47,8 @@ class SpaceMeshes:
     """Meshes of a navigable space.
 
     Attributes:
-        navigable: Boundary of the voxels where an eye can be; normals point outwards.
-        surface: Boundary of what stops a visitor; normals point to where the visitor is.
+        navigable: Boundary of the navigable voxels; normals point outwards.
+        surface: Boundary of the solid voxels; normals point to the visitor.
         matrix: (4, 4) from the scene frame to that of the meshes.
     """
 
@@ -60,8 +60,7 @@ class SpaceMeshes:
         """Return both meshes as binary glTF, named `navigable` and `surface`; `matrix` is in the scene's extras.
 
         Args:
-            origin: (3,) what centers of the scene are relative to, in the coordinates of its source; in the extras
-                too, if it is not (0, 0, 0).
+            origin: (3,) origin of the scene, in the coordinates of its source; stored in the extras unless (0, 0, 0).
         """
         import trimesh
 
@@ -75,11 +74,11 @@ class SpaceMeshes:
 
 
 def mesh_space(space: NavigableSpace, *, frame: Frame = "upright", meters_per_unit: float = 1.0) -> SpaceMeshes:
-    """Return the boundary of a navigable space, and that of what stops a visitor, as triangles.
+    """Return the boundary of a navigable space, and that of solid voxels, as triangles.
 
     Args:
         space: The navigable space.
-        frame: "upright" turns the scene so that +y points upwards, as glTF has it; "scene" keeps the scene frame.
+        frame: "upright" rotates the scene so that +y points upward, as in glTF; "scene" keeps the scene frame.
         meters_per_unit: Length of a scene unit in the result; only for "upright".
 
     Raises:
@@ -94,7 +93,7 @@ def mesh_space(space: NavigableSpace, *, frame: Frame = "upright", meters_per_un
         raise ValueError("meters_per_unit: expected none with frame='scene', whose unit is that of the scene")
     matrix = np.eye(4) if frame == "scene" else upright_matrix(space.up, meters_per_unit)
     solid = solid_voxels(space).solid
-    # Outside of the grid nobody can be: navigable space ends there, and the surface has no skin around the grid.
+    # Outside of the grid everything is solid: navigable space ends there, and the surface has no shell around the grid.
     navigable = _boundary(np.pad(space.free, 1), space)
     surface = _boundary(np.pad(solid, 1, mode="edge"), space)
     for mesh in (navigable, surface):

@@ -1,8 +1,8 @@
-"""Clean a tile of a scene: find what can go from it, in the whole scene, of which what is far is coarse. Graph tasks.
+"""Run the graph tasks that clean a tile of a scene, within a coarse version of the whole scene.
 
-Space, air, eyes and what counts as large are those of the whole scene, found from its tiles one after the other. What
-hides things is the tile and a halo as they are, and a few merged Gaussians for everything else. In a scene of many
-places (`places.py`) the eyes are those nearest to the tile. Scene frame.
+Space, air, eyes and the measure of large Gaussians are those of the whole scene, found from its tiles one by one.
+Occluders are the tile and a halo in full detail, and a few merged Gaussians for everything else. In a scene of many
+places (`places.py`) the eyes nearest to the tile are used. Scene frame.
 """
 
 from __future__ import annotations
@@ -61,10 +61,10 @@ _SPREAD = 1.6  # times as wide as merged: neighbors of a surface overlap, so tha
 
 
 def gather_rows(params: Facts, given: Given, out: Path, work: Path) -> Facts:
-    """Task: join the rows of a tile from all batches, with base colors alone, by content. Inputs are splits of batches.
+    """Task: join the rows of a tile from all batches, with base colors, by content. Inputs are splits of batches.
 
-    Params: `files` lists (input, name). Leaves "rows", and "order": which row of the joined files each of them is.
-    Facts: `gaussians`, and the `sizes` of the files.
+    Params: `files` lists (input, name). Writes "rows", and "order", the index of each row in the joined files. Facts:
+        `gaussians`, and the `sizes` of the files.
     """
     parts = [load_gaussians(given.path(number, name)) for number, name in params["files"]]
     joined = Gaussians.concatenate(parts)
@@ -75,11 +75,12 @@ def gather_rows(params: Facts, given: Given, out: Path, work: Path) -> Facts:
 
 
 def survey_scene(params: Facts, given: Given, out: Path, work: Path) -> Facts:
-    """Task: find where eyes may be by one grid over all. Inputs are rows of all tiles and the outside, then samples.
+    """Task: find navigable space by one grid. Inputs are rows of all tiles and the outside, then samples.
 
-    Params: `tiles`, how many inputs are rows; `samples`, the numbers of the others; `every`, one of how many Gaussians
-    is in these; `up`. Facts: `low` and `high` of the robust box; the `kind` and `rule` of the space; `parcels`, see
-    `parcels_of`.
+    Params: `tiles`, the number of inputs with rows; `samples`, the numbers of the others; `every`, the number of
+        Gaussians
+    that one of a sample represents; `up`. Facts: `low` and `high` of the robust box; the `kind` and `rule` of the
+    space; `parcels`, see `parcels_of`.
     """
     sample = _sample(params, given)
     space = find_space(_Tiles(given, params["tiles"]), sample, up=params["up"])
@@ -92,10 +93,10 @@ def survey_scene(params: Facts, given: Given, out: Path, work: Path) -> Facts:
 
 
 def find_parcel(params: Facts, given: Given, out: Path, work: Path) -> Facts:
-    """Task: find where eyes may be in a parcel. Inputs are rows of the tiles in and around it, and of the outside.
+    """Task: find navigable space in a parcel. Inputs are rows of the tiles in and around it, and of the outside.
 
     Params: `low` and `high`, the robust box of the whole scene; `square`, see `lay_parcels`; `is_object`, whether the
-    whole was taken for one. Facts: its Gaussians, and whether it has a space.
+        whole scene looks like an object. Facts: its Gaussians, and whether it has a space.
     """
     low = np.array(params["low"])
     high = np.array(params["high"])
@@ -110,11 +111,11 @@ def find_parcel(params: Facts, given: Given, out: Path, work: Path) -> Facts:
 
 
 def find_whole(params: Facts, given: Given, out: Path, work: Path) -> Facts:
-    """Task: find what is known of the whole scene. Inputs are rows of all tiles, all samples, then all spaces.
+    """Task: combine the results for the whole scene. Inputs are rows of all tiles, all samples, then all spaces.
 
     Params: `tiles`, `samples` and `config` as for other tasks; `survey`, the number of the input of `survey_scene`;
-    `parcels`, those of the inputs of `find_parcel`; none if one grid shows the scene. Facts: `parcels`, on how many
-    grids the space was found.
+    `parcels`, the numbers of the inputs of `find_parcel`; none if one grid suffices. Facts: `parcels`, the number of
+    grids of the space.
     """
     facts = given.inputs[params["survey"]].facts
     kind = SpaceKind(**{**facts["kind"], "evidence": None})
@@ -127,9 +128,9 @@ def find_whole(params: Facts, given: Given, out: Path, work: Path) -> Facts:
 
 
 def merge_tile(params: Facts, given: Given, out: Path, work: Path) -> Facts:
-    """Task: merge what hides things in a tile to few Gaussians. Inputs are its rows, and the whole scene.
+    """Task: merge the occluders of a tile to few Gaussians. Inputs are its rows, and the whole scene.
 
-    Params: `near` and `far`, most Gaussians of the results with these names.
+    Params: `near` and `far`, the largest numbers of Gaussians of the results with these names.
     """
     whole = _whole(given, 1)
     g = core_within(load_gaussians(given.path(0, "rows")), whole.low, whole.high)
@@ -144,19 +145,19 @@ def clean_tile(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     """Task: find the class of each Gaussian of a tile.
 
     Inputs are its rows, those of the tiles that touch it, the whole scene, and merged tiles. Params: `low`, `high` and
-    `axes`, the rectangle of the tile; `room`, most Gaussians in and around the tile; `whole`, the number of that input;
-    `merged` lists input, name, and whether the halo reaches into it, of all other tiles and the outside; `config`;
-    `name`; `files`, the names of the arrays to leave.
+    `axes`, the rectangle of the tile; `room`, the largest number of Gaussians in and around the tile; `whole`, the
+    number of the input for the whole scene; `merged` lists input, name, and whether the halo reaches into it, for all
+    other tiles and the outside; `config`; `name`; `files`, the names of the arrays to write.
 
-    Leaves "classes" with an array for each file of a batch that was joined to the rows. Facts: Gaussians found and
-    removed of each class, the cost of each, and what eyes of two rules see.
+    Writes "classes" with an array for each file of a batch that was joined to the rows. Facts: Gaussians found and
+    removed of each class, the cost of each, and the quality at builder's and judge's eyes.
     """
     own, around = _load(params, given)
     config = config_of(params["config"])
     whole = _whole(given, params["whole"])
     eyes = whole.air.eyes
     navigable = whole.navigable
-    if given.inputs[params["whole"]].facts["parcels"] > 1:  # those of other parcels see little of this one
+    if given.inputs[params["whole"]].facts["parcels"] > 1:  # eyes of other parcels see little of this one
         away = _away(eyes, params)
         eyes = eyes[np.argsort(away, kind="stable")[: config.eyes]]
         navigable = cut_to_tile(navigable, params) or navigable
@@ -186,9 +187,9 @@ def clean_tile(params: Facts, given: Given, out: Path, work: Path) -> Facts:
 
 
 def find_flyaways(params: Facts, given: Given, out: Path, work: Path) -> Facts:
-    """Task: find the flyaways among what lies outside all tiles. Inputs are its rows, then all samples.
+    """Task: find the flyaways among Gaussians outside all tiles. Inputs are their rows, then all samples.
 
-    Params: `samples`, the numbers of the other inputs; `config`; `files`. Leaves what `clean_tile` does.
+    Params: `samples`, the numbers of the other inputs; `config`; `files`. Writes the same files as `clean_tile`.
     """
     config = config_of(params["config"])
     low, high = _sample(params, given).bounds(0.98)
@@ -202,14 +203,14 @@ def find_flyaways(params: Facts, given: Given, out: Path, work: Path) -> Facts:
 
 
 def config_of(value: Facts) -> CleanConfig:
-    """Return the options of a cleaning from their `asdict`, as JSON keeps them."""
+    """Return the options of a cleaning from their `asdict`, as read from JSON."""
     return CleanConfig(**{**value, "classes": tuple(value["classes"])})
 
 
 def _load(params: Facts, given: Given) -> tuple[Gaussians, list[Gaussians]]:
-    """Return the rows of a tile, and what is around it.
+    """Return the rows of a tile, and the Gaussians around it.
 
-    The halo is as wide as there is room for; beyond it are merged Gaussians.
+    The halo is as wide as memory allows; merged Gaussians represent everything beyond.
     """
     own = load_gaussians(given.path(0, "rows"))
     width = MARGIN * float(np.subtract(params["high"], params["low"]).max())
@@ -226,7 +227,7 @@ def _load(params: Facts, given: Given) -> tuple[Gaussians, list[Gaussians]]:
 
 
 def _away(points: NDArray[np.floating[Any]], params: Facts) -> F64:
-    """Return (P,) how far points (P, 3) lie outside of the rectangle of a tile, along the axis on which it is most."""
+    """Return (P,) distances of points (P, 3) from the rectangle of a tile, the larger of both axes."""
     low, high, axes = (np.array(params[name]) for name in ("low", "high", "axes"))
     across = points[:, axes].astype(np.float64)
     return np.asarray(np.maximum(np.maximum(low - across, across - high), 0.0).max(axis=1, initial=0.0))
@@ -234,7 +235,7 @@ def _away(points: NDArray[np.floating[Any]], params: Facts) -> F64:
 
 @dataclass(frozen=True)
 class _Tiles:
-    """The rows of each tile, the first inputs of a task, read again whenever they are iterated over."""
+    """The rows of each tile, the first inputs of a task, read again at each iteration."""
 
     given: Given
     count: int
@@ -246,7 +247,7 @@ class _Tiles:
 
 @dataclass(frozen=True)
 class _Parcels:
-    """The parcels of a scene, read again whenever they are iterated over."""
+    """The parcels of a scene, read again at each iteration."""
 
     given: Given
     numbers: list[int]
@@ -258,12 +259,13 @@ class _Parcels:
 
 
 def _sample(params: Facts, given: Given) -> Gaussians:
-    """Return the sample of the scene, by content."""
+    """Return the sample of the scene, sorted by content."""
     sampled = [k for k in params["samples"] if given.inputs[k].facts["sampled"]]
     return load_rows([given.path(k, "sample") for k in sampled])
 
 
 def _whole(given: Given, number: int) -> Whole:
+    """Return the results for the whole scene from an input."""
     return load_whole(*(given.path(number, name) for name in ("space", "air")))
 
 
@@ -276,6 +278,7 @@ def _save(out: Path, params: Facts, given: Given, classes: U8) -> None:
 
 
 def _counts(found: U8, classes: U8, config: CleanConfig) -> Facts:
+    """Return the numbers of Gaussians found and removed, by class."""
     return {
         "gaussians": len(classes),
         "kept": int(np.count_nonzero(classes == KEPT)),

@@ -1,4 +1,4 @@
-"""What is known of a scene as a whole, so that a part of it can be judged alone: its box, where eyes may be, its air.
+"""Hold properties of a whole scene that are needed to clean a part of it: its box, its navigable space, its air.
 
 Found from parts of which one is in memory at a time; the grids have a bounded number of voxels. Scene frame and units.
 """
@@ -31,13 +31,13 @@ _MOST_EYES = 1 << 12  # of a scene of many places
 
 @dataclass(frozen=True, eq=False)
 class Whole:
-    """What is known of a scene as a whole.
+    """Properties of a whole scene.
 
     Attributes:
         low: (3,) lowest corner of its robust box.
         high: (3,) highest corner.
-        navigable: Where eyes may be.
-        air: Its air, and the eyes that look around.
+        navigable: Allowed viewpoints.
+        air: Its air, and the eyes in it.
     """
 
     low: F64
@@ -49,12 +49,12 @@ class Whole:
     def from_parts(
         cls, parts: Iterable[Gaussians], sample: Gaussians, space: NavigableSpace, config: CleanConfig
     ) -> Whole:
-        """Find what `clean` finds of a scene at once.
+        """Return the properties that `clean` finds in a complete scene.
 
         Args:
             parts: The scene, part by part; iterated over three times.
-            sample: Some of its Gaussians that can be seen, drawn at random.
-            space: Where eyes may be. Each of its parcels gets as many eyes as one scene has.
+            sample: A random sample of its visible Gaussians.
+            space: Navigable space. Each of its parcels gets as many eyes as a scene.
             config: Eyes, resolution, strength, seed.
 
         Raises:
@@ -67,15 +67,15 @@ class Whole:
 
 
 def find_space(parts: Iterable[Gaussians], sample: Gaussians, *, up: ArrayLike | str | None = None) -> NavigableSpace:
-    """Find where eyes may be in a scene that comes in parts, by one grid over all of it, between its surfaces.
+    """Find the navigable space of a scene that comes in parts, by one grid over all of it, between its surfaces.
 
     Args:
-        parts: The scene, part by part; iterated over five times or so.
-        sample: Some of its Gaussians that can be seen, drawn at random.
+        parts: The scene, part by part; iterated over about five times.
+        sample: A random sample of its visible Gaussians.
         up: (3,) direction or an axis such as "+z"; guessed by default.
 
     Raises:
-        SceneError: If nothing but haze is there, or no eye can be anywhere.
+        SceneError: If there is only haze, or no navigable space.
     """
     low, high = sample.bounds(0.98)
     core = _Filtered(parts, lambda g: core_within(g, low, high))
@@ -88,12 +88,12 @@ def find_space(parts: Iterable[Gaussians], sample: Gaussians, *, up: ArrayLike |
 
 
 def core_within(g: Gaussians, low: F64, high: F64) -> Gaussians:
-    """Return the Gaussians of a part that can be seen and hide things, by the robust box of the whole scene."""
+    """Return the visible Gaussians of a part that hide others, by the robust box of the whole scene."""
     return g[Shape.within(g, low, high).core & (g.opacities >= MIN_ALPHA)]
 
 
 def save_whole(out: Path, whole: Whole) -> None:
-    """Write what is known of a scene into a folder."""
+    """Write the properties of a scene to a folder."""
     save_space(out / "space", whole.navigable)
     air = whole.air
     arrays = {"labels": air.labels, "open_air": air.open_air, "eyes": air.eyes, "origin": air.origin}
@@ -102,7 +102,7 @@ def save_whole(out: Path, whole: Whole) -> None:
 
 
 def load_whole(space: Path, air: Path) -> Whole:
-    """Return what `save_whole` wrote.
+    """Return the properties that `save_whole` wrote.
 
     Raises:
         FormatError: If a file is damaged.
@@ -114,7 +114,7 @@ def load_whole(space: Path, air: Path) -> Whole:
 
 @dataclass(frozen=True)
 class _Filtered:
-    """Some Gaussians of each part of a scene, read again whenever they are iterated over."""
+    """Some Gaussians of each part of a scene, read again at each iteration."""
 
     parts: Iterable[Gaussians]
     keep: Callable[[Gaussians], Gaussians]

@@ -1,4 +1,4 @@
-"""Round a bare scene to records: Gaussians that were never prepared, of SH degree 0 to 3.
+"""Round a bare scene, Gaussians that were never prepared, of SH degree 0 to 3, to records.
 
 Geometry and the constant color become the records of a package. Higher harmonics become bytes between a low and a high
 end for each coefficient. Ends hold all but a few values in ten thousand and make zero exact; the rest is clipped.
@@ -37,11 +37,11 @@ _ROWS = 1 << 15
 
 @dataclass(frozen=True, eq=False)
 class Harmonics:
-    """Ends of K coefficients, the same for R, G and B.
+    """Ranges of K coefficients, the same for R, G and B.
 
     Attributes:
         degree: 1 to 3.
-        high: (K,) what byte 255 stands for; byte 128 is 0 and byte 0 is -128/127 of it.
+        high: (K,) value of byte 255; byte 128 is 0 and byte 0 is -128/127 of it.
     """
 
     degree: int
@@ -49,14 +49,14 @@ class Harmonics:
 
     @classmethod
     def from_coefficients(cls, coefficients: F32, degree: int) -> Harmonics:
-        """Return the ends for coefficients (N, K, 3)."""
+        """Return the ranges of coefficients (N, K, 3)."""
         some = np.abs(coefficients[:: max(1, len(coefficients) // _SAMPLE)])
         high = np.quantile(some, 1.0 - _TAIL, axis=(0, 2), method="higher")
         return cls(degree, np.maximum(high, 1e-6).astype(np.float32))
 
     @property
     def low(self) -> F32:
-        """(K,) what byte 0 stands for."""
+        """(K,) value of byte 0."""
         return np.asarray(self.high.astype(np.float64) * -(ZERO / (255.0 - ZERO)), np.float32)
 
     def encode(self, coefficients: F32, ids: I64) -> U8:
@@ -106,7 +106,7 @@ class BareScene:
 
 
 def encode_scene(levels: Levels) -> BareScene:
-    """Return the records of levels of a scene; a scene without levels is one."""
+    """Return the records of the levels of a scene."""
     union = levels.union
     order = PackageOrder.from_levels(levels)
     ids = order.permutation
@@ -129,7 +129,7 @@ def encode_scene(levels: Levels) -> BareScene:
 
 
 def _base_colors(sh0: F32) -> tuple[Grids, U8]:
-    """Return the tables for constant coefficients (N, 3), and the (N, 3) places of their colors."""
+    """Return the tables for constant coefficients (N, 3), and the (N, 3) indices of their colors."""
     rgb = (0.5 + SH_C0 * sh0.astype(np.float64)).astype(np.float32)
     low = rgb.min(axis=0).tolist()
     high = rgb.max(axis=0).tolist()

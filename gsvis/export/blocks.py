@@ -1,4 +1,4 @@
-"""Blocks of a static scene: up to 64 Gaussians of one chunk that are fetched together, and their order in the files.
+"""Divide a static scene into blocks, up to 64 Gaussians of one chunk that are fetched together, and order them.
 
 Chunks of equal levels follow each other. Of each such run the files hold the first 64 Gaussians of every chunk,
 then the next 64 of every chunk, and on. Gaussians of a chunk are in the order of their coverage. So the start of a run
@@ -50,8 +50,7 @@ class Blocks:
         Args:
             table: The chunks.
             levels: (C, 2) first and last level of each chunk.
-            gains: (N,) how much each Gaussian counts: those of a chunk are sorted by it, largest first. None keeps
-                their order.
+            gains: (N,) gain of each Gaussian; those of a chunk are sorted by it, largest first. None keeps their order.
         """
         ids = np.arange(table.starts[-1])
         if gains is not None:
@@ -67,12 +66,12 @@ class Blocks:
         return cls(chunks, firsts, np.minimum(table.counts[chunks] - BLOCK * strata, BLOCK), ids)
 
     def __len__(self) -> int:
-        """Return B."""
+        """Return the number of blocks."""
         return len(self.chunks)
 
     @cached_property
     def starts(self) -> I64:
-        """(B + 1,) place of the first Gaussian of each block, and N."""
+        """(B + 1,) place of the first Gaussian of each block, then N."""
         return np.concatenate([np.zeros(1, np.int64), np.cumsum(self.counts)])
 
     @cached_property
@@ -94,6 +93,6 @@ class Blocks:
 
 
 def quantize_gains(gains: NDArray[np.float64], top: int) -> U8:
-    """Return gains > 0 as bytes: 255 stands for 2^(top / 4), each step below it for 2^(1/4) less; none is below 1."""
+    """Return gains > 0 as bytes: 255 is 2^(top / 4), and each step below it divides by 2^(1/4), down to 1."""
     places = np.rint(GAIN_STEPS * np.log2(np.maximum(gains, np.finfo(np.float64).tiny)))
     return np.asarray(np.clip(places - top + 255, 1, 255), np.uint8)

@@ -1,4 +1,4 @@
-"""Rows of the cells of a static scene: for each cell the blocks that it sees, and how much each counts there.
+"""Write the rows of the cells of a static scene: the blocks that each cell sees, and their gains there.
 
 A row is a bitmap of blocks, lowest bit first; a byte for the gain of each block in it; and, where the scene has active
 terms, for each layer a byte for what the block's terms there are worth in the cell; each row is compressed by itself. A
@@ -31,7 +31,7 @@ F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
 
 REPLACED = AbrConfig().replaced
-"""Share of the area of its replacements after which a Gaussian is no longer drawn, as on a server."""
+"""Share of the area of a Gaussian's replacements from which the Gaussian is hidden, as on a server."""
 
 _SPHERE = 4.0 * np.pi  # largest solid angle
 
@@ -43,7 +43,7 @@ class CellRows:
     Attributes:
         grid: The cells; None for one cell that sees everything.
         top: Quarters of an octave of the gain that byte 255 stands for.
-        active: Whether rows say what terms are worth.
+        active: Whether rows hold the worth of terms.
         rows: The row of each cell.
     """
 
@@ -119,7 +119,7 @@ def rows_of_package(
 
 
 class _TermWorth:
-    """What the items of a package are worth in its cells."""
+    """The worth of the items of a package in its cells."""
 
     def __init__(self, package: Package, g: Gaussians, items: NDArray[np.int64], count: int) -> None:
         contents = package.contents
@@ -140,6 +140,7 @@ class _TermWorth:
 
 
 def _row(gains: F64, top: int, seen: NDArray[np.bool_]) -> bytes:
+    """Return the compressed row of a cell."""
     return np.packbits(seen, bitorder="little").tobytes() + quantize_gains(gains[seen], top).tobytes()
 
 
@@ -149,14 +150,15 @@ def _areas(g: Gaussians) -> F64:
 
 
 def _top(gains: F64) -> int:
+    """Return the quarters of an octave of the largest gain."""
     return int(np.ceil(GAIN_STEPS * np.log2(max(gains.max(initial=0.0), 1e-300))))
 
 
 def replaced_rows(levels: Levels, blocks: Blocks) -> list[bytes]:
-    """Return for each of B blocks what replaces its Gaussians; nothing for those of the highest level.
+    """Return for each of B blocks the blocks that replace its Gaussians; nothing for the highest level.
 
-    Named are the fewest blocks that hold `REPLACED` of the area of the replacements of a Gaussian: all blocks would
-    take more bytes than the records themselves.
+    A row lists the fewest blocks that hold `REPLACED` of the area of the replacements of a Gaussian, because all blocks
+    would take more bytes than the records themselves.
 
     Args:
         levels: The N Gaussians and their levels.
@@ -173,7 +175,7 @@ def replaced_rows(levels: Levels, blocks: Blocks) -> list[bytes]:
 
 
 def _spell(lists: list[NDArray[np.int32]]) -> bytes:
-    """Return the length of each list, and its numbers as differences from the one before, 7 bits a byte."""
+    """Return the length of each list, and its numbers as zigzag-encoded differences, 7 bits per byte."""
     out = bytearray()
     last = 0
     for found in lists:

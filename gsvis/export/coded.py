@@ -1,6 +1,6 @@
-"""Blocks of a static scene as they lie in its files: the row of the chunk, and the records, coded as on the wire.
+"""Code the blocks of a static scene for its files: the row of the chunk, and the records, coded as on the wire.
 
-Each block is coded by itself, with the tables of the scene. So a reader decodes any of them without the others.
+Each block is coded separately, with the tables of the scene, so a reader can decode any block without the others.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ HEAD = np.dtype(
         ("zero", "u1"),
     ]
 )
-"""Type of the head of a block, 32 bytes: the row of its chunk, and how many words of u16 its records take."""
+"""Type of the head of a block, 32 bytes: the row of its chunk, and the size of its records in words of u16."""
 
 UNIT = 16
 """Blocks take a multiple of this many bytes, so that their sizes compress."""
@@ -41,11 +41,11 @@ UNIT = 16
 
 @dataclass(frozen=True, eq=False)
 class Coded:
-    """Blocks behind each other.
+    """Coded blocks, one after the other.
 
     Attributes:
         data: The content of the file.
-        sizes: (B,) how much each block takes: units of records, words of coded terms.
+        sizes: (B,) size of each block: in units for records, in words for coded terms.
     """
 
     data: bytes
@@ -53,7 +53,7 @@ class Coded:
 
 
 def in_order(contents: Contents, ids: I64) -> Contents:
-    """Return a package whose Gaussian i is that with the id `ids[i]`. Chunks keep their members.
+    """Return a package whose Gaussian i is the one with the id `ids[i]`. Chunks keep their members.
 
     Args:
         contents: A package of N Gaussians.
@@ -82,7 +82,7 @@ def code_records(contents: Contents, blocks: Blocks, coding: Coding, replaced: l
         contents: The package, with the ids of the static form.
         blocks: Its B blocks.
         coding: The code of its records.
-        replaced: (B,) what stands behind the records of each block, from `replaced_rows`.
+        replaced: (B,) rows to append to the records of each block, from `replaced_rows`.
     """
     parts = coding.split_records(contents)
     chunks = chunks_of(contents.table)
@@ -101,6 +101,7 @@ def pack_records(table: ChunkTable, blocks: Blocks, records: U8, replaced: list[
 
 
 def _join(table: ChunkTable, blocks: Blocks, bodies: list[bytes], replaced: list[bytes]) -> Coded:
+    """Return the blocks of bodies, with heads and replaced rows."""
     heads = np.zeros(len(blocks), HEAD)
     for name, values in (
         ("origin", table.origins),
@@ -124,8 +125,8 @@ def _join(table: ChunkTable, blocks: Blocks, bodies: list[bytes], replaced: list
 def code_terms(contents: Contents, blocks: Blocks, coding: Coding, items: I64) -> Coded:
     """Return the terms of all items, coded; sizes are in words of u16.
 
-    An item is a layer of the terms of a block. It begins with a bit 1 for each of its terms and a bit 0 behind those of
-    each Gaussian; one without terms has no bytes.
+    An item is a layer of the terms of a block. It begins with a bit 1 for each term and a bit 0 after the terms of each
+    Gaussian. An item without terms has no bytes.
 
     Args:
         contents: A package of T terms.

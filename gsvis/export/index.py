@@ -1,4 +1,4 @@
-"""The index of a static scene: where its chunks are, and how many bytes each block takes.
+"""Write the index of a static scene: the places of its chunks, and the bytes of each block.
 
 A page reads it whole before the first block, so it is coarse: a sphere around each chunk, in steps that grow with the
 distance from the middle of the scene. Spheres hold all that their chunk draws.
@@ -29,7 +29,7 @@ OCTAVE = 4
 """Steps of a radius for each doubling."""
 
 REACH = 3.0
-"""Standard deviations to which a Gaussian reaches, as on a server: wide ones are in view when their centers are not."""
+"""Reach of a Gaussian in standard deviations, as on a server, because wide Gaussians outreach their centers."""
 
 _MOST = (1 << 15) - 1
 
@@ -39,8 +39,8 @@ class Spheres:
     """Spheres around C chunks.
 
     Attributes:
-        middle: (3,) where steps are finest.
-        scale: The radius that byte 128 stands for.
+        middle: (3,) point where steps are finest.
+        scale: Radius of byte 128.
         places: (C, 3) steps of each center.
         radii: (C,) 0 to 255.
     """
@@ -59,7 +59,7 @@ class Spheres:
         highs = np.maximum.reduceat(means, starts)
         centers = (lows + highs) / 2
         halves = np.linalg.norm(highs - lows, axis=1) / 2
-        # Both are read from text by everybody who decodes: numbers of few digits stay what they are.
+        # Decoders read both numbers from text; numbers of few digits are read exactly.
         middle = np.median(centers, axis=0).astype(np.float32).astype(np.float64)
         least = 1e-6 * float(max(halves.max(initial=0.0), np.ptp(centers, axis=0).max(initial=0.0))) or 1e-6
         scale = float(np.float32(max(np.median(halves), least)))
@@ -79,10 +79,10 @@ def index_of(spheres: Spheres, table: ChunkTable, levels: U8, units: I64) -> byt
     """Return the content of `index`.
 
     Args:
-        spheres: Those of the C chunks.
+        spheres: The spheres of the C chunks.
         table: The chunks.
         levels: (C, 2) first and last level of each.
-        units: (B,) how much each block takes in `records`.
+        units: (B,) size of each block in `records`.
     """
     return compress(
         *(column(differences(spheres.places[:, axis]), 3) for axis in range(3)),

@@ -1,7 +1,7 @@
-"""Layers of the terms of a static scene: those of a block that an eye is likely to need together.
+"""Divide the terms of a block into layers that an eye is likely to need together.
 
-The first two terms of a Gaussian count most, and lie in a layer of their own. A term changes colors in a cone of
-directions, so the others lie in four layers by where their lobes point: from one place a part of them is enough.
+The first two terms of a Gaussian count most and have their own layer. A term changes colors only in a cone of
+directions, so the other terms have four layers by the direction of their lobes. One eye needs only some layers.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _CORNERS = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], np.float
 
 
 def items_of(contents: Contents, blocks: Blocks) -> NDArray[np.int64]:
-    """Return (T,) the item of each term: the number of its block, and B for each layer below its own.
+    """Return (T,) the item of each term: the number of its block, plus B for each layer below its own.
 
     Args:
         contents: A package of T terms.

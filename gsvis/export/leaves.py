@@ -1,8 +1,8 @@
-"""Cut levels of a scene into leaves: boxes of a binary tree with about as many Gaussians each, in Morton order.
+"""Cut levels of a scene into leaves: boxes of a binary tree with similar numbers of Gaussians, in Morton order.
 
-A node is cut across its longest side, at the median, while the largest level has too many Gaussians in it. So all
-leaves are alike in size. Gaussians far outside of a scene, such as flyaways, would make the box of any leaf huge; they
-become the environment, which viewers draw always. Scene frame and units.
+A node is cut at the median across its longest side while the largest level has too many Gaussians in it, so all leaves
+have a similar size. Gaussians far outside of a scene, such as flyaways, would make the box of a leaf huge; they become
+the environment, which viewers always draw. Scene frame and units.
 """
 
 from __future__ import annotations
@@ -26,10 +26,9 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 LEAF = 8192
-"""Most Gaussians of a leaf at one level, unless another number is given."""
-
-_FAR = 3.0  # times the half sides of the box with 98% of the centers: beyond that lies the environment
-_MOST_FAR = 0.01  # of the Gaussians; more are no strays, and stay in leaves
+"""Default of the largest number of Gaussians of a leaf at one level."""
+_FAR = 3.0  # half sides of the box with 98% of the centers, beyond which the environment begins
+_MOST_FAR = 0.01  # largest share of Gaussians in the environment; if more are far, they stay in leaves
 _ROWS = 1 << 16
 
 
@@ -52,12 +51,12 @@ class Leaves:
     lowest: int = 0
 
     def __len__(self) -> int:
-        """Return B."""
+        """Return the number of leaves."""
         return int(self.of_ids.max()) + 1
 
     @cached_property
     def order(self) -> I64:
-        """(M,) ids of all Gaussians in leaves: leaf by leaf, along a Morton curve in each."""
+        """(M,) ids of all Gaussians in leaves: leaf by leaf, along a Morton curve in each leaf."""
         ids = np.flatnonzero(self.of_ids >= 0)
         means = self.levels.union.means[ids]
         low = means.min(axis=0).astype(np.float64)
@@ -67,7 +66,7 @@ class Leaves:
 
     @cached_property
     def starts(self) -> I64:
-        """(B + 1,) place in `order` at which each leaf begins, and M."""
+        """(B + 1,) place in `order` at which each leaf begins, then M."""
         return np.concatenate([[0], np.cumsum(np.bincount(self.of_ids[self.order], minlength=len(self)))])
 
     @cached_property
@@ -90,11 +89,11 @@ class Leaves:
 
     @cached_property
     def bounds(self) -> F64:
-        """(B, 2, 3) boxes of the leaves: centers and the boxes of standard deviations about them."""
+        """(B, 2, 3) boxes of the leaves that hold one standard deviation of each Gaussian."""
         return self.boxes(1.0)
 
     def boxes(self, deviations: float) -> F64:
-        """Return (B, 2, 3) boxes of the leaves: centers and the boxes of so many standard deviations about them."""
+        """Return (B, 2, 3) boxes of the leaves that hold a number of standard deviations of each Gaussian."""
         reach = deviations * _reach(self.levels.union)[self.order]
         means = self.levels.union.means[self.order].astype(np.float64)
         low = np.minimum.reduceat(means - reach, self.starts[:-1], axis=0)
@@ -102,14 +101,14 @@ class Leaves:
         return np.stack([low, high], axis=1)
 
     def environment_box(self, deviations: float) -> F64:
-        """Return the (2, 3) box of the environment, as `boxes`; it must have a Gaussian."""
+        """Return the (2, 3) box of the environment, see `boxes`; there must be an environment."""
         far = self.levels.union[self.environment]
         reach = deviations * _reach(far)
         means = far.means.astype(np.float64)
         return np.stack([(means - reach).min(axis=0), (means + reach).max(axis=0)])
 
     def as_scene(self) -> LeafScene:
-        """Return the leaves as the writer of streamed SOG takes them."""
+        """Return the leaves as input of the writer of streamed SOG."""
         union = self.levels.union
         far = union[self.environment] if len(self.environment) else None
         return LeafScene(self.tree, self.bounds, self.counts, lambda lod, leaf: union[self.ids(lod, leaf)], far)
@@ -120,8 +119,8 @@ def cut_leaves(levels: Levels, *, most: int = LEAF, kept: NDArray[np.bool_] | No
 
     Args:
         levels: The levels.
-        most: Most Gaussians of a leaf at one level, at least 1.
-        kept: (N,) which Gaussians of the union to keep; None keeps all.
+        most: Largest number of Gaussians of a leaf at one level, at least 1.
+        kept: (N,) mask of Gaussians of the union to keep; None keeps all.
         lowest: The lowest level to keep.
 
     Raises:
@@ -143,6 +142,7 @@ def cut_leaves(levels: Levels, *, most: int = LEAF, kept: NDArray[np.bool_] | No
     members = [levels.member(k) for k in range(lowest, len(levels))]
 
     def cut(ids: I64) -> Tree:
+        """Return the tree of some Gaussians, cut recursively."""
         if max(int(member[ids].sum()) for member in members) > most:
             means = union.means[ids]
             axis = int(np.ptp(means, axis=0).argmax())
@@ -166,7 +166,7 @@ def _far(g: Gaussians) -> NDArray[np.bool_]:
 
 
 def _reach(g: Gaussians) -> F64:
-    """Return (N, 3) half sides of the boxes around the ellipsoids' own boxes of one standard deviation."""
+    """Return (N, 3) half sides of the boxes around one standard deviation of each Gaussian."""
     out = np.empty((len(g), 3))
     for start in range(0, len(g), _ROWS):
         some = g[start : start + _ROWS]

@@ -1,4 +1,4 @@
-"""Open a package, levels or one scene for export: as levels, with visible sets, and what is known of it."""
+"""Open a package, levels or one scene for export, as levels with visible sets and facts."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ __all__ = ["Known", "ever_seen", "open_levels"]
 
 @dataclass(frozen=True)
 class Known:
-    """What a package says of itself; none of it for a bare scene."""
+    """Facts that a package states; all unknown for a bare scene."""
 
     up: tuple[float, float, float] | None = None
     poses: tuple[Start, ...] = ()
@@ -31,7 +31,7 @@ class Known:
 def open_levels(
     scene: Package | Levels | Gaussians, visibility: VisibilityStore | None, progress: Progress
 ) -> tuple[Levels, VisibilityStore | None, Known]:
-    """Return the levels of a scene with SH colors, its visible sets, and what is known of it."""
+    """Return the levels of a scene with SH colors, its visible sets, and its facts."""
     if isinstance(scene, Package):
         if visibility is not None:
             raise ValueError("visibility: expected none with a package, which has its own, got some; leave it out")

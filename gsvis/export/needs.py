@@ -1,4 +1,4 @@
-"""Which leaves of a streamed scene each cell needs, and in which order: the sidecar, a header and bits.
+"""Find which leaves of a streamed scene each cell needs, and in which order, and write them as the sidecar.
 
 docs/streamed.md describes the file to the byte. A row belongs to one or more cells: a bitmap of leaves, lowest bit
 first, and a byte for the light of each leaf in it. Row 0 is for eyes outside of all cells, and has every leaf. This
@@ -33,7 +33,7 @@ FORMAT = "gsvis-leaves"
 VERSION = 1
 
 LOST = 1e-4
-"""Most light of a cell that the leaves left out may have, as a share of all its light."""
+"""Largest share of the light of a cell that omitted leaves may have."""
 
 CELL_ROW = np.dtype([("box", "<u2", 3), ("row", "<u2")])
 _MOST = 0xFFFF
@@ -42,7 +42,7 @@ _SPHERE = 4.0 * np.pi
 
 @dataclass(frozen=True, eq=False)
 class LeafNeeds:
-    """What K cells need of B leaves.
+    """The needs of K cells for B leaves.
 
     Attributes:
         origin: (3,) lowest corner of box (0, 0, 0), scene frame.
@@ -65,7 +65,7 @@ class LeafNeeds:
         return self.lights > 0.0
 
     def coarsen(self) -> LeafNeeds:
-        """Return the needs of cells twice as wide; a leaf counts as in the cell where it counts most."""
+        """Return the needs of cells twice as wide; a leaf has the light of the cell where it is brightest."""
         boxes, owner = np.unique(self.boxes // 2, axis=0, return_inverse=True)
         lights = np.zeros((len(boxes), self.lights.shape[1]))
         np.maximum.at(lights, owner.reshape(-1), self.lights)
@@ -104,7 +104,7 @@ class LeafNeeds:
         return struct.pack("<I", len(text)) + text + cells.tobytes() + b"".join(rows)
 
     def encode_within(self, facts: dict[str, Any], most: int) -> bytes:
-        """Return the file; cells are merged until it has at most so many bytes, or one cell is left."""
+        """Return the file, with cells merged until it has at most `most` bytes or one cell is left."""
         needs = self
         data = needs.encode(facts)
         while len(data) > most and len(needs.boxes) > 1:
@@ -116,13 +116,13 @@ class LeafNeeds:
 def find_needs(
     leaves: Leaves, store: VisibilityStore | None, *, lost: float = LOST, progress: Progress = silent
 ) -> LeafNeeds:
-    """Return what each cell needs: the leaves with most light, until at most a share `lost` of it is missing.
+    """Return the needs of each cell: the brightest leaves, until at most a share `lost` of the light is missing.
 
     Args:
         leaves: The leaves.
         store: Visible sets of the union of their levels; None gives no cells, and orders leaves by opacity times area.
-        lost: Share of the light of a cell in [0, 1) that the leaves left out may have; 0 keeps every leaf of which
-            the cell sees a Gaussian.
+        lost: Largest share of the light of a cell, in [0, 1), in omitted leaves; 0 keeps every leaf of which the cell
+            sees a Gaussian.
         progress: Called with stage "sets", in cells.
 
     Raises:
@@ -160,11 +160,12 @@ def find_needs(
 
 
 def _sums(owners: NDArray[np.int32], values: NDArray[np.floating], count: int) -> F64:
+    """Return the sums of values by owner."""
     return np.asarray(np.bincount(owners, values, minlength=count), np.float64)
 
 
 def _largest(lights: F64, lost: float) -> F64:
-    """Return lights (B,) without the smallest ones, whose sum is at most a share of all."""
+    """Return lights (B,) without the smallest, whose sum is at most a share of all."""
     order = np.argsort(lights, kind="stable")
     out: F64 = lights.copy()
     out[order[np.cumsum(lights[order]) <= lost * lights.sum()]] = 0.0
@@ -172,5 +173,6 @@ def _largest(lights: F64, lost: float) -> F64:
 
 
 def _row(needed: Mask, lights: F64, top: int) -> bytes:
+    """Return the row of a cell."""
     bits: NDArray[np.uint8] = np.packbits(needed, bitorder="little")
     return bits.tobytes() + quantize_gains(lights[needed], top).tobytes()

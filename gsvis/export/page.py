@@ -1,6 +1,6 @@
 """Write the page of the viewer with a static scene: as a site for any file server, or as one file that opens from disk.
 
-Both hold the built files of the viewer (`gsvis/viewer`). The one file has everything inside: the scene and the Workers
+Both hold the built files of the viewer (`gsvis/viewer`). The single file contains everything: the scene and the Workers
 as base64, and a policy that runs only its own three scripts. Names of scenes are escaped; nothing in a scene can run.
 """
 
@@ -56,9 +56,9 @@ FOLDER = "scene"
 _SCRIPTS = ("page.js", "sort.js", "static.js", "network.js", "tour.js", "xr.js")
 _WORKERS = ("sort.js", "static.js", "network.js")
 _LOG = logging.getLogger(__name__)
-_MARK = "gsvis"  # key in settings of the digest of what an export wrote
-_PIECE = 3 << 20  # bytes of a file that are written at once as base64
-_DISTANCE = 3.0  # from an eye to what it looks at, in settings
+_MARK = "gsvis"  # key in the settings of the digest of exported settings
+_PIECE = 3 << 20  # bytes of a file that are written at a time as base64
+_DISTANCE = 3.0  # distance from an eye to its target, in the settings
 
 _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:;"
@@ -79,7 +79,7 @@ super(found ?? url, found ? { ...options, type: "classic" } : options);
 }
 };
 })();"""
-"""Start the Workers of one file from its own text: no other file can be loaded from disk.
+"""Start the Workers of a single-file page from its own text, because it cannot load other files from disk.
 
 They are classic scripts: Chromium loads no module of a page from disk. The bundles import and export nothing.
 """
@@ -87,12 +87,12 @@ They are classic scripts: Chromium loads no module of a page from disk. The bund
 
 @dataclass(frozen=True)
 class SiteReport:
-    """What was written.
+    """Result of an export.
 
     Attributes:
         path: The folder of a site, or the file of a page.
         scene: The scene in it.
-        nbytes: Bytes of everything.
+        nbytes: Total bytes.
     """
 
     path: Path
@@ -112,16 +112,16 @@ def write_site(
     """Write a site: the page, and the static scene that it shows, in the folder `scene`.
 
     Args:
-        folder: Folder of the site; other files in it stay. So does a `settings.json` that a person wrote or changed, as
-            long as the scene keeps its name.
+        folder: Folder of the site; other files in it stay, and so does a `settings.json` that a person wrote or
+            changed, as long as the scene keeps its name.
         scene: A package, or a bare scene; see `write_static`.
         options: See `write_static`.
         viewer: Folder of the built files of the viewer; None takes those of this package.
-        opens: Other origins that the page may open scenes of, such as "https://cdn.example.org"; none by default.
+        opens: Further origins from which the page may open scenes, such as "https://cdn.example.org"; none by default.
         progress: See `write_static`.
 
     Raises:
-        ValueError: If the scene is empty, or one of `opens` is no origin.
+        ValueError: If the scene is empty, or one of `opens` is not an origin.
         FormatError: If `scene` in the folder holds something else, or the package is damaged.
         BackendError: If the viewer is not built.
         OSError: If the folder cannot be written.
@@ -151,7 +151,7 @@ def write_site(
 
 
 def check_site(folder: str | PathLike[str], overwrite: bool) -> None:
-    """Raise unless a site may be written to a folder: a new one, an empty one, or one of an earlier site.
+    """Raise unless a folder can take a site: it is new, empty, or holds an earlier site.
 
     Raises:
         ValueError: If it has a page of something else and `overwrite` is false.
@@ -220,7 +220,7 @@ def write_html(
 
 
 def check_viewer() -> None:
-    """Raise unless the viewer is built, which pages need.
+    """Raise unless the viewer, which pages need, is built.
 
     Raises:
         BackendError: If a file of it is missing.
@@ -244,7 +244,7 @@ def _viewer_files(folder: Path) -> dict[str, bytes]:
 
 
 def _page(page: str, document: dict[str, Any], where: Mapping[str, str], policy: str) -> str:
-    """Return the page with its title, its policy, and where its scene and settings are."""
+    """Return the page with its title, its policy, and the addresses of its scene and settings."""
     metas = {"gsvis-scene": document["name"], **where}
     lines = [f'<meta http-equiv="Content-Security-Policy" content="{escape(policy)}">']
     lines += [f'<meta name="{name}" content="{escape(text)}">' for name, text in metas.items()]
@@ -254,7 +254,7 @@ def _page(page: str, document: dict[str, Any], where: Mapping[str, str], policy:
 
 
 def _split(page: str, style: str) -> tuple[str, str]:
-    """Return a page before and behind the place for scripts at its end, with its style inside and no other file."""
+    """Return the parts of a page before and after the place for scripts, with its style inlined."""
     page = re.sub(r"\s*<script[^>]*\bsrc=[^>]*></script>", "", page)
     page = re.sub(r"<link rel=\"stylesheet\"[^>]*>", lambda _: f"<style>{style}</style>", page)
     head, end, tail = page.rpartition("</body>")
@@ -262,27 +262,29 @@ def _split(page: str, style: str) -> tuple[str, str]:
 
 
 def _inline(script: str) -> str:
-    """Return a script that can stand inside of a page."""
+    """Return a script that can stand inside a page."""
     return script.replace("</script", "<\\/script").replace("<!--", "<\\!--")
 
 
 def _hash(text: str) -> str:
+    """Return the hash of a script or style, for the policy."""
     return f"'sha256-{b64encode(sha256(text.encode()).digest()).decode()}'"
 
 
 def _settings(document: dict[str, Any]) -> bytes:
-    """Return the views to begin with in the form of settings.json, with a digest that tells whether they are ours."""
+    """Return the first views as `settings.json`, with a digest that marks them as ours."""
     cameras = [{"initial": view} for view in _views(document)]
     said = {"version": 2, "frame": "scene", "cameras": cameras}
     return _spelled({**said, _MARK: sha256(_spelled(said)).hexdigest()[:16]})
 
 
 def _spelled(said: dict[str, Any]) -> bytes:
+    """Return settings as JSON text."""
     return json.dumps(said, indent=1).encode() + b"\n"
 
 
 def _has_settings_to_keep(target: Path, name: str) -> bool:
-    """Return whether a site has settings that somebody wrote for a scene of this name."""
+    """Return whether a site has settings that a person wrote for a scene of this name."""
     if not (target / SETTINGS).exists():
         return False
     with suppress(OSError, FormatError, ValueError, RecursionError):
@@ -295,20 +297,21 @@ def _has_settings_to_keep(target: Path, name: str) -> bool:
             _LOG.warning("%s shows %s, not %s; it is written anew", target / SETTINGS, before["name"], name)
             return False
         plain = _spelled({"version": 2, "frame": "scene", "cameras": [{"initial": view} for view in _views(before)]})
-        return read_whole(target / SETTINGS) != plain  # what versions before 1.0 wrote has no mark
+        return read_whole(target / SETTINGS) != plain  # settings without a mark
     return True
 
 
 def _distance(document: dict[str, Any], eye: NDArray[np.float64], ahead: NDArray[np.float64]) -> float:
-    """Return how far an eye looks: some cells, or as far as the middle of a scene without cells."""
+    """Return how far an eye looks: some cells, or to the middle of a scene without cells."""
     if document["cells"]["size"]:
         return float(document["cells"]["size"]) * _DISTANCE
     to_middle = np.array(document["places"]["middle"]) - eye
-    least = 4.0 * float(document["places"]["scale"])  # of what a few hundred Gaussians take
+    least = 4.0 * float(document["places"]["scale"])  # about the size of a few hundred Gaussians
     return max(float(to_middle @ ahead), least)
 
 
 def _views(document: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Yield the first views as settings."""
     for pose in document["poses"]:
         ahead = rotations_from_quats(np.array([pose["rotation"]]))[0][:, 2]
         away = _distance(document, np.array(pose["position"]), ahead)

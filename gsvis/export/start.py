@@ -1,4 +1,4 @@
-"""Where a viewer of a static scene may begin: a pose in its cells, or one outside of a scene that has none."""
+"""Find start poses for viewers of a static scene: in its cells, or outside of a scene without cells."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ _SEEN = 0.25  # least summed weight, pixels, of a Gaussian that counts
 
 @dataclass(frozen=True)
 class Start:
-    """A pose to begin with.
+    """A start pose.
 
     Attributes:
         position: (3,) scene frame.
         rotation: (4,) wxyz, world from camera, OpenCV axes.
-        mode: How to move from there: "orbit" around a thing, "fly" within a place; None if that is not known.
+        mode: Kind of movement from there: "orbit" around a thing, "fly" within a place; None if unknown.
     """
 
     position: tuple[float, float, float]
@@ -40,7 +40,7 @@ class Start:
     mode: Mode | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """Return all that is known, ready for JSON."""
+        """Return all known values, ready for JSON."""
         found: dict[str, Any] = {"position": list(self.position), "rotation": list(self.rotation)}
         return found if self.mode is None else {**found, "mode": self.mode}
 
@@ -60,11 +60,11 @@ class Start:
 
 
 def start_poses(bounds: F64, grid: CellGrid | None, up: ArrayLike) -> tuple[Start, ...]:
-    """Return poses to begin with.
+    """Return start poses.
 
     Args:
         bounds: (2, 3) corners of a box around the middle of the scene.
-        grid: Its cells; the eye is in the middle of them and looks along the longest way. None puts the eye outside.
+        grid: Its cells; the eye is in their middle and looks along the longest way. None puts the eye outside.
         up: (3,) unit axis that points upwards.
     """
     above = np.asarray(up, np.float64) / np.linalg.norm(up)
@@ -87,13 +87,13 @@ def start_poses(bounds: F64, grid: CellGrid | None, up: ArrayLike) -> tuple[Star
 
 
 def rich_poses(g: Gaussians, grid: CellGrid, up: ArrayLike, count: int = 3) -> tuple[Start, ...]:
-    """Return level views from centers of cells that show most Gaussians, the best first: none looks into a near wall.
+    """Return level views from centers of cells that show most Gaussians, the best first; none looks at a near wall.
 
     Args:
         g: The scene.
         grid: Its cells; some of them, evenly spaced in their order, are tried.
         up: (3,) unit axis that points upwards.
-        count: Most views, each from another cell.
+        count: Largest number of views, each from a different cell.
     """
     above = np.asarray(up, np.float64) / np.linalg.norm(up)
     ahead = _across(above)
@@ -110,7 +110,7 @@ def rich_poses(g: Gaussians, grid: CellGrid, up: ArrayLike, count: int = 3) -> t
 
 
 def _across(above: F64) -> F64:
-    """Return a unit axis across an axis: one of the scene's own axes where that is one of them."""
+    """Return a unit axis perpendicular to an axis, one of the scene's own axes if possible."""
     side = np.eye(3)[int(np.abs(above).argmin())]
     side -= above * (side @ above)
     return np.asarray(side / np.linalg.norm(side), np.float64)

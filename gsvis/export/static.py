@@ -1,8 +1,8 @@
-"""Write the static form of a scene: files that a page reads by ranges of bytes, from any file server.
+"""Write the static form of a scene: files that a page reads by byte ranges, from any file server.
 
-docs/static.md describes the files to the byte. The names of the data files hold the hash of their content, so they
-never change and may be cached for ever. `scene.json` names them and is written last: a reader sees the old
-scene or the new one. The same scene gives the same files; a killed run resumes, as files that are whole are not written
+docs/static.md describes the files to the byte. Names of data files contain the hash of their content, so the files
+never change and may be cached forever. `scene.json` lists them and is written last, so a reader sees either the old
+scene or the new one. The same scene gives the same files. A killed run resumes, because complete files are not written
 again.
 """
 
@@ -63,7 +63,7 @@ SCENE = "scene.json"
 KINDS = ("index", "grid", "cells", "records", "blocks", "terms", "harmonics", "facts")
 """Files of a scene besides `scene.json`, in the order in which a page needs them."""
 
-_OURS = re.compile(rf"(?:{'|'.join(KINDS)}|replaced)-[0-9a-f]{{16}}\.bin")  # version 2 had a file more
+_OURS = re.compile(rf"(?:{'|'.join(KINDS)}|replaced)-[0-9a-f]{{16}}\.bin")  # version 2 had one more file
 _MOST_JSON = 16 << 20
 
 
@@ -84,13 +84,13 @@ class StaticFile:
 
 @dataclass(frozen=True)
 class StaticOptions:
-    """What a static scene says beside its Gaussians.
+    """Facts that a static scene states besides its Gaussians.
 
     Attributes:
         name: Name for people.
         up: (3,) axis that points upwards; None means that of the package, or +z.
         meters_per_unit: Meters in a scene unit, 0 if unknown; None means that of the package, or 0.
-        poses: Views to begin with, the first one at the start; None takes those of the package, or finds some.
+        poses: Start views, the first one initially; None takes those of the package, or finds some.
 
     Raises:
         ValueError: If a number is out of its range.
@@ -110,7 +110,7 @@ class StaticOptions:
 
 @dataclass(frozen=True)
 class StaticScene:
-    """What `write_static` wrote.
+    """Result of `write_static`.
 
     Attributes:
         path: The folder.
@@ -182,7 +182,7 @@ def write_static(
 
 
 def check_target(target: Path) -> None:
-    """Raise unless a static scene may be written to a folder.
+    """Raise unless a folder can take a static scene.
 
     Raises:
         FormatError: If the path holds something else.
@@ -206,7 +206,7 @@ def is_static(folder: Path) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class _Parts:
-    """The content of a scene before it is written."""
+    """The content of a static scene before it is written."""
 
     blocks: Blocks
     cells: CellRows
@@ -226,6 +226,7 @@ class _Parts:
 
 
 def _package_parts(package: Package, options: StaticOptions, progress: Progress) -> _Parts:
+    """Return the content of the static form of a package."""
     contents = package.contents
     manifest = package.manifest
     table = contents.table
@@ -273,13 +274,14 @@ def _package_parts(package: Package, options: StaticOptions, progress: Progress)
 
 
 def _facts(grid: CellGrid, meters_per_unit: float) -> bytes:
-    """Return the content of `facts`: what a server says of cells and floor."""
+    """Return the content of `facts`: cells and floor, as a server states them."""
     cells = {"origin": grid.origin.tolist(), "size": grid.cell_size, "boxes": grid.coords.tolist()}
     said = {"cells": cells, "floor": floor_of_cells(grid, meters_per_unit)}
     return compress(json.dumps(said, separators=(",", ":"), allow_nan=False).encode())
 
 
 def _bare_parts(scene: Levels | Gaussians, progress: Progress) -> _Parts:
+    """Return the content of the static form of a bare scene."""
     if len(scene.union if isinstance(scene, Levels) else scene) == 0:
         raise ValueError("scene: expected at least one Gaussian, got none; name another scene")
     levels = scene if isinstance(scene, Levels) else Levels.single(scene)
@@ -322,7 +324,7 @@ def _bare_parts(scene: Levels | Gaussians, progress: Progress) -> _Parts:
 
 
 def _keep(folder: Path, kind: str, data: Any) -> StaticFile:
-    """Write a data file atomically, unless it is there."""
+    """Write a data file atomically, unless it exists."""
     flat = np.frombuffer(data, np.uint8) if isinstance(data, bytes) else np.ascontiguousarray(data).view(np.uint8)
     whole = flat.reshape(-1).data
     digest = hashlib.sha256(whole).hexdigest()
@@ -346,6 +348,7 @@ def remove_other_files(scene: StaticScene) -> None:
 
 
 def _document(parts: _Parts, files: dict[str, StaticFile], options: StaticOptions) -> dict[str, Any]:
+    """Return the content of `scene.json`."""
     layout = TermLayout.from_grids(parts.grids)
     grid = parts.cells.grid
     up = parts.up if options.up is None else options.up

@@ -1,4 +1,4 @@
-"""Write a scene as streamed SOG with a sidecar that knows what can be seen, for viewers that people already have.
+"""Write a scene as streamed SOG with a sidecar of visibility, for existing viewers.
 
 PlayCanvas' engine, its viewers and splat-transform read the scene unchanged; docs/streamed.md describes the sidecar,
 and a loader in `examples/streamed` uses it.
@@ -30,20 +30,20 @@ from gsvis.scene.levels import Levels
 
 __all__ = ["StreamedOptions", "StreamedReport", "write_streamed_sog"]
 
-_SHARE = 0.01  # most bytes of the sidecar, as a share of the scene's
+_SHARE = 0.01  # largest share of the sidecar in the bytes of the scene
 
 
 @dataclass(frozen=True)
 class StreamedOptions:
-    """How a streamed SOG is cut, and what its sidecar says.
+    """Options of a streamed SOG and its sidecar.
 
     Attributes:
-        leaf: Most Gaussians of a leaf at one level.
-        lost: Most light of a cell, as a share, in the leaves that its row leaves out.
-        never_seen: "keep" writes Gaussians that no cell sees; "drop" leaves them out. From outside their absence shows.
+        leaf: Largest number of Gaussians of a leaf at one level.
+        lost: Largest share of the light of a cell in the leaves that its row omits.
+        never_seen: "keep" writes Gaussians that no cell sees; "drop" omits them, which is visible from outside.
         name: Name for people.
-        up: (3,) axis that points upwards; None means that of the package or the visible sets, or +z.
-        poses: Views to begin with; None takes those of the package, or finds some.
+        up: (3,) axis that points upward; None means that of the package or the visible sets, or +z.
+        poses: Start views; None takes those of the package, or finds some.
 
     Raises:
         ValueError: If a value is out of its range.
@@ -67,7 +67,7 @@ class StreamedOptions:
 
 @dataclass(frozen=True)
 class StreamedReport:
-    """What `write_streamed_sog` wrote.
+    """Result of `write_streamed_sog`.
 
     Attributes:
         path: The folder.
@@ -77,10 +77,10 @@ class StreamedReport:
         cells: Cells of the visible sets; 0 without visible sets.
         needed: Mean share of the Gaussians of level 0 in the leaves that a cell needs; 1 without visible sets.
         never_seen: Gaussians that no cell sees; None without visible sets.
-        dropped: Whether these were left out.
+        dropped: Whether these were omitted.
         sidecar: Name of the sidecar.
-        sidecar_nbytes: Its bytes.
-        nbytes: Bytes of everything.
+        sidecar_nbytes: Bytes of the sidecar.
+        nbytes: Total bytes.
     """
 
     path: Path
@@ -110,7 +110,7 @@ def write_streamed_sog(
     Args:
         folder: Folder of the scene; new, empty, or with `overwrite` one that gsvis wrote before.
         scene: A package; levels, whose highest becomes level of detail 0; or Gaussians.
-        options: How it is cut; None means `StreamedOptions()`.
+        options: Division into leaves; None means `StreamedOptions()`.
         visibility: Visible sets of the scene; None means those of the package, or none.
         overwrite: Replace an earlier scene.
         progress: Called with stages "sets" and "export", and by the fit of SH colors for a package with terms.
@@ -118,7 +118,7 @@ def write_streamed_sog(
     Raises:
         ValueError: If the folder holds something else; or never seen Gaussians are to be dropped without visible sets.
         SceneError: If the scene is empty, or nothing would be left.
-        FormatError: If the visible sets belong to another scene, or the package is damaged.
+        FormatError: If the visible sets belong to a different scene, or the package is damaged.
         OSError: If the folder cannot be written.
     """
     target = _check.path("folder", folder)
@@ -147,6 +147,7 @@ def write_streamed_sog(
     beside: dict[str, bytes] = {}
 
     def sidecar(sizes: NDArray[np.int64]) -> dict[str, bytes]:
+        """Return the sidecar by name, from the bytes of leaves."""
         data = needs.encode_within(facts, int(_SHARE * sizes.sum()))
         beside[f"leaves-{hashlib.sha256(data).hexdigest()[:16]}.bin"] = data
         return beside
@@ -170,7 +171,7 @@ def write_streamed_sog(
 
 
 def _poses(levels: Levels, store: VisibilityStore | None, up: tuple[float, float, float]) -> tuple[Start, ...]:
-    """Return views to begin with: from cells, or from outside where there are none."""
+    """Return start views: from cells, or from outside without cells."""
     if store is None:
         return start_poses(levels.union.bounds(0.9), None, up)
     return rich_poses(levels.level(len(levels) - 1), store.grid, up)

@@ -1,4 +1,4 @@
-"""Write scenes as glTF: one `.glb`, or 3D Tiles 1.1, for CesiumJS and other viewers that people already have.
+"""Write scenes as glTF, one `.glb` or 3D Tiles 1.1, for CesiumJS and other existing viewers.
 
 Both hold Gaussians with the extension KHR_gaussian_splatting; see `gsvis.io.gltf_splats_writer`. docs/tiles.md says
 what a tileset holds, and which viewers showed it.
@@ -41,15 +41,15 @@ _OURS = re.compile(r"(?:\d+_\d+|env)-[0-9a-f]{8}\.glb")
 
 @dataclass(frozen=True)
 class TilesOptions:
-    """How a scene becomes glTF or 3D Tiles.
+    """Options of glTF and 3D Tiles.
 
     Attributes:
-        leaf: Most Gaussians of a leaf at one level.
-        never_seen: "keep" writes Gaussians that no cell sees; "drop" leaves them out.
+        leaf: Largest number of Gaussians of a leaf at one level.
+        never_seen: "keep" writes Gaussians that no cell sees; "drop" omits them.
         compression: "none" keeps every value; "spz" is about a fifth of the size, and what CesiumJS reads.
-        request_volumes: Have tiles requested only from the box of the cells that need them. From outside of all cells
-            little is drawn then.
-        lost: Most light of a cell, as a share, in the leaves that it does not need.
+        request_volumes: Make viewers request tiles only from the box of the cells that need them. From outside of all
+            cells they then draw little.
+        lost: Largest share of the light of a cell in the leaves that it does not need.
         up: (3,) axis that points upwards; None means that of the package or the visible sets, or +z.
         meters_per_unit: Length of a scene unit; None means that of the package, or 1.
 
@@ -80,7 +80,7 @@ class TilesOptions:
 
 @dataclass(frozen=True)
 class GlbReport:
-    """What `write_glb` wrote.
+    """Result of `write_glb`.
 
     Attributes:
         path: The file.
@@ -97,7 +97,7 @@ class GlbReport:
 
 @dataclass(frozen=True)
 class TilesReport:
-    """What `write_tiles` wrote.
+    """Result of `write_tiles`.
 
     Attributes:
         path: The folder.
@@ -108,8 +108,9 @@ class TilesReport:
         cells: Cells of the visible sets; 0 without visible sets.
         volumes: Leaves with a volume in which the eye must be.
         unneeded: Leaves that no cell needs, left out because of volumes.
-        requested: Mean share of the bytes of the finest level that a cell's middle requests; 1 without volumes.
-        needed: The same for the leaves that the cell needs; 1 without volumes. The boxes are as tight as this is near.
+        requested: Mean share of the bytes of the finest level that the middle of a cell requests; 1 without volumes.
+        needed: Mean share of the bytes of the leaves that a cell needs; 1 without volumes. Boxes are tight if it is
+            close to `requested`.
         never_seen: Gaussians that no cell sees; None without visible sets.
         dropped: Whether these were left out.
         nbytes: Bytes of everything.
@@ -142,7 +143,8 @@ def write_glb(
     Args:
         path: The file.
         scene: A package, levels, or Gaussians.
-        options: Compression, up axis and length of a unit count; None means `TilesOptions(compression="none")`.
+        options: Options, of which compression, up axis and length of a unit apply; None means
+            `TilesOptions(compression="none")`.
         progress: Called with stage "export", and by the fit of SH colors for a package with terms.
 
     Raises:
@@ -163,7 +165,7 @@ def write_glb(
 
 
 def check_tiles_target(folder: str | PathLike[str], overwrite: bool) -> None:
-    """Raise unless a tileset may be written to a folder: a new one, an empty one, or one of gsvis to replace.
+    """Raise unless a folder can take a tileset: it is new, empty, or holds one of gsvis to replace.
 
     Raises:
         ValueError: If it holds something else, or an earlier tileset and `overwrite` is false.
@@ -193,9 +195,9 @@ def write_tiles(
         progress: Called with stages "sets" and "export", and by the fit of SH colors for a package with terms.
 
     Raises:
-        ValueError: If the folder holds something else, or volumes or the end of what is never seen need visible sets.
+        ValueError: If the folder holds something else, or volumes or dropping unseen Gaussians need visible sets.
         SceneError: If the scene is empty, or nothing would be left.
-        FormatError: If the visible sets belong to another scene, or the package is damaged.
+        FormatError: If the visible sets belong to a different scene, or the package is damaged.
         OSError: If the folder cannot be written.
     """
     target = _check.path("folder", folder)
@@ -248,7 +250,7 @@ def write_tiles(
 
 
 def _report_losses(g: Gaussians, target: Path, compression: Compression) -> None:
-    """Log what contents of all tiles together cannot say."""
+    """Log what the contents of all tiles cannot store."""
     if compression == "spz":
         report_spz_losses(g, target)
     if g.facts.antialiased:
@@ -256,7 +258,7 @@ def _report_losses(g: Gaussians, target: Path, compression: Compression) -> None
 
 
 class _TileFiles:
-    """Write the contents of leaves; leaves that are skipped have a size, but no file.
+    """Write the contents of leaves; skipped leaves have a size but no file.
 
     Attributes:
         contents: File of each (level, leaf).
@@ -278,7 +280,7 @@ class _TileFiles:
         self.nbytes = 0
 
     def write(self, folder: Path, progress: Progress) -> None:
-        """Write all files; a level of a leaf that is the same as the next finer one has none."""
+        """Write all files; a level of a leaf without changes to the next finer level has no file."""
         leaves = self._leaves
         union = self._leaves.levels.union
         pieces = np.argwhere(leaves.counts > 0).tolist()
@@ -295,9 +297,11 @@ class _TileFiles:
             self.environment = self._keep(folder, "env", self._encode(union[leaves.environment]))
 
     def _encode(self, g: Gaussians) -> bytes:
+        """Return the content of a tile."""
         return encode_glb(g, upright=self._upright, compression=self._compression)
 
     def _keep(self, folder: Path, name: str, data: bytes) -> str:
+        """Write a file; return its name."""
         file = f"{name}-{hashlib.sha256(data).hexdigest()[:8]}.glb"
         (folder / file).write_bytes(data)
         self.nbytes += len(data)
@@ -311,8 +315,10 @@ def _share(volumes: Volumes, sizes: NDArray[np.float64]) -> float:
 
 
 def _up(said: TilesOptions, known: Known, store: VisibilityStore | None) -> tuple[float, ...]:
+    """Return the up axis: that of the options, the package, the visible sets, or +z."""
     return said.up or known.up or ((0.0, 0.0, 1.0) if store is None else tuple(store.grid.up.tolist()))
 
 
 def _meters(said: TilesOptions, known: Known) -> float:
+    """Return the length of a scene unit in meters."""
     return said.meters_per_unit or known.meters_per_unit or 1.0

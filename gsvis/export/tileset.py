@@ -1,7 +1,7 @@
 """Lay out leaves as a tileset of 3D Tiles 1.1: boxes, errors of levels, and the boxes of the cells that need a leaf.
 
-Tiles stand in the frame of 3D Tiles, +z up, in scene units; the transform of the root brings meters. Contents are glTF,
-+y up: viewers turn them. This module writes no file.
+Tiles are in the frame of 3D Tiles, +z up, in scene units; the transform of the root converts to meters. Contents are
+glTF, +y up, which viewers rotate. This module writes no file.
 
 References:
     https://docs.ogc.org/cs/22-025r4/22-025r4.html, sections 6.7 (tiles) and 7 (JSON).
@@ -29,7 +29,7 @@ Mask = NDArray[np.bool_]
 
 DOCUMENT = "tileset.json"
 DEVIATIONS = 3.0
-"""Standard deviations that boxes hold: the kernel of the extension ends there."""
+"""Standard deviations that boxes hold, at which the kernel of the extension ends."""
 
 ERROR_PIXELS = 16.0
 """Pixels of error that CesiumJS and 3d-tiles-renderer allow by default."""
@@ -45,8 +45,8 @@ class Volumes:
     Attributes:
         boxes: (B, 2, 3) box of the cells that need a leaf, scene frame.
         needed: (B,) whether any cell needs it.
-        bounded: (B,) whether the box is smaller than that of all cells, and so says something to a viewer.
-        inside: (K, B) whether the middle of each cell lies in the box of each leaf, or the leaf has none.
+        bounded: (B,) whether the box is smaller than that of all cells, so that it is useful to a viewer.
+        inside: (K, B) whether the middle of each cell lies in the box of each leaf, or the leaf has no box.
     """
 
     boxes: F64
@@ -102,7 +102,7 @@ def tileset_document(
 ) -> dict[str, Any]:
     """Return the content of `tileset.json`.
 
-    Boxes lie where the scene lies in its source, as contents do: their nodes hold the origin.
+    Boxes and contents are in the coordinates of the scene's source; nodes of contents hold the origin.
 
     Inner tiles have no content. A leaf is a chain of tiles, its coarsest level first, each replaced by the next.
 
@@ -111,7 +111,7 @@ def tileset_document(
         contents: File of each (level, leaf) that has one.
         upright: (3, 3) rotation from the frame of the scene to that of glTF.
         environment: File of the Gaussians far outside; None for none.
-        volumes: Where leaves are needed; leaves that no cell needs are left out. None requests all from anywhere.
+        volumes: Boxes where leaves are needed; leaves that no cell needs are omitted. None requests all from anywhere.
         meters: Length of a scene unit.
         packed: Whether contents are SPZ-compressed.
     """
@@ -123,6 +123,7 @@ def tileset_document(
     errors = np.minimum(level_errors(leaves), widest)
 
     def leaf_tile(leaf: int) -> dict[str, Any] | None:
+        """Return the chain of tiles of a leaf; None if it has no content."""
         if volumes is not None and not volumes.needed[leaf]:
             return None
         made: dict[str, Any] | None = None
@@ -140,6 +141,7 @@ def tileset_document(
         return made
 
     def node(tree: Tree) -> tuple[dict[str, Any] | None, F64]:
+        """Return the tile of a node of the tree and its box; None if it has no content."""
         if not isinstance(tree, tuple):
             return leaf_tile(tree), boxes[tree]
         found = [(tile, box) for tile, box in map(node, tree) if tile is not None]
@@ -167,25 +169,27 @@ def tileset_document(
 
 
 def _extensions_of(packed: bool) -> dict[str, list[str]]:
-    """Return which extensions of glTF contents use; viewers need those of packed ones."""
+    """Return the extensions that glTF contents use; packed contents require them."""
     if packed:
         return {"extensionsUsed": [SPLATS, SPZ], "extensionsRequired": [SPLATS, SPZ]}
     return {"extensionsUsed": [SPLATS]}
 
 
 def _tile(turn: F64, box: F64, error: float) -> dict[str, Any]:
+    """Return a tile with a box and an error."""
     return {"boundingVolume": {"box": _box(turn, box)}, "geometricError": _rounded(error)}
 
 
 def _box(turn: F64, box: F64) -> list[float]:
-    """Return the 12 numbers of a box of the scene, turned: its middle, then half of each side."""
+    """Return the 12 numbers of a rotated box of the scene: its middle, then half of each side."""
     low, high = box
     half = np.maximum((high - low) / 2.0, 1e-9)
     middle = turn @ ((low + high) / 2.0)
     away = float(np.abs(middle).max() / half.max())
-    digits = _DIGITS + max(0, int(np.log10(max(away, 1.0))) - 2)  # a place far from (0, 0, 0) needs more
+    digits = _DIGITS + max(0, int(np.log10(max(away, 1.0))) - 2)  # more digits far from (0, 0, 0)
     return [*(_rounded(v, digits) for v in middle.tolist()), *(_rounded(v) for v in (turn * half).T.ravel().tolist())]
 
 
 def _rounded(value: float, digits: int = _DIGITS) -> float:
+    """Return a number with significant digits."""
     return float(f"{value:.{digits}g}") + 0.0

@@ -1,4 +1,4 @@
-"""Calls that may never return: in threads of their own, for which the end of the program does not wait."""
+"""Run calls that may never return in separate threads, which do not delay the end of the program."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ _Answer = TypeVar("_Answer")
 
 
 def call_apart(call: Callable[[], _Answer], name: str) -> Future[_Answer]:
-    """Return the answer to come of a call that runs in a daemon thread of a name."""
+    """Return the future of a call that runs in a named daemon thread."""
     answer = Future[_Answer]()
 
     def run() -> None:
+        """Run the call and set its result."""
         try:
             answer.set_result(call())
         except BaseException as error:

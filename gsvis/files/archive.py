@@ -1,4 +1,4 @@
-"""NumPy archives that are kept between runs: arrays by name, all bytes under a checksum, memory bounded by file size.
+"""Keep NumPy archives between runs: arrays by name, with a checksum and with memory bounded by file size.
 
 An archive is a `.npz` file that NumPy also reads. Its comment, at the end of the file, holds the CRC-32 of all bytes
 before the digits. Nothing is unpickled or decompressed.

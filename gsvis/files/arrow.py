@@ -1,4 +1,4 @@
-"""Arrow IPC files that any Arrow client reads, with a gsvis header, a checksum over all bytes, and bounded memory.
+"""Read and write Arrow IPC files for any Arrow client, with a gsvis header, a checksum, and bounded memory.
 
 The schema's metadata holds a JSON header under `gsvis`, and one of two seals. A *whole* seal, under `checksum`, is the
 CRC-32 of the file with zeros in place of the checksum's digits. It is checked when the file is opened. A *header*
@@ -212,11 +212,14 @@ class ArrowFile:
         return pa.ipc.read_message(self._opened().slice(offset, length + body))
 
     def _opened(self) -> pa.Buffer:
+        """Return the buffer; raise if the file is closed."""
         if self._buffer is None:
             raise ValueError("file: expected an open one, got one that was closed; open it again")
         return self._buffer
 
     def _read_header(self, end: int, version: int, seal: Seal) -> tuple[Fields, pa.Schema]:
+        """Return the checked JSON header and the schema."""
+
         def read() -> pa.Schema:
             found = pa.ipc.read_schema(self._opened().slice(8, end - 8))
             _ = found.names  # names that are not UTF-8 must raise here, not in an error message
@@ -264,6 +267,7 @@ def _crc_text(data: bytes) -> bytes:
 
 
 def _has_nulls(array: pa.Array) -> bool:
+    """Return whether an array or a part of it has nulls."""
     if array.null_count:
         return True
     if pa.types.is_struct(array.type):
@@ -282,6 +286,7 @@ def _schema_end(path: Path, data: memoryview) -> int:
 
 
 def _footer_start(path: Path, data: memoryview) -> int:
+    """Return the first byte of the footer."""
     length = int(struct.unpack_from("<I", data, len(data) - _TAIL)[0])
     start = len(data) - _TAIL - length
     if start < 8:
@@ -352,7 +357,7 @@ def _count_uncompressed_bytes(message: pa.Message) -> int:
 
 
 def _field(data: bytes, table: int, slot: int) -> int:
-    """Return where a FlatBuffers table holds the field of a slot; 0 if it has none."""
+    """Return the place of a slot's field in a FlatBuffers table; 0 if the table has none."""
     vtable = table - struct.unpack_from("<i", data, table)[0]
     if 4 + 2 * slot >= struct.unpack_from("<H", data, vtable)[0]:
         return 0
@@ -361,7 +366,7 @@ def _field(data: bytes, table: int, slot: int) -> int:
 
 
 def _name_of(path: str | os.PathLike[str]) -> bytes:
-    """Return the name of a file as Arrow takes it: its own encoding is UTF-8, which names need not be."""
+    """Return a file name in UTF-8, as Arrow requires; names on disk may have another encoding."""
     return os.fsencode(path)
 
 

@@ -174,7 +174,7 @@ def _replace(partial: Path, target: Path, last: tuple[str, ...]) -> None:
 
 @contextmanager
 def _restored(partial: Path, target: Path, sources: list[Path]) -> Iterator[None]:
-    """Keep the files that a block replaces, and put them back if it fails; then the note goes, too."""
+    """Keep the files that a block replaces, and put them back and remove the note if it fails."""
     names = [source.relative_to(partial) for source in sources]
     before = {name for name in names if os.path.lexists(target / name)}
     for name in before:
@@ -201,6 +201,7 @@ def _take_mode(old: Path, new: Path) -> None:
 
 
 def _link_or_copy(source: Path, destination: Path) -> None:
+    """Link a file to a second place, or copy it if links are not possible."""
     try:
         os.link(source, destination, follow_symlinks=False)
     except (OSError, NotImplementedError):  # no links there, or none to links
@@ -252,6 +253,7 @@ def _settle(partial: Path, target: Path) -> None:
 
 
 def _remove(target: Path, *, with_notes: bool) -> None:
+    """Remove the leftovers of killed writers of a target."""
     for partial in _partials(target, _host()):
         with suppress(OSError), _is_owned(partial) as owned:
             if owned and with_notes:
@@ -366,7 +368,7 @@ def _lock(partial: Path, descriptor: int) -> str:
 
 
 def _lets_others_write(partial: Path) -> bool:
-    """Return whether another descriptor can write to a locked empty file; on SMB (CIFS) it cannot."""
+    """Return whether a second descriptor can write to a locked empty file; on SMB (CIFS) it cannot."""
     try:
         with open(partial, "r+b", buffering=0) as file:
             file.write(b"0")
@@ -379,6 +381,7 @@ def _lets_others_write(partial: Path) -> bool:
 
 
 def _delete(path: Path) -> None:
+    """Delete a file or a folder; ignore errors."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path, ignore_errors=True)
     else:
@@ -397,6 +400,7 @@ def _identity(path: Path) -> list[int]:
 
 
 def _identity_or_none(path: Path) -> list[int] | None:
+    """Return the identity of a file; None if it cannot be read."""
     try:
         return _identity(path)
     except OSError:

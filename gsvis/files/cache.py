@@ -1,4 +1,4 @@
-"""A cache of data that was read or decoded. It removes the least recently used values when it is too large."""
+"""Cache data that was read or decoded; the least recently used values are removed when the cache is too large."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class Cache(Generic[_Value]):
         return found
 
     def scope(self, name: Hashable) -> Cache[_Value]:
-        """Return a cache whose values are kept in this one, apart from those of other names."""
+        """Return a view of this cache with its own names."""
         return _Named(self, name)
 
     def clear(self) -> None:
@@ -87,6 +87,7 @@ class Cache(Generic[_Value]):
             self.nbytes = 0
 
     def _is_too_full(self) -> bool:
+        """Return whether the values exceed a limit."""
         if self._keep_last and len(self._values) == 1:
             return False
         over_bytes = self.max_bytes is not None and self.nbytes > self.max_bytes
@@ -94,7 +95,7 @@ class Cache(Generic[_Value]):
 
 
 class _Named(Cache[_Value]):
-    """Values that another cache keeps."""
+    """A view of a cache with its own names."""
 
     def __init__(self, of: Cache[_Value], name: Hashable) -> None:
         super().__init__()

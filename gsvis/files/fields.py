@@ -1,4 +1,4 @@
-"""JSON with checked types: each value is checked for type and range when it is read, and errors name its place.
+"""Read JSON with checked types: each value is checked for type and range when it is read; errors name its place.
 
 A `Fields` is one object of a file and the keys that lead to it. This module knows no format.
 """
@@ -140,6 +140,7 @@ class Fields:
         return value
 
     def _numbers(self, key: str, values: list[Any]) -> NDArray[np.float64]:
+        """Return the checked numbers of a list."""
         for value in values:
             good = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300
             if not good or not math.isfinite(value):

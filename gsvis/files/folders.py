@@ -1,4 +1,4 @@
-"""Folders that gsvis made and may replace: which files are its own, and whether something else lies among them."""
+"""Find folders that gsvis wrote and may replace: which files are its own, and whether there are others."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ GENERATOR = "gsvis"
 
 
 def check_replaceable(target: Path, document: str, ours: re.Pattern[str], overwrite: bool) -> None:
-    """Raise unless a folder may be filled: a new one, an empty one, or one of gsvis to replace.
+    """Raise unless a folder may be filled: it is new, empty, or holds a result of gsvis to replace.
 
     Args:
         target: The folder.
@@ -48,7 +48,7 @@ def check_replaceable(target: Path, document: str, ours: re.Pattern[str], overwr
 
 
 def remove_earlier(target: Path, ours: re.Pattern[str], kept: Collection[str]) -> None:
-    """Remove the files and folders of an earlier result of gsvis, by their names, but those that are kept."""
+    """Remove the files and folders of an earlier result of gsvis, by their names, except those to keep."""
     for path in target.iterdir():
         if ours.fullmatch(path.name) and path.name not in kept:
             with suppress(OSError):
@@ -56,6 +56,7 @@ def remove_earlier(target: Path, ours: re.Pattern[str], kept: Collection[str]) -
 
 
 def _says_ours(document: Path) -> bool:
+    """Return whether a JSON file states that gsvis wrote it."""
     with suppress(OSError, FormatError):
         return bool(parse_object(document, read_whole(document)).child("asset").raw("generator") == GENERATOR)
     return False

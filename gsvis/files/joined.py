@@ -1,4 +1,4 @@
-"""Files in a row, read as one without joining them: a file that a package holds in parts, opened where it lies."""
+"""Read consecutive files as one without joining them, such as a file that a package holds in parts."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class JoinedFiles:
         self.size = self._starts[-1]
 
     def read(self, start: int, length: int) -> bytes:
-        """Return bytes; fewer at the end.
+        """Return bytes from a place on; fewer at the end.
 
         Raises:
             FormatError: If a file that is read is no file, or shorter than it should be.

@@ -154,6 +154,7 @@ def check_regular(path: str | os.PathLike[str]) -> os.stat_result:
 
 
 def _refuse_others(path: str | os.PathLike[str], found: os.stat_result) -> None:
+    """Raise unless a status is that of a regular file."""
     if stat.S_ISDIR(found.st_mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), os.fspath(path))
     if not stat.S_ISREG(found.st_mode):

@@ -1,4 +1,4 @@
-"""Locks that keep two processes from the same work. A lock ends with the process that holds it."""
+"""Lock files, so that two processes do not do the same work. A lock ends with its process."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def try_lock(descriptor: int) -> Literal["held", "busy", "none"]:
 
 
 def _try_other_lock(descriptor: int) -> Literal["held", "busy", "none"]:
-    """Lock as `try_lock` does, on systems other than Unix."""
+    """Lock as in `try_lock`, on systems other than Unix."""
     from filelock import lock_descriptor
 
     try:

@@ -1,4 +1,4 @@
-"""A file of named arrays that are memory-mapped: opening it reads a few kilobytes, and pages are read when touched.
+"""Store named arrays in a memory-mapped file: opening reads a few kilobytes, and pages are read on first use.
 
 Such a file is a cache of what can be computed again. Opening it checks its head; `MappedArrays.check` reads its arrays
 and checks those. Keep it in a folder that only its owner can write to. Processes that map the same file share its
@@ -79,7 +79,7 @@ class GrowingArrays(Protocol):
         ...
 
     def count(self, name: str) -> int:
-        """Return how many rows an array has by now; 0 without any piece."""
+        """Return the current number of rows of an array; 0 without any piece."""
         ...
 
     def rows(self, name: str, first: int = 0, end: int | None = None) -> NDArray[Any]:
@@ -98,7 +98,7 @@ class ArrayLists:
         self._pieces.setdefault(name, []).append(np.ascontiguousarray(piece))
 
     def count(self, name: str) -> int:
-        """Return how many rows an array has by now; 0 without any piece."""
+        """Return the current number of rows of an array; 0 without any piece."""
         return sum(len(piece) for piece in self._pieces.get(name, []))
 
     def rows(self, name: str, first: int = 0, end: int | None = None) -> NDArray[Any]:
@@ -167,7 +167,7 @@ class ArrayFiles:
         self._rows[name] = kind, shape, count + len(whole)
 
     def count(self, name: str) -> int:
-        """Return how many rows an array has by now; 0 without any piece."""
+        """Return the current number of rows of an array; 0 without any piece."""
         return self._rows[name][2] if name in self._rows else 0
 
     def rows(self, name: str, first: int = 0, end: int | None = None) -> NDArray[Any]:
@@ -279,7 +279,7 @@ class MappedArrays:
         return name, found
 
     def check(self) -> None:
-        """Read all arrays once, and give their memory back; call it before anything is written to one.
+        """Read all arrays once to check them, then release their memory; call it before any array is written to.
 
         Raises:
             FormatError: If a byte of them has changed.
@@ -320,7 +320,7 @@ class MappedArrays:
                 self._give_back(place + int(size * low), place + int(size * high))
 
     def _give_back(self, start: int, end: int) -> None:
-        """Give back the memory of the system's pages that lie within a range of bytes."""
+        """Release the memory of the system's pages that lie within a range of bytes."""
         first = -(-start // mmap.PAGESIZE) * mmap.PAGESIZE
         size = end // mmap.PAGESIZE * mmap.PAGESIZE - first
         if size > 0 and hasattr(self._map, "madvise"):
@@ -328,7 +328,7 @@ class MappedArrays:
 
     @cached_property
     def _lines(self) -> list[tuple[int, int]]:
-        """Where in the file the lines of arrays along their longest axis begin, and their bytes."""
+        """Places in the file of the lines of arrays along their longest axis, and their bytes."""
         base = np.frombuffer(self._map, np.uint8).ctypes.data
         found = set[tuple[int, int]]()
         for array in self.arrays.values():
@@ -340,7 +340,7 @@ class MappedArrays:
 
 
 def resident_bytes() -> int:
-    """Return the bytes of files that this process has in memory, shared ones too; 0 where the system does not say."""
+    """Return the bytes of files in this process's memory, including shared ones; 0 if the system does not report it."""
     try:
         return int(Path("/proc/self/statm").read_bytes().split()[2]) * mmap.PAGESIZE
     except (OSError, IndexError, ValueError):
@@ -367,14 +367,14 @@ def _write_sums(file: BinaryIO, nbytes: int) -> None:
 
 
 def _write_head(file: BinaryIO, facts: Mapping[str, Any], rows: list[list[Any]], nbytes: int) -> None:
-    """Write what stands before the arrays."""
+    """Write the head, which comes before the arrays."""
     head = seal(json.dumps({"facts": facts, "arrays": rows, "bytes": nbytes}, allow_nan=False).encode())
     file.write(_HEAD.pack(_MAGIC, len(head)) + head)
     file.write(bytes(-file.tell() % _PAGE))
 
 
 def _read_head(path: Path, head: bytes, read: Any) -> tuple[int, Fields]:
-    """Return where the arrays begin, and the content of the head."""
+    """Return the place of the first array, and the content of the head."""
     magic, length = _HEAD.unpack(head) if len(head) == _HEAD.size else (b"", 0)
     sealed = read(length) if magic == _MAGIC and length <= _MOST_HEAD else b""
     data = unseal(sealed)

@@ -1,4 +1,4 @@
-"""Origins of web pages, as people name them: which other servers a page may ask, spelled one way."""
+"""Parse origins of web pages, the other servers that a page may contact, into one spelling."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def parse_origins(name: str, given: Sequence[str]) -> tuple[str, ...]:
 
 
 def connect_sources(origins: Sequence[str]) -> str:
-    """Return what follows `connect-src` in the policy of a page: its own origin, and others with their streams."""
+    """Return the value of `connect-src` for the policy of a page: its own origin, and others with their streams."""
     return " ".join(
         ["'self'", *(spelled for origin in origins for spelled in (origin, origin.replace("http", "ws", 1)))]
     )

@@ -57,7 +57,7 @@ def output_errors(path: str | os.PathLike[str], *inside: str | os.PathLike[str],
 
 @contextmanager
 def keeping(text: str) -> Iterator[None]:
-    """Add a text about kept work to an OutputError from the block that has none yet."""
+    """Add a text about kept work to an OutputError of the block, unless it has one."""
     try:
         yield
     except OutputError as error:

@@ -1,4 +1,4 @@
-"""Where gsvis keeps files of its own for this user: what can be computed again."""
+"""Find the folder where gsvis keeps files that can be computed again, for this user."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ TABLES = "tables"
 
 
 def cache_folder() -> Path:
-    """Return the folder of what gsvis keeps for this user: `GSVIS_CACHE`, or one below `XDG_CACHE_HOME` or home.
+    """Return the cache folder of this user: `GSVIS_CACHE`, or a folder below `XDG_CACHE_HOME` or home.
 
-    A user without a home gets a folder among temporary files that nobody else can enter, or one that cannot be made if
-    there is no place for those.
+    A user without a home gets a private folder among temporary files; if there is no place for those either, the
+    returned folder cannot be created.
     """
     named = os.environ.get("GSVIS_CACHE")
     shared = os.environ.get("XDG_CACHE_HOME")

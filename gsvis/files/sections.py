@@ -1,4 +1,4 @@
-"""A file of named sections after a head of 40 bytes. All bytes are under a checksum, and a memory map reads them.
+"""Read and write files of named sections after a head of 40 bytes, with checksums over all bytes, memory-mapped.
 
 This is the second container beside `gsvis.files.arrow`. It is for data that is packed already and read in small pieces,
 each with its own checksum. docs/design/006-visibility-store.md explains why it is no Arrow file.
@@ -145,6 +145,7 @@ class SectionFile:
             self._map.close()
 
     def _bytes(self, start: int, length: int) -> bytes:
+        """Return bytes from a place on."""
         if self._joined is not None:
             return self._joined.read(start, length)
         if self._map is None or self._map.closed:
@@ -152,6 +153,7 @@ class SectionFile:
         return self._map[start : start + length]
 
     def _read_head(self, head: bytes, size: int) -> tuple[int, int, int]:
+        """Return the place, the length and the CRC-32 of the header."""
         known = self.kind.magic
         if len(head) < HEAD_BYTES:
             if not known.startswith(head[: len(known)]) and not head.startswith(known):
@@ -176,12 +178,14 @@ class SectionFile:
         return FormatError(self.path, "byte 0", self.kind.name, got, self.kind.remedy)
 
     def _read_header(self, place: int, length: int, crc: int) -> Fields:
+        """Return the header."""
         data = self._bytes(place, length)
         if (found := zlib.crc32(data)) != crc:
             raise FormatError(self.path, f"byte {place}", f"a header with checksum {crc:08x}", f"{found:08x}", DAMAGED)
         return parse_object(self.path, data)
 
     def _read_list(self, end: int) -> dict[str, Section]:
+        """Return the sections by name."""
         sections = {}
         place = HEAD_BYTES
         for row in self.header.items("sections"):

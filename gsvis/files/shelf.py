@@ -1,4 +1,4 @@
-"""Move the arrays of large objects into files that are mapped, and give back their memory while nobody needs them."""
+"""Move the arrays of large objects into mapped files, and release their memory while they are not needed."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _Thing = TypeVar("_Thing")
 
 
 class Shelf:
-    """Objects whose arrays lie in files. They work as before: a page is in memory from its first use to `release`.
+    """Objects whose arrays lie in files. They work as before; a page is in memory from its first use to `release`.
 
     The files hold arrays alone. The rest of the objects stays in memory, so nothing is unpickled from a file.
 
@@ -29,7 +29,7 @@ class Shelf:
         self._files: list[MappedArrays] = []
 
     def put(self, thing: _Thing) -> _Thing:
-        """Return an object with its arrays in a file; forget the one given to free its memory.
+        """Return an object with its arrays in a file; drop the original to free its memory.
 
         Arrays that the two shared with other objects are copied. Those that nobody may write to stay so.
 
@@ -47,6 +47,6 @@ class Shelf:
         return found
 
     def release(self) -> None:
-        """Give back the memory of all arrays; those used next come from their files again."""
+        """Release the memory of all arrays; the next use reads them from their files again."""
         for file in self._files:
             file.release()

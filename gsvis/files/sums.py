@@ -1,4 +1,4 @@
-"""Checksums of large files at the speed of memory: 6 GB a second, four times as fast as CRC-32.
+"""Compute checksums of large files at the speed of memory: 6 GB per second, four times as fast as CRC-32.
 
 The checksum of a piece is the sum of its 64-bit words, each times an odd number of its own, modulo 2^64. It differs for
 any change within one word, and for other damage but for one case in 2^60. It is no proof against an attacker.

@@ -1,4 +1,4 @@
-"""Exchange two folders in one step, where the system can: no moment and no kill leaves a mixture of both."""
+"""Exchange two folders in one step if the system can, so that not even a kill leaves a mixture of both."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ _EXCHANGE = 2  # RENAME_EXCHANGE of Linux, RENAME_SWAP of macOS
 
 
 def swap_folder(made: Path, target: Path) -> bool:
-    """Put a new folder in the place of an old one in one step; return whether that was possible.
+    """Replace an old folder by a new one in one step; return whether that was possible.
 
-    What the old folder alone has is in both after that: its files are linked into the new one first. So the caller may
-    remove `made`, which is then the old folder. If it is not possible, the old folder is as it was.
+    Files that only the old folder has are first linked into the new one. Afterward `made` is the old folder, which the
+    caller may remove. If the exchange is not possible, the old folder is unchanged.
 
     Args:
-        made: The new folder, on the same file system. Its rights, and those of folders in it, become those of the old.
+        made: The new folder, on the same file system. It and the folders in it get the rights of the old ones.
         target: The old folder.
     """
     place = Path(os.path.realpath(target))
@@ -48,7 +48,7 @@ def swap_folder(made: Path, target: Path) -> bool:
 
 
 def _others(old: Path, new: Path) -> Iterator[tuple[os.DirEntry[str], Path]]:
-    """Yield the entries of a folder and of those in it that another does not have, and their places there.
+    """Yield the entries of a folder, at any depth, that a second folder lacks, and their places there.
 
     Raises:
         OSError: If another file system is mounted there, or a link leads to a folder whose files are to be replaced.
@@ -70,7 +70,7 @@ def _others(old: Path, new: Path) -> Iterator[tuple[os.DirEntry[str], Path]]:
 
 
 def _keep_others(old: Path, new: Path) -> None:
-    """Link all files of a folder into another that has none of their names."""
+    """Link all files of a folder into a second folder, which has none of their names."""
     for entry, other in _others(old, new):
         if entry.is_dir(follow_symlinks=False):
             other.mkdir()
@@ -79,7 +79,7 @@ def _keep_others(old: Path, new: Path) -> None:
 
 
 def _take_rights(old: Path, new: Path) -> None:
-    """Give a folder, and each folder in it that another has too, the owner and the rights of the other."""
+    """Give a folder, and each folder in it that a second folder has too, the owner and rights of the second."""
     with os.scandir(old) as entries:
         for entry in entries:
             if entry.is_dir(follow_symlinks=False) and _is_folder(new / entry.name):
@@ -91,7 +91,7 @@ def _take_rights(old: Path, new: Path) -> None:
 
 
 def take_owner(old: os.stat_result, new: Path) -> None:
-    """Give a file or folder the group and the owner of another, as far as this user may."""
+    """Give a file or folder the group and the owner of a second one, as far as this user may."""
     if not hasattr(os, "chown"):
         return
     state = new.stat()
@@ -108,7 +108,7 @@ def _is_folder(path: Path) -> bool:
 
 
 def _is_in_use(folder: Path) -> bool:
-    """Return whether the folder is that of this process, whose shell may be there too, or holds it."""
+    """Return whether this process, and so maybe its shell, has its current folder in a folder."""
     try:
         here = Path(os.path.realpath(os.getcwd()))
     except OSError:
@@ -130,7 +130,7 @@ def _exchange(a: Path, b: Path) -> bool:
 
 @cache
 def _call() -> Any:
-    """Return the function of the C library; None where there is none."""
+    """Return the function of the C library; None if there is none."""
     if sys.platform == "win32":
         return None
     try:

@@ -1,4 +1,4 @@
-"""Folders among temporary files: only their owner can enter them, links are not followed, none is left by a kill.
+"""Create temporary folders that only their owner can enter and that are removed even after a kill.
 
 A folder of a block holds a lock while its process lives. Whoever makes the next one, and every command when it starts,
 removes those without a live owner.
@@ -28,7 +28,7 @@ _LOG = logging.getLogger(__name__)
 
 @contextmanager
 def temporary_folder(root: Path | None = None) -> Iterator[Path]:
-    """Yield an empty folder for this block, and remove it after that; first remove those of killed processes.
+    """Yield an empty folder for this block, and remove it afterward; first remove those of killed processes.
 
     Args:
         root: Where to make it; None takes the place for temporary files.
@@ -59,7 +59,7 @@ def temporary_folder(root: Path | None = None) -> Iterator[Path]:
 
 
 def private_folder(path: Path) -> Path:
-    """Return a folder among temporary files that only this user can enter; another one where that is not to be had.
+    """Return a folder among temporary files that only this user can enter; a new one if the usual one is not usable.
 
     It is made with mode 700. A link, a file, or a folder of another user is never used, since its owner could put links
     in it.
@@ -80,12 +80,12 @@ def private_folder(path: Path) -> Path:
 
 
 def _is_own_folder(found: os.stat_result) -> bool:
-    """Return whether something is a folder of this user, by its status without following links."""
+    """Return whether a path is a folder of this user, by its status without following links."""
     return stat.S_ISDIR(found.st_mode) and (not hasattr(os, "getuid") or found.st_uid == os.getuid())
 
 
 def _other_folder(path: Path) -> Path:
-    """Return a folder of this user in place of one of another: that of the last time, else a new one."""
+    """Return a substitute folder of this user: the one used last time, or a new one."""
     ours = re.compile(rf"{re.escape(path.name)}-[a-z0-9_]{{8}}")
     for name in sorted(_names(path.parent)):
         if ours.fullmatch(name):
@@ -122,6 +122,7 @@ def remove_abandoned(root: Path | None = None) -> None:
 
 
 def _names(root: Path) -> list[str]:
+    """Return the names in a folder; empty if it cannot be listed."""
     try:
         return os.listdir(root)
     except OSError:
@@ -129,5 +130,5 @@ def _names(root: Path) -> list[str]:
 
 
 def _is_there(folder: Path, descriptor: int) -> bool:
-    """Return whether the locked file is still that of the folder."""
+    """Return whether the locked file still exists in the folder."""
     return os.path.samestat(os.fstat(descriptor), os.stat(folder / _LOCK))

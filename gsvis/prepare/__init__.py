@@ -1,4 +1,4 @@
-"""Prepare a package from a scene: the stages, colors among them, their cost and their quality.
+"""Prepare a package from a scene: all stages, their cost and their quality.
 
     prepared = prepare_package(load_scene("scene.ply"), "scene.gsvis", space)
 

@@ -79,7 +79,7 @@ def build_active_terms(
 
 
 def most_weights(store: VisibilityStore, cell: int) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """Return the (V,) ids that a cell sees, ascending, and the (V,) weight at which the class of each ends."""
+    """Return the (V,) ids that a cell sees, ascending, and the (V,) upper weight of the class of each."""
     ids, classes = store.classes(cell)
     ends = [store.class_interval(level)[1] for level in range(len(store.info.class_edges))]
     return ids, np.asarray(ends, np.float32)[classes]

@@ -78,6 +78,7 @@ class Approximations:
         return np.asarray(counts) / max(1, len(self._contributions[0]))
 
     def _draw(self, view: int, epsilon: float | None) -> F32:
+        """Return the image of a view at an epsilon."""
         active = None if epsilon is None else self._contributions[view] > np.float32(epsilon)
         colors = self._evaluator.colors(self._gaussians.means, self._eyes[view], active=active)
         image: F32 = rasterize(self._gaussians, self._cameras[view], colors=colors).images[0]

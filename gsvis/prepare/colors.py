@@ -240,6 +240,7 @@ def _trace(
 
 
 def _check_sets(sets: ArrayLike, count: int) -> U8:
+    """Return checked direction sets."""
     array = np.ascontiguousarray(sets)
     if array.dtype != np.uint8 or array.shape != (count, NUM_FACES // 8):
         wanted = f"uint8 of shape ({count}, {NUM_FACES // 8})"

@@ -41,9 +41,9 @@ class PrepareConfig:
         sets: Options of the visible sets.
         colors: Options of the colors.
         epsilon: Largest change of an RGB channel, in (0, 1], by a term that may be left out of a cell.
-        epsilon_from: Where epsilon comes from, in words.
+        epsilon_from: Source of epsilon, in words.
         cost_views: Views that measure the cost of rounding.
-        fidelity_views: Views, used for nothing else, that measure how near what a client gets comes to the scene.
+        fidelity_views: Separate views that measure final quality against the source scene.
         meters_per_unit: Meters in a scene unit; 0 if unknown.
 
     Raises:

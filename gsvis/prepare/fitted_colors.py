@@ -138,6 +138,7 @@ class FittedColors:
         }
 
     def _epsilon_of(self, epsilon: float) -> dict[str, Any]:
+        """Return epsilon and its source for JSON."""
         found = self.calibration
         if found is None:
             return {"value": epsilon, "from": "given"}

@@ -1,4 +1,4 @@
-"""The importance of each Gaussian in images, and the directions that see it. The fit of colors uses both.
+"""Compute the importance of each Gaussian in images, and the directions that see it, for the fit of colors.
 
 Each view adds, for each Gaussian, the sum of its squared blending weights over pixels. This sum, times the squared
 error of the Gaussian's color, is the squared error of the image if all other colors are exact. Each level is drawn
@@ -62,9 +62,9 @@ class ViewImportance:
 def direction_weights(sets: NDArray[np.uint8], shares: NDArray[np.uint8] | None) -> NDArray[np.float32]:
     """Return (N, 80) weights of the faces in the fit of each color.
 
-    Most of the weight is the same for all directions of a set. The rest follows how much of the images is seen from
-    each, because few terms should err where few look. The least of it lies outside the set: a view between those that
-    were drawn may look from there.
+    Most of the weight is the same for all directions of a set. The rest is proportional to the image area seen from
+    each direction, so that errors fall where few views look. A small part lies outside the set, because a view between
+    the rendered ones may look from there.
 
     Args:
         sets: (N, 10) uint8 direction sets.

@@ -1,4 +1,4 @@
-"""Judge the visible sets of a package or of a tile by eyes that navigable space did not choose."""
+"""Measure the visible sets of a package or of a tile at eyes that are independent of navigable space."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ _FROM = 12  # views of what a client gets from which there are so many
 
 
 def small_views(views: ViewSampling, *, of_tile: bool) -> ViewSampling:
-    """Return the builder's views for judging, half as large as those that measure what a client gets.
+    """Return the builder's views for judging, half as large as the fidelity views.
 
     Args:
-        views: The latter; where they are few, such as in tests, so are these.
+        views: The fidelity views; if they are few, as in tests, so are the returned ones.
         of_tile: Whether the scene is a tile of a world.
     """
     count = count_views(views.count, _FROM, _OF_TILE if of_tile else JUDGES)
@@ -45,16 +45,16 @@ def judge_tile(
     *,
     progress: Progress = silent,
 ) -> Judged:
-    """Measure images from the sets of a tile and of what is around it, in base colors.
+    """Measure images from the sets of a tile and its surroundings, in base colors.
 
-    Judge's eyes stand on the grid of the tile's space: elsewhere a client takes the sets of another tile.
+    Judge's eyes lie on the grid of the tile's space; elsewhere a client uses the sets of a different tile.
 
     Args:
         levels: The levels of the tile; the highest is drawn.
-        space: Where the builder's eyes are.
+        space: Navigable space of the builder's eyes.
         store: The visible sets.
         views: The builder's views.
-        around: What stands around the tile, and the store of what of it is seen.
+        around: The surroundings of the tile, and the store of their visible sets.
         progress: Called with stage "judge", in views.
     """
     top = len(levels) - 1
@@ -68,6 +68,7 @@ def judge_tile(
     try:
 
         def held(cell: int) -> NDArray[np.bool_]:
+            """Return which Gaussians the sets of a cell hold."""
             seen = np.zeros(len(member), bool)
             seen[store.visible_ids(cell)] = True
             if beyond is not None:
@@ -81,7 +82,7 @@ def judge_tile(
 
 
 def _within(judges: Judges, space: NavigableSpace) -> Judges:
-    """Return the judges on the grid of a space."""
+    """Return the judge's eyes that lie on the grid of a space."""
     eyes = judges.cameras.viewpoints
     high = space.origin + space.voxel_size * np.array(space.free.shape)
     inside = np.all((eyes >= space.origin) & (eyes < high), axis=1)

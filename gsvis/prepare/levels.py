@@ -38,8 +38,7 @@ class MadeLevels:
     Attributes:
         trained: The levels.
         quality: Quality in held-out views; None without held-out views.
-        judged: For each level below the highest, what eyes see that navigable space did not choose; empty without
-            held-out views.
+        judged: For each level below the highest, the quality at independent eyes; empty without held-out views.
     """
 
     trained: TrainedLevels
@@ -95,7 +94,7 @@ def make_levels(
 
 
 def _judge(levels: Levels, views: LevelViews, seed: int, progress: Progress) -> tuple[Judged, ...]:
-    """Return what eyes of two rules see of the levels; few where few views are held out, such as in tests."""
+    """Return the quality of levels at builder's and judge's eyes; uses few eyes if few views are held out."""
     assert views.held_out is not None
     held_out = views.held_out.cameras
     count = count_views(len(held_out), _USUAL)
@@ -110,7 +109,7 @@ def _judge(levels: Levels, views: LevelViews, seed: int, progress: Progress) -> 
 
 
 def find_levels_work(out: str | os.PathLike[str], g: Gaussians, views: LevelViews, config: LevelsConfig) -> Path:
-    """Return the hidden work folder of a run, beside its result; other scenes, views and settings give another one."""
+    """Return the hidden work folder of a run, beside its result; it depends on scene, views and settings."""
     digest = hashlib.sha256()
     for array in (views.views.images, views.views.cameras.viewmats, views.views.cameras.Ks):
         digest.update(np.ascontiguousarray(array).data)

@@ -40,7 +40,7 @@ __all__ = ["Prepared", "check_scene", "finish_package", "prepare_package", "stag
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """A finished package and how it was made.
+    """A finished package and the record of its preparation.
 
     Attributes:
         manifest: Manifest of the package.
@@ -53,10 +53,10 @@ class Prepared:
         work: The folder of work kept between runs.
         work_bytes: Bytes of that folder.
         remarks: Sentences that the user should read.
-        around: The store of what cells see around the scene; None without surroundings.
-        certificates: What the visible sets are proven to miss.
-        traced_twice: What two tracers found on a sample of these rays; None if there was one.
-        judged: How good the sets are at eyes of two rules, see `gsvis.prepare.judged.Judged`.
+        around: The store of the visible sets of the surroundings; None without surroundings.
+        certificates: Bounds on the light that the visible sets miss.
+        traced_twice: Comparison of two tracers on a sample of these rays; None if there is only one tracer.
+        judged: Quality of the sets at builder's and judge's eyes; see `gsvis.scene.judged.Judged`.
     """
 
     manifest: Manifest
@@ -93,7 +93,7 @@ def prepare_package(
 
     Args:
         scene: N Gaussians, from which levels are trained unless `config.levels` is None; or levels.
-        out: Folder of the package, by custom `scene.gsvis`. An older package is replaced when the new one is complete.
+        out: Folder of the package, usually `scene.gsvis`. An older package is replaced when the new one is complete.
             Work kept between runs lies beside it, in `scene.gsvis.work`.
         space: The navigable space, scene frame and units; its up axis becomes that of the package.
         config: Options; None means `PrepareConfig()`.
@@ -126,7 +126,7 @@ def finish_package(
 ) -> Prepared:
     """Run all stages and write the package; `prepare_package` with stages that the caller has made.
 
-    With `stages.around`, what cells see around the scene ends in a store of its own, `Prepared.around`, in the working
+    With `stages.around`, the visible sets of the surroundings go to a separate store, `Prepared.around`, in the working
     folder.
 
     Args:

@@ -1,4 +1,4 @@
-"""Color a scene, all that `gsvis color` does: fit the colors, write them, find epsilon and active terms, compare.
+"""Do all the work of `gsvis color`: fit the colors, write them, find epsilon and active terms, compare.
 
     fitted = color_scene(g, space, "scene.srbf.arrow", ColorOutputs(held_out=ViewSampling(8, stream=1)))
 
@@ -50,9 +50,9 @@ class ColorOutputs:
     Attributes:
         precision: Precision of the records: one of `PRECISION_NAMES`.
         epsilon: Contribution above which a term is active; None for none, or a calibrated one.
-        calibrate: Whether to find epsilon by the model observer FLIP. A scene without terms or without navigable
-            space has none to find.
-        fallback: Epsilon where `calibrate` finds none to find.
+        calibrate: Whether to find epsilon by the model observer FLIP. This is not possible for a scene without terms or
+            without navigable space.
+        fallback: Epsilon if the calibration is not possible.
         active: File of the terms that each cell needs; written if there are visible sets and an epsilon.
         observed: Views of the model observer.
         held_out: Views in which the colors are compared with SH; None compares nothing.
@@ -84,7 +84,7 @@ def color_scene(
     store: VisibilityStore | None = None,
     progress: Progress = silent,
 ) -> FittedColors:
-    """Fit the colors of a scene, write them, and measure what was asked for.
+    """Fit the colors of a scene, write them, and make the requested measurements.
 
     Args:
         scene: The scene, or its levels.
@@ -130,7 +130,7 @@ def color_scene(
 
 @contextmanager
 def _keeping(kept: KeptWork | None) -> Iterator[None]:
-    """Say in the errors of the block that unfinished work is kept."""
+    """State in errors of the block that unfinished work is kept."""
     try:
         yield
     except KeyboardInterrupt:
@@ -146,7 +146,7 @@ def _keeping(kept: KeptWork | None) -> Iterator[None]:
 
 @contextmanager
 def _written(out: str | os.PathLike[str]) -> Iterator[None]:
-    """Say in the errors of the block that the file of colors is written."""
+    """State in errors of the block that the file of colors is written."""
     try:
         yield
     except KeyboardInterrupt:
@@ -162,7 +162,7 @@ def _calibrate(
     views: ViewSampling,
     progress: Progress,
 ) -> EpsilonCalibration | None:
-    """Find epsilon by the model observer FLIP; None if there are no terms, or nowhere to look from."""
+    """Return epsilon by the model observer FLIP; None if there are no terms or no viewpoints."""
     if fitted.colors.num_terms == 0 or space is None:
         return None
     progress("epsilon", 0, 1)
@@ -181,6 +181,7 @@ def _write(
     config: ColorConfig,
     fitted: FittedColors,
 ) -> None:
+    """Write the file of colors."""
     found: ColorPreparation = fitted.preparation
     levels: list[dict[str, Any]] | None = None
     if isinstance(scene, Levels):

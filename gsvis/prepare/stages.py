@@ -85,7 +85,7 @@ class Stages:
         progress: Called with the progress stages of the functions that run.
         records: Records of the stages so far.
         remarks: Sentences that the user should read.
-        around: What stands around the scene and belongs to other packages; None if nothing does.
+        around: Gaussians around the scene that belong to other packages; None for none.
         reach: Least and largest value of each component of base colors of all these packages; None for this one's own.
         one_level: Whether sets are found with one level in memory; see `build_pvs`.
     """
@@ -182,11 +182,12 @@ class Stages:
         return self.work.at(name)
 
     def _find_sets(self, levels: Levels, grid: CellGrid, name: str, workers: Workers | None) -> None:
-        """Write the store of visible sets, and that of what is seen around the scene."""
+        """Write the store of visible sets, and that of the surroundings."""
         path = self.work.at(name)
         around = self.around
 
         def build(seen: Levels, target: Path) -> VisibilityStore:
+            """Build the visible sets of some levels."""
             return build_pvs(
                 seen,
                 grid,
@@ -259,7 +260,7 @@ class Stages:
             return Cost(**parse_object(self.work.at(name), read_whole(self.work.at(name))).value)
 
     def fidelity_name(self, levels: Levels, exact: SrbfColors, sets: Path) -> str:
-        """Return the name of the file of what a client gets."""
+        """Return the name of the file of the fidelity."""
         key = self._key(
             "fidelity",
             scene=scene_hash(self.highest),
@@ -273,7 +274,7 @@ class Stages:
         return f"fidelity-{key}.json"
 
     def fidelity(self, levels: Levels, exact: SrbfColors, packed: QuantizedColors, store: VisibilityStore) -> Fidelity:
-        """Return how near what a client gets comes to the scene as it came, in views that are used for nothing else."""
+        """Return the final quality against the source scene, in views that are used for nothing else."""
         name = self.fidelity_name(levels, exact, store.path)
         with self._stage("fidelity") as done:
             if not self.work.whole(name):
@@ -296,7 +297,7 @@ class Stages:
             return Fidelity.from_fields(parse_object(self.work.at(name), read_whole(self.work.at(name))))
 
     def judged(self, levels: Levels, store: VisibilityStore) -> dict[str, Any]:
-        """Return how good the sets are at eyes that navigable space did not choose."""
+        """Return the quality of the sets at eyes that are independent of navigable space."""
         views = small_views(self.config.fidelity_views, of_tile=self.one_level)
         around = None if self.around is None else (self.around, self.work.at(around_of(store.path.name)))
         witnesses = None if self.space.witnesses is None else self.space.witnesses.digest
@@ -324,7 +325,7 @@ class Stages:
 
     @property
     def highest(self) -> Gaussians:
-        """The scene as it came, or its highest level."""
+        """The scene as given, or its highest level."""
         return self.scene.level(len(self.scene) - 1) if isinstance(self.scene, Levels) else self.scene
 
     def _train(self, folder: Path) -> Levels:
@@ -362,6 +363,7 @@ class Stages:
         return load_levels(folder)
 
     def _views(self) -> LevelViews:
+        """Return the views for training."""
         assert isinstance(self.scene, Gaussians)
         config = self.config
         if self.photos is not None:
@@ -381,7 +383,7 @@ class Stages:
 
 
 def around_of(sets: str) -> str:
-    """Return the name of the store of what is seen around a scene, for the name of its visible sets."""
+    """Return the name of the store of the surroundings' visible sets, from the name of the visible sets."""
     return f"around-{sets}"
 
 
@@ -391,5 +393,5 @@ def _content(levels: Levels) -> dict[str, Any]:
 
 
 def _spreads(values: np.ndarray[Any, np.dtype[np.float64]]) -> list[dict[str, float]]:
-    """Return mean and least value of each row of (L, C) values."""
+    """Return the mean and the least value of each row of (L, C) values."""
     return [{"mean": float(row.mean()), "worst": float(row.min())} for row in values]

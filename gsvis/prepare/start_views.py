@@ -1,4 +1,4 @@
-"""Choose views to begin a visit with: upright, from where a person may stand, and with much to see.
+"""Choose start views for visitors: upright, from where a person may stand, and with much to see.
 
 Cameras are drawn at random where eyes may be. A view is worth as many Gaussians as contribute to its pixels, so one
 into a near wall is worth little. Scene frame; OpenCV cameras.
@@ -39,7 +39,7 @@ def choose_start_views(
 
     Args:
         scene: The scene.
-        space: Where eyes may be.
+        space: Allowed viewpoints.
         count: Largest number of views.
         drawn: Number of cameras to choose from.
         seed: Seed of the random numbers.

@@ -1,4 +1,4 @@
-"""Gaussians around a scene that hide it and are seen from it, but belong to other packages.
+"""Hold Gaussians around a scene that hide it or are seen from it, but belong to other packages.
 
 Visible sets are found in the scene and its surroundings together. Then they are cut in two: a store of the scene, and
 one of the same cells for what is seen around it, whose ids count the surroundings. Scene frame and units; this module
@@ -29,11 +29,11 @@ U8 = NDArray[np.uint8]
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """M Gaussians around a scene, each in the levels first to last of the scene that it stands in.
+    """M Gaussians around a scene, each in levels `first` to `last` of that scene.
 
     Attributes:
         gaussians: The Gaussians; their SH above degree 0 changes nothing.
-        first: (M,) lowest level of the scene that they stand around.
+        first: (M,) lowest level of the scene with each Gaussian.
         last: (M,) highest level.
     """
 
@@ -42,7 +42,7 @@ class Surroundings:
     last: U8
 
     def __len__(self) -> int:
-        """Return M."""
+        """Return the number of Gaussians."""
         return len(self.gaussians)
 
     @property
@@ -53,7 +53,7 @@ class Surroundings:
         return found.hexdigest()
 
     def joined(self, levels: Levels) -> Levels:
-        """Return the levels of N Gaussians with the surroundings in them, as ids N to N + M - 1."""
+        """Return the levels of N Gaussians with the surroundings added, as ids N to N + M - 1."""
         union = Gaussians.concatenate([_flat(levels.union), _flat(self.gaussians)])
         first, last = (np.concatenate(each) for each in ((levels.first, self.first), (levels.last, self.last)))
         return Levels(union, first, last, levels.names)
@@ -66,13 +66,13 @@ class Surroundings:
     def split(
         self, joint: VisibilityStore, levels: Levels, own: Path, around: Path, *, progress: Progress = silent
     ) -> None:
-        """Cut the store of joined levels into that of the levels and that of the surroundings.
+        """Split the store of joined levels into a store of the levels and a store of the surroundings.
 
         Args:
             joint: The store of `joined(levels)`.
             levels: The levels, N Gaussians.
-            own: The store of the levels to write. Certificates speak of both together.
-            around: The store of the surroundings to write; ids count the surroundings.
+            own: The store of the levels to write. Certificates are for both stores together.
+            around: The store of the surroundings to write; its ids are 0 to M - 1.
             progress: Called with stage "store".
 
         Raises:
@@ -101,6 +101,7 @@ class Surroundings:
 
 
 def _figures(store: VisibilityStore, cell: int) -> dict[str, Any]:
+    """Return the figures of a cell, for a writer."""
     found = store.certificates
     counts = {"inner": int(found.inner[cell]), "rays": int(found.rays[cell])}
     shares = {name: float(getattr(found, name)[cell]) for name in ("missed", "bound", "tile")}
@@ -108,5 +109,5 @@ def _figures(store: VisibilityStore, cell: int) -> dict[str, Any]:
 
 
 def _flat(g: Gaussians) -> Gaussians:
-    """Return a scene without the SH that does not change what is visible."""
+    """Return a scene without SH, which does not affect visibility."""
     return g if g.sh_degree == 0 else replace(g, shN=g.shN[:, :0])

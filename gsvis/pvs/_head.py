@@ -1,4 +1,4 @@
-"""What is read of a store when it opens: its header, the rows of its cells, and their certificates."""
+"""Read the parts of a store that opening needs: its header, the rows of its cells, and their certificates."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["read_certificates", "read_header", "read_rows"]
 
 
 def read_header(file: SectionFile) -> tuple[StoreInfo, CellGrid]:
-    """Return what a store was built from, and its cells.
+    """Return the facts of the build of a store, and its cells.
 
     Raises:
         FormatError: If the header is damaged.
@@ -54,7 +54,7 @@ def read_header(file: SectionFile) -> tuple[StoreInfo, CellGrid]:
 
 
 def read_rows(file: SectionFile, cells: int, gaussians: int) -> NDArray[Any]:
-    """Return the rows of a store with so many cells and Gaussians.
+    """Return the rows of a store with that many cells and Gaussians.
 
     Raises:
         FormatError: If they do not fit the file, or each other.
@@ -92,7 +92,7 @@ def read_rows(file: SectionFile, cells: int, gaussians: int) -> NDArray[Any]:
 
 
 def read_certificates(file: SectionFile, cells: int) -> StoredCertificates:
-    """Return the certificates of a store with so many cells.
+    """Return the certificates of a store with that many cells.
 
     Raises:
         FormatError: If they do not fit the cells, or are damaged.

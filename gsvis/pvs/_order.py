@@ -1,4 +1,4 @@
-"""The stored order of the Gaussians, and the parents of cells. Both make a store small.
+"""Choose the stored order of the Gaussians and the parents of cells, which make a store small.
 
 Gaussians that the same cells see get the same label. The store sorts them by label, then by id. Labels come from
 signatures: one bit for each key cell. All arithmetic is on integers, so the same input gives the same order on
@@ -72,9 +72,9 @@ def choose_labels(n: int, cells: int, read: Callable[[int], U64]) -> U16:
 
 
 def _candidates(signatures: U64) -> Iterator[U16]:
-    """Yield labels (N,) to try: all 0, which keeps scene order, then finer and finer ones.
+    """Yield labels (N,) to try: all 0, which keeps scene order, then increasingly fine ones.
 
-    Where there are no more different signatures than labels, each has its own, and nothing finer follows.
+    If there are at most as many distinct signatures as labels, each gets its own, and nothing finer follows.
     """
     n = len(signatures)
     yield np.zeros(n, np.uint16)
@@ -94,7 +94,7 @@ def _candidates(signatures: U64) -> Iterator[U16]:
 
 
 def _distinct(signatures: U64) -> tuple[U64, NDArray[np.int64]] | None:
-    """Return the different signatures and which of them (N,) each is; None if a sample has more than any labels."""
+    """Return the distinct signatures and the index of each Gaussian's (N,); None if a sample has too many."""
     step = -(-len(signatures) // _SAMPLE)
     if len(np.unique(signatures[::step], axis=0)) > _SIDES[-1] ** 2:
         return None
@@ -102,7 +102,7 @@ def _distinct(signatures: U64) -> tuple[U64, NDArray[np.int64]] | None:
 
 
 def _unique(signatures: U64) -> tuple[U64, NDArray[np.int64]]:
-    """Return the different signatures, ascending, and which of them (N,) each is. Those of nobody are not sorted."""
+    """Return the distinct signatures, ascending, and the index of each Gaussian's (N,); empty ones are not sorted."""
     seen = np.flatnonzero(signatures.any(axis=1))
     if signatures.shape[1] == 1:  # much faster than rows
         some, places = np.unique(signatures[seen, 0], return_inverse=True)
@@ -117,6 +117,7 @@ def _unique(signatures: U64) -> tuple[U64, NDArray[np.int64]]:
 
 
 def _trial_size(trials: list[U64], labels: U16) -> int:
+    """Return the estimated size of the sets in an order by labels."""
     places = np.empty(len(labels), np.int32)
     places[order_of(labels)] = np.arange(len(labels), dtype=np.int32)
     total = 0
@@ -128,7 +129,7 @@ def _trial_size(trials: list[U64], labels: U16) -> int:
 
 
 def _cluster(signatures: U64, side: int) -> U16:
-    """Return labels (N,), up to side x side different ones.
+    """Return labels (N,), up to side x side distinct ones.
 
     Signatures are clustered twice: first into large clusters, then inside each. Two short searches replace a long
     one. At both steps the cluster with the fewest bits comes first. Each next cluster is the nearest one left.
@@ -167,6 +168,7 @@ def _centers(sample: U64, count: int) -> U64:
 
 
 def _nearest(signatures: U64, centers: U64) -> NDArray[np.int64]:
+    """Return the label of the nearest center of each signature."""
     if signatures.shape[1] == 1:  # few cells have few different signatures
         distinct, which = _unique(signatures)
         if 4 * len(distinct) < len(signatures):
@@ -175,12 +177,14 @@ def _nearest(signatures: U64, centers: U64) -> NDArray[np.int64]:
 
 
 def _nearest_of(signatures: U64, centers: U64) -> NDArray[np.int64]:
+    """Return the label of the nearest center of each signature, in parallel."""
     labels = np.zeros(len(signatures), np.int64)
     kernels.nearest_centers(np.ascontiguousarray(signatures), centers, labels)
     return labels
 
 
 def _majorities(sample: U64, labels: NDArray[np.int64], centers: U64) -> U64:
+    """Return the bitwise majority of the signatures of each label."""
     bits = np.zeros((len(centers), 64 * centers.shape[1]), np.int64)
     sizes = np.zeros(len(centers), np.int64)
     kernels.count_bits(sample, labels, bits, sizes)
@@ -190,7 +194,7 @@ def _majorities(sample: U64, labels: NDArray[np.int64], centers: U64) -> U64:
 
 
 def _chain(centers: U64) -> NDArray[np.int64]:
-    """Return (K,) an order of the centers: the one with the fewest bits, then always the nearest one left."""
+    """Return (K,) an order of the centers: the one with the fewest bits first, then always the nearest one left."""
     bits = np.unpackbits(centers.astype("<u8").view(np.uint8), axis=1).astype(np.int32)
     counts = bits.sum(axis=1)
     chain = np.empty(len(centers), np.int64)
@@ -208,7 +212,8 @@ def parents_of(edges: list[tuple[int, int, int]], cells: int) -> NDArray[np.int3
     """Return (C,) int32, a parent for each cell; -1 for none.
 
     A cell shares many Gaussians with its parent, and no chain of parents is longer than `MAX_DEPTH`. Trees grow from
-    the cell that shares most with its neighbors. Each step takes the strongest pair that reaches a new cell.
+    the cell that shares most with its neighbors. Each step adds the pair with most shared Gaussians that reaches a new
+    cell.
 
     Args:
         edges: Pairs of neighbors (shared, a, b): how many Gaussians both see.

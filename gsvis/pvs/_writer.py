@@ -1,4 +1,4 @@
-"""The writer of a store. Cells come one by one, wait on disk, and are encoded when all are known.
+"""Write a store: cells are added one by one, wait on disk, and are encoded when all are known.
 
 Memory holds one cell, its classes, the sets of its neighbors, and 16 bytes for each Gaussian.
 """
@@ -108,11 +108,11 @@ class CellSet:
         ids: (V,) visible Gaussians, ascending, each once.
         classes: (V,) uint8, class of the largest weight of each, below K.
         viewpoints: Number of viewpoints that the set was found from.
-        inner: Those of them that a certificate asked for.
+        inner: Number of these viewpoints that were added because of a certificate.
         rays: Rays that certified it.
         missed: Estimated share of light that it misses, in [0, 1]; NaN without a certificate.
         bound: Upper 95% confidence bound of this share; NaN without a certificate.
-        tile: Most light that it misses in a tile of a picture; NaN without a certificate.
+        tile: Largest share of light that it misses in a tile of an image; NaN without a certificate.
     """
 
     ids: ArrayLike
@@ -253,6 +253,7 @@ class StoreWriter:
         container.close_section("ever")
 
     def _write_rest(self, container: SectionWriter, labels: NDArray[np.uint16], sets: NDArray[np.uint8]) -> None:
+        """Write all sections after the sets, and the header."""
         container.append(_codec.encode_labels(labels, level=19))
         container.close_section("labels")
         container.append(_codec.compress(np.ascontiguousarray(sets.T).tobytes()))
@@ -280,7 +281,7 @@ class StoreWriter:
         )
 
     def _count_shared(self) -> list[tuple[int, int, int]]:
-        """Return (shared, a, b) for each pair of neighbors: how many Gaussians both see."""
+        """Return (shared, a, b) for each pair of neighbors: the number of Gaussians that both see."""
         edges = []
         for cell in range(len(self)):
             for other in self.grid.neighbors(cell).tolist():
@@ -293,6 +294,7 @@ class StoreWriter:
         return self._held.find_or_make(cell, lambda: self._read_set(cell))
 
     def _read_set(self, cell: int) -> NDArray[np.uint64]:
+        """Return the set of a cell from the temporary file."""
         start, length, _ = self._places[cell]
         self._spill.seek(start)
         data = _codec.decompress(self._spill.read(length), 8 * _codec.word_count(self.info.gaussians))
@@ -300,7 +302,7 @@ class StoreWriter:
         return words
 
     def _levels(self, cell: int) -> NDArray[np.uint8]:
-        """Return (N,) uint8, scene order: class plus 1 of what a cell sees, 0 elsewhere."""
+        """Return (N,) uint8, scene order: class plus 1 of Gaussians that a cell sees, 0 elsewhere."""
         start, skipped, length = self._places[cell]
         self._spill.seek(start + skipped)
         data = _codec.decompress(self._spill.read(length), int(self._rows["visible"][cell]))
@@ -310,7 +312,7 @@ class StoreWriter:
 
 
 def _share(name: str, value: float) -> float:
-    """Return a share in [0, 1], or NaN."""
+    """Return a checked share in [0, 1], or NaN."""
     if not (np.isnan(value) or 0.0 <= value <= 1.0):
         raise ValueError(f"{name}: expected a share in [0, 1], or NaN for none, got {value!r}")
     return float(value)

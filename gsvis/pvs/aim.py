@@ -1,4 +1,4 @@
-"""The directions in which eyes of a cell can meet anything at all: from around an object these are few.
+"""Find the directions in which eyes of a cell can meet a Gaussian; around an object these are few.
 
 A ray in another direction meets nothing, so it has no weight. To leave it out changes no share of light and no bound.
 Scene frame and units.
@@ -34,7 +34,7 @@ class Aim:
 
     @classmethod
     def of_box(cls, tracer: Tracer, low: ArrayLike, high: ArrayLike, size: int) -> Aim:
-        """Return the directions of eyes in a box or at a point; all of them if an eye may be inside a Gaussian's box.
+        """Return the directions of eyes in a box or at a point; all if an eye may be inside a Gaussian's box.
 
         Args:
             tracer: The scene.
@@ -71,10 +71,10 @@ class Aim:
 
 
 def share_of_centers(centers: ArrayLike, eye: F64, size: int) -> float:
-    """Return the part of all directions in which centers (P, 3) lie from an eye (3,), with a pixel around each.
+    """Return the share of all directions in which centers (P, 3) lie from an eye (3,), with a pixel around each.
 
     Args:
-        centers: (P, 3) points; those at the eye do not count.
+        centers: (P, 3) points; points at the eye are ignored.
         eye: (3,) the eye.
         size: Pixels along a side of the faces of a cube.
     """
@@ -96,7 +96,7 @@ def share_of_centers(centers: ArrayLike, eye: F64, size: int) -> float:
 
 
 def _directions(faces: NDArray[np.int64], u: F64, v: F64) -> F64:
-    """Return unit vectors (K, 3) of places on faces, whose coordinates are those of unit vectors."""
+    """Return unit vectors (K, 3) of places on the faces."""
     out = np.empty((len(faces), 3))
     axes = faces >> 1
     toward = 1.0 - 2.0 * (faces & 1)

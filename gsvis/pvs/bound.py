@@ -1,4 +1,4 @@
-"""An upper confidence bound of a small share, from independent samples, valid at any time.
+"""Compute an upper confidence bound of a small ratio, from independent samples, valid at any time.
 
 The bound is found by betting. A player bets against the claim that the share is r. If the claim holds, the capital of
 the player is a martingale that starts at 1, so it ever reaches 1 / error with a probability of at most `error` (Ville's
@@ -39,9 +39,10 @@ def upper_bound(part: ArrayLike, whole: ArrayLike | None = None, *, error: float
     Samples may be added, and the bound computed again, as often as wanted: the probability that any of these bounds
     lies below the true ratio is at most `error`. The order of the samples does not matter.
 
-    For a claimed ratio r and a stake s in [0, 1], one sample multiplies the capital by
-    1 - s (part - r whole) / (1 - r). This is never negative, because part <= whole <= 1, and its mean is at most 1 if
-    the true ratio is r or more. The capital is the weighted mean over the players of `STAKES`. It grows with r.
+    The bound comes from betting. A player claims that the ratio is below r and stakes a share s of the capital on each
+    sample, which multiplies the capital by 1 - s (part - r whole) / (1 - r). This factor is never negative, because
+    part <= whole <= 1. Its mean is at most 1 if the true ratio is r or more, so a large capital refutes that. The total
+    capital is the weighted mean over the players of `STAKES`. It grows with r.
 
     Independent samples with different means are allowed if their number was fixed in advance. The bound is then that
     of the ratio of the sums of the means, because a product of means with a sum of 0 in the logarithm is largest where
@@ -97,13 +98,13 @@ def upper_bound(part: ArrayLike, whole: ArrayLike | None = None, *, error: float
 def staged_bound(stages: Sequence[tuple[ArrayLike, ArrayLike]], *, error: float = 0.05) -> float:
     """Return an upper confidence bound of a ratio that never grew, from samples of several stages.
 
-    Between stages something is mended because of the samples, so that the ratio falls or stays. A sample bounds the
-    ratio of its own stage, and so every later one: the samples of all stages together are valid for the last. They hold
-    what was mended long ago. So the last stage is bounded alone too, with a share of the error that halves from stage
-    to stage, because there may be any number of them. The smaller bound is returned.
+    Between stages, samples are used to repair the set, so the ratio never grows. Samples of a stage therefore also
+    bound the ratio of later stages, and all samples together bound the last one. Because early samples include light
+    that was missing only then, the last stage is also bounded by its own samples, with an error that halves from stage
+    to stage, for any number of stages. The smaller bound is returned.
 
     Args:
-        stages: (part, whole) of each stage, as for `upper_bound`; the samples of a stage are drawn after the mending.
+        stages: (part, whole) of each stage, see `upper_bound`; samples of a stage are drawn after the repair.
         error: Probability in (0, 1) that any bound of any stage is too low.
 
     Returns:
@@ -125,7 +126,7 @@ def staged_bound(stages: Sequence[tuple[ArrayLike, ArrayLike]], *, error: float 
 
 
 def _log_capital(parts: F64, wholes: F64, ratio: float) -> float:
-    """Return the logarithm of the capital of all players who bet that the true ratio is below `ratio`, in [0, 1)."""
+    """Return the logarithm of the total capital of all players who claim that the ratio is below `ratio`, in [0, 1)."""
     stakes, shares = np.array(STAKES).T
     logs = np.empty(len(stakes))
     kernels.log_capitals(parts, wholes, ratio, stakes, logs)

@@ -63,7 +63,7 @@ _PLAN = 7  # increase it when the same plan gives other bytes
 
 @dataclass(frozen=True, eq=False)
 class Work:
-    """The plan of a build, and what is kept of it.
+    """The plan of a build, and its finished work.
 
     Attributes:
         levels: The levels.
@@ -93,7 +93,7 @@ class Work:
 
     @cached_property
     def scene(self) -> SceneArrays:
-        """The scene as workers get it."""
+        """The scene in the form for workers."""
         plan = self.plan
         key = f"{plan['scene']} {plan.get('levels')} {plan['config']}"
         return SceneArrays.from_levels(key, self.levels, self.config)
@@ -110,6 +110,7 @@ class Work:
         """Return the task of a cell; it reads its sightings when it is given out."""
 
         def read() -> list[bytes]:
+            """Return the sightings of the cell."""
             found = [read_packed(self.kept, k, len(self.levels.union)) for k in self.shared.of_cell(cell).tolist()]
             whole = [each for each in found if each is not None]
             if len(whole) < len(found):
@@ -226,7 +227,7 @@ def _check_levels(g: Gaussians | Levels) -> Levels:
 
 
 def _explain(error: OSError, work: Work) -> OSError:
-    """Return the error with the number of kept viewpoints and cells, and a remedy."""
+    """Return the error with the numbers of finished viewpoints and cells, and a remedy."""
     seen, found = work.find_kept()
     held = f"{len(seen)} of {len(work.shared)} viewpoints and {len(found)} of {len(work.grid)} cells are kept in"
     held = f"{held} {work.kept.folder.name}" if seen or found else "nothing was finished"
@@ -259,7 +260,7 @@ def _plan(levels: Levels, grid: CellGrid, space: NavigableSpace, config: PvsConf
 def _perform(
     work: Work, results: Results, name: Callable[[int], str], shown: tuple[str, int, int], progress: Progress
 ) -> None:
-    """Keep each result under its name; `shown` is the progress stage, what is done, and the total."""
+    """Keep each result under its name; `shown` is the progress stage, the number done, and the total."""
     stage, done, total = shown
     progress(stage, done, total)
     with closing(results):
@@ -271,7 +272,7 @@ def _perform(
 
 @contextmanager
 def _scene_here(work: Work, one_level: bool) -> Iterator[SceneArrays]:
-    """Yield the scene for tasks that run in this process; what they made of it is forgotten at the end of the block."""
+    """Yield the scene for tasks in this process; its prepared state is released at the end of the block."""
     shelf = work.kept.folder / "levels"
     try:
         yield replace(work.scene, shelf=shelf) if one_level else work.scene
@@ -284,9 +285,10 @@ def _scene_here(work: Work, one_level: bool) -> Iterator[SceneArrays]:
 def _begin_work(
     work: Work, here: SceneArrays, workers: Workers, count: int, most: int
 ) -> Iterator[Callable[[Sequence[Task]], Results]]:
-    """Yield what runs tasks on the workers; the same processes run all stages, of at most `most` tasks."""
+    """Yield a function that runs tasks on the workers; the same processes run all stages, of at most `most` tasks."""
 
     def run(tasks: Sequence[Task]) -> Results:
+        """Yield the results of tasks."""
         if workers.executor is not None:
             share = workers.scatter or (lambda given: given)
             yield from run_on(workers.executor, lambda: share(work.scene), list(tasks), 2 * workers.count)
@@ -305,7 +307,7 @@ def _begin_work(
 
 
 def _write(work: Work, twice: dict[str, Any] | None, progress: Progress) -> None:
-    """Write the store from the kept views of all cells; `twice` is what a second tracer found."""
+    """Write the store from the kept views of all cells; `twice` is the comparison by a second tracer."""
     plan = work.plan
     grid = work.grid
     config = work.config
@@ -328,6 +330,7 @@ def _write(work: Work, twice: dict[str, Any] | None, progress: Progress) -> None
 
 
 def _read(work: Work, cell: int) -> CellView:
+    """Return the kept view of a cell."""
     view = read_view(work.kept, cell, len(work.levels.union))
     if view is None:
         raise OSError(errno.EIO, f"the journal of cell {cell} was damaged while the store was written")
@@ -335,7 +338,7 @@ def _read(work: Work, cell: int) -> CellView:
 
 
 def _check_twice(work: Work, progress: Progress) -> dict[str, Any] | None:
-    """Trace the kept rays of all cells again, by another tracer; None if there are none, or no such tracer."""
+    """Trace the kept rays of all cells with a second tracer; None if there are no rays or no such tracer."""
     from gsvis.raycast import EllipsoidProxies, Tracer, cross_check
 
     rays = np.concatenate([_read(work, cell).checked for cell in range(len(work.grid))])

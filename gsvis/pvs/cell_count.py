@@ -1,4 +1,4 @@
-"""How many cells a space is worth: fewer around an object of which an eye sees much, or whose sets hardly grow with it.
+"""Choose the number of cells: fewer around an object that an eye sees mostly, or whose sets hardly grow.
 
 Smaller cells have smaller sets, and each costs looks and a certificate. From around an object neighbors see nearly the
 same, so that a quarter of the cells may have sets that are hardly larger (docs/design/053). World frame.
@@ -31,16 +31,16 @@ _FEWER = 4
 
 
 def fitting_cells(g: Gaussians, space: NavigableSpace, most: int) -> int:
-    """Return how many cells to divide a space into: `most`, or a quarter around some objects.
+    """Return the number of cells for a space: `most`, or a quarter of it around some objects.
 
     Args:
         g: The scene, N Gaussians.
-        space: Its navigable space. Only where it was found to be around an object are there fewer cells.
+        space: Its navigable space. Only spaces around an object get fewer cells.
         most: Most cells, at least 1.
 
     Returns:
-        A quarter of `most` around an object of which an eye sees 40%, or whose sets grow by a tenth at most with that;
-        else `most`.
+        A quarter of `most` around an object of which one eye sees at least 40%, or whose sets grow by at most a tenth
+        in larger cells; else `most`.
 
     Raises:
         ValueError: If `most` is below 1.
@@ -61,7 +61,7 @@ def fitting_cells(g: Gaussians, space: NavigableSpace, most: int) -> int:
 
 
 def _count_seen_by_one(look: Look, space: NavigableSpace) -> float:
-    """Return how many Gaussians an eye sees, mean of a few."""
+    """Return the mean number of Gaussians that an eye sees, over a few eyes."""
     grid = CellGrid.over(space, max_cells=4 * _EYES)
     viewpoints = CellViewpoints(grid, space)
     some = np.unique(np.arange(_EYES) * len(grid) // _EYES).tolist()
@@ -76,7 +76,7 @@ def _spread_eyes(space: NavigableSpace) -> NDArray[np.float64]:
 
 
 def _count_seen(look: Look, grid: CellGrid, space: NavigableSpace, eyes: NDArray[np.float64]) -> int:
-    """Return how many Gaussians the cells of some eyes see from a few viewpoints, added up."""
+    """Return the number of Gaussians that the cells of some eyes see from a few viewpoints, summed."""
     viewpoints = CellViewpoints(grid, space)
     total = 0
     for cell in grid.cell_at(eyes).tolist():

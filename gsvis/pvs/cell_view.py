@@ -1,4 +1,4 @@
-"""Find the visible set of a cell: join what its viewpoints see, certify it by rays, and mend it.
+"""Find the visible set of a cell: join the sets of its viewpoints, certify it by rays, and repair it.
 
 Shared viewpoints see most. Fresh rays from free points of the cell then say how much light the set misses. What they
 find missing is added, and where the worst ray began is looked from, until the bound is low enough. Levels of a scene
@@ -59,11 +59,11 @@ _CHECKED = 8  # rays of a cell that a second tracer may trace again
 
 @dataclass(frozen=True, eq=False)
 class Sighting:
-    """What one viewpoint sees.
+    """The Gaussians that one viewpoint sees.
 
     Attributes:
         viewpoint: (3,) the viewpoint.
-        looks: Levels that were looked at; those in which it lies inside something solid are not.
+        looks: Levels that were looked at, without those in which it lies inside something solid.
         ids: (V,) int32, Gaussians of weight tau or more in some level, ascending.
         classes: (V,) uint8, class of the largest weight of each.
         faint: (F,) int32, Gaussians of less weight in every level, but a quarter of tau or more in some, ascending.
@@ -78,11 +78,11 @@ class Sighting:
 
 @dataclass(frozen=True)
 class Figures:
-    """How the set of a cell was found, and what it misses; of levels the worst.
+    """Figures about the set of a cell and the light that it misses; for levels, the worst values.
 
     Attributes:
         viewpoints: Viewpoints that the set was found from; 0 if all lie inside something solid.
-        inner: Those of them that were added where a certificate's worst ray began.
+        inner: Number of these viewpoints that were added at the origin of a certificate's worst ray.
         rays: Rays that certified it.
         missed: Estimated share of light that it misses, by the last rays; NaN without a certificate.
         bound: Upper 95% confidence bound of this share; NaN without a certificate.
@@ -105,7 +105,7 @@ class CellView:
         ids: (V,) int32, visible Gaussians, ascending.
         classes: (V,) uint8, class of the largest weight found.
         directions: (V, 10) uint8, direction set of each Gaussian: toward the viewpoints that saw it.
-        figures: How it was found, and what it misses.
+        figures: Figures about the set.
         checked: (K, 6) origins and directions of some rays of the highest level's certificate.
     """
 
@@ -117,7 +117,7 @@ class CellView:
 
 
 class Finder:
-    """Levels of a scene, prepared to be looked at and certified. Looks and tracers are made when they are first needed.
+    """Finds the sets of cells of levels. Looks and tracers are made on first use.
 
     Args:
         levels: The levels, N Gaussians in all.
@@ -138,14 +138,14 @@ class Finder:
         return self._prepared[len(self.levels) - 1].certifier.tracer
 
     def warm(self) -> None:
-        """Make looks and tracers, and load their kernels, so that the first task takes no longer than others."""
+        """Make looks and tracers, and load their kernels, so that the first task takes as long as others."""
         eye = self.levels.union.means[0].astype(np.float64)
         for level in range(len(self.levels)):
             self._see(level, eye)
             self._prepared[level].certifier.tracer.contributions(eye[None], [[1.0, 0.0, 0.0]])
 
     def look(self, viewpoint: F64, *, fine: bool = True) -> Sighting:
-        """Return what a viewpoint (3,) sees in each level drawn alone; unless `fine`, coarsely in the highest alone."""
+        """Return what a viewpoint (3,) sees in each level drawn alone; unless `fine`, coarsely in the highest only."""
         best = np.full(len(self.levels.union), _UNSEEN, np.int8)
         looks = 0
         top = len(self.levels) - 1
@@ -162,8 +162,8 @@ class Finder:
         """Return the view of a cell.
 
         Args:
-            voxels: Where eyes may be in the cell.
-            sightings: What its shared viewpoints see.
+            voxels: Free voxels of the cell.
+            sightings: Sightings of its shared viewpoints.
         """
         view = _Growing(self)
         for sighting in sightings:
@@ -207,9 +207,9 @@ class Finder:
         return prepared.ids[ids], self._classify(weights)
 
     def _finer(self, level: int, viewpoint: F64) -> float:
-        """Return how many times finer the faces around a viewpoint are, because most directions show the void.
+        """Return the factor by which the faces around a viewpoint are finer, if most directions show the void.
 
-        A shell of outliers fills all directions. It does not count: the scene lies in as few as without it.
+        A shell of outliers, which fills all directions, is ignored.
         """
         if self.config.method != "hybrid":
             return 1.0  # there pixels of the void cost time
@@ -224,13 +224,13 @@ class Finder:
         return (np.searchsorted(self._edges, weights, side="right") - 1).astype(np.int8)
 
     def _probe(self, voxels: FreeVoxels, sightings: Sequence[Sighting], view: _Growing) -> int:
-        """Add what the tips of the cell and the points farthest from all eyes see and the set lacks.
+        """Add missing Gaussians that are seen from the tips of the cell and from points far from all eyes.
 
-        Probes are coarse looks at the highest level. Where one finds light missing, its eye looks finely, and at lower
-        levels coarsely.
+        Probes are coarse looks at the highest level. If one finds missing light, its eye looks finely, and coarsely at
+        lower levels.
 
         Returns:
-            The fine looks taken.
+            Number of fine looks.
         """
         certifier = self._prepared[len(self.levels) - 1].certifier
 
@@ -257,7 +257,7 @@ class Finder:
         return looks
 
     def _look_closer(self, eye: F64, view: _Growing) -> bool:
-        """Add what an eye sees and the set lacks; return whether that was enough for a fine look."""
+        """Add missing Gaussians that an eye sees; return whether there were enough for a fine look."""
         top = len(self.levels) - 1
         if self._glance(top, eye, view) < _PROBE_LOSS:
             return False
@@ -268,7 +268,7 @@ class Finder:
         return True
 
     def _glance(self, level: int, eye: F64, view: _Growing) -> float:
-        """Add what an eye sees coarsely in a level and the set lacks; return the sum of its weights."""
+        """Add missing Gaussians that an eye sees coarsely in a level; return the sum of their weights."""
         prepared = self._prepared[level]
         ids, weights = prepared.look(eye, size=min(_PROBE_SIZE, self.config.size), floor=_PROBE_FLOOR)
         places = prepared.ids[ids]
@@ -277,7 +277,7 @@ class Finder:
         return float(weights[missing].sum())
 
     def _mend(self, level: int, voxels: FreeVoxels, sightings: Sequence[Sighting], view: _Growing) -> _Mended:
-        """Certify a level of a cell and add what is missed, stage by stage."""
+        """Certify a level of a cell and add missing Gaussians, stage by stage."""
         config = self.config
         certifier = self._prepared[level].certifier
         places = self._prepared[level].ids
@@ -313,7 +313,7 @@ class Finder:
         return _Mended(certificates, inner, tile)
 
     def _add_faint(self, level: int, sightings: Sequence[Sighting], view: _Growing) -> None:
-        """Add what shared viewpoints saw faintly, a level has and the set lacks."""
+        """Add missing Gaussians of a level that shared viewpoints saw faintly."""
         wanted = np.zeros(len(view.best), bool)
         wanted[self._prepared[level].ids] = True
         wanted &= view.best < 0
@@ -322,9 +322,9 @@ class Finder:
             view.add(ids, np.zeros(len(ids), np.int8), each.viewpoint[None])
 
     def _mend_tiles(self, level: int, found: Certificate, view: _Growing) -> tuple[int, float]:
-        """Add what is missed in tiles around the worst rays; return the looks taken and the worst tile that is left.
+        """Add missing Gaussians in tiles around the worst rays; return the number of looks and the worst tile left.
 
-        Rays find what is missing. If rays at other places of the tiles find more, the eye of the worst tile looks.
+        Rays find missing Gaussians. If rays at other places of the tiles find more, the eye of the worst tile looks.
         """
         config = self.config
         tracer = self._prepared[level].certifier.tracer
@@ -360,7 +360,7 @@ def _points(eyes: Sequence[F64]) -> F64:
 
 
 class _Growing:
-    """A visible set while it grows.
+    """A visible set that is being extended.
 
     Attributes:
         best: (N,) int8, class of the largest weight so far; -1 if not in the set.

@@ -1,4 +1,4 @@
-"""Cells: boxes of a regular grid over navigable space. All viewpoints in a cell share one visible set.
+"""Divide navigable space into cells, boxes of a regular grid. All viewpoints in a cell share one visible set.
 
 Cells are cubes of whole voxels of the navigable space, in the scene's frame and units. A box without a free voxel is no
 cell. Cells are numbered in lexicographic order of (x, y, z). This module knows no visibility.
@@ -272,6 +272,7 @@ class CellGrid:
         return {tuple(map(float, box)): cell for cell, box in enumerate(self.coords.tolist())}
 
     def _numbers(self, boxes: I64) -> I64:
+        """Return the numbers of cells at boxes; -1 for none."""
         inside = np.all((boxes >= 0) & (boxes < np.array(self.shape)), axis=1)
         flat = np.ravel_multi_index(tuple(np.where(inside[:, None], boxes, 0).T), self.shape)
         flats: I64 = self._flat  # type: ignore[attr-defined]

@@ -54,8 +54,8 @@ class CertificateConfig:
         limit: Rounds end when the bound is at most this share, or the estimate is above it. 0 uses all rays.
         rays: Most rays of a cell.
         round_rays: Rays of a round.
-        sparse: Largest factor by which rays are more, and rounds larger, where few rays meet something. Such a ray
-            costs little and proves nothing.
+        sparse: Largest factor on the numbers of rays if few rays meet something, because such rays cost little and
+            prove nothing.
         error: Probability in (0, 1) that the bound is too low.
         checked: Rays of a cell that `cross_check` traces a second time; 0 for none.
         worst: Number of rays that are kept because they miss most.
@@ -163,7 +163,7 @@ class Certifier:
 
     Attributes:
         tracer: The scene.
-        solid: What can bury a point of it.
+        solid: Gaussians that can hold a point inside.
     """
 
     def __init__(self, tracer: Tracer) -> None:
@@ -196,14 +196,14 @@ class Certifier:
     ) -> Certificate | None:
         """Bound the light that the set of a cell misses, by rounds of fresh rays.
 
-        The rays depend on the seed, the cell, the stage and the round, on nothing else. The bound holds for a set that
-        was chosen without these rays. So a set to which a certificate's findings were added needs another stage.
+        The rays depend only on the seed, the cell, the stage and the round. The bound holds for a set that was chosen
+        without these rays, so a set to which findings of a certificate were added needs a new stage.
 
         Args:
             voxels: Where eyes may be in the cell: `CellViewpoints.voxels`.
             ids: (V,) Gaussians of the set.
             config: Options; None means `CertificateConfig()`.
-            stage: Names the rays: another stage draws other rays.
+            stage: Number of the stage; each stage draws different rays.
             earlier: Certificates of the set as it was before, with fewer Gaussians, oldest first; see `staged_bound`.
                 None if this is the only certificate of the cell: it may use the whole error.
 
@@ -237,7 +237,7 @@ class Certifier:
             draw: Draws the rays of a round from the random numbers it is given, and nothing else.
             ids: (V,) Gaussians of the set.
             config: Options; None means `CertificateConfig()`.
-            name: Names the rays, as a cell does: another name draws other rays. The `cell` of the certificate.
+            name: Takes the place of the number of a cell; each name draws different rays.
             stage: As in `certify`.
             earlier: As in `certify`.
 
@@ -309,7 +309,7 @@ def heaviest_hits(ids: I64, weights: F32) -> tuple[I64, I64]:
 
 
 def _trace_round(tracer: Tracer, missing: NDArray[np.bool_], origins: F64, directions: F64) -> _Round:
-    """Trace rays; `missing` (N,) names the Gaussians outside the set."""
+    """Trace rays; `missing` (N,) marks the Gaussians outside the set."""
     count = len(origins)
     coarse = ((directions + 1.0) * 2 ** (_DIRECTION_BITS - 1)).astype(np.int64)
     order = np.lexsort(coarse.T)  # neighbors in sequence look the same way: their paths share memory
@@ -324,6 +324,7 @@ def _trace_round(tracer: Tracer, missing: NDArray[np.bool_], origins: F64, direc
 
 
 def _summarize(rounds: list[_Round], cell: int, bound: float, config: CertificateConfig) -> Certificate:
+    """Return the certificate of rounds."""
     origins, directions, missed, weights, hit_ids, hit_weights, hit_origins = (
         np.concatenate([getattr(each, name) for each in rounds]) for name in _Round.__dataclass_fields__
     )

@@ -1,4 +1,4 @@
-"""Certificates of many cells together: the light that their sets miss, and the rays that two tracers agree on."""
+"""Certify many cells together: bound the light that their sets miss, and compare two tracers on a sample of rays."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class CertifiedCells:
 
     Attributes:
         certificates: One for each cell.
-        check: What two tracers found on a sample of the rays; None if the second one is not installed.
+        check: Comparison of two tracers on a sample of the rays; None if the second one is not installed.
         error: Probability that a bound is too low.
     """
 

@@ -75,7 +75,7 @@ def pack(ids: NDArray[Any], n: int) -> Words:
 
 
 def pack_some(ids: NDArray[Any]) -> tuple[NDArray[np.int32], Words]:
-    """Return the packed words of the set of the given ascending ids that are not empty: their numbers, and masks."""
+    """Return the non-empty packed words of the set of ascending ids: their numbers, and masks."""
     words = np.empty(len(ids), np.int32)
     masks = np.empty(len(ids), np.uint64)
     count = kernels.mark_some(ids, words, masks)
@@ -83,7 +83,7 @@ def pack_some(ids: NDArray[Any]) -> tuple[NDArray[np.int32], Words]:
 
 
 def used_words(words: Words, first: int = 0) -> tuple[NDArray[np.int32], Words]:
-    """Return the words of a set that are not empty: their numbers, from `first` on, and masks."""
+    """Return the non-empty words of a set: their numbers, counted from `first`, and masks."""
     size = kernels.used(words, first, np.empty(0, np.int32), words[:0])
     numbers = np.empty(size, np.int32)
     masks = np.empty(size, np.uint64)

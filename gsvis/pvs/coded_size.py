@@ -1,4 +1,4 @@
-"""How many bytes a store takes, from the sets of a few of its cells. Coded as a store codes them; writes nothing."""
+"""Estimate the bytes of a store by coding the sets of a few of its cells; writes nothing."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ BESIDE = 0.63
 
 
 def bytes_of_cell(ids: NDArray[np.integer], classes: NDArray[np.uint8], count: int, num_classes: int) -> int:
-    """Return the bytes of the set of a cell and its classes, without what its neighbors say of them.
+    """Return the bytes of the set of a cell and its classes, coded without its neighbors.
 
     Args:
         ids: (V,) visible Gaussians, ascending.

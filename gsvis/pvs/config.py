@@ -1,4 +1,4 @@
-"""Options of a build of visible sets: how viewpoints are looked from, and when a cell is finished."""
+"""Define the options of a build of visible sets: the method of looking, and when a cell is finished."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ F64 = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PvsConfig:
-    """How visible sets are found.
+    """Options of a build of visible sets.
 
     Attributes:
         method: "hybrid" (z-buffer and hidden point removal), "raster" (weights of cubemap images) or "raycast".
@@ -31,12 +31,13 @@ class PvsConfig:
         lower_size: The same on lower levels, whose Gaussians are larger, if it is below `size`.
         limit: A cell is finished when the upper 95% confidence bound of the share of light that its set misses is at
             most this.
-        tile_limit: And when no tile of 16 x 16 pixels around the worst rays misses more light than this.
+        tile_limit: A finished cell also has no tile of 16 x 16 pixels around the worst rays that misses more light than
+            this.
         rays: Most rays of a certificate.
-        max_inner: Most times that a set is mended and certified again. A set that is still above the limits is kept,
-            with its bound.
-        probes: Most coarse looks at the highest level, from the tips of a cell and from the points that are farthest
-            from its viewpoints. Where one finds light missing, its eye looks at `size`. 0 for none.
+        max_inner: Largest number of times that a set is repaired and certified again. A set that is still above the
+            limits is kept, with its bound.
+        probes: Largest number of coarse looks at the highest level, from the tips of a cell and from points far from
+            its viewpoints. If one finds missing light, its eye looks at `size`. 0 for none.
         class_ratio: Lowest weight of a class over that of the class below. The lowest class begins at tau.
     """
 

@@ -1,4 +1,4 @@
-"""The floor over which a walker's eye can move, found from cells: they are all that a package knows of navigable space.
+"""Find the floor over which a walker's eye can move, from cells, the only form of navigable space in a package.
 
 Scene frame and units, as JSON for viewers.
 """
@@ -116,7 +116,7 @@ def _around(values: F64) -> F64:
 
 
 def _level_axes(up: F64) -> tuple[F64, F64]:
-    """Return two unit axes across an axis, of the scene's own axes where that is one of them."""
+    """Return two unit axes perpendicular to an axis, axes of the scene's own if possible."""
     helper = np.zeros(3)
     helper[int(np.abs(up).argmin())] = 1.0
     first = helper - up * (helper @ up)

@@ -1,4 +1,4 @@
-"""Check visible sets by eyes of two rules: builder's eyes in navigable space, and judge's eyes that do not know of it.
+"""Check visible sets at builder's eyes in navigable space, and at judge's eyes that are independent of it.
 
 An image from the set of the cell that a client would use is compared with the image of the whole.
 """
@@ -36,11 +36,11 @@ _TIMES = 2.0  # between the shares of the two rules from which there is a warnin
 def judge_sets(
     scene: Levels, space: NavigableSpace, store: VisibilityStore, views: ViewSampling, *, progress: Progress = silent
 ) -> Judged:
-    """Measure images from the sets of a store at eyes of both rules; half of the views by each.
+    """Measure images from the sets of a store at builder's and judge's eyes, half of the views each.
 
     Args:
         scene: The levels of which the store holds the sets; the highest is drawn.
-        space: Where the builder's eyes are; its witnesses judge too.
+        space: Navigable space of the builder's eyes; its witnesses are judge's eyes.
         store: The visible sets.
         views: The builder's views; judge's views are as many, of the same size.
         progress: Called with stage "judge", in views.
@@ -49,6 +49,7 @@ def judge_sets(
     g = scene.union[member]
 
     def held(cell: int) -> NDArray[np.bool_]:
+        """Return which Gaussians the set of a cell holds."""
         seen = np.zeros(len(member), bool)
         seen[store.visible_ids(cell)] = True
         return seen[member]
@@ -60,14 +61,14 @@ def judge_sets(
 def judge_images(
     g: Gaussians, grid: CellGrid, held: Held, mine: Cameras, judges: Judges, *, progress: Progress = silent
 ) -> Judged:
-    """Measure images from the sets of cells at eyes of both rules.
+    """Measure images from the sets of cells at builder's and judge's eyes.
 
     Args:
-        g: What a picture of everything shows, N Gaussians.
+        g: The whole scene, N Gaussians.
         grid: The cells.
-        held: Returns which (N,) of them are in the set of a cell.
-        mine: Views of the builder.
-        judges: Views of the judge.
+        held: Function from the number of a cell to a mask (N,) of its set.
+        mine: Views at builder's eyes.
+        judges: Views at judge's eyes.
         progress: Called with stage "judge", in views.
     """
     total = len(mine) + len(judges)
@@ -84,7 +85,7 @@ def judge_images(
 
 
 def _measure(g: Gaussians, grid: CellGrid, held: Held, camera: Cameras) -> float:
-    """Return the PSNR of the image from the set of an eye's cell, or of the nearest cell, against the whole."""
+    """Return the PSNR of the image from the set of an eye's cell, or of the nearest cell, against the whole scene."""
     eye = camera.viewpoints[0]
     cell = int(grid.cell_at(eye[None])[0])
     if cell < 0:
@@ -98,13 +99,13 @@ def _draw(g: Gaussians, camera: Cameras) -> F32:
 
 @dataclass(frozen=True, eq=False)
 class JudgedShares:
-    """The shares of the Gaussians that views of two rules see.
+    """Shares of the Gaussians that views at builder's and judge's eyes see.
 
     Attributes:
         builder: (B,) shares in views in navigable space.
         judge: (J,) shares in judge's views.
         in_cells: Share of the judge's eyes that lie in cells; None without such eyes.
-        named: What gave the last of the judge's eyes; empty if nothing did.
+        named: Source of the given judge's eyes; empty without any.
     """
 
     builder: NDArray[np.float64]
@@ -147,11 +148,11 @@ class JudgedShares:
 def judge_shares(
     g: Gaussians, space: NavigableSpace, views: ViewSampling, tau: float, *, progress: Progress = silent
 ) -> JudgedShares:
-    """Measure which share of a scene views of both rules see; half of the views by each.
+    """Measure the share of a scene that views at builder's and judge's eyes see, half of the views each.
 
     Args:
         g: The scene.
-        space: Where the builder's eyes are; its witnesses judge too.
+        space: Navigable space of the builder's eyes; its witnesses are judge's eyes.
         views: The builder's views; judge's views are as many, of the same size.
         tau: Least weight of a visible Gaussian.
         progress: Called with stage "judge", in views.

@@ -1,4 +1,4 @@
-"""What one viewpoint sees, by one of three methods: rays, cubemap images, or the hybrid of paper section 6.2.
+"""Find the Gaussians that one viewpoint sees, by rays, cubemap images, or the hybrid of paper section 6.2.
 
 Each method gives the largest weight of each Gaussian over six faces of `size` x `size` pixels or rays around the
 viewpoint. World frame, scene units.
@@ -63,7 +63,7 @@ class Look:
         faint: float | None = None,
         hull: bool = True,
     ) -> Sight:
-        """Return what an eye at `viewpoint` (3,) sees; `size` and `floor` replace those of the scene.
+        """Return the Gaussians that an eye at `viewpoint` (3,) sees; `size` and `floor` replace the defaults.
 
         Gaussians fainter than `floor` are returned too if they have a weight of `faint` or more. Without `hull`, the
         hybrid decides by the z-buffer alone.

@@ -1,4 +1,4 @@
-"""Levels of a scene prepared to be looked at and certified, all in memory or one at a time. Scene frame and units."""
+"""Prepare the levels of a scene for looks and certificates, all in memory or one at a time. Scene frame and units."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ class PreparedLevel:
 
     Attributes:
         ids: (n,) int64, its Gaussians in the union of levels, ascending.
-        look: What viewpoints see of it.
-        certifier: Its tracer, and what is solid.
-        core: (P, 3) centers of some Gaussians that are no outliers; (0, 3) in a level without outliers.
+        look: Finds the Gaussians that viewpoints see.
+        certifier: Its tracer, and its solid parts.
+        core: (P, 3) centers of a sample of Gaussians without outliers; (0, 3) in a level without outliers.
     """
 
     ids: NDArray[np.int64]
@@ -42,7 +42,7 @@ class PreparedLevel:
 
 
 class PreparedLevels:
-    """The levels of a scene, each prepared when it is first asked for.
+    """The levels of a scene, each prepared on first use.
 
     Args:
         levels: The levels.
@@ -58,7 +58,7 @@ class PreparedLevels:
         self._held: int | None = None  # the level asked for last
 
     def __getitem__(self, level: int) -> PreparedLevel:
-        """Return a level; with a folder, the memory of the one asked for before is given back."""
+        """Return a level; with a folder, release the memory of the level before."""
         if self._shelf is not None and self._held != level:
             self._shelf.release()
         self._held = level
@@ -67,6 +67,7 @@ class PreparedLevels:
         return self._ready[level]
 
     def _prepare(self, level: int) -> PreparedLevel:
+        """Return a prepared level."""
         from gsvis.raycast import EllipsoidProxies, Tracer
 
         ids = np.flatnonzero(self._levels.member(level))
@@ -89,7 +90,7 @@ class PreparedLevels:
 
 
 def _core_of(g: Gaussians) -> NDArray[np.float32]:
-    """Return (P, 3) centers of some Gaussians that are no outliers; (0, 3) where there are no outliers."""
+    """Return (P, 3) centers of a sample of Gaussians without outliers; (0, 3) if there are no outliers."""
     members = find_core(g).members
     if members.all():
         return np.zeros((0, 3), np.float32)

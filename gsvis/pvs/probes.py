@@ -1,4 +1,4 @@
-"""Points of a cell from which an eye sees past edges that hid light before: its tips, and what is far from viewpoints.
+"""Find points of a cell that may see past edges: its tips, and points far from its viewpoints.
 
 A tip is a point of the free voxels that lies farthest in some direction. Through a door or past a corner, most is
 seen from there, and merged viewpoints may stand two voxels beside it. Held-out eyes inside whose images had holes
@@ -30,14 +30,14 @@ Buries = Callable[[F64], NDArray[np.bool_]]
 
 
 class Tips:
-    """The points of a cell that lie farthest in one of 26 directions, to be looked from where nobody stood nearby.
+    """The tips of a cell, its farthest points in 26 directions, from which to look if no eye was nearby.
 
-    An eye stands for the tips within a voxel and a half of it; half as far if it found something.
+    An eye covers the tips within one and a half voxels of it; half as far if it found something.
 
     Args:
         voxels: Where eyes may be in the cell.
-        viewpoints: (V, 3) what was looked from.
-        buries: Tells which points lie inside something solid; these are left out.
+        viewpoints: (V, 3) viewpoints so far.
+        buries: Function that returns which points lie inside something solid; these are left out.
     """
 
     def __init__(self, voxels: FreeVoxels, viewpoints: F64, buries: Buries) -> None:
@@ -50,13 +50,13 @@ class Tips:
             self.stand(each)
 
     def farthest(self) -> F64 | None:
-        """Return the tip (3,) that is farthest from all eyes; None if eyes stand for all."""
+        """Return the tip (3,) that is farthest from all eyes; None if eyes cover all."""
         if len(self._points) == 0 or self._apart.max() <= self._near:
             return None
         return np.asarray(self._points[int(self._apart.argmax())])
 
     def stand(self, eye: F64, *, found: bool = False) -> None:
-        """Take note of an eye (3,) that looked, and whether it found something."""
+        """Record an eye (3,) that looked, and whether it found something."""
         apart = np.linalg.norm(self._points - eye, axis=1)
         np.minimum(self._apart, apart / _SHORTER if found else apart, out=self._apart)
 
@@ -66,8 +66,8 @@ def farthest_points(voxels: FreeVoxels, viewpoints: F64, buries: Buries) -> Iter
 
     Args:
         voxels: Where eyes may be in the cell.
-        viewpoints: (V, 3) what was looked from; without any, the first point is on the rim of the cell.
-        buries: Returns which points (P, 3) lie inside something solid; these are left out.
+        viewpoints: (V, 3) viewpoints so far; without any, the first point is on the rim of the cell.
+        buries: Function that returns which points (P, 3) lie inside something solid; these are skipped.
     """
     points = voxels.rim()
     near = viewpoints if len(viewpoints) else points.mean(axis=0, keepdims=True)

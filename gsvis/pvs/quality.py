@@ -78,7 +78,7 @@ def measure_quality(
     *,
     progress: Progress = silent,
 ) -> Quality:
-    """Measure how much of what fresh viewpoints and random rays see is in the sets of a store.
+    """Measure how many of the Gaussians seen by fresh viewpoints and random rays are in the sets of a store.
 
     The result for a cell depends on the seed and the cell, not on the other cells measured.
 
@@ -198,7 +198,7 @@ def box_space(grid: CellGrid, g: Gaussians) -> NavigableSpace:
 
 @dataclass(frozen=True, eq=False)
 class _Meter:
-    """Everything that the measurement of a cell needs."""
+    """Shared state of the measurements of cells."""
 
     store: VisibilityStore
     g: Gaussians

@@ -1,4 +1,4 @@
-"""The measured quality of visible sets: how much light a set keeps, how large it is, what images lose.
+"""Hold the measured quality of visible sets: the light that a set keeps, its size, and the loss in images.
 
 M cells are measured from V fresh viewpoints each. The last axis of some arrays runs over the K weight classes: entry k
 is for the set without the classes below k, entry 0 for the whole set. PSNR in dB, capped at 100.

@@ -1,4 +1,4 @@
-"""Reference implementations of this room, short and slow: the oracle of the tests."""
+"""Reference implementations of this room, short and slow, to which the tests compare."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["marked_reference", "missed_light_reference", "upper_bound_reference"
 
 
 def upper_bound_reference(part: Sequence[float], whole: Sequence[float], error: float, steps: int = 100_000) -> float:
-    """Return the least of `steps` equal shares at which some capital has grown to 1 / error; 1 if there is none.
+    """Return the least of `steps` equal shares at which a capital reaches 1 / error; 1 if there is none.
 
     Args:
         part: Samples in [0, whole].

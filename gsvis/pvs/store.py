@@ -1,4 +1,4 @@
-"""The store of visible sets: one memory-mapped file with the visible set of each cell of a scene.
+"""Query the store of visible sets, one memory-mapped file with the visible set of each cell of a scene.
 
 Ids are those of the scene; the stored order is internal. Positions and distances are in the scene's frame and units.
 Opening reads a few kilobytes. All other data is read and checked on first use. Threads may share a store. `_writer.py`
@@ -211,7 +211,7 @@ class VisibilityStore:
     def ring_masks(
         self, rings: Sequence[Sequence[int]], *, first: int = 0
     ) -> list[list[tuple[NDArray[np.int32], Words]]]:
-        """Return one set for each ring of cells, in a list: what they see and those of earlier rings do not.
+        """Return one set for each ring of cells: the Gaussians that it sees and earlier rings do not.
 
         Sets are as from `visible_masks`. They are joined as they are stored, and only what is new is put in order.
         """
@@ -227,7 +227,7 @@ class VisibilityStore:
         return found
 
     def load(self) -> VisibilityStore:
-        """Decode what all queries need, so that the first of them need not wait for it; return the store."""
+        """Decode the data that all queries need, so that the first query does not wait; return the store."""
         _ = self.order
         return self
 
@@ -406,6 +406,7 @@ class VisibilityStore:
         self._known_scene = weakref.ref(scene)
 
     def _decode_order(self) -> NDArray[np.int32]:
+        """Return the Gaussian at each stored position."""
         data = self._file.read("labels")
         try:
             return _order.order_of(_codec.decode_labels(data, self.gaussians))
@@ -436,11 +437,13 @@ class VisibilityStore:
         return order, self.grid.cell_size * np.sqrt(squares[order])
 
     def _in_scene_order(self, words: Words) -> Words:
+        """Return a set in scene order."""
         out = np.zeros_like(words)
         kernels.scatter(words, self.order, out)
         return out
 
     def _masks(self, words: Words, first: int) -> tuple[NDArray[np.int32], Words]:
+        """Return the non-empty words of a set, scene order."""
         out = np.zeros(len(words) + 1, np.uint64)
         kernels.scatter_from(words, self.order, first & 63, out)
         return _codec.used_words(out, first >> 6)
@@ -461,6 +464,7 @@ class VisibilityStore:
         return held
 
     def _decode(self, cell: int) -> Words:
+        """Return the decoded set of a cell, or the difference to its parent."""
         row = self._rows[cell]
         place = int(row["set_offset"]), int(row["set_length"]), int(row["set_crc"])
         data = self._file.read_part("sets", *place, f"set of cell {cell}")
@@ -470,7 +474,7 @@ class VisibilityStore:
             raise self._undecodable(f"set of cell {cell}", error) from error
 
     def _levels(self, cell: int) -> U8:
-        """Return (N,) uint8, stored order: class plus 1 of what a cell sees, 0 elsewhere; do not change it."""
+        """Return (N,) uint8, stored order: class plus 1 where a cell sees a Gaussian, else 0; do not change it."""
         held: U8 | None = self.cache.find(("classes", cell))
         if held is None:
             row = self._rows[cell]
@@ -486,12 +490,14 @@ class VisibilityStore:
         return held
 
     def _check_class(self, name: str, level: int) -> int:
+        """Return a checked weight class."""
         count = len(self.info.class_edges)
         if isinstance(level, bool) or not isinstance(level, int | np.integer) or not 0 <= level < count:
             raise ValueError(f"{name}: expected a class in [0, {count}), got {level!r}")
         return int(level)
 
     def _unpack(self, name: str, length: int) -> bytes:
+        """Return the content of a compressed section."""
         try:
             return _codec.decompress(self._file.read(name), length)
         except _codec.CodecError as error:

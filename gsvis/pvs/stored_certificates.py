@@ -1,4 +1,4 @@
-"""The certificates of all cells as a store keeps them: how each set was found and certified, and what it misses."""
+"""Hold the certificates of all cells of a store: the effort for each set, and the light that it misses."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ class StoredCertificates:
     """The certificates of C cells.
 
     Attributes:
-        inner: (C,) viewpoints that a certificate asked for.
+        inner: (C,) number of viewpoints that were added because of a certificate.
         rays: (C,) rays that certified the set; 0 without a certificate.
         missed: (C,) estimated share of light that the set misses; NaN without a certificate.
         bound: (C,) upper 95% confidence bound of this share; NaN without a certificate.
-        tile: (C,) most light that the set misses in a tile of a picture; NaN without a certificate.
+        tile: (C,) largest share of light that the set misses in a tile of an image; NaN without a certificate.
     """
 
     inner: I64
@@ -52,7 +52,7 @@ class StoredCertificates:
 
     @classmethod
     def none(cls, cells: int) -> StoredCertificates:
-        """Return no certificate for C cells."""
+        """Return empty certificates for C cells."""
         zero = np.zeros(cells, np.int64)
         nan = np.full(cells, np.nan)
         return cls(zero, zero, nan, nan, nan)

@@ -1,4 +1,4 @@
-"""The worst tile of a picture: what a set misses in small squares around the rays that miss most. Scene frame.
+"""Measure the light that a set misses in small square tiles around the rays that miss most. Scene frame.
 
 A mean over all directions hides a hole that is small and dark. So the squares in which a certificate's worst rays lie
 are traced with many rays. This searches for the worst tile; it bounds nothing.
@@ -31,7 +31,7 @@ _TURNS = np.array([0.7548776662, 0.5698402910])  # steps of an additive sequence
 
 @dataclass(frozen=True, eq=False)
 class TileProbe:
-    """What a set misses in T tiles.
+    """The light and the Gaussians that a set misses in T tiles.
 
     Attributes:
         missed: (T,) mean weight that the set misses, over the rays of each tile, in [0, 1].
@@ -57,7 +57,7 @@ def probe_tiles(
         rays_o: (T, 3) origins.
         rays_d: (T, 3) unit directions; the middles of the tiles.
         tau: Weight from which a missed Gaussian is listed.
-        turn: Names the places of the rays in their tiles: another turn probes between those of the turns before it.
+        turn: Number of the turn; each turn probes places between those of earlier turns.
     """
     origins, middles = (_check.floats(n, v, ("T", 3), np.float64) for n, v in (("rays_o", rays_o), ("rays_d", rays_d)))
     places = (np.arange(_SIDE)[:, None] + (0.5 + turn * _TURNS) % 1.0) / _SIDE - 0.5

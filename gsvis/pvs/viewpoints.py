@@ -1,4 +1,4 @@
-"""Viewpoints inside cells: those that a build looks from, spread ones and random ones. Scene frame and units.
+"""Choose viewpoints inside cells: those of a build, spread ones and random ones. Scene frame and units.
 
 All stay in the free voxels of the navigable space, so no viewpoint lies in a wall that crosses a cell.
 """
@@ -100,7 +100,7 @@ class CellViewpoints:
         return FreeVoxels(cell, some, self.space.origin, self.space.voxel_size)
 
     def spread(self, cell: int, count: int) -> F64:
-        """Return up to `count` viewpoints of a cell, each as far as possible from those before it, the rim first.
+        """Return up to `count` viewpoints of a cell, each as far as possible from those before, the rim first.
 
         Args:
             cell: Number of the cell.
@@ -125,18 +125,19 @@ class CellViewpoints:
 
 
 class SharedViewpoints:
-    """The viewpoints of a build: near the corners of cells, each shared by the cells that it is near to.
+    """The viewpoints of a build: near the corners of cells, each shared by the cells around it.
 
     Each cell takes the point nearest to each of its eight corners that lies in one of its own free voxels. In the order
-    of the cells, a point stands for all later ones within `merged` voxels of it.
+    of the cells, a point replaces all later ones within `merged` voxels of it.
 
     Args:
         viewpoints: The free voxels of all cells.
-        merged: Voxels within which points are one; 0 merges only equal points.
+        merged: Distance in voxels within which points are merged; 0 merges only equal points.
 
     Attributes:
         points: (P, 3) viewpoints, scene frame.
-        fine: (P,) those that look finely, and at lower levels too: few that give each cell at least half of its own.
+        fine: (P,) whether a viewpoint looks finely, and at lower levels too; few, but at least half of those of each
+            cell.
     """
 
     points: F64
@@ -177,7 +178,7 @@ def _near_corners(viewpoints: CellViewpoints, cell: int) -> F64:
 
 
 def _thin(of_cells: list[I64], count: int) -> NDArray[np.bool_]:
-    """Return which viewpoints to keep, so that each cell keeps at least half of its own; those of many cells stay."""
+    """Return which viewpoints to keep: at least half of those of each cell; prefers those of many cells."""
     cells_of: list[list[int]] = [[] for _ in range(count)]
     for cell, own in enumerate(of_cells):
         for k in own.tolist():
@@ -193,7 +194,7 @@ def _thin(of_cells: list[I64], count: int) -> NDArray[np.bool_]:
 
 
 def _merge(points: F64, near: float) -> I64:
-    """Return (M,) for each point the first point that stands for it, itself or one within the distance `near`."""
+    """Return (M,) for each point the first point that replaces it: itself or one within the distance `near`."""
     from scipy.spatial import cKDTree  # here: it takes long to import
 
     tree = cKDTree(points)

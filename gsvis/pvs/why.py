@@ -1,4 +1,4 @@
-"""Why a cell sees a Gaussian or not: its weight there, or the Gaussians in front of it.
+"""Explain why a cell sees a Gaussian or not, by its weight there or the Gaussians in front of it.
 
 The store says whether a cell sees a Gaussian. Rays from viewpoints in the cell to the center of the Gaussian find the
 Gaussians in front of it. World frame, scene units; weight and alpha as in docs/conventions.md.
@@ -83,6 +83,7 @@ class Why:
         return "\n".join(lines)
 
     def _in_front(self) -> str:
+        """Return the text about the Gaussians in front."""
         rays = "one ray" if self.rays == 1 else f"{self.rays} rays"
         if len(self.blockers) == 0:
             return f"Nothing stands in front of it on {rays} from the cell."

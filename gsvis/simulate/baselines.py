@@ -1,7 +1,7 @@
-"""Two deliveries that ignore the viewer: the whole file, and records along a Morton curve.
+"""Define two deliveries that ignore the viewer: the whole file, and records along a Morton curve.
 
-Both fill the link from the start and wait neither for poses nor for acknowledgements, which is the best that they can
-do. The caller gives measured sizes.
+Both fill the link from the start, without waiting for poses or acknowledgements, which is the best that they can do.
+The caller gives measured sizes.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ CHUNK = 1 << 14
 
 
 class _Unaware:
-    """Send a fixed list of parcels."""
+    """Send a fixed list of parcels, independent of the viewer."""
 
     name: str
     exact: bool
@@ -42,7 +42,7 @@ class _Unaware:
         """Ignore the acknowledgement."""
 
     def next(self, t: float) -> Parcel | None:
-        """Return the next parcel, at any time."""
+        """Return the next parcel; it never waits."""
         if self._sent == len(self._parcels):
             return None
         self._sent += 1
@@ -50,7 +50,7 @@ class _Unaware:
 
 
 class WholeFile(_Unaware):
-    """One file of the scene, loaded like SOG: nothing is shown until all of it has arrived.
+    """One file of the scene, loaded like SOG: nothing is shown until it has arrived completely.
 
     The client then shows the full scene itself, as if the file were lossless.
 
@@ -141,6 +141,7 @@ def morton_order(means: ArrayLike) -> I64:
 
 
 def _highest(contents: Contents) -> I64:
+    """Return the ids of the Gaussians of the highest level."""
     return np.flatnonzero(contents.last == len(contents.names) - 1)
 
 

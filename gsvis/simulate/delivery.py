@@ -1,8 +1,8 @@
-"""Deliver a scene to a client: one small interface for the adaptive stream and the baselines.
+"""Define the interface of a delivery to one client, shared by the adaptive stream and the baselines.
 
 A delivery is the server's side for one client. Poses and acknowledgements go in, parcels come out; time, in seconds, is
-an argument. A parcel names what the client can draw from then on by ids of the package, whatever bytes it has. So all
-systems are rendered and judged in the same way.
+an argument. A parcel lists the ids that the client can draw from then on, independent of the format of its bytes, so
+all systems are rendered and judged in the same way.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Parcel:
         gaussians: Ids of Gaussians that can be drawn from then on.
         terms: Ids of terms that can be drawn from then on.
         dropped: Ids of Gaussians that are no longer shown.
-        filling: Whether no view needs it yet: it fills an idle link.
+        filling: Whether it only fills an idle link, because no view needs it yet.
     """
 
     sequence: int
@@ -46,8 +46,8 @@ class Delivery(Protocol):
 
     Attributes:
         name: Name for reports.
-        exact: Whether a view shows the full scene itself as soon as it has all of the highest level; otherwise, and
-            before that, it shows the records.
+        exact: Whether a view shows the original scene once it has all of the highest level; otherwise it shows the
+            records.
     """
 
     name: str
@@ -71,7 +71,7 @@ class Delivery(Protocol):
 
 
 class Adaptive:
-    """The adaptive stream of gsvis: the session of `gsvis.stream`, with the bytes of its messages.
+    """The adaptive stream of gsvis: the session of `gsvis.stream`, with the sizes of its messages.
 
     Args:
         scene: State that all clients share.

@@ -1,4 +1,4 @@
-"""Render what clients hold, many at one pose: the view is projected and sorted once, then drawn for each subset.
+"""Render the Gaussians of many clients at one pose: project and sort the view once, then draw it for each subset.
 
 The result equals `gsvis.render.rasterize` of the same Gaussians on the CPU, on black, with values clipped as on a
 display. Scene frame and units.
@@ -26,7 +26,7 @@ from gsvis.simulate._kernels import thin as kernels
 __all__ = ["CONTENT_DB", "Frame", "Stage", "psnr_of"]
 
 CONTENT_DB = FIRST_FRAME_DB
-"""A view has content if black is worse than this against the full scene: a root mean square of more than 0.1."""
+"""A view has content if a black image has a lower PSNR against the full scene, which is a RMS of more than 0.1."""
 
 F32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -39,8 +39,8 @@ class Stage:
     Args:
         contents: The package; its decoded records are drawn.
         reference: The scene before packaging; None means the highest level of the package with all terms.
-        members: (N,) which Gaussians belong to the full scene; None means those of the highest level.
-        whole: What `contents` is, for `compared_with`.
+        members: (N,) mask of the Gaussians of the full scene; None means those of the highest level.
+        whole: Name of `contents`, for `compared_with`.
     """
 
     contents: Contents
@@ -79,7 +79,7 @@ class Stage:
 
 
 class Frame:
-    """One pose, prepared to be drawn for any client.
+    """A pose that is prepared for rendering any client.
 
     Args:
         stage: The scene.
@@ -87,7 +87,7 @@ class Frame:
 
     Attributes:
         ids: (M,) Gaussians that reach a pixel, ascending.
-        highest: (M,) which of them belong to the full scene.
+        highest: (M,) whether each of them belongs to the full scene.
         reference: (H, W, 3) image of the full scene, in [0, 1].
     """
 

@@ -1,4 +1,4 @@
-"""A link between a server and one client: bytes travel in sequence at a given rate, with a delay.
+"""Model a link between a server and one client: bytes travel in sequence at a given rate, with a delay.
 
 Seconds and bytes. The uplink carries poses and acknowledgements, which are small: it has a delay and no rate.
 """
@@ -20,7 +20,7 @@ class Link:
 
     Attributes:
         trace: Rate from the server to the client.
-        round_trip: Seconds that a byte needs there and back on an idle link; half of them each way.
+        round_trip: Seconds that a byte takes there and back on an idle link, half of them each way.
     """
 
     trace: BandwidthTrace
@@ -41,7 +41,7 @@ class Link:
 
 
 class Pipe:
-    """A link in use, first in first out, without loss and without bound: new bytes wait for earlier ones.
+    """A link in use: first in, first out, without loss and without limit; new bytes wait for earlier ones.
 
     Attributes:
         link: The link.
@@ -53,10 +53,10 @@ class Pipe:
         self.free = 0.0
 
     def send(self, t: float, nbytes: float) -> float:
-        """Return when the last of some bytes arrives, if they are sent at time t; inf on a dead link.
+        """Return the time at which the last of some bytes arrives, if sent at time t; inf on a dead link.
 
         Args:
-            t: Seconds, not before the previous call's time.
+            t: Seconds, not before the time of the previous call.
             nbytes: Number of bytes, >= 0.
         """
         start = max(t, self.free)

@@ -1,8 +1,8 @@
-"""Play one delivery over one link along one path: compute when everything arrives. Nothing is rendered here.
+"""Play one delivery over one link along one path: compute all times of arrival. Nothing is rendered here.
 
-Server and client have the same clock. The client sends its pose at every tick, and acknowledges at once what it
-receives; both take half of the round trip. The server sends on every message, as long as the delivery has something to
-send. Time is in seconds from the client's request for the scene.
+Server and client have the same clock. The client sends its pose at every tick and acknowledges parcels immediately;
+both take half of the round trip. The server sends after every message, as long as the delivery has something to send.
+Time is in seconds from the client's request for the scene.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ class Playback:
         times: (P,) seconds of arrival of each parcel, ascending.
         sizes: (P,) bytes of each parcel.
         filling: (P,) whether each parcel only filled an idle link.
-        filler: (N,) Gaussians that came in such parcels.
+        filler: (N,) whether each Gaussian came in such a parcel.
         twice: Number of Gaussians and terms that arrived more than once.
-        about: Description by the delivery.
+        about: Description of the delivery.
     """
 
     name: str
@@ -65,7 +65,7 @@ class Playback:
 
     @cached_property
     def first(self) -> float:
-        """Seconds at which the first Gaussian could be drawn; inf if none ever."""
+        """Seconds at which the first Gaussian could be drawn; inf for never."""
         return float(self.gaussian_at.min(initial=np.inf))
 
     def bytes_at(self, times: NDArray[Any] | float) -> F64:
@@ -88,9 +88,9 @@ def play(
     """Play a delivery over a link.
 
     Args:
-        delivery: The server's side, unused so far.
+        delivery: The server's side, in its initial state.
         link: Link from the server to the client.
-        path: Path of the client, from its request on; it stands still after the end.
+        path: Path of the client from its request on; its last pose holds after the end.
         size: N and T, Gaussians and terms of the scene.
         seconds: Duration.
         tick: Seconds between poses.
@@ -141,7 +141,7 @@ def play(
 
 
 class _Arrivals:
-    """What has arrived, and when."""
+    """Times of arrival of Gaussians and terms."""
 
     def __init__(self, gaussians: int, terms: int) -> None:
         self.moments: tuple[F32, F32, F32] = (
@@ -156,6 +156,7 @@ class _Arrivals:
         self.twice = 0
 
     def add(self, t: float, parcel: Parcel) -> None:
+        """Record the arrival of a parcel at time t."""
         gaussians, gone, terms = self.moments
         for at, ids in ((gaussians, parcel.gaussians), (terms, parcel.terms)):
             self.twice += int(np.isfinite(at[ids]).sum()) + len(ids) - len(np.unique(ids))

@@ -1,9 +1,9 @@
-"""Measure what a viewer sees of a playback: PSNR against the full scene, latency, bytes and shares over time, QoE.
+"""Measure the quality of a playback for a viewer: PSNR against the full scene, latency, bytes over time, QoE.
 
 A step is a tick of the path, 100 ms. PSNR is measured at every tick in the first seconds and less often later, and
-holds for the ticks until the next measurement. The image shows what has arrived, from the current pose; before the
-first Gaussian there is no image, which counts as 0 dB. A step counts only if the full scene has content: where a black
-image would already pass for a first image (`CONTENT_DB`), PSNR is meaningless. Seconds, bytes, dB.
+holds until the next measurement. The image shows the arrived Gaussians from the current pose; before the first Gaussian
+there is no image, which counts as 0 dB. A step counts only if the full scene has content there: if a black image would
+already pass for a first image (`CONTENT_DB`), PSNR is meaningless. Seconds, bytes, dB.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ F64 = NDArray[np.float64]
 GOOD_DB = 35.0
 """PSNR of a good image."""
 _QOE = ("score", "quality", "delay", "psnr", "latency", "steps")
-_HAIR = 1e-6  # seconds of rounding error of a tick in float32
+_HAIR = 1e-6  # rounding error of a tick in float32, seconds
 
 
 @dataclass(frozen=True)
 class ViewingConfig:
-    """How to watch a session.
+    """Options of the measurement.
 
     Attributes:
         seconds: Duration of the visit.
@@ -90,22 +90,22 @@ class ViewingConfig:
 
     @property
     def watched(self) -> float:
-        """Seconds that a playback must cover: after the last step a pose may still become visible."""
+        """Seconds that a playback must cover, because a pose may become visible after the last step."""
         return self.seconds + self.qoe.latency_scale
 
 
 @dataclass(frozen=True, eq=False)
 class Viewing:
-    """What one viewer saw of one system.
+    """Quality of one playback for one viewer.
 
     Attributes:
         playback: The playback.
-        config: How it was watched.
+        config: Options of the measurement.
         times: (S,) seconds of the measured steps.
         psnr: (S,) dB of each step, at most `qoe.psnr_scale`.
-        latency: (S,) seconds from the pose of each step until it was shown at `qoe.shown_db`, at most the time-out.
-        needed: (N,) Gaussians that reached a pixel of one of the steps.
-        content: (S,) steps at which the full scene has content; only these count in the figures.
+        latency: (S,) seconds from the pose of each step until it was shown with `qoe.shown_db`, at most the time-out.
+        needed: (N,) whether each Gaussian reached a pixel in one of the steps.
+        content: (S,) whether the full scene has content at each step; only such steps count in the figures.
     """
 
     playback: Playback
@@ -133,7 +133,7 @@ class Viewing:
         return quality_of_experience(psnr, latency, self.config.qoe)
 
     def seconds_to(self, least: float) -> float:
-        """Return the seconds until the first step with content of at least that many dB; inf if there is none."""
+        """Return the seconds until the first step with content and at least `least` dB; inf if there is none."""
         return first_frame(self.times, self._judged, least)
 
     @property
@@ -142,7 +142,7 @@ class Viewing:
         return np.where(self.content, self.psnr, 0.0)
 
     def figures(self) -> dict[str, float | int | None]:
-        """Return the figures of the session; None if something never happened, or no view has content."""
+        """Return the figures of the session; None for events that never happened, or without content."""
         p = self.playback
         end = self.config.seconds
         any_content = bool(self.content.any())
@@ -168,7 +168,7 @@ class Viewing:
         }
 
     def _stall(self) -> float:
-        """Return the seconds of stall; time without content does not count."""
+        """Return the total seconds of stalls; time without content does not count."""
         seen = np.where(self.content, self.psnr, np.inf)
         seen[self.times < self.seconds_to(FIRST_FRAME_DB)] = 0.0
         return stall(self.times, seen, self.config.qoe.shown_db, self.config.seconds)
@@ -211,7 +211,7 @@ def watch(
     *,
     progress: Progress = silent,
 ) -> list[Viewing]:
-    """Watch playbacks of one path, step by step; each pose is prepared once for all of them.
+    """Measure playbacks of one path, step by step; each pose is prepared once for all of them.
 
     Latency is found by bisection between the pose and the time-out, because more data rarely shows less.
 
@@ -219,11 +219,11 @@ def watch(
         stage: The scene.
         playbacks: Playbacks of this scene, each at least `config.watched` seconds long.
         path: The path of the playbacks.
-        config: How to watch; None means `ViewingConfig()`.
+        config: Options; None means `ViewingConfig()`.
         progress: Called with stage "watching"; counts steps.
 
     Raises:
-        ValueError: If a playback is too short or belongs to another scene.
+        ValueError: If a playback is too short or belongs to a different scene.
     """
     config = config or ViewingConfig()
     for p in playbacks:
@@ -256,7 +256,7 @@ def watch(
 def show_at(
     stage: Stage, playbacks: Sequence[Playback], path: HeadPath, t: float, config: ViewingConfig
 ) -> tuple[F32, list[F32 | None]]:
-    """Return what was visible at one time.
+    """Return the images visible at one time.
 
     Args:
         stage: The scene.
@@ -275,7 +275,7 @@ def show_at(
 
 
 class _Sight:
-    """One pose and one playback: the quality of the pose's image with what has arrived by any time."""
+    """Quality of one pose in one playback at any time."""
 
     def __init__(self, frame: Frame, playback: Playback) -> None:
         self._frame = frame
@@ -286,6 +286,7 @@ class _Sight:
         self._exact_from = float(self._here[frame.highest].max(initial=-np.inf)) if playback.exact else np.inf
 
     def psnr(self, t: float) -> float:
+        """Return the PSNR of the image at a time."""
         p = self._playback
         now = np.float32(t + _HAIR)
         if now < self._first:
@@ -295,6 +296,7 @@ class _Sight:
         return self._frame.psnr((self._here <= now) & (self._gone > now), p.term_at <= now)
 
     def image(self, t: float) -> F32 | None:
+        """Return the image at a time; None before the first Gaussian."""
         p = self._playback
         now = np.float32(t + _HAIR)
         if now < self._first:
@@ -305,7 +307,7 @@ class _Sight:
 
 
 def _latency(seen: _Sight, t: float, config: ViewingConfig) -> float:
-    """Return the seconds until the pose of time t is shown well enough, in ticks; the time-out if it is not by then."""
+    """Return the seconds until the pose of time t is shown well enough, in ticks, at most the time-out."""
     enough = config.qoe.shown_db
     last = round(config.qoe.latency_scale / config.tick)
     if seen.psnr(t) >= enough:
@@ -322,4 +324,5 @@ def _latency(seen: _Sight, t: float, config: ViewingConfig) -> float:
 
 
 def _or_none(value: float) -> float | None:
+    """Return a finite value; None for infinity."""
     return value if np.isfinite(value) else None

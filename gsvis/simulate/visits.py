@@ -1,4 +1,4 @@
-"""Simulate visits of scenes, one after the other over one link: each scene is sent in three ways along a walk.
+"""Simulate visits of scenes, one after the other over one link; each scene is sent in three ways along a walk.
 
 places = [Place.open(package) for package in packages]
 visits = simulate_visits(places, load_path("walk.csv"), link, config)
@@ -49,8 +49,8 @@ Picture = tuple[float, str, NDArray[np.float32]]
 
 _SHOWN_AT = (0.5, 2.0)  # seconds of the pictures
 _COMPARED = 6  # views in which whole files are compared
-_ASKED = 512  # positions of a walk that are asked whether they lie in cells
-_AFTER = 1.0  # seconds of the walk beyond a visit, for prediction
+_ASKED = 512  # positions of a walk that are tested against cells
+_AFTER = 1.0  # seconds of the walk after a visit, for prediction
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,15 +61,15 @@ class Place:
         title: Name of the scene.
         scene: The scene, ready to stream.
         contents: Its records.
-        highest: (N,) which Gaussians belong to the full scene.
+        highest: (N,) mask of the Gaussians of the full scene.
         reference: The scene before it was packaged, to compare with; None compares with the package.
-        whole_file: Bytes of the scene as one file, and how they were measured; None measures it in each visit.
+        whole_file: Bytes of the scene as one file, and the way they were measured; None measures them in each visit.
         space: Navigable space to move the walk into; None leaves the walk unchanged.
-        whole: What the scene is, for reports.
-        facts: More facts on the scene, ready for JSON.
-        remark: A sentence on the scene that is compared with, for reports; empty if there is nothing to say.
+        whole: Name of the scene's form, for reports.
+        facts: Further facts about the scene, ready for JSON.
+        remark: A sentence about the reference scene, for reports; maybe empty.
         own_file: Name and bytes of the file that `reference` came from; None if it is not one file.
-        frame: Where the scene lies in the coordinates of its source, in which a walk may be; None if it has none.
+        frame: The scene's place in the coordinates of its source, in which a walk may be given; None without an origin.
     """
 
     title: str
@@ -87,7 +87,7 @@ class Place:
 
     @property
     def against(self) -> str:
-        """What clients are compared with where it is not the scene: "the package itself"; empty otherwise."""
+        """Name of the reference if it is not the original scene, such as "the package itself"; else empty."""
         if self.reference is not None:
             return ""
         return "the world itself" if "tiles" in self.facts else "the package itself"
@@ -201,7 +201,7 @@ class WholeFileFound(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Visit:
-    """One visit of a scene, from the request for it.
+    """One visit of a scene, from the request on.
 
     Attributes:
         title: Name of the scene.
@@ -210,8 +210,8 @@ class Visit:
         path: Facts on the path, ready for JSON.
         scene: Facts on the scene, ready for JSON.
         pictures: (seconds, system, (H, W, 3) image) of what was shown; the full scene has the name "".
-        against: What clients are compared with where it is not the scene, as `Place.against`.
-        remark: A sentence on the scene that is compared with; empty if there is nothing to say.
+        against: See `Place.against`.
+        remark: A sentence about the reference scene; maybe empty.
     """
 
     title: str
@@ -235,11 +235,11 @@ def simulate_visits(
     seed: int = 0,
     progress: Progress = silent,
 ) -> tuple[Visit, ...]:
-    """Simulate visits of places in turn over one link; send each scene as gsvis does, as a whole file, progressively.
+    """Simulate visits of places in turn over one link; send each scene by gsvis, as a whole file, and progressively.
 
     Args:
         places: Places to visit.
-        walk: The path; each visit replays its next part while it lasts, else the first part.
+        walk: The path; each visit replays the next part of it, or the first part if it has ended.
         link: The link at the start of the first visit.
         config: Length of a visit, pictures and measurements.
         count: Number of visits; None means one of each place.
@@ -264,10 +264,10 @@ def simulate_visits(
 
 
 def judged_in(provenance: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what a package or a world says of its check by eyes that its cells did not choose, ready for JSON.
+    """Return the quality at independent eyes that a package or a world states, ready for JSON.
 
     Args:
-        provenance: That of its manifest, which anybody may have written; other than expected counts as nothing.
+        provenance: Provenance of its manifest, which is not trusted: unexpected values are ignored.
     """
     found = provenance.get("judged")
     if not isinstance(found, dict):
@@ -291,6 +291,7 @@ def _share_in_cells(place: Place, path: HeadPath, seconds: float) -> float:
 
 
 def _find_space(g: Gaussians, package: Package) -> NavigableSpace:
+    """Return the navigable space of a package."""
     try:
         return NavigableSpace.from_scene(g, up=np.array(package.manifest.info.up))
     except SceneError as error:
@@ -307,7 +308,7 @@ def _file_size(path: Path) -> tuple[int, str]:
 
 
 def _cut_walk(place: Place, walk: HeadPath, seconds: float, visit: int, seed: int) -> tuple[HeadPath, dict[str, Any]]:
-    """Return the part of the path that a visit replays, in its scene, and facts on it."""
+    """Return the part of the path that a visit replays, in its scene, with facts about it."""
     walk = walk if place.frame is None else place.frame.walk(walk)
     start = visit * seconds
     start = start if start + 0.5 * seconds <= walk.duration else 0.0
@@ -330,7 +331,7 @@ def _simulate_visit(
     abr: AbrConfig,
     progress: Progress,
 ) -> Visit:
-    """Simulate one visit, with its scene sent in three ways."""
+    """Simulate one visit with its scene sent in three ways."""
     contents, (path, facts) = place.contents, walk
     stage = Stage(contents, place.reference, place.highest, place.whole)
     ids = np.flatnonzero(place.highest)
@@ -364,7 +365,7 @@ def _simulate_visit(
 
 
 def _pictures(stage: Stage, sessions: Sequence[Viewing], path: HeadPath, config: ViewingConfig) -> tuple[Picture, ...]:
-    """Return images at some times, beside the full scene; black if there was no image."""
+    """Return images at some times beside the full scene; black if there was no image."""
     shown: list[Picture] = []
     for t in _SHOWN_AT:
         if t < config.seconds:

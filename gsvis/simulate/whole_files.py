@@ -1,6 +1,6 @@
-"""What a person would really send as one file: the smallest whole file with view-dependent color that draws well.
+"""Find the smallest whole file of a scene with view-dependent color and good quality, as a realistic baseline.
 
-Each format that gsvis writes is written and measured, read back, and drawn beside the scene. Bytes, dB.
+Each format that gsvis writes is written, measured, read back, and compared with the scene. Bytes, dB.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def measure_whole_files(
     Args:
         scene: The scene, with its spherical harmonics.
         cameras: Views in which the files are compared with the scene.
-        own: Name and bytes of the file that the scene came from, which loses nothing.
+        own: Name and bytes of the scene's own file, which is lossless.
         progress: Called with stage "whole files".
 
     Raises:
@@ -93,7 +93,7 @@ def measure_whole_files(
 
 
 def choose_whole_file(sizes: tuple[WholeFileSize, ...]) -> WholeFileSize:
-    """Return the smallest file whose images are good; the best one if none has good images.
+    """Return the smallest file with good images; the best file if none has good images.
 
     Args:
         sizes: At least one file.
@@ -103,12 +103,12 @@ def choose_whole_file(sizes: tuple[WholeFileSize, ...]) -> WholeFileSize:
 
 
 def describe_whole_file(sizes: tuple[WholeFileSize, ...], chosen: WholeFileSize, of: str) -> str:
-    """Return how the size of the whole file was measured, for reports.
+    """Return a description of how the size of the whole file was measured, for reports.
 
     Args:
         sizes: All files.
         chosen: One of them.
-        of: What they are files of.
+        of: Name of the scene in the files.
     """
     others = [f"{each.name} {each.nbytes / 1e6:.2f} MB, {each.psnr:.1f} dB" for each in sizes if each is not chosen]
     why = f"the smallest of at least {GOOD_DB:g} dB" if chosen.psnr >= GOOD_DB else f"the best; none has {GOOD_DB:g} dB"
@@ -117,7 +117,7 @@ def describe_whole_file(sizes: tuple[WholeFileSize, ...], chosen: WholeFileSize,
 
 
 def scene_with_sh(contents: Contents, ids: NDArray[np.int64]) -> Gaussians:
-    """Return Gaussians of a package with spherical harmonics fitted to their terms; base colors alone without terms.
+    """Return Gaussians of a package with SH fitted to their terms; with base colors if there are no terms.
 
     Args:
         contents: The package.
@@ -138,7 +138,7 @@ def _images(scene: Gaussians, cameras: Cameras) -> NDArray[np.float32]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Log no loss: quality is measured, and these files are deleted."""
+    """Suppress losses in the log: quality is measured, and these files are deleted."""
     logger = logging.getLogger(LOGGER)
     logger.addFilter(_drop)
     try:
@@ -148,4 +148,5 @@ def _quiet() -> Iterator[None]:
 
 
 def _drop(record: logging.LogRecord) -> bool:
+    """Return False, which drops a log record."""
     return False

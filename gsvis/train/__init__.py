@@ -1,4 +1,4 @@
-"""Training: from photos or a finished scene to Gaussians, and to quality levels that share them."""
+"""Train Gaussians from photos or a finished scene, and quality levels that share them."""
 
 from __future__ import annotations
 

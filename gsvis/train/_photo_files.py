@@ -1,4 +1,4 @@
-"""Find the photos of a reconstruction, and check that they can be read and how large they are.
+"""Find the photos of a reconstruction, and check their format and size.
 
 Only headers are read here. Images are used as stored: an EXIF orientation is ignored, as in COLMAP, so that pixels are
 those of the model.
@@ -28,7 +28,7 @@ __all__ = ["FAULTS", "MODES", "find_files", "find_views", "join_names", "quiet_p
 Size = tuple[int, int]
 
 MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX")
-"""Pillow's modes that are read: up to 8 bits per channel, in gray or RGB, with or without alpha."""
+"""Modes of Pillow that can be read: up to 8 bits per channel, gray or RGB, with or without alpha."""
 
 FAULTS = (OSError, SyntaxError, ValueError, EOFError, LookupError, ArithmeticError, Image.DecompressionBombError)
 """Errors that Pillow raises for a damaged file."""
@@ -81,7 +81,7 @@ def find_views(path: Path, images: Path | None) -> tuple[Views, list[Path]]:
 
 
 def _size_of_first(file: Path, content: dict[str, Any], folders: Sequence[Path]) -> Size | None:
-    """Return the size of the first image, if a `transforms.json` states none; None if it has no such image."""
+    """Return the size of the first image, for a `transforms.json` without sizes; None if the image is missing."""
     frames = content.get("frames")
     first = frames[0] if isinstance(frames, list) and frames else None
     if not isinstance(first, dict) or {"w", "h"} <= {*content, *first}:
@@ -116,7 +116,7 @@ def find_files(views: Views, folders: Sequence[Path]) -> list[Path]:
 
 
 def _place(file: Any, folder: Path, name: str) -> Path | None:
-    """Return the image with that name in a folder, if needed without the folder or the suffix in its name."""
+    """Return the image of that name in a folder; the folder or the suffix in the name may differ."""
     inner = name if ".." not in name and not name.startswith("/") else Path(name).name
     path = folder / safe_name(file, f"image {name!r}", inner)
     for place in (path, folder / path.name):
@@ -170,7 +170,7 @@ def whole_factor(views: Views, sizes: Sequence[Size]) -> int:
     if not wrong:
         return best
     (width, height), have = pairs[wrong[0]]
-    expected = f"{width} x {height} as the model says, or that divided by one number for all"
+    expected = f"{width} x {height} as in the model, or all images smaller by the same whole factor"
     got = f"{have[0]} x {have[1]}" + (f" in {len(wrong):,} of {len(pairs):,}" if len(wrong) > 1 else "")
     remedy = "use the images of the model, undistorted with it, or evenly shrunk"
     if have == (height, width):
@@ -179,13 +179,13 @@ def whole_factor(views: Views, sizes: Sequence[Size]) -> int:
 
 
 def _fits(stated: Size, have: Size, factor: int) -> bool:
-    """Return whether an image is the factor-th part of the model's size, rounded in either direction."""
+    """Return whether an image has the model's size divided by the factor, rounded up or down."""
     if not 1 <= factor <= _MOST_SHRUNK:
         return False
     return all(t == h if factor == 1 else abs(t / factor - h) < 1.0 for t, h in zip(stated, have, strict=True))
 
 
 def join_names(names: Sequence[str]) -> str:
-    """Return up to five names, and the number of the others."""
+    """Return the first five names, and the number of the others."""
     more = f" and {len(names) - _SHOWN:,} more" if len(names) > _SHOWN else ""
     return ", ".join(map(repr, names[:_SHOWN])) + more

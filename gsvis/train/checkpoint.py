@@ -1,7 +1,7 @@
-"""Save and load a training run: everything that its future steps depend on, in one NumPy archive.
+"""Save and load a training run: all that its future steps depend on, in one NumPy archive.
 
-Writing is atomic. A checkpoint identifies its run: it is rejected for another configuration, other images or other
-initial Gaussians. No code is ever read from one.
+Writing is atomic. A checkpoint identifies its run: it is rejected if the configuration, images or initial Gaussians
+differ. Loading one never runs code.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def load_checkpoint(path: str | os.PathLike[str], trainer: Trainer) -> None:
 
     Raises:
         FormatError: If the file is damaged, or has another format or a newer version.
-        ValueError: If it belongs to another run.
+        ValueError: If it belongs to a different run.
     """
     header, arrays = _read(path)
     if header.get("run") != trainer.key:

@@ -1,8 +1,8 @@
-"""Choose nested subsets of a scene by many cameras: what is worth most while others stay by their chance.
+"""Choose nested subsets of a scene by many cameras, with a probability to stay for each Gaussian.
 
-Of Gaussians that hide each other any may go, but not all, and a wall of many faint ones is lost if all of them count
-little. So each Gaussian has a chance to stay, from its worth so far, and all others count by their chance while its
-worth is measured. Where too many are about to go, the rest gains worth. docs/design/019-levels.md
+Of Gaussians that hide each other, any but not all may go. A wall of many faint Gaussians would be lost if each counted
+little. So each Gaussian has a probability to stay, from its worth so far, which scales its alpha while the worth of the
+others is measured. If too many are about to go, the rest gains worth. docs/design/019-levels.md
 compares this with `prune`.
 """
 
@@ -52,7 +52,7 @@ _LOWEST = -110
 
 @dataclass(frozen=True)
 class _Round:
-    """Looks between two files: which cameras, the size of the cut they prepare, whether it comes after them."""
+    """The looks between two files: the cameras, the size of the cut they prepare, and whether it follows them."""
 
     cameras: NDArray[np.int64]
     count: int
@@ -78,17 +78,18 @@ def choose_subsets(
         gaussians: N Gaussians.
         cameras: C cameras in random order; the number needed is taken from the front, from the start again after C.
         counts: Requested sizes, descending, each 1 to N.
-        looks: How many cameras see an average Gaussian before the first cut; a later cut to a half takes 0.6 times
-            as many.
-        space: Voxels that stop light, which limit a look to what may be in sight; None looks at everything.
-        work: Keeps finished rounds, to resume from; its plan must name the scene, the cameras, the space and the rules.
+        looks: Number of cameras that see an average Gaussian before the first cut; a later cut to a half takes 0.6
+            times as many.
+        space: Voxels that stop light, which limit a look to Gaussians possibly in sight; None looks at all.
+        work: Storage of finished rounds, to resume from; its plan must name the scene, the cameras, the space and the
+            rules.
         progress: Called with stage "prune"; counts looks.
 
     Returns:
         A mask (N,) for each count, each a subset of the previous one; independent of the order of the Gaussians.
 
     Raises:
-        ValueError: If the counts do not fall, there are no cameras or looks, or `work` belongs to another run.
+        ValueError: If the counts do not fall, there are no cameras or looks, or `work` belongs to a different run.
         FormatError: If the kept rounds are damaged.
     """
     n = len(gaussians)
@@ -142,14 +143,14 @@ def count_looks(
     of: int,
     space: NavigableSpace | None = None,
 ) -> tuple[int, float]:
-    """Return how many looks `choose_subsets` takes, and which share of the Gaussians is in sight of one.
+    """Return the number of looks of `choose_subsets`, and the share of the Gaussians in sight of a look.
 
     Args:
         gaussians: N Gaussians.
         cameras: Some of the cameras; 16 are enough.
         counts: Requested sizes, descending.
         of: Number of all cameras.
-        space: Voxels that stop light; None looks at everything.
+        space: Voxels that stop light; None looks at all Gaussians.
     """
     share = _share_in_sight(cameras, None if space is None else InSight.from_scene(gaussians, space))
     rounds = _plan(len(gaussians), of, counts, _looks_for(share, LOOKS, of))
@@ -157,15 +158,15 @@ def count_looks(
 
 
 class _State:
-    """What stands, and what was found of it.
+    """The remaining Gaussians, and the measured changes of each.
 
     Args:
         g: The scene.
         cameras: All cameras.
-        sight: What each may see; None for everything.
-        kept: (K,) Gaussians that stand.
+        sight: Gaussians that each camera may see; None for all.
+        kept: (K,) remaining Gaussians.
         sums: (K,) sums of squared changes, older ones with less weight.
-        seen: (N,) share of the cameras that have each in sight, in rooms; 1 elsewhere.
+        seen: (N,) share of the cameras with each Gaussian in sight, in rooms; 1 elsewhere.
     """
 
     def __init__(
@@ -180,7 +181,7 @@ class _State:
         self._left = g[kept]
 
     def look(self, batch: NDArray[np.int64], count: int) -> None:
-        """Look by some cameras, while each Gaussian is there by its chance to be among `count`."""
+        """Measure by some cameras, with each Gaussian present by its probability to be among `count`."""
         chances = stay_chances(self._worth(), count / len(self.kept))
         self.sums *= _OLD
         for index in batch:
@@ -192,11 +193,11 @@ class _State:
             self.sums[near] += removal_effects(self._left[near], camera, presence=chances[near]).squared
 
     def _worth(self) -> F64:
-        """Return (K,) the worth of each: between its mean loss over all cameras, and over those that see it."""
+        """Return (K,) the worth of each: between its mean loss over all cameras and over those that see it."""
         return np.asarray(self.seen[self.kept] ** -_FAIRNESS * self.sums)
 
     def cut(self, count: int) -> NDArray[np.int64]:
-        """Leave the `count` of most worth; return the others."""
+        """Keep the `count` Gaussians of most worth; return the others."""
         stays = most_important(self._left, self._worth(), count)
         gone = self.kept[~stays]
         self.kept, self.sums = self.kept[stays], _BEFORE * self.sums[stays]
@@ -205,19 +206,19 @@ class _State:
 
 
 def stay_chances(worth: F64, share: float) -> NDArray[np.float32]:
-    """Return the chance of each Gaussian to stay if a share stays, from what they are worth.
+    """Return the probability of each Gaussian to stay if a share stays, from their worth.
 
-    The chance is a logistic function of the logarithm of the worth, and at least 0.02; the chances add up to the share.
+    The probability is a logistic function of the logarithm of the worth, and at least 0.02; its mean is the share.
     Sums run over a histogram, so that the order of the Gaussians does not matter.
 
     Args:
         worth: (K,) at least 0, in any unit.
-        share: In (0, 1].
+        share: Share that stays, in (0, 1].
     """
     top = float(worth.max(initial=0.0))
     with np.errstate(divide="ignore"):
         octaves = np.log2(worth / top) if top > 0.0 else np.full(len(worth), -np.inf)
-    octaves = np.maximum(octaves, _LOWEST)  # -110 for one that no camera saw; all such if there was no look yet
+    octaves = np.maximum(octaves, _LOWEST)  # -110 for Gaussians that no camera has seen
     held = np.bincount(((octaves - _LOWEST) * _PER_OCTAVE).astype(np.int64), minlength=_BINS)
     middles = _LOWEST + (np.arange(len(held)) + 0.5) / _PER_OCTAVE
     middles[0] = _LOWEST
@@ -233,12 +234,13 @@ def stay_chances(worth: F64, share: float) -> NDArray[np.float32]:
 
 
 def _logistic(octaves: F64) -> F64:
+    """Return the probability from octaves of worth above the middle."""
     chances = 1.0 / (1.0 + np.exp2(np.clip(-_SHARPNESS * octaves, -100.0, 100.0)))
     return np.asarray(np.maximum(chances, _LEAST_CHANCE))
 
 
 def _seen(n: int, cameras: Cameras, sight: InSight | None) -> F64:
-    """Return (N,) the share of the cameras that have a Gaussian in sight, in rooms; 1 elsewhere."""
+    """Return (N,) the share of the cameras with each Gaussian in sight, in rooms; 1 elsewhere."""
     if sight is None or sight.space.kind.kind != "rooms":
         return np.ones(n)
     tried = range(min(_POLLED, len(cameras)))
@@ -254,12 +256,12 @@ def _share_in_sight(cameras: Cameras, sight: InSight | None) -> float:
 
 
 def _looks_for(share: float, looks: float, cameras: int) -> float:
-    """Return how many cameras see an average Gaussian `looks` times; no camera looks twice for it."""
+    """Return the number of cameras after which an average Gaussian was seen `looks` times; at most all of them."""
     return min(looks / max(share, 1e-3), max(cameras, looks))
 
 
 def _plan(n: int, cameras: int, counts: Sequence[int], looks: float) -> list[_Round]:
-    """Return the rounds: cameras in turns, a cut after the last round for each count."""
+    """Return the rounds: all cameras in turn, with a cut after the last round of each count."""
     rounds: list[_Round] = []
     begin = 0
     now = n
@@ -276,4 +278,5 @@ def _plan(n: int, cameras: int, counts: Sequence[int], looks: float) -> list[_Ro
 
 
 def _batches(cameras: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """Return cameras in batches."""
     return [cameras[k : k + _BATCH] for k in range(0, len(cameras), _BATCH)]

@@ -1,4 +1,4 @@
-"""Options of training and of densification: plain values, checked on construction."""
+"""Define the options of training and densification: plain values, checked on construction."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["DensifyConfig", "TrainConfig"]
 
 @dataclass(frozen=True)
 class DensifyConfig:
-    """When to add and remove Gaussians, and which.
+    """Rules for adding and removing Gaussians.
 
     Attributes:
         start: Step after which changes begin.
@@ -21,11 +21,11 @@ class DensifyConfig:
         threshold: Mean gradient by projected centers, in half image sizes, above which a Gaussian is cloned or split.
         small: Largest scale of a cloned Gaussian, as a share of the extent; larger ones are split.
         split: Whether large ones are split in two; otherwise they are cloned too.
-        most_share: Largest number of Gaussians to add at a time, as a share of all; those with the largest
-            gradients win.
-        most_count: Number of Gaussians above which none is added.
+        most_share: Largest number of Gaussians to add at a time, as a share of all; those with the largest gradients
+            are added.
+        most_count: Number of Gaussians above which no more are added.
         least_opacity: Opacity below which a Gaussian is pruned.
-        largest: Scale above which one is pruned, as a share of the extent, after the first reset.
+        largest: Scale above which a Gaussian is pruned, as a share of the extent, after the first reset.
         reset_every: Steps between resets of opacities; 0 for none.
     """
 
@@ -59,7 +59,7 @@ class DensifyConfig:
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """How to train a scene; defaults are the rates and rules of 3DGS.
+    """Options of training; defaults are the rates and rules of 3DGS.
 
     Attributes:
         iterations: Number of steps, one view each.
@@ -70,7 +70,7 @@ class TrainConfig:
         means_rate_end: Learning rate of centers at the last step.
         scales_rate, quats_rate, opacities_rate, sh0_rate, shN_rate: Learning rates of the other raw values.
         rates_end: Factor on these at the last step; they fall to it exponentially over the second half.
-        densify: When to add and remove Gaussians; None for never.
+        densify: Rules for adding and removing Gaussians; None for no changes.
         evaluate_every: Steps between measurements on held-out views; 0 measures only at the end.
         seed: Seed of the order of views and of the positions of split Gaussians.
         backend: Backend of the rasterizer.

@@ -21,16 +21,16 @@ from gsvis.train.parameters import Parameters
 
 __all__ = ["Densifier", "DensifyConfig"]
 
-_FAINT = math.log(0.05 / 0.95)  # initial logit of the clone of a frozen Gaussian, which cannot make room for it
-_SMALLER = 1.6  # size of a split Gaussian over that of its two parts
+_FAINT = math.log(0.05 / 0.95)  # initial logit of the clone of a frozen Gaussian, whose own opacity cannot change
+_SMALLER = 1.6  # ratio of a split Gaussian's size to that of its two parts
 
 
 class Densifier:
-    """Sum gradients between changes, and make the changes.
+    """Sum gradients between changes, and add and remove Gaussians.
 
     Args:
         config: The rules.
-        extent: Size of the scene, in its units: how far cameras are from their middle.
+        extent: Size of the scene in its units, the distance of cameras from their middle.
         parameters: Trained values; `refine` edits them in place.
 
     Attributes:
@@ -42,9 +42,10 @@ class Densifier:
         self.config = config
         self.extent = extent
         self.parameters = parameters
-        self._forget()
+        self._reset_sums()
 
-    def _forget(self) -> None:
+    def _reset_sums(self) -> None:
+        """Reset the sums."""
         like = self.parameters.values["logit_opacities"].detach()
         self.total = torch.zeros_like(like)
         self.seen = torch.zeros_like(like)
@@ -79,7 +80,7 @@ class Densifier:
             prune |= self._is_spent(step)
             prune[: self.parameters.frozen] = False
             self.parameters.keep(~prune)
-            self._forget()
+            self._reset_sums()
         return grown - before - split, int(prune.sum()) - split
 
     def _grow(self, generator: torch.Generator) -> Tensor:
@@ -96,7 +97,7 @@ class Densifier:
             chosen &= among
         large = p.values["log_scales"].detach().amax(dim=1) > math.log(c.small * self.extent)
         split = chosen & large if c.split else torch.zeros_like(chosen)
-        split[: p.frozen] = False  # a frozen one is cloned instead
+        split[: p.frozen] = False  # frozen Gaussians are cloned instead
         cloned = {name: value.detach()[chosen & ~split] for name, value in p.values.items()}
         standing = int((chosen & ~split)[: p.frozen].sum())
         cloned["logit_opacities"][:standing] = cloned["logit_opacities"][:standing].clamp(max=_FAINT)
@@ -105,7 +106,7 @@ class Densifier:
         return split
 
     def _parts(self, split: Tensor, generator: torch.Generator) -> dict[str, Tensor]:
-        """Return two smaller Gaussians for each one of a mask, drawn from it."""
+        """Return two smaller Gaussians for each Gaussian of a mask, drawn from its distribution."""
         rows = {name: value.detach()[split] for name, value in self.parameters.values.items()}
         parts = {name: torch.cat([value, value]) for name, value in rows.items()}
         normal = torch.randn(parts["means"].shape, generator=generator).to(parts["means"])

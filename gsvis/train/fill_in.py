@@ -1,7 +1,7 @@
 """Fit the opacities of merged Gaussians to images, in closed form, before training begins.
 
-A merge covers as much as its parts did. Where Gaussians that stay cover the same place, that is too much, a fog; where
-none stays, it is right. The images say which.
+A merged Gaussian covers as much as its parts did. That is right where no other Gaussians remain, but too much, like
+fog, where others cover the same place. The images decide.
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ _DAMPING = 0.5  # many change the same pixel at once
 # factor of one turn
 _LEAST = 0.3
 _MOST = 1.5
-_RANGE = 0.01, 0.99  # of opacities
+_RANGE = 0.01, 0.99  # range of opacities
 
 
 def fit_opacities(merged: Gaussians, stays: Gaussians, views: PosedImages) -> Gaussians:
     """Return merged Gaussians with opacities that match images better.
 
     A pixel is linear in the alpha of one Gaussian: with s times its alpha, the residual r becomes r + (1 - s) D, where
-    D is what removal changes. The squared error is least at 1 - s = -sum(r D) / sum(D^2). Each of two turns goes half
-    of that way. One that no view of a turn shows keeps its opacity.
+    D is the change by removal. The squared error is least at 1 - s = -sum(r D) / sum(D^2). Each of two turns takes half
+    of that step. A Gaussian that no view of a turn shows keeps its opacity.
 
     Args:
         merged: M Gaussians to fit.
-        stays: Those that stand beside them, unchanged.
-        views: Images of the whole scene; the first 40, or all in turns.
+        stays: The other Gaussians, which remain unchanged.
+        views: Images of the whole scene; the first 40 are used, or all if there are fewer.
 
     Returns:
-        The same Gaussians with other opacities.
+            The same Gaussians with new opacities.
     """
     for turn in range(_TURNS):
         some = np.unique(np.arange(turn * _VIEWS, (turn + 1) * _VIEWS) % len(views))

@@ -9,7 +9,7 @@ from typing import Any
 __all__ = ["MOST_PSNR", "Record"]
 
 MOST_PSNR = 100.0
-"""PSNR that stands for identical images, dB; their own is infinite, which JSON cannot hold."""
+"""PSNR used for identical images, dB; the true value is infinite, which JSON cannot hold."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Record:
     psnr: float = math.nan
 
     def as_json(self) -> dict[str, Any]:
-        """Return the state without its time, ready for JSON: None is not measured, identical images have 100 dB."""
+        """Return the state without its time, ready for JSON: None for not measured, 100 dB for identical images."""
         loss = self.loss if math.isfinite(self.loss) else None
         psnr = None if math.isnan(self.psnr) else min(self.psnr, MOST_PSNR)
         return {"step": self.step, "loss": loss, "count": self.count, "psnr": psnr}

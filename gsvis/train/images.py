@@ -1,4 +1,4 @@
-"""Store posed images, the targets of training: photos or renders of a finished scene, with their cameras.
+"""Define posed images, the targets of training: photos or renders of a finished scene, with their cameras.
 
 Images are sRGB as displayed, in one frame with the scene; OpenCV cameras of one size. This module knows no file.
 """
@@ -70,7 +70,7 @@ class PosedImages:
         return np.asarray(image / np.float32(255.0) if image.dtype == np.uint8 else image, np.float32)
 
     def split(self, every: int = 8) -> tuple[PosedImages, PosedImages]:
-        """Split into training views and held-out views: the first and each `every`th after it, as is common in papers.
+        """Split into training views and held-out views; the first and every `every`th after it are held out.
 
         Raises:
             ValueError: If `every` is below 2, or one side would be empty.

@@ -1,4 +1,4 @@
-"""Measure which Gaussians matter to images, and find nested subsets of a scene that keep those that do.
+"""Measure how much Gaussians matter to images, and find nested subsets of the important ones.
 
 Values are per pixel, averaged over channels and views; RGB where 1 is white. docs/design/019-levels.md compares the
 methods.
@@ -26,7 +26,7 @@ from gsvis.train.images import PosedImages
 __all__ = ["IMPORTANCE_METHODS", "ROUNDS", "importance", "most_important", "prune", "read_rounds"]
 
 ROUNDS = "rounds.npz"
-"""Name of the file of the finished rounds in a folder of unfinished work."""
+"""File name of the finished rounds in a folder of unfinished work."""
 
 IMPORTANCE_METHODS = ("removal", "absolute", "error", "gradient", "weight")
 
@@ -47,8 +47,10 @@ def importance(
         gaussians: N Gaussians.
         views: Photos with their cameras, or cameras alone, which compare with the scene's own images.
         method: "removal": the mean squared change of the images by the Gaussian's removal. "absolute": the mean
-            absolute change. "error": what its removal adds to the mean squared error against the photos, negative if
-            they match better without it; subsets of the highest are bad. "gradient": eq. 6, the sum over views of |dE_i
+            absolute change. "error": the increase of the mean squared error against the photos by its removal, negative
+            if
+                they match better without it; subsets of the highest are bad. "gradient": eq. 6, the sum over views of
+                |dE_i
             / dg| over the sum of pixels, with E_i the absolute error of view i and dE_i / dg taken over the logarithms
             of the three scales (their norm), which ranked best. "weight": the mean blending weight.
         background: (3,) RGB behind everything.
@@ -153,11 +155,11 @@ def prune(
 ) -> list[NDArray[np.bool_]]:
     """Find nested subsets: remove the least important share, measure again, repeat.
 
-    Effects of single removals do not add up: of two Gaussians that hide each other either may go, but not both. Each
+    Effects of single removals do not add up: of two Gaussians that hide each other, either may go, but not both. Each
     round therefore measures again the effect of removing each remaining Gaussian, while all others have the share of
-    their alpha that the round will leave on average. This reveals pairs that hide each other. The size of the change
-    counts, not its sign: Gaussians whose loss would correct an error all correct it in the same direction, and too
-    much. docs/design/019-levels.md compares the methods.
+    their alpha that the round will leave on average. This reveals pairs that hide each other. Only the size of the
+    change counts, not its sign: if Gaussians whose removal corrects an error were removed first, together they would
+    overcorrect it. docs/design/019-levels.md compares the methods.
 
     Args:
         gaussians: N Gaussians.
@@ -169,14 +171,14 @@ def prune(
             through the views. The first round, whose removals are never measured again, uses three times as many. The
             results of a round count in later ones too, half as much in each.
         background: (3,) RGB behind everything.
-        work: Keeps every finished round, to resume from; its plan must name the scene, the cameras and the rules.
+        work: Storage of finished rounds, to resume from; its plan must name the scene, the cameras and the rules.
         progress: Called with stage "prune"; counts views of all rounds.
 
     Returns:
         A mask (N,) for each count, each a subset of the previous one; independent of the order of the Gaussians.
 
     Raises:
-        ValueError: If the counts do not fall, `share` or `looks` is out of range, or `work` belongs to another run.
+        ValueError: If the counts do not fall, `share` or `looks` is out of range, or `work` belongs to a different run.
         FormatError: If the kept rounds are damaged.
     """
     if not 0.0 < share < 1.0:
@@ -226,7 +228,7 @@ def read_rounds(
         n: Number of Gaussians of the scene.
 
     Raises:
-        FormatError: If what is kept does not fit.
+        FormatError: If the kept rounds do not fit.
     """
     found = None if work is None else work.read_own(ROUNDS)
     if work is None or found is None:
@@ -264,7 +266,7 @@ def _turns(cameras: int, rounds: int, looks: int | None) -> list[NDArray[np.int6
 
 
 def _schedule(n: int, counts: Sequence[int], share: float) -> list[int]:
-    """Return the sizes after each round, with each of `counts` among them."""
+    """Return the sizes after each round, including each of `counts`."""
     sizes: list[int] = []
     now = n
     for count in counts:

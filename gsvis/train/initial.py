@@ -21,15 +21,15 @@ F64 = NDArray[np.float64]
 
 _NEIGHBORS = 3
 _OPACITY = 0.1
-_LEAST_SCALE = 1e-7  # of the size of the cloud: what float32 still resolves
+_LEAST_SCALE = 1e-7  # share of the cloud's size that float32 still resolves
 _ROUNDS = 200
 
 
 def gaussians_from_points(points: PointCloud, sh_degree: int = 0) -> Gaussians:
     """Return a faint ball at each point, sized by the distance to its neighbors.
 
-    The scale is the root mean square distance to the 3 nearest points at other places (or fewer, if there are fewer),
-    the opacity is 0.1, and the color is that of the point from every side.
+    The scale is the root mean square distance to the 3 nearest points at different places, or fewer if there are fewer.
+    The opacity is 0.1. The color is that of the point, from every direction.
 
     Args:
         points: N points, at 2 places or more.
@@ -50,7 +50,7 @@ def gaussians_from_points(points: PointCloud, sh_degree: int = 0) -> Gaussians:
         >>> float(start.scales[0, 0])  # root of (9 + 16) / 2
         3.535534
     """
-    from scipy.spatial import cKDTree  # here: it takes long to import
+    from scipy.spatial import cKDTree  # slow to import
 
     if sh_degree not in (0, 1, 2, 3):
         raise ValueError(f"sh_degree: expected 0, 1, 2 or 3, got {sh_degree!r}")
@@ -76,10 +76,10 @@ def gaussians_from_points(points: PointCloud, sh_degree: int = 0) -> Gaussians:
 
 
 def random_points(cameras: Cameras, count: int, rng: np.random.Generator) -> PointCloud:
-    """Draw points for a reconstruction without any: gray, uniform in the box that cameras look at, each seen by one.
+    """Return random points for a reconstruction without points: gray, in the box that cameras look at.
 
-    The box holds the viewpoints and, from each, the points up to twice as far as the point nearest to all lines of
-    sight (at least as far as the distance between cameras, if they look past each other).
+    The box holds the viewpoints and, from each, all points up to twice the distance of the point nearest to all lines
+    of sight. That distance is at least the distance between cameras, in case they look past each other.
 
     Args:
         cameras: C cameras, C >= 1.
@@ -124,7 +124,7 @@ def _box_of(cameras: Cameras) -> tuple[F64, F64]:
     corners = np.concatenate([eyes, eyes + 2.0 * far[:, None] * axes])
     middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
     half = 0.5 * np.ptp(corners, axis=0)
-    half = np.maximum(half, 0.25 * half.max())  # cameras on a line or in a plane see what is beside it
+    half = np.maximum(half, 0.25 * half.max())  # cameras on a line or in a plane also see beside it
     return middle - half, middle + half
 
 

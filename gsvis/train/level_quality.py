@@ -1,4 +1,4 @@
-"""Measure the quality of the levels of a scene from given cameras: similarity to scene and photos, brightness.
+"""Measure the quality of the levels of a scene from given cameras: similarity to the scene and photos, brightness.
 
 Images are compared as a display shows them, clipped to [0, 1]. Brightness is the mean of these values.
 """
@@ -93,15 +93,15 @@ def judge_levels(
     backend: str = "auto",
     progress: Progress = silent,
 ) -> tuple[Judged, ...]:
-    """Return what eyes of two rules see of each level below the highest, against the highest.
+    """Return the quality of each level below the highest at builder's and judge's eyes.
 
-    A lower level need not equal the scene, so no least PSNR is asked for, only that judge's eyes see about as much.
+    A lower level need not equal the scene, so no least PSNR is required, only similar quality at both kinds of eyes.
 
     Args:
         levels: L levels; the highest is the scene.
         mine: Views like those that the levels were trained for.
         views: Number, size, field of view and seed of the judge's views.
-        space: Where eyes of the former are; None for photos.
+        space: Navigable space of `mine`; None for photos.
         backend: Backend of the rasterizer.
         progress: Called with stage "judge", in views.
     """

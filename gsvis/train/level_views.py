@@ -1,8 +1,8 @@
 """Provide the views for training and measuring levels: photos, or renders of the scene if there are none.
 
-Viewpoints of renders lie in navigable space, outside of anything solid. Views to measure on are independent of those to
-train on. Levels are chosen and trained by wide views: one costs little more than a narrow one and shows several times
-as much, so that fewer parts of a scene are seen by few cameras. Scene frame; OpenCV cameras.
+Viewpoints of renders lie in navigable space, outside of solid parts. Views to measure on are independent of those to
+train on. Levels are chosen and trained by wide views: one costs little more than a narrow view and shows several times
+as much, so that few parts of a scene are seen by only a few cameras. Scene frame; OpenCV cameras.
 docs/design/019-levels.md compares them.
 """
 
@@ -32,7 +32,7 @@ __all__ = [
     "views_to_train",
 ]
 
-_EVERY = 8  # one in so many photos is held out
+_EVERY = 8  # one in this many photos is held out
 CHOOSING = 4
 """Cameras for the choice of Gaussians, per camera to train on."""
 
@@ -42,8 +42,8 @@ WIDE = 120.0
 STANDING = 0.5
 """Share of views to choose and to train by, in rooms, from the height of people who stand; the others are anywhere."""
 
-_SMALLER = 2.0 / 3.0  # side of a view to train on, over that of a view to measure on
-_UNLIKE = 12.0  # dB; photos of another scene, or in another frame, are not matched better
+_SMALLER = 2.0 / 3.0  # ratio of the side of a training view to that of a held-out view
+_UNLIKE = 12.0  # dB; photos of a different scene or frame do not match better
 _DARK = 1.0 / 255.0
 
 
@@ -56,9 +56,9 @@ class LevelViews:
         held_out: Images to measure on; None for none.
         cameras_from: Source of their cameras, in words.
         photographs: Whether the images are photos.
-        choose_by: Further cameras, to choose Gaussians by; None to use the cameras of the images.
+        choose_by: Cameras for choosing Gaussians; None uses the cameras of the images.
         remarks: Sentences for the user.
-        space: Where eyes of renders may be; None for photos.
+        space: Navigable space of renders; None for photos.
     """
 
     views: PosedImages
@@ -83,10 +83,11 @@ def draw_views(
     Args:
         g: The scene.
         space: Allowed viewpoints.
-        sampling: Cameras to measure on, and the number of views to train on. The latter are smaller and wider. The
-            next random stream gives those to measure on. The stream after it gives four times as many wide cameras to
-            choose Gaussians by: a Gaussian that few of them see well is dropped first.
-        held_out: Number of cameras to measure on; 0 for none.
+        sampling: Size of held-out views, and the number of training views, which are smaller and wider. The next
+            random stream gives the held-out views. The stream after it gives four times as many wide cameras for
+            choosing
+            Gaussians: a Gaussian that few of them see well is dropped first.
+        held_out: Number of held-out cameras; 0 for none.
         progress: Called with stage "views".
 
     Raises:
@@ -100,6 +101,7 @@ def draw_views(
     for cameras in [each.cameras(g, space) for each in asked]:
 
         def report(stage: str, done: int, of: int, before: int = sum(map(len, found))) -> None:
+            """Report progress over all kinds of views."""
             if done or not before:
                 progress(stage, before + done, total)
 
@@ -112,13 +114,13 @@ def draw_views(
 
 
 def views_to_train(sampling: ViewSampling) -> ViewSampling:
-    """Return the views to train on, from those to measure on: smaller and wider."""
+    """Return the sampling of training views, smaller and wider, from that of held-out views."""
     small = {name: max(round(_SMALLER * getattr(sampling, name)), 1) for name in ("width", "height")}
     return replace(sampling, fov=max(sampling.fov, WIDE), standing=STANDING, **small)
 
 
 def views_to_choose(sampling: ViewSampling) -> ViewSampling:
-    """Return the views to choose Gaussians by, from those to measure on: wide, and four times as many."""
+    """Return the sampling of views for choosing Gaussians, wide and four times as many, from that of held-out views."""
     count = CHOOSING * sampling.count
     stream = sampling.stream + 2
     return replace(sampling, count=count, stream=stream, fov=max(sampling.fov, WIDE), standing=STANDING)
@@ -131,7 +133,7 @@ def load_photograph_views(
     *,
     progress: Progress = silent,
 ) -> LevelViews:
-    """Load photos of a scene: seven of eight to train on, the eighth to measure on.
+    """Load photos of a scene: seven of eight for training, the eighth held out.
 
     Args:
         g: The scene, trained from the same reconstruction.

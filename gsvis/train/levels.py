@@ -1,9 +1,9 @@
-"""Train quality levels that share Gaussians: the most important ones of a scene, frozen, and a few more as repair.
+"""Train quality levels that share Gaussians: the most important ones of a scene, frozen, and a few more to repair.
 
 The highest level is the scene itself. Each lower level keeps a part of it unchanged, nested in the part that the next
 level keeps. A few merged Gaussians represent the rest; they are trained on photos, or on renders of the scene if there
 are none. An upgrade therefore sends only the difference. docs/design/019-levels.md reports what was tested. Below them
-lies a first picture of few merged Gaussians, which a viewer has at once (docs/design/069-what-is-in-view-first.md).
+lies a first picture of few merged Gaussians, which arrives at once (docs/design/069-what-is-in-view-first.md).
 
 References:
     SRBF-Gaussian, section 6.1.
@@ -40,37 +40,37 @@ from gsvis.train.merge import merge_gaussians
 __all__ = ["SUBSETS", "LevelsConfig", "TrainedLevels", "frozen_sizes", "train_levels"]
 
 SUBSETS = "subsets.npz"
-"""Name of the file of the chosen subsets in a folder of unfinished work."""
+"""File name of the chosen subsets in a folder of unfinished work."""
 
 Mask = NDArray[np.bool_]
 
 _PREVIEW_NAME = "preview"
-_CHOICE = 2  # increase it when the same cameras choose other Gaussians
+_CHOICE = 2  # increase it if the same cameras would choose different Gaussians
 
 
 @dataclass(frozen=True)
 class LevelsConfig:
-    """Sizes of the levels below the scene itself, and how to train them.
+    """Sizes of the levels below the scene itself, and options of their training.
 
     Attributes:
-        shares: Largest number of Gaussians of each, as a share of the scene's; ascending, in (0, 1).
-        reuse: Least share of each that belongs to the next.
-        names: Names of these levels and of the scene itself, which is last.
+        shares: Largest number of Gaussians of each level, as a share of the scene's; ascending, in (0, 1).
+        reuse: Least share of each level that belongs to the next level too.
+        names: Names of these levels, and of the scene itself as the last.
         iterations: Training steps for each level.
-        merged: Share of a level's own Gaussians that start as merges of all that it lacks; the rest are clones that
-            training adds where it needs them.
+        merged: Share of a level's own Gaussians that start as merges of the Gaussians it lacks; the rest are clones
+            that training adds where needed.
         threshold: Gradient above which a Gaussian is cloned; see `DensifyConfig`.
         most_share: Largest number of Gaussians of a level to clone at a time, as a share of all.
-        prune_share: Share of the remaining Gaussians that one round of the choice of frozen Gaussians removes, if the
-            views choose them.
-        looks: Number of views of such a round, see `prune`; None for all. If other cameras choose: how many of them
-            see an average Gaussian, see `choose_subsets`; None for its default.
+        prune_share: Share of the remaining Gaussians that one round of `prune` removes, if the views choose the frozen
+            Gaussians.
+        looks: Number of views of such a round, None for all. With separate cameras for choosing: the number of looks of
+            `choose_subsets`, None for its default.
         evaluate_every: Steps between measurements on held-out views; 0 measures only at the end.
         seed: Seed of training.
         backend: Backend of the rasterizer.
-        preview: Number of merged Gaussians of the first picture, as a share of the scene's, in [0, `PREVIEW`]; below
-            all other levels, with the name "preview". 0 for none.
-        preview_from: Gaussians of a scene from which it has a first picture; see `fit_to`.
+        preview: Number of merged Gaussians of the first picture, as a share of the scene's, in [0, `PREVIEW`]; 0 for
+            none. It is the lowest level, with the name "preview".
+        preview_from: Least number of Gaussians of a scene with a first picture; see `fit_to`.
     """
 
     shares: tuple[float, ...] = (0.25, 0.5)
@@ -124,10 +124,10 @@ class LevelsConfig:
         self.training(2, 1)
 
     def fit_to(self, count: int) -> LevelsConfig:
-        """Return the same settings, without a first picture where a scene of `count` Gaussians needs none.
+        """Return the same settings, without a first picture if a scene of `count` Gaussians needs none.
 
-        The level above it is there as soon in a small scene, and is a first picture itself if it has at most a share of
-        `PREVIEW`.
+        In a small scene the next level arrives as soon. A level of at most a share of `PREVIEW` is itself a first
+        picture.
         """
         needs = count >= self.preview_from and self.shares[0] > PREVIEW
         return self if needs else replace(self, preview=0.0)
@@ -140,8 +140,8 @@ class LevelsConfig:
     def sizes(self, count: int) -> list[tuple[int, int, int]]:
         """Return for each level below a scene of `count` Gaussians: the maximum, the frozen and the initial number.
 
-        All three are equal if the requested reuse leaves a level no Gaussians of its own to train. In a first picture,
-        which not every scene has (`fit_to`), nothing is frozen.
+        All three are equal if the requested reuse leaves a level no own Gaussians to train. A first picture, which not
+        every scene has (`fit_to`), has no frozen Gaussians.
 
         Raises:
             ValueError: If a level would have fewer than 2.
@@ -158,10 +158,10 @@ class LevelsConfig:
         return found
 
     def training(self, most_count: int, sh_degree: int) -> TrainConfig:
-        """Return the training options of one level of at most `most_count` Gaussians.
+        """Return the training options of a level of at most `most_count` Gaussians.
 
         References:
-            SRBF-Gaussian, section 6.1: a higher threshold, clones in place of splits, at most 1% of all at a time.
+            SRBF-Gaussian, section 6.1: a higher threshold, clones instead of splits, at most 1% of all at a time.
         """
         rules = DensifyConfig(
             start=0,
@@ -221,16 +221,15 @@ def train_levels(
         views: Target images of lower levels: photos, or `render_views` of the scene.
         config: Sizes and training; None means `LevelsConfig()`.
         held_out: Views to measure on, never trained on.
-        choose_by: Cameras by which the frozen Gaussians are chosen; None for those of the views, at half their
-            size. A Gaussian that none of them sees well is dropped first, so they should be many and lie everywhere,
-            in random order.
-        space: Voxels that stop light, which save time where cameras look into rooms; None for none.
+        choose_by: Cameras for choosing the frozen Gaussians; None for those of the views, at half their size. Give many
+            cameras everywhere, in random order: a Gaussian that none of them sees well is dropped first.
+        space: Voxels that stop light, which save time in rooms; None for none.
         work: A folder for unfinished work, to resume from if it exists; it must belong to the same scene, views and
             configuration. It is kept at the end.
         progress: Called with stages "prune" and "train NAME".
 
     Raises:
-        ValueError: If a level would be empty, there are no views, or `work` belongs to another run.
+        ValueError: If a level would be empty, there are no views, or `work` belongs to a different run.
         FormatError: If a file in `work` is damaged.
         BackendError: If torch is missing.
     """
@@ -256,6 +255,7 @@ def train_levels(
         stays = masks[frozen]
 
         def report(stage: str, done: int, of: int, name: str = name) -> None:
+            """Report progress with the name of the level."""
             progress(f"train {name}", done, of)
 
         if begun == frozen:  # no Gaussians of its own
@@ -263,7 +263,7 @@ def train_levels(
             histories[name] = []
             continue
         merged = merge_gaussians(scene[~stays], begun - frozen)
-        if choose_by is not None:  # photographs differ from the scene by more than what a merge changes
+        if choose_by is not None:  # photographs differ from the scene by more than a merge does
             merged = fit_opacities(merged, scene[stays], views)
         training = config.training(total, scene.sh_degree)
         trainer = Trainer(views, merged, training, frozen=scene[stays], held_out=held_out, space=space)
@@ -287,12 +287,13 @@ def _subsets(
     work: str | os.PathLike[str] | None,
     progress: Progress,
 ) -> dict[int, Mask]:
-    """Return nested masks by their size, from a file of the same run if there is one."""
+    """Return nested masks by their size, from a file of the same run if it exists."""
     counts = frozen_sizes(sizes)
     none = {0: np.zeros(len(scene), bool)}
     cameras = _halve(views.cameras) if choose_by is None else choose_by
 
     def choose(kept: KeptWork | None = None) -> list[Mask]:
+        """Return the masks, chosen by cameras or views."""
         if choose_by is None:
             share = config.prune_share
             looks = config.looks
@@ -328,12 +329,12 @@ def _subsets(
 
 
 def frozen_sizes(sizes: list[tuple[int, int, int]]) -> list[int]:
-    """Return the different numbers of frozen Gaussians above 0 of `LevelsConfig.sizes`, descending."""
+    """Return the distinct numbers of frozen Gaussians above 0 in `LevelsConfig.sizes`, descending."""
     return sorted({frozen for _, frozen, _ in sizes} - {0}, reverse=True)
 
 
 def _halve(cameras: Cameras) -> Cameras:
-    """Return the same cameras at half the size: enough to choose by, and faster."""
+    """Return the same cameras at half the size, which is enough for choosing and faster."""
     width = max(cameras.width // 2, 1)
     height = max(cameras.height // 2, 1)
     scale = np.array([width / cameras.width, height / cameras.height, 1.0])

@@ -1,4 +1,4 @@
-"""Measure how similar a scene is to images: PSNR and SSIM of each view, as displays show them, clipped to [0, 1]."""
+"""Measure the similarity of a scene to images: PSNR and SSIM of each view, clipped to [0, 1] as on a display."""
 
 from __future__ import annotations
 

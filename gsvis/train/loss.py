@@ -1,4 +1,4 @@
-"""The training loss: the mean absolute difference of two images and their structural dissimilarity."""
+"""Compute the training loss: the mean absolute difference of two images and their structural dissimilarity."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def photometric_loss(image: Tensor, target: Tensor, ssim_weight: float = 0.2) ->
 
 
 def loss_reference(image: Tensor, target: Tensor, ssim_weight: float) -> Tensor:
-    """Return the loss from its parts, on every device; the slow twin of the kernels."""
+    """Return the loss from its parts, on any device; the slow twin of the kernels."""
     difference = (image - target).abs().mean()
     return (1.0 - ssim_weight) * difference + ssim_weight * (1.0 - ssim(image, target, padding="same"))
 
@@ -49,6 +49,7 @@ def loss_reference(image: Tensor, target: Tensor, ssim_weight: float) -> Tensor:
 class _Loss(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, image: Tensor, target: Tensor, ssim_weight: float) -> Tensor:
+        """Return the loss; keep the derivatives of SSIM."""
         height = image.shape[0]
         a, b = (np.ascontiguousarray(t.detach().numpy()).reshape(height, -1) for t in (image, target))
         slopes = np.empty((3, *a.shape), np.float32)
@@ -60,6 +61,7 @@ class _Loss(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *by_loss: Tensor) -> tuple[Tensor, None, None]:
+        """Return the gradient by the image."""
         a, b, slopes, ssim_weight, shape = ctx.saved
         each = float(by_loss[0]) / a.size
         out = np.empty_like(a)

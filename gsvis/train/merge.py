@@ -1,7 +1,7 @@
-"""Merge many Gaussians into few: one per voxel of a grid, with the moments and the coverage of those in it.
+"""Merge many Gaussians into few: one per voxel of a grid, with the moments and the coverage of its Gaussians.
 
-World frame, scene units. Coverage is how much of a Gaussian an average direction sees: its opacity times the mean area
-of its shadows. Nothing here renders.
+World frame, scene units. The coverage of a Gaussian is its opacity times the mean area of its shadows over all
+directions. Nothing here renders.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ __all__ = ["merge_by_cell", "merge_gaussians", "occupied_voxels"]
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
-_SIDE = 2**20  # voxels to either side of the middle; points beyond share the outermost
+_SIDE = 2**20  # voxels to either side of the middle; points beyond use the outermost voxel
 _MOST_OPAQUE = 0.996  # the largest value of a byte
 _KNUD_THOMSEN = 1.6  # surface of an ellipsoid to about 1%
 
@@ -58,7 +58,7 @@ def merge_gaussians(g: Gaussians, count: int) -> Gaussians:
 
 
 def _cells_for(g: Gaussians, count: int) -> I64:
-    """Return (N,) the voxel of each Gaussian, 0 to at least count - 1, with as few voxels as bisection finds."""
+    """Return (N,) the voxel of each Gaussian, with at least `count` voxels and as few more as bisection finds."""
     if not 1 <= count <= len(g):
         raise ValueError(f"count: expected 1 to {len(g)}, got {count}")
     means = g.means.astype(np.float64)
@@ -104,10 +104,11 @@ def merge_by_cell(g: Gaussians, cells: I64) -> Gaussians:
     order = np.argsort(cells, kind="stable")
     starts = np.searchsorted(cells[order], np.arange(number))
     shadows = _mean_shadows(g.scales.astype(np.float64))
-    weights = np.maximum(g.opacities * shadows, 1e-30)  # a cell of invisible ones has a mean too
+    weights = np.maximum(g.opacities * shadows, 1e-30)  # cells of invisible Gaussians need a mean too
     total = np.add.reduceat(weights[order], starts)
 
     def mean(values: NDArray[np.floating]) -> F64:
+        """Return the weighted mean of values in each cell."""
         weighted = values.reshape(len(values), -1) * weights[:, None]
         sums = np.add.reduceat(weighted[order], starts, axis=0) / total[:, None]
         return sums.reshape(number, *values.shape[1:])

@@ -1,4 +1,4 @@
-"""Store trainable values: raw values of Gaussians, their Adam moments, and edits of rows that keep all consistent.
+"""Hold trainable values: raw values of Gaussians, their Adam moments, and edits of rows that keep both consistent.
 
 Raw values are unbounded: `log_scales`, `logit_opacities`, quaternions of any length; colors are SH. The first `frozen`
 rows are rendered but never changed. Nothing here renders or chooses.
@@ -111,7 +111,7 @@ class Parameters:
                 step(value, gradient, first, second, rate, root)
 
     def keep(self, rows: Tensor) -> None:
-        """Keep only the rows of a mask or an index, with their moments; frozen rows must come first in it."""
+        """Keep only the rows of a mask or an index, with their moments; it must begin with the frozen rows."""
         for moments in (self.first, self.second):
             moments.update({name: m[rows].contiguous() for name, m in moments.items()})
         for name, value in self.values.items():
@@ -145,12 +145,13 @@ class Parameters:
 
 
 def _adam_cpu(value: Tensor, gradient: Tensor, first: Tensor, second: Tensor, rate: float, root: float) -> None:
+    """Take one Adam step with the kernel."""
     flat = (t.reshape(-1).numpy() for t in (value, gradient.contiguous(), first, second))
     adam_step(*flat, rate, *_BETAS, _EPS, root)
 
 
 def adam_reference(value: Tensor, gradient: Tensor, first: Tensor, second: Tensor, rate: float, root: float) -> None:
-    """Take the same step in torch, on every device; the slow twin of the kernel."""
+    """Take the same step in torch, on any device; the slow twin of the kernel."""
     beta1, beta2 = _BETAS
     first.lerp_(gradient, 1.0 - beta1)
     second.mul_(beta2).addcmul_(gradient, gradient, value=1.0 - beta2)

@@ -1,4 +1,4 @@
-"""Load photos with a reconstruction for training: check first, then read and shrink.
+"""Load photos with a reconstruction for training: check all files first, then read and shrink them.
 
 The result is `PosedImages` sorted by name, 8 bits per channel, sRGB as stored. Intrinsics fit the final size of the
 images, with pixel centers at +0.5. Poses, and the points beside them, stay in the frame of the model.
@@ -37,7 +37,7 @@ FEWEST_VIEWS = 8
 
 _LEAST_SIDE = 16  # pixels; SSIM needs 11
 _THREADS = 2
-_MEMORY_SHARE = 0.5  # largest share of the machine's memory for images
+_MEMORY_SHARE = 0.5  # largest share of memory for images
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -56,7 +56,7 @@ class Photos:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the images, as the model has them."""
+        """Names of the images in the model."""
         return self.views.cameras.names
 
     def __repr__(self) -> str:
@@ -65,7 +65,7 @@ class Photos:
 
 
 def load_viewpoints(folder: str | PathLike[str]) -> NDArray[np.float64]:
-    """Return (C, 3) where the photos of a folder were taken, in the frame of the model; reads no photo.
+    """Return (C, 3) viewpoints of the photos of a folder, in the frame of the model; reads no photo.
 
     Args:
         folder: As in `load_photos`.
@@ -78,9 +78,9 @@ def load_viewpoints(folder: str | PathLike[str]) -> NDArray[np.float64]:
 
 
 def load_photo_cameras(folder: str | PathLike[str]) -> Cameras:
-    """Return where the photos of a folder were taken, as upright pictures of one nominal size; reads no photo.
+    """Return cameras at the poses of the photos of a folder, with one nominal size; reads no photo.
 
-    Their poses are those of the model. Their sizes, which may differ, are not: all are 640 x 480 with 60 degrees.
+    Sizes of photos may differ, so all cameras are 640 x 480 with a field of view of 60 degrees.
 
     Args:
         folder: As in `load_photos`.
@@ -94,14 +94,14 @@ def load_photo_cameras(folder: str | PathLike[str]) -> Cameras:
 
 
 def photo_bytes(folder: str | PathLike[str], size: Size | None = None) -> int:
-    """Return the bytes that the photos of a folder take in memory, by their headers; decodes none.
+    """Return the bytes of the photos of a folder in memory, from their headers; decodes none.
 
     Args:
         folder: As in `load_photos`.
         size: (width, height) in pixels to shrink them to; None keeps their size.
 
     Raises:
-        As `load_photos`, but for what only decoding finds.
+        The errors of `load_photos`, except those that only decoding finds.
     """
     _, files, _, (width, height) = _find(_check.path("folder", folder), None, None, size)
     return 3 * len(files) * width * height
@@ -126,7 +126,7 @@ def load_photos(
         images: Folder of the photos, as given or inside `folder`; None looks in `images` beside the model. If all
             are smaller than in the model by one whole factor, as in `images_4`, intrinsics are rescaled.
         downscale: Factor to shrink the images by, at least 1.
-        size: (width, height) in pixels to shrink them to instead; needed when their sizes differ.
+        size: (width, height) in pixels to shrink them to instead; required if their sizes differ.
         progress: Called for every image; stage "photos".
 
     Returns:
@@ -178,6 +178,7 @@ def _find(
 
 
 def _check_target(downscale: float | None, size: Size | None) -> None:
+    """Raise unless at most one of size and factor is given, and it is in range."""
     if size is not None:
         if downscale is not None:
             raise ValueError("size / downscale: expected one of them, got both; omit one")
@@ -238,10 +239,11 @@ def _check_memory(count: int, width: int, height: int) -> None:
 
 
 def _read(files: list[Path], size: Size, progress: Progress) -> tuple[NDArray[np.uint8], int]:
-    """Return (C, H, W, 3) uint8 images, and how many of them had any transparency."""
+    """Return (C, H, W, 3) uint8 images, and the number of images with transparency."""
     pixels = np.empty((len(files), size[1], size[0], 3), np.uint8)
 
     def read(index: int) -> tuple[bool, FormatError | None]:
+        """Read one image into its row; return whether it has transparency, and its error."""
         try:
             pixels[index], transparent = _shrunk(files[index], size)
         except FormatError as error:
@@ -271,10 +273,10 @@ def _read(files: list[Path], size: Size, progress: Progress) -> tuple[NDArray[np
 
 
 def _shrunk(path: Path, size: Size) -> tuple[NDArray[np.uint8], bool]:
-    """Return one image (H, W, 3) at a size, and whether it had any transparency."""
+    """Return one image (H, W, 3) at a size, and whether it had transparency."""
     transparent = False
     try:
-        # From memory: of a file Python reserves what a chunk claims, of bytes what is there.
+        # Decode from memory: for a file, Pillow would allocate as much as a chunk claims to hold.
         with io.BytesIO(read_whole(path)) as file, Image.open(file) as image:
             if image.mode in ("LA", "PA", "RGBA") or "transparency" in image.info:
                 with_alpha = image.convert("RGBA")

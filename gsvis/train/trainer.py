@@ -37,8 +37,8 @@ from gsvis.train.parameters import Parameters
 
 __all__ = ["Record", "TrainConfig", "TrainResult", "Trainer", "extent_of", "train"]
 
-_clock = time.monotonic  # tests set another
-_WALLS = 8  # steps in occupied voxels that end a ray: images need more than guides
+_clock = time.monotonic  # replaced in tests
+_WALLS = 8  # steps in occupied voxels after which a ray ends; images need more than estimates
 _LOG = logging.getLogger(__name__)
 
 
@@ -64,13 +64,13 @@ class Trainer:
         config: How to train.
         frozen: Gaussians that are rendered but never changed; they come first in the result.
         held_out: Views to measure on.
-        space: Voxels that stop light. In rooms, a step leaves out frozen Gaussians that its camera cannot see; around
-            plants and objects too few are hidden, and some are taken for hidden that are not. None for none.
+        space: Voxels that stop light. In rooms, a step skips frozen Gaussians that its camera cannot see. Around plants
+            and objects this saves little and can err, so give None.
 
     Attributes:
         parameters: Raw values.
         step: Steps taken.
-        seconds: Time spent in them.
+        seconds: Time spent on steps.
         history: Evaluations so far.
         beginning: Hash of the initial Gaussians.
 
@@ -138,7 +138,7 @@ class Trainer:
         }
 
     def view_of(self, step: int) -> int:
-        """Return the view of a step: each once per round, in random order."""
+        """Return the index of the view of a step: each view once per round, in random order."""
         turn, place = divmod(step, len(self.views))
         return int(np.random.default_rng([self.config.seed, turn]).permutation(len(self.views))[place])
 
@@ -146,7 +146,9 @@ class Trainer:
         """Take one step; return its loss."""
         c = self.config
         began = _clock()
-        if self.densifier is not None and self.step:  # not at the end of a step: split Gaussians must settle first
+        if (
+            self.densifier is not None and self.step
+        ):  # at the start of a step, so that a run never ends right after a split
             self.densifier.refine(self.step, torch.Generator().manual_seed(hash_of(c.seed, self.step)))
         if c.sh_every and self.step % c.sh_every == 0:
             self.parameters.raise_sh_degree(min(self.step // c.sh_every, c.sh_degree))
@@ -203,15 +205,17 @@ class Trainer:
         """Take all remaining steps, with measurements and checkpoints on the way; see `train`.
 
         `progress` runs between two steps and may read the trainer: its loss, its history, its number of Gaussians.
-        torch takes no more threads than the kernels may (`numba.set_num_threads`), also afterwards.
+        torch uses at most as many threads as the kernels (`numba.set_num_threads`), also afterwards.
         """
-        torch.set_num_threads(min(torch.get_num_threads(), get_num_threads()))  # numba's OpenMP raises torch's number
+        torch.set_num_threads(
+            min(torch.get_num_threads(), get_num_threads())
+        )  # numba's OpenMP raises the number of torch
         last = self.config.iterations
         checkpoint = None if checkpoint is None else _check.path("checkpoint", checkpoint)
         if checkpoint is not None and checkpoint.exists():
             load_checkpoint(checkpoint, self)
         progress("train", self.step, last)
-        # whole: not in the middle of a step, where the state is inconsistent
+        # `whole` is False in the middle of a step, where the state is inconsistent
         saved = _clock()
         whole = True
         try:
@@ -274,16 +278,16 @@ def train(
         progress: Called with every step; stage "train".
 
     Raises:
-        ValueError: If there are no views or Gaussians, or the checkpoint belongs to another run.
+        ValueError: If there are no views or Gaussians, or the checkpoint belongs to a different run.
         FormatError: If the checkpoint is damaged.
-        KeyboardInterrupt: Raised again, after a checkpoint was written if it came between two steps.
+        KeyboardInterrupt: After Ctrl-C; between two steps, a checkpoint is written first.
     """
     trainer = Trainer(views, start, config or TrainConfig(), frozen=frozen, held_out=held_out)
     return trainer.run(checkpoint=checkpoint, checkpoint_seconds=checkpoint_seconds, progress=progress)
 
 
 def extent_of(cameras: Cameras) -> float:
-    """Return 1.1 times the distance of the farthest viewpoint from the middle of all, scene units; 1 for one."""
+    """Return 1.1 times the largest distance of a viewpoint from their middle, scene units; 1 for one viewpoint."""
     away = np.linalg.norm(cameras.viewpoints - cameras.viewpoints.mean(axis=0), axis=1)
     return 1.1 * float(away.max()) or 1.0
 
@@ -294,7 +298,7 @@ def hash_of(seed: int, step: int) -> int:
 
 
 def _set_degree(gaussians: Gaussians, degree: int) -> Gaussians:
-    """Return the same Gaussians with SH cut or padded with zeros to a degree."""
+    """Return the same Gaussians with SH truncated or padded with zeros to a degree."""
     have = gaussians.shN.shape[1]
     want = (degree + 1) ** 2 - 1
     if have == want:

@@ -119,7 +119,7 @@ def test_painting_keeps_shapes_and_replaces_colors(tmp_path: Path) -> None:
 
 
 def test_values_of_another_scene_are_refused() -> None:
-    with pytest.raises(ValueError, match="is it of this scene"):
+    with pytest.raises(ValueError, match="was it measured on this scene"):
         paint(shells().gaussians[:5], measured("visibility"))
 
 

@@ -1,4 +1,4 @@
-"""Kernels that find air: voxels through which light gets from eyes, and how much of a Gaussian lies in them.
+"""Find air, the voxels that light from eyes reaches, and the share of each Gaussian in it.
 
 Arrays are checked and contiguous; positions are in voxels.
 """
@@ -13,10 +13,10 @@ from gsvis._kernels.threads import in_parts
 
 @kernel
 def mark_passed(depth, starts, directions, limit, passed):
-    """Set passed (X, Y, Z) where rays get through from starts (E, 3) along directions (D, 3), each with each.
+    """Set passed (X, Y, Z) for voxels that rays from starts (E, 3) along directions (D, 3) reach, all pairs.
 
     A ray ends behind the voxel in which its optical depth reaches `limit`. A step crosses one voxel along the longest
-    axis of the ray. The voxel of the start takes no light.
+    axis of the ray. The voxel of the start absorbs no light.
     """
     nx, ny, nz = depth.shape
     for e in range(len(starts)):
@@ -53,7 +53,7 @@ def mark_passed(depth, starts, directions, limit, passed):
 @in_parts(lambda means, *_: len(means))
 @kernel(error_model="numpy")
 def count_places(begin, end, means, axes, points, labels, counts):
-    """Count in which kinds of voxels the mass of each Gaussian lies.
+    """Count the sample points of each Gaussian in each kind of voxels.
 
     Args:
         begin: First of the thread's part; the caller leaves it out.
@@ -62,7 +62,7 @@ def count_places(begin, end, means, axes, points, labels, counts):
         axes: (N, 3, 3) principal axes as columns, one standard deviation long, in voxels.
         points: (P, 3) samples of a normal distribution.
         labels: (X, Y, Z) uint8, kind of each voxel, 0 to 2.
-        counts: (N, 3) result, number of the points in voxels of each kind; those outside the grid count as kind 0.
+        counts: (N, 3) result, number of points in voxels of each kind; points outside the grid count as kind 0.
     """
     nx, ny, nz = labels.shape
     for n in range(begin, end):

@@ -1,4 +1,4 @@
-"""Kernel that marks the directions in which an eye in a box can meet anything, on the six faces of a cube."""
+"""Mark the directions in which an eye in a box can meet a Gaussian, on the six faces of a cube."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def mark_directions(boxes, children, low, high, marked):
         marked: (6, S, S) bool, False; faces as in `hpr`.
 
     Returns:
-        False if the eye may be inside the box of a Gaussian: then all directions lead to it, and nothing is marked.
+        False if the eye may be inside the box of a Gaussian; then all directions can meet it, and nothing is marked.
     """
     size = marked.shape[1]
     stack = np.empty(1 + _WIDTH * 64, np.int64)

@@ -1,4 +1,4 @@
-"""Kernel of the bound by betting. Arrays are checked and contiguous."""
+"""Compute the capitals of bets for the confidence bound. Arrays are checked and contiguous."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ _TOGETHER = 16  # factors between two logarithms; each lies in [0.05, 1e16]: no 
 
 @kernel
 def log_capitals(parts, wholes, ratio, stakes, out):
-    """Write to out (K,) the logarithm of what a capital of 1 has grown to, for each of K stakes (K,).
+    """Write to out (K,) the logarithm of the final capital of each of K stakes (K,), which start with 1.
 
-    parts (n,) and wholes (n,) are samples; ratio in [0, 1) is the claim that is bet against.
+    parts (n,) and wholes (n,) are samples; ratio in [0, 1) is the claimed ratio that the bets oppose.
     """
     scale = 1.0 / (1.0 - ratio)
     for k in range(len(stakes)):

@@ -1,4 +1,4 @@
-"""Kernels of one cell: what viewpoints add to its set. Arrays are checked and contiguous; world frame."""
+"""Add Gaussians seen from viewpoints to the set of a cell. Arrays are checked and contiguous; world frame."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from gsvis._kernels.faces import face_of
 def add_seen(ids, classes, viewpoints, means, centers, planes, best, sets):
     """Add V Gaussians to the largest classes best (N,) and the direction sets (N, 10).
 
-    viewpoints (V, 3) are the places that each is seen from, or (1, 3) that of all.
+    viewpoints (V, 3) are the places from which each is seen, or (1, 3) one place for all.
     """
     for k in range(len(ids)):
         i = ids[k]

@@ -1,4 +1,4 @@
-"""Kernels of the store: sets of Gaussians as packed words, between stored order and scene order.
+"""Kernels of the store: convert packed sets of Gaussians between stored order and scene order.
 
 A set of N Gaussians is words of uint64: bit i % 64 of word i // 64 is position i, bits from N on are 0, and the words
 fill whole roaring containers of 65,536 positions.
@@ -46,7 +46,7 @@ def mark(ids, words):
 
 @kernel
 def mark_some(ids, words, masks):
-    """Write the words of a set of ascending ids that are not empty, with room for all; return their number."""
+    """Write the non-empty words of a set of ascending ids, with room for all; return their number."""
     count = 0
     before = np.int64(-1)
     for k in range(len(ids)):
@@ -85,7 +85,7 @@ def scatter_from(words, order, first, out):
 
 @kernel
 def used(words, first, numbers, masks):
-    """Write the words that are not empty, and their numbers from `first` on; return how many, with or without room."""
+    """Write the non-empty words and their numbers, counted from `first`; return how many there are."""
     count = 0
     for w in range(len(words)):
         if words[w]:
@@ -121,18 +121,18 @@ def take_levels(words, levels, ids, out):
 
 @kernel
 def reach(words, waiting, alive, order, value, out):
-    """Write `value` at order[i] for the positions i of a set that still wait, and stop them from waiting.
+    """Write `value` at order[i] for the positions i of a set that are waiting, and remove them from `waiting`.
 
     Args:
         words: The set.
-        waiting: The positions that wait, as a set; changed.
-        alive: (L,) int64, numbers of the words of `waiting` that are not 0; those that stay so move to the front.
+        waiting: The set of waiting positions; changed.
+        alive: (L,) int64, numbers of the non-zero words of `waiting`; those that remain non-zero move to the front.
         order: (N,) int32, the Gaussian at each position.
         value: The value to write.
         out: (N,) receives the value.
 
     Returns:
-        Number of words of `waiting` that are still not 0.
+        Number of words of `waiting` that are still non-zero.
     """
     kept = 0
     for k in range(len(alive)):
@@ -213,12 +213,12 @@ def count_contexts(words, parent, counts):
 
 @kernel
 def place_classes(words, parent, data, starts, digits, levels):
-    """Give each position of a set the next symbol of its value in `parent`, plus 1.
+    """Give each position of a set the next symbol for its value in `parent`, plus 1.
 
     Args:
         words: The set.
         parent: (N,) uint8 value of each position.
-        data: uint8, symbols as digits, several a byte.
+        data: uint8, symbols as digits, several per byte.
         starts: First byte of the symbols of each value.
         digits: (256, D) uint8, the digits of each byte.
         levels: (N,) uint8, changed.

@@ -1,4 +1,4 @@
-"""Kernel that reduces the tile lists of a view to the Gaussians that a client holds. Takes checked arrays."""
+"""Reduce the tile lists of a view to the Gaussians that a client holds. Takes checked arrays."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from gsvis._kernels.compiled import kernel
 
 @kernel
 def keep_shown(offsets, members, shown, out_offsets, out_members):
-    """Write lists of tiles (`offsets` (tiles + 1,), `members` (P,)) without splats m that are not shown[m]."""
+    """Write lists of tiles (`offsets` (tiles + 1,), `members` (P,)), keeping only splats m with shown[m]."""
     count = 0
     for tile in range(len(offsets) - 1):
         out_offsets[tile] = count

@@ -1,4 +1,4 @@
-"""Adam on flat arrays in one pass over memory: each value, its gradient and its two moments are read once."""
+"""Take Adam steps on flat arrays in one pass over memory."""
 
 from __future__ import annotations
 

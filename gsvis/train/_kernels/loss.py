@@ -1,4 +1,4 @@
-"""The training loss and its gradient by the image: |difference| and SSIM in two passes over rows of all channels.
+"""Compute the training loss and its gradient by the image: |difference| and SSIM, in two passes over rows.
 
 Images are (H, 3 W) float32, channels interleaved, so that a step to the next pixel is three values. Windows extend over
 black surroundings ("same" padding). Sums are taken by bands of rows and do not depend on the number of threads.
@@ -31,8 +31,9 @@ def _across(row, window, reach, out):
 def compare(begin, end, image, target, window, slopes, sums):
     """Compute SSIM of every value: its sums, and its derivatives by the moments.
 
-    slopes: (3, H, 3 W), out: derivatives of SSIM by the windows' mean of the image, of its square and of the product.
-    sums: (bands, 2), out: sums of |image - target| and of SSIM.
+    slopes: (3, H, 3 W), written: derivatives of SSIM by the windows' mean of the image, of its square and of the
+        product.
+    sums: (bands, 2), written: sums of |image - target| and of SSIM.
     """
     height, width = image.shape
     taps = len(window)
