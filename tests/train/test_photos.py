@@ -170,9 +170,7 @@ def test_what_is_missing_is_named_up_to_five(tmp_path: Path) -> None:
 def test_other_sizes_are_named(tmp_path: Path) -> None:
     write_photos(tmp_path)
     Image.fromarray(pictures(1, 50, 32)[0]).save(tmp_path / "images" / "photo_004.png")
-    with pytest.raises(
-        FormatError, match=r"images 'photo_004\.png': expected 48 x 32 as in the model, .*got 50 x 32"
-    ):
+    with pytest.raises(FormatError, match=r"images 'photo_004\.png': expected 48 x 32 as in the model, .*got 50 x 32"):
         load_photos(tmp_path)
     Image.fromarray(pictures(1, 24, 16)[0]).save(tmp_path / "images" / "photo_004.png")
     with pytest.raises(FormatError, match=r"images 'photo_004\.png'.* for all, got 24 x 16"):
