@@ -1,20 +1,15 @@
 // What to fetch next of a static scene: blocks ranked by weight in view for each byte, cut into slices of neighbouring
 // bytes.
-// The rules are those of the streaming server's policy "utility" (gsvis.abr.policies); the factors are not. The server
-// tests single Gaussians, a page ranks blocks of 64 by the sphere of their chunk, so each was measured by itself:
-// - PERIPHERAL 0.003, there 0.01: a sphere counts partly in view, so a block beside the view must wait longer.
-// - ADJACENT 0.02, there 0.003: the row of a neighbor is ranked alone, after the own cell, so this factor orders nothing.
-// - TERMS 0.003, there 0.03: rows of cells say what each layer of terms is worth; this is for blocks without that.
-// - HORIZON 3 s, there 0.25 s: with 0.25 s a page fetched the same bytes until a sharp image.
-// docs/design/080 has the figures.
+// The rules are those of the streaming server's policy "utility" (gsvis.abr.policies); the factors are not. docs/static.md
+// has one table of both and says why they differ; tests/export/test_factors.py compares it with the sources.
+// The row of a neighbor is ranked alone, after the own cell, so neighbors need no factor.
 import { rotationOf } from "./camera.ts";
 import type { Blocks } from "./static-blocks.ts";
 import { type CellRow, everything } from "./static-cells.ts";
 import type { Pose, View } from "./types.ts";
 
 export const MARGIN = 0.14; // radians by which the borders of the view move outwards
-const PERIPHERAL = Math.log2(0.003), ADJACENT = Math.log2(0.02), TERMS = Math.log2(0.003), FINER = Math.log2(0.1),
-  BEYOND = Math.log2(0.05);
+const PERIPHERAL = Math.log2(0.003), TERMS = Math.log2(0.003), FINER = Math.log2(0.1), BEYOND = Math.log2(0.05);
 const RECORD = 13; // bytes of a Gaussian
 const POWERS = { high: 1, medium: 1.5, low: 2 };
 const HORIZON = 3, STICKY = 1.2; // seconds; change of the rate that changes the regime
@@ -92,7 +87,7 @@ export function frustum(pose: Pose, view: View, margin = MARGIN): Float64Array {
   return planes;
 }
 
-/** Return what is not held of the row of a cell, most useful first. Rows of neighbours count less (`adjacent`). */
+/** Return what is not held of the row of a cell, most useful first. For a neighbor (`adjacent`) the view does not count. */
 export function rank(
   blocks: Blocks, row: CellRow, held: Holdings, pose: Pose, view: View, regime: Regime, adjacent = false,
 ): Order {
@@ -119,8 +114,7 @@ export function rank(
       inside[c] = Math.max(0, 1 + depth / (radius || 1)); // 1 if the center is in view, 0 if nothing is
     }
     let factor = -far[c];
-    if (adjacent) factor += power * ADJACENT;
-    else factor += power * PERIPHERAL * (1 - inside[c]) + (blocks.levels[2 * c] > 0 ? FINER : 0);
+    if (!adjacent) factor += power * PERIPHERAL * (1 - inside[c]) + (blocks.levels[2 * c] > 0 ? FINER : 0);
     if (blocks.levels[2 * c] > caps[inside[c] && !adjacent ? 0 : 1]) factor += BEYOND;
     if (held.records[b] === NONE) {
       keys[wide * k] = row.gains[k] + factor - Math.log2(blocks.size(b));
