@@ -136,3 +136,33 @@ def test_names_are_found_where_they_are_defined() -> None:
         assert is_defined(room, names.split(".")), names
     for names in ("colour", "color.no_such", "color.srbf.SrbfColors.no_such", "render.rasterizer.Budget"):
         assert not is_defined(room, names.split(".")), names
+
+
+ARCHITECTURE = sorted((ROOT / "docs" / "architecture").glob("*.md"))
+CONSTANT = re.compile(r"`((?:\w+/)+\w+)\.([A-Z_]+)`(?: = ([\d.e-]*\d))?")
+
+
+@pytest.mark.parametrize("path", [each for each in ARCHITECTURE if each.name != "index.md"], ids=page)
+def test_a_page_of_the_architecture_is_short_and_has_one_picture(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert 500 <= len(text.split()) <= 900
+    assert re.findall(r"!\[[^\]]+\]\(([^)]+)\)", text) == [f"../images/architecture/{path.stem}.svg"]
+    assert f"({path.name})" in (path.parent / "index.md").read_text(encoding="utf-8")
+    assert f"architecture/{path.name}" in (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+
+
+def test_constants_on_pages_of_the_architecture_have_the_values_of_the_code() -> None:
+    from importlib import import_module
+
+    found = [each for path in ARCHITECTURE for each in CONSTANT.findall(path.read_text(encoding="utf-8"))]
+    assert len(found) > 30
+    for place, name, value in found:
+        of_code = getattr(import_module(f"gsvis.{place.replace('/', '.')}"), name)
+        assert not value or float(value) == of_code, f"{place}.{name} is {of_code}, not {value}"
+
+
+def test_the_pictures_of_the_architecture_are_those_of_their_script() -> None:
+    from tools import draw_architecture as drawing
+
+    for picture in drawing.PICTURES:
+        assert (drawing.OUT / f"{picture.file}.svg").read_text(encoding="utf-8") == drawing.draw(picture)
