@@ -123,7 +123,6 @@ def tileset_document(
     errors = np.minimum(level_errors(leaves), widest)
 
     def leaf_tile(leaf: int) -> dict[str, Any] | None:
-        """Return the chain of tiles of a leaf; None if it has no content."""
         if volumes is not None and not volumes.needed[leaf]:
             return None
         made: dict[str, Any] | None = None
