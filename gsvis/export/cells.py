@@ -140,7 +140,7 @@ class _TermWorth:
 
 
 def _row(gains: F64, top: int, seen: NDArray[np.bool_]) -> bytes:
-    """Return the compressed row of a cell."""
+    """Return the row of a cell, not yet compressed."""
     return np.packbits(seen, bitorder="little").tobytes() + quantize_gains(gains[seen], top).tobytes()
 
 
@@ -150,7 +150,7 @@ def _areas(g: Gaussians) -> F64:
 
 
 def _top(gains: F64) -> int:
-    """Return the quarters of an octave of the largest gain."""
+    """Return the largest gain in quarters of an octave, rounded up."""
     return int(np.ceil(GAIN_STEPS * np.log2(max(gains.max(initial=0.0), 1e-300))))
 
 

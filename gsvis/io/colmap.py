@@ -225,7 +225,7 @@ def _images_bin(path: Path) -> Iterator[Image]:
 
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
-    """Yield the lines of a text file with their numbers, without comments."""
+    """Yield the lines of a text file, stripped, with their numbers."""
     with TextIOWrapper(open_regular(path), encoding="utf-8", errors="replace") as file:
         for number, line in enumerate(file, 1):
             if number == 1:

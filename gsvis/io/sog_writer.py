@@ -183,7 +183,7 @@ def _quats(quats: F32) -> U8:
 
 
 def _higher(scene: Gaussians, planes: dict[str, U8], entries: int, digits: int | None) -> tuple[dict[str, Any], float]:
-    """Add the planes of the higher coefficients; return their entry in `meta.json` and the summed squared error."""
+    """Add the planes of the higher bands; return their entry in `meta.json` and the change of color."""
     n, k = scene.shN.shape[:2]
     palette, labels = palette_of(scene.shN.reshape(n, 3 * k), entries)
     codebook = _rounded(codebook_of(palette), digits)

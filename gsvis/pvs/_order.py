@@ -117,7 +117,7 @@ def _unique(signatures: U64) -> tuple[U64, NDArray[np.int64]]:
 
 
 def _trial_size(trials: list[U64], labels: U16) -> int:
-    """Return the estimated size of the sets in an order by labels."""
+    """Return the size in bytes of some sets, coded in the order by labels."""
     places = np.empty(len(labels), np.int32)
     places[order_of(labels)] = np.arange(len(labels), dtype=np.int32)
     total = 0
@@ -177,7 +177,7 @@ def _nearest(signatures: U64, centers: U64) -> NDArray[np.int64]:
 
 
 def _nearest_of(signatures: U64, centers: U64) -> NDArray[np.int64]:
-    """Return the label of the nearest center of each signature, in parallel."""
+    """Return the label of the nearest center of each signature, one by one."""
     labels = np.zeros(len(signatures), np.int64)
     kernels.nearest_centers(np.ascontiguousarray(signatures), centers, labels)
     return labels

@@ -464,7 +464,7 @@ class VisibilityStore:
         return held
 
     def _decode(self, cell: int) -> Words:
-        """Return the decoded set of a cell, or the difference to its parent."""
+        """Return the decoded set of a cell, in stored order."""
         row = self._rows[cell]
         place = int(row["set_offset"]), int(row["set_length"]), int(row["set_crc"])
         data = self._file.read_part("sets", *place, f"set of cell {cell}")

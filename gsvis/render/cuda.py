@@ -94,7 +94,7 @@ def _forward_gradient(means2d: Tensor, probe: Tensor) -> None:
     import torch
 
     def add(gradient: Tensor) -> Any:
-        """Add the gradient to that of the probe."""
+        """Pass the gradient on to the probe, and return it."""
         torch.autograd.backward(probe, gradient.reshape(probe.shape).detach())
         return gradient
 

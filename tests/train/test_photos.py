@@ -173,7 +173,9 @@ def test_other_sizes_are_named(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match=r"images 'photo_004\.png': expected 48 x 32 as in the model, .*got 50 x 32"):
         load_photos(tmp_path)
     Image.fromarray(pictures(1, 24, 16)[0]).save(tmp_path / "images" / "photo_004.png")
-    with pytest.raises(FormatError, match=r"images 'photo_004\.png'.* all images smaller by the same whole factor, got 24 x 16"):
+    with pytest.raises(
+        FormatError, match=r"images 'photo_004\.png'.* all images smaller by the same whole factor, got 24 x 16"
+    ):
         load_photos(tmp_path)
 
 

@@ -20,13 +20,13 @@ _FACTORS_32 = tuple(np.float32(f) for f in _FACTORS)
 
 @njit(cache=True, fastmath={"contract"})
 def _band_1(x, y, z, f):
-    """Return the sum of the three terms of band 1; `f(k, value)` scales term k."""
+    """Return the three harmonics of band 1, each times its factor in `f`."""
     return -f[1] * y, f[1] * z, -f[1] * x
 
 
 @njit(cache=True, fastmath={"contract"})
 def _band_2(x, y, z, f):
-    """Return the sum of the five terms of band 2; see `_band_1`."""
+    """Return the five harmonics of band 2, each times its factor in `f`."""
     xx = x * x
     yy = y * y
     zz = z * z
@@ -35,7 +35,7 @@ def _band_2(x, y, z, f):
 
 @njit(cache=True, fastmath={"contract"})
 def _band_3(x, y, z, f):
-    """Return the sum of the seven terms of band 3; see `_band_1`."""
+    """Return the seven harmonics of band 3, each times its factor in `f`."""
     # sums, not factors: an integer factor would widen float32
     xx = x * x
     yy = y * y

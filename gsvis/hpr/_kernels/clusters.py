@@ -51,7 +51,7 @@ def _least_tangent(u, z_low, z_high):
 
 @inner
 def _first_pixel(place, size):
-    """Return the first pixel whose center lies at or after a place on a face."""
+    """Return the pixel of a place on a face, clamped to 0..size."""
     return np.int16(min(max(math.floor(min(max(place, -1.0), size + 1.0)), 0), size))
 
 

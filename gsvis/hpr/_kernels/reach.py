@@ -52,7 +52,7 @@ def find_reaching(typing_context, columns, first, axes, toward, half, box):
         x_low, x_high, y_low, y_high = (lanes.splat(entry) for entry in cgutils.unpack_tuple(builder, args[5], 4))
 
         def column(k: Any) -> Vector:
-            """Return column k of the sixteen Gaussians."""
+            """Return sixteen values of column k."""
             return lanes.load(data, builder.add(args[1], builder.mul(k, ir.Constant(_I64, CLUSTER))))
 
         z, u, v = (column(k) - e for k, e in zip(axes, eye, strict=True))

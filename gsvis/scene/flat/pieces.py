@@ -247,7 +247,7 @@ def _rims(tables: _Tables, charts: I64, boxes: I64, axis: int, at: I64) -> F64:
 
 
 def _pieces(tables: _Tables, charts: I64, boxes: I64) -> Pieces:
-    """Return the boxes as pieces, without those that are empty."""
+    """Return the boxes as pieces, without those that are mostly hole."""
     sums = tables.corners(charts, boxes).whole
     area = (boxes[:, 2:] - boxes[:, :2]).prod(axis=1)
     cover = sums[:, 0] / np.maximum(area, 1)
