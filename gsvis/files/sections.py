@@ -140,6 +140,8 @@ class SectionFile:
 
     def close(self) -> None:
         """Close the file."""
+        if self._joined is not None:
+            self._joined.close()
         self._joined = None
         if self._map is not None:
             self._map.close()

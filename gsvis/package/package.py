@@ -185,7 +185,7 @@ class Package:
             SceneError: If the package has no visible sets.
             FormatError: If the store is damaged, or belongs to another scene.
         """
-        store = open_sets(self._parts.folder, self.manifest, cache, order=order)
+        store = open_sets(self._parts.folder, self.manifest, cache, order=order, is_held=True)
         self._opened.callback(store.close)
         return store
 

@@ -18,10 +18,16 @@ from gsvis.pvs.store import VisibilityStore
 __all__ = ["open_sets"]
 
 _REMEDY = "prepare the package again"
+_MOST_HELD = 128  # files: sets of 128 MiB; a process may have about a thousand open files, sockets among them
 
 
 def open_sets(
-    parts: Path, manifest: Manifest, cache: Cache[Any] | None = None, *, order: NDArray[np.int32] | None = None
+    parts: Path,
+    manifest: Manifest,
+    cache: Cache[Any] | None = None,
+    *,
+    order: NDArray[np.int32] | None = None,
+    is_held: bool = False,
 ) -> VisibilityStore:
     """Open the visible sets of a package.
 
@@ -32,6 +38,7 @@ def open_sets(
         manifest: The manifest of the package.
         cache: Keeps all that is decoded; None means one of its own.
         order: (N,) `VisibilityStore.order`, where it is known.
+        is_held: Whether to keep the files open, unless they are many: they can be read after somebody removed them.
 
     Raises:
         SceneError: If the package has no visible sets.
@@ -41,8 +48,13 @@ def open_sets(
     if blob is None:
         raise SceneError(f"{parts.parent}: the package has no visible sets; prepare it with visibility")
     folder = PartFolder(parts)
-    joined = JoinedFiles([folder.check_size(part) for part in blob.parts], [part.nbytes for part in blob.parts])
-    store = VisibilityStore(parts.parent / "sets.pvs", joined=joined, cache=cache, order=order)
+    paths = [folder.check_size(part) for part in blob.parts]
+    joined = JoinedFiles(paths, [part.nbytes for part in blob.parts], is_held=is_held and len(paths) <= _MOST_HELD)
+    try:
+        store = VisibilityStore(parts.parent / "sets.pvs", joined=joined, cache=cache, order=order)
+    except BaseException:
+        joined.close()
+        raise
     if store.info.scene != manifest.scene or store.gaussians != manifest.gaussians:
         store.close()
         got = f"{store.info.scene[:12]}..."

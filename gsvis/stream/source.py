@@ -6,10 +6,13 @@ Serving tables (`gsvis.stream.piecewise`) are computed from it and map to the sa
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from functools import partial
 from os import PathLike
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +23,7 @@ from gsvis.package.contents import Contents
 from gsvis.package.manifest import Manifest
 from gsvis.package.package import Package
 from gsvis.pvs.cells import CellGrid, Cells
+from gsvis.pvs.codec import ids_in
 from gsvis.pvs.store import VisibilityStore
 
 __all__ = ["EveryCell", "PackageSets", "PackageSource", "SceneSource", "as_source", "class_weights"]
@@ -27,8 +31,10 @@ __all__ = ["EveryCell", "PackageSets", "PackageSource", "SceneSource", "as_sourc
 F32 = NDArray[np.float32]
 I32 = NDArray[np.int32]
 I64 = NDArray[np.int64]
+T = TypeVar("T")
 Means = Callable[[int, int], F32]
 Arrays = Mapping[str, NDArray[Any]]
+_LOG = logging.getLogger(__name__)
 
 
 class SceneSource(Protocol):
@@ -265,7 +271,7 @@ class PackageSource:
 
 
 class PackageSets(CellSets):
-    """The visible sets of a package.
+    """The visible sets of a package. If their files are gone, all cells see everything, with one line in the log.
 
     Args:
         store: The open store.
@@ -273,18 +279,20 @@ class PackageSets(CellSets):
 
     def __init__(self, store: VisibilityStore) -> None:
         self._store = store
+        self._everything = EveryCell(store.gaussians, 0)
+        self._is_lost = False
 
     def classes(self, cell: int) -> tuple[I64, NDArray[np.uint8]]:
         """Return the ids that a cell sees, ascending, and the weight class of each."""
-        return self._store.classes(cell)
+        return self._read(partial(self._store.classes, cell), partial(self._without_classes, cell))
 
     def visible_masks(self, cell: int) -> tuple[I32, NDArray[np.uint64]]:
         """Return the words of the visible set of a cell that are not empty, and their masks."""
-        return self._store.visible_masks(cell)
+        return self._read(partial(self._store.visible_masks, cell), partial(self._everything.visible_masks, cell))
 
     def ring_masks(self, rings: Sequence[Sequence[int]]) -> list[list[tuple[I32, NDArray[np.uint64]]]]:
         """Return one set for each ring of cells: what they see and those of earlier rings do not."""
-        return self._store.ring_masks(rings)
+        return self._read(partial(self._store.ring_masks, rings), partial(self._everything.ring_masks, rings))
 
     def store_of(self, gaussian: int) -> tuple[VisibilityStore, int, int]:
         """Return the store, the id, and cell 0."""
@@ -298,6 +306,26 @@ class PackageSets(CellSets):
     def load(self, tile: int) -> None:
         """Decode what all queries need."""
         self._store.load()
+
+    def _read(self, read: Callable[[], T], otherwise: Callable[[], T]) -> T:
+        """Return what is read, or what stands for it where the files cannot be read any more."""
+        if self._is_lost:
+            return otherwise()
+        try:
+            return read()
+        except OSError as error:
+            found = otherwise()
+            self._is_lost = True
+            _LOG.error("%s: visible sets cannot be read, all cells see everything: %s", self._store.path, error)
+            return found
+
+    def _without_classes(self, cell: int) -> tuple[I64, NDArray[np.uint8]]:
+        """Return what a cell sees, all in class 0: the set that a caller may have read before, if it is in memory."""
+        ids = self._everything.classes(cell)[0]
+        if not self._is_lost:
+            with suppress(OSError):
+                ids = ids_in(*self._store.visible_masks(cell))
+        return ids, np.zeros(len(ids), np.uint8)
 
 
 class EveryCell(CellSets):

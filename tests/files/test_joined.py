@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -35,3 +36,18 @@ def test_a_file_that_was_cut_or_is_gone_is_named(tmp_path: Path) -> None:
     (tmp_path / "1").unlink()
     with pytest.raises(FileNotFoundError):
         joined.read(3, 8)
+
+
+@pytest.mark.skipif(not hasattr(os, "pread"), reason="the system cannot read from a place of a file")
+def test_files_that_are_held_are_read_after_they_are_gone(tmp_path: Path) -> None:
+    _, whole = written(tmp_path, [5, 0, 6])
+    paths = [tmp_path / f"{k}" for k in range(3)]
+    joined = JoinedFiles(paths, [5, 0, 6], is_held=True)
+    paths[0].unlink()
+    paths[2].rename(tmp_path / "away")
+    paths[2].write_bytes(b"abcdef")
+    for start in range(12):
+        assert joined.read(start, 11) == whole[start:]
+    joined.close()
+    with pytest.raises(ValueError, match="closed"):
+        joined.read(0, 3)

@@ -161,6 +161,28 @@ def test_visible_sets_that_changed_since_tables_were_kept_are_refused(small: Pat
         path.write_bytes(whole)
 
 
+@pytest.mark.parametrize("is_held", [True, False])
+def test_a_package_that_is_removed_while_it_is_open_is_streamed_on(
+    small: Path, tmp_path: Path, is_held: bool, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """As when it is prepared again meanwhile. Files that are too many to be held leave cells that see everything."""
+    copy = Path(shutil.copytree(small, tmp_path / "copy.gsvis"))
+    with Package.open(copy) as package, Package.open(small) as other:
+        monkeypatch.setattr("gsvis.package.sets._MOST_HELD", 128 if is_held else 0)
+        scene, expected = open_kept(package, tmp_path / "t")[0], open_kept(other, tmp_path / "t")[0]
+        scene.index.sets.visible_masks(0)
+        scene.index.sets.ring_masks([[0]])  # in memory from now on
+        shutil.rmtree(copy)
+        assert len(scene.candidates.in_cell(0))
+        for cell in range(len(scene.index.grid)):
+            mine = scene.index.sets.classes(cell)[0]
+            known = expected.index.sets.classes(cell)[0] if is_held else np.arange(len(scene))
+            assert np.array_equal(mine, known)
+            assert len(scene.candidates.in_cell(cell))
+        assert walk(scene)
+        assert caplog.text.count("cannot be read") == (0 if is_held else 1)
+
+
 def test_verify_reads_kept_tables(small: Path, tmp_path: Path) -> None:
     with Package.open(small) as package:
         assert check_kept(package, tmp_path / "none") == []
