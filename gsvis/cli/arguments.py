@@ -25,7 +25,7 @@ from gsvis.cli.options import (
     Sets,
     Shown,
     Where,
-    told,
+    with_help,
 )
 from gsvis.cli.options import (
     Levels as Training,
@@ -98,7 +98,7 @@ class Analyze:
     """Level of detail of a streamed scene; 0 is the finest."""
     where: Annotated[
         Where,
-        told(
+        with_help(
             {"cameras": "sampled"},
             cameras="Cameras to analyze: a COLMAP model, transforms.json, cameras.json, or report.json of an earlier"
             " run, whose views are repeated exactly. Without it cameras are sampled in navigable space.",
@@ -168,7 +168,7 @@ class Render:
     """Level of detail of a streamed scene; 0 is the finest."""
     where: Annotated[
         Placed,
-        told(
+        with_help(
             {"cameras": "one camera, sampled in navigable space"},
             cameras="Cameras to draw: a COLMAP model, transforms.json, cameras.json, or report.json of gsvis analyze;"
             " all of them, or those of --index.",
@@ -212,13 +212,13 @@ class Pvs:
     """The store to write, such as scene.pvs; an existing one is replaced when the new one is complete."""
     lod: Lod = None
     """Level of detail of a streamed scene; 0 is the finest."""
-    where: Annotated[Shown, told(show=IN_DOUBT)] = Shown()
-    sets: Annotated[CertifiedSets, told({"cells": "512, or 128 around an object whose sets hardly grow then"})] = (
+    where: Annotated[Shown, with_help(show=IN_DOUBT)] = Shown()
+    sets: Annotated[CertifiedSets, with_help({"cells": "512, or 128 around an object whose sets hardly grow then"})] = (
         CertifiedSets()
     )
     work: Annotated[
         Cluster,
-        told(
+        with_help(
             workers="Number of processes; fewer if --max-memory requires it. The sets are the same for any number.",
             dry_run="Print time, memory and disk after a few cells were tried, and write nothing.",
         ),
@@ -266,7 +266,7 @@ class PvsReport:
     """Level of detail of a streamed scene; 0 is the finest."""
     where: Annotated[
         Framed,
-        told(
+        with_help(
             {"cameras": "none"},
             cameras="Cameras that judge the sets too: a COLMAP model, transforms.json or cameras.json.",
         ),
@@ -315,7 +315,7 @@ class Color:
     """Level of detail of a streamed scene; 0 is the finest."""
     pvs: Annotated[str | None, hint("directions are traced", "FILE")] = None
     """Visible sets of SCENE (gsvis pvs): they hold from where each Gaussian is seen."""
-    where: Annotated[Placed, told(up=f"{UP}; not with --pvs.")] = Placed()
+    where: Annotated[Placed, with_help(up=f"{UP}; not with --pvs.")] = Placed()
     fit: AnyFit = AnyFit()
     compared: Compared = Compared()
     precision: Annotated[Literal["coarse", "wire", "fine", "exact"], readers.PLAIN] = "wire"
@@ -353,10 +353,10 @@ class Levels:
     """Folder for low.ply, medium.ply, high.ply and levels.arrow, which lists what they share; made if missing."""
     lod: Lod = None
     """Level of detail of a streamed scene to start from; 0 is the finest."""
-    where: Annotated[Shown, told(up=f"{UP}; not with --photos.")] = Shown()
+    where: Annotated[Shown, with_help(up=f"{UP}; not with --photos.")] = Shown()
     training: Annotated[
         MeasuredLevels,
-        told(
+        with_help(
             photos="Photographs to train on, with the COLMAP model or transforms.json that SCENE was trained from.",
             names="Names of these levels and their files, that of the scene itself last.",
             width="Pixels across the views to measure on; those to train on are wider and smaller. Photographs are"

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 from gsvis.cli import readers
-from gsvis.cli.options import UP, Output, Placed, Reading, Shown, told
+from gsvis.cli.options import UP, Output, Placed, Reading, Shown, with_help
 from gsvis.cli.readers import Count, File, Flag, Lod, Memory, Scene, Seed, hint, out
 
 __all__ = ["Clean", "Convert", "Cut", "Paint", "Train"]
@@ -158,7 +158,7 @@ class Clean:
     search: Search = Search()
     where: Annotated[
         Shown,
-        told(
+        with_help(
             {"cameras": "none"},
             cameras="Cameras of the capture, in the frame of SCENE: a COLMAP model, transforms.json or cameras.json."
             " They are eyes, too.",
@@ -201,7 +201,7 @@ class Cut:
     """Level of detail of a streamed scene; 0 is the finest."""
     where: Annotated[
         Placed,
-        told(
+        with_help(
             cameras="Cameras whose views are kept: a COLMAP model, transforms.json, cameras.json, or report.json of"
             " gsvis analyze. With --margin eyes may lie so far beside them."
         ),
@@ -232,7 +232,7 @@ class Paint:
     """Level of detail of a streamed scene; 0 is the finest."""
     pvs: Annotated[str | None, hint("eyes are drawn", "FILE")] = None
     """Visible sets of SCENE (gsvis pvs), to take the quantity from; not for importance."""
-    where: Annotated[Placed, told(up=f"{UP}; not with --pvs.")] = Placed()
+    where: Annotated[Placed, with_help(up=f"{UP}; not with --pvs.")] = Placed()
     eyes: Annotated[Count, hint("64; for importance 96")] = None
     """Number of eyes that look all around; for importance, of views."""
     face_size: Annotated[int | None, readers.FACE_PIXELS, hint("512")] = None

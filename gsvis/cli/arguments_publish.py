@@ -21,7 +21,7 @@ from gsvis.cli.options import (
     Sets,
     Shown,
     Work,
-    told,
+    with_help,
 )
 from gsvis.cli.readers import Count, Flag, Lod, Scene, Seed, Units, Up, hint, out
 
@@ -58,7 +58,7 @@ class Prepare:
     """Folder of the package, such as scene.gsvis; scene.gsvis.work beside it keeps work for the next run."""
     lod: Lod = None
     """Level of detail of a streamed scene to start from; 0 is the finest."""
-    where: Annotated[Shown, told(show=IN_DOUBT)] = Shown()
+    where: Annotated[Shown, with_help(show=IN_DOUBT)] = Shown()
     training: Levels = Levels()
     sets: MendedSets = MendedSets()
     fit: FilteredFit = FilteredFit()
@@ -68,7 +68,7 @@ class Prepare:
     """Seed of everything random: the same seed gives the same package."""
     work: Annotated[
         Work,
-        told(
+        with_help(
             workers="Number of processes that find visible sets. The package is the same for any number.",
             dry_run="Print time, memory and disk of each stage, and write nothing.",
         ),
@@ -137,7 +137,7 @@ class World:
     sets: TileSets = TileSets()
     where: Annotated[
         Walked,
-        told(
+        with_help(
             cameras="Cameras of the capture, in the frame of the scenes: a COLMAP model, transforms.json or"
             " cameras.json. They say which way is up, eyes are around half of them too, and the others judge the sets"
             " of tiles.",
@@ -149,7 +149,7 @@ class World:
     """Seed of everything random: the same seed gives the same world."""
     work: Annotated[
         Tasks,
-        told(
+        with_help(
             workers="Number of processes of this machine. The world is the same for any number.",
             scheduler="Dask scheduler whose workers do the work, such as tcp://10.0.0.5:8786. They must reach the"
             " scenes and --work.",
@@ -226,7 +226,7 @@ class Export:
     """Level of detail of a streamed scene; 0 is the finest."""
     where: Annotated[
         Shown,
-        told(
+        with_help(
             {"up": "the package's, or the likely one"},
             show="Write a picture of where people stand: the first view, and a plan with eyes; for static and html.",
         ),
@@ -268,7 +268,7 @@ class View:
     """A package, a world or a static scene, or a scene as it is: a file or folder, or builtin:NAME."""
     lod: Lod = None
     """Level of detail of a streamed scene; 0 is the finest."""
-    where: Annotated[Shown, told(up="Up in a scene as it is: an axis such as -y, or three numbers.")] = Shown()
+    where: Annotated[Shown, with_help(up="Up in a scene as it is: an axis such as -y, or three numbers.")] = Shown()
     prepare: Annotated[str | None, hint("show it as it is", "PACKAGE")] = None
     """Also prepare the scene as this package meanwhile; it is served under the same name as soon as it is ready."""
     host: Annotated[str, hint("127.0.0.1", "HOST")] = "127.0.0.1"

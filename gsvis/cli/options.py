@@ -41,9 +41,9 @@ __all__ = [
     "leaves",
     "refuse",
     "replaced",
-    "told",
     "value_of",
     "values_of",
+    "with_help",
 ]
 
 C = TypeVar("C")
@@ -200,7 +200,7 @@ class Fit:
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
+class OtherHelp:
     """What the help of one command tells of options of a group in other words than the group.
 
     Attributes:
@@ -212,13 +212,13 @@ class Told:
     defaults: dict[str, str]
 
 
-def told(defaults: dict[str, str] | None = None, **texts: str) -> Told:
+def with_help(defaults: dict[str, str] | None = None, **texts: str) -> OtherHelp:
     """Return other words for options of a group, beside which it is written in `Annotated`."""
-    return Told(texts, defaults or {})
+    return OtherHelp(texts, defaults or {})
 
 
-REPORT = told(json="Print one JSON document, report.json, instead of tables.")
-LISTENING = told(json="Print one JSON document with the address once it listens.")
+REPORT = with_help(json="Print one JSON document, report.json, instead of tables.")
+LISTENING = with_help(json="Print one JSON document with the address once it listens.")
 
 
 @dataclass(frozen=True)
@@ -276,7 +276,7 @@ def leaves(kind: type) -> tuple[Leaf, ...]:
 
 
 @cache
-def _leaves(kind: Any, path: tuple[str, ...], other: Told | None) -> tuple[Leaf, ...]:
+def _leaves(kind: Any, path: tuple[str, ...], other: OtherHelp | None) -> tuple[Leaf, ...]:
     """Return the options of a command or of a group.
 
     Args:
@@ -285,14 +285,14 @@ def _leaves(kind: Any, path: tuple[str, ...], other: Told | None) -> tuple[Leaf,
         other: Other words for its options.
     """
     hints = get_type_hints(kind, include_extras=True)
-    other = other or told()
+    other = other or with_help()
     found: list[Leaf] = []
     for each in fields(kind):
         hinted = hints[each.name]
         where = (*path, each.name)
         plain, *extras = get_args(hinted) if get_origin(hinted) is Annotated else (hinted,)
         if isinstance(plain, type) and is_dataclass(plain):
-            words = next((extra for extra in extras if isinstance(extra, Told)), None)
+            words = next((extra for extra in extras if isinstance(extra, OtherHelp)), None)
             found += _leaves(plain, where, words)
             continue
         if each.name in other.defaults:
