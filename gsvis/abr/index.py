@@ -7,6 +7,7 @@ and no client.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -42,12 +43,12 @@ EXTENT = 3.0
 """Standard deviations from its center at which a Gaussian ends, for the test if it is in view."""
 
 
-class CellSets:
+class CellSets(ABC):
     """What cells see. Derive from it and write `classes`; the rest follows. Several threads call it at once."""
 
+    @abstractmethod
     def classes(self, cell: int, /) -> tuple[I64, U8]:
         """Return (V,) ascending ids of the Gaussians that a cell sees, and (V,) the weight class of each."""
-        raise NotImplementedError
 
     def visible_masks(self, cell: int, /) -> tuple[I32, Words]:
         """Return the words (S,) of the visible set of a cell that are not empty, ascending, and their masks (S,)."""
@@ -89,6 +90,7 @@ class CellSets:
 
     def load(self, tile: int, /) -> None:
         """Open the sets of a tile, so that the first viewer who comes need not wait for it. Any thread may."""
+        assert self.is_open(tile), "sets of tiles that may be closed say how to open them"
 
 
 class ActiveSets(Protocol):
