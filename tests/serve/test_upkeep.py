@@ -126,6 +126,9 @@ class RowOfTiles(CellSets):
     def sets(self) -> RowOfTiles:
         return self
 
+    def classes(self, cell: int) -> tuple[np.ndarray, np.ndarray]:
+        raise AssertionError("nobody asks what a cell sees")
+
     def nearest(self, position: np.ndarray) -> int:
         return int(position[0])
 
