@@ -37,6 +37,7 @@ from gsvis.io import load_scene
 from gsvis.io.eyenav import read_eyenav
 from gsvis.package.order import in_package_order
 from gsvis.pvs.cells import CellGrid
+from gsvis.pvs.codec import pack_some
 from gsvis.scene.levels import Levels
 from gsvis.scene.paths import HeadPath
 
@@ -51,15 +52,20 @@ class NearestCells(CellSets):
     def __init__(self, means: np.ndarray, centers: np.ndarray, share: float, terms: int) -> None:
         rng = np.random.default_rng(0)
         self._members = []
+        self._masks = []
         for center in centers:
             apart = np.linalg.norm(means - center, axis=1)
             ids = np.flatnonzero(apart <= np.partition(apart, int(share * len(apart)) - 1)[int(share * len(apart)) - 1])
             classes = rng.integers(0, 4, len(ids)).astype(np.uint8)
             self._members.append((ids, classes))
+            self._masks.append(pack_some(ids))
         self._terms = np.flatnonzero(rng.random(terms) < 0.1)
 
     def classes(self, cell: int) -> tuple[np.ndarray, np.ndarray]:
         return self._members[cell]
+
+    def visible_masks(self, cell: int) -> tuple[np.ndarray, np.ndarray]:
+        return self._masks[cell]
 
     def active_ids(self, cell: int) -> np.ndarray:
         return self._terms

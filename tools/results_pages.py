@@ -61,6 +61,7 @@ PAGES = {
             "mutation",
             "lowest",
             "compare",
+            "compare_planning",
             "chosen_eyes",
             "chosen_images",
             "upright",
