@@ -57,17 +57,15 @@ def room_of(module: str) -> str | None:
 
 
 @cache
-def statements(path: Path) -> tuple[tuple[Statement, ...], tuple[Statement, ...]]:
-    """Import statements of a module: all, and those at its top."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    every, top = (tuple(node for node in nodes if isinstance(node, Statement)) for nodes in (ast.walk(tree), tree.body))
-    return every, top
+def statements(path: Path) -> tuple[Statement, ...]:
+    """All import statements of a module."""
+    return tuple(node for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, Statement))
 
 
 def imported(path: Path) -> Iterator[str]:
     """Full names of all that a module imports from gsvis, at its top, in functions and under conditions."""
     package = name_of(path).split(".") if path.stem == "__init__" else name_of(path).split(".")[:-1]
-    for node in statements(path)[0]:
+    for node in statements(path):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names if alias.name.split(".")[0] == "gsvis")
         else:
@@ -94,7 +92,7 @@ def test_a_module_imports_only_from_rooms_above_it(path: Path) -> None:
 def named(path: Path) -> Iterator[str]:
     """Full names of all that a module imports from gsvis, with the names taken from modules."""
     package = name_of(path).split(".") if path.stem == "__init__" else name_of(path).split(".")[:-1]
-    for node in statements(path)[0]:
+    for node in statements(path):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         else:
@@ -144,23 +142,63 @@ def test_a_private_name_is_seen_in_every_spelling(tmp_path: Path, monkeypatch: p
     assert [is_private(name) for name in named(module)] == [True, True, True, False, False, True]
 
 
-def test_no_modules_import_each_other_in_a_circle() -> None:
-    """At the top of modules; what a function imports when it runs closes no circle."""
-    above: dict[str, set[str]] = {}
+def statements_that_run(node: ast.AST) -> Iterator[Statement]:
+    """Import statements at the top of a module and in its functions, without those that only types need."""
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, Statement):
+            yield child
+        elif isinstance(child, ast.If) and "TYPE_CHECKING" in ast.unparse(child.test):
+            for other in child.orelse:
+                yield from statements_that_run(other)
+        else:
+            yield from statements_that_run(child)
+
+
+def modules_needed(path: Path, every: set[str]) -> set[str]:
+    """Full names of the modules that a module needs, now or when one of its functions runs."""
+    package = name_of(path).split(".") if path.stem == "__init__" else name_of(path).split(".")[:-1]
+    found: set[str] = set()
+    for node in statements_that_run(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+            continue
+        base = package[: len(package) - node.level + 1] if node.level else []
+        source = ".".join([*base, *(node.module or "").split(".")]).rstrip(".")
+        names = {alias.name: f"{source}.{alias.name}" for alias in node.names}
+        found |= {full if full in every else source for full in names.values()}
+    return (found & every) - {name_of(path)}
+
+
+def circle(needs: dict[str, set[str]]) -> dict[str, set[str]]:
+    """Return the modules that lie on circles or between them, with what keeps each there."""
+    left = dict(needs)
+    while ends := {name for name, below in left.items() if not below & left.keys()}:
+        left = {name: below for name, below in left.items() if name not in ends}
+    while starts := left.keys() - set().union(*left.values()):
+        left = {name: below for name, below in left.items() if name not in starts}
+    return {name: below & left.keys() for name, below in left.items()}
+
+
+def test_no_modules_need_each_other_in_a_circle() -> None:
+    """A late import closes a circle too. Only what types need may go round."""
     every = {name_of(path) for path in MODULES}
-    for path in MODULES:
-        found: set[str] = set()
-        for node in statements(path)[1]:
-            names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
-            if isinstance(node, ast.ImportFrom) and node.module:
-                full = ((f"{node.module}.{a.name}", node.module) for a in node.names)
-                names = [name if name in every else module for name, module in full]
-            found |= {name for name in names if name in every}
-        above[name_of(path)] = found - {name_of(path)}
-    while free := [name for name, needs in above.items() if not needs & set(above)]:
-        for name in free:
-            del above[name]
-    assert not above, f"a circle among {sorted(above)}"
+    assert circle({name_of(path): modules_needed(path, every) for path in MODULES}) == {}
+
+
+def test_a_circle_is_seen_at_any_depth(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    room = tmp_path / "gsvis" / "io"
+    room.mkdir(parents=True)
+    monkeypatch.setattr(f"{__name__}.PACKAGE", room.parent)
+    (room / "a.py").write_text("def f():\n    if True:\n        from . import b\n")
+    (room / "b.py").write_text("from .c import g\n")
+    (room / "c.py").write_text("class C:\n    def h(self):\n        import gsvis.io.a as a\n")
+    (room / "d.py").write_text(
+        "from typing import TYPE_CHECKING\nfrom gsvis.io import a\nif TYPE_CHECKING:\n    from gsvis.io import e\n"
+    )
+    (room / "e.py").write_text("from gsvis.io.d import x\n")
+    paths = sorted(room.iterdir())
+    found = circle({name_of(path): modules_needed(path, {name_of(path) for path in paths}) for path in paths})
+    assert found == {"gsvis.io.a": {"gsvis.io.b"}, "gsvis.io.b": {"gsvis.io.c"}, "gsvis.io.c": {"gsvis.io.a"}}
 
 
 def test_every_room_in_the_tree_has_a_place_in_the_order() -> None:

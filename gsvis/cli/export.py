@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from gsvis.scene.levels import Levels
     from gsvis.scene.paths import HeadPath
 
-__all__ = ["open_scene", "run_export"]
+__all__ = ["run_export"]
 
 Triple = tuple[float, float, float]
 _PLACING = tuple(name for name in PLACING if name != "up")
@@ -40,14 +40,12 @@ def run_export(command: Export) -> None:
     _check_target(command)
     _check_apart(command)
     if command.format in ("streamed-sog", "3dtiles", "glb"):
-        from gsvis.cli.export_leaves import export_leaves
-
-        export_leaves(command)
+        _export_leaves(command)
         return
     from gsvis.export import StaticOptions, write_html, write_site
 
     with ExitStack() as stack, Status() as status:
-        scene, name, up, source = open_scene(command, stack, status)
+        scene, name, up, source = _open_scene(command, stack, status)
         visit = None
         if source is not None:
             _, visit = settle_visit(command.where, source, walk, status, quiet=command.output.json)
@@ -80,6 +78,18 @@ def run_export(command: Export) -> None:
     show(*remarks)
     if command.format == "static":
         show(f"Serve it from any file server, such as: python -m http.server -d {command.out}")
+
+
+def _export_leaves(command: Export) -> None:
+    """Write a scene as streamed SOG, 3D Tiles or one GLB, and print what it takes."""
+    from gsvis.cli.export_leaves import print_leaves, write_leaves
+    from gsvis.pvs.store import VisibilityStore
+
+    with ExitStack() as stack, Status() as status:
+        store = None if command.pvs is None else stack.enter_context(VisibilityStore.open(command.pvs))
+        scene, name, up, _ = _open_scene(command, stack, status)
+        found = write_leaves(command, scene, store, name, up, status)
+    print_leaves(command, found)
 
 
 def _check_options(command: Export) -> HeadPath | None:
@@ -155,7 +165,7 @@ def _check_apart(command: Export) -> None:
         raise ValueError(f"--out: expected a place outside of SCENE, got {command.out}; name another")
 
 
-def open_scene(
+def _open_scene(
     command: Export, stack: ExitStack, status: Status
 ) -> tuple[Package | Levels | Gaussians, str, Triple | None, Source | None]:
     """Return the package or scene of a command, its name, its up axis if that is known, and how a scene was read."""

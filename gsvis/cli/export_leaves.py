@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -14,40 +13,16 @@ if TYPE_CHECKING:
 
     Triple = tuple[float, float, float]
 
-__all__ = ["export_leaves"]
+__all__ = ["print_leaves", "write_leaves"]
 
 
-def export_leaves(command: Export) -> None:
-    """Write a scene as streamed SOG, 3D Tiles or one GLB, and print what it takes; the target has been checked."""
-    from gsvis.cli.export import open_scene
-    from gsvis.pvs.store import VisibilityStore
-
-    with ExitStack() as stack, Status() as status:
-        store = None if command.pvs is None else stack.enter_context(VisibilityStore.open(command.pvs))
-        scene, name, up, _ = open_scene(command, stack, status)
-        if store is not None and command.where.up is None:
-            up = None  # the visible sets know it
-        found = _write(command, scene, store, name, up, status)
-    if command.output.json:
-        about = {"format": "gsvis-export", "version": 1, "in": command.scene, "out": command.out}
-        listed = {key: value for key, value in asdict(found).items() if key not in ("path", "nbytes")}
-        print_json({**about, "kind": command.format, "bytes": found.nbytes, **listed})
-    elif command.format == "glb":
-        degree = f"SH degree {found.sh_degree}"
-        show(f"{command.out}: {found.gaussians:,} Gaussians, {degree}, {size_of(found.nbytes)}")
-    elif command.format == "3dtiles":
-        show(facts(f"{command.out}: {found.tiles:,} tiles, {size_of(found.nbytes)}", _tiles_rows(found)))
-        show(f"Show it: CesiumJS opens {command.out}/tileset.json (docs/how-to/tiles.md)")
-    else:
-        show(facts(f"{command.out}: {found.leaves:,} leaves, {size_of(found.nbytes)}", _streamed_rows(found)))
-        show(f"Show it: examples/streamed, or any viewer that opens {command.out}/lod-meta.json")
-
-
-def _write(command: Export, scene: Any, store: Any, name: str, up: Triple | None, status: Status) -> Any:
-    """Write the scene in the format of the command; return the report of the writer."""
+def write_leaves(command: Export, scene: Any, store: Any, name: str, up: Triple | None, status: Status) -> Any:
+    """Write a scene as streamed SOG, 3D Tiles or one GLB, to a checked target; return the report of the writer."""
     from gsvis.export import StreamedOptions, TilesOptions, write_glb, write_streamed_sog, write_tiles
     from gsvis.export.leaves import LEAF
 
+    if store is not None and command.where.up is None:
+        up = None  # the visible sets know it
     leaf = command.leaf or LEAF
     more: dict[str, Any] = {"visibility": store, "overwrite": command.overwrite, "progress": status}
     if command.format == "streamed-sog":
@@ -65,6 +40,23 @@ def _write(command: Export, scene: Any, store: Any, name: str, up: Triple | None
     if single:
         return write_glb(command.out, scene, options, progress=status)
     return write_tiles(command.out, scene, options, **more)
+
+
+def print_leaves(command: Export, found: Any) -> None:
+    """Print what the files take; `found` is the report of `write_leaves`."""
+    if command.output.json:
+        about = {"format": "gsvis-export", "version": 1, "in": command.scene, "out": command.out}
+        listed = {key: value for key, value in asdict(found).items() if key not in ("path", "nbytes")}
+        print_json({**about, "kind": command.format, "bytes": found.nbytes, **listed})
+    elif command.format == "glb":
+        degree = f"SH degree {found.sh_degree}"
+        show(f"{command.out}: {found.gaussians:,} Gaussians, {degree}, {size_of(found.nbytes)}")
+    elif command.format == "3dtiles":
+        show(facts(f"{command.out}: {found.tiles:,} tiles, {size_of(found.nbytes)}", _tiles_rows(found)))
+        show(f"Show it: CesiumJS opens {command.out}/tileset.json (docs/how-to/tiles.md)")
+    else:
+        show(facts(f"{command.out}: {found.leaves:,} leaves, {size_of(found.nbytes)}", _streamed_rows(found)))
+        show(f"Show it: examples/streamed, or any viewer that opens {command.out}/lod-meta.json")
 
 
 def _streamed_rows(found: StreamedReport) -> list[tuple[str, str]]:

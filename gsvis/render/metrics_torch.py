@@ -19,7 +19,15 @@ from gsvis import _check
 from gsvis._extras import remedy_of
 from gsvis.errors import BackendError
 from gsvis.render._kernels.blur import blur
-from gsvis.render.metrics import WINDOW, check_pair, check_pixels, check_white, check_window, flip_maps, gaussian_window
+from gsvis.render.metrics_numpy import (
+    WINDOW,
+    check_pair,
+    check_pixels,
+    check_white,
+    check_window,
+    flip_maps,
+    gaussian_window,
+)
 
 __all__ = ["flip_map_torch", "lpips_torch", "psnr_torch", "ssim_torch"]
 

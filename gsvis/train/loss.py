@@ -8,7 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gsvis.render.metrics import gaussian_window, ssim
+from gsvis.render.metrics import ssim
+from gsvis.render.metrics_numpy import gaussian_window
 from gsvis.train._kernels import loss as _kernels_loss
 
 __all__ = ["photometric_loss"]
