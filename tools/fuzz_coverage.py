@@ -134,7 +134,7 @@ APART = {
         "gsvis.jobs.resume:KeptWork._lock",
     ],
     "no reader": [
-        "gsvis.jobs.graph:_Crew",
+        "gsvis.jobs.crew:Crew",
         "gsvis.jobs.graph:_Run",
         "gsvis.jobs.graph:_check_worker",
         "gsvis.jobs.graph:_perform",

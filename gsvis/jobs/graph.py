@@ -18,19 +18,20 @@ import re
 import shutil
 import time
 from collections.abc import Callable, Iterable
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
+from contextlib import closing
 from dataclasses import asdict, dataclass, field
 from functools import cache, cached_property
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from gsvis.errors import ArgumentError, BackendError, FormatError, GsvisError, OutputError
+from gsvis.errors import ArgumentError, BackendError, FormatError, OutputError
 from gsvis.files.fields import Fields, parse_object
 from gsvis.files.limits import DAMAGED
 from gsvis.jobs.cost import IDLE, memory_error, needed_memory
+from gsvis.jobs.crew import Crew
 from gsvis.jobs.objects import ObjectStore, StoredObject, open_store
-from gsvis.jobs.processes import Processes, limit_threads, one_at_a_time
+from gsvis.jobs.processes import limit_threads, one_at_a_time
 from gsvis.jobs.task_folder import forget_work, work_folder
 from gsvis.jobs.workers import Workers
 from gsvis.progress import Progress, silent
@@ -45,8 +46,6 @@ Facts = dict[str, Any]
 _log = logging.getLogger(__name__)
 _DIGEST = re.compile("[0-9a-f]{64}")
 _MOST_BYTES = 1 << 50
-_RESTARTS = 3  # losses of workers in a row without a finished task
-_DASK_LOST = "KilledWorker"  # name of the error of a task whose workers died again and again
 
 
 @dataclass(frozen=True)
@@ -271,8 +270,7 @@ def run_graph(
     """
     listed = list(tasks)
     run = _Run(listed, store, workers or Workers(), stage, progress)
-    with run.crew:
-        run.all()
+    run.all()
     if run.failed:
         first = min(run.failed)
         others = len(run.failed) - 1
@@ -290,10 +288,12 @@ class _Run:
         self.store = store
         self.stage = stage
         self.progress = progress
-        self.crew = _Crew(workers)
+        self.crew = Crew(workers, perform)
+        self.limit = workers.max_memory
+        self.idle = IDLE * (workers.count + 1 if workers.executor is None and workers.count > 1 else 1)
         self.results: dict[str, Result] = {}
         self.failed: dict[int, Exception] = {}
-        self.needs: dict[int, int] = {}  # bytes that each task needs
+        self.running: dict[int, int] = {}  # bytes that each running task needs
         self.numbers = {task.name: k for k, task in enumerate(tasks)}
         if len(self.numbers) < len(tasks):
             raise ValueError("tasks: expected different names, got one twice")
@@ -308,65 +308,56 @@ class _Run:
         heapq.heapify(self.ready)
 
     def all(self) -> None:
-        """Run everything that can be run."""
-        losses = 0
-        waiting: dict[Future[Result], int] = {}
+        """Run everything that can be run.
+
+        Raises:
+            OutputError: If a task cannot write its files.
+            BackendError: If a worker cannot be used.
+        """
         self.progress(self.stage, 0, len(self.tasks))
-        try:
-            while True:
+        with self.crew, closing(self.crew.run(self._next_job, self._put_back)) as finished:
+            for number, future in finished:
+                del self.running[number]
                 try:
-                    self._fill(waiting)
-                    if not waiting:
-                        return
-                    done = wait(waiting, return_when=FIRST_COMPLETED).done
-                    for future in sorted(done, key=lambda future: waiting[future]):
-                        self._take(future, waiting)
-                        losses = 0
-                except (BrokenExecutor, CancelledError) as error:
-                    losses = self._lost(waiting, losses, error)
-        finally:
-            for future in waiting:
-                future.cancel()
+                    result = future.result()
+                except (OutputError, BackendError):
+                    raise
+                except Exception as error:
+                    self.failed[number] = error
+                else:
+                    self._finish(number, result)
 
-    def _take(self, future: Future[Result], waiting: dict[Future[Result], int]) -> None:
-        """Take the result or the error of a finished task."""
-        try:
-            result = future.result()
-        except (OutputError, BackendError, BrokenExecutor, CancelledError):
-            raise
-        except Exception as error:
-            if type(error).__name__ == _DASK_LOST:
-                raise GsvisError(_LOST) from error
-            self.failed[waiting.pop(future)] = error
-        else:
-            self._finish(waiting.pop(future), result)
-
-    def _fill(self, waiting: dict[Future[Result], int]) -> None:
-        """Give out ready tasks; those with a result are finished at once."""
-        while self.ready and len(waiting) < self.crew.in_flight:
+    def _next_job(self) -> tuple[int, Job] | None:
+        """Return a ready task that fits the memory; tasks with a result are finished at once."""
+        machine = machine_kind()
+        while self.ready:
             number = heapq.heappop(self.ready)
             task = self.tasks[number]
             inputs = tuple(self.results[name] for name in task.needs)
-            key = key_of(task, inputs, machine_kind())
-            machine = machine_kind()
+            key = key_of(task, inputs, machine)
             found = find_result(self.store, key)
             if found is not None:
                 forget_work(self.store, key)
                 self._finish(number, found)
                 continue
             need = needed_memory(task.run, task.params, [each.facts for each in inputs])
-            left = None
-            if self.crew.room is not None:
-                left = self.crew.room - sum(self.needs[other] for other in waiting.values())
-                if need > left and waiting:
+            most = None
+            if self.limit is not None:
+                left = self.limit - self.idle - sum(self.running.values())
+                if need > left and self.running:
                     heapq.heappush(self.ready, number)  # until a task beside it has finished
-                    return
+                    return None
                 if need > left:
-                    self.failed[number] = _too_large(task.name, need - left + self.crew.limit, self.crew.limit)
+                    self.failed[number] = _too_large(task.name, need - left + self.limit, self.limit)
                     continue
-            self.needs[number] = need
-            limit = None if left is None else left + IDLE
-            waiting[self.crew.submit(Job(task, key, inputs, self.store.address, _version(), machine, limit))] = number
+                most = left + IDLE
+            self.running[number] = need
+            return number, Job(task, key, inputs, self.store.address, _version(), machine, most)
+        return None
+
+    def _put_back(self, number: int) -> None:
+        del self.running[number]
+        heapq.heappush(self.ready, number)
 
     def _finish(self, number: int, result: Result) -> None:
         name = self.tasks[number].name
@@ -377,64 +368,9 @@ class _Run:
             if not self.missing[other]:
                 heapq.heappush(self.ready, other)
 
-    def _lost(self, waiting: dict[Future[Result], int], losses: int, error: BaseException) -> int:
-        """Take back the tasks of dead workers; return how often that happened in a row."""
-        if losses >= _RESTARTS:
-            raise GsvisError(_LOST) from error
-        for future, number in waiting.items():
-            future.cancel()
-            heapq.heappush(self.ready, number)
-        waiting.clear()
-        self.crew.replace()
-        return losses + 1
-
 
 def _too_large(name: str, need: int, limit: int) -> ArgumentError:
     return memory_error(need, limit, f"all workers, one of them with {name}", TOO_LARGE)
-
-
-_LOST = (
-    "workers died again and again, probably out of memory: use fewer --workers, a larger --max-memory or smaller tiles;"
-    " what is finished is kept"
-)
-
-
-class _Crew:
-    """The workers as one executor."""
-
-    def __init__(self, workers: Workers) -> None:
-        self._executor = workers.executor
-        count = workers.count
-        self._processes = Processes(count) if workers.executor is None and count > 1 else None
-        self.in_flight = 2 * count if workers.executor is not None else count
-        idle = IDLE * (count + 1 if self._processes is not None else 1)
-        self.limit = workers.max_memory or 0
-        self.room = None if workers.max_memory is None else workers.max_memory - idle  # for all running tasks
-
-    def __enter__(self) -> _Crew:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *others: object) -> None:
-        if self._processes is not None:
-            self._processes.end(kill=kind is not None)
-
-    def submit(self, job: Job) -> Future[Result]:
-        """Return the future of a task; without an executor it runs at once."""
-        if self._executor is not None:
-            return self._executor.submit(perform, job)
-        if self._processes is not None:
-            return self._processes.executor().submit(perform, job)
-        future: Future[Result] = Future()
-        try:
-            future.set_result(perform(job))
-        except Exception as error:
-            future.set_exception(error)
-        return future
-
-    def replace(self) -> None:
-        """Replace dead processes."""
-        if self._processes is not None:
-            self._processes.end(kill=True)
 
 
 def _check_worker(job: Job) -> None:

@@ -7,16 +7,9 @@ each worker. If a worker dies, its tasks are submitted again. A result does not 
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import (
-    FIRST_COMPLETED,
-    BrokenExecutor,
-    CancelledError,
-    Executor,
-    Future,
-    wait,
-)
-from contextlib import contextmanager
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,7 +19,8 @@ from numpy.typing import NDArray
 
 from gsvis.errors import GsvisError
 from gsvis.files.output import output_errors
-from gsvis.jobs.processes import Processes, limit_threads, one_at_a_time, ready
+from gsvis.jobs.crew import Crew
+from gsvis.jobs.processes import limit_threads, one_at_a_time, ready
 from gsvis.pvs._journal import pack_sighting, pack_view, unpack_sighting
 from gsvis.pvs.cell_view import Finder
 from gsvis.pvs.config import PvsConfig
@@ -43,18 +37,12 @@ __all__ = [
     "forget_scene",
     "perform",
     "ready_tracer",
-    "run_here",
-    "run_in_processes",
-    "run_on",
+    "run_tasks",
 ]
-
-Result = tuple[int, bytes]
-"""The number of a task and its packed result."""
 
 # shN does not change what is visible.
 _SHAPES = {"means": (-1, 3), "quats": (-1, 4), "scales": (-1, 3), "opacities": (-1,), "sh0": (-1, 1, 3)}
 _MEMBERSHIP = ("first", "last")  # first and last level of each Gaussian
-_RESTARTS = 3  # consecutive restarts without a finished task
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,28 +114,15 @@ class ViewpointTask:
 
 @dataclass(frozen=True, eq=False)
 class CellTask:
-    """A cell whose set is to be found.
-
-    Attributes:
-        number: Number of the cell.
-        voxels: Its free voxels.
-        sightings: Packed sightings of its viewpoints; or a function that reads them when the task is given out.
-    """
+    """A cell whose set is to be found: its number, its free voxels, and the packed sightings of its viewpoints."""
 
     number: int
     voxels: FreeVoxels
-    sightings: list[bytes] | Callable[[], list[bytes]]
-
-    def filled(self) -> CellTask:
-        """Return the task with its sightings, so that it can be sent."""
-        if isinstance(self.sightings, list):
-            return self
-        return CellTask(self.number, self.voxels, self.sightings())
+    sightings: list[bytes]
 
     def perform(self, finder: Finder) -> bytes:
         """Return the packed view of the cell."""
-        sightings = self.sightings if isinstance(self.sightings, list) else self.sightings()
-        found = [unpack_sighting(data, len(finder.levels.union)) for data in sightings]
+        found = [unpack_sighting(data, len(finder.levels.union)) for data in self.sightings]
         whole = [each for each in found if each is not None]
         if len(whole) < len(found):
             raise GsvisError(f"cell {self.number}: a sighting of a viewpoint arrived damaged; run the same again")
@@ -181,85 +156,28 @@ def ready_tracer(key: str) -> Tracer | None:
     return None if finder is None else finder.tracer
 
 
-def run_here(scene: SceneArrays, tasks: Iterable[Task]) -> Iterator[Result]:
-    """Yield the results of the tasks, computed one by one in this process; `forget_scene` afterward."""
-    for task in tasks:
-        yield task.number, perform(scene, task)
-
-
-def run_on(executor: Executor, share: Callable[[], Any], tasks: list[Task], in_flight: int) -> Iterator[Result]:
-    """Yield the results of the tasks as an executor finishes them; lost tasks are submitted again.
+def run_tasks(
+    crew: Crew[bytes], numbers: Iterable[int], task_of: Callable[[int], Task]
+) -> Generator[tuple[int, bytes], None, None]:
+    """Yield the number and the packed result of each task as it is finished.
 
     Args:
-        executor: Anything with `submit`.
-        share: Returns a `SceneArrays`, or an object that the executor turns into one (a Dask future).
-        tasks: The tasks, submitted in this order.
-        in_flight: Tasks submitted at a time.
+        crew: Workers that call `perform`.
+        numbers: The tasks, begun in this order.
+        task_of: Returns a task when it is given out.
 
     Raises:
-        GsvisError: If tasks are lost more than three times in a row without progress.
+        GsvisError: If workers are lost again and again.
     """
-    message = "the cluster lost its tasks again and again: are its scheduler and its workers alive?"
-    return _until_done(tasks, lambda left: _submit(executor, share(), left, in_flight), CancelledError, message)
+    left = deque(numbers)
 
+    def next_job() -> tuple[int, Task] | None:
+        """Return the next task."""
+        if not left:
+            return None
+        number = left.popleft()
+        return number, task_of(number)
 
-def run_in_processes(scene: SceneArrays, tasks: list[Task], processes: Processes) -> Iterator[Result]:
-    """Yield the results of the tasks from processes of this machine; dead processes are replaced.
-
-    Raises:
-        GsvisError: If processes die more than three times in a row without progress.
-    """
-
-    def attempt(left: list[Task]) -> Iterator[Result]:
-        try:
-            yield from _submit(processes.executor(), scene, left, 2 * processes.count)
-        except BrokenExecutor:
-            processes.end(kill=True)
-            raise
-
-    message = (
-        "worker processes died again and again, probably out of memory: use fewer --workers or a smaller --max-memory"
-    )
-    return _until_done(tasks, attempt, BrokenExecutor, message)
-
-
-def _until_done(
-    tasks: list[Task], attempt: Callable[[list[Task]], Iterator[Result]], lost: type[Exception], message: str
-) -> Iterator[Result]:
-    missing = {task.number: task for task in tasks}
-    failures = 0
-    while missing:
-        before = len(missing)
-        try:
-            for number, data in attempt(list(missing.values())):
-                del missing[number]
-                yield number, data
-        except lost as error:
-            failures = 0 if len(missing) < before else failures + 1
-            if failures > _RESTARTS:
-                raise GsvisError(message) from error
-
-
-def _submit(executor: Executor, scene: Any, tasks: Iterable[Task], in_flight: int) -> Iterator[Result]:
-    waiting: dict[Future[bytes], Task] = {}
-    left = iter(tasks)
-    try:
-        while True:
-            for task in left:
-                sent = task.filled() if isinstance(task, CellTask) else task
-                waiting[executor.submit(perform, scene, sent)] = task
-                if len(waiting) >= in_flight:
-                    break
-            if not waiting:
-                return
-            # Yield finished tasks before lost ones: the set has no order, and a lost task ends this attempt.
-            for future in sorted(wait(waiting, return_when=FIRST_COMPLETED).done, key=_is_lost):
-                task = waiting.pop(future)
-                yield task.number, future.result()
-    finally:
-        for future in waiting:
-            future.cancel()
-
-
-def _is_lost(future: Future[bytes]) -> bool:
-    return future.cancelled() or future.exception() is not None
+    with closing(crew.run(next_job, left.appendleft)) as finished:
+        for number, future in finished:
+            yield number, future.result()

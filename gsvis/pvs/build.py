@@ -12,7 +12,7 @@ import hashlib
 import os
 import shutil
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -24,22 +24,20 @@ from numpy.typing import NDArray
 from gsvis import _check
 from gsvis.errors import OutputError, SceneError
 from gsvis.files.output import output_errors
-from gsvis.jobs.processes import Processes
+from gsvis.jobs.crew import Crew
 from gsvis.jobs.resume import KeptWork
 from gsvis.jobs.workers import Workers
 from gsvis.progress import Progress, silent
 from gsvis.pvs._journal import find_kept, name_cell, name_viewpoint, read_packed, read_view
 from gsvis.pvs._tasks import (
     CellTask,
-    Result,
     SceneArrays,
     Task,
     ViewpointTask,
     forget_scene,
+    perform,
     ready_tracer,
-    run_here,
-    run_in_processes,
-    run_on,
+    run_tasks,
 )
 from gsvis.pvs.cell_view import CellView
 from gsvis.pvs.cells import CellGrid
@@ -56,7 +54,8 @@ from gsvis.scene.navigable import NavigableSpace
 
 __all__ = ["Work", "build_pvs", "journal_of", "plan_work"]
 
-Results = Generator[Result, None, None]
+Results = Generator[tuple[int, bytes], None, None]
+Run = Callable[[Sequence[int], Callable[[int], Task]], Results]
 
 _PLAN = 7  # increase it when the same plan gives other bytes
 
@@ -107,17 +106,12 @@ class Work:
         return ViewpointTask(number, self.shared.points[number], bool(self.shared.fine[number]))
 
     def cell_task(self, cell: int) -> CellTask:
-        """Return the task of a cell; it reads its sightings when it is given out."""
-
-        def read() -> list[bytes]:
-            """Return the sightings of the cell."""
-            found = [read_packed(self.kept, k, len(self.levels.union)) for k in self.shared.of_cell(cell).tolist()]
-            whole = [each for each in found if each is not None]
-            if len(whole) < len(found):
-                raise OSError(errno.EIO, f"the journal of a viewpoint of cell {cell} was damaged")
-            return whole
-
-        return CellTask(cell, self.viewpoints.voxels(cell), read)
+        """Return the task of a cell, with the sightings that are kept."""
+        found = [read_packed(self.kept, k, len(self.levels.union)) for k in self.shared.of_cell(cell).tolist()]
+        whole = [each for each in found if each is not None]
+        if len(whole) < len(found):
+            raise OSError(errno.EIO, f"the journal of a viewpoint of cell {cell} was damaged")
+        return CellTask(cell, self.viewpoints.voxels(cell), whole)
 
 
 def plan_work(
@@ -182,14 +176,16 @@ def build_pvs(
     try:
         with work.kept.opened():
             seen, found = work.find_kept()
-            cells = [work.cell_task(cell) for cell in sorted(set(range(len(grid))) - set(found))]
-            needed = {int(k) for task in cells for k in work.shared.of_cell(task.number)}
-            looks = [work.viewpoint_task(k) for k in sorted(needed - set(seen))]
+            cells = sorted(set(range(len(grid))) - set(found))
+            needed = {int(k) for cell in cells for k in work.shared.of_cell(cell)}
+            looks = sorted(needed - set(seen))
             total = len(work.shared)
             with _scene_here(work, one_level) as here:
                 with _begin_work(work, here, workers, count, max(len(looks), len(cells))) as run:
-                    _perform(work, run(looks), name_viewpoint, ("viewpoints", total - len(looks), total), progress)
-                    _perform(work, run(cells), name_cell, ("cells", len(found), len(grid)), progress)
+                    sightings = run(looks, work.viewpoint_task)
+                    _keep(work, sightings, name_viewpoint, ("viewpoints", total - len(looks), total), progress)
+                    views = run(cells, work.cell_task)
+                    _keep(work, views, name_cell, ("cells", len(found), len(grid)), progress)
                 if not one_level:
                     forget_scene()  # lower levels and the second tracer would be in memory together
                 twice = _check_twice(work, progress)
@@ -257,7 +253,7 @@ def _plan(levels: Levels, grid: CellGrid, space: NavigableSpace, config: PvsConf
     }
 
 
-def _perform(
+def _keep(
     work: Work, results: Results, name: Callable[[int], str], shown: tuple[str, int, int], progress: Progress
 ) -> None:
     """Keep each result under its name; `shown` is the progress stage, the number done, and the total."""
@@ -282,28 +278,18 @@ def _scene_here(work: Work, one_level: bool) -> Iterator[SceneArrays]:
 
 
 @contextmanager
-def _begin_work(
-    work: Work, here: SceneArrays, workers: Workers, count: int, most: int
-) -> Iterator[Callable[[Sequence[Task]], Results]]:
+def _begin_work(work: Work, here: SceneArrays, workers: Workers, count: int, most: int) -> Iterator[Run]:
     """Yield a function that runs tasks on the workers; the same processes run all stages, of at most `most` tasks."""
-
-    def run(tasks: Sequence[Task]) -> Results:
-        """Yield the results of tasks."""
+    alone = crew = Crew(Workers(), perform, lambda: (here,))
+    with ExitStack() as stack:
         if workers.executor is not None:
-            share = workers.scatter or (lambda given: given)
-            yield from run_on(workers.executor, lambda: share(work.scene), list(tasks), 2 * workers.count)
-        elif stored is None or len(tasks) < 2:
-            yield from run_here(here, tasks)
-        else:
-            yield from run_in_processes(stored, list(tasks), processes)
-
-    stored = None
-    processes = Processes(min(count, most))
-    if workers.executor is not None or processes.count < 2:
-        yield run
-    else:
-        with work.scene.stored(work.kept.folder / "scene") as stored, processes:
-            yield run
+            scatter = workers.scatter or (lambda scene: scene)
+            alone = crew = Crew(workers, perform, lambda: (scatter(work.scene),))
+        elif min(count, most) > 1:
+            stored = stack.enter_context(work.scene.stored(work.kept.folder / "scene"))
+            processes = Workers(min(count, most))
+            crew = stack.enter_context(Crew(processes, perform, lambda: (stored,), ahead=2))
+        yield lambda numbers, task_of: run_tasks(crew if len(numbers) > 1 else alone, numbers, task_of)
 
 
 def _write(work: Work, twice: dict[str, Any] | None, progress: Progress) -> None:
