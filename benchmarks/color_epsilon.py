@@ -29,6 +29,7 @@ from typing import Any
 import numpy as np
 from _harness import add_arguments, realdata, write_result
 from numpy.typing import NDArray
+from paper.staircase import PERSON_RULE, draw_ladder, write_staircase_page
 
 from gsvis.color.epsilon import FLIP_JND, EpsilonCalibration, MetricObserver, StaircaseRule, calibrate_epsilon
 from gsvis.color.fit import FitConfig, fit_srbf
@@ -38,7 +39,6 @@ from gsvis.io import load_scene
 from gsvis.prepare.approximations import Approximations
 from gsvis.prepare.importance import importance_from_views
 from gsvis.render.metrics import flip_map, psnr
-from gsvis.report.staircase import PERSON_RULE, write_staircase_page
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.navigable import NavigableSpace
 
@@ -217,7 +217,7 @@ def load_or_fit(g: Gaussians, space: NavigableSpace, options: argparse.Namespace
 
 def write_page(path: Path, pictures: Approximations, scene: str) -> None:
     start = time.perf_counter()
-    ladder = pictures.ladder(PERSON_RULE.rungs, progress=progress)
+    ladder = draw_ladder(pictures, PERSON_RULE.rungs, progress=progress)
     size = write_staircase_page(path, pictures.reference, ladder, title=scene, progress=progress)
     log(f"{path.name}: {size / 1e6:.1f} MB, {time.perf_counter() - start:.0f} s")
 

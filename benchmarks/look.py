@@ -1,13 +1,12 @@
 """How long does one look take, and how well does it use two threads?
 
-Eyes in showroom LOD 3, one in each of some cells of the grid of 255. A look is `look_around` at 320 pixels a face; the
-code before this one (commit fc12d0b) is kept beside the benchmark. Both, with one and with two threads, take turns from
-the same eyes; figures are medians over eyes of ratios taken one after the other, so that what else the machine does
-disturbs both sides. Waiting threads sleep (`OMP_WAIT_POLICY=passive`): where they spin, they take the processor from
-the others. Parts of a look are processor time of one thread.
+Eyes in showroom LOD 3, one in each of some cells of the grid of 255. A look is `look_around` at 320 pixels a face. One
+and two threads take turns from the same eyes; figures are medians over eyes of ratios taken one after the other, so
+that what else the machine does disturbs both sides. Waiting threads sleep (`OMP_WAIT_POLICY=passive`): where they spin,
+they take the processor from the others. Parts of a look are processor time of one thread.
 
-Given: showroom LOD 3, the kept code, eyes of the grid that `gsvis pvs` lays out.
-Measured: a look over a look before, one thread over two, parts of a look, agreement of what is found.
+Given: showroom LOD 3, eyes of the grid that `gsvis pvs` lays out.
+Measured: one thread over two, parts of a look.
 Defaults chosen on: showroom LOD 3, the scene that is measured too.
 """
 
@@ -24,7 +23,6 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # before numba starts its t
 
 import numpy as np
 from _harness import add_arguments, realdata, write_result
-from _look_before import look_before
 from numba import set_num_threads
 from numpy.typing import NDArray
 
@@ -141,20 +139,6 @@ def measure_parts(splats: Splats, eyes: F64) -> dict[str, float]:
     return {name: float(np.median(values)) for name, values in taken.items()}
 
 
-def compare(splats: Splats, eyes: F64) -> dict[str, Any]:
-    """Compare what both find: ids found by one alone, and the largest difference of weights of tau or more."""
-    alone, found, most = 0, 0, 0.0
-    for eye in eyes:
-        ids, weights = look_before(splats, eye, SIZE, SPENT)
-        seen = look_around(splats, eye, size=SIZE, spent=SPENT)
-        old, new = np.zeros(splats.total, np.float32), np.zeros(splats.total, np.float32)
-        old[ids], new[seen.ids] = weights, seen.weights
-        alone, found = alone + len(np.setxor1d(ids, seen.ids)), found + len(ids)
-        visible = np.maximum(old, new) >= np.float32(SPENT)
-        most = max(most, float(np.abs(old - new)[visible].max(initial=0.0)))
-    return {"found_before": found, "found_by_one_alone": alone, "largest_difference_of_visible_weights": most}
-
-
 def same_for_any_threads(splats: Splats, eyes: F64) -> bool:
     same = True
     for eye in eyes:
@@ -176,14 +160,13 @@ def main() -> None:
     g = load_scene(Path(realdata()) / "scenes/showroom/lod-meta.json", lod=3)
     eyes, splats = choose_eyes(g, options.eyes), Splats.from_gaussians(g)
     ways: dict[str, Callable[[F64], object]] = {
-        "before": lambda eye: look_before(splats, eye, SIZE, SPENT),
         "look": lambda eye: look_around(splats, eye, size=SIZE, spent=SPENT),
         "hybrid": lambda eye: hybrid(g, splats, eye, size=SIZE),
     }
     seconds = in_turn(eyes, ways, options.repeats)
     cubes = in_turn(eyes[:4], {"cubemap": lambda eye: rasterize(g, Cameras.cubemap(eye[None], SIZE), sh_degree=0)}, 2)
     seconds |= cubes
-    parts, agreement = measure_parts(splats, eyes), compare(splats, eyes)
+    parts = measure_parts(splats, eyes)
     same = same_for_any_threads(splats, eyes[:4])
     figures: list[dict[str, Any]] = []
 
@@ -193,10 +176,7 @@ def main() -> None:
     def ratio(over: str, under: str) -> float:
         return float(np.median(seconds[over] / seconds[under]))
 
-    figure("a look over a look before, one thread", ratio("look, 1", "before, 1"), "ratio")
-    figure("a look over a look before, two threads", ratio("look, 2", "before, 2"), "ratio")
     figure("a look: one thread over two", ratio("look, 1", "look, 2"), "ratio", 1.7, "higher")
-    figure("a look before: one thread over two", ratio("before, 1", "before, 2"), "ratio", None, "higher")
     figure("a look with the hull: one thread over two", ratio("hybrid, 1", "hybrid, 2"), "ratio", 1.7, "higher")
     figure(
         "a cubemap of the rasterizer: one thread over two", ratio("cubemap, 1", "cubemap, 2"), "ratio", 1.7, "higher"
@@ -210,10 +190,8 @@ def main() -> None:
         )
     for name, taken in parts.items():
         figure(f"part of a look: {name}", taken, "ms")
-    figure("found by one of the two codes alone", agreement["found_by_one_alone"] / agreement["found_before"], "share")
-    figure("largest difference of visible weights", agreement["largest_difference_of_visible_weights"], "weight")
     figure("same bytes with one and two threads", float(same), "fact", 1.0, "higher")
-    details = {"eyes": len(eyes), "agreement": agreement, "seconds": {k: np.round(v, 4) for k, v in seconds.items()}}
+    details = {"eyes": len(eyes), "seconds": {k: np.round(v, 4) for k, v in seconds.items()}}
     write_result(options.out, "How long does one look take, and how well does it use two threads?", figures, details)
 
 

@@ -2,7 +2,7 @@
 
 All cells of a scene, as `gsvis pvs` builds them: its navigable space, its grid, its default configuration, worker
 processes. The ruler is the median of forward cubemaps, 6 x 320^2 pixels with all threads of one process, by the
-rasterizer as it was at commit 70806c2 (kept in `_rasterize_before`), so a faster rasterizer does not move it. The same
+rasterizer of the same checkout. The same
 eyes are drawn before and after the build; where the two medians differ, the load of the machine did too. The ratio is
 taken with the median of both together. Kernels are compiled before, on a small scene.
 
@@ -29,7 +29,6 @@ from typing import Any
 import numpy as np
 from _harness import Timing, add_arguments, measure, need, realdata, write_result
 from _memory import Peak, watch_memory
-from _rasterize_before import rasterize_before
 from numba import get_num_threads
 from numpy.typing import NDArray
 
@@ -40,6 +39,7 @@ from gsvis.pvs.cells import CellGrid
 from gsvis.pvs.config import PvsConfig
 from gsvis.pvs.store import VisibilityStore
 from gsvis.pvs.viewpoints import CellViewpoints, SharedViewpoints
+from gsvis.render import rasterize
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
@@ -164,7 +164,7 @@ def draw_cubemaps(g: Gaussians, eyes: F64) -> Timing:
     """Time one forward cubemap from each eye."""
     faces = [Cameras.cubemap(eye[None], SIZE) for eye in eyes]
     each = iter([faces[0], *faces])  # the first does not count
-    return measure(lambda: rasterize_before(g, next(each)), repeats=len(faces))
+    return measure(lambda: rasterize(g, next(each), backend="cpu"), repeats=len(faces))
 
 
 def build(source: Source, viewpoints: CellViewpoints, workers: int) -> Built:

@@ -43,7 +43,6 @@ LONGEST = (
     "cli/test_clean.py",
     "viewer/test_bad_input.py",
     "viewer/test_stream_client.py",
-    "benchmarks/test_rasterize_before.py",
     "viewer/test_export.py",
     "test_imports.py",
     "cli/test_view.py",

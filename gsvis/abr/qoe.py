@@ -20,7 +20,6 @@ __all__ = [
     "Qoe",
     "QoeConfig",
     "first_frame",
-    "latencies",
     "paired_difference",
     "quality_of_experience",
     "stall",
@@ -109,25 +108,6 @@ def quality_of_experience(psnr: ArrayLike, latency: ArrayLike, config: QoeConfig
     score = quality - config.delay_weight * delay
     raw = float(np.minimum(values, 100.0).mean())
     return Qoe(score, quality, delay, raw, float(np.minimum(delays, config.latency_scale).mean()), len(values))
-
-
-def latencies(times: ArrayLike, arrivals: ArrayLike, timeout: float = 1.0) -> F64:
-    """Return the time from each pose until it is shown.
-
-    Args:
-        times: (S,) seconds of the poses.
-        arrivals: (S,) seconds at which the client first held enough for each pose; -inf if it always did, inf if it
-            never did.
-        timeout: Seconds; longer times count as this.
-
-    Returns:
-        (S,) in [0, timeout].
-    """
-    poses = _check.floats("times", times, ("S",), np.float64)
-    shown = _check.floats("arrivals", arrivals, (len(poses),), np.float64, finite=False)
-    if np.isnan(shown).any():
-        raise ValueError("arrivals: expected no NaN, got one")
-    return np.asarray(np.clip(shown - poses, 0.0, timeout))
 
 
 def first_frame(times: ArrayLike, psnr: ArrayLike, least: float = FIRST_FRAME_DB) -> float:

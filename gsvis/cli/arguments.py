@@ -296,7 +296,7 @@ class Compared:
     held_out: Annotated[int, readers.WHOLE] = 8
     """Number of further views to measure on, for the comparison with SH; 0 for none."""
     width: Annotated[int, readers.PIXELS] = 480
-    """Pixels across these views, and across those of --epsilon auto and --staircase."""
+    """Pixels across these views, and across those of --epsilon auto."""
     height: Annotated[int, readers.PIXELS] = 360
     """Pixels down these views."""
     seed: Seed = 0
@@ -326,8 +326,6 @@ class Color:
     """Write the terms that each cell of --pvs needs, such as scene.terms.arrow."""
     report: Annotated[str | None, hint("none", "DIR")] = None
     """Report to write: a folder for report.html (all in one file), report.json and the pictures; made if missing."""
-    staircase: File = None
-    """Write a web page on which a person finds their own epsilon, such as test.html."""
     max_memory: Memory = None
     """Memory limit, such as 8GB: a scene that needs more is refused before it is read."""
     output: Reading = Reading()

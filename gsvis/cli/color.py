@@ -35,13 +35,10 @@ if TYPE_CHECKING:
     from gsvis.prepare.colors import ColorConfig
     from gsvis.prepare.fitted_colors import FittedColors
     from gsvis.prepare.scene_colors import ColorOutputs
-    from gsvis.scene.view_sampling import ViewSampling
 
 __all__ = ["fit_config", "run_color"]
 
 _HELD_OUT = 1  # stream of random numbers of the held-out views; that of the fit is 0
-_HEAD = 4096
-_PAGE = b"<title>Can you see it?"
 _FOV = 60.0
 _SILENT = ("max_memory", "json", "debug", "drop_invalid")
 
@@ -73,7 +70,7 @@ def _check_arguments(command: Color) -> ColorConfig:
     """Check the arguments before work begins; return the settings of the fit."""
     check_source(command.scene, command.lod)
     check_exists(command.pvs)
-    targets = {"out": command.out, "active": command.active, "staircase": command.staircase}
+    targets = {"out": command.out, "active": command.active}
     for name, path in targets.items():
         if path is not None:
             check_file(path)
@@ -83,7 +80,7 @@ def _check_arguments(command: Color) -> ColorConfig:
         check_report(command.report)
     written = [Path(path).absolute() for path in targets.values() if path is not None]
     if len(set(written)) < len(written):
-        raise ValueError("--out, --active, --staircase: expected files of their own, got one twice; name another")
+        raise ValueError("--out, --active: expected files of their own, got one twice; name another")
     if command.active is not None and command.pvs is None:
         raise ValueError("--active: expected --pvs with it, got none; gsvis pvs builds one")
     if command.pvs is not None:
@@ -119,11 +116,11 @@ def _check_no_input(name: str, path: str, command: Color) -> None:
             raise ValueError(f"--{name}: expected a file of its own, got {path}, which is read; name another")
     if target.is_file() and target.stat().st_size > 0:
         with open_regular(target) as file:
-            head = file.read(_HEAD)
-        if not (_PAGE in head if name == "staircase" else head.startswith(b"ARROW1")):
-            kind = "a page of an earlier run" if name == "staircase" else "an Arrow file"
+            head = file.read(6)
+        if not head.startswith(b"ARROW1"):
             raise ValueError(
-                f"--{name}: expected a new file or {kind} to replace, got {path}, which is something else; name another"
+                f"--{name}: expected a new file or an Arrow file to replace, got {path}, which is something else;"
+                " name another"
             )
 
 
@@ -186,8 +183,6 @@ def _run(command: Color, plan: _Plan, status: Status) -> FittedColors:
     fitted = color_scene(source.whole, plan.space, out, outputs, config=plan.config, store=plan.store, progress=status)
     plan.remarks.extend(_remarks(command, plan, outputs, fitted))
     try:
-        if command.staircase is not None and plan.space is not None:
-            _write_staircase(command, plan, fitted, status)
         if fitted.quality is not None and command.report is not None:
             _write_report(command, plan, fitted, status)
     except KeyboardInterrupt:
@@ -200,40 +195,25 @@ def _run(command: Color, plan: _Plan, status: Status) -> FittedColors:
 def _outputs(command: Color) -> ColorOutputs:
     """Return what the command writes and measures besides the colors."""
     from gsvis.prepare.color_quality import ColorQualityConfig, has_flip
-    from gsvis.prepare.scene_colors import ColorOutputs
+    from gsvis.prepare.scene_colors import OBSERVED, ColorOutputs
     from gsvis.scene.view_sampling import ViewSampling
 
+    compared = command.compared
     needed = command.epsilon is not None or command.active is not None
     quality = ColorQualityConfig(flip=has_flip())
     held_out = None
-    if command.compared.held_out:
-        held_out = ViewSampling(
-            command.compared.held_out,
-            command.compared.width,
-            command.compared.height,
-            _FOV,
-            command.compared.seed,
-            _HELD_OUT,
-        )
+    if compared.held_out:
+        held_out = ViewSampling(compared.held_out, compared.width, compared.height, _FOV, compared.seed, _HELD_OUT)
     return ColorOutputs(
         precision=command.precision,
         epsilon=command.epsilon or None,
         calibrate=needed or (command.report is not None and has_flip()),
         fallback=DEFAULT_EPSILON if needed else None,
         active=command.active,
-        observed=_observed(command),
+        observed=replace(OBSERVED, width=compared.width, height=compared.height, fov=_FOV, seed=compared.seed),
         held_out=held_out,
         quality=quality if command.report is not None else replace(quality, counts=(), epsilons=()),
         made_by=f"gsvis {version()}",
-    )
-
-
-def _observed(command: Color) -> ViewSampling:
-    """Return the views of the model observer, which the test for a person shows too."""
-    from gsvis.prepare.scene_colors import OBSERVED
-
-    return replace(
-        OBSERVED, width=command.compared.width, height=command.compared.height, fov=_FOV, seed=command.compared.seed
     )
 
 
@@ -244,24 +224,9 @@ def _remarks(command: Color, plan: _Plan, outputs: ColorOutputs, fitted: FittedC
         remarks.append(" Epsilon was not calibrated: there are no terms to leave out.")
     if fitted.calibration is not None and not fitted.calibration.converged:
         remarks.append(f" Epsilon was not found for certain: {fitted.calibration.reason}.")
-    if plan.space is None and (command.staircase is not None or command.compared.held_out):
+    if plan.space is None and command.compared.held_out:
         remarks.append(" Nothing was compared: there is nowhere to look from.")
     return remarks
-
-
-def _write_staircase(command: Color, plan: _Plan, fitted: FittedColors, status: Status) -> None:
-    from gsvis.prepare.approximations import Approximations
-    from gsvis.report.staircase import PERSON_RULE, write_staircase_page
-
-    source = plan.source
-    space = plan.space
-    colors = fitted.colors
-    assert command.staircase is not None
-    assert space is not None
-    pictures = Approximations(*fitted.drawn, _observed(command).cameras(source.whole, space))
-    ladder = pictures.ladder(PERSON_RULE.rungs, progress=status)
-    about = {"variant": colors.variant, "precision": command.precision, "mean_terms": colors.num_terms / len(colors)}
-    write_staircase_page(command.staircase, pictures.reference, ladder, title=source.name, about=about, progress=status)
 
 
 def _write_report(command: Color, plan: _Plan, fitted: FittedColors, status: Status) -> None:

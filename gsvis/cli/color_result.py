@@ -48,7 +48,7 @@ def print_result(
         about["levels"] = summarize_levels(source)
         about["space"] = None if space is None else space_document(space)
         about["remarks"] = [each.strip() for each in remarks]
-        written = {"active": command.active, "report": command.report, "staircase": command.staircase}
+        written = {"active": command.active, "report": command.report}
         print_json({**about, **written, **document, "seconds": seconds})
         return
     lines = list(remarks)
@@ -62,8 +62,6 @@ def print_result(
             lines.append(f" FLIP was not asked: {remedy_of('flip_evaluator')}.")
     if command.report is not None and Path(command.report, "report.html").exists():
         lines.append(f" Report: {Path(command.report) / 'report.html'}")
-    if command.staircase is not None and Path(command.staircase).exists():
-        lines.append(f" Test for a person: {command.staircase}")
     total = sum(seconds.values())
     kind = [] if space is None else [kind_row(space)]
     parts: list[Any] = [facts(source.name, [*_rows(command, source, document), *kind, ("time", clock(total))])]

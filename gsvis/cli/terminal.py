@@ -64,7 +64,6 @@ _SAID = {
     "records": "rounding to records",
     "epsilon": "finding epsilon",
     "terms": "finding active terms of cells",
-    "rungs": "drawing the staircase",
     "colors": "comparing with SH",
     "photos": "reading photographs",
     "views": "rendering views",

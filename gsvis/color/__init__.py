@@ -26,7 +26,6 @@ from gsvis.color.records import (
     bytes_per_base,
     bytes_per_term,
     quantize,
-    quantize_centers,
     record_bytes,
     sh_bytes,
 )
@@ -93,7 +92,6 @@ __all__ = [
     "load_srbf",
     "orthogonal_matching_pursuit",
     "quantize",
-    "quantize_centers",
     "record_bytes",
     "replay",
     "rgb_by_hsl_lightness",

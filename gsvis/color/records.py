@@ -27,7 +27,6 @@ __all__ = [
     "bytes_per_base",
     "bytes_per_term",
     "quantize",
-    "quantize_centers",
     "record_bytes",
     "sh_bytes",
 ]
@@ -333,35 +332,6 @@ def quantize(
     scales = _grids.nearest(colors.scales, g.scale_table()) if has_scales(kind) else np.zeros(0, np.uint16)
     axes = _grids.octahedral(colors.axes, g.precision.axis)
     return QuantizedColors(g, base, scales, axes, colors.offsets, colors.functions, centers, decays, intensities)
-
-
-def quantize_centers(colors: SrbfColors, precision: Precision | str = "wire", *, refit: bool = True) -> SrbfColors:
-    """Return the colors with rounded centers and decays, and everything else exact.
-
-    A fit that knows directions and colors can then fit the intensities again before `quantize` rounds them; `quantize`
-    finds the same centers and decays.
-
-    Args:
-        colors: Colors to round.
-        precision: A name from `PRECISIONS`, or a `Precision`.
-        refit: Adapt intensities as `quantize` does; False leaves them unchanged.
-    """
-    g = Grids.from_colors(colors, precision)
-    places, decay_places = _round_lobes(colors, g)
-    centers = _centers_of(places, g)
-    decays = g.decay_table()[decay_places]
-    intensities = _project(colors, _lobes(centers, decays)) if refit else colors.intensities
-    return SrbfColors(
-        colors.variant,
-        colors.base,
-        colors.scales,
-        colors.axes,
-        colors.offsets,
-        colors.functions,
-        centers,
-        decays,
-        np.asarray(intensities, np.float32),
-    )
 
 
 def bytes_per_term(name: str, precision: Precision | str | None = "wire") -> float:

@@ -32,7 +32,7 @@ from gsvis.io.spz import load_spz, save_spz
 from gsvis.io.streamed_sog import load_streamed_sog
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["WRITTEN", "check_scene", "is_gltf", "load_scene", "save_scene"]
+__all__ = ["WRITTEN", "check_scene", "load_scene", "save_scene"]
 
 _KNOWN = (
     "a scene: PLY (.ply, .compressed.ply), .splat, .ksplat, SPZ (.spz), SOG (.sog or a folder with meta.json), "
@@ -111,24 +111,6 @@ def load_scene(path: str | os.PathLike[str], lod: int | None = None, *, drop_inv
             return load_streamed_sog(where, lod)
         scene = reader(where)
     return settle_origin(scene) if reader in _PLACED and not any(scene.facts.origin) else scene
-
-
-def is_gltf(path: str | os.PathLike[str]) -> bool:
-    """Return whether the file is glTF by its first bytes; scenes in glTF have +y up.
-
-    Args:
-        path: As for `load_scene`.
-
-    Raises:
-        OSError: If the file cannot be read.
-    """
-    where = _check.path("path", path)
-    if not where.is_file():
-        return False
-    if where.suffix.lower() == ".gltf":
-        return True
-    with open_regular(where) as stream:
-        return stream.read(4) == b"glTF"
 
 
 def _find_reader(path: Path, lod: int | None) -> Callable[[str | os.PathLike[str]], Gaussians] | None:

@@ -1,6 +1,6 @@
 """Render a scene with all terms of its colors, and with only the terms active at an epsilon.
 
-The staircase shows these images to a person; the metric that replaces a person compares them.
+The metric that replaces a person in the staircase compares these images.
 """
 
 from __future__ import annotations
@@ -8,13 +8,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from gsvis import _check
 from gsvis.color import Evaluator
 from gsvis.color.activation import Activation
 from gsvis.color.srbf import SrbfColors
-from gsvis.progress import Progress, silent
 from gsvis.render.metrics import flip_map
 from gsvis.render.rasterizer import rasterize
 from gsvis.scene.cameras import Cameras
@@ -56,21 +54,6 @@ class Approximations:
     def images(self, epsilon: float) -> F32:
         """Return (C, H, W, 3) images with the terms that change a channel by more than epsilon."""
         return np.stack([self._draw(view, epsilon) for view in range(len(self._cameras))])
-
-    def ladder(self, epsilons: ArrayLike, *, progress: Progress = silent) -> F32:
-        """Return (C, E, H, W, 3) images for E epsilons, as `write_staircase_page` takes them.
-
-        Args:
-            epsilons: (E,), such as the rungs of a rule.
-            progress: Called with stage "rungs".
-        """
-        chosen = _check.floats("epsilons", epsilons, ("E",), np.float64)
-        out = np.empty((len(self._cameras), len(chosen), *self.reference.shape[1:]), np.float32)
-        progress("rungs", 0, len(chosen))
-        for rung, epsilon in enumerate(chosen.tolist()):
-            out[:, rung] = self.images(epsilon)
-            progress("rungs", rung + 1, len(chosen))
-        return out
 
     def shares(self, epsilon: float) -> NDArray[np.float64]:
         """Return (C,) shares of active terms, for each view's eye; 0 if there are no terms."""

@@ -2,7 +2,7 @@
 
     fitted = color_scene(g, space, "scene.srbf.arrow", ColorOutputs(held_out=ViewSampling(8, stream=1)))
 
-An interrupted fit resumes. Reports and the test for a person are written from the result by `gsvis.report`.
+An interrupted fit resumes. Reports are written from the result by `gsvis.report`.
 """
 
 from __future__ import annotations

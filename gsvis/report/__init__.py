@@ -3,20 +3,16 @@
 from typing import TYPE_CHECKING, Any
 
 from gsvis.report.pictures import ViewPicture, picture_views
-from gsvis.report.staircase import PERSON_RULE, load_staircase_result, write_staircase_page
 
 if TYPE_CHECKING:
     from gsvis.report.document import Subject, report_document, write_report
 
 __all__ = [
-    "PERSON_RULE",
     "Subject",
     "ViewPicture",
-    "load_staircase_result",
     "picture_views",
     "report_document",
     "write_report",
-    "write_staircase_page",
 ]
 
 

@@ -28,7 +28,7 @@ from gsvis.scene.points import PointCloud
 from gsvis.train._photo_files import FAULTS, find_files, find_views, join_names, quiet_pillow, read_sizes, whole_factor
 from gsvis.train.images import PosedImages
 
-__all__ = ["FEWEST_VIEWS", "Photos", "load_photo_cameras", "load_photos", "load_viewpoints", "photo_bytes"]
+__all__ = ["FEWEST_VIEWS", "Photos", "load_photo_cameras", "load_photos", "photo_bytes"]
 
 Size = tuple[int, int]
 
@@ -62,19 +62,6 @@ class Photos:
     def __repr__(self) -> str:
         points = "no points" if self.points is None else f"{len(self.points):,} points"
         return f"Photos({self.views!r}, {points})"
-
-
-def load_viewpoints(folder: str | PathLike[str]) -> NDArray[np.float64]:
-    """Return (C, 3) viewpoints of the photos of a folder, in the frame of the model; reads no photo.
-
-    Args:
-        folder: As in `load_photos`.
-
-    Raises:
-        FileNotFoundError: If there is no such folder.
-        FormatError: If there is no model, or it is malformed or distorted.
-    """
-    return load_photo_cameras(folder).viewpoints
 
 
 def load_photo_cameras(folder: str | PathLike[str]) -> Cameras:

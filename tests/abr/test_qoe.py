@@ -12,7 +12,6 @@ from gsvis.abr.qoe import (
     Difference,
     QoeConfig,
     first_frame,
-    latencies,
     paired_difference,
     quality_of_experience,
     stall,
@@ -28,7 +27,6 @@ def test_known_answers() -> None:
     assert found.score == 0.625 - 5 * 0.625
     assert found.psnr == (50 + 100 + 0 + 25) / 4
     assert found.latency == 0.625
-    assert latencies([0.0, 1.0, 2.0], [0.25, -np.inf, np.inf]).tolist() == [0.25, 0.0, 1.0]
     assert first_frame([0.0, 0.5, 1.0], [3.0, 20.0, 50.0]) == 0.5
     assert first_frame([0.0], [3.0]) == np.inf
     assert stall([0.0, 1.0, 2.0, 3.0], [5.0, 22.0, 30.0, 10.0]) == 2.0
@@ -40,7 +38,6 @@ def test_each_constant_scales_its_part() -> None:
     assert (found.quality, found.delay, found.score) == (0.5, 0.25, 0.375)
     assert quality_of_experience([50.0], [3.0], QoeConfig(latency_scale=2.0)).latency == 2.0
     assert quality_of_experience([50.0], [0.5], QoeConfig(delay_weight=0.0)).score == 1.0
-    assert latencies([0.0, 1.0], [0.3, 9.0], timeout=0.4).tolist() == [0.3, 0.4]
 
 
 def test_a_stall_is_what_is_worse_than_acceptable_from_the_first_image_on() -> None:
@@ -112,7 +109,6 @@ def test_an_interval_that_touches_zero_does_not_exclude_it(low: float, high: flo
         (lambda: quality_of_experience([-0.1], [0.0]), "psnr"),
         (lambda: stall([0.0, 2.0, 1.0], [30.0, 30.0, 30.0]), "times"),
         (lambda: stall([0.0, 1.0], [30.0, 30.0], end=0.5), "times"),
-        (lambda: latencies([0.0], [np.nan]), "arrivals"),
     ],
 )
 def test_wrong_arguments_are_named(make, message: str) -> None:

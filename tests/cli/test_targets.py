@@ -50,7 +50,6 @@ REFUSALS = {
     "color, something": ("color {ply} -o {out}", foreign("")),
     "color, a folder": ("color {ply} -o {out}", foreign("x")),
     "color, its report": ("color {ply} -o {other} --report {out}", foreign("report.html")),
-    "color, its page": ("color {ply} -o {other} --staircase {out}", foreign("")),
     "color, its terms": ("color {ply} -o {other} --pvs {pvs} --active {out}", foreign("")),
     "pvs, something": ("pvs {ply} -o {out}", foreign("")),
     "pvs, a folder": ("pvs {ply} -o {out}", foreign("x")),

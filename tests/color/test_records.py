@@ -17,7 +17,6 @@ from gsvis.color.records import (
     bytes_per_base,
     bytes_per_term,
     quantize,
-    quantize_centers,
     record_bytes,
     sh_bytes,
 )
@@ -140,19 +139,6 @@ def test_lobes_that_nearly_cancel_survive_rounding() -> None:
     )  # fmt: skip
     plain, adapted = (field_error(before, quantize(before, refit=refit).dequantize()) for refit in (False, True))
     assert adapted.mean() < 0.85 * plain.mean()
-
-
-def test_only_centers_and_decays_are_rounded_when_a_fit_goes_on() -> None:
-    before = random_colors(np.random.default_rng(4), 80, "axes", 4)
-    halfway = quantize_centers(before, "coarse", refit=False)
-    for part in ("base", "scales", "axes", "intensities"):
-        np.testing.assert_array_equal(getattr(halfway, part), getattr(before, part))
-    full = quantize(halfway, "coarse").dequantize()
-    np.testing.assert_array_equal(full.centers, halfway.centers)
-    np.testing.assert_array_equal(full.decays, halfway.decays)
-    np.testing.assert_array_equal(full.centers, quantize(before, "coarse").dequantize().centers)
-    adapted = quantize_centers(before, "coarse")
-    assert field_error(before, adapted).sum() < field_error(before, halfway).sum()
 
 
 def test_hue_goes_around() -> None:

@@ -27,7 +27,6 @@ from gsvis.pvs._journal import (
 )
 from gsvis.pvs.cell_view import CellView, Figures, Sighting
 from gsvis.pvs.store import CellSet, VisibilityStore, write_store
-from gsvis.report import load_staircase_result
 from gsvis.scene.levels import Levels
 from gsvis.scene.procedural import random_scene
 from gsvis.train.checkpoint import load_checkpoint, save_checkpoint
@@ -231,25 +230,6 @@ def in_checkpoint(folder: Path, case: Case) -> None:
     assert len({len(value) for value in values.values()}) == 1
 
 
-def staircases() -> list[Case]:
-    import json
-
-    from gsvis.color.epsilon import StaircaseRule, calibrate_epsilon
-
-    class Rule:
-        name, provenance = "a rule", {"observer": "a rule"}
-
-        def __call__(self, epsilon: float) -> bool:
-            return epsilon > 0.02
-
-    return [{"epsilon.json": json.dumps(calibrate_epsilon(Rule(), StaircaseRule()).as_dict()).encode()}]
-
-
-def in_staircase(folder: Path, case: Case) -> None:
-    (name,) = case
-    assert load_staircase_result(folder / name).epsilon > 0
-
-
 PVS, FILES, JOBS = "gsvis.pvs.", "gsvis.files.", "gsvis.jobs."
 TRAIN, IO = "gsvis.train.", "gsvis.io."
 
@@ -303,5 +283,4 @@ TARGETS = [
         weight=0.5,
         beginnings=("checkpoint: expected ",),  # another run's
     ),
-    Target("staircase", staircases, in_staircase, modules=("gsvis.report.staircase",), weight=0.5),
 ]

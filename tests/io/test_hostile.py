@@ -36,7 +36,6 @@ from gsvis.package import Package
 from gsvis.package.active_terms import ActiveTerms
 from gsvis.pvs._writer import FILE_KIND, FORMAT
 from gsvis.pvs.store import VisibilityStore
-from gsvis.report.staircase import load_staircase_result
 from gsvis.serve.parts import read_part
 from gsvis.train.photos import load_photos
 from tests.io.scene_files import random_scene, sog_files, streamed_files, write_files, zip_bytes
@@ -92,7 +91,6 @@ READERS: dict[str, tuple[str, Callable[[Path], Any]]] = {
     "archive": ("run.ckpt", load_arrays),
     "checkpoint": ("run.pt", load_checkpoint),
     "checkpoint, looked at": ("run.pth", is_checkpoint),
-    "staircase": ("result.json", load_staircase_result),
 }
 
 
@@ -143,7 +141,6 @@ OPENED_OTHERWISE = {
     "files/mapped.py": "read_bytes",  # what the system says of this process; such a file has no size
     "files/arrow.py": "memory_map",  # opened as a regular file before
     "report/html.py": "read_text",  # pages that come with gsvis
-    "report/staircase.py": "read_text",
     "pvs/_tasks.py": "memmap",  # what this run wrote for its workers
     "report/frames.py": "load",  # what this run wrote
     "cli/streams.py": "open",  # the null device

@@ -53,14 +53,6 @@ def test_nothing_left_out_is_the_reference_and_everything_the_base(
     assert pictures.shares(100.0).tolist() == [0.0] * VIEWS
 
 
-def test_a_ladder_is_the_images_of_its_rungs(pictures: Approximations) -> None:
-    calls: list[tuple[str, int, int]] = []
-    ladder = pictures.ladder([0.2, 0.02], progress=lambda *step: calls.append(step))
-    assert ladder.shape == (VIEWS, 2, 16, 24, 3)
-    assert np.array_equal(ladder[:, 1], pictures.images(0.02))
-    assert calls == [("rungs", 0, 2), ("rungs", 1, 2), ("rungs", 2, 2)]
-
-
 def test_flip_finds_the_view_that_shows_it_most(pictures: Approximations) -> None:
     metrics = pytest.importorskip("gsvis.render.metrics")
     pytest.importorskip("flip_evaluator")

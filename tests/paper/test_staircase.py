@@ -14,12 +14,11 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from paper.staircase import PERSON_RULE, draw_ladder, load_staircase_result, write_staircase_page
 from PIL import Image
 
-import gsvis.report
 from gsvis.color.epsilon import EpsilonCalibration, MetricObserver, Staircase, StaircaseRule, calibrate_epsilon
 from gsvis.errors import FormatError
-from gsvis.report.staircase import PERSON_RULE, load_staircase_result, write_staircase_page
 
 AWKWARD = "<b>\"nika\" & 'co'</b> $title</script>"
 RULE = StaircaseRule(0.1, math.log(2.0), (), 1, 4, 60, 0.0125, 0.2)
@@ -269,5 +268,13 @@ def test_files_that_are_no_json_object_are_refused(tmp_path: Path, text: bytes) 
         load_staircase_result(tmp_path / "none.json")
 
 
-def test_the_names_are_public() -> None:
-    assert {"load_staircase_result", "write_staircase_page", "PERSON_RULE"} <= set(gsvis.report.__all__)
+def test_a_ladder_is_the_images_of_its_rungs() -> None:
+    class Flat:
+        def images(self, epsilon: float) -> NDArray[np.float32]:
+            return np.full((2, 3, 4, 3), epsilon, np.float32)
+
+    calls: list[tuple[str, int, int]] = []
+    ladder = draw_ladder(Flat(), [0.5, 0.25], progress=lambda *step: calls.append(step))  # type: ignore[arg-type]
+    assert ladder.shape == (2, 2, 3, 4, 3)
+    assert np.array_equal(ladder[:, 1], Flat().images(0.25))
+    assert calls == [("rungs", 0, 2), ("rungs", 1, 2), ("rungs", 2, 2)]

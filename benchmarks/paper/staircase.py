@@ -15,6 +15,8 @@ import os
 from collections.abc import Mapping
 from html import escape
 from importlib.resources import files
+from pathlib import Path
+from string import Template
 from typing import Any, NoReturn
 
 import numpy as np
@@ -22,15 +24,17 @@ from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 
 from gsvis import _check
+from gsvis._text import as_text
 from gsvis.color.epsilon import MOST_AT_BOUND, STUCK, UP_STEPS, EpsilonCalibration, StaircaseRule, replay
 from gsvis.errors import FormatError
 from gsvis.files.atomic import atomic_path
 from gsvis.files.fields import parse_json
 from gsvis.files.limits import read_whole
+from gsvis.prepare.approximations import Approximations
 from gsvis.progress import Progress, silent
-from gsvis.report.html import fill_template, plain, table
+from gsvis.report.html import plain, table
 
-__all__ = ["PERSON_RULE", "load_staircase_result", "write_staircase_page"]
+__all__ = ["PERSON_RULE", "draw_ladder", "load_staircase_result", "write_staircase_page"]
 
 PERSON_RULE = StaircaseRule(
     start=0.1,
@@ -50,6 +54,23 @@ rung by luck.
 """
 
 _TYPICAL_TRIALS = 2.5  # per counted or discarded reversal, with a guess rate of one half
+
+
+def draw_ladder(pictures: Approximations, epsilons: ArrayLike, *, progress: Progress = silent) -> NDArray[np.float32]:
+    """Return (C, E, H, W, 3) images for E epsilons, as `write_staircase_page` takes them.
+
+    Args:
+        pictures: C views of a scene.
+        epsilons: (E,), such as the rungs of a rule.
+        progress: Called with stage "rungs".
+    """
+    chosen = _check.floats("epsilons", epsilons, ("E",), np.float64).tolist()
+    rungs = []
+    for done, epsilon in enumerate(chosen):
+        progress("rungs", done, len(chosen))
+        rungs.append(pictures.images(epsilon))
+    progress("rungs", len(chosen), len(chosen))
+    return np.stack(rungs, axis=1)
 
 
 def write_staircase_page(
@@ -233,9 +254,8 @@ def _page(
         f" of the approximations. A right answer takes epsilon one step down, a wrong one {UP_STEPS} steps up, so it"
         " rests where 75% are right; the result is the geometric mean of the last turning points."
     )
-    script = (files("gsvis.report") / "staircase.js").read_text(encoding="utf-8")
-    return fill_template(
-        "staircase.html",
+    here = Path(__file__).parent
+    page = Template((here / "staircase.html").read_text(encoding="utf-8")).substitute(
         title=escape(title),
         version=escape(str(provenance.get("gsvis", ""))),
         lead=f"A test of how much of the colors of {escape(title)} an eye needs.",
@@ -250,5 +270,7 @@ def _page(
         made=made,
         table=table(("the pictures", ""), shown),
         data=json.dumps(document, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"),
-        script=script,
+        script=(here / "staircase.js").read_text(encoding="utf-8"),
+        style=(files("gsvis.report") / "page.css").read_text(encoding="utf-8"),
     )
+    return as_text(page)
