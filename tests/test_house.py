@@ -25,9 +25,6 @@ LARGE_OBJECTS = {
     "abr/index.py:SceneIndex": 18,
     "pvs/quality_result.py:Quality": 23,
     "scene/inspection.py:SceneReport": 19,
-    "serve/_guard.py:Guard": 28,
-    "serve/connection.py:Connection": 23,
-    "serve/metrics.py:Metrics": 23,
     "train/config.py:TrainConfig": 16,
 }
 """Objects that have more attributes still: how many they may have."""

@@ -8,9 +8,10 @@ from __future__ import annotations
 import ipaddress
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 from urllib.parse import urlsplit
 
-__all__ = ["Proxies", "is_known_host", "owner_of"]
+__all__ = ["Client", "Proxies", "is_known_host", "owner_of"]
 
 
 def owner_of(address: str) -> str:
@@ -26,6 +27,23 @@ def owner_of(address: str) -> str:
     if isinstance(found, ipaddress.IPv6Address):
         return str(ipaddress.ip_network((found, 64), strict=False))
     return str(found)
+
+
+class Client(NamedTuple):
+    """Where a client is.
+
+    Attributes:
+        address: Its address.
+        owner: Its address or network, for limits per address; see `owner_of`.
+    """
+
+    address: str
+    owner: str
+
+    @classmethod
+    def at(cls, address: str) -> Client:
+        """Return the client at an address."""
+        return cls(address, owner_of(address))
 
 
 def _parse(address: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:

@@ -78,6 +78,18 @@ class Door:
         if self._accepting is not None:
             self._accepting.cancel()
 
+    def make_protocol(self) -> Any:
+        """Return the protocol that answers the requests of a connection."""
+        return self._inner()
+
+    def client_of(self, peer: str, forwarded: list[str]) -> str:
+        """Return the address of a client: that of its socket, or the one that trusted proxies report."""
+        return self._proxies.client_of(peer, forwarded)
+
+    def forget(self, guard: Guard) -> None:
+        """Forget a connection, which has ended."""
+        self.guards.discard(guard)
+
     async def wait_closed(self) -> None:
         """Wait until the door has stopped accepting connections."""
         if self._accepting is not None:
@@ -135,7 +147,7 @@ class Door:
 
     def _take(self, sock: socket.socket, peer: tuple[str, int]) -> None:
         sock.setblocking(False)
-        guard = Guard(sock, peer, self._means, self._inner, self._place, self._forget)
+        guard = Guard(sock, peer, self._means, self)
         self.guards.add(guard)
         self._crowd(guard)
         task = asyncio.create_task(self._begin(guard, sock))
@@ -151,7 +163,7 @@ class Door:
         try:
             await asyncio.get_running_loop().connect_accepted_socket(lambda: guard, sock, **options)
         except OSError as error:  # no handshake; the connection is closed by now
-            if not guard.is_cut:
+            if not guard.phase.has_ended:
                 self._means.metrics.cut.add(of="no TLS")
                 self._log("cut", logging.INFO, reason="no TLS", peer=str(guard), why=type(error).__name__)
             guard.end()
@@ -160,20 +172,14 @@ class Door:
             guard.end()
             raise
 
-    def _place(self, peer: str, forwarded: list[str]) -> str:
-        return self._proxies.client_of(peer, forwarded)
-
-    def _forget(self, guard: Guard) -> None:
-        self.guards.discard(guard)
-
     def _waiting(self) -> list[Guard]:
-        return [guard for guard in self.guards if guard.phase is not Phase.STREAMING and not guard.is_cut]
+        return [guard for guard in self.guards if guard.phase is not Phase.STREAMING and not guard.phase.has_ended]
 
     def _crowd(self, newcomer: Guard) -> None:
         """Enforce the limits: close another connection if the new one exceeds them."""
         waiting = self._waiting()
-        if newcomer.address not in self._proxies:
-            same = [guard for guard in waiting if guard.owner == newcomer.owner]
+        if newcomer.client.address not in self._proxies:
+            same = [guard for guard in waiting if guard.client.owner == newcomer.client.owner]
             if len(same) > self._limits.most_per_address:
                 self._make_room([guard for guard in same if guard is not newcomer])
                 waiting = self._waiting()
@@ -184,12 +190,12 @@ class Door:
         """Cut the connection that is least needed."""
         if not among:
             return
-        held = Counter(guard.owner for guard in among)
+        held = Counter(guard.client.owner for guard in among)
         last = min(
             among,
             key=lambda guard: (
                 guard.phase is Phase.ANSWERING and not guard.is_full,
-                -held[guard.owner],
+                -held[guard.client.owner],
                 guard.unsent > 0,
                 guard.phase is not Phase.ENDING,
                 guard.since,

@@ -8,10 +8,11 @@ A connection is always in one phase. Each phase ends by progress, by a deadline,
     GREETING   a WebSocket before its HELLO                           handshake_s, kept by `Connection`
     STREAMING  a viewer                                               kept by `Connection`
     ENDING     closed by us, or refused; the rest is being sent       stall_s
+    CUT        aborted; the transport reports its end in a moment
+    OVER       nothing is left of it
 
 In every phase, a peer whose socket is full must read at a minimum rate. The guard reads the head of each request itself
-and hands over one complete request at a time; later bytes wait in the guard. Bytes of a WebSocket go to its parser in
-slices, for a short time in each turn of the event loop, so that a burst of small frames keeps no other viewer waiting.
+and hands over one complete request at a time; later bytes wait in the guard.
 """
 
 from __future__ import annotations
@@ -22,29 +23,25 @@ import http
 import itertools
 import logging
 import socket
-import struct
-import sys
-from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Protocol
 
-from gsvis.serve._addresses import owner_of
-from gsvis.serve._head import MOST_BYTES, Refusal, check_head, find_end
+from gsvis.serve._addresses import Client
+from gsvis.serve._head import MOST_BYTES, Head, Refusal, RequestBuffer
+from gsvis.serve._line import Line
 from gsvis.serve._log import EventLog
+from gsvis.serve._slices import Slices
 from gsvis.serve.clock import Clock, Timer
 from gsvis.serve.limits import Limits
 from gsvis.serve.metrics import Metrics
 from gsvis.serve.precedence import Precedence
 from gsvis.serve.turns import Readings
 
-__all__ = ["Guard", "Means", "Phase", "Wire"]
+__all__ = ["Guard", "House", "Means", "Phase", "Wire"]
 
-_AT_ONCE = struct.pack("ii", 1, 0)  # linger for 0 seconds
 _MOST_PENDING = 1 << 20  # most bytes that wait for a viewer, with answers to pings; or four batches, if more
 _PACE = 1 << 10  # least bytes that a peer must read in `stall_s`
-_SLICE = 1 << 9  # most bytes of a WebSocket that are parsed in one go; 5,000 empty frames take 50 ms
 _LOOK_S = 1.0  # seconds between checks whether an answer has been sent
 
 _numbers = itertools.count()
@@ -59,6 +56,13 @@ class Phase(enum.Enum):
     GREETING = "greeting"
     STREAMING = "streaming"
     ENDING = "ending"
+    CUT = "cut"
+    OVER = "over"
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether nothing more is read or answered."""
+        return self in (Phase.CUT, Phase.OVER)
 
 
 @dataclass(frozen=True)
@@ -80,6 +84,22 @@ class Means:
     metrics: Metrics
     readings: Readings = field(default_factory=Readings)
     precedence: Precedence = field(default_factory=Precedence)
+
+
+class House(Protocol):
+    """What a guard asks of the door that it belongs to."""
+
+    def make_protocol(self) -> Any:
+        """Return the protocol that answers the requests of a connection."""
+        ...
+
+    def client_of(self, peer: str, forwarded: list[str]) -> str:
+        """Return the address of a client, from the address of its socket and its forwarded headers."""
+        ...
+
+    def forget(self, guard: Guard) -> None:
+        """Forget a connection, which has ended; called once."""
+        ...
 
 
 class _Inner(Protocol):
@@ -131,51 +151,29 @@ class Guard(asyncio.Protocol):
         sock: The accepted socket.
         peer: Address of the other end.
         means: What all guards share.
-        inner: Makes the protocol that answers requests.
-        seen: Called with the peer and the forwarded headers of each request; returns the address of the client.
-        gone: Called once, when the connection has ended.
+        house: The door that accepted the connection.
 
     Attributes:
+        peer: Address of the other end of the socket.
+        client: The client; behind a proxy another one than `peer`.
         phase: Phase of the connection.
         since: Increases with each change of phase; the smallest has waited longest.
-        address: Address of the client.
-        owner: Address or network of the client, for limits per address.
-        is_cut: Whether the connection has been cut; the transport reports its end a little later.
     """
 
-    def __init__(
-        self,
-        sock: socket.socket,
-        peer: tuple[str, int],
-        means: Means,
-        inner: Callable[[], Any],
-        seen: Callable[[str, list[str]], str],
-        gone: Callable[[Guard], object],
-    ) -> None:
-        self._sock = sock
+    def __init__(self, sock: socket.socket, peer: tuple[str, int], means: Means, house: House) -> None:
         self.peer = peer
-        self._limits = means.limits
-        self._clock = means.clock
-        self._log = means.log
-        self._metrics = means.metrics
-        self._readings = means.readings
-        self._precedence = means.precedence
-        self._fd = sock.fileno()
-        self._make = inner
-        self._seen = seen
-        self._gone = gone
-        self.address = peer[0]
-        self.owner = owner_of(peer[0])
-        self.is_cut = False
-        self._transport: Any = None
+        self.client = Client.at(peer[0])
+        self._means = means
+        self._house = house
+        self._line = Line(sock)
         self._inner: _Inner | None = None
-        self._buffer = bytearray()
-        self._seen_bytes = 0
+        self._requests = RequestBuffer()
+        self._frames: Slices | None = None  # None before the connection is a WebSocket
         self._deadline: Timer | None = None
         self._room: Timer | None = None
-        self._is_over = self._is_upgraded = self._is_feeding = self._is_held = False
         self._left = 0  # bytes that waited to be sent at the last check, while ending
-        self._enter(Phase.ASKING, self._limits.handshake_s)
+        self.phase = Phase.ASKING
+        self._enter(Phase.ASKING, means.limits.handshake_s)
 
     def __str__(self) -> str:
         return f"{self.peer[0]}:{self.peer[1]}"
@@ -188,40 +186,33 @@ class Guard(asyncio.Protocol):
     @property
     def unsent(self) -> int:
         """Bytes that wait for room in the socket."""
-        if self._transport is None:
-            return 0
-        tls = getattr(self._transport, "_ssl_protocol", None)
-        below = getattr(tls, "_transport", None)
-        if tls is not None and below is None:  # the transport is about to report its end
-            return 0
-        waiting = int(self._transport.get_write_buffer_size())
-        if below is not None and sys.version_info >= (3, 11):  # TLS counts only bytes that it still holds
-            waiting += int(below.get_write_buffer_size())
-        return waiting
+        return self._line.unsent
 
     # from the transport
 
     def connection_made(self, transport: Any) -> None:
         """Handle a new connection; with TLS, after the handshake."""
-        self._transport = transport
-        if self.is_cut:
+        self._line.transport = transport
+        if self.phase.has_ended:
             transport.abort()
             return
-        self._inner = self._make()
+        self._inner = self._house.make_protocol()
         self._inner.connection_made(Wire(transport, self))
 
     def data_received(self, data: bytes) -> None:
         """Handle bytes of the peer."""
-        if self.is_cut or (self.phase is Phase.ENDING and not self._is_upgraded):
+        if self.phase.has_ended:
             return
-        if self._is_upgraded:
-            self._feed(data)
+        if self._frames is not None:
+            self._frames.add(data)
             return
-        self._buffer += data
+        if self.phase is Phase.ENDING:
+            return
+        self._requests.add(data)
         if self.phase in (Phase.ASKING, Phase.IDLE):
             self._take_request()
-        elif len(self._buffer) > MOST_BYTES:
-            self._transport.pause_reading()  # until the answer is out
+        elif len(self._requests) > MOST_BYTES:
+            self._line.transport.pause_reading()  # until the answer is out
 
     def eof_received(self) -> bool | None:
         """Return None, so that the transport closes: the peer sends nothing more."""
@@ -245,10 +236,11 @@ class Guard(asyncio.Protocol):
     def connection_lost(self, exc: Exception | None) -> None:
         """Handle the end of the connection."""
         self.end()
-        # break the cycle, which keeps 256 kB of TLS
+        # break the cycles, which keep 256 kB of TLS
         inner = self._inner
         self._inner = None
-        self._transport = None
+        self._frames = None
+        self._line.transport = None
         if inner is not None:
             inner.connection_lost(exc)
 
@@ -256,36 +248,38 @@ class Guard(asyncio.Protocol):
 
     def answered(self) -> None:
         """Handle an answer that has been sent or is in the socket buffer."""
-        if self._is_over or self.phase is not Phase.ANSWERING:
+        if self.phase is not Phase.ANSWERING:
             return
         self._enter(Phase.IDLE)
         self._rest()
-        self._transport.resume_reading()
-        if self._buffer:
-            self._readings.add(self._go_on)
+        self._line.transport.resume_reading()
+        if self._requests:
+            self._means.readings.add(self._go_on)
 
     def _go_on(self) -> bool:
         """Take the next request of those that came at once; return False, as one is enough for a turn."""
-        if self.phase is Phase.IDLE and not self._has_ended():
+        if self.phase is Phase.IDLE:
             self._take_request()
         return False
 
     def upgrade(self, protocol: Any) -> None:
         """Switch the connection to a WebSocket."""
         self._inner = protocol
-        self._is_upgraded = True
+        self._frames = Slices(self._line, self._means.readings, self._hand_over)
         if self.phase is Phase.ANSWERING:
             self._enter(Phase.GREETING)
 
     def hold_reading(self, is_held: bool) -> None:
-        """Pause or resume reading for the protocol; slices that are on their way to it still arrive."""
-        self._is_held = is_held
-        if self._transport is None:
+        """Pause or resume reading for the protocol."""
+        transport = self._line.transport
+        if transport is None:
             return
-        if is_held:
-            self._transport.pause_reading()
-        elif not self._is_feeding:
-            self._transport.resume_reading()
+        if self._frames is not None:
+            self._frames.hold(is_held)
+        elif is_held:
+            transport.pause_reading()
+        else:
+            transport.resume_reading()
 
     def stream(self) -> None:
         """Mark the connection as a viewer, which does not make room for others."""
@@ -295,14 +289,13 @@ class Guard(asyncio.Protocol):
     def close(self) -> None:
         """End the connection when everything is sent, at most `stall_s` later."""
         self.finish()
-        if self._transport is not None and not self._transport.is_closing():  # a second close of TLS cannot be aborted
-            self._transport.close()
+        self._line.close()
 
     def finish(self) -> None:
         """Enter the phase ENDING: the peer has `stall_s` to read the rest and to close."""
-        if not self._is_over and self.phase is not Phase.ENDING:
+        if self.phase is not Phase.ENDING and not self.phase.has_ended:
             self._left = self.unsent
-            self._enter(Phase.ENDING, self._limits.stall_s)
+            self._enter(Phase.ENDING, self._means.limits.stall_s)
 
     def cut(self, reason: str = "", level: int = logging.WARNING) -> None:
         """Abort the connection now and discard unsent bytes, in the kernel too.
@@ -311,71 +304,78 @@ class Guard(asyncio.Protocol):
             reason: For the log and the metrics; "" logs and counts nothing.
             level: Level of the log line.
         """
-        if self._is_over or self.is_cut:
+        if self.phase.has_ended:
             return
-        self.is_cut = True
         if reason:
-            self._metrics.cut.add(of=reason)
-            self._log("cut", level, reason=reason, peer=str(self), phase=self.phase.value)
-        with suppress(OSError):
-            self._sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _AT_ONCE)
-        if self._transport is not None:
-            self._transport.abort()
-        else:  # in the handshake, which ends when it reads the end
-            with suppress(OSError):
-                self._sock.shutdown(socket.SHUT_RDWR)
+            self._means.metrics.cut.add(of=reason)
+            self._means.log("cut", level, reason=reason, peer=str(self), phase=self.phase.value)
+        self.phase = Phase.CUT
+        self._stop_timers()
+        self._line.abort()
 
     def shut_down(self) -> None:
         """Announce the shutdown; never raise, so that the next connection gets the message too."""
-        if self._inner is None or self.phase is Phase.ENDING:
-            if self._inner is None:
-                self.cut()
-            return
-        try:
-            self._inner.shutdown()
-        except Exception as error:
-            self._log("failed", logging.ERROR, peer=str(self), why=f"shutdown: {type(error).__name__}: {error}")
+        if self._inner is None:
             self.cut()
+        elif self.phase is not Phase.ENDING and not self.phase.has_ended:
+            try:
+                self._inner.shutdown()
+            except Exception as error:
+                why = f"shutdown: {type(error).__name__}: {error}"
+                self._means.log("failed", logging.ERROR, peer=str(self), why=why)
+                self.cut()
 
     def end(self) -> None:
         """Stop watching."""
-        if self._is_over:
+        if self.phase is Phase.OVER:
             return
-        self._is_over = True
-        for timer in (self._deadline, self._room):
-            if timer is not None:
-                timer.cancel()
-        self._buffer.clear()
-        self._precedence.forget(self._fd, self)
-        self._gone(self)
+        self.phase = Phase.OVER
+        self._stop_timers()
+        self._requests.clear()
+        if self._frames is not None:
+            self._frames.clear()
+        self._means.precedence.forget(self._line.fd, self)
+        self._house.forget(self)
 
     # inside
 
     def _enter(self, phase: Phase, seconds: float | None = None) -> None:
+        """Enter a phase, which ends after some seconds at the latest; None sets no deadline."""
         if self._deadline is not None:
             self._deadline.cancel()
-        self._deadline = None if seconds is None else self._clock.call_later(seconds, self._too_late)
-        self._precedence.put(self._fd, self, is_first=phase is Phase.STREAMING)
+        self._deadline = None if seconds is None else self._means.clock.call_later(seconds, self._too_late)
+        self._means.precedence.put(self._line.fd, self, is_first=phase is Phase.STREAMING)
         # last: who reads it from another thread finds the deadline set
         self.phase = phase
         self.since = next(_numbers)
 
+    def _stop_timers(self) -> None:
+        for timer in (self._deadline, self._room):
+            if timer is not None:
+                timer.cancel()
+
     def _rest(self) -> None:
         """Start the deadline of the next request after the answer is sent; until then check that the peer reads."""
         left = self.unsent
+        limits = self._means.limits
         if left:
-            self._look_in_a_moment(left, self._clock.now() + self._limits.stall_s)
+            self._look_in_a_moment(left, self._means.clock.now() + limits.stall_s)
         else:
-            self._enter(Phase.IDLE, self._limits.keep_alive_s)
+            self._enter(Phase.IDLE, limits.keep_alive_s)
 
     def _look_in_a_moment(self, left: int, end: float) -> None:
-        wait = min(_LOOK_S, self._limits.stall_s)
-        self._deadline = self._clock.call_later(wait, partial(self._look, left, end))
+        wait = min(_LOOK_S, self._means.limits.stall_s)
+        self._deadline = self._means.clock.call_later(wait, partial(self._look, left, end))
 
     def _look(self, left: int, end: float) -> None:
-        """Check that the answer has been sent, or that the peer reads it: `left` bytes were unsent at the start."""
+        """Check that the answer has been sent, or that the peer reads it.
+
+        Args:
+            left: Bytes that were unsent at the start.
+            end: When the peer must have read some of them, seconds of the clock.
+        """
         unsent = self.unsent
-        if unsent > 0 and self._clock.now() < end:
+        if unsent > 0 and self._means.clock.now() < end:
             self._look_in_a_moment(left, end)
         elif unsent > 0 and left - unsent < _PACE:
             self.cut("does not read")
@@ -383,107 +383,67 @@ class Guard(asyncio.Protocol):
             self._rest()
 
     def _too_late(self) -> None:
-        if self.phase is Phase.IDLE and not self._buffer:
+        """End the connection at the deadline of its phase, or give it more time while it reads."""
+        if self.phase is Phase.IDLE and not self._requests:
             self.close()  # no error: the peer has no further request
             return
         if self.phase is Phase.ENDING:
             left = self._left
             self._left = self.unsent
             if left - self._left >= _PACE:  # the peer still reads
-                self._enter(Phase.ENDING, self._limits.stall_s)
+                self._enter(Phase.ENDING, self._means.limits.stall_s)
                 return
             self.cut("does not read" if self._left else "does not end", logging.INFO)
             return
         self.cut("no request in time", logging.INFO)
 
     def _take_request(self) -> None:
-        while self._buffer.startswith(b"\r\n"):  # allowed between requests
-            del self._buffer[:2]
-            self._seen_bytes = 0
-        end = find_end(self._buffer, self._seen_bytes)
-        self._seen_bytes = len(self._buffer) if end is None else 0
-        if end is None:
+        """Hand over the next request if it is complete; refuse it if it is malformed."""
+        found = self._requests.take_request()
+        if found is None:
             return
-        if isinstance(end, Refusal):
-            self._refuse(end)
+        if isinstance(found, Refusal):
+            self._refuse(found)
             return
-        raw = bytes(self._buffer[:end])
-        head = check_head(raw)
-        if isinstance(head, Refusal):
-            self._refuse(head)
-            return
-        del self._buffer[:end]
-        address = self._seen(self.peer[0], [value for name, value in head.headers if name == "x-forwarded-for"])
-        if address != self.address:
-            self.address = address
-            self.owner = owner_of(address)
+        raw, head = found
+        self._find_client(head)
         self._enter(Phase.ANSWERING)
         self._hand_over(raw)
-        if self._is_upgraded and self._buffer:
-            data = bytes(self._buffer)
-            self._buffer.clear()
-            self._feed(data)
+        if self._frames is not None and self._requests:
+            self._frames.add(self._requests.take_rest())
 
-    def _feed(self, data: bytes) -> None:
-        """Hand over bytes of a WebSocket: at once if they are few, else in slices, while reading pauses."""
-        if not self._is_feeding and len(data) <= _SLICE:
-            self._hand_over(data)
-            return
-        self._buffer += data
-        if not self._is_feeding:
-            self._is_feeding = True
-            self._transport.pause_reading()
-            self._readings.add(self._feed_slice)
+    def _find_client(self, head: Head) -> None:
+        """Take the address of the client from a request, which a proxy may have forwarded."""
+        forwarded = [value for name, value in head.headers if name == "x-forwarded-for"]
+        address = self._house.client_of(self.peer[0], forwarded)
+        if address != self.client.address:
+            self.client = Client.at(address)
 
-    def _feed_slice(self) -> bool:
-        """Hand over a slice; return whether there is more."""
-        if self._has_ended():
+    def _hand_over(self, data: bytes) -> bool:
+        """Give bytes to uvicorn's protocol; return whether the connection goes on."""
+        if self.phase.has_ended:
             return False
-        data = bytes(self._buffer[:_SLICE])
-        del self._buffer[:_SLICE]
-        self._hand_over(data)
-        if self._has_ended():
-            return False
-        if self._buffer:
-            return True
-        self._is_feeding = False
-        if not self._is_held:
-            self._transport.resume_reading()
-        return False
-
-    def _has_ended(self) -> bool:
-        return self._is_over or self.is_cut
-
-    def _hand_over(self, data: bytes) -> None:
-        inner = self._inner
-        assert inner is not None
+        assert self._inner is not None
         try:
-            inner.data_received(data)
+            self._inner.data_received(data)
         except Exception as error:  # a failing parser ends only its own connection
-            self._metrics.cut.add(of="failed")
-            self._log("failed", logging.ERROR, peer=str(self), why=f"{type(error).__name__}: {error}")
+            self._means.metrics.cut.add(of="failed")
+            self._means.log("failed", logging.ERROR, peer=str(self), why=f"{type(error).__name__}: {error}")
             self.cut()
-            return
-        if self._is_upgraded and self.unsent > max(_MOST_PENDING, 4 * self._limits.batch_bytes):
+            return False
+        most = max(_MOST_PENDING, 4 * self._means.limits.batch_bytes)
+        if self._frames is not None and self.unsent > most:
             self.cut("pings and does not read")
+        return not self.phase.has_ended
 
     def _refuse(self, refusal: Refusal) -> None:
         """Write the refusal directly, without uvicorn, and end the connection."""
-        self._metrics.refused.add(of=str(refusal.status))
-        self._log("refused", logging.WARNING, peer=str(self), reason=str(refusal.status), why=refusal.line)
-        body = f"{refusal.line}\n".encode()
-        phrase = http.HTTPStatus(refusal.status).phrase
-        self._buffer.clear()
-        self._transport.write(
-            f"HTTP/1.1 {refusal.status} {phrase}\r\ncontent-type: text/plain; charset=utf-8\r\n"
-            f"content-length: {len(body)}\r\nconnection: close\r\n\r\n".encode()
-            + body
-        )
+        self._means.metrics.refused.add(of=str(refusal.status))
+        self._means.log("refused", logging.WARNING, peer=str(self), reason=str(refusal.status), why=refusal.line)
+        self._requests.clear()
+        self._line.transport.write(_answer(refusal))
         self.finish()
-        if self._transport.can_write_eof():
-            self._transport.write_eof()  # a close with unread bytes would discard the answer
-        else:
-            self._transport.close()
+        self._line.end_writing()
 
     def _watch_room(self) -> None:
         """Cut the connection unless the peer reads `_PACE` bytes, or all, in each `stall_s`."""
@@ -496,4 +456,15 @@ class Guard(asyncio.Protocol):
             else:
                 self._watch_room()
 
-        self._room = self._clock.call_later(self._limits.stall_s, look)
+        self._room = self._means.clock.call_later(self._means.limits.stall_s, look)
+
+
+def _answer(refusal: Refusal) -> bytes:
+    """Return a refusal as an answer of HTTP."""
+    body = f"{refusal.line}\n".encode()
+    phrase = http.HTTPStatus(refusal.status).phrase
+    head = (
+        f"HTTP/1.1 {refusal.status} {phrase}\r\ncontent-type: text/plain; charset=utf-8\r\n"
+        f"content-length: {len(body)}\r\nconnection: close\r\n\r\n"
+    )
+    return head.encode() + body

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from typing import NamedTuple
 
-__all__ = ["MOST_BYTES", "Head", "Refusal", "check_head", "find_end"]
+__all__ = ["MOST_BYTES", "Head", "Refusal", "RequestBuffer", "check_head", "find_end"]
 
 MOST_BYTES = 32 << 10
 """Most bytes of a head; the holdings of a viewer are in HELLO, not in the head."""
@@ -96,3 +96,44 @@ def check_head(head: bytes) -> Head | Refusal:
     if "transfer-encoding" in names or any(int(value) for value in lengths):
         return Refusal(413, "no request of this server has a body")
     return Head(request[1].decode(), request[2].decode(), headers)
+
+
+class RequestBuffer:
+    """The bytes of a peer that are no complete request yet, and those behind it."""
+
+    def __init__(self) -> None:
+        self._data = bytearray()
+        self._checked = 0  # bytes in which no head ends
+
+    def __len__(self) -> int:
+        return len(self._data)
+
+    def add(self, data: bytes) -> None:
+        """Add bytes of the peer."""
+        self._data += data
+
+    def take_request(self) -> tuple[bytes, Head] | Refusal | None:
+        """Take out the first head: its bytes and its parts; or why it is refused; None while it is incomplete."""
+        while self._data.startswith(b"\r\n"):  # allowed between requests
+            del self._data[:2]
+            self._checked = 0
+        end = find_end(self._data, self._checked)
+        self._checked = len(self._data) if end is None else 0
+        if end is None or isinstance(end, Refusal):
+            return end
+        raw = bytes(self._data[:end])
+        head = check_head(raw)
+        if isinstance(head, Refusal):
+            return head
+        del self._data[:end]
+        return raw, head
+
+    def take_rest(self) -> bytes:
+        """Take out all bytes."""
+        found = bytes(self._data)
+        self._data.clear()
+        return found
+
+    def clear(self) -> None:
+        """Discard all bytes."""
+        self._data.clear()

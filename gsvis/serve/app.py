@@ -322,7 +322,7 @@ class _App:
             try:
                 response = await read(served)
             except FormatError as error:
-                self.metrics.faults.add(of=served.name)
+                self.metrics.scenes.faults.add(of=served.name)
                 self.log("damaged", logging.ERROR, scene=served.name, why=str(error))
                 response = PlainTextResponse("this part is damaged on the server\n", 500)
             except OSError as error:
@@ -337,7 +337,7 @@ class _App:
         self.log("failed", logging.ERROR, scene=served.name, why=f"{type(error).__name__}: {error}")
         if error.errno in _SHORT_OF:
             return PlainTextResponse("the server is busy; try again later\n", 503, {"retry-after": "1"})
-        self.metrics.faults.add(of=served.name)
+        self.metrics.scenes.faults.add(of=served.name)
         return PlainTextResponse("this file cannot be read on the server\n", 500)
 
     def address(self, asked: HTTPConnection) -> str:

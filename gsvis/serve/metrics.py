@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 
 import prometheus_client
@@ -14,7 +15,7 @@ from prometheus_client import CollectorRegistry, Info, ProcessCollector
 from prometheus_client.metrics_core import Metric
 from prometheus_client.registry import Collector
 
-__all__ = ["CONTENT_TYPE", "Counter", "Gauge", "Histogram", "Metrics"]
+__all__ = ["CONTENT_TYPE", "Counter", "Gauge", "Histogram", "Metrics", "SceneMetrics", "SentMetrics"]
 
 CONTENT_TYPE: str = prometheus_client.CONTENT_TYPE_LATEST
 
@@ -105,6 +106,67 @@ class Histogram:
         return _sample(self._metric, f"{self.name}_sum", {})
 
 
+@dataclass(frozen=True)
+class SentMetrics:
+    """What viewers were sent.
+
+    Attributes:
+        bytes: Bytes of batches.
+        batches: Number of batches.
+        gaussians: Gaussians in the batches.
+        terms: Terms in the batches.
+    """
+
+    bytes: Counter
+    batches: Counter
+    gaussians: Counter
+    terms: Counter
+
+    @classmethod
+    def in_registry(cls, registry: CollectorRegistry) -> SentMetrics:
+        """Return the metrics, listed in a registry."""
+        return cls(
+            bytes=Counter(registry, "gsvis_sent_bytes_total", "Bytes of batches."),
+            batches=Counter(registry, "gsvis_batches_total", "Batches."),
+            gaussians=Counter(registry, "gsvis_sent_gaussians_total", "Gaussians in batches."),
+            terms=Counter(registry, "gsvis_sent_terms_total", "Terms in batches."),
+        )
+
+
+@dataclass(frozen=True)
+class SceneMetrics:
+    """What happens to scenes.
+
+    Attributes:
+        faults: Damaged parts and other faults, by scene.
+        tables_bytes: Bytes of kept tables in memory, approximately.
+        tables_released: How often the memory of the tables of a scene was given back, by scene.
+        open: Number of open scenes.
+        opened: Scenes opened for a viewer after they were closed, by scene.
+        closed: Scenes closed because nobody used them, by scene.
+    """
+
+    faults: Counter
+    tables_bytes: Gauge
+    tables_released: Counter
+    open: Gauge
+    opened: Counter
+    closed: Counter
+
+    @classmethod
+    def in_registry(cls, registry: CollectorRegistry) -> SceneMetrics:
+        """Return the metrics, listed in a registry."""
+        released = "Tables whose memory was given back."
+        return cls(
+            faults=Counter(registry, "gsvis_scene_faults_total", "Damaged parts and other faults of scenes.", "scene"),
+            tables_bytes=Gauge(registry, "gsvis_tables_bytes", "Bytes of kept tables in memory, about."),
+            tables_released=Counter(registry, "gsvis_tables_released_total", released, "scene"),
+            open=Gauge(registry, "gsvis_open_scenes", "Scenes that are open."),
+            opened=Counter(registry, "gsvis_scenes_opened_total", "Scenes opened again for a viewer.", "scene"),
+            closed=Counter(registry, "gsvis_scenes_closed_total", "Scenes closed without viewers.", "scene"),
+        )
+
+
 class Metrics:
     """The metrics of a server.
 
@@ -117,21 +179,13 @@ class Metrics:
             them.
         cut: Connections that were cut, by reason; a viewer that gets the reason counts in `closed`.
         accept_failures: Connections that could not be accepted, by the name of the error.
-        sent_bytes: Bytes of batches sent.
-        batches: Batches sent.
-        gaussians: Gaussians in the batches.
-        terms: Terms in the batches.
+        sent: What viewers were sent.
         received: Messages of clients, by kind.
         skipped: Poses ignored because there were too many.
         parts: Answers for files of packages, by status.
         parts_bytes: Bytes of these answers.
-        faults: Damaged parts and other faults of scenes, by scene.
+        scenes: What happens to scenes.
         planning: Seconds from the decision to send until the batch is encoded.
-        tables_bytes: Bytes of kept tables in memory, about.
-        tables_released: How often the memory of the tables of a scene was given back, by scene.
-        open_scenes: Scenes that are open.
-        scenes_opened: Scenes opened for a viewer after they were closed, by scene.
-        scenes_closed: Scenes closed because nobody looked, by scene.
         late: Seconds by which the event loop runs late, with the wait for a turn, measured five times a second.
     """
 
@@ -144,20 +198,12 @@ class Metrics:
         self.refused = Counter(r, "gsvis_refused_total", "Requests that were refused.", "reason")
         self.cut = Counter(r, "gsvis_cut_total", "Connections that were cut.", "reason")
         self.accept_failures = Counter(r, "gsvis_accept_failures_total", "Connections not accepted.", "error")
-        self.sent_bytes = Counter(r, "gsvis_sent_bytes_total", "Bytes of batches.")
-        self.batches = Counter(r, "gsvis_batches_total", "Batches.")
-        self.gaussians = Counter(r, "gsvis_sent_gaussians_total", "Gaussians in batches.")
-        self.terms = Counter(r, "gsvis_sent_terms_total", "Terms in batches.")
+        self.sent = SentMetrics.in_registry(r)
         self.received = Counter(r, "gsvis_received_messages_total", "Messages of clients.", "kind")
         self.skipped = Counter(r, "gsvis_skipped_poses_total", "Poses that were ignored.")
         self.parts = Counter(r, "gsvis_parts_requests_total", "Requests for files of packages.", "status")
         self.parts_bytes = Counter(r, "gsvis_parts_bytes_total", "Bytes of files of packages.")
-        self.faults = Counter(r, "gsvis_scene_faults_total", "Damaged parts and other faults of scenes.", "scene")
-        self.tables_bytes = Gauge(r, "gsvis_tables_bytes", "Bytes of kept tables in memory, about.")
-        self.tables_released = Counter(r, "gsvis_tables_released_total", "Tables whose memory was given back.", "scene")
-        self.open_scenes = Gauge(r, "gsvis_open_scenes", "Scenes that are open.")
-        self.scenes_opened = Counter(r, "gsvis_scenes_opened_total", "Scenes opened again for a viewer.", "scene")
-        self.scenes_closed = Counter(r, "gsvis_scenes_closed_total", "Scenes closed without viewers.", "scene")
+        self.scenes = SceneMetrics.in_registry(r)
         self.planning = Histogram(
             r, "gsvis_planning_seconds", "Seconds from the decision to send to the encoded batch."
         )

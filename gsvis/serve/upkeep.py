@@ -67,7 +67,7 @@ class Upkeep:
         for scene in served:
             if scene.close_unused(now, self._limits.close_s):
                 self._touched.pop(scene.name, None)
-                self._metrics.scenes_closed.add(of=scene.name)
+                self._metrics.scenes.closed.add(of=scene.name)
                 self._log("unused", scene=scene.name, seconds=self._limits.close_s)
         mapped = [scene for scene in served if scene.tables is not None]
         for scene in mapped:
@@ -77,9 +77,9 @@ class Upkeep:
                 break
             if (tables := scene.tables) is not None:
                 tables.release()
-                self._metrics.tables_released.add(of=scene.name)
-        self._metrics.tables_bytes.set(self._excess() if mapped else 0)
-        self._metrics.open_scenes.set(sum(scene.opened is not None for scene in served))
+                self._metrics.scenes.tables_released.add(of=scene.name)
+        self._metrics.scenes.tables_bytes.set(self._excess() if mapped else 0)
+        self._metrics.scenes.open.set(sum(scene.opened is not None for scene in served))
 
     def ahead(self) -> list[Callable[[], None]]:
         """Return what opens the tiles that viewers are about to enter; threads may run it."""

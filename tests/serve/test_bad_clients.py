@@ -305,7 +305,7 @@ def test_with_strange_requests_standing_a_server_ends_well(plain: Path, name: st
 def test_a_parser_that_refuses_what_the_guard_let_through_still_answers(
     plain: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("gsvis.serve._guard.check_head", lambda head: Head("GET", "/stream", []))
+    monkeypatch.setattr("gsvis.serve._head.check_head", lambda head: Head("GET", "/stream", []))
     with serving(plain) as server:
         for name in ("a header of 20 kB", "130 headers"):
             with plain_socket(server) as found:

@@ -87,7 +87,7 @@ def test_without_room_in_the_socket_nothing_piles_up(plain: Path) -> None:
     limits = limits_of(messages_per_s=500.0, burst_s=2.0, poses_per_s=1e6)
     connection, _, _ = served_to(plain, peer, limits, past_the_farewell)
     assert connection.reason == "flood"
-    assert len(connection._heard) <= 257
+    assert len(connection._mailbox) <= 257
     assert peer.aborted  # its last words had no room either
     assert [data[0] for data in peer.sent] == [129]
 
@@ -96,7 +96,7 @@ def test_acknowledgements_without_room_are_a_flood(plain: Path) -> None:
     peer = FakePeer(Hello(VIEW).to_bytes(), pose(), room=False, again=lambda k: Ack(0).to_bytes())
     connection, _, _ = served_to(plain, peer, limits_of(messages_per_s=500.0, burst_s=2.0), past_the_farewell)
     assert connection.reason == "flood"
-    assert len(connection._heard) <= 257
+    assert len(connection._mailbox) <= 257
 
 
 @pytest.mark.parametrize(
@@ -114,7 +114,7 @@ def test_silence_ends_a_connection_at_its_deadline_and_not_before(
 
     async def passing(connection: Connection, clock: ManualClock) -> None:
         await peer.is_silent.wait()
-        while connection._heard:  # what it has said is taken in
+        while connection._mailbox:  # what it has said is taken in
             await asyncio.sleep(0)
         clock.advance(seconds - 0.01)
         for _ in range(50):
@@ -155,7 +155,7 @@ def test_no_batch_exceeds_its_limit_and_the_pace_is_kept(plain: Path) -> None:
     connection, metrics, _ = served_to(plain, peer, limits_of(batch_bytes=5000, messages_per_s=1e4))
     assert connection.reason == "left"
     assert max(len(data) for data in peer.sent[1:]) <= 1.1 * 5000
-    assert metrics.batches.value() == len(peer.sent) - 1
+    assert metrics.sent.batches.value() == len(peer.sent) - 1
 
 
 @pytest.mark.parametrize("room", [True, False])

@@ -86,7 +86,7 @@ def test_a_damaged_store_is_said(celled: Path, monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr("gsvis.serve._questions.explain", broken)
     with serving(celled) as server:
         assert ask(server, "/scenes/celled/why/3")[0] == 500
-        assert server.metrics.faults.value("celled") == 1
+        assert server.metrics.scenes.faults.value("celled") == 1
 
 
 def test_a_floor_lies_where_cells_are(celled: Path) -> None:

@@ -87,7 +87,7 @@ def beside_one_that_has_all(server: Server, package: Path) -> Iterator[None]:
     thread = threading.Thread(target=lambda: asyncio.run(stay()), daemon=True)
     thread.start()
     until(lambda: bool(clients) and has_all(clients[0].receiver, package))
-    until(lambda: server.metrics.received.value("Ack") == server.metrics.batches.value() + 1)  # and WELCOME
+    until(lambda: server.metrics.received.value("Ack") == server.metrics.sent.batches.value() + 1)  # and WELCOME
     before = server.metrics.received.value("PoseAt")
     yield
     until(lambda: server.metrics.received.value("PoseAt") > before)
@@ -251,9 +251,9 @@ def test_more_poses_than_are_looked_at_are_passed_over(plain: Path) -> None:
 def test_one_that_never_reads_is_cut(plain: Path) -> None:
     limits = limits_of(stall_s=30.0, idle_s=60.0)
     with serving(plain, limits=limits) as server, beside_one_that_has_all(server, plain), raw(server) as ws:
-        batches = server.metrics.batches.value()
+        batches = server.metrics.sent.batches.value()
         ws.send(pose())  # and not one acknowledgement
-        until(lambda: server.metrics.batches.value() > batches)
+        until(lambda: server.metrics.sent.batches.value() > batches)
         advance(server, 30.0)
         until(lambda: server.metrics.closed.value("late") == 1)
         until(lambda: server.metrics.clients.value() == 1)  # the seat goes after the last words
@@ -349,7 +349,7 @@ def test_a_scene_found_damaged_while_it_is_served_is_refused(
             assert fault_of(ws).code == FAULTS["refused"]
         with pytest.raises(ProtocolError, match="damaged"):
             after_one_batch(server.url + "/celled")
-        assert server.metrics.faults.value("celled") == 1
+        assert server.metrics.scenes.faults.value("celled") == 1
         assert any("sets.pvs: cell 3" in record.getMessage() for record in caplog.records)
 
 

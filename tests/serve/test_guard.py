@@ -65,7 +65,7 @@ def guard_of(door: Door, means: Means, address: str, phase: Phase, unsent: int =
     """A guard behind a door, in a phase."""
     sock = socket.socket()
     sock.close()  # its options cannot be set, which a guard bears
-    guard, transport = Guard(sock, (address, 1), means, Silent, door._place, door._forget), FakeTransport(unsent)
+    guard, transport = Guard(sock, (address, 1), means, door), FakeTransport(unsent)
     guard.connection_made(transport)
     door.guards.add(guard)
     guard._enter(phase)
@@ -127,7 +127,7 @@ def test_a_newcomer_costs_few_looks_at_addresses(monkeypatch: pytest.MonkeyPatch
         monkeypatch.setattr(ipaddress, "ip_address", counted)
         newcomer, _ = guard_of(door, means, "2001:db8:1::1", Phase.ASKING)
         door._crowd(newcomer)
-        assert sum(guard.is_cut for guard in door.guards) == 1
+        assert sum(guard.phase.has_ended for guard in door.guards) == 1
         assert 0 < len(parsed) < 5
 
     run(test)
@@ -139,9 +139,9 @@ def test_an_address_said_by_a_proxy_changes_the_owner() -> None:
         means = Means(limits, ManualClock(), EventLog(), Metrics())
         door = Door(None, means, Silent, Proxies(("127.0.0.1",)))  # type: ignore[arg-type]
         guard, _ = guard_of(door, means, "127.0.0.1", Phase.ASKING)
-        assert guard.owner == "127.0.0.1"
+        assert guard.client.owner == "127.0.0.1"
         guard.data_received(HEALTH[:-2] + b"X-Forwarded-For: 2001:db8::7\r\n\r\n")
-        assert (guard.address, guard.owner) == ("2001:db8::7", "2001:db8::/64")
+        assert guard.client == ("2001:db8::7", "2001:db8::/64")
 
     run(test)
 
@@ -153,7 +153,7 @@ def test_a_newcomer_never_gives_way_to_itself(limits: Limits) -> None:
         others = [guard_of(door, means, "10.0.0.1", Phase.ANSWERING)[0] for _ in range(3)]
         newcomer, _ = guard_of(door, means, "10.0.0.1", Phase.ASKING)
         door._crowd(newcomer)
-        assert [guard.is_cut for guard in (*others, newcomer)] == [True, False, False, False]
+        assert [guard.phase.has_ended for guard in (*others, newcomer)] == [True, False, False, False]
         assert means.metrics.cut.value("gives way to others") == 1
 
     run(test)
@@ -167,7 +167,7 @@ def test_an_idle_connection_gives_way_before_an_older_download(phase: Phase) -> 
         idle, _ = guard_of(door, means, "10.0.0.2", Phase.IDLE)
         newcomer, _ = guard_of(door, means, "10.0.0.3", Phase.ASKING)
         door._crowd(newcomer)
-        assert [guard.is_cut for guard in (download, idle, newcomer)] == [False, True, False]
+        assert [guard.phase.has_ended for guard in (download, idle, newcomer)] == [False, True, False]
 
     run(test)
 
@@ -179,12 +179,12 @@ def test_what_may_wait_for_a_viewer_follows_the_size_of_batches() -> None:
         guard.upgrade(Silent())
         for transport.left, is_cut in ((4 << 20, False), ((4 << 20) + 1, True)):
             guard.data_received(b"a ping")
-            assert guard.is_cut == is_cut
+            assert guard.phase.has_ended == is_cut
         small, transport = guard_of(*house(limits_of(batch_bytes=100)), "10.0.0.1", Phase.STREAMING)
         small.upgrade(Silent())
         transport.left = 1 << 20
         small.data_received(b"a ping")
-        assert not small.is_cut
+        assert not small.phase.has_ended
 
     run(test)
 
@@ -199,7 +199,7 @@ def test_nothing_waits_once_tls_has_lost_its_transport() -> None:
 
     def test() -> None:
         guard, _ = guard_of(*house(limits_of()), "10.0.0.1", Phase.IDLE)
-        guard._transport = Lost()
+        guard._line.transport = Lost()
         assert guard.unsent == 0
 
     run(test)
@@ -375,7 +375,7 @@ def test_who_reads_a_large_answer_steadily_gets_all(
     with serving(plain, limits=limits, tls=secured if is_safe else None) as server:
         with large_answer(server, secured[0] if is_safe else None, header) as (found, guard):
             if is_safe and sys.version_info >= (3, 11):  # the guard's deadlines are the only ones
-                assert guard._transport._ssl_protocol._ssl_shutdown_timeout >= 1e6
+                assert guard._line.transport._ssl_protocol._ssl_shutdown_timeout >= 1e6
             came, passed = b"", 0.0
             while not came.endswith(b"}"):  # the guard may count for a moment what is already here
                 before = guard.unsent

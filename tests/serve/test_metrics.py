@@ -44,14 +44,14 @@ def test_a_parser_of_the_field_reads_what_was_counted() -> None:
     metrics = Metrics()
     name = 'a "quoted"\nname\\'
     metrics.opened.add(2, of=name)
-    metrics.sent_bytes.add(1e6)
+    metrics.sent.bytes.add(1e6)
     samples = {
         (sample.name, *sample.labels.values()): sample.value
         for family in text_string_to_metric_families(metrics.text())
         for sample in family.samples
     }
     assert samples["gsvis_clients_opened_total", name] == metrics.opened.value(name) == 2
-    assert samples["gsvis_sent_bytes_total",] == metrics.sent_bytes.value() == 1e6
+    assert samples["gsvis_sent_bytes_total",] == metrics.sent.bytes.value() == 1e6
     assert samples["gsvis_clients",] == 0
     assert metrics.opened.value("another") == 0
 
@@ -68,9 +68,9 @@ def test_it_says_which_version_serves_and_what_the_process_takes() -> None:
 
 def test_two_servers_of_a_process_count_apart() -> None:
     first, second = Metrics(), Metrics()
-    first.batches.add()
+    first.sent.batches.add()
     first.clients.add(2)
-    assert (second.batches.value(), second.clients.value()) == (0, 0)
+    assert (second.sent.batches.value(), second.clients.value()) == (0, 0)
     assert "gsvis_batches_total" not in prometheus_client.generate_latest().decode()  # of the whole process
 
 

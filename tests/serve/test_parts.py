@@ -135,7 +135,7 @@ def test_a_file_that_cannot_be_read_costs_one_line(
             lines = [record for record in caplog.records if record.levelno >= logging.WARNING]
             assert [("no luck" in record.getMessage(), record.exc_info) for record in lines] == [(True, None)]
         assert server.metrics.parts.value(str(status)) == 2
-        assert server.metrics.faults.value("plain") == (0 if status == 503 else 2)
+        assert server.metrics.scenes.faults.value("plain") == (0 if status == 503 else 2)
         monkeypatch.undo()
         assert ask(server, f"/packages/plain/parts/{part}")[0] == 200
 

@@ -279,7 +279,7 @@ def test_counters_of_the_dead_count_and_their_gauges_do_not(tmp_path: Path) -> N
     for number, name in ((0, "old"), (0, "new"), (1, "other")):
         metrics = Metrics()
         metrics.clients.set(2)
-        metrics.sent_bytes.add(100)
+        metrics.sent.bytes.add(100)
         metrics.late.observe(0.01)
         found = Siblings(tmp_path, number, age=lambda path: ages.get(path.name, 1.0))
         found.path = tmp_path / f"process-{number}-{name}.json"

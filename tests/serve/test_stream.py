@@ -22,8 +22,8 @@ from websockets.typing import Origin
 from gsvis.abr.holdings import Holdings
 from gsvis.errors import ProtocolError
 from gsvis.serve import Address, ClientConfig, ManualClock, Server, StreamClient, fetch, open_scenes
-from gsvis.serve.connection import PoseClock
 from gsvis.serve.limits import Pace
+from gsvis.serve.mailbox import PoseClock
 from gsvis.stream import Ack, Bye, Hello, Receiver, Session, StreamedScene, Token
 from gsvis.stream.wire import ServerFault
 from tests.serve.servers import (
@@ -57,8 +57,8 @@ def test_all_arrives_and_nothing_twice(plain: Path) -> None:
         client, came = patient(server.url, plain)
         assert has_all(client.receiver, plain)
         assert len(came) == len(set(came))
-        assert server.metrics.gaussians.value() == len(came)
-        assert server.metrics.sent_bytes.value() == client.nbytes
+        assert server.metrics.sent.gaussians.value() == len(came)
+        assert server.metrics.sent.bytes.value() == client.nbytes
         gaussians, colors = client.receiver.scene()
         assert len(gaussians) == len(colors) == len(client.receiver.shown())
         until(lambda: server.metrics.closed.value("left") == 1)
@@ -277,7 +277,7 @@ def test_what_is_under_way_never_exceeds_the_window(plain: Path, monkeypatch: py
         heard(ws)
         ws.send(pose())
         until(lambda: bool(rooms) and rooms[-1] == 0.0)  # nothing is acknowledged, so nothing else may go
-        assert 0 < server.metrics.sent_bytes.value() <= 0.3 * 250e3 * 1.05
+        assert 0 < server.metrics.sent.bytes.value() <= 0.3 * 250e3 * 1.05
 
 
 def test_a_link_that_stalls_for_less_than_the_limit_loses_nothing(plain: Path) -> None:

@@ -33,7 +33,7 @@ def test_a_scene_without_viewers_is_closed_and_opens_for_the_next(plain: Path, t
         other, came = patient(server.url, plain)
         assert has_all(other.receiver, plain)
         assert len(came) == len(set(came))
-        assert server.metrics.scenes_opened.value("plain") == server.metrics.scenes_closed.value("plain") == 1
+        assert server.metrics.scenes.opened.value("plain") == server.metrics.scenes.closed.value("plain") == 1
 
 
 def test_a_scene_with_a_viewer_stays_open(plain: Path, tmp_path: Path) -> None:
@@ -99,7 +99,7 @@ def test_memory_of_tables_is_given_back_oldest_first(plain: Path, celled: Path, 
         resident[0] = 145
         upkeep.look()
         assert released == []
-        assert metrics.tables_bytes.value() == 45
+        assert metrics.scenes.tables_bytes.value() == 45
         resident[0] = 180
         scenes["plain"].used_at = 5.0
         upkeep.look()
@@ -108,8 +108,8 @@ def test_memory_of_tables_is_given_back_oldest_first(plain: Path, celled: Path, 
         scenes["celled"].use()
         upkeep.look()
         assert released[1:] == ["plain", "celled"]  # who is used goes last
-        assert metrics.tables_released.value("celled") == 2
-        assert metrics.open_scenes.value() == 2
+        assert metrics.scenes.tables_released.value("celled") == 2
+        assert metrics.scenes.open.value() == 2
 
 
 @dataclass(frozen=True)
