@@ -25,7 +25,7 @@ from _harness import add_arguments, need, write_result
 from numpy.typing import NDArray
 
 from gsvis.abr import AbrConfig, FieldOfView
-from gsvis.abr.outside import step_of
+from gsvis.abr.outside import distance_step
 from gsvis.package import Package
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import quats_from_rotations
@@ -112,7 +112,7 @@ def chosen_eyes(scene: StreamedScene, name: str, most: int) -> Iterator[Eye]:
     for chosen in CHOSEN:
         if chosen.name == name:
             for position, target in zip(chosen.eyes, chosen.targets, strict=True):
-                if most and step_of(scene.index, scene.index.grid.nearest(position), position):
+                if most and distance_step(scene.index, scene.index.grid.nearest(position), position):
                     most -= 1
                     yield Eye("chosen, outside", position, target)
 
@@ -122,9 +122,9 @@ def measure(scene: StreamedScene, stage: Stage, eye: Eye, rate: float) -> dict[s
     up = np.asarray(scene.source.manifest.info.up, np.float64)
     camera = Cameras.look_at(eye.position[None], eye.target, up=up, width=WIDTH, height=HEIGHT, fov=FOV)
     frame, row = Frame(stage, camera), {}
-    step = step_of(scene.index, scene.index.grid.nearest(eye.position), eye.position)
-    for rule, of in (("widened", step_of), ("nearest", lambda *_: 0)):
-        with patch("gsvis.abr.planner.step_of", of):
+    step = distance_step(scene.index, scene.index.grid.nearest(eye.position), eye.position)
+    for rule, of in (("widened", distance_step), ("nearest", lambda *_: 0)):
+        with patch("gsvis.abr.planner.distance_step", of):
             visit = play(scene, frame, camera, rate)
         row[rule] = {
             "records": visit.gaussians, "terms": visit.terms, "end_db": float(min(visit.psnrs[-1], 99.0)),

@@ -34,23 +34,26 @@ Shape = tuple[int | str, ...]
 
 
 def _spell(shape: Shape) -> str:
+    """Return a shape as text, such as "(N, 3)"."""
     return "(" + ", ".join(str(s) for s in shape) + ("," if len(shape) == 1 else "") + ")"
 
 
 def _check_shape(name: str, array: NDArray[Any], shape: Shape) -> None:
+    """Raise ValueError unless an array has a shape."""
     if not _fits(array.shape, shape):
-        remedy = _reshaping(name, array.shape, shape)
-        raise ValueError(f"{name}: expected shape {_spell(shape)}, got {array.shape}" + _and(remedy))
+        remedy = _suggest_reshape(name, array.shape, shape)
+        raise ValueError(f"{name}: expected shape {_spell(shape)}, got {array.shape}" + _append(remedy))
 
 
 def _fits(have: tuple[int, ...], shape: Shape) -> bool:
+    """Return whether the shape of an array fits an expected shape."""
     return len(have) == len(shape) and all(
         isinstance(want, str) or want == side for want, side in zip(shape, have, strict=True)
     )
 
 
-def _reshaping(name: str, have: tuple[int, ...], shape: Shape) -> str:
-    """Return the remedy if the shape only has an axis of length 1 too many or too few."""
+def _suggest_reshape(name: str, have: tuple[int, ...], shape: Shape) -> str:
+    """Return the remedy for a shape with an axis of length 1 too many or too few; "" for any other shape."""
     if have[-1:] == (1,) and _fits(have[:-1], shape):
         return f"pass {name}[..., 0]"
     for axis, want in enumerate(shape):
@@ -91,7 +94,7 @@ def _holds_tensors(value: Any, tensor: type) -> bool:
 def floats(
     name: str, value: ArrayLike, shape: Shape, dtype: type[np.floating[Any]] = np.float32, *, finite: bool = True
 ) -> NDArray[Any]:
-    """Return a C-contiguous float array of the given shape, finite unless `finite` is False."""
+    """Return a C-contiguous float array of the given shape; with `finite`, reject NaN and infinity."""
     try:
         numbers = plain(value)
         if np.iscomplexobj(numbers):
@@ -152,22 +155,23 @@ def in_range(
         worst = most if above else least
         left = "(" if open_low or low == -np.inf else "["
         right = ")" if high == np.inf else "]"
-        raise ValueError(f"{name}: expected values in {left}{low:g}, {high:g}{right}, got {worst:g}" + _and(remedy))
+        raise ValueError(f"{name}: expected values in {left}{low:g}, {high:g}{right}, got {worst:g}" + _append(remedy))
 
 
-def _and(remedy: str) -> str:
+def _append(remedy: str) -> str:
+    """Return a remedy as the end of a message; "" for none."""
     return f"; {remedy}" if remedy else ""
 
 
 def not_rising(
     values: NDArray[Any], *, first: float | None = None, last: float | None = None, strictly: bool = False
 ) -> str:
-    """Return what keeps (n,) values from rising from `first` to `last`, such as "3 after 7 at index 2"; "" if they do.
+    """Return where values (n,) do not rise from `first` to `last`, such as "3 after 7 at index 2"; "" if they rise.
 
     Args:
         values: At least one value.
-        first: What the first value has to be; None allows any.
-        last: What the last value has to be; None allows any.
+        first: Required first value; None allows any.
+        last: Required last value; None allows any.
         strictly: Whether equal neighbors count as a fall.
     """
     style = "," if values.dtype.kind in "iu" else "g"
@@ -200,7 +204,8 @@ def one_of(name: str, value: str, choices: tuple[str, ...]) -> str:
     """Return the value if it is one of the choices."""
     if value not in choices:
         raise ValueError(
-            f"{name}: expected one of {', '.join(map(repr, choices))}, got {value!r}" + _and(suggestion(value, choices))
+            f"{name}: expected one of {', '.join(map(repr, choices))}, got {value!r}"
+            + _append(suggestion(value, choices))
         )
     return value
 
@@ -220,9 +225,9 @@ def suggestion(value: object, choices: Iterable[str]) -> str:
 
 
 def path(name: str, value: str | os.PathLike[str]) -> Path:
-    """Return the path of a string or of anything with `__fspath__`; a leading `~` of a string becomes the home folder.
+    """Return the path of a string or path object; a leading `~` of a string becomes the home folder.
 
-    A `Path` is unchanged, because `./~/x` is `~/x` once it is a `Path`.
+    A `~` in a `Path` is kept, because `Path("./~/x")` equals `Path("~/x")`.
     """
     try:
         text = os.fsdecode(value)
@@ -236,7 +241,7 @@ def path(name: str, value: str | os.PathLike[str]) -> Path:
 
 
 def unit_vectors(name: str, value: ArrayLike, dtype: type[np.floating[Any]] = np.float64) -> NDArray[Any]:
-    """Return (R, 3) directions, scaled to unit length; reject zero vectors."""
+    """Return directions (R, 3) scaled to unit length; reject zero vectors."""
     array = floats(name, value, ("R", 3), dtype)
     norms = _lengths(array)
     if array.size and not 1e-150 < norms.min() <= norms.max() < 1e150:  # the squares left the range of float64
@@ -249,4 +254,5 @@ def unit_vectors(name: str, value: ArrayLike, dtype: type[np.floating[Any]] = np
 
 
 def _lengths(vectors: NDArray[Any]) -> NDArray[np.float64]:
+    """Return the lengths (R,) of vectors (R, 3)."""
     return np.asarray(np.sqrt(np.einsum("ij,ij->i", vectors, vectors, dtype=np.float64)))

@@ -63,17 +63,17 @@ def missing(what: str, package: str) -> MissingExtraError:
     """Return the error for a missing package.
 
     Args:
-        what: What needs the package.
+        what: Name of the command or option that needs the package.
         package: One of `EXTRAS`.
     """
     return MissingExtraError(what, project_of(package), EXTRAS[package])
 
 
 def require(what: str, *packages: str) -> None:
-    """Raise unless some optional packages are installed.
+    """Raise unless optional packages are installed.
 
     Args:
-        what: What needs them, such as a command or an option.
+        what: Name of the command or option that needs them.
         packages: Names of modules, from `EXTRAS`.
 
     Raises:

@@ -1,7 +1,7 @@
-r"""Write text from outside, such as the name of a file, so that it does nothing but be read.
+r"""Escape text from outside, such as file names, so that it is safe to print and to write.
 
-A terminal obeys control characters, a name that is no UTF-8 holds surrogates that no file can hold, and marks of
-direction make a name look like another. All of them become escapes here: `\x1b`, `\udce9`, `\u202e`.
+Control characters act on a terminal; file names that are not UTF-8 contain surrogates, which cannot be written; and
+direction marks can disguise a name. All of them become escapes: `\x1b`, `\udce9`, `\u202e`.
 """
 
 from __future__ import annotations
@@ -12,15 +12,15 @@ from typing import Any
 
 __all__ = ["as_json", "as_line", "as_text"]
 
-_DISGUISES = "\u2028-\u202e\u2066-\u2069"  # breaks of lines, and marks that turn the direction of text
+_DISGUISES = "\u2028-\u202e\u2066-\u2069"  # line breaks and direction marks
 _SURROGATES = "\ud800-\udfff"
 _UNREADABLE = re.compile(f"[\x00-\x08\x0b-\x1f\x7f-\x9f{_DISGUISES}{_SURROGATES}]")
 _NOT_IN_A_LINE = re.compile(f"[\x00-\x1f\x7f-\x9f{_DISGUISES}{_SURROGATES}]")
-_NOT_IN_JSON = re.compile(f"[\x7f-\x9f{_DISGUISES}{_SURROGATES}]")  # what JSON need not escape
+_NOT_IN_JSON = re.compile(f"[\x7f-\x9f{_DISGUISES}{_SURROGATES}]")  # characters that `json` leaves as they are
 
 
 def as_text(text: str) -> str:
-    r"""Return text with all but letters, line feeds and tabs escaped.
+    r"""Return text with unsafe characters escaped, but not line feeds and tabs.
 
     Examples:
         >>> as_text("caf\udce9\x1b[2J.ply")
@@ -30,12 +30,12 @@ def as_text(text: str) -> str:
 
 
 def as_line(text: str) -> str:
-    r"""Return text on one line: as `as_text`, and line feeds and tabs are escaped too."""
+    r"""Return text on one line: like `as_text`, with line feeds and tabs escaped too."""
     return _NOT_IN_A_LINE.sub(_escape, text)
 
 
 def as_json(value: Any, *, indent: int | None = None) -> str:
-    r"""Return a value as JSON text that UTF-8 can hold and a terminal can show; reading it gives the same value.
+    r"""Return a value as JSON text that is safe to print and to write as UTF-8; parsing it gives the same value.
 
     Raises:
         ValueError: If the value holds NaN or infinity.
@@ -49,4 +49,5 @@ def as_json(value: Any, *, indent: int | None = None) -> str:
 
 
 def _escape(found: re.Match[str]) -> str:
+    """Return the Python escape of a matched character."""
     return found[0].encode("unicode_escape").decode("ascii")

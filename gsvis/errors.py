@@ -1,15 +1,15 @@
 """Every exception that gsvis raises on purpose, besides `ValueError` for a bad argument.
 
     GsvisError
-    ├── FormatError       a file does not hold what its format promises
-    ├── SceneError        a scene is well formed but cannot serve the request (no free space, no Gaussian left)
-    ├── ProtocolError     a message does not hold what the wire promises
+    ├── FormatError       a file is not valid in its format
+    ├── SceneError        a scene is valid but does not allow the request (no free space, no Gaussian left)
+    ├── ProtocolError     a message is not valid in the protocol
     ├── BackendError      an engine or a library is missing or cannot do this; says what to install
     │   └── MissingExtraError    an optional package is missing; names the extra (also an `ImportError`)
-    └── OutputError       a file cannot be written: the disk is full, or the place is not ours (also an `OSError`)
+    └── OutputError       a file cannot be written: disk full or no permission (also an `OSError`)
 
-A bad argument raises `ValueError`, worded *name: expected X, got Y; remedy*. It is an `ArgumentError` where a command
-has another name for the argument.
+A bad argument raises `ValueError` with the message *name: expected X, got Y; remedy*. It is an `ArgumentError` if a
+command has an option with a different name for the argument.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ __all__ = [
 ]
 
 _MOST_TEXT = 400
-"""Characters of each part of a message."""
+"""Most characters of each part of a message."""
 
 
 class GsvisError(Exception):
@@ -38,7 +38,7 @@ class GsvisError(Exception):
 
 
 class ArgumentError(ValueError):
-    """An argument is bad; a command can name its option in place of the argument.
+    """An argument is bad; a command can put the name of its option in the message.
 
     Args:
         name: Name of the argument.
@@ -57,7 +57,7 @@ class ArgumentError(ValueError):
         super().__init__(f"{name}: {problem}" + (f"; {remedy}" if remedy else ""))
 
     def renamed(self, name: str, remedy: str = "") -> ArgumentError:
-        """Return the same error of an argument of another name, with another remedy if one is given."""
+        """Return the same error with a new name, and a new remedy if one is given."""
         return type(self)(name, self.problem, remedy or self.remedy)
 
     def __reduce__(self) -> tuple[type[ArgumentError], tuple[str, str, str]]:
@@ -66,12 +66,12 @@ class ArgumentError(ValueError):
 
 
 class FormatError(GsvisError):
-    """A file does not hold what its format promises.
+    """A file is not valid in its format.
 
     Args:
         path: The file or folder that was read.
         where: The place in it: a byte offset, a property, a plane, a key. May be empty.
-        expected: What the format asks for there.
+        expected: What the format requires there.
         got: What was found.
         remedy: What the user can do about it. May be empty.
 
@@ -96,12 +96,12 @@ class FormatError(GsvisError):
 
 
 class SceneError(GsvisError):
-    """A scene is well formed but cannot serve what was asked of it.
+    """A scene is valid but does not allow the request.
 
     Args:
-        problem: What was asked for, and why the scene cannot serve it.
-        remedy: What the user can do about it, in arguments of the library; a command names its options instead. May be
-            empty.
+        problem: The request, and why the scene does not allow it.
+        remedy: What the user can do about it, with argument names of the library, which commands replace with options.
+            May be empty.
 
     Examples:
         >>> print(SceneError("no navigable space: nothing is free", "raise max_alpha"))
@@ -119,17 +119,17 @@ class SceneError(GsvisError):
 
 
 def _one_line(text: str) -> str:
-    """Return text that a terminal shows on one line of bounded length: files choose some of what messages quote."""
+    """Return printable text of bounded length on one line, because messages quote the content of files."""
     if not text.isprintable():
         text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
     return text if len(text) <= _MOST_TEXT else f"{text[: _MOST_TEXT - 3]}..."
 
 
 class ProtocolError(GsvisError):
-    """A message from the other end of a connection does not hold what the wire promises.
+    """A message from the other end of a connection is not valid in the protocol.
 
     Args:
-        message: What was expected and what came, in a line that is safe to send to the other end.
+        message: What was expected and received, on one line that may be sent to the other end.
         code: Number of the fault, as ERROR messages carry it; `gsvis.stream.wire` names them.
         remedy: What this end can do about it. May be empty.
     """
@@ -153,9 +153,9 @@ class MissingExtraError(BackendError, ImportError):
     """An optional package is not installed.
 
     Args:
-        what: What needs the package.
+        what: Name of the command or option that needs the package.
         package: Name of the package.
-        extra: Extra of gsvis that brings it.
+        extra: Extra of gsvis that installs it.
 
     Examples:
         >>> print(MissingExtraError("gsvis train", "torch", "torch"))
@@ -173,29 +173,29 @@ class MissingExtraError(BackendError, ImportError):
         return type(self), (self.what, self.package, self.extra)
 
 
-_ELSEWHERE = "or write to another place"
+_ELSEWHERE = "or write to another folder"
 _REMEDIES = {
     errno.ENOSPC: f"make room and run the same command again, {_ELSEWHERE}",
     errno.EDQUOT: f"make room and run the same command again, {_ELSEWHERE}",
     errno.EFBIG: f"raise the limit on the size of files (ulimit -f), {_ELSEWHERE}",
-    errno.EROFS: "write to another place",
+    errno.EROFS: "write to another folder",
     errno.EACCES: f"change its rights, {_ELSEWHERE}",
     errno.EPERM: f"change its rights, {_ELSEWHERE}",
 }
 
 
 class OutputError(GsvisError, OSError):
-    """A file cannot be written: the disk is full, the quota is used up, or nothing may be written there.
+    """A file cannot be written: the disk is full, the quota is used up, or there is no permission.
 
     Args:
-        path: The file or folder that was to be written.
+        path: The file or folder that could not be written.
         code: Number of the fault, as in `errno`.
-        kept: What is kept of the work, and how to resume. May be empty.
-        remedy: What the user can do about it; empty takes the usual one of the fault.
+        kept: Which work is kept, and how to resume. May be empty.
+        remedy: What the user can do about it; empty uses the remedy for the code.
 
     Examples:
         >>> print(OutputError("scene.ply", errno.EROFS))
-        scene.ply: cannot be written: read-only file system; write to another place
+        scene.ply: cannot be written: read-only file system; write to another folder
     """
 
     def __init__(self, path: str | PathLike[str], code: int, kept: str = "", remedy: str = "") -> None:
@@ -205,7 +205,7 @@ class OutputError(GsvisError, OSError):
         self.remedy = remedy or _REMEDIES.get(code, f"check the disk, {_ELSEWHERE}")
 
     def keeping(self, kept: str) -> OutputError:
-        """The same error with a word on what is kept, where it says nothing of it yet."""
+        """Return the same error with a statement of what is kept, unless it has one."""
         return OutputError(self.path, self.errno or errno.EIO, self.kept or kept, self.remedy)
 
     def __str__(self) -> str:

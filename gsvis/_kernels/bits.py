@@ -1,4 +1,4 @@
-"""Bits of packed words, for kernels: a set is words of uint64, bit i % 64 of word i // 64 stands for i."""
+"""Packed sets, for kernels: a set is an array of uint64 words; bit i % 64 of word i // 64 is set if i is a member."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["bits_of", "count", "has", "lowest", "ones"]
 
 @intrinsic
 def bits_of(typing_context: Any, number: Any) -> Any:
-    """Bits of a float32 as a uint64; not negative, they are ordered like the numbers."""
+    """Return the bits of a float32 as a uint64; for numbers >= 0 they have the order of the numbers."""
 
     def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         return builder.zext(builder.bitcast(args[0], ir.IntType(32)), ir.IntType(64))
@@ -26,7 +26,7 @@ def bits_of(typing_context: Any, number: Any) -> Any:
 
 @intrinsic
 def ones(typing_context: Any, word: Any) -> Any:
-    """Set bits of a uint64."""
+    """Return the number of set bits of a uint64."""
 
     def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         return builder.ctpop(args[0])
@@ -36,7 +36,7 @@ def ones(typing_context: Any, word: Any) -> Any:
 
 @intrinsic
 def lowest(typing_context: Any, word: Any) -> Any:
-    """Place of the lowest set bit of a uint64 that is not 0."""
+    """Return the index of the lowest set bit of a uint64 that is not 0."""
 
     def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         return builder.cttz(args[0], ir.Constant(ir.IntType(1), 1))
@@ -46,13 +46,13 @@ def lowest(typing_context: Any, word: Any) -> Any:
 
 @njit(inline="always")
 def has(words, i):
-    """Return whether bit i is set."""
+    """Return whether a packed set has member i."""
     return (words[i >> 6] >> np.uint64(i & 63)) & np.uint64(1) != 0
 
 
 @kernel
 def count(words):
-    """Set bits of all words."""
+    """Return the number of members of a packed set."""
     total = 0
     for w in range(len(words)):
         total += np.int64(ones(words[w]))

@@ -1,7 +1,7 @@
-"""Arrays of zeros that take memory where somebody writes: large ones come from the system page by page.
+"""Arrays of zeros that take memory only where they are written, page by page.
 
-What a viewer holds of a large world is such an array over all ids, of which only the tiles around the viewer are ever
-written. NumPy's zeros are not enough: the C library may give memory that was used before, and has to clear all of it.
+The holdings of a viewer in a large world are such arrays over all ids, of which only those of nearby tiles are ever
+written. `np.zeros` does not guarantee this: the C library may return used memory, and then has to clear all of it.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from numpy.typing import DTypeLike, NDArray
 __all__ = ["PAGE", "blank", "blanks", "clear", "used_bytes"]
 
 PAGE = mmap.PAGESIZE
-"""Bytes that the system gives at a time."""
+"""Bytes of a page of memory."""
 
-_SMALL = 1 << 18  # bytes below which a page more or less does not matter
-_DENSE = 1 << 24  # bytes up to which clearing takes less time than pages that are given again one by one
+_SMALL = 1 << 18  # bytes below which `np.zeros` is used
+_DENSE = 1 << 24  # bytes up to which clearing an array is faster than new pages
 
 
 def blank(size: int, kind: DTypeLike) -> NDArray[Any]:
-    """Return (size,) zeros; memory is taken when an element is first written, a page at a time.
+    """Return (size,) zeros that take memory, a page at a time, when an element is first written.
 
-    Reading takes no memory. Do not change such an array by an operation over all of it.
+    Reading takes no memory. Do not write to the whole array at once.
     """
     dtype = np.dtype(kind)
     nbytes = size * dtype.itemsize
@@ -34,19 +34,19 @@ def blank(size: int, kind: DTypeLike) -> NDArray[Any]:
         return np.frombuffer(mmap.mmap(-1, nbytes), dtype)
     block = mmap.mmap(-1, nbytes, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
     if hasattr(mmap, "MADV_NOHUGEPAGE"):
-        block.madvise(mmap.MADV_NOHUGEPAGE)  # else the system may give 2 MB for the first element
+        block.madvise(mmap.MADV_NOHUGEPAGE)  # else the first element may take a page of 2 MB
     return np.frombuffer(block, dtype)
 
 
 def blanks(count: int, size: int, kind: DTypeLike) -> list[NDArray[Any]]:
-    """Return several arrays as `blank` makes them; in one block if they are not large: huge pages are fast."""
+    """Return `count` arrays of `size` zeros: small ones in one block, which is fast, large ones as from `blank`."""
     if size * np.dtype(kind).itemsize <= _DENSE:
         return list(np.zeros((count, size), kind))
     return [blank(size, kind) for _ in range(count)]
 
 
 def clear(array: NDArray[Any]) -> NDArray[Any]:
-    """Return zeros in place of an array: the same array, or a blank one if it is large."""
+    """Return an array of zeros to replace this one: the same array, cleared, or a blank one if it is large."""
     if array.nbytes > _DENSE:
         return blank(len(array), array.dtype)
     array.fill(0)
@@ -54,7 +54,7 @@ def clear(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def used_bytes(array: NDArray[Any]) -> int:
-    """Return the bytes of the pages of an array that hold something other than zeros."""
+    """Return the bytes of the pages of an array that are not all zeros."""
     data = array.reshape(-1).view(np.uint8)
     starts = np.arange(0, len(data), PAGE)
     return int(np.count_nonzero(np.logical_or.reduceat(data, starts)) * PAGE) if len(data) else 0

@@ -1,9 +1,8 @@
-"""Options of the compiler: without wrappers that nobody calls, a function compiles in half to nine tenths of the time.
+"""Decorators that compile functions with numba, without unused wrappers, which saves 10 to 50% of the time.
 
-`kernel` is what Python calls, `inner` what only kernels call. Both are kept on disk: where numba finds no place to keep
-them, in `GSVIS_CACHE` or among temporary files, else not at all; one line says so. While numba compiles a function of
-this package, Python looks for no garbage: a compiler makes objects by the hundred thousand, and passes over them each
-time took an eighth of its time.
+`kernel` is for functions that Python calls, `inner` for functions that only kernels call. Compiled code is kept on
+disk. If numba finds no folder for it, it goes to `GSVIS_CACHE` or to a temporary folder, else it is not kept; a warning
+is logged. During compilation the garbage collector is paused, because it took an eighth of the time.
 """
 
 from __future__ import annotations
@@ -40,13 +39,13 @@ def njit(function: Callable[..., Any] | None = None, /, **options: Any) -> Any:
     if not options.get("cache"):
         return numba.njit(**options)(function)
     if not os.path.isabs(os.path.expanduser("~")):
-        _choose_place()  # numba would make a folder `~` in the current one
+        _choose_folder()  # numba would make a folder `~` in the current one
     try:
         return numba.njit(**options)(function)
     except RuntimeError:  # neither the installation nor a folder of this user can be written
         pass
     try:
-        if _choose_place():
+        if _choose_folder():
             return numba.njit(**options)(function)
     except RuntimeError:
         pass
@@ -55,9 +54,9 @@ def njit(function: Callable[..., Any] | None = None, /, **options: Any) -> Any:
 
 
 @cache
-def _choose_place() -> bool:
-    """Let numba keep kernels in a folder of ours, once in a process; return whether one can be written."""
-    if os.environ.get(_PLACE):  # a folder that somebody chose, or that the process before this one found
+def _choose_folder() -> bool:
+    """Choose a folder for compiled kernels, once in a process; return whether there is one that can be written."""
+    if os.environ.get(_PLACE):  # set by the user or by a parent process
         return False
     for make in (_named_folder, _temporary_folder):
         try:
@@ -68,12 +67,14 @@ def _choose_place() -> bool:
         except OSError:
             continue
         os.environ[_PLACE] = numba.config.CACHE_DIR = str(place)
-        _LOG.warning("compiled kernels are kept in %s, as no other place can be written; GSVIS_CACHE names one", place)
+        hint = "because no other folder is writable; set GSVIS_CACHE to choose one"
+        _LOG.warning("compiled kernels are kept in %s, %s", place, hint)
         return True
     return False
 
 
 def _named_folder() -> Path | None:
+    """Return the folder for kernels in `GSVIS_CACHE`, created if missing; None if that is not set."""
     named = os.environ.get("GSVIS_CACHE")
     if not named:
         return None
@@ -83,24 +84,26 @@ def _named_folder() -> Path | None:
 
 
 def _temporary_folder() -> Path:
+    """Return a folder for kernels among temporary files, which only this user can write to."""
     user = os.getuid() if hasattr(os, "getuid") else os.environ.get("USERNAME", "")
     return private_folder(Path(tempfile.gettempdir()) / f"gsvis-kernels-{user}")
 
 
 @cache
 def _report_none() -> None:
-    _LOG.warning("compiled kernels are not kept, so each start compiles them; name a folder in GSVIS_CACHE")
+    """Log once that kernels are not kept."""
+    _LOG.warning("compiled kernels are not kept, so each start compiles them; set GSVIS_CACHE to a writable folder")
 
 
 kernel = partial(njit, cache=True, nogil=True, no_cfunc_wrapper=True)
-"""Compile a function that Python calls; it releases Python's lock. Without the wrapper for callers from C."""
+"""Compile a function that Python calls; it releases the GIL. It has no wrapper for C."""
 
 inner = partial(njit, cache=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
-"""Compile a function that only kernels call: without the wrapper for Python, too."""
+"""Compile a function that only kernels call; it has no wrappers for Python and C."""
 
 
 class _Pause(event.Listener):  # type: ignore[misc]  # numba has no types
-    """Pauses the collector from the first function that is compiled to the end of the last that it calls.
+    """Pauses the garbage collector while a function, and the functions that it calls, are compiled.
 
     Numba compiles in one thread at a time.
     """
@@ -109,14 +112,14 @@ class _Pause(event.Listener):  # type: ignore[misc]  # numba has no types
         self._outer: Any = None
 
     def on_start(self, event: Any) -> None:
-        """Pause, unless another function's compilation has paused it or nobody collects."""
+        """Pause the collector, unless it is paused or disabled."""
         dispatcher = event.data["dispatcher"]
         if self._outer is None and gc.isenabled() and dispatcher.py_func.__module__.startswith("gsvis."):
             self._outer = dispatcher
             gc.disable()
 
     def on_end(self, event: Any) -> None:
-        """Go on, at the end of the function that began."""
+        """Resume the collector at the end of the outermost function."""
         if event.data["dispatcher"] is self._outer:
             self._outer = None
             gc.enable()

@@ -1,7 +1,7 @@
-"""Kernel of the direction set: which of the 80 faces of the icosahedron holds a direction.
+"""Kernel of direction sets: find which of the 80 faces of the subdivided icosahedron contains a direction.
 
 The faces of a regular icosahedron are the Voronoi cells of their centers, so the face of a direction is the nearest
-center; three planes then say which of its four parts.
+center; three planes then select one of its four parts.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from gsvis._kernels.compiled import njit
 
 @njit(cache=True)
 def face_of(x, y, z, centers, planes):
-    """The face in [0, 80) that holds the direction (x, y, z), of any length."""
+    """Return the face in [0, 80) that contains the direction (x, y, z), of any length > 0."""
     best = 0
     most = -np.inf
     for f in range(20):

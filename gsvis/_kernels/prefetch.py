@@ -1,4 +1,4 @@
-"""A hint to the processor inside numba kernels: an element of an array will be read soon."""
+"""Prefetch an array element inside numba kernels."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ __all__ = ["prefetch"]
 
 @intrinsic
 def prefetch(typing: Any, array: Any, index: Any) -> Any:
-    """Load the line of `array[index]`, one-dimensional and contiguous, into the cache; wait for nothing."""
+    """Start to load the cache line of `array[index]` (one-dimensional, contiguous), without waiting for it."""
 
     def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        """Build a call of `llvm.prefetch`."""
         data = context.make_array(signature.args[0])(context, builder, args[0]).data
         byte = ir.IntType(8).as_pointer()
         number = ir.IntType(32)

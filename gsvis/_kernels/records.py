@@ -1,4 +1,4 @@
-"""Kernels for records of 16 bytes that the coders of packages and of the wire share: bits, and strength in integers."""
+"""Kernels for records of 16 bytes, shared by the coders of packages and of the wire: bit fields, integer strengths."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["logarithms", "put", "take", "weight"]
 
 @cache
 def logarithms() -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Return 64 log2 of 0 to 255, and 64 log2(1 + 2^(-i / 64)) down to 0; both rounded."""
+    """Return tables of 64 log2(i) for i up to 255, and of 64 log2(1 + 2^(-i / 64)) for i up to 511; both rounded."""
     logs = np.rint(64 * np.log2(np.maximum(np.arange(256.0), 1.0)))
     sums = np.rint(64 * np.log2(1 + np.exp2(-np.arange(512) / 64)))
     return logs.astype(np.int32), sums.astype(np.int32)
@@ -22,7 +22,7 @@ def logarithms() -> tuple[NDArray[np.int32], NDArray[np.int32]]:
 
 @inner(forceinline=True)
 def take(low, high, bit, width):
-    """Return some bits of a record of two words."""
+    """Return `width` bits of a record of two words, from `bit` on."""
     if bit >= 64:
         word = high >> np.uint64(bit - 64)
     elif bit + width <= 64 or bit == 0:
@@ -34,7 +34,7 @@ def take(low, high, bit, width):
 
 @njit(inline="always")
 def put(bits, bit, value):
-    """Add a value to a record of two words, at a place where it is zero."""
+    """Write a value to a record of two words, from `bit` on, where the record is zero."""
     word = np.uint64(value)
     if bit >= 64:
         bits[1] |= word << np.uint64(bit - 64)
@@ -46,13 +46,22 @@ def put(bits, bit, value):
 
 @inner(forceinline=True)
 def _sum(a, b, sums):
-    """Return 64 log2(2^(a / 64) + 2^(b / 64))."""
+    """Return 64 log2(2^(a / 64) + 2^(b / 64)), the logarithm of a sum."""
     return max(a, b) + sums[min(abs(a - b), len(sums) - 1)]
 
 
 @inner(forceinline=True)
 def weight(middle, smallest, opacity, stride, logs, sums):
-    """Return 64 log2 of the strength of a Gaussian whose largest scale is 1; scales are steps below it."""
+    """Return 64 log2 of the strength of a Gaussian whose largest scale is 1.
+
+    Args:
+        middle: Steps of the middle scale below the largest.
+        smallest: Steps of the smallest scale below the largest.
+        opacity: 0 to 255.
+        stride: A step, in 1/64 octaves.
+        logs: First table of `logarithms`.
+        sums: Second table of `logarithms`.
+    """
     a = -middle * stride
     b = -smallest * stride
     return logs[opacity] + _sum(_sum(a, b, sums), a + b, sums)

@@ -1,7 +1,7 @@
-"""What threads of one kernel share: a counter that gives out work, largest values, and calls of one function.
+"""Shared work of the threads of a kernel: a counter of work units, atomic maxima, and parallel calls of a function.
 
-Parts of equal size leave threads idle where their cost differs, and so does a thread that other programs interrupt.
-Threads take units of work from a counter instead, until none is left. Results do not depend on who took what.
+With equal parts, threads would be idle when costs differ or other programs interrupt a thread. So threads take units of
+work from a counter until none is left. Results do not depend on which thread takes which unit.
 """
 
 from __future__ import annotations
@@ -18,22 +18,23 @@ __all__ = ["raise_to", "share", "take_next"]
 _I64 = ir.IntType(64)
 _BYTES = ir.IntType(8).as_pointer()
 _PART = ir.FunctionType(ir.VoidType(), [_BYTES.as_pointer(), _I64.as_pointer(), _I64.as_pointer(), _BYTES])
-"""What numba's threads call: arrays, their lengths and steps, of which there are none here, and anything else."""
+"""Type of the function that numba's threads call: arrays, lengths and steps, all unused here, and a data pointer."""
 _RUN = ir.FunctionType(ir.VoidType(), [_BYTES] * 5 + [_I64] * 3)
-"""The function of numba's threading layers that runs parts: a part and its four arguments, two counts, threads."""
+"""Type of numba's function that runs a part on all threads: the part, its four arguments, two counts, threads."""
 
 
 @intrinsic
 def share(typing_context: Any, function: Any, units: Any, arguments: Any) -> Any:
-    """Call function(unit, *arguments) for each unit in [0, units): numba's threads take them as they come free.
+    """Call function(unit, *arguments) for each unit in [0, units) on numba's threads.
 
-    The function is an `inner` one that never raises. In a kernel under `on_numba_threads`. Compared with a loop over
-    `prange`, the function is typed once and optimized twice, and a single unit starts no thread.
+    The function is compiled with `inner` and must not raise. Use it in a kernel under `on_numba_threads`. Unlike a
+    `prange` loop, it types the function once and starts no thread for a single unit.
     """
     call = function.get_call_type(typing_context, (types.int64, *arguments), {})
 
     def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        given = ir.LiteralStructType([_I64, _I64, args[2].type])  # the next unit, how many there are, the arguments
+        """Build the parallel call, and a direct call for a single unit."""
+        given = ir.LiteralStructType([_I64, _I64, args[2].type])  # next unit, number of units, arguments
         part = _build_part(context, builder.module, given, signature.args[0].dispatcher.get_compile_result(call), call)
         count = context.cast(builder, args[1], signature.args[1], types.int64)
         place = cgutils.alloca_once(builder, given)
@@ -56,7 +57,7 @@ def share(typing_context: Any, function: Any, units: Any, arguments: Any) -> Any
 
 
 def _build_part(context: Any, module: Any, given: Any, compiled: Any, call: Any) -> Any:
-    """Return what each thread runs: it takes units and calls the compiled function, until none is left."""
+    """Build and return the function that each thread runs: it takes units and calls the compiled function with them."""
     part = ir.Function(module, _PART, module.get_unique_name("part." + compiled.fndesc.mangled_name))
     part.linkage = "internal"
     builder = ir.IRBuilder(part.append_basic_block("start"))
@@ -99,6 +100,7 @@ def raise_to(typing_context: Any, values: Any, place: Any, value: Any) -> Any:
     del typing_context, place, value
 
     def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        """Build an atomic maximum of the bits as integers."""
         bits = ir.IntType(32)
         data = context.make_array(signature.args[0])(context, builder, args[0]).data
         pointer = builder.bitcast(builder.gep(data, [args[1]]), bits.as_pointer())

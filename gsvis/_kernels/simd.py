@@ -1,8 +1,8 @@
-"""Explicit vectors inside numba kernels: a thin layer over LLVM's fixed-width vector types.
+"""Explicit SIMD vectors inside numba kernels: a thin layer over LLVM's fixed-width vector types.
 
-numba's loop vectorizer gives up on the short, branchy loops of rays and tiles, so the innermost code is
-written as vectors of a stated width. LLVM lowers them to what the machine has (AVX-512, AVX2, SSE, NEON). A `Vector` is
-a value under construction, not an array: operators append instructions to the function being built.
+numba does not vectorize the short loops with branches over rays and tiles, so the innermost code is written with
+vectors of a fixed width. LLVM compiles them to what the machine has (AVX-512, AVX2, SSE, NEON). A `Vector` is a value
+in the function that is being built, not an array: operators append instructions to the function.
 """
 
 from __future__ import annotations
@@ -19,13 +19,14 @@ _EXP2 = (1.0, 0.6931471806, 0.2402265079, 0.0555041086, 0.0096181292, 0.00133335
 
 
 class Vector:
-    """Lanes of one type, with arithmetic and comparison; a comparison gives a mask."""
+    """A SIMD vector with arithmetic and comparison; a comparison gives a mask."""
 
     def __init__(self, home: Builder, value: Any) -> None:
         self.home = home
         self.value = value
 
     def _pair(self, other: Vector | float) -> tuple[Any, Any]:
+        """Return the LLVM values of both operands."""
         return self.value, (other if isinstance(other, Vector) else self.home.constant(other)).value
 
     def __add__(self, other: Vector | float) -> Vector:
@@ -44,35 +45,35 @@ class Vector:
         return Vector(self.home, self.home.ir.and_(self.value, other.value))
 
     def compare(self, how: str, other: Vector | float) -> Vector:
-        """Mask of lanes where `self how other`; false where either is NaN."""
+        """Return a mask: lanes where `self <how> other` is true; false for NaN."""
         return Vector(self.home, self.home.ir.fcmp_ordered(how, *self._pair(other)))
 
     def where(self, yes: Vector | float, no: Vector | float) -> Vector:
-        """Of a mask: `yes` where it is set, else `no`."""
+        """Return `yes` in the lanes where this mask is set, else `no`."""
         a = yes if isinstance(yes, Vector) else self.home.constant(yes)
         b = no if isinstance(no, Vector) else self.home.constant(no)
         return Vector(self.home, self.home.ir.select(self.value, a.value, b.value))
 
     def least(self, other: Vector | float) -> Vector:
-        """Smaller of the two, lane by lane."""
+        """Return the smaller value of each lane."""
         return self.compare("<", other).where(self, other)
 
     def most(self, other: Vector | float) -> Vector:
-        """Larger of the two, lane by lane."""
+        """Return the larger value of each lane."""
         return self.compare(">", other).where(self, other)
 
     def times_plus(self, factor: Vector | float, addend: Vector | float) -> Vector:
-        """`self * factor + addend` in one rounding."""
+        """Return `self * factor + addend`, rounded once."""
         b, c = (v if isinstance(v, Vector) else self.home.constant(v) for v in (factor, addend))
         return self.home.call("llvm.fma", self, b, c)
 
     def exp2(self) -> Vector:
-        """2^self of float32 lanes up to 126, to about one ulp; below -126 it is 2^-126."""
+        """Return 2^self of float32 lanes up to 126, within about one ulp; 2^-126 for lanes below -126."""
         home = self.home
         bounded = self.most(-126.0)
         whole = home.call("llvm.nearbyint", bounded)
         part = bounded - whole
-        # Estrin's scheme: the powers in parallel, because the chain of Horner's is what a loop would wait for.
+        # Estrin's scheme: powers in parallel, because Horner's chain of operations would be slower.
         square = part * part
         c0, c1, c2, c3, c4, c5, c6 = _EXP2
         low = part.times_plus(c1, c0) + square * part.times_plus(c3, c2)
@@ -84,23 +85,24 @@ class Vector:
         return Vector(home, home.ir.bitcast(bits, home.type))
 
     def any(self) -> Any:
-        """Of a mask: one bit, set if any lane is."""
+        """Return one bit: whether any lane of this mask is set."""
         bits = self.home.ir.bitcast(self.value, ir.IntType(self.home.lanes))
         return self.home.ir.icmp_unsigned("!=", bits, ir.Constant(bits.type, 0))
 
     def bits(self) -> Any:
-        """Of a mask: its lanes as an int64, lane 0 lowest."""
+        """Return the lanes of this mask as bits of an int64, lane 0 lowest."""
         return self.home.ir.zext(self.home.ir.bitcast(self.value, ir.IntType(self.home.lanes)), ir.IntType(64))
 
     def sum(self) -> Any:
-        """Sum of the lanes as a scalar, always in the same tree order."""
-        return self._fold(lambda a, b: a + b)
+        """Return the sum of the lanes as a scalar, always in the same order."""
+        return self._reduce(lambda a, b: a + b)
 
     def largest(self) -> Any:
-        """Largest lane as a scalar."""
-        return self._fold(lambda a, b: a.most(b))
+        """Return the largest lane as a scalar."""
+        return self._reduce(lambda a, b: a.most(b))
 
-    def _fold(self, join: Any) -> Any:
+    def _reduce(self, join: Any) -> Any:
+        """Return all lanes joined to a scalar, by halves: `join` takes two vectors."""
         home = self.home
         value = self
         lanes = self.home.lanes
@@ -122,25 +124,25 @@ class Builder:
         self.type = ir.VectorType(self.element, lanes)
 
     def constant(self, number: float) -> Vector:
-        """The same number in all lanes."""
+        """Return a vector with the same number in all lanes."""
         return Vector(self, ir.Constant(self.type, [number] * self.lanes))
 
     def counting(self) -> Vector:
-        """0, 1, 2, ..."""
+        """Return the vector 0, 1, 2, ..."""
         return Vector(self, ir.Constant(self.type, [float(k) for k in range(self.lanes)]))
 
     def splat_int(self, number: int) -> Any:
-        """The same int32 in all lanes, as an LLVM constant."""
+        """Return an LLVM constant with the same int32 in all lanes."""
         return ir.Constant(ir.VectorType(_I32, self.lanes), [number] * self.lanes)
 
     def splat(self, scalar: Any) -> Vector:
-        """A scalar of the element type in all lanes."""
+        """Return a vector with a scalar of the element type in all lanes."""
         nothing = ir.Constant(self.type, ir.Undefined)
         single = self.ir.insert_element(nothing, scalar, ir.Constant(_I32, 0))
         return Vector(self, self.ir.shuffle_vector(single, nothing, self.splat_int(0)))
 
     def call(self, name: str, *arguments: Vector) -> Vector:
-        """An LLVM intrinsic on whole vectors, such as llvm.nearbyint."""
+        """Call an LLVM intrinsic with vectors, such as llvm.nearbyint, and return its result."""
         kind = ir.FunctionType(self.type, [self.type] * len(arguments))
         suffix = f"v{self.lanes}f{32 if self.element == ir.FloatType() else 64}"
         function = self.ir.module.globals.get(f"{name}.{suffix}")
@@ -149,19 +151,19 @@ class Builder:
         return Vector(self, self.ir.call(function, [a.value for a in arguments]))
 
     def load(self, pointer: Any, offset: Any, element: str | None = None) -> Vector:
-        """`lanes` neighbors from `offset` elements behind `pointer`, widened from float32 if asked."""
+        """Load `lanes` elements from `pointer + offset` on; with `element` "float32", convert them to this type."""
         kind = ir.FloatType() if element == "float32" else self.element
         address = self.ir.bitcast(self.ir.gep(pointer, [offset]), ir.VectorType(kind, self.lanes).as_pointer())
         value = self.ir.load(address, align=4)
         return Vector(self, value if kind == self.element else self.ir.fpext(value, self.type))
 
     def store(self, vector: Vector, pointer: Any, offset: Any) -> None:
-        """Write the lanes to `offset` elements behind `pointer`."""
+        """Write the lanes to `pointer + offset`."""
         address = self.ir.bitcast(self.ir.gep(pointer, [offset]), self.type.as_pointer())
         self.ir.store(vector.value, address, align=4)
 
     def store_first(self, vector: Vector, count: int, pointer: Any, offset: Any) -> None:
-        """Write the first `count` lanes, a multiple of four, to `offset` elements behind `pointer`."""
+        """Write the first `count` lanes, a multiple of four, to `pointer + offset`."""
         for first in range(0, count, 4):
             mask = ir.Constant(ir.VectorType(_I32, 4), list(range(first, first + 4)))
             part = self.ir.shuffle_vector(vector.value, vector.value, mask)
@@ -169,26 +171,27 @@ class Builder:
             self.ir.store(part, self.ir.bitcast(place, ir.VectorType(self.element, 4).as_pointer()), align=4)
 
     def sums(self, vectors: list[Vector]) -> Vector:
-        """The sum of the lanes of each of up to `lanes` vectors, sum k in lane k.
+        """Return the sums of the lanes of up to `lanes` vectors; sum k is in lane k.
 
-        Pairs of vectors are folded into one, half by half: a fifth of the work of summing each alone.
+        Pairs of vectors are added into one, half by half, which is five times faster than summing each vector.
         """
         zero = self.constant(0.0)
         row = [*vectors, *[zero] * (self.lanes - len(vectors))]
         step = self.lanes // 2
         while step:
             row = [
-                self._folded(a, b, step) if a is not zero else zero for a, b in zip(row[::2], row[1::2], strict=True)
+                self._add_halves(a, b, step) if a is not zero else zero
+                for a, b in zip(row[::2], row[1::2], strict=True)
             ]
             step //= 2
-        # Lane l now holds the sum whose number is l with its bits reversed.
+        # Lane l now has the sum whose number is l with its bits reversed.
         bits = self.lanes.bit_length() - 1
         mask = [int(f"{k:0{bits}b}"[::-1], 2) for k in range(self.lanes)]
         shuffle = ir.Constant(ir.VectorType(_I32, self.lanes), mask)
         return Vector(self, self.ir.shuffle_vector(row[0].value, row[0].value, shuffle))
 
-    def _folded(self, a: Vector, b: Vector, step: int) -> Vector:
-        """Lane l: a[l] + a[l ^ step] where l lacks the bit `step`, b[l] + b[l ^ step] where it has it."""
+    def _add_halves(self, a: Vector, b: Vector, step: int) -> Vector:
+        """Return a[l] + a[l ^ step] in lanes l without the bit `step`, and b[l] + b[l ^ step] in the others."""
         kind = ir.VectorType(_I32, self.lanes)
         own = ir.Constant(kind, [k + (self.lanes if k & step else 0) for k in range(self.lanes)])
         other = ir.Constant(kind, [(k ^ step) + (self.lanes if k & step else 0) for k in range(self.lanes)])

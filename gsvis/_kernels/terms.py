@@ -1,4 +1,4 @@
-"""Kernels for terms that the coders of packages and of the wire share: bits of fields, and what predicts them."""
+"""Kernels for records of terms, shared by the coders of packages and of the wire: bits of fields, and contexts."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ __all__ = ["TermFields", "near", "upper_bits"]
 
 
 class TermFields(NamedTuple):
-    """Bits of the fields of a term; `others` is whether there are three intensities."""
+    """Bits of the fields of a term; `others` says whether there are three intensities or one."""
 
     function: int
     polar: int
@@ -22,13 +22,13 @@ class TermFields(NamedTuple):
 
 @njit(inline="always")
 def upper_bits(value, bits, most):
-    """Return the upper bits of a value of so many bits, `most` of them."""
+    """Return the upper `most` bits of a value of `bits` bits."""
     return value >> (bits - most) if bits > most else value << (most - bits)
 
 
 @njit(inline="always")
 def near(value, bits):
-    """Return a difference, which is modulo 2^bits, cut to -6 to 6, plus 6; of its upper six bits if it has more."""
+    """Return the context of a difference modulo 2^bits: its upper six bits as a signed number in [-6, 6], plus 6."""
     if bits > 6:
         value = value >> (bits - 6)
         bits = 6

@@ -1,9 +1,9 @@
 """Run a compiled kernel on several of Python's threads, each with a part of the work.
 
-numba shares out a loop by itself with `parallel=True`, but then it types and optimizes the body three times over, and
-the kernel takes two to four times as long to compile. Here the kernel is a plain one that releases Python's lock
-(`nogil=True`, and `error_model="numpy"`, as numba's own threads have it). A call costs some tens of microseconds more.
-Kernels whose calls take a millisecond or less use numba's threads instead, by `share`.
+With `parallel=True`, numba would type and optimize the body of a loop three times, and compilation would take two to
+four times as long. Here the kernel is a plain one that releases the GIL (`nogil=True`, with `error_model="numpy"` as in
+numba's own threads). A call costs a few tens of microseconds more. Kernels whose calls take a millisecond or less use
+numba's threads instead, through `share`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _pools: dict[int, ThreadPoolExecutor] = {}
 
 
 def in_parts(count: Callable[..., int]) -> Callable[[Any], Callable[..., None]]:
-    """Make kernel(first, last, *arguments) callable as kernel(*arguments): each thread gets a part of the rows.
+    """Decorate kernel(first, last, *arguments) to be called as kernel(*arguments): each thread gets a range of rows.
 
     Args:
         count: Returns the number of rows, from the arguments.
@@ -43,12 +43,12 @@ def in_parts(count: Callable[..., int]) -> Callable[[Any], Callable[..., None]]:
 
 
 def in_threads(units: Callable[..., int]) -> Callable[[Any], Callable[..., None]]:
-    """Make kernel(taken, *arguments) callable as kernel(*arguments): threads take units of work until none is left.
+    """Decorate kernel(taken, *arguments) to be called as kernel(*arguments): threads take units until none is left.
 
-    `taken` (1,) int64 is the counter of `take_next`, 0 at first.
+    `taken` (1,) int64 is the counter for `take_next`, 0 at the start.
 
     Args:
-        units: Returns the number of units, from the arguments: no more threads than that are of use.
+        units: Returns the number of units, from the arguments; at most that many threads are used.
     """
 
     def wrap(kernel: Any) -> Callable[..., None]:
@@ -62,7 +62,7 @@ def in_threads(units: Callable[..., int]) -> Callable[[Any], Callable[..., None]
 
 
 def on_numba_threads(kernel: Any) -> Callable[..., None]:
-    """Make a kernel that calls `share` ready to be called: numba's threads are there before its code is loaded."""
+    """Decorate a kernel that calls `share`: numba's threads are started before its code is loaded."""
 
     def run(*arguments: Any) -> None:
         get_num_threads()  # starts them, at the first call
@@ -73,7 +73,7 @@ def on_numba_threads(kernel: Any) -> Callable[..., None]:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Run kernels in one thread: small ones end sooner, and processor time is time."""
+    """Run kernels in one thread in this context: small ones are faster, and processor time equals elapsed time."""
     before = get_num_threads()
     set_num_threads(1)
     try:
@@ -83,14 +83,14 @@ def one_thread() -> Iterator[None]:
 
 
 def _named_as(kernel: Any, run: Callable[..., None]) -> Callable[..., None]:
-    """Return the function with the name and the documentation of a kernel, which it holds as `kernel`."""
+    """Return `run` with the name and docstring of a kernel, and the kernel as its attribute `kernel`."""
     update_wrapper(run, getattr(kernel, "py_func", kernel))
     run.kernel = kernel  # type: ignore[attr-defined]
     return run
 
 
 def _run_all(kernel: Callable[..., object], calls: list[tuple[Any, ...]]) -> None:
-    """Make all calls, the first in this thread. Raise an error of one of them, once all have ended."""
+    """Make all calls, the first in this thread; wait for all, then raise the error of one, if any."""
     others = [_pool().submit(kernel, *call) for call in calls[1:]]
     try:
         kernel(*calls[0])
@@ -100,7 +100,7 @@ def _run_all(kernel: Callable[..., object], calls: list[tuple[Any, ...]]) -> Non
 
 
 def _pool() -> ThreadPoolExecutor:
-    """Return the threads of this process: a fork has none of its parent's."""
+    """Return the thread pool of this process; a fork does not inherit the threads of its parent."""
     if os.getpid() not in _pools:
         _pools.clear()
         _pools[os.getpid()] = ThreadPoolExecutor(os.cpu_count(), thread_name_prefix="gsvis-kernel")

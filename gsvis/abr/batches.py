@@ -21,10 +21,10 @@ class Batch:
         terms: (M,) uint32 ids of the records of terms, in order; their Gaussians are in this batch or before it.
         dropped: (D,) int32 ids of Gaussians that the client stops showing: all their replacements have been sent.
         bytes: Bytes of the records.
-        filling: Whether the view needs none of it: it fills an idle link.
-        evicted: (E,) int32 ids that the client forgets before it adds the others, so that its memory suffices: its
-            Gaussians with their terms, and that others had been replaced by them.
-        gone: (R,) int32 ids of all Gaussians that are replaced from now on, held or not, `dropped` among them.
+        filling: Whether the batch only fills an idle link, as the view needs none of it.
+        evicted: (E,) int32 ids that the client forgets first, to have memory for the new records: Gaussians that it
+            evicts with their terms, and Gaussians that those had replaced.
+        gone: (R,) int32 ids of all Gaussians that this batch replaces, held or not; `dropped` is part of it.
     """
 
     gaussians: I32

@@ -1,4 +1,4 @@
-"""What may be sent to a client in a cell, or fills its link shell by shell, as values that all clients share.
+"""The candidates of a cell and of its shells: values that all clients share.
 
 `CandidateIndex` makes them; see there for rings and shells.
 """
@@ -30,11 +30,11 @@ class Candidates:
 
     Attributes:
         cell: Number of the cell.
-        step: How far outside of the cell they are for, see `gsvis.abr.outside`; 0 inside.
+        step: Distance of the eye from the cell for which they were made, see `gsvis.abr.outside`; 0 inside.
         words: (S,) int32 ascending, the words that have candidates: word w is Gaussians 64 w to 64 w + 63.
         places: (6, S) float32 for each word: center (x, y, z) and radius of a sphere around its Gaussians, mean square
             of their distance from its center, mean bytes of their records.
-        owing: (S,) uint64, which Gaussians have terms in `active`.
+        owing: (S,) uint64, the Gaussians that have terms in `active`.
         units: The units.
         runs: Where the ring or word of the units changes.
         union: (W,) uint64, all candidates.
@@ -74,15 +74,15 @@ class Candidates:
 
 
 class Bounds(NamedTuple):
-    """Bounds for B of the E Gaussians that others replace, of which a cell has candidates."""
+    """Bounds on the area of replacements, for the B replaced Gaussians that candidates of a cell replace."""
 
     ends: I32  # (B,) numbers in [0, E)
-    least: I32  # (B,) area of replacements, in units, without which each is not dropped
-    sure: I32  # (B,) area that suffices, whatever it consists of
+    least: I32  # (B,) least area in `UNITS` with which the Gaussian can be dropped
+    sure: I32  # (B,) area in `UNITS` with which it is dropped, whichever replacements make it up
 
 
 class Shell(NamedTuple):
-    """What some cells around a viewer's cell see."""
+    """What the cells of a shell see."""
 
-    seen: Seen  # in the words of the candidates
-    candidates: Candidates  # of it what is of the highest level, without a union; or `CandidateIndex.everything`
+    seen: Seen  # all of it, in the words of the candidates
+    candidates: Candidates  # its Gaussians of the highest level, with an empty union; or `CandidateTables.everything`

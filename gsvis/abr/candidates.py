@@ -1,11 +1,11 @@
 """What may be sent to a client in a cell: units of Gaussians that the cell and its neighbors see.
 
 Candidates are computed once for a cell and shared by all clients in it. They do not depend on what a client holds or
-looks at. Rings are 0 for the cell itself and 1, 2, 3 for neighbors by face, edge and corner. A Gaussian is in the first
-ring that sees it, so the ring orders by distance to the nearest cell from which it is visible (section 6.3). Shells go
-on from there to the end of the scene, for links with nothing better to do: shell 0 is the cell and its neighbors, each
-further shell the next nearest cells. The last shells are what no cell sees: it is sent last, not never. Outside of all
-cells the candidates of the nearest one are widened by the distance, see `gsvis.abr.outside`.
+looks at. Ring 0 is the cell itself; rings 1, 2 and 3 are its neighbors by face, edge and corner. A Gaussian is in the
+first ring that sees it, so the ring orders by distance to the nearest cell from which it is visible (section 6.3).
+Shells fill an idle link with the rest of the scene: shell 0 is the cell and its neighbors, each further shell the next
+nearest cells. The last shells hold what no cell sees. For an eye outside of all cells, the candidates of the nearest
+cell are widened by the distance, see `gsvis.abr.outside`.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from gsvis.abr.rings import RINGS, Shells
 from gsvis.abr.scratch import Scratch
 from gsvis.abr.seen import SeenSets
 from gsvis.abr.tables import CandidateTables
-from gsvis.abr.words import level_bytes, room
+from gsvis.abr.words import empty_units, level_bytes
 from gsvis.files.cache import Cache
 from gsvis.pvs.codec import pack, pack_some, word_count
 
@@ -42,8 +42,8 @@ I64 = NDArray[np.int64]
 I32 = NDArray[np.int32]
 Words = NDArray[np.uint64]
 
-_DENSE = 1 << 16  # words of a scene up to which all of them are looked at in place of those of a shell
-_REST = 1 << 13  # words of a shell of what no cell sees, in a larger scene
+_DENSE = 1 << 16  # most words of a small scene: there, passes over all words replace lists of words
+_REST = 1 << 13  # words in a shell of what no cell sees, in a larger scene
 
 
 class CandidateIndex:
@@ -55,15 +55,15 @@ class CandidateIndex:
             Gaussian.
         stored: Bytes that a Gaussian and a term take in the memory of a client.
         cache: Cache of candidates and sets of cells; None means one of 256 MiB.
-        tables: What was computed of the scene before, with that pixel; None computes it.
+        tables: Tables of the scene, computed before with the same pixel; None computes them.
 
     Attributes:
         index: The scene.
-        tables: What is known of it whatever the cell.
+        tables: Tables of the scene that do not depend on a cell.
         cache: The cache.
-        seen: What each cell sees.
+        seen: Visible sets of the cells.
         shells: The cells around each cell.
-        scratch: Memory in which threads plan.
+        scratch: Scratch arrays of the threads that plan.
 
     Raises:
         ValueError: If the angle is out of range.
@@ -87,10 +87,10 @@ class CandidateIndex:
         self._words = (np.zeros(0, np.uint64),) * 2
 
     def in_cell(self, cell: int, step: int = 0) -> Candidates:
-        """Return the candidates of a cell, or for an eye that is so far outside of it.
+        """Return the candidates of a cell; `step` is the distance of an eye outside of it.
 
         Raises:
-            ValueError: If there is no such cell, or it names Gaussians or terms that the scene does not have.
+            ValueError: If there is no such cell, or its sets contain ids that the scene does not have.
         """
         found: Candidates = self.cache.find_or_make(("candidates", cell, step), lambda: self.build(cell, step))
         return found
@@ -100,10 +100,10 @@ class CandidateIndex:
         return self.cache.find(("candidates", cell, step)) is not None
 
     def build(self, cell: int, step: int = 0) -> Candidates:
-        """Compute the candidates of a cell, or for an eye that is so far outside of it, without the cache.
+        """Compute the candidates of a cell without the cache; `step` is the distance of an eye outside of it.
 
         Raises:
-            ValueError: If there is no such cell, or it names Gaussians or terms that the scene does not have.
+            ValueError: If there is no such cell, or its sets contain ids that the scene does not have.
         """
         index = self.index
         levels = index.num_levels
@@ -118,7 +118,7 @@ class CandidateIndex:
             members, classes, weights = widen(index, self.seen, cells, step, every)
             seen_by[0] = [members]
         fresh, seen = self.seen.join(seen_by)
-        parts = [self._split(fresh[0], classes, weights, index.sets.standing(cell))]
+        parts = [self._split_cell(fresh[0], classes, weights, index.sets.standing(cell))]
         sums = np.zeros(levels * levels)
         kernels.pair_bytes(parts[0].slots, parts[0].masks, parts[0].codes, self.tables.word_bytes, sums)
         parts += [self._units_of(ring, fresh[ring]) for ring in range(1, RINGS)]
@@ -126,7 +126,7 @@ class CandidateIndex:
             active, owners = self._active_terms(cells)
             owing = owners[seen.words]
             terms = float(ones(active))
-        else:  # which are active is tested for the eye
+        else:  # the planner tests for the eye which terms are active
             active = self.tables.active
             owing = self.tables.owing[seen.words] & seen.masks
             own = np.zeros(levels * levels)
@@ -136,21 +136,21 @@ class CandidateIndex:
 
     @property
     def is_small(self) -> bool:
-        """Whether passes over all words of the scene take less time than lists of some."""
+        """Whether the scene is so small that passes over all words are faster than lists of words."""
         return len(self.tables.everything.words) <= _DENSE
 
     def _all_in(self, words: I32) -> Seen:
-        """Return all Gaussians of some words (S,) that may be sent."""
+        """Return the Gaussians of words (S,) that may be sent."""
         sent = self.index.sent
         masks = self.tables.everything.union[words]
         return Seen(words, masks if sent is None else masks & pack(np.flatnonzero(sent), len(sent))[words])
 
     def count_shells(self, cell: int) -> int:
-        """Return the number of shells around a cell; all records are in one of them, in the last what no cell sees."""
+        """Return the number of shells around a cell, with those of what no cell sees."""
         return self.shells.count(cell) + (1 if self.is_small else -(-len(self.tables.everything.words) // _REST))
 
     def shell(self, here: Candidates, number: int) -> Shell:
-        """Return what the cells of a shell around a cell see, or part of the whole scene in the last; cache it.
+        """Return a shell around a cell; cache it. The last shells have all Gaussians of the scene.
 
         Args:
             here: Candidates of the cell.
@@ -168,7 +168,7 @@ class CandidateIndex:
         return found
 
     def _make_shell(self, here: Candidates, number: int, part: int) -> tuple[Shell, int]:
-        """Return a shell and its bytes in memory; `part` is that of what no cell sees, below 0 for other shells."""
+        """Return a shell and its bytes; `part` numbers the shells of what no cell sees, < 0 for other shells."""
         made = self.tables.everything
         if part >= 0:
             seen = self._all_in(made.words if self.is_small else made.words[_REST * part : _REST * (part + 1)])
@@ -186,19 +186,19 @@ class CandidateIndex:
         return Shell(seen, replace(own, term_bytes=made.term_bytes)), own.nbytes + seen.masks.nbytes
 
     def full_and_empty(self, slots: int) -> tuple[Words, Words]:
-        """Return full words and empty words, both (S,), which all clients share: not to be changed."""
+        """Return words with all bits set and words with none, both (S,). All clients share them: do not change them."""
         if len(self._words[0]) < slots:
             self._words = np.full(slots, ~np.uint64(0)), np.zeros(slots, np.uint64)
         full, empty = self._words
         return full[:slots], empty[:slots]
 
     def bounds_of(self, here: Candidates, shares: F64, *, make: bool) -> Bounds | None:
-        """Return what has to arrive before Gaussians are dropped, for those that candidates replace.
+        """Return the bounds for the Gaussians that candidates replace; None if they are not cached and `make` is False.
 
         Args:
             here: Candidates of a cell.
-            shares: (L,) of the area of its replacements, by the level at which a Gaussian ends.
-            make: Whether to compute them if they are not in the cache; None is returned otherwise.
+            shares: (L,) see `Replacements.shares`.
+            make: Whether to compute the bounds if they are not cached.
         """
         key = "bounds", here.cell, here.step, shares.tobytes()
         found: Bounds | None = self.cache.find(key)
@@ -218,8 +218,8 @@ class CandidateIndex:
 
         Returns:
             seen: (S,) the Gaussians that the cell ahead sees, in the words of `here`.
-            owing: (S,) those which own terms that may be active in one of the two cells.
-            active: (X,) the terms that may be active in one of them.
+            owing: (S,) the Gaussians that own terms in `active`.
+            active: (X,) the terms that may be active in one of the two cells.
         """
         seen = np.zeros_like(here.owing)
         owing = np.zeros_like(here.owing)
@@ -242,10 +242,17 @@ class CandidateIndex:
         *,
         has_union: bool = True,
     ) -> Candidates:
-        """Return candidates of units in different rings, with words instead of slots.
+        """Return the candidates that consist of units.
 
-        `owing` (S,) owns some of the active terms that these units are to send, `terms` of them; `sums` (L * L,) are
-        bytes of what the cell itself sees, by first and last level.
+        Args:
+            cell: Number of the cell; -1 for a shell.
+            parts: Units of each ring, with words instead of slots.
+            seen: All Gaussians of the units.
+            active: (X,) terms that may be active.
+            owing: (S,) the Gaussians that own some of them.
+            terms: Number of active terms of these Gaussians.
+            sums: (L * L,) bytes of what the cell itself sees, by first and last level; None for 0.
+            has_union: Whether to make the packed set of all Gaussians.
         """
         of, *rest = parts[0] if len(parts) == 1 else (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
         words = seen.words
@@ -273,15 +280,15 @@ class CandidateIndex:
         )
 
     def _units_of(self, ring: int, members: Seen) -> Units:
-        """Return the units of any Gaussians, in a ring, with words instead of slots."""
+        """Return the units of Gaussians as those of a ring, with words instead of slots."""
         starts = self.tables.everything.runs.starts  # every word has one run
-        found = room(int((starts[members.words + 1] - starts[members.words]).sum()))
+        found = empty_units(int((starts[members.words + 1] - starts[members.words]).sum()))
         count = kernels.ring_units(members, starts, self.tables.every, found)
         found.codes[:count] += np.uint16(ring * self.index.num_levels**2)
         return Units(*(array[:count] for array in found))
 
     def _active_terms(self, cells: list[int]) -> tuple[Words, Words]:
-        """Return the active terms of cells, and the Gaussians that own them."""
+        """Return the active terms (X,) of cells and the Gaussians (W,) that own them, as packed sets."""
         index = self.index
         owing = blank(len(self.tables.spheres), np.uint64)
         if index.active is None or not index.num_terms:
@@ -293,12 +300,19 @@ class CandidateIndex:
             kernels.active_words(ids, self.tables.owners, active, owing)
         return active, owing
 
-    def _split(self, seen: Seen, classes: NDArray[np.uint8], weights: F32, standing: I64) -> Units:
-        """Return the units of the visible set of one cell, in ring 0, with words instead of slots."""
+    def _split_cell(self, seen: Seen, classes: NDArray[np.uint8], weights: F32, standing: I64) -> Units:
+        """Return the units of the visible set of one cell, in ring 0, with words instead of slots.
+
+        Args:
+            seen: The V Gaussians of the set.
+            classes: (V,) weight class of each.
+            weights: (K,) weight of each class.
+            standing: Ids of those that the cell sees at all levels above their last.
+        """
         if ones(seen.masks) != len(classes):
             raise ValueError(f"classes: expected one for each member, got {len(classes)}")
         _check.in_range("classes", classes, 0, len(weights) - 1)
-        found = room(len(classes))
+        found = empty_units(len(classes))
         words, masks = pack_some(standing)
         stands = np.zeros(len(seen.words) if len(words) else 0, np.uint64)
         stands[np.searchsorted(seen.words, words)] = masks

@@ -61,7 +61,8 @@ class FieldOfView:
             if not np.isfinite(getattr(self, name)):
                 raise ValueError(f"{name}: expected a finite number, got {getattr(self, name)!r}")
         if self.left + self.right <= 0 or self.top + self.bottom <= 0:
-            raise ValueError("left, right, top, bottom: expected an image with an inside, got none")
+            got = f"{self.left!r}, {self.right!r}, {self.top!r}, {self.bottom!r}"
+            raise ValueError(f"left, right, top, bottom: expected left + right > 0 and top + bottom > 0, got {got}")
         if self.margin < 0 or self.near < 0:
             raise ValueError(f"margin, near: expected numbers of at least 0, got {self.margin!r}, {self.near!r}")
 
@@ -78,18 +79,18 @@ class FieldOfView:
         return cls(float(x), float(x), float(y), float(y), float(np.radians(margin)), near)
 
     def in_cells(self, cell_size: float) -> FieldOfView:
-        """Return the same field of view in a scene with cells of this size: it begins within a small part of a cell.
+        """Return the field of view with its near plane at most 1/16 of a cell away.
 
-        Viewers state one distance for all scenes. In a scene in small units it would lie behind all that is near.
+        Viewers use one near distance for all scenes. In a scene with small units it would hide all that is near.
         """
         return replace(self, near=min(self.near, _NEAREST * cell_size))
 
     def frusta(self, poses: Sequence[Pose]) -> F32:
-        """Return (F, 5, 4) float32 the planes at each pose, see `planes`."""
+        """Return (F, 5, 4) float32, the planes of F poses; see `planes`."""
         return np.array([self.planes(pose.position, pose.quat) for pose in poses], np.float32).reshape(-1, 5, 4)
 
     def planes(self, position: ArrayLike, quat: ArrayLike) -> F32:
-        """Return (5, 4) float32 unit normals that point inward and offsets: left, right, top, bottom and near plane.
+        """Return the left, right, top, bottom and near plane, (5, 4) float32: a unit normal pointing inward, an offset.
 
         Args:
             position: (3,) eye, scene frame.

@@ -1,6 +1,6 @@
-"""The surroundings of one client, for the kernels: its cell and the shells around it, with what it has not received.
+"""The cell of one client and the shells around it, for the kernels, with what the client has not received.
 
-The client goes through the shells one by one, and begins again when it enters a cell.
+Shells are taken one by one, and again from the first when the client enters a cell.
 """
 
 from __future__ import annotations
@@ -27,30 +27,30 @@ Words = NDArray[np.uint64]
 
 
 class Near(NamedTuple):
-    """A cell as its viewer sees it, to return to after filling."""
+    """The cell of the viewer, kept while shells fill the link."""
 
     here: Candidates
     cell_ahead: int
     first: Cell  # for the first pass over a view
-    again: Cell  # for the passes behind it, which check terms anew
+    again: Cell  # for later passes, which have their own checks of terms
 
 
 class ClientCells:
-    """Makes what the kernels read of candidates.
+    """Makes the `Cell` of the kernels for candidates.
 
     Args:
         candidates: Candidates of the scene.
         holdings: What the client holds.
-        replacements: What it is to drop.
-        kinds: Kinds of terms, K.
+        replacements: Which Gaussians it drops.
+        kinds: K, number of kinds of terms.
         has_terms: Whether the client may hold terms.
 
     Attributes:
         replacements: As given.
-        has_terms: As given; set it when the client gets one.
+        has_terms: Whether the client may hold terms; the planner sets it when it sends one.
         near: The cell of the viewer; None before the first.
         shells: Number of shells around it; 0 if the client held every record when it entered the cell.
-        shell: Number of the first shell of which something may be left; `shells` if nothing is.
+        shell: Number of the first shell with records that may be left to send; `shells` if none has.
         seen: (W,) candidates of the cell and of the shells so far; None before the first shell.
     """
 
@@ -70,7 +70,12 @@ class ClientCells:
         self._is_complete = False  # the client holds every record
 
     def enter(self, here: Candidates, cell_ahead: int) -> Cell:
-        """Enter a cell, or come back to it from its shells; return it for the first pass."""
+        """Enter the cell of candidates, or return to it from its shells; return it for the first pass over a view.
+
+        Args:
+            here: Candidates of the cell.
+            cell_ahead: The cell that the viewer is about to enter; may be the same.
+        """
         before = self.near
         is_new = before is None or before.here is not here
         if is_new:
@@ -92,7 +97,7 @@ class ClientCells:
         return first
 
     def next_shell(self, number: int) -> tuple[Candidates, Cell] | None:
-        """Go on to the next shell of which something is left to send; return None if there is none.
+        """Go on to the next shell with records left to send; return its candidates and cell, or None if there is none.
 
         Args:
             number: The shell to begin with.
@@ -116,7 +121,7 @@ class ClientCells:
         return None
 
     def evict(self, ids: I32) -> None:
-        """Take in what was evicted for this view."""
+        """Record Gaussians (M,) that were evicted for this view: they owe terms again, and shells begin again."""
         assert self.near is not None
         words = pack(ids, len(self._candidates.index))
         for cell in (self.near.first, self.near.again):
@@ -126,7 +131,7 @@ class ClientCells:
         self._is_complete = False
 
     def _begin_seen(self, union: Words) -> Words:
-        """Begin to widen the candidates of the cell, (W,); return a copy of them."""
+        """Return a copy (W,) of the candidates of the cell, to which shells are added."""
         assert self.near is not None
         self.replacements.begin_far()
         seen: Words
@@ -139,11 +144,11 @@ class ClientCells:
         return seen
 
     def _cell_of(self, here: Candidates, owing: Words, active: Words) -> Cell:
-        """Return candidates of which all may be sent.
+        """Return the cell of candidates; all of them may be sent.
 
         Args:
             here: The candidates.
-            owing: (S,) which of them have terms in `active`.
+            owing: (S,) those that have terms in `active`.
             active: (X,) the terms that may be active.
         """
         shared = self._candidates
@@ -171,7 +176,7 @@ class ClientCells:
         return cell
 
     def _shell_of(self, here: Candidates, seen: Words) -> Cell:
-        """Return candidates of a shell, of which nothing may be sent yet; the cell of the shell before may change.
+        """Return the cell of a shell. Its `allowed` is not set, and arrays of the previous shell's cell are reused.
 
         Args:
             here: The candidates.
@@ -189,6 +194,7 @@ class ClientCells:
         return made._replace(candidates=seen, looks=self.replacements.looks_far)
 
     def _forget_paid(self, cell: Cell) -> None:
+        """Remove from `owed` the words whose active terms the client holds."""
         if self.has_terms:
             offsets = self._candidates.index.term_offsets
             forget_paid(cell.words, cell.active, self._holdings.words.terms, offsets, cell.owed)

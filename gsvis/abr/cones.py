@@ -1,8 +1,8 @@
-"""The directions in which terms are active: equation 7 of the paper, prepared so that a planner can test it for an eye.
+"""The cones of directions in which terms are active (equation 7 of the paper), for planners that test them for an eye.
 
-A lobe falls with the angle from its center, so a term is active in a cone: its change of the color is above epsilon
+A lobe decreases with the angle from its center, so a term is active in a cone: its change of the color is above epsilon
 where the cosine between the center and the direction from the eye to the Gaussian is above a bound. If the change is
-multiplied by w, such as the blending weight of the Gaussian, the bound falls by ln(w) times the width of the lobe.
+multiplied by w, such as the blending weight of the Gaussian, the bound decreases by ln(w) times the width of the lobe.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class TermCones:
 
     @classmethod
     def trusted(cls, centers: F32, places: I32, cosines: F32, widths: F32) -> TermCones:
-        """Return cones without reading the arrays: they were checked before they were written to a file."""
+        """Return cones without checks: the arrays were checked before they were written to a file."""
         made = object.__new__(cls)
         made.__dict__.update(centers=centers, places=places, cosines=cosines, widths=widths)
         return made
@@ -78,13 +78,13 @@ class TermCones:
         return f"TermCones({len(self):,} terms, {len(self.centers):,} centers)"
 
     def active(self, terms: ArrayLike, mean: ArrayLike, eyes: ArrayLike, gain: float = 0.0) -> NDArray[np.bool_]:
-        """Return (M,) bool, which terms of one Gaussian are active for any of some eyes.
+        """Return (M,) bool: whether each term of a Gaussian is active for at least one eye.
 
         Args:
             terms: (M,) ids of the terms.
             mean: (3,) center of their Gaussian.
             eyes: (P, 3) positions.
-            gain: Logarithm of what the change of the color is multiplied by.
+            gain: Logarithm of the factor on the change of the color.
         """
         ids = np.asarray(terms, np.int64)
         toward = directions(mean, eyes)
@@ -94,7 +94,7 @@ class TermCones:
 
 
 def directions(mean: ArrayLike, eyes: ArrayLike) -> F32:
-    """Return (P, 3) float32 unit vectors from eyes (P, 3) to a mean (3,); (0, 0, 1) where they are equal."""
+    """Return (P, 3) float32 unit vectors from eyes (P, 3) to a mean (3,); (0, 0, 1) where an eye equals the mean."""
     apart = np.asarray(mean, np.float32) - np.asarray(eyes, np.float32)
     lengths = np.sqrt((apart * apart).sum(axis=1, keepdims=True))
     safe = np.where(lengths > 0, lengths, np.float32(1.0))

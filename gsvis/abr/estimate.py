@@ -31,13 +31,13 @@ class ThroughputEstimator(Protocol):
 
 
 class Ewma:
-    """The lower of two exponentially weighted means, a quick and a slow one, as dash.js and hls.js do.
+    """Estimate with the lower of two exponentially weighted means, a fast and a slow one, as dash.js and hls.js do.
 
-    A transfer counts by its duration: after `half_life` seconds of transfers, earlier ones count half. The estimate
-    corrects the bias toward 0 with which both means start.
+    Transfers are weighted by their duration: the weight of a transfer halves with each half-life of later transfers.
+    Both means start at 0; the estimate corrects this bias.
 
     Args:
-        fast: Half-life of the quick mean, seconds of transfers.
+        fast: Half-life of the fast mean, seconds of transfers.
         slow: Half-life of the slow mean, seconds of transfers.
         start: Bytes a second before the first transfer.
     """
@@ -49,8 +49,8 @@ class Ewma:
         self._seconds = 0.0
 
     def observe(self, sent: float, seconds: float) -> None:
-        """Take in a transfer; see `ThroughputEstimator`."""
-        rate = _rate(sent, seconds)
+        """Record a transfer; see `ThroughputEstimator.observe`."""
+        rate = _transfer_rate(sent, seconds)
         self._seconds += seconds
         for k, half_life in enumerate(self._half_lives):
             kept = 0.5 ** (seconds / half_life)
@@ -68,7 +68,7 @@ class Ewma:
 
 
 class HarmonicMean:
-    """The harmonic mean of the last few rates: one quick transfer changes it little, one slow transfer much.
+    """Estimate with the harmonic mean of the last few rates, which a slow transfer changes more than a fast one.
 
     Args:
         last: Number of transfers in the mean.
@@ -80,8 +80,8 @@ class HarmonicMean:
         self._mean = _positive("start", start)
 
     def observe(self, sent: float, seconds: float) -> None:
-        """Take in a transfer; see `ThroughputEstimator`."""
-        self._rates.append(max(_rate(sent, seconds), 1.0))
+        """Record a transfer; see `ThroughputEstimator.observe`."""
+        self._rates.append(max(_transfer_rate(sent, seconds), 1.0))
         self._mean = len(self._rates) / sum(1.0 / rate for rate in self._rates)
 
     def estimate(self) -> float:
@@ -90,10 +90,10 @@ class HarmonicMean:
 
 
 class RobustMpc:
-    """A harmonic mean, reduced by the largest relative error of its recent forecasts.
+    """Estimate with a harmonic mean, divided by 1 plus the largest relative error of its recent estimates.
 
     Args:
-        last: Number of transfers and of errors in use.
+        last: Number of transfers in the mean, and of errors that are remembered.
         start: Bytes a second before the first transfer.
 
     References:
@@ -106,8 +106,8 @@ class RobustMpc:
         self._seen = False
 
     def observe(self, sent: float, seconds: float) -> None:
-        """Take in a transfer; see `ThroughputEstimator`."""
-        rate = max(_rate(sent, seconds), 1.0)
+        """Record a transfer; see `ThroughputEstimator.observe`."""
+        rate = max(_transfer_rate(sent, seconds), 1.0)
         if self._seen:
             self._errors.append(abs(self._mean.estimate() - rate) / rate)
         self._mean.observe(sent, seconds)
@@ -124,16 +124,20 @@ ESTIMATORS = ("ewma", "harmonic", "robust-mpc")
 def estimator(name: str, start: float = DEFAULT_START) -> ThroughputEstimator:
     """Return an estimator by name, one of `ESTIMATORS`."""
     _check.one_of("name", name, ESTIMATORS)
-    return Ewma(start=start) if name == "ewma" else (HarmonicMean if name == "harmonic" else RobustMpc)(start=start)
+    if name == "ewma":
+        return Ewma(start=start)
+    return HarmonicMean(start=start) if name == "harmonic" else RobustMpc(start=start)
 
 
 def _positive(name: str, value: float) -> float:
+    """Return a number as float; raise ValueError unless it is finite and > 0."""
     if not (np.isfinite(value) and value > 0):
         raise ValueError(f"{name}: expected a finite number > 0, got {value!r}")
     return float(value)
 
 
-def _rate(sent: float, seconds: float) -> float:
+def _transfer_rate(sent: float, seconds: float) -> float:
+    """Return bytes per second of a transfer; raise ValueError unless bytes are >= 0 and seconds > 0."""
     if not (np.isfinite(sent) and sent >= 0):
         raise ValueError(f"sent: expected finite bytes >= 0, got {sent!r}")
     return sent / _positive("seconds", seconds)

@@ -1,6 +1,7 @@
-"""What a client holds: sets of Gaussians and terms, and of replaced Gaussians. Held records are never sent again.
+"""What a client holds: the Gaussians and terms that it received, and the Gaussians that were replaced.
 
-The sets are packed words for the kernels, and portable roaring bitmaps for a client that reconnects.
+Held records are never sent again. The sets are packed 64-bit words for the kernels, and portable roaring bitmaps for a
+client that reconnects.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ _CONTAINER_BYTES = 8192  # most bytes of one: a bit for each id, or 2 bytes for 
 
 
 class Holdings:
-    """What one client has received.
+    """The records that one client has received.
 
     Args:
         gaussians: N, number of Gaussians of the scene.
@@ -41,7 +42,7 @@ class Holdings:
         terms: T, number of terms of the scene.
         sent: Packed set of the Gaussians received.
         sent_terms: Packed set of the terms received.
-        gone: Packed set of the replaced Gaussians: the client does not show them, and the server does not send them.
+        gone: Packed set of the replaced Gaussians, which are neither shown nor sent.
     """
 
     def __init__(self, gaussians: int, terms: int = 0) -> None:
@@ -112,15 +113,19 @@ class Holdings:
             values = _check.integers(name, ids, ("M",))
             _check.in_range(name, values, 0, size - 1)
             some, fresh = pack_some(np.sort(values))
-            if name != "dropped" and (count(fresh) != len(values) or np.any(fresh & words[some])):
-                raise ValueError(f"{name}: expected each once, got one that is held already")
+            if name != "dropped":
+                if count(fresh) != len(values):
+                    raise ValueError(f"{name}: expected each id once, got {len(values)} ids, {count(fresh)} different")
+                if np.any(fresh & words[some]):
+                    first = _first_id(some, fresh & words[some])
+                    raise ValueError(f"{name}: expected new ids, got {first:,}, which is held already")
             words[some] |= fresh
 
     def evict(self, gaussians: NDArray[Any], terms: NDArray[Any]) -> None:
-        """Forget Gaussians, and that they were replaced, and terms, on the client's side.
+        """Remove evicted Gaussians and terms, on the client's side. The Gaussians no longer count as replaced either.
 
         Args:
-            gaussians: (E,) ids of Gaussians that are held, or that others have replaced.
+            gaussians: (E,) ids of Gaussians, each held or replaced.
             terms: (M,) ids of the terms of these Gaussians that are held.
 
         Raises:
@@ -136,10 +141,7 @@ class Holdings:
             some, masks = pack_some(np.sort(values))
             lost = masks & ~np.bitwise_or.reduce([words[some] for words in sets])
             if np.any(lost):
-                k = int(np.flatnonzero(lost)[0])
-                mask = int(lost[k])
-                first = 64 * int(some[k]) + (mask & -mask).bit_length() - 1
-                raise ValueError(f"{name}: expected ids that are held, got {first:,}, which is not")
+                raise ValueError(f"{name}: expected ids that are held, got {_first_id(some, lost):,}, which is not")
             found += [(words, some, masks) for words in sets]
         for words, some, masks in found:
             words[some] &= ~masks
@@ -158,12 +160,12 @@ class Holdings:
 
     @staticmethod
     def most_bytes(gaussians: int, terms: int) -> int:
-        """Return the most bytes that `to_bytes` can have, for N Gaussians and T terms."""
-        return _HEAD.size + 2 * _most_bitmap(gaussians) + _most_bitmap(terms)
+        """Return an upper bound on the length of `to_bytes`, for N Gaussians and T terms."""
+        return _HEAD.size + 2 * _most_bitmap_bytes(gaussians) + _most_bitmap_bytes(terms)
 
     @classmethod
     def from_bytes(cls, data: bytes, gaussians: int, terms: int) -> Holdings:
-        """Return the holdings that a client reports.
+        """Return the holdings that a client sent.
 
         Args:
             data: Bytes from `to_bytes`.
@@ -171,7 +173,7 @@ class Holdings:
             terms: T, number of terms of the scene.
 
         Raises:
-            ValueError: If the bytes are malformed, or the holdings are of another scene.
+            ValueError: If the bytes are malformed, or their numbers of Gaussians or terms are not those of the scene.
         """
         out = cls(gaussians, terms)
         if len(data) < _HEAD.size or data[:4] != _MAGIC:
@@ -187,25 +189,38 @@ class Holdings:
         start = _HEAD.size
         found = []
         for length, size in zip(lengths, (n, t, n), strict=True):
-            found.append(_words_of(data[start : start + length], size))
+            found.append(_parse_bitmap(data[start : start + length], size))
             start += length
         out.sent, out.sent_terms, out.gone = found
         return out
 
 
-def _most_bitmap(size: int) -> int:
-    """Return the most bytes of a roaring bitmap of ids below `size`: a head, and for each container 9 and its body."""
+def _first_id(words: NDArray[Any], masks: Words) -> int:
+    """Return the least id of a packed set: numbers of its words (S,), ascending, and their masks (S,), not all 0."""
+    k = int(np.flatnonzero(masks)[0])
+    mask = int(masks[k])
+    return 64 * int(words[k]) + (mask & -mask).bit_length() - 1
+
+
+def _most_bitmap_bytes(size: int) -> int:
+    """Return an upper bound on the bytes of a roaring bitmap of ids below `size`.
+
+    A bitmap has a head of 8 bytes, and for each container a head of 9 bytes and its body.
+    """
     whole, rest = divmod(size, _CONTAINER)
     return 8 + 9 * -(-size // _CONTAINER) + whole * _CONTAINER_BYTES + min(2 * rest, _CONTAINER_BYTES)
 
 
-def _words_of(data: bytes, size: int) -> Words:
+def _parse_bitmap(data: bytes, size: int) -> Words:
+    """Return the packed set of a roaring bitmap of ids below `size`; raise ValueError if it is malformed."""
     try:
         bitmap = BitMap.deserialize(data)
         if bitmap.serialize() != data:  # with extra bytes, or not in normal form
             raise ValueError("not as the reference libraries write it")
     except (ValueError, IndexError) as error:  # IndexError if there are no bytes
-        raise ValueError(f"data: expected a roaring bitmap, got other bytes ({str(error)[:60]})") from error
+        raise ValueError(
+            f"data: expected a roaring bitmap, got {len(data):,} bytes that are none ({str(error)[:60]})"
+        ) from error
     if len(bitmap) and (bitmap.max() >= size or len(bitmap) > size):
         raise ValueError(f"data: expected ids below {size}, got {bitmap.max()}")
     return pack(np.array(bitmap.to_array(), np.int64), size)

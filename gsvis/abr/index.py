@@ -1,8 +1,7 @@
-"""What a planner knows of a scene: positions, sizes, levels and bytes of its records, and what each cell sees.
+"""What a planner knows about a scene: positions, sizes, levels and bytes of its records, and what each cell sees.
 
 Plain arrays without shapes or colors. Scene frame and units; bytes as sent. Any order of ids works; 64 consecutive ids
-are ranked together, so records should be in the order of a package (`gsvis.package.order`). This module knows no file
-and no client.
+are ranked together, so records should be in the order of a package (`gsvis.package.order`). No files, no clients.
 """
 
 from __future__ import annotations
@@ -40,57 +39,58 @@ U8 = NDArray[np.uint8]
 Words = NDArray[np.uint64]
 
 EXTENT = 3.0
-"""Standard deviations from its center at which a Gaussian ends, for the test if it is in view."""
+"""Radius of a Gaussian in standard deviations, for tests whether it is in view."""
 
 
 class CellSets(ABC):
-    """What cells see. Derive from it and write `classes`; the rest follows. Several threads call it at once."""
+    """The visible sets of cells. A subclass has to define `classes`. Several threads call it at once."""
 
     @abstractmethod
     def classes(self, cell: int, /) -> tuple[I64, U8]:
         """Return (V,) ascending ids of the Gaussians that a cell sees, and (V,) the weight class of each."""
 
     def visible_masks(self, cell: int, /) -> tuple[I32, Words]:
-        """Return the words (S,) of the visible set of a cell that are not empty, ascending, and their masks (S,)."""
+        """Return the nonempty words of the visible set of a cell: ascending numbers (S,) and masks (S,)."""
         return pack_some(self.classes(cell)[0])
 
     def ring_masks(self, rings: Sequence[Sequence[int]], /) -> list[list[tuple[I32, Words]]]:
-        """Return sets of each ring of cells, as `visible_masks` does: one for each cell, or fewer that hold as much.
+        """Return the visible sets of each ring of cells, in the form of `visible_masks`.
 
-        Those of a ring and of earlier ones together are what the cells of these rings see.
+        A ring has one set for each cell, or fewer sets. The union of the sets of a ring and of the rings before it is
+        what the cells of these rings see.
         """
         return [[self.visible_masks(cell) for cell in ring] for ring in rings]
 
     def standing(self, cell: int, /) -> I64:
         """Return ascending ids of the Gaussians that a cell sees at all levels above their last.
 
-        None, unless a cell sees a part of the scene at a lower level, as of the far tiles of a world.
+        Empty unless a cell sees part of the scene at a lower level, such as the far tiles of a world.
         """
         return np.zeros(0, np.int64)
 
     def store_of(self, gaussian: int, /) -> tuple[VisibilityStore, int, int] | None:
-        """Return the store that lists a Gaussian, its id there, and the cell that is the first of the store.
+        """Return the store that lists a Gaussian, its id in the store, and the number of the store's first cell.
 
-        None if no store lists it: it is always sent.
+        None if no store lists it; such a Gaussian is always sent.
         """
         return None
 
     @property
     def whole_store(self) -> VisibilityStore | None:
-        """The store that lists all Gaussians; None if there is none, or several."""
+        """The one store that lists all Gaussians; None if there is none or several."""
         return None
 
     def tiles_near(self, cell: int, /) -> dict[int, tuple[float, float]]:
-        """Return the tiles around a cell, and the share of all ids that each has, from one number to another."""
+        """Return the tiles around a cell; for each, where its ids begin and end, as shares of all ids in [0, 1]."""
         return {0: (0.0, 1.0)}
 
     def is_open(self, tile: int, /) -> bool:
-        """Return whether the sets of a tile can be read at once."""
+        """Return whether the sets of a tile can be read without opening them first."""
         return True
 
     def load(self, tile: int, /) -> None:
-        """Open the sets of a tile, so that the first viewer who comes need not wait for it. Any thread may."""
-        assert self.is_open(tile), "sets of tiles that may be closed say how to open them"
+        """Open the sets of a tile in advance, so that no viewer waits for it. Any thread may call it."""
+        assert self.is_open(tile), "a subclass with tiles that can be closed overrides this"
 
 
 class ActiveSets(Protocol):
@@ -189,7 +189,9 @@ class SceneIndex:
             arrays[name] = _check.integers(name, getattr(self, name), (n,), np.uint8)
             _check.in_range(name, arrays[name], 0, levels - 1)
         if np.any(arrays["first"] > arrays["last"]):
-            raise ValueError("last: expected at least first, got less")
+            k = int(np.argmax(arrays["first"] > arrays["last"]))
+            got = f"{arrays['last'][k]} after {arrays['first'][k]} at index {k}"
+            raise ValueError(f"last: expected at least first, got {got}")
         starts = _check.integers("replacement_offsets", self.replacement_offsets, (n + 1,))
         ids = _check.integers("replacement_ids", self.replacement_ids, ("M",), np.int32)
         if starts[0] != 0 or np.any(np.diff(starts) < 0) or starts[-1] != len(ids):
@@ -238,7 +240,8 @@ class SceneIndex:
         """
         union = levels.union
         n = len(levels.union)
-        (radii, areas), (starts, ids) = extents(union), nearest_replacements(levels)
+        radii, areas = extents(union)
+        starts, ids = nearest_replacements(levels)
         known = SceneTerms(np.zeros(n + 1, np.int64)) if terms is None else terms
         plain = class_weights is None
         return cls(
@@ -263,7 +266,7 @@ class SceneIndex:
 
     @classmethod
     def trusted(cls, level_counts: tuple[int, ...], **fields: Any) -> SceneIndex:
-        """Return an index without reading its arrays: they were checked before they were written to a file.
+        """Return an index without checks: its arrays were checked before they were written to a file.
 
         Args:
             level_counts: Number of Gaussians of each level.
@@ -297,7 +300,7 @@ class SceneIndex:
         return tuple(int(np.count_nonzero((self.first <= k) & (k <= self.last))) for k in range(self.num_levels))
 
     def highest_within(self, share: float) -> int:
-        """Return the highest level with at most this share of the Gaussians of the highest; -1 if there is none."""
+        """Return the highest level that has at most this share of the highest level's Gaussians; -1 if none has."""
         counts = self.level_counts
         return max((k for k, count in enumerate(counts[:-1]) if count <= share * counts[-1]), default=-1)
 
@@ -365,4 +368,5 @@ def nearest_replacements(levels: Levels) -> tuple[I64, I32]:
 
 
 def _offsets(owners: NDArray[Any], count: int) -> I64:
+    """Return offsets (count + 1,) of the items of each owner, from the owner of each item."""
     return np.concatenate([[0], np.cumsum(np.bincount(owners, minlength=count))]).astype(np.int64)

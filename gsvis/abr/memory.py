@@ -1,7 +1,7 @@
-"""The memory of one client: how much it holds, in bytes, and what it gives up for what the view needs.
+"""The memory of one client: how many bytes it holds, and which Gaussians to evict for what the view needs.
 
-What is farthest from use goes first: Gaussians that no cell near the viewer sees, the farthest first, then Gaussians
-that are out of view. Nothing in view goes. Words of 64 Gaussians are judged together, by their spheres.
+Gaussians that no cell near the viewer sees are evicted first, the farthest first, then Gaussians that are out of view.
+Nothing in view is evicted. Words of 64 Gaussians are judged together, by a sphere around them.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ F32 = NDArray[np.float32]
 I32 = NDArray[np.int32]
 Words = NDArray[np.uint64]
 
-_AT_ONCE = 0.02  # share of the memory to free at a time
+_AT_ONCE = 0.02  # least share of the memory to free at a time
 
 
 class ClientMemory:
@@ -57,11 +57,11 @@ class ClientMemory:
 
     @property
     def is_full(self) -> bool:
-        """Whether so little is free that nothing should be sent that no view needs."""
+        """Whether too little is free to send records that the view does not need."""
         return self.free < _AT_ONCE * self.most_bytes
 
     def add(self, gaussians: int, terms: int, dropped: I32) -> None:
-        """Count a batch that was sent: numbers of records, and the (D,) ids of Gaussians that they replaced."""
+        """Count the bytes of a sent batch: numbers of Gaussians and terms, (D,) ids of Gaussians that it replaced."""
         self.held_bytes += (
             gaussians * self._shared.tables.numbers.stored[0] + terms * self._shared.tables.numbers.stored[1]
         )
@@ -72,14 +72,14 @@ class ClientMemory:
         """Evict Gaussians with their terms.
 
         Args:
-            needed: Bytes to free; a little more is freed, so that it is not done for every batch.
-            near: (W,) uint64, what the cells near the viewer see.
+            needed: Bytes to free; a little more is freed, so that not every batch has to evict.
+            near: (W,) uint64, packed set of what the cells near the viewer see.
             eye: (3,) position.
             planes: (F, 5, 4) frusta.
-            for_view: Whether room is made for something in view, for which what is near but out of view may go, too.
+            for_view: Whether the bytes are for records in view. Then nearby Gaussians out of view may go too.
 
         Returns:
-            (E,) ids that the client forgets, among them Gaussians that evicted ones had replaced.
+            (E,) ids that the client forgets: the evicted Gaussians, and those that they had replaced.
         """
         shared = self._shared
         held = self._holdings.words
@@ -90,7 +90,7 @@ class ClientMemory:
         out = np.empty(self._holdings.gaussians, np.int32)
         found = [np.zeros(0, np.int32)]
         needed = max(needed, _AT_ONCE * self.most_bytes)
-        for masks in _stages(shown, near[some], spheres, planes, for_view=for_view):
+        for masks in _evictable_masks(shown, near[some], spheres, planes, for_view=for_view):
             words = np.flatnonzero(masks)
             order = words[np.argsort(-apart[words], kind="stable")]
             count, freed = kernels.evict(
@@ -117,8 +117,16 @@ class ClientMemory:
         return float(len(ids) * shared.tables.numbers.stored[0] + terms * shared.tables.numbers.stored[1])
 
 
-def _stages(shown: Words, near: Words, spheres: F32, planes: F32, *, for_view: bool) -> list[Words]:
-    """Return which Gaussians of some words (S,) may go first, and which may go then."""
+def _evictable_masks(shown: Words, near: Words, spheres: F32, planes: F32, *, for_view: bool) -> list[Words]:
+    """Return masks (S,) of the Gaussians that may be evicted first, and of those that may be evicted after them.
+
+    Args:
+        shown: (S,) masks of the Gaussians that the client shows, in S words.
+        near: (S,) masks of those that the cells near the viewer see.
+        spheres: (S, 4) center and radius of a sphere around each word.
+        planes: (F, 5, 4) frusta.
+        for_view: See `ClientMemory.make_room`.
+    """
     if not for_view:
         return [shown & ~near]
     sides = np.zeros(len(shown), np.uint8)

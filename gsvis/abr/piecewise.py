@@ -1,7 +1,7 @@
-"""The arrays of `CandidateTables`, computed piece by piece: memory need not hold the scene.
+"""Compute the arrays of `CandidateTables` piece by piece, so that the scene need not fit into memory.
 
-Pieces are ranges of consecutive ids. What replaces what is known piece by piece; what belongs to words of 64 ids is
-computed block by block at the end. A `SceneIndex` in memory is one piece. Scene frame and units.
+Pieces are ranges of consecutive ids. Gaussians and their replacements are written piece by piece, arrays of words of 64
+ids block by block at the end. A `SceneIndex` in memory is one piece. Scene frame and units.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from gsvis.abr._kernels import plan
 from gsvis.abr._kernels import units as kernels
 from gsvis.abr.cones import TermCones
 from gsvis.abr.index import SceneIndex
-from gsvis.abr.links import only_links
+from gsvis.abr.links import pack_single_links
 from gsvis.abr.tables import CandidateTables, TableNumbers
-from gsvis.abr.words import room, strengths, word_means
+from gsvis.abr.words import empty_units, strengths, word_means
 from gsvis.files.mapped import ArrayLists, GrowingArrays
 from gsvis.pvs.codec import pack, word_count
 
@@ -32,8 +32,8 @@ __all__ = [
     "RecordSizes",
     "tables_of",
     "write_gaussians",
-    "write_links",
-    "write_reversed",
+    "write_replaced",
+    "write_replacements",
     "write_words",
 ]
 
@@ -41,7 +41,7 @@ I64 = NDArray[np.int64]
 F32 = NDArray[np.float32]
 
 JOINED = {"bodies": [f"body_{k}" for k in range(4)], "all_places": [f"place_{k}" for k in range(6)]}
-"""Arrays that are written row by row."""
+"""Arrays whose rows are written as arrays of their own."""
 
 SAME = {"all_active": "active", "every_slots": "unit_slots"} | {
     f"every_{name}": f"unit_{name}" for name in ("masks", "areas", "pixels", "logs")
@@ -53,9 +53,9 @@ FROZEN = (
     *("record_sizes", "record_areas", "strengths", "pairs", "mixed"),
     *("record_centers", "record_places", "record_cosines", "record_widths"),
 )
-"""Arrays that nobody may write to, as in a scene in memory: kernels are compiled for one of the two."""
+"""Arrays that are read-only, also in memory: numba compiles a kernel anew for writable arrays."""
 
-_BLOCK = 1 << 16  # ids; `word_count` rounds up to as many
+_BLOCK = 1 << 16  # ids in a block; `word_count` rounds up to a multiple of it
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +63,8 @@ class RecordSizes:
     """Bytes of the records of a scene.
 
     Attributes:
-        gaussians: (N,) float32 of Gaussians, (1,) where all are equal.
-        terms: (T,) float32 of terms, (1,) where all are equal; empty without terms.
+        gaussians: (N,) float32 of Gaussians, (1,) if all are equal.
+        terms: (T,) float32 of terms, (1,) if all are equal; empty without terms.
     """
 
     gaussians: F32
@@ -72,11 +72,11 @@ class RecordSizes:
 
     @classmethod
     def of_means(cls, gaussian: float, term: float, terms: int) -> RecordSizes:
-        """Return equal sizes for all Gaussians, and for all of some terms."""
+        """Return sizes with the same bytes for all Gaussians, and the same for all `terms` terms."""
         return cls(np.array([gaussian], np.float32), np.full(min(terms, 1), term, np.float32))
 
     def of_gaussians(self, low: int, high: int) -> F32:
-        """Return the bytes of the Gaussians from one id to before another."""
+        """Return the bytes of the Gaussians with ids in [low, high)."""
         if len(self.gaussians) == 1:
             return np.full(high - low, self.gaussians[0], np.float32)
         return self.gaussians[low:high]
@@ -84,7 +84,7 @@ class RecordSizes:
     @property
     def least(self) -> tuple[float, float]:
         """Bytes of the smallest record of a Gaussian, and of a term; 1 where there is none."""
-        return _least(self.gaussians), _least(self.terms)
+        return _least_size(self.gaussians), _least_size(self.terms)
 
     @property
     def mean_term(self) -> float:
@@ -94,12 +94,12 @@ class RecordSizes:
 
 @dataclass(frozen=True, eq=False)
 class PieceNumbers:
-    """Numbers of the whole scene.
+    """Numbers of the whole scene that every piece needs.
 
     Attributes:
-        gaussians: N.
-        terms: T.
-        levels: L.
+        gaussians: N, number of Gaussians.
+        terms: T, number of terms.
+        levels: L, number of levels.
         sizes: Bytes of records.
         pixel_area: Steradians that the rasterizer adds to the solid angle of each Gaussian.
         stored: Bytes that a Gaussian and a term take in the memory of a client.
@@ -160,14 +160,14 @@ def tables_of(index: SceneIndex, *, pixel: float = 2e-3, stored: tuple[float, fl
     for name, array in of_terms.items():
         out.append(f"record_{name}", array)
     owners = np.repeat(np.arange(n), np.diff(index.replacement_offsets))
-    ends = write_links(out, 0, n, np.stack([owners, index.replacement_ids.astype(np.int64)], axis=1))
-    write_reversed(out, [(0, n)], [ends], [[0]])
+    ends = write_replacements(out, 0, n, np.stack([owners, index.replacement_ids.astype(np.int64)], axis=1))
+    write_replaced(out, [(0, n)], [ends], [[0]])
     found = write_words(out, numbers)
     return CandidateTables.from_arrays(out.arrays(joined=JOINED, same=SAME, frozen=FROZEN), found)
 
 
 def pixel_area(pixel: float) -> float:
-    """Return the steradians that the rasterizer adds to each Gaussian, for pixels of so many radians."""
+    """Return the steradians that the rasterizer adds to each Gaussian, for pixels of `pixel` radians."""
     return float(2.0 * np.pi * 0.3 * pixel**2)
 
 
@@ -181,7 +181,17 @@ def write_gaussians(
     *,
     importance: F32,
 ) -> None:
-    """Append the Gaussians of the next piece: bodies, levels, strengths; `importance` is as in `SceneIndex`."""
+    """Append the G Gaussians of the next piece.
+
+    Args:
+        out: The arrays.
+        means: (G, 3) centers.
+        radii: (G,) distance at which each Gaussian ends.
+        areas: (G,) mean cross-section.
+        levels: (G,) first and (G,) last level.
+        numbers: Numbers of the scene.
+        importance: (G,) see `SceneIndex`.
+    """
     low = out.count("body_3")
     for k in range(3):
         out.append(f"body_{k}", means[:, k])
@@ -195,14 +205,17 @@ def write_gaussians(
     out.append("strengths", strengths(importance, sizes, areas, numbers.pixel_area))
 
 
-def write_links(out: GrowingArrays, low: int, count: int, pairs: I64) -> int:
-    """Append what replaces the Gaussians of a piece, and return how many are replaced by now.
+def write_replacements(out: GrowingArrays, low: int, count: int, pairs: I64) -> int:
+    """Append the replacements of the Gaussians of a piece.
 
     Args:
-        out: The arrays; the areas of all that are named here are there.
+        out: The arrays; areas of all replacements have been appended.
         low: First id of the piece.
-        count: Its Gaussians.
-        pairs: (P, 2) Gaussian of the piece and id of a replacement; each pair once, ascending.
+        count: Number of its Gaussians.
+        pairs: (P, 2) id of a Gaussian of the piece and id of a replacement; each pair once, ascending.
+
+    Returns:
+        Number of replaced Gaussians in this piece and those before it.
     """
     if low == 0:
         out.append("replacement_offsets", np.zeros(1, np.int64))
@@ -216,22 +229,22 @@ def write_links(out: GrowingArrays, low: int, count: int, pairs: I64) -> int:
     out.append("link_ending", (low + ending).astype(np.int32))
     starts = (offsets - counts)[ending]
     out.append("link_starts", starts.astype(np.int64))
-    theirs = _areas_of(out, ids)
-    out.append("link_areas", theirs.astype(np.float32))
-    every = np.add.reduceat(theirs, starts - before) if len(ending) else np.zeros(0)
+    areas = _areas_of(out, ids)
+    out.append("link_areas", areas.astype(np.float32))
+    every = np.add.reduceat(areas, starts - before) if len(ending) else np.zeros(0)
     out.append("link_every", every)
     return out.count("link_ending")
 
 
-def write_reversed(
+def write_replaced(
     out: GrowingArrays, ranges: Sequence[tuple[int, int]], ends: Sequence[int], sources: Sequence[Iterable[int]]
 ) -> None:
-    """Append what each Gaussian replaces, piece by piece, when `write_links` was called for all.
+    """Append which Gaussians each Gaussian replaces, for all pieces, after `write_replacements` for all of them.
 
     Args:
         out: The arrays.
         ranges: First id and end of each piece.
-        ends: What `write_links` returned for each.
+        ends: What `write_replacements` returned for each.
         sources: For each piece, the pieces whose Gaussians it may replace.
     """
     out.append("link_starts", np.array([out.count("link_ids")], np.int64))
@@ -262,7 +275,7 @@ def write_reversed(
 
 
 def write_words(out: GrowingArrays, numbers: PieceNumbers) -> TableNumbers:
-    """Append everything about words of 64 Gaussians, and return the numbers of the tables."""
+    """Append the arrays of words of 64 Gaussians, and return the numbers of the tables."""
     owed = 0
     last_pair = np.zeros(0, np.uint16)
     for low in range(0, max(word_count(numbers.gaussians) * 64, 1), _BLOCK):
@@ -292,16 +305,16 @@ def write_words(out: GrowingArrays, numbers: PieceNumbers) -> TableNumbers:
 def _write_block(
     out: GrowingArrays, numbers: PieceNumbers, low: int, last_pair: NDArray[np.uint16]
 ) -> tuple[int, NDArray[np.uint16]]:
-    """Append the words that begin at an id.
+    """Append the arrays of the words of a block.
 
     Args:
         out: The arrays.
         numbers: Numbers of the scene.
         low: First id of the block.
-        last_pair: (1,) the levels of the Gaussian before it; empty at the begin.
+        last_pair: (1,) levels of the Gaussian before the block, as in `Traits.pairs`; empty at the start.
 
     Returns:
-        How many of its Gaussians own terms that are sent, and the levels of the last of them.
+        Number of its Gaussians that own terms that are sent, and the levels (1,) of its last Gaussian.
     """
     high = min(low + _BLOCK, numbers.gaussians)
     ids = min(_BLOCK, 64 * word_count(numbers.gaussians))
@@ -314,7 +327,7 @@ def _write_block(
     owing = pack(np.flatnonzero(terms) if numbers.sends_terms else np.zeros(0, np.int64), ids)
     links = out.rows("link_offsets", low, high + 1)
     rows = int(links[0]), int(links[-1])
-    only, firsts = only_links(np.diff(links), out.rows("link_ranks", *rows), out.rows("link_units", *rows))
+    only, firsts = pack_single_links(np.diff(links), out.rows("link_ranks", *rows), out.rows("link_units", *rows))
     nbytes = word_means(numbers.sizes.of_gaussians(low, high), words)
     named: dict[str, NDArray[Any]] = {
         "link_only": only,
@@ -342,7 +355,16 @@ def _write_block(
 
 @dataclass(frozen=True)
 class _Block:
-    """Some words."""
+    """The Gaussians of a block of words.
+
+    Attributes:
+        first: Number of the first word.
+        words: Number of words.
+        means: (B, 3) centers.
+        radii: (B,) distance at which each Gaussian ends.
+        areas: (B,) mean cross-section.
+        traits: Strengths and levels.
+    """
 
     first: int
     words: int
@@ -364,7 +386,8 @@ class _Block:
             out.append(f"place_{k}", row[:used])
         out.append("all_words", np.arange(self.first, self.first + used, dtype=np.int32))
         out.append("all_owing", owing[:used])
-        found, (weights,) = room(n), _check.read_only(np.array([numbers.weight], np.float32))
+        found = empty_units(n)
+        weights = _check.read_only(np.array([numbers.weight], np.float32))[0]
         members = kernels.Seen(np.arange(used, dtype=np.int32), pack(np.arange(n), 64 * self.words)[:used])
         none = _check.read_only(np.zeros(0, np.uint64))[0]
         count = kernels.cell_units(members, np.zeros(n, np.uint8), self.traits, weights, none, numbers.levels, found)
@@ -383,21 +406,21 @@ class _Block:
 
 
 def _pad_bodies(out: GrowingArrays, count: int) -> None:
-    """Append bodies of no Gaussian."""
+    """Append `count` bodies with radius -inf, for ids without a Gaussian."""
     for k in range(3):
         out.append(f"body_{k}", np.zeros(count, np.float32))
     out.append("body_3", np.full(count, -np.inf, np.float32))
 
 
 def _areas_of(out: GrowingArrays, ids: NDArray[np.int32]) -> NDArray[np.float64]:
-    """Return the areas of Gaussians whose ids lie in a few ranges."""
+    """Return the areas (M,) of Gaussians `ids` (M,), read in as few ranges as useful."""
     if not len(ids):
         return np.zeros(0)
     low = int(ids.min())
     high = int(ids.max()) + 1
     if high - low <= 4 * len(ids) + _BLOCK:
         found = out.rows("record_areas", low, high)[ids - low]
-    else:  # districts of tiles that lie apart
+    else:  # ids of tiles that lie far apart
         order = np.argsort(ids, kind="stable")
         found = np.empty(len(ids), np.float32)
         cuts = np.flatnonzero(np.diff(ids[order]) > _BLOCK) + 1
@@ -408,5 +431,6 @@ def _areas_of(out: GrowingArrays, ids: NDArray[np.int32]) -> NDArray[np.float64]
     return areas
 
 
-def _least(sizes: F32) -> float:
+def _least_size(sizes: F32) -> float:
+    """Return the smallest size; 1 if there is none."""
     return float(sizes.min()) if len(sizes) else 1.0

@@ -27,7 +27,7 @@ from gsvis.abr.client_cells import ClientCells
 from gsvis.abr.config import AbrConfig
 from gsvis.abr.holdings import Holdings
 from gsvis.abr.memory import ClientMemory
-from gsvis.abr.outside import step_of
+from gsvis.abr.outside import distance_step
 from gsvis.abr.policies import edge_offset, regime_of
 from gsvis.abr.predict import Pose, PosePredictor, predictor
 from gsvis.abr.ranking import Ranking
@@ -40,8 +40,11 @@ F32 = NDArray[np.float32]
 I32 = NDArray[np.int32]
 
 _REACH = 0.4  # seconds of data to rank at a time: most views last no longer
-# Stages: what the view needs, smaller changes by terms, terms of what is out of view, the first shell.
-_NEEDS, _DETAILS, _AROUND, _SHELLS = range(4)
+# The stages of a view, in order.
+_NEEDS = 0  # its Gaussians, and terms that change the image much
+_DETAILS = 1  # terms that change the image less
+_AROUND = 2  # terms of Gaussians out of view
+_SHELLS = 3  # shell 0; stage 3 + k is shell k
 _NO_PLANES = np.zeros((0, 5, 4), np.float32)
 
 
@@ -50,11 +53,11 @@ class Cursor(NamedTuple):
 
     Attributes:
         regime: Bandwidth regime of the view.
-        stage: What is sent: one of the stages above; `_SHELLS` + k for shell k.
+        stage: One of the stages above.
         here: The candidates that are ranked.
-        cell: They as the client sees them.
-        view: What the client looks at; nothing while the link is filled.
-        is_full: Whether nothing fits into the client's memory that is worth more than what it holds.
+        cell: The same candidates for the kernels, with what the client lacks.
+        view: What the client looks at; without frusta in shells.
+        is_full: Whether the client's memory is full of records that are worth as much as the next one.
     """
 
     regime: str
@@ -66,12 +69,12 @@ class Cursor(NamedTuple):
 
     @property
     def is_filling(self) -> bool:
-        """Whether what is sent only fills an idle link."""
+        """Whether the records of this stage only fill an idle link."""
         return self.stage > _DETAILS
 
 
 class Outlook(NamedTuple):
-    """What was ranked for: a pose, the pose predicted from it, and what follows from both."""
+    """The poses for which records were ranked, now and predicted, and the cells and regime that follow from them."""
 
     now: Pose
     then: Pose
@@ -98,7 +101,7 @@ class Planner:
         holdings: What the client holds.
         reach: Least bytes to rank at a time.
         cell: The cell of the viewer; -1 before the first pose.
-        plans: Number of views for which records were ranked.
+        plans: Number of times that records were ranked for a new view.
         memory: The memory of the client; None if it can hold the whole scene.
 
     Raises:
@@ -154,16 +157,16 @@ class Planner:
 
     @property
     def done(self) -> bool:
-        """Whether nothing is left to send: all that the view needs, and with `fill` every record.
+        """Whether nothing is left to send: all that the view needs is sent, and with `fill` every record.
 
-        Also if the memory of the client is full of what is worth as much.
+        True too if the client's memory is full of records that are worth as much as the next one.
         """
         is_full = self._cursor is not None and self._cursor.is_full
         return is_full or (self._ranking.is_used_up and self._is_last_stage)
 
     @property
     def filling(self) -> bool:
-        """Whether the next batch only fills an idle link; False if a pose came after the last batch."""
+        """Whether the next batch only fills an idle link; False if there is a pose later than the last batch."""
         if self._cursor is None or self._viewer.has_moved:
             return False
         is_next = self._ranking.is_used_up and self._next_stage > _DETAILS
@@ -171,12 +174,12 @@ class Planner:
 
     @property
     def has_to_prepare(self) -> bool:
-        """Whether the candidates of the viewer's cell are to be made first."""
+        """Whether the candidates of the viewer's cell have yet to be computed."""
         step = self._step
         return self.cell >= 0 and not self._is_in(self.cell, step) and not self.candidates.has(self.cell, step)
 
     def prepare(self) -> None:
-        """Make the candidates of the viewer's cell, and keep them for all viewers."""
+        """Compute the candidates of the viewer's cell, and cache them for all viewers."""
         self.candidates.in_cell(self.cell, self._step)
 
     def on_pose(self, t: float, position: ArrayLike, quat: ArrayLike) -> None:
@@ -231,9 +234,9 @@ class Planner:
             regime: One of `REGIMES`.
             eyes: (P, 3) predicted positions; terms are sent that are active for one of them or for the eye.
             cell_ahead: The cell that the viewer is about to enter; None means the same cell.
-            middle: (G, 5, 4) frusta inside of the others: what is in view but in none of them is at the edge of the
-                view, see `UtilityConfig.edge`. None means that nothing is.
-            step: How far outside of the cell the eye is, see `gsvis.abr.outside`.
+            middle: (G, 5, 4) smaller frusta inside `planes`. What is in view but in none of them is at the edge of the
+                view, see `UtilityConfig.edge`. None means that nothing is at the edge.
+            step: Distance of the eye from the cell, see `gsvis.abr.outside`.
         """
         at = _check.floats("eye", eye, (3,))
         frusta = _check.floats("planes", planes, ("F", 5, 4))
@@ -245,9 +248,9 @@ class Planner:
     def take(self, budget: float, *, spare: float | None = None) -> Batch:
         """Return the next records of the view, of at most `budget` bytes. They count as held from now on.
 
-        The batch is empty when the next record exceeds the budget, or all have been taken. If the records only fill the
-        link, `spare` limits them, too. Where the memory of the client is full, the batch evicts what is farthest from
-        use for what the view needs.
+        The batch is empty if the next record exceeds the budget, or all have been taken. If the records only fill the
+        link, they are limited by `spare` too. If the memory of the client is full, the batch evicts Gaussians that are
+        far or out of view for records that the view needs.
         """
         if not budget >= 0:
             raise ValueError(f"budget: expected bytes >= 0, got {budget!r}")
@@ -255,14 +258,14 @@ class Planner:
         spare = budget if spare is None else min(budget, spare)
         if self._cursor is None or self.done:
             return Batch.empty()
-        out = self._room(budget)
+        out = self._empty_ids(budget)
         taken = [0, 0, 0, 0]
         total = 0.0
         evicted = None
         cursor = self._cursor
         while True:
             wanted = spare if cursor.is_filling else budget
-            limit = self._limit(wanted, cursor)
+            limit = self._fitting_bytes(wanted, cursor)
             if self._ranking.is_used_up:
                 begins_to_fill = not cursor.is_filling and self._next_stage > _DETAILS
                 if (sum(taken[:2]) and begins_to_fill) or not self._go_on(cursor):
@@ -290,8 +293,8 @@ class Planner:
         filling = cursor.is_filling and sum(taken[:2]) > 0
         return Batch(gaussians, terms, dropped, total, filling, dropped[:0] if evicted is None else evicted, gone)
 
-    def _room(self, budget: float) -> kernels.Taken:
-        """Return room for the ids of a batch of at most so many bytes."""
+    def _empty_ids(self, budget: float) -> kernels.Taken:
+        """Return empty arrays for the ids of a batch of at most `budget` bytes."""
         shared = self.candidates
         counts = (self.holdings.gaussians, self.holdings.terms)
         gaussians, terms = (
@@ -303,7 +306,14 @@ class Planner:
     def _take_next(
         self, cursor: Cursor, budget: float, out: kernels.Taken, taken: list[int]
     ) -> tuple[list[int], float]:
-        """Take the next records that were ranked, behind those taken already; return their numbers and bytes."""
+        """Take the next ranked records that fit into a budget; return their four numbers and their bytes.
+
+        Args:
+            cursor: Where to continue.
+            budget: Bytes.
+            out: Receives the ids, after those taken already.
+            taken: Numbers of Gaussians, terms, dropped and gone Gaussians that were taken already.
+        """
         ranking = self._ranking
         rest = kernels.Taken(*(array[count:] for array, count in zip(out, taken, strict=True)))
         ranking.place, *found, size = take(
@@ -319,8 +329,8 @@ class Planner:
         )
         return found, size
 
-    def _limit(self, budget: float, cursor: Cursor) -> float:
-        """Return the bytes that fit into the memory of the client, at most a budget."""
+    def _fitting_bytes(self, budget: float, cursor: Cursor) -> float:
+        """Return how many bytes of records fit into the memory of the client, at most `budget`."""
         if self.memory is None:
             return budget
         if cursor.is_filling and self.memory.is_full:
@@ -328,7 +338,7 @@ class Planner:
         return min(budget, self.memory.free * self.candidates.tables.numbers.sent_per_stored)
 
     def _evict(self, needed: float, cursor: Cursor) -> I32:
-        """Make room for the next record of the plan, and return what is evicted."""
+        """Evict Gaussians to free `needed` bytes for the next record of the plan; return their ids."""
         assert self.memory is not None
         assert self._cells.near is not None
         near = self._cells.near.here
@@ -346,6 +356,7 @@ class Planner:
 
     @property
     def _next_stage(self) -> int:
+        """The stage after this one; stages with terms are skipped in a scene without terms."""
         stage = _NEEDS if self._cursor is None else self._cursor.stage
         if stage < _AROUND and self.candidates.index.num_terms:
             return stage + 1
@@ -353,6 +364,7 @@ class Planner:
 
     @property
     def _is_last_stage(self) -> bool:
+        """Whether no stage follows."""
         return self._next_stage >= (_SHELLS + self._cells.shells if self.config.fill else _AROUND)
 
     def _go_on(self, cursor: Cursor) -> bool:
@@ -381,27 +393,27 @@ class Planner:
 
     @property
     def _step(self) -> int:
-        """How far the viewer is outside of all cells, see `gsvis.abr.outside`."""
+        """Distance of the viewer from its cell as a step, see `gsvis.abr.outside`."""
         pose = self._viewer.pose
-        return 0 if pose is None else step_of(self.candidates.index, self.cell, pose.position)
+        return 0 if pose is None else distance_step(self.candidates.index, self.cell, pose.position)
 
     def _is_in(self, cell: int, step: int) -> bool:
-        """Whether records are ranked for a cell at a step outside of it."""
+        """Whether records are ranked for this cell at this step."""
         near = self._cells.near
         return near is not None and (near.here.cell, near.here.step) == (cell, step)
 
     def _find(self, cell: int, step: int) -> Candidates:
-        """Return the candidates of a cell at a step outside of it; the last ones need no cache."""
+        """Return the candidates of a cell at a step; those in use are found without the cache."""
         near = self._cells.near
         return near.here if near is not None and self._is_in(cell, step) else self.candidates.in_cell(cell, step)
 
     def _follow(self, now: Pose, t: float, rate: float) -> None:
-        """Rank for a pose and the pose predicted from it, if these, the cell or the regime have changed enough."""
+        """Rank for the pose `now` and the pose predicted from it, if poses, cell or regime have changed enough."""
         config = self.config
-        then = self._viewer.ahead(now, t, config.lead)
+        then = self._viewer.predict_pose(now, t, config.lead)
         here = self._find(self.cell, self._step)
         regime = regime_of(rate, here.level_bytes, config.horizon, self.regime)
-        cell_ahead = self.candidates.index.grid.nearest(self._viewer.ahead(now, t, config.ahead).position)
+        cell_ahead = self.candidates.index.grid.nearest(self._viewer.predict_pose(now, t, config.ahead).position)
         outlook = Outlook(now, then, self.cell, cell_ahead, regime)
         if self._is_ranked(here, outlook):
             return
@@ -425,12 +437,14 @@ class Planner:
         return self._is_near(outlook.now, was.now) and self._is_near(outlook.then, was.then)
 
     def _is_near(self, a: Pose, b: Pose) -> bool:
+        """Whether two poses differ by at most `AbrConfig.move` and `AbrConfig.turn`."""
         still = a.distance_to(b) <= self.config.move * self.candidates.index.grid.cell_size
         return still and a.turn_to(b) <= self.config.turn
 
     def _aim(
         self, here: Candidates, eye: F32, eyes: F32, planes: F32, middle: F32, regime: str, cell_ahead: int
     ) -> None:
+        """Rank for a view; arguments as for `aim`, but checked and without None."""
         shared = self.candidates
         cell = self._cells.enter(here, cell_ahead)
         self._cells.replacements.given_up = None

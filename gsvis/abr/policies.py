@@ -26,13 +26,13 @@ __all__ = [
     "POLICIES",
     "REGIMES",
     "UtilityConfig",
-    "filling_table",
+    "fill_table",
     "first_offset",
     "lowest_last",
+    "offset_table",
     "offsets",
-    "pairs",
+    "rank_pairs",
     "regime_of",
-    "table",
 ]
 
 I64 = NDArray[np.int64]
@@ -44,8 +44,8 @@ AHEAD = 2
 
 GROUPS = AHEAD + RINGS
 """Number of groups: in view, out of view, ahead, and three rings of neighbors."""
-_STEPS = 32  # buckets for each halving
-_STICKY = 1.2
+_STEPS = 32  # buckets for each halving of a gain
+_STICKY = 1.2  # factor beyond a border that the rate must pass before the regime changes
 
 
 @dataclass(frozen=True)
@@ -101,44 +101,47 @@ def regime_of(rate: float, level_bytes: NDArray[np.float64], horizon: float, bef
         rate: Estimated throughput, bytes a second.
         level_bytes: (L,) bytes of what the cell sees of each level, lowest first.
         horizon: Seconds.
-        before: The regime until now; it changes only if the rate is a fifth beyond the border. None if there is none.
+        before: The regime so far, which changes only if the rate is a fifth beyond the border; None at the start.
 
     Returns:
         "high" if the highest level arrives within the horizon, "medium" if the level below does, else "low".
     """
     sizes = np.maximum.accumulate(level_bytes)
-    borders = float(sizes[-1]), float(sizes[max(len(sizes) - 2, 0)])  # of high, of medium or better
-    ranks = dict(zip(REGIMES, (0, 1, 2), strict=True))
+    least_high = float(sizes[-1])
+    least_medium = float(sizes[max(len(sizes) - 2, 0)])
 
-    def at(budget: float) -> int:
-        return 0 if budget >= borders[0] else 1 if budget >= borders[1] else 2
+    def rank_of(budget: float) -> int:
+        """Return the index in `REGIMES` of a budget in bytes: 0 for high."""
+        return 0 if budget >= least_high else 1 if budget >= least_medium else 2
 
-    now = at(rate * horizon)
-    if before is not None and now != ranks[before]:
-        held_back = at(rate * horizon / _STICKY) if now < ranks[before] else at(rate * horizon * _STICKY)
-        now = held_back if (held_back - ranks[before]) * (now - ranks[before]) > 0 else ranks[before]
-    return REGIMES[now]
+    now = rank_of(rate * horizon)
+    if before is None:
+        return REGIMES[now]
+    was = REGIMES.index(before)
+    if now < was:  # up, if the rate is well above the border
+        return REGIMES[min(rank_of(rate * horizon / _STICKY), was)]
+    return REGIMES[max(rank_of(rate * horizon * _STICKY), was)]
 
 
 def lowest_last(regime: str, levels: int) -> int:
-    """Return the lowest last level of Gaussians to send: the highest level at high bandwidth, else level 0."""
+    """Return the lowest last level that a Gaussian needs to be sent: the highest at high bandwidth, else level 0."""
     return levels - 1 if _check.one_of("regime", regime, REGIMES) == "high" else 0
 
 
-def caps(regime: str, levels: int, picture: int = -1) -> tuple[int, int]:
-    """Return the highest level to send first in a regime, in view and elsewhere; higher levels go last."""
+def level_caps(regime: str, levels: int, picture: int = -1) -> tuple[int, int]:
+    """Return the highest level to send first in a regime, in view and out of view; higher levels go last."""
     middle = max(levels - 2, 0)
     low = min(picture + 1, levels - 1)
     return {"high": (levels - 1, levels - 1), "medium": (middle, middle), "low": (max(middle, low), low)}[regime]
 
 
-def pairs(policy: str, regime: str, levels: int, picture: int = -1) -> list[tuple[int, int]]:
-    """Return the groups and levels of one of the paper's two orders, first to last.
+def rank_pairs(policy: str, regime: str, levels: int, picture: int = -1) -> list[tuple[int, int]]:
+    """Return pairs of group and level in one of the paper's two orders, first to last.
 
     Args:
         policy: "fov-first": in view from low to high, the low level out of view, the rest by distance; "low-first": low
             in view, low out of view, medium in view, the rest by distance. The cell ahead counts as the nearest.
-        regime: One of `REGIMES`. Levels above those of `caps` go last, in the same order.
+        regime: One of `REGIMES`. Levels above those of `level_caps` go last, in the same order.
         levels: L, number of levels.
         picture: Highest level of the first picture; the level above it is "low". -1 if there is none.
     """
@@ -146,16 +149,18 @@ def pairs(policy: str, regime: str, levels: int, picture: int = -1) -> list[tupl
     _check.one_of("regime", regime, REGIMES)
     everything = range(levels)
     split = levels if policy == "fov-first" else min(picture + 2, levels)
-    order = [(group, level) for some in (everything[:split], everything[split:]) for group in (0, 1) for level in some]
+    order = []
+    for some in (everything[:split], everything[split:]):
+        order += [(group, level) for group in (0, 1) for level in some]
     order += [(group, level) for group in range(AHEAD, GROUPS) for level in everything]
-    in_view, elsewhere = caps(regime, levels, picture)
+    in_view, elsewhere = level_caps(regime, levels, picture)
     beyond = [(group, level) for group, level in order if level > (in_view if group == 0 else elsewhere)]
     return [pair for pair in order if pair not in beyond] + beyond
 
 
 @lru_cache(maxsize=256)
 def offsets(policy: str, regime: str, levels: int, config: UtilityConfig | None = None, picture: int = -1) -> I64:
-    """Return (6, L, 2) offsets to add to the bucket of a record: by group, level at which it enters, geometry or terms.
+    """Return (6, L, 2) offsets to add to the bucket of a record: by its group, its first level, and geometry or terms.
 
     Args:
         policy: One of `POLICIES`.
@@ -167,7 +172,7 @@ def offsets(policy: str, regime: str, levels: int, config: UtilityConfig | None 
     _check.one_of("policy", policy, POLICIES)
     out = np.zeros((GROUPS, _check.positive_int("levels", levels), 2), np.int64)
     if policy != "utility":
-        for rank, (group, level) in enumerate(pairs(policy, regime, levels, picture)):
+        for rank, (group, level) in enumerate(rank_pairs(policy, regime, levels, picture)):
             out[group, level] = (np.array([0, 1]) + 2 * rank) * kernels.BUCKETS
         return out
     config = config or UtilityConfig()
@@ -176,7 +181,7 @@ def offsets(policy: str, regime: str, levels: int, config: UtilityConfig | None 
     rings = [min(config.peripheral * ratio**ring, config.ahead) for ring in range(1, RINGS)]
     shares = [config.peripheral, config.ahead, *rings]
     worth = [1.0, *(share**power for share in shares)]
-    in_view, elsewhere = caps(regime, levels, picture)
+    in_view, elsewhere = level_caps(regime, levels, picture)
     for group in range(GROUPS):
         for level in range(levels):
             later = config.beyond if level > (in_view if group == 0 else elsewhere) else 1.0
@@ -187,7 +192,7 @@ def offsets(policy: str, regime: str, levels: int, config: UtilityConfig | None 
 
 
 @lru_cache(maxsize=256)
-def table(
+def offset_table(
     policy: str,
     regime: str,
     levels: int,
@@ -198,18 +203,32 @@ def table(
     strong: tuple[float, ...] = (),
     kinds: int = 1,
 ) -> tuple[NDArray[np.int32], int]:
-    """Return (4 L L, 1 + K, 3) `offsets` for the kernels, and the number of keys.
+    """Return the table of offsets that the kernels read, and the number of keys.
 
-    The offsets are by code of a unit, geometry or kind of terms, and for ring 0 in the middle of the view, out of view
-    or at its edge, for other rings in the cell ahead or not. Terms have K kinds: all, and those that change the image
-    by at least one of `strong`, with `bounds` in place of offsets. Offsets are `NEVER` for records that are not sent:
-    terms of Gaussians in parts of ring 0 that are not in `terms_in`, or that only neighbors see which are not ahead,
-    and Gaussians that end below `lowest_last` or at level `picture` or below. Of these, those in view that enter at
-    level `picture` or below are sent without terms: the first picture.
+    The axes of the table are the code of a unit; the kind of records: geometry, all terms, or terms that change the
+    image by at least one of `strong`, which have a least key (`least_keys`) instead of an offset; and the part: in the
+    middle of the view, out of view, or at its edge. For rings 1 to 3 "in the middle" means in the cell ahead.
+
+    Records with the offset `NEVER` are not sent: Gaussians that end below `lowest_last` or at level `picture` or below,
+    terms in parts of ring 0 that are not in `terms_in`, and terms that only neighbors see that are not ahead. The first
+    picture is an exception: Gaussians in view that enter at level `picture` or below are sent, without terms.
+
+    Args:
+        policy: One of `POLICIES`.
+        regime: One of `REGIMES`.
+        levels: L, number of levels.
+        config: Factors of `utility`; None means `UtilityConfig()`.
+        terms_in: Parts of ring 0 in which terms are sent.
+        picture: Highest level of the first picture; -1 if there is none.
+        strong: See `AbrConfig.strong`.
+        kinds: K, number of kinds of terms, at least 1 + the length of `strong`.
+
+    Returns:
+        table: (4 L L, 1 + K, 3) int32, read-only.
+        keys: Number of keys; all keys that are sent are below it.
     """
     found = offsets(policy, regime, levels, config, picture)
-    least = lowest_last(regime, levels)
-    least = max(least, picture + 1)
+    least = max(lowest_last(regime, levels), picture + 1)
     later = first_offset(policy, config)
     edge = edge_offset(policy, config)
     out = np.full((RINGS, levels, levels, 1 + kinds, 3), NEVER, np.int32)
@@ -218,7 +237,7 @@ def table(
         out[0, :, last, both, : kernels.EDGE] = found[:AHEAD].transpose(1, 2, 0)
         out[1:, :, last, both, kernels.INSIDE] = found[AHEAD]
         out[1:, :, last, kernels.GEOMETRY, kernels.OUTSIDE] = found[AHEAD + 1 :, :, kernels.GEOMETRY]
-        for kind, bound in enumerate(bounds(strong, config), kernels.STRONG):
+        for kind, bound in enumerate(least_keys(strong, config), kernels.STRONG):
             out[0, :, last, kind, kernels.INSIDE] = bound
             out[1:, :, last, kind, kernels.INSIDE] = bound + found[AHEAD, 0, kernels.GEOMETRY]
     inside = out[0, ..., kernels.INSIDE]
@@ -234,28 +253,28 @@ def table(
     return out, int(max(found.max() + later + edge, out[out < NEVER].max(initial=0))) + kernels.BUCKETS
 
 
-def bounds(strong: tuple[float, ...], config: UtilityConfig | None = None) -> list[int]:
-    """Return the least keys of terms in view that change the image by multiples of the package's epsilon."""
+def least_keys(strong: tuple[float, ...], config: UtilityConfig | None = None) -> list[int]:
+    """Return the least key of terms in view for each of `AbrConfig.strong`."""
     gains = np.array([(config or UtilityConfig()).change * change * change for change in strong], np.float32)
     places = (gains.view(np.int32) >> 18) - kernels.LEAST  # as `bucket_of` in the kernels
     return [kernels.BUCKETS - 1 - min(max(int(place), 0), kernels.BUCKETS - 1) for place in places]
 
 
 def edge_offset(policy: str, config: UtilityConfig | None = None) -> int:
-    """Return what is added to the offset of Gaussians at the edge of the view."""
+    """Return the extra offset of Gaussians at the edge of the view."""
     return round(-_STEPS * np.log2((config or UtilityConfig()).edge)) if policy == "utility" else 0
 
 
 def first_offset(policy: str, config: UtilityConfig | None = None) -> int:
-    """Return what is added to the offset of Gaussians of a first picture alone."""
+    """Return the extra offset of Gaussians that belong to the first picture alone."""
     return round(-_STEPS * np.log2((config or UtilityConfig()).first)) if policy == "utility" else 0
 
 
 @lru_cache(maxsize=256)
-def filling_table(
+def fill_table(
     policy: str, levels: int, config: UtilityConfig | None = None, *, kinds: int = 1
 ) -> tuple[NDArray[np.int32], int]:
-    """Return the table of `table` for what fills an idle link: all of a shell alike, terms included.
+    """Return the `offset_table` and number of keys for filling an idle link: a shell in order of gain, terms included.
 
     A shell has one ring. Only Gaussians of the highest level are sent: at the end a client shows nothing else.
     """

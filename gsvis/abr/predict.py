@@ -48,7 +48,7 @@ class Pose:
         return math.dist(self.position.tolist(), other.position.tolist())
 
     def turn_to(self, other: Pose) -> float:
-        """Return the angle between the orientations, radians in [0, pi]."""
+        """Return the angle between the orientations, in [0, pi] radians."""
         a = self.quat.tolist()
         b = other.quat.tolist()
         chord = min(math.dist(a, b), math.dist(a, [-value for value in b]))
@@ -75,9 +75,9 @@ class LastPose:
         self._pose = Pose(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
 
     def observe(self, t: float, position: ArrayLike, quat: ArrayLike) -> None:
-        """Take in a pose; see `PosePredictor`."""
+        """Record a pose; see `PosePredictor.observe`."""
         pose = Pose.from_arrays(position, quat)
-        if _time(t) > self._time:
+        if _finite_time(t) > self._time:
             self._time = t
             self._pose = pose
 
@@ -102,9 +102,9 @@ class LinearPose:
         self._seen: list[tuple[float, Pose]] = []
 
     def observe(self, t: float, position: ArrayLike, quat: ArrayLike) -> None:
-        """Take in a pose; see `PosePredictor`."""
+        """Record a pose; see `PosePredictor.observe`."""
         pose = Pose.from_arrays(position, quat)
-        if self._seen and _time(t) <= self._seen[-1][0]:
+        if self._seen and _finite_time(t) <= self._seen[-1][0]:
             return
         self._seen.append((t, pose))
         while len(self._seen) > 2 and self._seen[1][0] <= t - self._window:
@@ -125,11 +125,10 @@ class LinearPose:
 
 
 class KalmanPose:
-    """Predict with two Kalman filters of constant velocity: one of the position, one of the rotation's error state.
+    """Predict with two Kalman filters of constant velocity: one for the position, one for the orientation.
 
-    The error of the orientation is a rotation vector in the head's axes; its velocity is the angular velocity. The
-    filter compares a measured orientation with the predicted one, and adds the error to the orientation. Axes are
-    independent and alike, so each filter has one covariance of 2 x 2.
+    The second filters the error of the predicted orientation, a rotation vector in the head's axes; its velocity is the
+    angular velocity. The three axes are independent and equal, so each filter has one 2 x 2 covariance.
 
     Args:
         acceleration: Density of the random acceleration of the head, units a second^2 for each root of hertz.
@@ -163,22 +162,23 @@ class KalmanPose:
         self._quat = (1.0, 0.0, 0.0, 0.0)
 
     def observe(self, t: float, position: ArrayLike, quat: ArrayLike) -> None:
-        """Take in a pose; see `PosePredictor`."""
+        """Record a pose; see `PosePredictor.observe`."""
         x, y, z = finite_vector("position", position, 3).tolist()
-        turned = _normalized(finite_vector("quat", quat, 4).tolist())
-        if _time(t) <= self._time:
+        measured = _normalized(finite_vector("quat", quat, 4).tolist())
+        if _finite_time(t) <= self._time:
             return
         if self._time == -math.inf:
             self._time = t
             self._at = (x, y, z)
-            self._quat = turned
+            self._quat = measured
             return
         step = t - self._time
-        (a, b, c), (p, q, r, s) = self._ahead(step)
+        (a, b, c), predicted = self._extrapolate(step)
         da, db, dc = self._place.update(step, (x - a, y - b, z - c))
-        turn = self._turn.update(step, _rotation_vector(*_product((p, -q, -r, -s), turned)))
+        w, i, j, k = predicted
+        error = _rotation_vector(*_product((w, -i, -j, -k), measured))
         self._at = (a + da, b + db, c + dc)
-        self._quat = _product((p, q, r, s), _exponential(*turn))
+        self._quat = _product(predicted, _exponential(*self._turn.update(step, error)))
         self._time = t
 
     def predict(self, t: float) -> Pose:
@@ -186,18 +186,25 @@ class KalmanPose:
         place = self._at
         quat = self._quat
         if self._time > -math.inf:
-            place, quat = self._ahead(min(max(t - self._time, 0.0), self._longest))
+            place, quat = self._extrapolate(min(max(t - self._time, 0.0), self._longest))
         return Pose(np.array(place), np.array(quat))
 
-    def _ahead(self, step: float) -> tuple[Vector, Quat]:
-        (x, y, z), (u, v, w), (p, q, r) = self._at, self._place.velocity, self._turn.velocity
-        return (x + step * u, y + step * v, z + step * w), _product(
-            self._quat, _exponential(step * p, step * q, step * r)
-        )
+    def _extrapolate(self, step: float) -> tuple[Vector, Quat]:
+        """Return the position and the orientation `step` seconds after the last pose."""
+        x, y, z = self._at
+        u, v, w = self._place.velocity
+        p, q, r = self._turn.velocity
+        turn = _exponential(step * p, step * q, step * r)
+        return (x + step * u, y + step * v, z + step * w), _product(self._quat, turn)
 
 
 class _Filter:
-    """Velocity of three alike axes, and the covariance of value and velocity of each."""
+    """A Kalman filter of constant velocity for three independent, equal axes.
+
+    Args:
+        density: Spectral density of the squared random acceleration.
+        noise: Variance of measured values.
+    """
 
     def __init__(self, density: float, noise: float) -> None:
         self.density = density
@@ -206,7 +213,12 @@ class _Filter:
         self.covariance = noise, 0.0, 1e3  # of value, of both, of velocity, which is unknown at first
 
     def update(self, step: float, innovation: Vector) -> Vector:
-        """Return what to add to the predicted values; update the velocity."""
+        """Update the velocity with a measurement, and return the correction of the predicted values.
+
+        Args:
+            step: Seconds since the last measurement.
+            innovation: Measured minus predicted value of each axis.
+        """
         value, both, speed = self.covariance
         value += step * (2.0 * both + step * speed) + self.density * step**3 / 3.0
         both += step * speed + self.density * step**2 / 2.0
@@ -249,7 +261,9 @@ def rotation_vector(quat: F64) -> F64:
 
 
 def _product(a: Sequence[float], b: Sequence[float]) -> Quat:
-    (p, q, r, s), (w, x, y, z) = a, b
+    """Return the product of two unit quaternions wxyz, normalized."""
+    p, q, r, s = a
+    w, x, y, z = b
     return _unit(
         p * w - q * x - r * y - s * z,
         p * x + q * w + r * z - s * y,
@@ -259,12 +273,14 @@ def _product(a: Sequence[float], b: Sequence[float]) -> Quat:
 
 
 def _exponential(x: float, y: float, z: float) -> Quat:
+    """Return the unit quaternion wxyz of a rotation vector, radians."""
     angle = math.hypot(x, y, z)
     scale = math.sin(0.5 * angle) / angle if angle > 1e-12 else 0.5
     return math.cos(0.5 * angle), scale * x, scale * y, scale * z
 
 
 def _rotation_vector(w: float, x: float, y: float, z: float) -> Vector:
+    """Return the rotation vector of a unit quaternion wxyz, of at most pi radians."""
     sine = math.hypot(x, y, z)
     scale = 2.0 if sine < 1e-12 else 2.0 * math.atan2(sine, abs(w)) / sine
     scale = scale if w >= 0 else -scale
@@ -272,6 +288,7 @@ def _rotation_vector(w: float, x: float, y: float, z: float) -> Vector:
 
 
 def _normalized(quat: Sequence[float]) -> Quat:
+    """Return a quaternion wxyz at length 1; values are scaled first, so that no square overflows."""
     most = max(map(abs, quat))
     if not most > 0:
         raise ValueError("quat: expected a rotation, got a zero quaternion")
@@ -295,7 +312,8 @@ def finite_vector(name: str, value: ArrayLike, length: int) -> F64:
     return np.asarray(_check.floats(name, value, (length,), np.float64))
 
 
-def _time(t: float) -> float:
+def _finite_time(t: float) -> float:
+    """Return a time in seconds; raise ValueError unless it is finite."""
     if not math.isfinite(t):
         raise ValueError(f"t: expected finite seconds, got {t!r}")
     return float(t)

@@ -1,7 +1,7 @@
-"""Compute quality of experience (equation 8 of the paper, normalized), its parts, and the difference of two systems.
+"""Quality of experience (QoE; equation 8 of the paper, normalized) of a session, and the difference of two systems.
 
-PSNR in dB against the full scene, latency in seconds. A session is what was shown at its steps; systems are compared
-by the paired differences of their sessions over the same links and walks, with confidence intervals.
+PSNR in dB against the full scene, latency in seconds. A session is a row of steps, each with an image that was shown.
+Two systems are compared over the same links and walks, by the differences of paired sessions with confidence intervals.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class QoeConfig:
     Attributes:
         psnr_scale: PSNR that counts as 1, dB; higher values count as 1 too.
         latency_scale: Latency that counts as 1, seconds: the paper's time-out; higher values count as 1 too.
-        delay_weight: Lambda, weight of the delay.
+        delay_weight: Weight of the delay, lambda in the paper.
         shown_db: PSNR at which a pose counts as shown.
     """
 
@@ -99,8 +99,8 @@ def quality_of_experience(psnr: ArrayLike, latency: ArrayLike, config: QoeConfig
         (0.5, 0.75, 0.05)
     """
     config = config or QoeConfig()
-    values = _steps("psnr", psnr)
-    delays = _steps("latency", latency)
+    values = _checked_steps("psnr", psnr)
+    delays = _checked_steps("latency", latency)
     if _check.same_length(psnr=values, latency=delays) == 0:
         raise ValueError("psnr: expected at least one step, got none")
     quality = float(np.clip(values / config.psnr_scale, 0.0, 1.0).mean())
@@ -111,16 +111,22 @@ def quality_of_experience(psnr: ArrayLike, latency: ArrayLike, config: QoeConfig
 
 
 def first_frame(times: ArrayLike, psnr: ArrayLike, least: float = FIRST_FRAME_DB) -> float:
-    """Return the seconds of the first step whose image has at least this PSNR; inf if none has."""
+    """Return the time of the first step whose image has at least `least` dB of PSNR; inf if none has.
+
+    Args:
+        times: (S,) seconds of the steps.
+        psnr: (S,) dB of each step.
+        least: dB.
+    """
     at = _check.floats("times", times, ("S",), np.float64)
-    values = _steps("psnr", psnr)
+    values = _checked_steps("psnr", psnr)
     _check.same_length(times=at, psnr=values)
     good = np.flatnonzero(values >= least)
     return float(at[good[0]]) if len(good) else np.inf
 
 
 def stall(times: ArrayLike, psnr: ArrayLike, least: float = 25.0, end: float | None = None) -> float:
-    """Return the seconds in which, after the first image of at least 20 dB, the image is worse than `least`.
+    """Return how many seconds the image is worse than `least`, from the first image of at least 20 dB on.
 
     Args:
         times: (S,) seconds, rising; each step lasts until the next.
@@ -129,7 +135,7 @@ def stall(times: ArrayLike, psnr: ArrayLike, least: float = 25.0, end: float | N
         end: Seconds at which the last step ends; None means that it lasts as long as the one before.
     """
     at = _check.floats("times", times, ("S",), np.float64)
-    values = _steps("psnr", psnr)
+    values = _checked_steps("psnr", psnr)
     if _check.same_length(times=at, psnr=values) == 0:
         return 0.0
     last = at[-1] + (at[-1] - at[-2] if len(at) > 1 else 0.0) if end is None else end
@@ -217,8 +223,10 @@ def paired_difference(
     return Difference(mean, float(low), float(high), len(apart), confidence, method)
 
 
-def _steps(name: str, value: ArrayLike) -> F64:
+def _checked_steps(name: str, value: ArrayLike) -> F64:
+    """Return values (S,) of steps as float64; raise ValueError for NaN and values below 0. Inf is valid."""
     array = _check.floats(name, value, ("S",), np.float64, finite=False)
     if np.isnan(array).any() or (len(array) and array.min() < 0):
-        raise ValueError(f"{name}: expected values of at least 0, got NaN or less")
+        got = "NaN" if np.isnan(array).any() else f"{array.min():g}"
+        raise ValueError(f"{name}: expected values of at least 0, got {got}")
     return array

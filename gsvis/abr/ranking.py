@@ -12,7 +12,7 @@ from gsvis.abr.candidate_sets import Candidates
 from gsvis.abr.candidates import CandidateIndex
 from gsvis.abr.config import AbrConfig
 from gsvis.abr.holdings import Holdings
-from gsvis.abr.policies import filling_table, table
+from gsvis.abr.policies import fill_table, offset_table
 
 __all__ = ["Ranking"]
 
@@ -21,7 +21,7 @@ _NOTHING = Plan(np.zeros(0, np.int32), np.zeros(0, np.uint64), np.zeros(0, np.fl
 
 
 class Ranking:
-    """Ranks the records of a view by the policy of a configuration, as far as they are asked for.
+    """Ranks the records of a view by the policy of a configuration, some at a time.
 
     Args:
         candidates: Candidates of the scene.
@@ -29,12 +29,12 @@ class Ranking:
         config: Settings.
 
     Attributes:
-        plan: What was ranked last.
-        place: Entries of it that have been taken.
+        plan: The records that were ranked last, in order.
+        place: Number of its entries that have been taken.
         picture: Highest level of the first picture; -1 if there is none.
         kinds: Kinds of terms, K.
         first_gains: (K,) `View.gains` of the first pass over a view.
-        gains: (K,) the same of the passes behind it.
+        gains: (K,) `View.gains` of the later passes.
     """
 
     def __init__(self, candidates: CandidateIndex, holdings: Holdings, config: AbrConfig) -> None:
@@ -53,7 +53,7 @@ class Ranking:
         self._table = np.zeros((0, 1 + self.kinds, 3), np.int32)
         self._keys = 0
         self._least = 0
-        self._is_whole = True  # nothing is to be ranked behind the plan
+        self._is_whole = True  # the plan ends with the last record to send
         self._wanted = 0.0
 
     @property
@@ -78,15 +78,18 @@ class Ranking:
         """Begin with a shell, which only fills the link."""
         config = self._config
         levels = self._candidates.index.num_levels
-        self._begin(*filling_table(config.policy, levels, config.utility, kinds=self.kinds))
+        self._begin(*fill_table(config.policy, levels, config.utility, kinds=self.kinds))
 
     def _table_of(self, regime: str, **more: tuple[Any, ...]) -> tuple[NDArray[np.int32], int]:
+        """Return the `offset_table` of a regime and its number of keys; `more` are arguments of `offset_table`."""
         config = self._config
         levels = self._candidates.index.num_levels
-        return table(config.policy, regime, levels, config.utility, picture=self.picture, kinds=self.kinds, **more)
+        return offset_table(
+            config.policy, regime, levels, config.utility, picture=self.picture, kinds=self.kinds, **more
+        )
 
     def _begin(self, table: NDArray[np.int32], keys: int) -> None:
-        """Begin with nothing ranked, in the order of a table with a number of keys."""
+        """Forget the plan, and rank by this table with this number of keys from now on."""
         self.plan = _NOTHING
         self.place = 0
         self._table = table
@@ -96,11 +99,11 @@ class Ranking:
         self._wanted = 0.0
 
     def rank_more(self, here: Candidates, cell: Cell, view: View, enough: float) -> None:
-        """Rank what comes behind the plan: at least `enough` bytes, and twice as many as the last time.
+        """Rank the records that follow the plan: at least `enough` bytes, and twice as many as the last time.
 
         Args:
             here: The candidates.
-            cell: They as the client sees them.
+            cell: The same candidates for the kernels, with what the client lacks.
             view: What the client looks at.
             enough: Bytes.
         """
@@ -114,5 +117,5 @@ class Ranking:
 
 
 def _gains(*epsilons: float) -> NDArray[np.float64]:
-    """Return the logarithms of what a change is multiplied by, so that the term is sent where the result is above 1."""
+    """Return log gains: a term is sent if its change of the image times its gain is above 1, that is above epsilon."""
     return np.asarray(-np.log(epsilons) - 0.5 * np.log(_FOOTPRINT))

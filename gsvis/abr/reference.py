@@ -1,4 +1,4 @@
-"""The order of records, written simply: one Gaussian and one term after the other, sorted by the key of the policy.
+"""The order of records, written simply: one Gaussian or term after the other, sorted by the key of the policy.
 
 The slow twin of `candidates.py` and `planner.py`. Tests check that both give the same records in the same order.
 """
@@ -16,8 +16,8 @@ from gsvis.abr.candidates import CandidateIndex
 from gsvis.abr.config import AbrConfig
 from gsvis.abr.holdings import Holdings
 from gsvis.abr.index import SceneIndex
-from gsvis.abr.outside import near_cells, weights_of
-from gsvis.abr.policies import AHEAD, UtilityConfig, bounds, edge_offset, first_offset, lowest_last, offsets
+from gsvis.abr.outside import near_cells, widened_weights
+from gsvis.abr.policies import AHEAD, UtilityConfig, edge_offset, first_offset, least_keys, lowest_last, offsets
 from gsvis.abr.rings import RINGS
 from gsvis.abr.words import strengths
 from gsvis.pvs.codec import ids_of
@@ -28,16 +28,16 @@ F32 = NDArray[np.float32]
 
 
 Unit = tuple[tuple[int, int, int, int, int], list[int]]
-"""Ring, word, weight class, first and last level, and the members."""
+"""(ring, word, weight class, first level, last level), and the ids of the members."""
 
 
 Entry = tuple[int, int, int, list[int], float]
-"""Key, place among equal keys, kind of records, the Gaussians, and the logarithm of their weight."""
+"""Sort key, place among equal keys, kind of records, ids of the Gaussians, and the logarithm of their weight."""
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Arguments of `Planner.aim`: cell, eye (3,), frusta (F, 5, 4), regime, eyes, cell ahead, middle, step outside."""
+    """The arguments of `Planner.aim`, under the same names; see there."""
 
     cell: int
     eye: F32
@@ -74,70 +74,70 @@ def order_records(
         ("gaussian", id), ("term", id), and ("drop", id) right after the Gaussian that completes its replacement.
     """
     index = shared.index
-    units = _units(shared, view)
+    units = _group_units(shared, view)
     strength = strengths(index.importance, index.gaussian_bytes, index.areas, shared.tables.numbers.pixel_area)
     in_view = _in_view(index, view.planes)
     in_middle = in_view if view.middle is None else _in_view(index, view.middle)
-    weights = weights_of(index.class_weights, view.step) if view.step else index.class_weights
+    weights = widened_weights(index.class_weights, view.step) if view.step else index.class_weights
     config = config or AbrConfig()
     picture = index.highest_within(config.picture)
     table = offsets(policy, view.regime, index.num_levels, utility, picture)
     top = max(lowest_last(view.regime, index.num_levels), picture + 1)
-    active = set(range(index.num_terms)) if index.cones is not None else _active(index, _cells(shared, view))
+    active = set(range(index.num_terms)) if index.cones is not None else _active_terms(index, _view_cells(shared, view))
     ahead = set[int]()
     if view.cell_ahead is not None and view.cell_ahead != view.cell:
         ahead = set(index.sets.classes(view.cell_ahead)[0].tolist())
-        active |= _active(index, [view.cell_ahead])
+        active |= _active_terms(index, [view.cell_ahead])
     strong = config.strong if index.cones is not None and policy == "utility" else ()
-    entries: list[list[Entry]] = [[], [], []]  # of the first pass, of the second, of what is around
+    entries: list[list[Entry]] = [[], [], []]  # first pass over the view, second pass, terms out of view
     for number, ((ring, word, kind, enters, ends), members) in enumerate(units):
         is_picture = ring == 0 and ends < top and enters <= picture
         if ends < top and not is_picture:
             continue
         weight = np.float32(np.mean(index.class_weights)) if ring else weights[kind]
-        alike = _alike(index, word, enters, ends) if ring else members
-        gain = _gain(shared, word, [strength[g] for g in alike], view.eye, weight)
+        counted = _with_levels(index, word, enters, ends) if ring else members
+        gain = _mean_gain(shared, word, [strength[g] for g in counted], view.eye, weight)
         bucket = int(kernels.bucket_of(gain))
         log = float(np.log(weight))
         near = [g for g in members if (in_view[g] if ring == 0 else g in ahead)]
         core = [g for g in near if ring or in_middle[g]]
         parts = core, [g for g in members if g not in near], [g for g in near if g not in core]
         first, edge = (first_offset(policy, utility), 0) if is_picture else (0, edge_offset(policy, utility))
-        keys = _Keys(table, bounds(strong, utility), first, edge, is_picture)
+        keys = _Keys(table, least_keys(strong, utility), first, edge, is_picture)
         place = 3 * (2 + len(strong)) * number
-        for passes, entry in _entries_of(keys, place, ring, enters, bucket, log, parts):
+        for passes, entry in _unit_entries(keys, place, ring, enters, bucket, log, parts):
             for k in passes:
                 entries[k].append(entry)
     candidates = {g for _, members in units for g in members}
     shares = np.full(index.num_levels, config.replaced)
     shares[: picture + 1] = config.covered
-    walk = _Walk(shared, holdings, view, shares)
-    walk.send(entries[0], active, candidates, (config.first_epsilon, *strong))
-    walk.send(entries[1], active, candidates, (config.epsilon,))
+    sender = _Sender(shared, holdings, view, shares)
+    sender.send(entries[0], active, candidates, (config.first_epsilon, *strong))
+    sender.send(entries[1], active, candidates, (config.epsilon,))
     if fill:
-        walk.send(entries[2], active, candidates, (config.epsilon,))
+        sender.send(entries[2], active, candidates, (config.epsilon,))
         last = offsets(policy, "high", index.num_levels, utility)
-        for some, every_term, visible in _shells(shared, view, strength, last):
-            if walk.is_left(some, every_term):
+        for some, every_term, visible in _shell_entries(shared, view, strength, last):
+            if sender.is_left(some, every_term):
                 candidates = candidates | visible
-                walk.send(some, every_term, candidates)
-    return walk.out
+                sender.send(some, every_term, candidates)
+    return sender.out
 
 
 def is_left(wanted: set[int], held: set[int], gone: set[int], owed: set[int]) -> bool:
-    """Return whether anything of some Gaussians is left to send: one of those, or terms that one owes."""
+    """Return whether a wanted Gaussian that is not gone is not held, or is in `owed`: held without all its terms."""
     return any(g not in held or g in owed for g in wanted - gone)
 
 
 def is_dropped(x: int, index: SceneIndex, candidates: set[int], arrived: set[int], share: float) -> bool:
-    """Return whether enough of what replaces a Gaussian has arrived: a share of the area of the candidates.
+    """Return whether a Gaussian is dropped: enough of the area of its replacements has arrived.
 
     Args:
         x: The Gaussian.
         index: The scene.
-        candidates: What can be seen.
-        arrived: What is held, or replaced itself.
-        share: In (0, 1].
+        candidates: The Gaussians that can be seen; other replacements do not count.
+        arrived: The Gaussians that are held or were replaced.
+        share: Share of the area that has to arrive, in (0, 1].
     """
     low, high = index.replacement_offsets[x : x + 2]
     wanted = [h for h in index.replacement_ids[low:high].tolist() if h in candidates]
@@ -147,21 +147,39 @@ def is_dropped(x: int, index: SceneIndex, candidates: set[int], arrived: set[int
 
 @dataclass(frozen=True, eq=False)
 class _Keys:
-    """What keys are made of: offsets, bounds, what is added for a first picture and at the edge; if it is a picture."""
+    """The parts of a sort key.
+
+    Attributes:
+        table: See `offsets`.
+        least_keys: See `least_keys`, one for each kind of strong terms.
+        first: Extra offset of a first picture.
+        edge: Extra offset at the edge of the view.
+        is_picture: Whether the unit belongs to the first picture alone.
+    """
 
     table: NDArray[np.int64]
-    bounds: list[int]
+    least_keys: list[int]
     first: int
     edge: int
     is_picture: bool
 
 
-def _entries_of(
+def _unit_entries(
     keys: _Keys, place: int, ring: int, enters: int, bucket: int, log: float, parts: tuple[list[int], ...]
 ) -> Iterator[tuple[tuple[int, ...], Entry]]:
-    """Yield the entries of a unit, each with the passes that it belongs to."""
+    """Yield the entries of a unit, each with the passes that it belongs to.
+
+    Args:
+        keys: Parts of the sort key.
+        place: Number of the unit's first entry among all entries.
+        ring: Ring of the unit.
+        enters: First level of its Gaussians.
+        bucket: Bucket of their gain.
+        log: Logarithm of their weight.
+        parts: Its Gaussians in the middle of the view, out of view, and at the edge of the view.
+    """
     table = keys.table
-    kinds = 2 + len(keys.bounds)
+    kinds = 2 + len(keys.least_keys)
     for part, members in enumerate(parts):
         if part == (kernels.EDGE if ring else kernels.OUTSIDE if keys.is_picture else -1):
             continue
@@ -175,14 +193,14 @@ def _entries_of(
         yield ((0, 1), (2,), (0, 2))[part], (int(table[group, enters, 1]) + later, place + 3 + part, 1, members, log)
         ahead = int(table[AHEAD, 0, 0]) if ring else 0
         for kind in range(2, kinds if in_view else 2):
-            least = keys.bounds[kind - 2] + later - bucket + ahead
+            least = keys.least_keys[kind - 2] + later - bucket + ahead
             yield (0,), (max(geometry, least), place + 3 * kind + part, kind, members, log)
 
 
-def _shells(
+def _shell_entries(
     shared: CandidateIndex, view: View, strength: F32, table: NDArray[np.int64]
 ) -> Iterator[tuple[list[Entry], set[int], set[int]]]:
-    """Yield what fills an idle link: the entries of each shell, all terms, and what it sees."""
+    """Yield the entries of each shell that fills an idle link, the ids of all terms, and the ids that it sees."""
     index = shared.index
     weight = np.float32(np.mean(shared.index.class_weights))
     terms = set(range(index.num_terms)) if index.cones is not None or index.active is not None else set()
@@ -190,7 +208,7 @@ def _shells(
     for shell in range(shared.count_shells(view.cell)):
         cells = shared.shells.cells(view.cell, shell) if shell < shells else []
         visible = {g for cell in cells for g in index.sets.classes(cell)[0].tolist()}
-        if shell >= shells or (shell == 0 and view.step):  # what no cell sees; what the widened cell has
+        if shell >= shells or (shell == 0 and view.step):  # the last shell; shell 0 of an eye outside
             visible = set(range(len(index)))
         found: dict[tuple[int, int, int], list[int]] = {}
         for g in sorted(visible):
@@ -199,29 +217,29 @@ def _shells(
         entries = []
         for number, key in enumerate(_in_order_of_scene(index, list(found))):
             word, enters, _ = key
-            gain = _gain(shared, word, [strength[g] for g in _alike(index, *key)], view.eye, weight)
+            gain = _mean_gain(shared, word, [strength[g] for g in _with_levels(index, *key)], view.eye, weight)
             for kind in (0, 1):
                 place = int(table[-1, enters, kind]) + int(kernels.bucket_of(gain))
                 entries.append((place, 2 * number + kind, kind, found[key], 0.0))
         yield entries, terms, visible
 
 
-def _active(index: SceneIndex, cells: list[int]) -> set[int]:
+def _active_terms(index: SceneIndex, cells: list[int]) -> set[int]:
     """Return the active terms of cells."""
     if index.active is None:
         return set()
     return {t for cell in cells for t in np.asarray(index.active.active_ids(cell)).tolist()}
 
 
-def _alike(index: SceneIndex, word: int, enters: int, ends: int) -> list[int]:
-    """Return the Gaussians of a word with a pair of levels: the gain of neighbors is the mean of them all."""
+def _with_levels(index: SceneIndex, word: int, enters: int, ends: int) -> list[int]:
+    """Return the Gaussians of a word that have this first and last level. In rings 1 to 3 a gain is the mean of all."""
     some = range(64 * word, min(64 * word + 64, len(index)))
     return [g for g in some if (index.first[g], index.last[g]) == (enters, ends)]
 
 
 def _in_order_of_scene(index: SceneIndex, keys: list[tuple[int, int, int]]) -> list[tuple[int, int, int]]:
-    """Return words with pairs of levels in the order of the units of the whole scene."""
-    return sorted(keys, key=lambda key: (key[0], _alike(index, *key)[0]))
+    """Return keys (word, first level, last level) in the order of the units of the whole scene."""
+    return sorted(keys, key=lambda key: (key[0], _with_levels(index, *key)[0]))
 
 
 def _in_view(index: SceneIndex, planes: F32) -> NDArray[np.bool_]:
@@ -231,13 +249,13 @@ def _in_view(index: SceneIndex, planes: F32) -> NDArray[np.bool_]:
     return found
 
 
-def _cells(shared: CandidateIndex, view: View) -> list[int]:
-    """Return the cell of a view, and outside of it those that are about as near."""
+def _view_cells(shared: CandidateIndex, view: View) -> list[int]:
+    """Return the cell of a view; for an eye outside of it, with the cells nearby."""
     return near_cells(shared.index, shared.shells, view.cell, view.step) if view.step else [view.cell]
 
 
-def _units(shared: CandidateIndex, view: View) -> list[Unit]:
-    """Return the members of one word, ring, weight class and pair of levels, in the order of unit numbers."""
+def _group_units(shared: CandidateIndex, view: View) -> list[Unit]:
+    """Return the units of a view in the order of their numbers; members share ring, word, weight class and levels."""
     index = shared.index
     cell = view.cell
     found: dict[tuple[int, int, int, int, int], list[int]] = {}
@@ -252,7 +270,7 @@ def _units(shared: CandidateIndex, view: View) -> list[Unit]:
                 if g not in placed:
                     here[g] = kind if ring == 0 else 0
         if ring == 0 and view.step:
-            near = {g for other in _cells(shared, view) for g in index.sets.classes(other)[0].tolist()}
+            near = {g for other in _view_cells(shared, view) for g in index.sets.classes(other)[0].tolist()}
             kinds = len(index.class_weights)
             here = {g: here.get(g, kinds + (g not in near)) for g in range(len(index))}
         placed |= set(here)
@@ -263,21 +281,23 @@ def _units(shared: CandidateIndex, view: View) -> list[Unit]:
 
     def place(item: Unit) -> tuple[int, int, int, int]:
         (ring, word, kind, enters, ends), members = item
-        return ring, word, kind, members[0] if ring == 0 else _alike(index, word, enters, ends)[0]
+        return ring, word, kind, members[0] if ring == 0 else _with_levels(index, word, enters, ends)[0]
 
     return sorted(found.items(), key=place)
 
 
-def _gain(shared: CandidateIndex, word: int, strength: list[F32], eye: F32, weight: np.float32) -> NDArray[np.float32]:
-    """Return the mean weighted solid angle per byte of Gaussians of a word with given strengths."""
+def _mean_gain(
+    shared: CandidateIndex, word: int, strength: list[F32], eye: F32, weight: np.float32
+) -> NDArray[np.float32]:
+    """Return the mean weighted solid angle per byte of Gaussians of a word; `strength` has a pair for each."""
     x, y, z = shared.tables.spheres[word, :3] - eye
     square = x * x + y * y + z * z + shared.tables.spreads[word] + np.float32(1e-12)
     area, pixel = (np.float32(float(weight) * sum(float(pair[k]) for pair in strength) / len(strength)) for k in (0, 1))
     return np.asarray(area / square + pixel, np.float32)
 
 
-class _Walk:
-    """Records in the order in which they are sent one by one."""
+class _Sender:
+    """Sends records one by one, and lists them in `out`."""
 
     def __init__(self, shared: CandidateIndex, holdings: Holdings, view: View, shares: NDArray[np.float64]) -> None:
         self.out: list[tuple[str, int]] = []
@@ -297,7 +317,15 @@ class _Walk:
         candidates: set[int],
         epsilons: tuple[float, ...] = (),
     ) -> None:
-        """Send entries by their keys, and terms that change the image enough for one of the eyes, or every term."""
+        """Send entries in the order of their keys.
+
+        Args:
+            entries: The entries.
+            active: Ids of the terms that may be sent.
+            candidates: The Gaussians that can be seen.
+            epsilons: For each kind of terms, the least change of the image, of the package's epsilon, with which a term
+                is sent. Empty sends every term.
+        """
         for _, _, kind, members, log in sorted(entries, key=lambda entry: entry[:2]):
             gain = log - np.log(epsilons[kind - 1]) - 0.5 * np.log(3.6e-5) if kind and epsilons else None
             for g in members:
@@ -318,6 +346,7 @@ class _Walk:
         return bool(members - self._held or terms - self._held_terms)
 
     def _send_terms(self, g: int, active: set[int], gain: float | None) -> None:
+        """Send the terms of a Gaussian that change the image enough for one of the eyes; all if `gain` is None."""
         index = self._index
         for t in range(int(index.term_offsets[g]), int(index.term_offsets[g + 1])):
             if t not in active or t in self._held_terms:
@@ -336,7 +365,9 @@ class _Walk:
                 self.out.append(("term", t))
 
     def _drop_replaced(self, g: int, candidates: set[int]) -> None:
-        index, (starts, ids) = self._index, self._index.replaced
+        """Drop the Gaussians that `g` replaces if enough has arrived, and then what those were to replace."""
+        index = self._index
+        starts, ids = index.replaced
         queue = [g]
         while queue:
             y = queue.pop(0)

@@ -1,7 +1,7 @@
-"""Which Gaussians a client is to drop: what has arrived of the replacements of each, and when to look at it again.
+"""Which Gaussians a client drops: how much of the replacements of each has arrived, and when to check it again.
 
-Arrays are by number of a replaced Gaussian, in [0, E). Kernels write to them; see `gsvis.abr._kernels.plan.Cell`.
-What was evicted for a view is kept here too, because it is not sent again for that view.
+Arrays have an entry for each of the E replaced Gaussians. Kernels write to them; see `gsvis.abr._kernels.plan.Cell`.
+The Gaussians that were evicted for a view are kept here too: they are not sent again for that view.
 """
 
 from __future__ import annotations
@@ -23,32 +23,34 @@ Words = NDArray[np.uint64]
 
 
 class Replacements:
-    """The replaced Gaussians of a scene, as one client has them.
+    """The state of the replaced Gaussians of a scene for one client. Areas are in `UNITS` of the kernels.
 
     Args:
         candidates: Candidates of the scene.
-        shares: (L,) of the area of its replacements that a Gaussian needs, by the level at which it ends.
+        shares: (L,) share of the area of its replacements that must arrive before a Gaussian is dropped, by the level
+            at which it ends.
 
     Attributes:
         shares: As given.
-        arrived: (E,) area of the replacements of each that has arrived.
-        looks: (E,) how much has to have arrived before each is looked at, among the candidates of the cell.
-        looks_far: (E,) the same among those of the shells so far.
-        sure: (E,) how much suffices without a look.
-        given_up: (W,) packed set of what was evicted for this view; None for nothing.
+        arrived: (E,) area of the replacements that has arrived.
+        looks: (E,) area that must arrive before a Gaussian is checked again, among the candidates of the cell.
+        looks_far: (E,) the same, among the candidates of the shells so far.
+        sure: (E,) area with which a Gaussian is dropped without a check; 0 where it is unknown.
+        given_up: (W,) packed set of the Gaussians that were evicted for this view; None for none.
     """
 
     def __init__(self, candidates: CandidateIndex, shares: NDArray[np.float64]) -> None:
         self.shares = shares
         self._candidates = candidates
         self._bounds: Bounds | None = None
-        count = len(candidates.tables.links.ending)  # those of far tiles take no memory
+        count = len(candidates.tables.links.ending)
+        # zeros take no memory until they are written, as those of far tiles
         self.arrived: I32
         self.arrived, self.looks, self.looks_far, self.sure = blanks(4, count, np.int32)
         self.given_up: Words | None = None
 
     def give_up(self, ids: I32, words: Words) -> None:
-        """Note that Gaussians (M,), as a packed set `words` (W,), were evicted for this view."""
+        """Record Gaussians (M,) that were evicted for this view; `words` (W,) is the same as a packed set."""
         self.doubt(ids)
         if self.given_up is None:
             self.given_up = words
@@ -56,27 +58,27 @@ class Replacements:
             self.given_up |= words
 
     def allow(self, cell: Cell) -> Cell:
-        """Return a cell that allows nothing that was evicted for this view."""
+        """Return the cell, in which Gaussians that were evicted for this view may not be sent."""
         if self.given_up is None:
             return cell
         return cell._replace(allowed=cell.allowed & ~self.given_up[cell.words])
 
     def doubt(self, ids: NDArray[np.integer]) -> None:
-        """Note that it is not known what has arrived of the replacements of what some Gaussians (M,) replace."""
+        """Mark as unknown how much has arrived for the Gaussians that `ids` (M,) replace, so that each is checked."""
         doubt(ids, self._candidates.tables.links, self.arrived, self.looks, self.looks_far)
 
     def leave_cell(self) -> None:
-        """Forget what holds among the candidates of a cell."""
+        """Forget the areas that are valid for the candidates of one cell only."""
         self.looks = clear(self.looks)
         self.sure = clear(self.sure)
         self._bounds = None
 
     def bound(self, here: Candidates, *, make: bool) -> None:
-        """Skip looks at what cannot be dropped yet among candidates, and at what is dropped whatever has arrived.
+        """Set bounds on `looks` and `sure` for the candidates of a cell, which save most checks.
 
         Args:
             here: The candidates.
-            make: Whether to compute the bounds if nobody has.
+            make: Whether to compute the bounds if they are not in the cache.
         """
         if self._bounds is not None:
             return
@@ -86,7 +88,7 @@ class Replacements:
             self._bounds = found
 
     def begin_far(self) -> None:
-        """Begin to look among more than the candidates of the cell."""
+        """Start `looks_far` from `looks`, before candidates of shells are added."""
         if self._candidates.is_small:
             self.looks_far[:] = self.looks
             return
@@ -94,6 +96,6 @@ class Replacements:
         if self._bounds is not None:
             self.looks_far[self._bounds.ends] = self.looks[self._bounds.ends]
 
-    def widen(self, seen: Words, others: Seen, held: Held) -> None:
-        """Add others to the candidates `seen` (W,) among which is looked."""
-        widen(seen, others, held, self._candidates.tables.links, self.looks_far)
+    def widen(self, seen: Words, added: Seen, held: Held) -> None:
+        """Add candidates to the packed set `seen` (W,), and let the Gaussians that they replace be checked again."""
+        widen(seen, added, held, self._candidates.tables.links, self.looks_far)

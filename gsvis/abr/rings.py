@@ -1,6 +1,6 @@
-"""The cells around a cell: rings of neighbors, and shells that go on from there to the end of the scene.
+"""The cells around a cell: shell 0 is the cell and its rings of neighbors, each further shell the next 8 nearest cells.
 
-Cells are sorted by their distance only as far as somebody asks. Threads may share everything here.
+Cells are sorted by distance only as far as a caller needs. Threads may share everything here.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ __all__ = ["RINGS", "Shells"]
 RINGS = 4
 
 _SORTED = 512  # cells around a cell to sort at a time
-_RECENT = 8  # share of the cache for what is made of shells
-_SHELL = 8  # cells of a shell: its sets may all have to be read while a viewer waits
+_RECENT = 8  # `Shells.recent` has one part in 8 of the size of the cache
+_SHELL = 8  # cells in a shell: a viewer may have to wait until all their sets are read
 
 
 class Shells:
@@ -27,10 +27,10 @@ class Shells:
 
     Args:
         grid: The cells.
-        cache: Keeps sorted cells.
+        cache: Cache for sorted cells.
 
     Attributes:
-        recent: For what is made of shells: they are many and large, and would push all cells out of the cache.
+        recent: A second cache, for candidates of shells: in `cache` they would replace those of cells.
     """
 
     def __init__(self, grid: Cells, cache: Cache[Any]) -> None:
@@ -47,7 +47,7 @@ class Shells:
         return self._counts[cell]
 
     def cells(self, cell: int, number: int) -> list[int]:
-        """Return the cells of a shell around a cell: of shell 0 the rings, of each further one the next nearest."""
+        """Return the cells of shell `number` around a cell."""
         if number == 0:
             return [other for ring in self._grid.rings(cell) for other in ring]
         enough = (number * _SHELL - 1) // _SORTED + 1
@@ -60,7 +60,7 @@ class Shells:
         return found
 
     def _nearest(self, cell: int, most: int) -> NDArray[np.int64]:
-        """Return the nearest cells around the rings of a cell, at most so many, the nearest first."""
+        """Return the `most` cells nearest to a cell, without the cell and its rings, the nearest first."""
         centers = self._grid.centers
         near = self.cells(cell, 0)
         apart = np.linalg.norm(centers - centers[cell], axis=1)

@@ -1,6 +1,6 @@
-"""Scratch memory of the threads that plan. Each has its own; who has it next overwrites it.
+"""Scratch arrays for planning, one set for each thread. The next call of the same thread overwrites them.
 
-In a large scene a new array costs more than what is written to it.
+In a large scene, allocating an array takes longer than filling it.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ __all__ = ["Scratch"]
 
 I32 = NDArray[np.int32]
 
-_WORKS = 64  # ways to divide scratch memory that a thread remembers
+_WORKS = 64  # `Work` tuples that a thread keeps
 
 
 class Scratch:
-    """Memory of each thread that asks.
+    """Scratch arrays of each thread that calls.
 
     Args:
-        replaced: E, number of Gaussians that others replace.
+        replaced: E, number of Gaussians that have replacements.
     """
 
     def __init__(self, replaced: int) -> None:
@@ -32,15 +32,15 @@ class Scratch:
         self._local = threading.local()
 
     def taken(self) -> list[I32]:
-        """Return two (E,) int32 arrays, with room for all that a batch replaces."""
-        return self._rooms("taken", 2)
+        """Return two (E,) int32 arrays, for the ids of all Gaussians that a batch replaces."""
+        return self._arrays("taken", 2)
 
     def bounds(self) -> list[I32]:
-        """Return four (E,) int32 arrays, with room for the bounds of a cell; the first holds zeros after each use."""
-        return self._rooms("bounds", 4)
+        """Return four (E,) int32 arrays for the bounds of a cell. The first is 0, and its user leaves it so."""
+        return self._arrays("bounds", 4)
 
     def work(self, slots: int, units: int, keys: int, terms: int = 1) -> plan.Work:
-        """Return the memory in which units are ranked.
+        """Return arrays to rank units in.
 
         Args:
             slots: S, number of words.
@@ -53,10 +53,11 @@ class Scratch:
         if key not in made:
             if len(made) >= _WORKS:
                 made.clear()
-            made[key] = self._work(slots, units, keys, terms)
+            made[key] = self._make_work(slots, units, keys, terms)
         return made[key]
 
-    def _work(self, slots: int, units: int, keys: int, terms: int) -> plan.Work:
+    def _make_work(self, slots: int, units: int, keys: int, terms: int) -> plan.Work:
+        """Return the arrays of `work` as views of the thread's memory, which grows if it is too small."""
         local = self._local
         entries = 3 * (1 + terms) * units
         sizes = []
@@ -68,14 +69,15 @@ class Scratch:
             ("keys", keys, (np.int64, np.float64)),
         ):
             if not hasattr(local, name) or len(getattr(local, name)[0]) < size:
-                local.made.clear()  # they have the memory before
+                local.made.clear()  # views of the old memory
                 setattr(local, name, tuple(np.empty(size, kind) for kind in kinds))
             sizes.append([array[:size] for array in getattr(local, name)])
         (inside, middle, free, *others), (due,), of_units, listed, sums = sizes
         of_words = [inside, middle, free, due.reshape(terms, slots), *others]
         return plan.Work(*of_words, *of_units, *listed, *sums)
 
-    def _rooms(self, name: str, count: int) -> list[I32]:
+    def _arrays(self, name: str, count: int) -> list[I32]:
+        """Return `count` (E,) arrays of the thread, which start as zeros."""
         if not hasattr(self._local, name):
             setattr(self._local, name, [blank(self._replaced, np.int32) for _ in range(count)])
         found: list[I32] = getattr(self._local, name)

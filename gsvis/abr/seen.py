@@ -1,4 +1,7 @@
-"""What cells see, as packed sets without empty words: of a large scene a cell sees little. Threads may share it."""
+"""The visible sets of cells as packed sets without empty words, since a cell sees little of a large scene.
+
+Threads may share them.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,6 @@ __all__ = ["SeenSets"]
 
 Words = NDArray[np.uint64]
 
-_STRANGERS = "the set belongs to a different scene"
 _FEW = 32  # words of a scene for each listed one, above which sorting takes less time than a pass over all
 
 
@@ -40,7 +42,7 @@ class SeenSets:
         """Return the visible set of a cell; cache it, since cells share neighbors.
 
         Raises:
-            ValueError: If it names Gaussians that the scene does not have.
+            ValueError: If it contains ids that the scene does not have.
         """
         found: Seen | None = self._cache.find(("words", cell))
         if found is None:
@@ -49,16 +51,16 @@ class SeenSets:
         return found
 
     def of_rings(self, rings: list[list[int]]) -> list[list[Seen]]:
-        """Return sets of each ring of cells for `join`: one for each cell, or fewer that hold as much.
+        """Return the visible sets of each ring of cells, for `join`: one a cell, or fewer with the same union.
 
         Raises:
-            ValueError: If they name Gaussians that the scene does not have.
+            ValueError: If they contain ids that the scene does not have.
         """
         found = self._index.sets.ring_masks(rings)
         return [[self._checked(Seen(*masks)) for masks in ring] for ring in found]
 
     def join(self, rings: list[list[Seen]]) -> tuple[list[Seen], Seen]:
-        """Return what the sets of each ring have that those of earlier rings lack, and all together."""
+        """Return for each ring the Gaussians that no earlier ring sees, and the union of all rings."""
         before, fresh = self._scratch()
         sizes = [sum(len(seen.words) for seen in ring) for ring in rings]
         union = np.empty(sum(sizes), np.int32)
@@ -79,22 +81,23 @@ class SeenSets:
         return found, Seen(words, masks)
 
     def pack(self, cells: list[int]) -> Words:
-        """Return all that cells see as a packed set (W,), in a scene that is not large."""
+        """Return the union of what cells see as a packed set (W,); for small scenes, as it has all words."""
         packed = np.zeros(word_count(len(self._index)), np.uint64)
         for cell in cells:
             kernels.add(self.of_cell(cell), packed)
         return packed
 
     def _checked(self, seen: Seen) -> Seen:
+        """Return a set; raise ValueError if it contains ids that the scene does not have."""
         n = len(self._index)
         last = 64 * int(seen.words[-1]) + int(seen.masks[-1]).bit_length() if len(seen.words) else 0
         if last > n:
-            got = f"one with ids up to {last - 1:,}"
-            raise ValueError(f"words: expected a set of {n:,} Gaussians, got {got}; {_STRANGERS}")
+            got = f"one with ids up to {last - 1:,}; the set belongs to a different scene"
+            raise ValueError(f"words: expected a set of {n:,} Gaussians, got {got}")
         return seen
 
     def _scratch(self) -> tuple[Words, Words]:
-        """Return two packed sets of the calling thread, which it leaves empty."""
+        """Return two empty packed sets (W,) of the calling thread, which has to leave them empty."""
         if not hasattr(self._local, "sets"):
             size = word_count(len(self._index))
             self._local.sets = blank(size, np.uint64), blank(size, np.uint64)
@@ -103,7 +106,7 @@ class SeenSets:
 
 
 def _sort_words(listed: NDArray[np.int32], words: Words) -> NDArray[np.int32]:
-    """Return the numbers of the words that are not empty, which are listed, ascending."""
+    """Return the listed numbers of words in ascending order: `listed` names all words of `words` that are not 0."""
     if len(words) < _FEW * len(listed):  # one pass takes less time than sorting
         return np.flatnonzero(words).astype(np.int32)
     return np.sort(listed)

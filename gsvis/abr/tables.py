@@ -1,6 +1,6 @@
-"""All that candidates need of a scene whatever the cell, as one value: computed once, in memory or in a mapped file.
+"""The tables of a scene from which candidates of all cells are made: computed once, in memory or in a mapped file.
 
-`gsvis.abr.piecewise` computes it. Scene frame and units; bytes as sent.
+`gsvis.abr.piecewise` computes them. Scene frame and units; bytes as sent.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class TableNumbers:
 
 @dataclass(frozen=True, eq=False)
 class CandidateTables:
-    """What is known of N Gaussians in W words of 64, and of T terms.
+    """Tables of N Gaussians in W words of 64, and of T terms.
 
     Attributes:
         numbers: Numbers of the scene.
@@ -74,7 +74,7 @@ class CandidateTables:
         every: The units of all Gaussians, in ring 0.
         active: All terms that may be sent, as a packed set.
         owing: (W,) uint64, the Gaussians that own some of them.
-        everything: All Gaussians and terms as candidates of no cell, in ring 1: those of each shell of a small scene.
+        everything: All Gaussians and terms as candidates without a cell, in ring 1; in a small scene, those of a shell.
     """
 
     numbers: TableNumbers
@@ -95,7 +95,7 @@ class CandidateTables:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], numbers: TableNumbers) -> CandidateTables:
-        """Return the tables of arrays by name, such as views of a memory-mapped file; read no array."""
+        """Return the tables from arrays by name, such as views of a mapped file, which are not read."""
         names = ("spheres", "spreads", "bodies", "highest", "word_bytes", "word_terms", "owners", "active", "owing")
         everything = Candidates(
             cell=-1,
@@ -117,5 +117,5 @@ class CandidateTables:
 
 
 def _typed(prefix: str, kind: Callable[..., _Tuple], arrays: Mapping[str, NDArray[Any]]) -> _Tuple:
-    """Return the named tuple whose arrays are named by a prefix and the field."""
+    """Return the named tuple `kind`, each field from the array with the name prefix + field."""
     return kind(**{name: arrays[f"{prefix}{name}"] for name in kind._fields})  # type: ignore[attr-defined]

@@ -82,7 +82,7 @@ class BandwidthTrace:
 
     def rate_at(self, t: float) -> float:
         """Return the rate in Mbit/s from time t on."""
-        _, within = self._turns(t)
+        _, within = self._split_time(t)
         return float(self.mbit_per_s[min(int(np.searchsorted(self.times, within, side="right")), len(self.times) - 1)])
 
     def bytes_between(self, start: float, stop: float) -> float:
@@ -91,13 +91,14 @@ class BandwidthTrace:
         Raises:
             ValueError: If a time is negative or not finite, or `stop` lies before `start`.
         """
-        (turns, within), (turns_then, then) = self._turns(start), self._turns(stop)
+        periods, begin = self._split_time(start)
+        periods_then, end = self._split_time(stop)
         if stop < start:
             raise ValueError(f"stop: expected at least start, {start:g}, got {stop:g}")
-        return (turns_then - turns) * self._total + self._until(then) - self._until(within)
+        return (periods_then - periods) * self._total + self._carried_until(end) - self._carried_until(begin)
 
     def time_to_send(self, size: float, start: float) -> float:
-        """Return the seconds from `start` until so many bytes have been carried; inf if the link carries nothing.
+        """Return the seconds from `start` until `size` bytes have been carried; inf if the link carries nothing.
 
         Args:
             size: Bytes >= 0.
@@ -105,24 +106,24 @@ class BandwidthTrace:
         """
         if not (np.isfinite(size) and size >= 0):
             raise ValueError(f"size: expected finite bytes >= 0, got {size!r}")
-        within = self._turns(start)[1]
+        within = self._split_time(start)[1]
         if size == 0.0:
             return 0.0
         if self._total <= 0.0:
             return np.inf
-        left = self._total - self._until(within)
+        left = self._total - self._carried_until(within)
         if size <= left:
-            return max(self._when(self._until(within) + size) - within, 0.0)
-        more, rest = divmod(size - left, self._total)
+            return max(self._time_of(self._carried_until(within) + size) - within, 0.0)
+        more, rest = divmod(size - left, self._total)  # whole periods after this one, and bytes after those
         if rest == 0.0:  # the last byte arrives before a silent end of the period
             more = more - 1.0
             rest = self._total
         whole = self.period - within
-        return float(whole + max(more, 0.0) * self.period + self._when(rest)) if more >= 0 else float(whole)
+        return float(whole + max(more, 0.0) * self.period + self._time_of(rest)) if more >= 0 else float(whole)
 
     def from_time(self, start: float) -> BandwidthTrace:
         """Return the same link, starting at another time of its period."""
-        _, within = self._turns(start)
+        _, within = self._split_time(start)
         if within == 0.0:
             return self
         later = self.times > within
@@ -141,20 +142,22 @@ class BandwidthTrace:
 
     @property
     def _total(self) -> float:
+        """Bytes carried in a period."""
         return float(self._carried[-1])  # type: ignore[attr-defined]
 
-    def _turns(self, t: float) -> tuple[float, float]:
+    def _split_time(self, t: float) -> tuple[float, float]:
         """Return the number of whole periods before t, and the seconds since the last one ended."""
         if not (np.isfinite(t) and t >= 0):
             raise ValueError(f"t: expected finite seconds >= 0, got {t!r}")
-        turns, within = divmod(t, self.period)
-        return float(turns), float(within)
+        periods, within = divmod(t, self.period)
+        return float(periods), float(within)
 
-    def _until(self, within: float) -> float:
+    def _carried_until(self, within: float) -> float:
+        """Return the bytes carried from the start of a period until `within` seconds of it have passed."""
         edges, carried = self._edges, self._carried  # type: ignore[attr-defined]
         return float(np.interp(within, edges, carried))
 
-    def _when(self, carried: float) -> float:
+    def _time_of(self, carried: float) -> float:
         """Return the first time in a period at which this many bytes (> 0) have been carried."""
         edges, sums = self._edges, self._carried  # type: ignore[attr-defined]
         k = min(max(int(np.searchsorted(sums, carried, side="left")), 1), len(edges) - 1)

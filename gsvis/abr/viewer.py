@@ -1,4 +1,4 @@
-"""Where a client is and where it will be: its last pose, and a predictor that has seen all of them."""
+"""Where a client is and where it will be: its last pose, and a predictor that observes all poses."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Viewer:
 
     Attributes:
         pose: The last pose; None before the first.
-        has_moved: Whether a pose came; who answers it sets False.
+        has_moved: Whether a pose came after the last batch; the planner resets it.
     """
 
     def __init__(self, poses: PosePredictor) -> None:
@@ -28,7 +28,7 @@ class Viewer:
         self._poses = poses
 
     def observe(self, t: float, position: ArrayLike, quat: ArrayLike) -> bool:
-        """Take the pose at time t; return whether it is later than the last, and ignore it if not.
+        """Record the pose at time t, and return True; ignore a pose that is not later than the last, and return False.
 
         Raises:
             ValueError: If a value is not finite, or the quaternion is 0. Nothing changes then.
@@ -44,14 +44,20 @@ class Viewer:
         self.has_moved = True
         return True
 
-    def ahead(self, pose: Pose, t: float, seconds: float) -> Pose:
-        """Return where it is so long after time t, or after its last pose, which is `pose`; that one for 0 seconds."""
+    def predict_pose(self, pose: Pose, t: float, seconds: float) -> Pose:
+        """Return the pose predicted for `seconds` after time t, or after the last pose if that is later.
+
+        Args:
+            pose: The last pose, which is returned for 0 seconds.
+            t: Seconds.
+            seconds: How far to predict.
+        """
         return self._poses.predict(max(t, self._time) + seconds) if seconds > 0 else pose
 
     def position_in(self, seconds: float) -> NDArray[np.float64] | None:
-        """Extrapolate the position `seconds` after the last pose, at the velocity of the second after it.
+        """Return the position (3,) extrapolated `seconds` after the last pose, scene frame; None before the first pose.
 
-        None before the first pose; (3,) scene frame. Predictors look no farther than a second.
+        The velocity is that of the predicted second after the pose: predictors look no farther.
         """
         if self.pose is None:
             return None

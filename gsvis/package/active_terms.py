@@ -1,4 +1,4 @@
-"""The store of active terms: for each cell of a PVS, the terms that some eye in it may need (equation 7 of the paper).
+"""The store of active terms: for each cell of a PVS, the terms that an eye in it may need (equation 7 of the paper).
 
 The store is one Arrow IPC file with a row for each cell. A row holds a roaring bitmap of term ids in the portable
 format, and a checksum. Term ids are those of `SrbfColors`, Gaussian by Gaussian. Opening reads a few kilobytes. A cell
@@ -137,7 +137,8 @@ class ActiveTerms:
             sets: The visible sets that it must belong to, compared by content; None skips this check.
 
         Raises:
-            FormatError: If the file is no such store, damaged, cut, of a newer version, or made from other sources.
+            FormatError: If the file is not such a store, damaged, cut, of a newer version, or made from different
+                sources.
             OSError: If the file cannot be opened.
         """
         store = cls(path)
@@ -175,7 +176,7 @@ class ActiveTerms:
         return self.info.epsilon
 
     def active(self, cell: int) -> BitMap:
-        """Return the terms that some eye in a cell may need.
+        """Return the terms that an eye in a cell may need.
 
         Args:
             cell: Number of the cell in the grid of the visible sets.
@@ -194,7 +195,7 @@ class ActiveTerms:
         return np.array(self.active(cell).to_array(), np.int64)
 
     def difference(self, cell: int, held: Iterable[int]) -> BitMap:
-        """Return the terms that a cell needs and that are not in `held`; a bitmap of held terms is fastest."""
+        """Return the active terms of a cell that are not in `held`; a `BitMap` of held terms is fastest."""
         return self.active(cell) - (held if isinstance(held, BitMap) else BitMap(held))
 
     def share(self, cell: int) -> ActiveShare:
@@ -206,10 +207,10 @@ class ActiveTerms:
     def check(
         self, *, scene: Gaussians | None = None, colors: SrbfColors | None = None, sets: VisibilityStore | None = None
     ) -> None:
-        """Raise unless the store was made from the given sources; None skips a source.
+        """Check that the store was made from these sources; None skips a source.
 
         Raises:
-            FormatError: If the store was made from other ones.
+            FormatError: If a source differs.
         """
         for name, part, made, given in (
             ("scene", "scene", self.info.scene, None if scene is None else scene_hash(scene)),
@@ -252,7 +253,7 @@ class ActiveTerms:
         try:
             found = BitMap.deserialize(data)
         except (ValueError, IndexError) as error:
-            raise self._fault(where, "a roaring bitmap", f"other bytes ({error})") from error
+            raise self._fault(where, "a roaring bitmap", f"bytes that are none ({error})") from error
         if len(found) != count or count > of_visible or (count and found.max() >= self.info.terms):
             got = f"{len(found)} up to {found.max()}" if found else "none"
             raise self._fault(where, f"{count} of {of_visible} terms below {self.info.terms}", got)
@@ -272,7 +273,10 @@ class ActiveTerms:
         return batch
 
     def _info_from(self, fields: Fields) -> ActiveTermsInfo:
+        """Return the sources from the header of the file; raise FormatError if a value is invalid."""
+
         def text(key: str) -> str:
+            """Return a value that has to be text."""
             value = fields.raw(key)
             if not isinstance(value, str):
                 raise self._fault(key, "text", repr(value)[:60])

@@ -1,6 +1,6 @@
-"""Write and read the blocks of a package: records of Gaussians and of their terms, as parts.
+"""Write and read the blocks of a package: the records of Gaussians and of their terms, in parts.
 
-Parts are coded since version 3 of the format. Those of version 2 have each byte of the records as an Arrow column.
+Since version 3 of the format, parts are coded. In version 2, each byte of the records is an Arrow column.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ Rows = tuple[U8, U8, U8]
 
 
 def write_blocks(parts: PartFolder, contents: Contents, progress: Progress) -> Iterator[Block]:
-    """Write the blocks of a scene, and yield them.
+    """Write the blocks of a scene, and yield each one.
 
     Args:
-        parts: The folder.
-        contents: The scene.
+        parts: Folder of the parts.
+        contents: Records of the scene.
         progress: Called with stage "package", in blocks.
     """
     total = len(contents.starts) - 1
@@ -73,7 +73,7 @@ def read_blocks(
         budget: Memory budget to claim from.
 
     Raises:
-        FormatError: If a part is missing, damaged, or does not fit the others.
+        FormatError: If a part is missing, damaged, or does not fit the table or the manifest.
     """
     layout = TermLayout.from_grids(manifest.grids)
     coded = manifest.version > 2
@@ -89,53 +89,53 @@ def read_blocks(
         start = int(starts[int(np.argmax(table.starts[heads] != starts))])
         got = f"a block that begins inside a chunk, at Gaussian {start:,}"
         raise FormatError(parts.folder, "chunks", "chunks that end where blocks end", got, DAMAGED)
-    of_records = RecordLayout.from_variant(manifest.grids.variant)
+    layouts = RecordLayout.from_variant(manifest.grids.variant), layout
 
     def read(k: int) -> Rows:
-        block = manifest.blocks[k]
-        rows = table[slice(int(heads[k]), int(heads[k + 1]))]
-        return _read_coded(parts, block, rows, of_records, layout)
+        """Return the records of block k."""
+        chunks = table[slice(int(heads[k]), int(heads[k + 1]))]
+        return _read_coded(parts, manifest.blocks[k], chunks, layouts)
 
     with ThreadPoolExecutor(max(1, min(8, os.cpu_count() or 1))) as pool:  # kernels run without the GIL
         return list(pool.map(read, range(len(manifest.blocks))))
 
 
-def _read_coded(
-    parts: PartFolder, block: Block, table: ChunkTable, of_records: RecordLayout, of_terms: TermLayout
-) -> Rows:
+def _read_coded(parts: PartFolder, block: Block, chunks: ChunkTable, layouts: tuple[RecordLayout, TermLayout]) -> Rows:
+    """Return the records of a coded block; `chunks` are the rows of its chunks."""
+    of_records, of_terms = layouts
+    part = block.gaussians
     try:
-        part = block.gaussians
-        records, counts = decode_gaussians(parts.content_of(part), block.count, table, of_records)
+        records, counts = decode_gaussians(parts.content_of(part), block.count, chunks, of_records)
         _check_terms(parts, block, counts)
         firsts = _firsts(counts)
-        pieces = [np.zeros((0, of_terms.nbytes), np.uint8)]
+        terms = [np.zeros((0, of_terms.nbytes), np.uint8)]
         low = 0
         for part, count in block.terms:
-            pieces.append(decode_terms(parts.content_of(part), firsts[low : low + count], of_terms))
+            terms.append(decode_terms(parts.content_of(part), firsts[low : low + count], of_terms))
             low += count
     except FormatError:
         raise
     except ValueError as error:
         raise FormatError(parts.folder / part.name, "", "a coded part", str(error), DAMAGED) from error
-    return records, np.concatenate(pieces), counts
+    return records, np.concatenate(terms), counts
 
 
 def _read_columns(parts: PartFolder, block: Block, widths: tuple[int, int], budget: Budget) -> Rows:
-    """Return a block of version 2."""
+    """Return the records of a block of version 2; `widths` are the bytes of a Gaussian's and of a term's record."""
     wide, narrow = widths
     types: dict[str, type[np.generic]] = {**{f"r{k}": np.uint8 for k in range(wide)}, "terms": np.uint8}
     columns = parts.read_columns(block.gaussians, "gaussians", types, block.count, budget)
     counts: U8 = columns["terms"]
     _check_terms(parts, block, counts)
-    pieces = [np.zeros((0, narrow), np.uint8)]
+    terms = [np.zeros((0, narrow), np.uint8)]
     for part, count in block.terms:
         read = parts.read_columns(part, "terms", {f"t{b}": np.uint8 for b in range(narrow)}, count, budget)
-        pieces.append(_stack(read, "t", narrow))
-    return _stack(columns, "r", wide), np.concatenate(pieces), counts
+        terms.append(_join_columns(read, "t", narrow))
+    return _join_columns(columns, "r", wide), np.concatenate(terms), counts
 
 
 def _check_terms(parts: PartFolder, block: Block, counts: U8) -> None:
-    """Raise unless a block has as many terms as its Gaussians and its parts have."""
+    """Raise FormatError unless a block has as many terms as its Gaussians (`counts`) and its parts have."""
     found = int(counts.sum(dtype=np.int64))
     listed = sum(count for _, count in block.terms)
     if found != block.num_terms or listed != block.num_terms:
@@ -145,14 +145,15 @@ def _check_terms(parts: PartFolder, block: Block, counts: U8) -> None:
 
 
 def _firsts(counts: U8) -> NDArray[np.bool_]:
-    """Return (T,) whether each term is the first of its Gaussian, from the (M,) numbers of terms."""
+    """Return whether each term (T,) is the first of its Gaussian, from the number of terms (M,) of each Gaussian."""
     ends = np.cumsum(counts, dtype=np.int64)
     firsts = np.zeros(int(ends[-1]) if len(ends) else 0, np.bool_)
     firsts[(ends - counts)[counts > 0]] = True
     return firsts
 
 
-def _stack(columns: dict[str, Any], letter: str, width: int) -> U8:
+def _join_columns(columns: dict[str, Any], letter: str, width: int) -> U8:
+    """Return records (M, width) from the columns that are named by a letter and the number of the byte."""
     if width == 0:
         return np.zeros((len(next(iter(columns.values()))), 0), np.uint8)
     return np.stack([columns[f"{letter}{k}"] for k in range(width)], axis=1)

@@ -1,4 +1,4 @@
-"""The terms that the cells of a package need (equation 7 of the paper), found when they are asked for."""
+"""The active terms of the cells of a package (equation 7 of the paper), computed cell by cell on request."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["CellTerms"]
 
 
 class CellTerms:
-    """The terms that some eye in a cell may need, of the Gaussians that the cell sees. Threads may share it.
+    """Computes the terms that an eye in a cell may need, of the Gaussians that the cell sees. Threads may share it.
 
     Args:
         g: N Gaussians.
@@ -40,7 +40,7 @@ class CellTerms:
         return len(self._sets)
 
     def active_ids(self, cell: int) -> NDArray[np.int64]:
-        """Return the (A,) ids of the terms that some eye in a cell may need, ascending.
+        """Return the ids (A,) of the terms that an eye in a cell may need, ascending.
 
         Raises:
             ValueError: If there is no such cell.

@@ -1,9 +1,9 @@
 """Encode Gaussians as records of 16 bytes, and decode them. A record and the row of its chunk give one Gaussian.
 
 A chunk is a run of up to 256 Gaussians with a box and a range of scales. Its row of the `ChunkTable` is sent once,
-before the first of its records. A chunk ends before a Gaussian that is far away or of another size, because it would
-make the records of the others coarse. Centers that lie on a lattice of a SOG file stay there: their chunk has its
-steps. Scene frame and units. This module knows no file.
+before the first of its records. A chunk ends before a Gaussian that is far away or much larger or smaller, because that
+one would make all records of the chunk coarse. Centers on the lattice of a SOG file are kept exactly: their chunk uses
+the steps of the lattice. Scene frame and units. This module does not read or write files.
 """
 
 from __future__ import annotations
@@ -49,12 +49,12 @@ SPREAD = 10 * 64
 """Most difference between the largest scales of two Gaussians of a chunk, in 1/64 octaves."""
 
 _CUT_PLACES = (1 << 13) - 1  # from the layout with the fewest bits, so that chunks do not depend on the variant
-_MOST_BITS = 14  # of a place on an axis
-_ON_LATTICE = (1 << _MOST_BITS) - 1  # a layout with fewer bits leaves wider chunks linear
-# most chunks that a lattice may need: a multiple of those without it, and one for 8 Gaussians
+_MOST_BITS = 14  # most bits of a place on an axis
+_ON_LATTICE = (1 << _MOST_BITS) - 1  # most places of a chunk on a lattice; a layout with fewer bits stays linear
+# Chunks on a lattice are used if they are at most twice as many as without it, plus one for 8 Gaussians.
 _MORE = 2.0
 _ALONE = 8
-_MOST_SYMLOG = 88.0  # of a coordinate in a logarithmic chunk; the largest float32 has 88.7
+_MOST_SYMLOG = 88.0  # largest symmetric logarithm in a logarithmic chunk; the largest float32 has 88.7
 _ROOTS = np.exp2(np.arange(64) / 64.0)
 
 
@@ -127,7 +127,7 @@ class ChunkTable:
 
     @property
     def logarithmic(self) -> NDArray[np.bool_]:
-        """(C,) whether places of each chunk count steps of a symmetric logarithm."""
+        """(C,) whether each chunk is logarithmic."""
         return np.asarray(self.steps[:, 0] < 0.0)
 
     @property
@@ -136,7 +136,7 @@ class ChunkTable:
         return np.concatenate([np.zeros(1, np.int64), np.cumsum(self.counts, dtype=np.int64)])
 
     def of_all(self) -> NDArray[np.int32]:
-        """Return (N,) int32, the chunk of every Gaussian."""
+        """Return the chunk (N,) of every Gaussian, int32."""
         return np.repeat(np.arange(len(self), dtype=np.int32), self.counts)
 
 
@@ -157,13 +157,13 @@ class Geometry(NamedTuple):
 
 
 def chunk_starts(g: Gaussians, *, cuts: ArrayLike = (), finest: float = 0.0, lattices: Lattices | None = None) -> I64:
-    """Return (C,) int64, the first Gaussian of each chunk.
+    """Divide Gaussians into chunks; return the first Gaussian of each chunk, (C,) int64.
 
     Args:
         g: N Gaussians, in an order in which neighbors are near each other.
         cuts: Ascending ids before which a chunk always ends.
-        finest: Least scale that positions are made for, scene units; smaller Gaussians are placed no more finely.
-        lattices: Those that the centers lie on; a chunk also ends before a center of another lattice.
+        finest: Smallest scale that decides how fine positions are, scene units; below it they do not become finer.
+        lattices: Lattices that the centers lie on; a chunk has centers of one lattice only.
 
     Raises:
         ValueError: If `cuts` are not ascending or out of range.
@@ -189,6 +189,7 @@ def chunk_starts(g: Gaussians, *, cuts: ArrayLike = (), finest: float = 0.0, lat
 
 
 def _starts_of(places: NDArray[np.float64], largest: NDArray[np.int32], steps: NDArray[np.float64], most: int) -> I64:
+    """Return the first Gaussian of each chunk; arguments as for the kernel `chunk_starts`, with `most` steps a side."""
     found = np.empty(len(places), np.int64)
     return found[: kernels.chunk_starts(places, largest, steps, most, CHUNK, SPREAD, found)]
 
@@ -202,7 +203,7 @@ def build_chunks(
         g: N Gaussians.
         layout: Layout of the records.
         starts: (C,) the first Gaussian of each chunk, ascending from 0; None means `chunk_starts(g)`.
-        lattices: Those that the centers lie on. A chunk that lies on one is logarithmic, if its bits suffice.
+        lattices: Lattices that the centers lie on. A chunk on a lattice is logarithmic if the bits suffice.
 
     Raises:
         ValueError: If the starts do not ascend from 0, or a chunk is larger than `CHUNK`.
@@ -227,35 +228,49 @@ def build_chunks(
     strides = np.maximum(1, -(-ranges // ((1 << layout.scale) - 1)))
     bits = np.full((len(heads), 3), layout.position, np.uint8)
     if lattices is not None:
-        _lay_on(lattices, heads, places, origins, steps, bits)
+        _use_lattices(lattices, heads, places, origins, steps, bits)
     return ChunkTable(origins, steps, lows.astype(np.int16), strides.astype(np.uint8), counts, bits)
 
 
 def _boxes(means: F32, heads: I64, places: int) -> tuple[F32, F32]:
-    """Return origins and steps (C, 3) of the boxes around chunks, with so many steps along each side."""
-    low, high = (np.asarray(of.reduceat(means, heads, axis=0), np.float64) for of in (np.minimum, np.maximum))
+    """Return origins and steps (C, 3) of the boxes around chunks, with `places` steps along each side."""
+    low = np.minimum.reduceat(means, heads, axis=0).astype(np.float64)
+    high = np.maximum.reduceat(means, heads, axis=0).astype(np.float64)
     steps = ((high - low) / places).astype(np.float32)
-    short = steps.astype(np.float64) * places < high - low  # rounded down: the last step would not reach the end
+    short = steps.astype(np.float64) * places < high - low  # rounded down: the last place would not reach the end
     return low.astype(np.float32), np.where(short, np.nextafter(steps, np.float32(np.inf)), steps)
 
 
-def _lay_on(lattices: Lattices, heads: I64, most: int, origins: F32, steps: F32, bits: U8) -> None:
-    """Write origins, steps and bits of chunks on a lattice that have places up to `most` and are not too far away."""
-    low, high = (of.reduceat(lattices.places, heads, axis=0) for of in (np.minimum, np.maximum))
-    least, last = (of.reduceat(lattices.of, heads) for of in (np.minimum, np.maximum))
+def _use_lattices(lattices: Lattices, heads: I64, most: int, origins: F32, steps: F32, bits: U8) -> None:
+    """Make chunks logarithmic that lie on one lattice, need places up to `most` only, and are not too far away.
+
+    Args:
+        lattices: The lattices.
+        heads: (C,) first Gaussian of each chunk.
+        most: Highest place on an axis.
+        origins: (C, 3) origins of the chunks; changed.
+        steps: (C, 3) steps of the chunks; changed.
+        bits: (C, 3) bits of places; changed.
+    """
+    low = np.minimum.reduceat(lattices.places, heads, axis=0)
+    high = np.maximum.reduceat(lattices.places, heads, axis=0)
+    least = np.minimum.reduceat(lattices.of, heads)
+    last = np.maximum.reduceat(lattices.of, heads)
     rows = np.flatnonzero((least >= 0) & (least == last) & (high - low <= most).all(axis=1))
-    wide = np.frexp((high[rows] - low[rows]).astype(np.float64))[1]  # 0 for 0
+    wide = np.frexp((high[rows] - low[rows]).astype(np.float64))[1]  # bit length
     step = lattices.steps[least[rows]]
     origin = lattices.offsets[least[rows]] + low[rows] * step
     near = (np.maximum(np.abs(origin), np.abs(origin + (1 << wide) * step)) < _MOST_SYMLOG).all(axis=1)
     rows = rows[near]
-    origins[rows], steps[rows], bits[rows] = origin[near], -step[near], wide[near]
+    origins[rows] = origin[near]
+    steps[rows] = -step[near]
+    bits[rows] = wide[near]
 
 
 def encode_records(
     g: Gaussians, colors: U8, table: ChunkTable, layout: RecordLayout, *, chunks: ArrayLike | None = None
 ) -> U8:
-    """Return (N, 16) uint8, the records of Gaussians.
+    """Encode Gaussians as records, (N, 16) uint8.
 
     Args:
         g: N Gaussians.
@@ -267,26 +282,29 @@ def encode_records(
     Raises:
         ValueError: If lengths do not match, or a Gaussian lies outside its chunk.
     """
-    rows = _rows(table, chunks, len(g))
+    rows = _rows_of_records(table, chunks, len(g))
     base = _check.integers("colors", colors, (len(g), 4 if layout.color_scale else 3), np.uint8)
     levels = np.empty((len(g), 3), np.int32)
     kernels.log_scales(g.scales, levels)
-    places = _places(g.means, table, rows, layout)
+    places = _places_in_chunks(g.means, table, rows, layout)
     above = levels.min(axis=1, initial=1 << 20) - table.lows[rows]
     reach = ((1 << layout.scale) - 1) * table.strides[rows].astype(np.int32)
     over = levels.max(axis=1, initial=-(1 << 20)) - table.lows[rows] - reach
     if (above < 0).any() or (over > 0).any():
-        raise ValueError("g: expected scales within the ranges of their chunks, got one outside")
+        k = int(np.argmax((above < 0) | (over > 0)))
+        raise ValueError(f"g: expected scales within the ranges of their chunks, got {g.scales[k]} at index {k}")
     out = np.zeros((len(g), RECORD_BYTES), np.uint8)
     kernels.encode(rows, places, table.lows, table.strides, g.quats, levels, g.opacities, base, layout.bits, out)
     return out
 
 
-def _places(centers: F32, table: ChunkTable, rows: NDArray[np.int32], layout: RecordLayout) -> NDArray[np.int32]:
-    """Return the (N, 3) places of centers in their chunks.
+def _places_in_chunks(
+    centers: F32, table: ChunkTable, rows: NDArray[np.int32], layout: RecordLayout
+) -> NDArray[np.int32]:
+    """Return the places (N, 3) of centers (N, 3) in their chunks.
 
     Raises:
-        ValueError: If one is outside of its chunk.
+        ValueError: If a center is outside of its chunk.
     """
     curved = table.logarithmic[rows]
     steps = np.abs(table.steps[rows].astype(np.float64))
@@ -297,15 +315,18 @@ def _places(centers: F32, table: ChunkTable, rows: NDArray[np.int32], layout: Re
     most = (np.int64(1) << table.bits[rows].astype(np.int64)) - 1
     straight = ~curved[:, None]
     outside = np.where(straight, (away < 0) | (away > steps * most), (along < 0) | (along > most))
-    if outside.any() or table.bits.max(initial=0) > layout.position:
-        raise ValueError("g: expected Gaussians within the boxes of their chunks, got one outside")
+    if table.bits.max(initial=0) > layout.position:
+        raise ValueError(f"table: expected places of at most {layout.position} bits, got {table.bits.max()}")
+    if outside.any():
+        k = int(np.argmax(outside.any(axis=1)))
+        raise ValueError(f"g: expected centers within the boxes of their chunks, got {centers[k]} at index {k}")
     return np.asarray(np.minimum(along, most), np.int32)
 
 
 def decode_records(
     records: ArrayLike, table: ChunkTable, layout: RecordLayout, *, chunks: ArrayLike | None = None
 ) -> Geometry:
-    """Return the geometry of records. Any bytes decode to Gaussians that can be drawn.
+    """Decode the geometry of records. Any bytes decode to Gaussians that can be drawn.
 
     Args:
         records: (M, 16) uint8.
@@ -318,7 +339,7 @@ def decode_records(
     """
     packed = _check.integers("records", records, ("M", RECORD_BYTES), np.uint8)
     m = len(packed)
-    rows = _rows(table, chunks, m)
+    rows = _rows_of_records(table, chunks, m)
     found = Geometry(
         np.empty((m, 3), np.float32),
         np.empty((m, 4), np.float32),
@@ -337,7 +358,7 @@ def decode_records(
 
 
 def lay_linear(records: U8, table: ChunkTable, layout: RecordLayout) -> tuple[U8, ChunkTable]:
-    """Return records and chunks with places in boxes, in all bits of the layout; all but the centers stays as it was.
+    """Return records and chunks with linear places in all bits of the layout; only centers change.
 
     Args:
         records: (N, 16) uint8, which fill the table in order.
@@ -358,25 +379,25 @@ def lay_linear(records: U8, table: ChunkTable, layout: RecordLayout) -> tuple[U8
     bits[heads] = layout.position
     laid = ChunkTable(origins, steps, table.lows, table.strides, table.counts, bits)
     out = records.copy()
-    places = _places(means, laid, rows[some], layout)
+    places = _places_in_chunks(means, laid, rows[some], layout)
     kernels.put_places(out.view("<u8").reshape(-1, 2), some, places, layout.bits, layout.packed_from)
     return out, laid
 
 
 def packed_bits(bits: U8) -> NDArray[np.uint16]:
-    """Return (C,) uint16: bits (C, 3) of places on x, y and z, four bits each, lowest first."""
+    """Pack the bits (C, 3) of places on x, y and z into (C,) uint16, four bits each, x lowest."""
     return np.asarray(bits.astype(np.uint16) @ np.array([1, 16, 256], np.uint16), np.uint16)
 
 
 def unpack_bits(packed: ArrayLike, most: int) -> U8:
-    """Return the (C, 3) bits of `packed_bits`.
+    """Return the bits (C, 3) that `packed_bits` packed.
 
     Args:
         packed: (C,) uint16.
         most: Most bits of a place.
 
     Raises:
-        ValueError: If one has more bits, or a bit above them is set.
+        ValueError: If a place has more bits, or a bit above the three fields is set.
     """
     words = np.asarray(packed, np.uint16)
     _check.in_range("bits", words, 0, 0xFFF)
@@ -386,7 +407,7 @@ def unpack_bits(packed: ArrayLike, most: int) -> U8:
 
 
 def _check_steps(origins: F32, steps: F32, bits: U8) -> None:
-    """Raise unless each chunk is linear, or logarithmic with coordinates that float32 has."""
+    """Raise ValueError unless each chunk is linear, or logarithmic with coordinates that fit float32."""
     curved = (steps < 0.0).any(axis=1)
     ends = origins.astype(np.float64) - steps.astype(np.float64) * ((np.int64(1) << bits.astype(np.int64)) - 1)
     reach = np.maximum(np.abs(origins), np.abs(ends)).max(axis=1, initial=0.0)
@@ -402,7 +423,8 @@ def base_colors(records: U8, layout: RecordLayout) -> U8:
     return np.ascontiguousarray(records[:, 1 : layout.packed_from])
 
 
-def _rows(table: ChunkTable, chunks: ArrayLike | None, count: int) -> NDArray[np.int32]:
+def _rows_of_records(table: ChunkTable, chunks: ArrayLike | None, count: int) -> NDArray[np.int32]:
+    """Return the row (M,) of the chunk of each of `count` records; see `decode_records`."""
     if chunks is None:
         if int(table.counts.sum(dtype=np.int64)) != count:
             raise ValueError(f"table: expected chunks of {count:,} Gaussians, got {table.counts.sum():,}")

@@ -1,9 +1,9 @@
 """Encode the records and the terms of a part as bytes, and decode them; docs/design/041 has the measurements.
 
 A part has a head of 16 bytes: "GSVc", the version of the code, the kind (0 Gaussians, 1 terms), the bits of a number of
-terms, a zero, how many rows it has, and how many words of the coder follow. After the words of a part of Gaussians
-stand the lower bits of places. Probabilities begin anew in every part, so parts depend on nothing but the rows of their
-chunks. This module knows no file.
+terms, a zero, the number of rows, and the number of coder words that follow. In a part of Gaussians, the lower bits of
+places follow the words. Probabilities start anew in every part, so a part depends only on the rows of its chunks. This
+module does not read or write files.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ _LEVELS = coded_records.DEPTH // 3
 
 
 def memory_of(gaussians: int, terms: int, width: int) -> int:
-    """Return the bytes of memory that decoded Gaussians and terms of so many bytes take."""
+    """Return the bytes of memory that decoded Gaussians and terms take; `width` are the bytes of a term's record."""
     return gaussians * (RECORD_BYTES + 1 + 6) + terms * (width + 1)
 
 
 def encode_gaussians(records: U8, counts: U8, table: ChunkTable, layout: RecordLayout) -> bytes:
-    """Return the bytes of a part.
+    """Encode Gaussians as the bytes of a part.
 
     Args:
-        records: (G, 16) uint8; bits that the layout gives no meaning are 0.
+        records: (G, 16) uint8; bits that the layout does not use are 0.
         counts: (G,) uint8, number of terms of each.
         table: Rows of their chunks.
         layout: Layout of the records.
@@ -50,16 +50,16 @@ def encode_gaussians(records: U8, counts: U8, table: ChunkTable, layout: RecordL
     pairs = np.ascontiguousarray(records).view("<u8").reshape(-1, 2)
     words = np.zeros(64 * len(records) + 8, np.uint32)
     count_bits = int(counts.max(initial=0)).bit_length()
-    rows = _rows(table)
-    fields = _fields(layout, count_bits)
+    rows = _kernel_rows(table)
+    fields = _kernel_fields(layout, count_bits)
     used = coded_records.code(pairs, np.ascontiguousarray(counts), low, rows, fields, words, True)
-    packed = np.zeros(_bytes_of(bits), np.uint8)
+    packed = np.zeros(_packed_bytes(bits), np.uint8)
     coded_records.pack(low.reshape(-1), bits, packed)
-    return _joined(_GAUSSIANS, count_bits, words[:used], len(records)) + packed.tobytes()
+    return _join_part(_GAUSSIANS, count_bits, words[:used], len(records)) + packed.tobytes()
 
 
 def decode_gaussians(data: bytes, count: int, table: ChunkTable, layout: RecordLayout) -> tuple[U8, U8]:
-    """Return the (G, 16) records and the (G,) numbers of terms of a part; any result can be drawn.
+    """Decode the records (G, 16) and the numbers of terms (G,) of a part; any result can be drawn.
 
     Args:
         data: Bytes of the part.
@@ -68,24 +68,24 @@ def decode_gaussians(data: bytes, count: int, table: ChunkTable, layout: RecordL
         layout: Layout of the records.
 
     Raises:
-        ValueError: If the bytes are no such part, or have another number of Gaussians.
+        ValueError: If the bytes are not such a part, or the number of Gaussians differs.
     """
-    words, rest, count_bits = _split(data, _GAUSSIANS, count)
+    words, rest, count_bits = _split_part(data, _GAUSSIANS, count)
     bits = _low_bits(table)
-    if len(bits) != 3 * count or len(rest) != _bytes_of(bits):
+    if len(bits) != 3 * count or len(rest) != _packed_bytes(bits):
         raise ValueError(f"expected the places of {count:,} Gaussians, got {len(rest):,} bytes")
     low = np.empty((count, 3), np.uint16)
     pairs = np.empty((count, 2), np.uint64)
     coded_records.unpack(rest, bits, low.reshape(-1))
     counts = np.empty(count, np.uint8)
-    used = coded_records.code(pairs, counts, low, _rows(table), _fields(layout, count_bits), words, False)
+    used = coded_records.code(pairs, counts, low, _kernel_rows(table), _kernel_fields(layout, count_bits), words, False)
     if used != len(words):
-        raise ValueError(f"expected {count:,} Gaussians in {len(words):,} words, got {_used(used)}")
+        raise ValueError(f"expected {count:,} Gaussians in {len(words):,} words, got {_describe_words(used)}")
     return pairs.astype("<u8", copy=False).view(np.uint8).reshape(-1, RECORD_BYTES), counts
 
 
 def encode_terms(records: U8, firsts: NDArray[np.bool_], layout: TermLayout) -> bytes:
-    """Return the bytes of a part.
+    """Encode terms as the bytes of a part.
 
     Args:
         records: (M, B) uint8.
@@ -94,11 +94,11 @@ def encode_terms(records: U8, firsts: NDArray[np.bool_], layout: TermLayout) -> 
     """
     words = np.zeros(32 * len(records) + 8, np.uint32)
     used = coded_terms.code(np.ascontiguousarray(records), firsts, term_fields(layout), words, True)
-    return _joined(_TERMS, 0, words[:used], len(records))
+    return _join_part(_TERMS, 0, words[:used], len(records))
 
 
 def decode_terms(data: bytes, firsts: NDArray[np.bool_], layout: TermLayout) -> U8:
-    """Return the (M, B) records of the terms of a part; any result can be drawn.
+    """Decode the records (M, B) of the terms of a part; any result can be drawn.
 
     Args:
         data: Bytes of the part.
@@ -106,31 +106,33 @@ def decode_terms(data: bytes, firsts: NDArray[np.bool_], layout: TermLayout) -> 
         layout: Layout of the terms.
 
     Raises:
-        ValueError: If the bytes are no such part, or have another number of terms.
+        ValueError: If the bytes are not such a part, or the number of terms differs.
     """
-    words, rest, _ = _split(data, _TERMS, len(firsts))
+    words, rest, _ = _split_part(data, _TERMS, len(firsts))
     out = np.empty((len(firsts), layout.nbytes), np.uint8)
     if len(rest):
         raise ValueError(f"expected nothing behind the words of terms, got {len(rest):,} bytes")
     used = coded_terms.code(out, firsts, term_fields(layout), words, False)
     if used != len(words):
-        raise ValueError(f"expected {len(firsts):,} terms in {len(words):,} words, got {_used(used)}")
+        raise ValueError(f"expected {len(firsts):,} terms in {len(words):,} words, got {_describe_words(used)}")
     return out
 
 
-def _used(words: int) -> str:
+def _describe_words(words: int) -> str:
+    """Return the number of words that a decoder read, as text; it is below 0 for damaged words."""
     return f"{words:,} words" if words >= 0 else "damaged words"
 
 
-def _joined(kind: int, count_bits: int, words: U32, count: int) -> bytes:
+def _join_part(kind: int, count_bits: int, words: U32, count: int) -> bytes:
+    """Return the head and the words of a part."""
     return _HEAD.pack(_MAGIC, _VERSION, kind, count_bits, 0, count, len(words)) + words.astype("<u4").tobytes()
 
 
-def _split(data: bytes, kind: int, count: int) -> tuple[U32, U8, int]:
+def _split_part(data: bytes, kind: int, count: int) -> tuple[U32, U8, int]:
     """Return the words of a part, the bytes after them, and the bits of a number of terms.
 
     Raises:
-        ValueError: If the head is another one, or states more words than there are.
+        ValueError: If the head has a different kind or version, or more words than there are.
     """
     if len(data) < _HEAD.size:
         raise ValueError(f"expected a head of {_HEAD.size} bytes, got {len(data)}")
@@ -145,19 +147,22 @@ def _split(data: bytes, kind: int, count: int) -> tuple[U32, U8, int]:
 
 
 def _low_bits(table: ChunkTable) -> U8:
-    """Return (3 G,) how many bits of each coordinate of a place stand below the octree."""
+    """Return the number of bits (3 G,) of each coordinate of a place that are below the octree."""
     below = np.maximum(table.bits, _LEVELS) - np.uint8(_LEVELS)
     return np.repeat(below, table.counts, axis=0).reshape(-1)
 
 
-def _bytes_of(bits: U8) -> int:
+def _packed_bytes(bits: U8) -> int:
+    """Return the bytes that values with these numbers of bits take."""
     return -(-int(bits.sum(dtype=np.int64)) // 8)
 
 
-def _rows(table: ChunkTable) -> coded_records.Rows:
+def _kernel_rows(table: ChunkTable) -> coded_records.Rows:
+    """Return the rows of chunks as kernels take them."""
     columns = table.lows, table.strides, table.counts, table.bits
     return coded_records.Rows(*(column.astype(np.int64) for column in columns))
 
 
-def _fields(layout: RecordLayout, count_bits: int) -> coded_records.Fields:
+def _kernel_fields(layout: RecordLayout, count_bits: int) -> coded_records.Fields:
+    """Return the layout of records as kernels take it; `count_bits` are those of a number of terms."""
     return coded_records.Fields(*layout.bits, layout.packed_from - 1, count_bits, *logarithms())

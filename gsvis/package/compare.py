@@ -1,4 +1,4 @@
-"""Measure what a client gets: draw the scene as it came, and what is left of it after each step to a client."""
+"""Measure the image quality at a client: draw the source scene, and the scene after each step toward a client."""
 
 from __future__ import annotations
 
@@ -51,14 +51,14 @@ def measure_fidelity(
     active: CellTerms | None = None,
     progress: Progress = silent,
 ) -> Fidelity:
-    """Measure how near what a client holds at the end comes to a scene, in views.
+    """Measure the final quality at a client against the source scene, over views.
 
     Args:
-        scene: The scene as it came.
-        contents: The records of its package, of which a client holds the highest level in the end.
-        cameras: C > 0 views that nothing was fitted to.
-        exact: The highest level before rounding; without it only the last step is known apart.
-        sets: Visible sets of the package; None leaves out what a cell needs.
+        scene: The source scene.
+        contents: The records of its package; at the end a client shows their highest level.
+        cameras: C > 0 held-out views.
+        exact: The highest level before rounding. Without it, only the step "cells" is measured on its own.
+        sets: Visible sets of the package; None skips the step "cells".
         active: The terms that its cells need; None with `sets` means that no terms are sent.
         progress: Called with stage "fidelity", in views.
 
@@ -67,7 +67,7 @@ def measure_fidelity(
     """
     if len(cameras) == 0:
         raise ValueError("cameras: expected at least one, got none")
-    draw = _Drawing(scene, contents, exact, sets, active)
+    draw = _Steps(scene, contents, exact, sets, active)
     values: dict[str, list[float]] = {}
     progress("fidelity", 0, len(cameras))
     for c in range(len(cameras)):
@@ -84,8 +84,8 @@ def measure_fidelity(
     return Fidelity.from_values(values, cameras)
 
 
-class _Drawing:
-    """Draw views of a scene, and after each known step to a client."""
+class _Steps:
+    """Draws views of the source scene, and of the scene after each step toward a client."""
 
     def __init__(
         self,
@@ -107,13 +107,13 @@ class _Drawing:
         self._after = Evaluator(contents.colors().dequantize())
 
     def __call__(self, camera: Cameras) -> dict[str, F32]:
-        """Return the image of the scene, under "scene", and after each step, in the order of `STEPS`."""
+        """Return images (H, W, 3) by name: "scene" for the source, then one for each of `STEPS` that is known."""
         eye = camera.viewpoints[0]
-        images = {"scene": _draw(self._scene, camera)}
+        images = {"scene": _rasterize(self._scene, camera)}
         if self._exact is not None and self._before is not None:
             g = self._exact.gaussians
-            images["levels"] = _draw(g, camera)
-            images["terms"] = _draw(g, camera, self._before.colors(g.means, eye))
+            images["levels"] = _rasterize(g, camera)
+            images["terms"] = _rasterize(g, camera, self._before.colors(g.means, eye))
         images["rounding"] = self._draw_records(camera, eye, self._highest, None)
         if self._sets is not None:
             cell = _cell_of(self._sets.grid, eye)
@@ -126,19 +126,22 @@ class _Drawing:
         return images
 
     def _draw_records(self, camera: Cameras, eye: F64, held: Mask, active: Mask | None) -> F32:
+        """Return an image of the decoded Gaussians in `held` (N,), with the terms in `active` (T,) or all."""
         colors = self._after.colors(self._decoded.means, eye, active=active)
-        return _draw(self._decoded[held], camera, colors[held])
+        return _rasterize(self._decoded[held], camera, colors[held])
 
 
 def _cell_of(grid: CellGrid, eye: F64) -> int:
-    """Return the cell of an eye; outside of all, the one with the nearest center, as a planner does."""
+    """Return the cell of an eye (3,); outside of all cells, the one with the nearest center, as planners do."""
     cell = int(grid.cell_at(eye[None])[0])
     return cell if cell >= 0 else int(np.linalg.norm(grid.centers - eye, axis=1).argmin())
 
 
-def _draw(g: Gaussians, camera: Cameras, colors: F32 | None = None) -> F32:
+def _rasterize(g: Gaussians, camera: Cameras, colors: F32 | None = None) -> F32:
+    """Return the image (H, W, 3) of Gaussians from a camera, clipped to [0, 1]."""
     return np.asarray(np.clip(rasterize(g, camera, colors=colors).images[0], 0.0, 1.0), np.float32)
 
 
 def _psnr(image: F32, target: F32) -> float:
+    """Return the PSNR of two images in dB, at most 100."""
     return min(_CAP, float(psnr(image, target)))

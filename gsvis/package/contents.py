@@ -47,7 +47,7 @@ class Contents:
         term_records: (T, B) uint8, record of each term, Gaussian by Gaussian, in the order in which they are sent.
         grids: The tables of base colors and terms.
         starts: (P + 1,) id of the first Gaussian of each part, and N.
-        facts: What is known of the scene besides.
+        facts: Facts about the scene that are not in the records.
     """
 
     names: tuple[str, ...]
@@ -70,8 +70,8 @@ class Contents:
                 "coarse").
 
         Raises:
-            ValueError: If lengths do not match, the order is another one, a Gaussian has more than 255 terms, or
-                packages do not support the variant.
+            ValueError: If lengths do not match, the order is not that of a package, a Gaussian has more than 255 terms,
+                or packages do not support the variant.
         """
         g = levels.union
         if len(colors) != len(g):
@@ -135,7 +135,7 @@ class Contents:
         return np.asarray(self.chunk_levels[self.chunks, 1])
 
     def gaussians(self, ids: ArrayLike | None = None) -> Gaussians:
-        """Return the decoded Gaussians in SH degree 0: with base colors and without terms.
+        """Return decoded Gaussians with base colors only, as SH of degree 0.
 
         Args:
             ids: (M,) ids of the Gaussians; None means all.
@@ -156,7 +156,7 @@ class Contents:
         return Levels(self.gaussians(), self.first, self.last, self.names)
 
     def colors(self) -> QuantizedColors:
-        """Return the base colors and all terms, as places in their tables; a place past the end becomes the last."""
+        """Return the base colors and all terms, as indices of their tables; an index past the end becomes the last."""
         n = len(self)
         base = base_places(self.records, self.grids).astype(np.uint16)
         scales = base[:, 3] if self.layout.color_scale else np.zeros(0, np.uint16)
@@ -166,7 +166,7 @@ class Contents:
 
 
 def base_places(records: U8, grids: Grids) -> U8:
-    """Return (M, 3 or 4) uint8, the places of base colors in their tables; a place past the end becomes the last.
+    """Return base colors as indices of their tables, (M, 3 or 4) uint8; an index past the end becomes the last.
 
     Args:
         records: (M, 16) uint8.
@@ -179,7 +179,7 @@ def base_places(records: U8, grids: Grids) -> U8:
 
 
 def base_rgb(records: U8, grids: Grids) -> F32:
-    """Return (M, 3) float32 RGB >= 0, the colors of Gaussians without their terms.
+    """Return the colors of Gaussians without their terms, (M, 3) float32 RGB >= 0.
 
     Args:
         records: (M, 16) uint8.

@@ -1,4 +1,4 @@
-"""The cost of rounding to records: compares images of the decoded scene with images of the original scene."""
+"""Measure how much quality is lost by rounding to records: PSNR of images of the decoded against the exact scene."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a client gets: how near what it holds at the end comes to the scene as it came, in views held out of all else.
+"""The final quality at a client against the source scene, in held-out views.
 
 PSNR in dB over images clipped to [0, 1], 100 for equal images. This module holds the figures; `gsvis.package.compare`
 measures them.
@@ -20,8 +20,8 @@ from gsvis.scene.poses import cameras_from_poses, describe_poses
 __all__ = ["STEPS", "Fidelity", "Spread"]
 
 STEPS = ("levels", "terms", "rounding", "cells")
-"""Parts of the distance, in order: the highest level in place of the scene, terms in place of SH, records in place of
-exact values, and only what the cell of an eye needs in place of every record."""
+"""Steps from the source scene to a client: the highest level instead of the scene, terms instead of SH, records instead
+of exact values, and only what the cell of an eye needs instead of all records."""
 
 _MOST_POSES = 10_000
 
@@ -45,7 +45,7 @@ class Spread:
 
     @classmethod
     def from_fields(cls, fields: Fields) -> Spread:
-        """Return what `as_dict` of a manifest holds.
+        """Return the figures from the JSON of a manifest.
 
         Raises:
             FormatError: If a number is missing or not finite.
@@ -59,13 +59,13 @@ class Spread:
 
 @dataclass(frozen=True)
 class Fidelity:
-    """PSNR of what a client holds at the end against the scene as it came, and each part of the distance.
+    """PSNR at a client against the source scene, and the loss of each step.
 
     Attributes:
-        records: All records of the highest level, against the scene: what a client holds at the end.
-        cell: What the cell of each eye needs, its visible set and active terms, against the scene: what a client holds
-            before an idle link brings the rest. None for a package without visible sets.
-        steps: By names of `STEPS`: images after a step against images before it. Those that are known.
+        records: All records of the highest level, which a client holds at the end, against the source scene.
+        cell: The visible set and active terms of the cell of each eye, which a client holds before the link is idle,
+            against the source scene. None for a package without visible sets.
+        steps: By name in `STEPS`, images after a step against images before it; only steps that were measured.
         width: Width of the views, pixels.
         height: Height of the views, pixels.
         fov: Horizontal field of view, degrees.
@@ -87,11 +87,11 @@ class Fidelity:
 
     @classmethod
     def from_values(cls, values: Mapping[str, Sequence[float]], cameras: Cameras) -> Fidelity:
-        """Return the fidelity of PSNRs over views.
+        """Return the figures from PSNRs over views.
 
         Args:
-            values: One PSNR for each view under "records", and where known under "cell" and the names of `STEPS`.
-            cameras: C > 0 views of one field of view.
+            values: PSNRs of the C views under "records", and if known under "cell" and the names of `STEPS`.
+            cameras: C > 0 views with one field of view.
         """
         found = {name: Spread.from_values(each) for name, each in values.items()}
         fov = 2.0 * np.degrees(np.arctan(0.5 * cameras.width / cameras.Ks[0, 0, 0]))
@@ -107,7 +107,7 @@ class Fidelity:
 
     @classmethod
     def from_fields(cls, fields: Fields) -> Fidelity:
-        """Return what `as_dict` of a manifest holds.
+        """Return the figures from the JSON of a manifest.
 
         Raises:
             FormatError: If a value is missing or out of its range.
@@ -127,7 +127,7 @@ class Fidelity:
             width=fields.integer("width", 1, 1 << 14),
             height=fields.integer("height", 1, 1 << 14),
             fov=fov,
-            poses=tuple(_pose(row) for row in rows),
+            poses=tuple(_parse_pose(row) for row in rows),
         )
 
     def as_dict(self) -> dict[str, Any]:
@@ -147,7 +147,8 @@ class Fidelity:
         }
 
 
-def _pose(row: Fields) -> dict[str, Any]:
+def _parse_pose(row: Fields) -> dict[str, Any]:
+    """Return the position (3,) and rotation (4,) of a pose as lists; raise FormatError if they are invalid."""
     position = row.numbers("position", 3)
     rotation = row.numbers("rotation", 4)
     if not 0.99 < float(np.linalg.norm(rotation)) < 1.01:

@@ -1,8 +1,8 @@
 """Find the lattices on which the centers of Gaussians lie: SOG keeps 16 bits of the logarithm of each coordinate.
 
 A coordinate x has the symmetric logarithm u = sign(x) log(1 + |x|). In a SOG file, u is one of 65,536 values with even
-steps on each axis. Whoever knows the steps can keep such centers exactly, in fewer bits than a box of a chunk takes.
-They are found in the centers alone, so it does not matter through which files a scene came. Scene frame and units.
+steps on each axis. With these steps, centers can be stored exactly, in fewer bits than in the box of a chunk. The steps
+are found from the centers alone, so the scene may have been stored in other formats since. Scene frame and units.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ __all__ = ["Lattices", "find_lattices"]
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
-_RUN = 256  # Gaussians of a run in which a lattice shows
-_RUNS = 256  # runs that are looked at
-_MOST = 64  # lattices of a scene
+_RUN = 256  # consecutive Gaussians from which a step is estimated
+_RUNS = 256  # most runs that are examined
+_MOST = 64  # most lattices of a scene
 _DIFFERENT = 32  # fewest different values of a coordinate in a run
-_NEAR = 0.05  # of a step: how far from its lattice a center may lie
-_LEAST_STEP = 16.0  # smallest step of a lattice, in roundings of float32
-_PARTS = 32  # most steps between the two nearest of a run
-_SHARE = 0.01  # smallest share of the Gaussians that a lattice has
+_NEAR = 0.05  # largest distance of a center from its lattice, in steps
+_LEAST_STEP = 16.0  # smallest step of a lattice, in rounding errors of float32
+_PARTS = 32  # most steps between the two nearest values of a run
+_SHARE = 0.01  # smallest share of the Gaussians on a lattice
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,9 +35,9 @@ class Lattices:
 
     Attributes:
         offsets: (K, 3) symmetric logarithm at place 0.
-        steps: (K, 3) of the symmetric logarithm, > 0.
-        of: (N,) lattice of each center; -1 for those that lie on none.
-        places: (N, 3) place of each center on its lattice; 0 for those that lie on none.
+        steps: (K, 3) steps of the symmetric logarithm, > 0.
+        of: (N,) lattice of each center; -1 for a center on no lattice.
+        places: (N, 3) place of each center on its lattice; 0 for a center on no lattice.
     """
 
     offsets: F64
@@ -50,13 +50,13 @@ class Lattices:
         return len(self.steps)
 
     def __getitem__(self, ids: ArrayLike) -> Lattices:
-        """Return the same lattices with some of the centers."""
+        """Return the same lattices with the centers at an index array."""
         chosen = np.asarray(ids)
         return Lattices(self.offsets, self.steps, self.of[chosen], self.places[chosen])
 
 
 def find_lattices(means: NDArray[np.float32]) -> Lattices:
-    """Return the lattices of centers, those with most first; a scene that never was in a SOG file has none.
+    """Return the lattices of centers, the one with most centers first; a scene that was never in a SOG file has none.
 
     Args:
         means: (N, 3) centers, in an order in which neighbors are near each other.
@@ -68,7 +68,7 @@ def find_lattices(means: NDArray[np.float32]) -> Lattices:
     rest = np.arange(n)
     found = list[tuple[F64, F64]]()
     while len(found) < _MOST and len(rest) >= _RUN:
-        lattice = _common(logs[rest])
+        lattice = _find_common(logs[rest])
         if lattice is None:
             break
         offset, step = lattice
@@ -76,31 +76,32 @@ def find_lattices(means: NDArray[np.float32]) -> Lattices:
         on = (np.abs(along - np.rint(along)) < _NEAR).all(axis=1) & (np.abs(along) < 1 << 30).all(axis=1)
         if on.sum() < max(_RUN, _SHARE * n):
             break
-        of[rest[on]], places[rest[on]] = len(found), np.rint(along[on]).astype(np.int32)
+        of[rest[on]] = len(found)
+        places[rest[on]] = np.rint(along[on]).astype(np.int32)
         found.append(lattice)
         rest = rest[~on]
-    offsets, steps = (np.array([pair[k] for pair in found]).reshape(-1, 3) for k in range(2))
+    offsets = np.array([offset for offset, _ in found]).reshape(-1, 3)
+    steps = np.array([step for _, step in found]).reshape(-1, 3)
     return Lattices(offsets, steps, of, places)
 
 
-def _common(logs: F64) -> tuple[F64, F64] | None:
-    """Return offset and step (3,) of the lattice on which most runs of (N, 3) logarithms lie; None if there is none."""
+def _find_common(logs: F64) -> tuple[F64, F64] | None:
+    """Return offset (3,) and step (3,) of the lattice with most runs of logarithms (N, 3); None if there is none."""
     count = len(logs) // _RUN
     runs = [slice(_RUN * k, _RUN * (k + 1)) for k in np.unique(np.linspace(0, count - 1, _RUNS).astype(int)).tolist()]
-    steps = np.array([[_step(np.sort(logs[run, axis])) for axis in range(3)] for run in runs])
+    steps = np.array([[_find_step(np.sort(logs[run, axis])) for axis in range(3)] for run in runs])
     good = np.flatnonzero((steps > 0.0).all(axis=1))
     if len(good) == 0:
         return None
-    alike = [int((np.abs(steps[good] / steps[k] - 1.0) < 1e-3).all(axis=1).sum()) for k in good]
-    best = int(good[int(np.argmax(alike))])
+    same = [int((np.abs(steps[good] / steps[k] - 1.0) < 1e-3).all(axis=1).sum()) for k in good]
+    best = int(good[int(np.argmax(same))])
     near = np.concatenate([logs[runs[k]] for k in good])
-    fits = [_fit(near[:, axis], logs[runs[best], axis], float(steps[best, axis])) for axis in range(3)]
-    offset, step = (np.array([fit[k] for fit in fits]) for k in range(2))
-    return offset, step
+    fits = [_refine(near[:, axis], logs[runs[best], axis], float(steps[best, axis])) for axis in range(3)]
+    return np.array([offset for offset, _ in fits]), np.array([step for _, step in fits])
 
 
-def _step(u: F64) -> float:
-    """Return the largest step of which all distances of ascending values are multiples; 0 if there is none."""
+def _find_step(u: F64) -> float:
+    """Return the largest step that divides all differences of ascending values; 0 if there is none."""
     noise = 2.0**-23 * (1.0 - np.exp(-np.abs(u).max()))
     gaps = np.diff(u)
     gaps = gaps[gaps > 4.0 * noise]
@@ -121,10 +122,15 @@ def _step(u: F64) -> float:
     return 0.0
 
 
-def _fit(u: F64, run: F64, step: float) -> tuple[float, float]:
-    """Return offset and step of the lattice of a run, made exact by all values that lie on it, first near and then far.
+def _refine(u: F64, run: F64, step: float) -> tuple[float, float]:
+    """Return the offset and step of a lattice, fitted to all values on it: first those near the run, then farther ones.
 
-    Both are rounded far below the rounding of float32, so that an edit of some Gaussians seldom changes them.
+    Both are rounded, but much more finely than float32, so that an edit of some Gaussians seldom changes them.
+
+    Args:
+        u: Values on the axis.
+        run: Values of the run.
+        step: Step estimated from the run.
     """
     offset = float(np.median(run))
     offset = float(run[np.argmin(np.abs(run - offset))])

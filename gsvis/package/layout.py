@@ -3,7 +3,7 @@
 A Gaussian's record holds, in this order: opacity and three components of the base color, one byte each; the scale of
 the color, one byte, if the variant has one; then a little-endian bit string, lowest bits first. The bit string holds,
 for x, then y, then z: the place in the chunk's box, a component of the quaternion, and the log-scale. A term's record
-is one bit string. docs/design/016-package.md gives the reasons. This module holds numbers only.
+is one bit string. docs/design/016-package.md gives the reasons. This module only has numbers of bits.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ RECORD_BYTES = 16
 """Bytes of geometry and base color of a Gaussian."""
 
 PACKED_VARIANTS = ("rgb", "hsl")
-"""Variants of colors that packages and streams support; the other variants serve comparisons."""
+"""Variants of colors that packages and streams support; other variants are for comparisons only."""
 
 
 def check_packed(name: str) -> str:

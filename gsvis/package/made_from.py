@@ -1,7 +1,8 @@
-"""What a package was made from: name, size and content of each scene, and where it lies from the package, if near.
+"""The source scenes of a package: name, size and hash of each, and its relative path if it is near the package.
 
-A published package must not tell the folders of its maker. So the manifest holds a path only of a scene that lies
-beside the package or below the folder that holds it. The full path stands in the folder of work, which stays at home.
+A published package must not reveal folders of the machine that made it. So the manifest has a path only for a scene
+beside the package, or below the folder that has the package. Full paths are kept in the work folder, which is not
+published.
 """
 
 from __future__ import annotations
@@ -36,12 +37,12 @@ class MadeFrom:
 
     Attributes:
         name: Name of the file or folder; `builtin:NAME` of a built-in scene.
-        sha256: Hash of the file; None where a scene is several files or built in.
-        scene: `scene_hash` of its Gaussians where there is no such file; None if it was not read as a whole.
-        nbytes: Bytes of the file; None where there is no such file.
+        sha256: Hash of the file; None for a scene of several files and a built-in scene.
+        scene: `scene_hash` of its Gaussians if there is no single file; None if the scene was not read as a whole.
+        nbytes: Bytes of the file; None if there is no single file.
         gaussians: Number of Gaussians; None if they were not counted.
-        lod: Level of detail that was read; None for a scene without.
-        path: Path of the file from the folder of the package, with `/`; None if it lies elsewhere.
+        lod: Level of detail that was read; None for a scene without levels.
+        path: Path of the file relative to the folder of the package, with `/`; None if it is not near the package.
     """
 
     name: str
@@ -57,7 +58,7 @@ class MadeFrom:
         return asdict(self)
 
     def matches_file(self, path: Path) -> bool:
-        """Return whether a file can be read and has the content of the scene; True where no hash of a file is known."""
+        """Return whether a file is readable and has the content of the scene; True if no hash of a file is known."""
         if self.sha256 is None:
             return True
         try:
@@ -67,7 +68,7 @@ class MadeFrom:
 
 
 def made_from_of(provenance: Mapping[str, Any]) -> tuple[MadeFrom, ...]:
-    """Return what a package was made from, by its provenance; empty if it does not say so, or not in full."""
+    """Return the source scenes of a package from its provenance; empty if they are missing or incomplete."""
     rows = provenance.get(KEY)
     if not isinstance(rows, list) or not 1 <= len(rows) <= _MOST_SCENES:
         return ()
@@ -76,9 +77,9 @@ def made_from_of(provenance: Mapping[str, Any]) -> tuple[MadeFrom, ...]:
 
 
 def path_from_package(scene: str | os.PathLike[str], package: str | os.PathLike[str]) -> str | None:
-    """Return the path of a scene from the folder of a package; None if it lies elsewhere than beside or below.
+    """Return the path of a scene relative to the folder of a package; None if the scene is not beside it or below.
 
-    None too where a name in it is not one on every system, such as one with a colon: `made_from_of` refuses those.
+    None too if a name in the path is not valid on every system, such as one with a colon: `made_from_of` refuses those.
 
     Args:
         scene: File or folder of the scene.
@@ -94,9 +95,9 @@ def path_from_package(scene: str | os.PathLike[str], package: str | os.PathLike[
 
 
 def candidates_of(made: Sequence[MadeFrom], package: str | os.PathLike[str]) -> list[list[Path]]:
-    """Return for each scene the paths at which it may lie and something is, the likeliest first.
+    """Return for each scene the existing paths at which it may be, the likeliest first.
 
-    These are the path that the manifest states, the one that the folder of work notes, and the name beside the package.
+    These are the path in the manifest, the path in the work folder, and the same name beside the package.
 
     Args:
         made: From `made_from_of`.
@@ -114,14 +115,14 @@ def candidates_of(made: Sequence[MadeFrom], package: str | os.PathLike[str]) -> 
 
 
 def note_paths(package: str | os.PathLike[str], paths: Sequence[str | os.PathLike[str] | None]) -> None:
-    """Note the full path of each scene in the folder of work beside a package, if that folder exists.
+    """Write the full path of each scene to the work folder beside a package, if that folder exists.
 
     Args:
         package: Folder of the package.
         paths: Paths in the order of the scenes; None for a built-in scene.
 
     Raises:
-        OSError: If the note cannot be written.
+        OSError: If the file cannot be written.
     """
     note = _note_of(Path(os.path.abspath(package)))
     if not note.parent.is_dir():
@@ -132,11 +133,12 @@ def note_paths(package: str | os.PathLike[str], paths: Sequence[str | os.PathLik
 
 
 def _note_of(package: Path) -> Path:
+    """Return the file in the work folder that has the full paths."""
     return package.with_name(f"{package.name}.work") / _NOTE
 
 
 def _read_note(package: Path, count: int) -> list[Path | None]:
-    """Return the noted path of each scene; None where there is none."""
+    """Return the full path of each scene from the work folder; None if it is unknown."""
     none: list[Path | None] = [None] * count
     try:
         value = json.loads(read_whole(_note_of(package), _MOST_BYTES))
@@ -151,7 +153,7 @@ def _read_note(package: Path, count: int) -> list[Path | None]:
 
 
 def _parse(row: Any) -> MadeFrom | None:
-    """Return a scene from JSON; None if something is missing or of another kind."""
+    """Return a scene from JSON; None if a value is missing or invalid."""
     if not isinstance(row, dict):
         return None
     name = row.get("name")
@@ -168,16 +170,17 @@ def _parse(row: Any) -> MadeFrom | None:
 
 
 def _is_count(value: Any) -> bool:
+    """Return whether a JSON value is an integer >= 0 of at most 53 bits."""
     return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < _MOST
 
 
 def _is_name(name: str) -> bool:
-    """Return whether a text names a file in a folder, and no other place."""
+    """Return whether a text is a plain file name, without a folder."""
     return name not in ("", ".", "..") and not set(name) & set("/\\\0:")
 
 
 def _is_near(path: Any) -> bool:
-    """Return whether a text is a path that `path_from_package` can have written."""
+    """Return whether a value is a path that `path_from_package` can return."""
     if not isinstance(path, str) or not 0 < len(path) <= _MOST_NAME or set(path) & set("\\\0:"):
         return False
     first, *rest = path.split("/")

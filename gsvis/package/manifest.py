@@ -1,6 +1,6 @@
-"""The manifest of a package: its scene, frame, what was measured of it, and the name of every part.
+"""The manifest of a package: scene, frame, measured quality, and the name of every part.
 
-The manifest is JSON and contains its own hash. It is written last, so a folder with a manifest is complete. It holds no
+The manifest is JSON and contains its own hash. It is written last, so a folder with a manifest is complete. It has no
 path of the machine that made it, see `made_from.py`.
 """
 
@@ -39,7 +39,7 @@ _MOST = (1 << 31) - 1
 
 @dataclass(frozen=True)
 class Cost:
-    """The cost of rounding to records in image quality: decoded against unrounded, highest level, all terms.
+    """Image quality after rounding to records: the highest level with all terms, decoded against exact.
 
     Attributes:
         psnr: Mean PSNR over views, dB; 100 for equal images.
@@ -65,9 +65,9 @@ class PackageInfo:
         meters_per_unit: Meters in a scene unit; 0 if unknown.
         cost: Cost of rounding; None if it was not measured.
         provenance: Any JSON values.
-        fidelity: How near what a client gets comes to the scene; None if it was not measured.
+        fidelity: Final quality at a client against the source scene; None if it was not measured.
         epsilon: Contribution above which a term is active in a cell; None if cells do not choose terms.
-        facts: What is known of the scene besides, such as its origin and whether it is antialiased.
+        facts: More facts, such as the origin of the scene and whether it is antialiased.
 
     Raises:
         ValueError: If a value is out of its range.
@@ -97,7 +97,7 @@ class PackageInfo:
 
 @dataclass(frozen=True)
 class Block:
-    """A run of Gaussians and their terms, as parts.
+    """Consecutive Gaussians and their terms, in parts.
 
     Attributes:
         gaussians: Part with the records of the Gaussians.
@@ -138,7 +138,7 @@ class Manifest:
         tables: Parts with the rows of chunks, and the number of rows in each part.
         blocks: Blocks of Gaussians and terms.
         visibility: The store of visible sets, or None.
-        active_terms: Lists of active terms, which packages of version 2 hold; None in others.
+        active_terms: Lists of active terms in a package of version 2; None otherwise.
         version: Version of the format.
     """
 
@@ -165,9 +165,9 @@ class Manifest:
 
     @property
     def views(self) -> list[dict[str, list[float]]]:
-        """Views to begin with, the best first, as the provenance has them: `position` (3,) and `rotation` (4,) wxyz.
+        """Starting views from the provenance, the best first: `position` (3,) and `rotation` (4,) wxyz.
 
-        World from camera, OpenCV axes. What is no such view is left out.
+        World from camera, OpenCV axes. Invalid entries are skipped.
         """
         listed = self.info.provenance.get("views")
         kinds = (("position", 3), ("rotation", 4))
@@ -188,7 +188,7 @@ class Manifest:
                 yield from blob.parts
 
     def sizes(self) -> dict[str, int]:
-        """Return the bytes of the parts by content: "records", "chunks", "terms", "visibility", old "active_terms"."""
+        """Return bytes of the parts by content: "records", "chunks", "terms", "visibility", perhaps "active_terms"."""
         sizes = {
             "records": sum(block.gaussians.nbytes for block in self.blocks),
             "chunks": sum(part.nbytes for part, _ in self.tables),
@@ -241,8 +241,8 @@ class Manifest:
         """Read and check a manifest.
 
         Raises:
-            FormatError: If the file is no manifest, damaged, of another version, a link out of its folder, or
-                inconsistent.
+            FormatError: If the file is not a manifest, is damaged, has an unsupported version, is a link out of its
+                folder, or is inconsistent.
             OSError: If the file cannot be opened.
         """
         inside(path, "", path.parent, path.name)
@@ -258,14 +258,15 @@ class Manifest:
         try:
             if digest != _digest(value):
                 raise FormatError(path, "sha256", "the hash of the rest", repr(digest)[:20], DAMAGED)
-            return cls._of(fields, version)
+            return cls._from_fields(fields, version)
         except RecursionError as error:
             raise FormatError(path, "", "JSON", "objects nested too deeply", DAMAGED) from error
         except ValueError as error:
             raise FormatError(path, "", "valid values", str(error), DAMAGED) from error
 
     @classmethod
-    def _of(cls, fields: Fields, version: int) -> Manifest:
+    def _from_fields(cls, fields: Fields, version: int) -> Manifest:
+        """Return the manifest from parsed JSON of a version; raise FormatError or ValueError if a value is invalid."""
         scene = fields.text("scene")
         quantized = fields.child("quantization")
         colors = quantized.child("colors")
@@ -276,7 +277,7 @@ class Manifest:
                 raise FormatError(
                     fields.path, f"quantization.{key}", f"{asdict(layout)}", repr(quantized.raw(key))[:200]
                 )
-        levels = _objects(fields, "levels")
+        levels = _parse_objects(fields, "levels")
         names = tuple(level.text("name")[:100] for level in levels)
         if not 1 <= len(names) <= 16 or len(set(names)) < len(names):
             raise FormatError(fields.path, "levels", "1 to 16 levels of different names", f"{names}"[:200])
@@ -298,10 +299,10 @@ class Manifest:
             names,
             tuple(level.integer("count", 1, _MOST) for level in levels),
             grids,
-            tuple((Part.from_fields(row), row.integer("count", 1, _MOST)) for row in _objects(fields, "chunks")),
-            tuple(_block(row, "arrow" if version == 2 else "bin") for row in _objects(fields, "blocks")),
-            _blob(fields, "visibility"),
-            _blob(fields, "active_terms") if version == 2 else None,
+            tuple((Part.from_fields(row), row.integer("count", 1, _MOST)) for row in _parse_objects(fields, "chunks")),
+            tuple(_parse_block(row, "arrow" if version == 2 else "bin") for row in _parse_objects(fields, "blocks")),
+            _parse_blob(fields, "visibility"),
+            _parse_blob(fields, "active_terms") if version == 2 else None,
             version,
         )
         for key, claimed, counted in (("gaussians", "gaussians", found.gaussians), ("terms", "terms", found.terms)):
@@ -310,21 +311,24 @@ class Manifest:
         return found
 
 
-def _objects(fields: Fields, key: str) -> list[Fields]:
+def _parse_objects(fields: Fields, key: str) -> list[Fields]:
+    """Return the objects of a list."""
     return [Fields(fields.path, f"{fields.where(key)}[{k}]", row) for k, row in enumerate(fields.items(key))]
 
 
-def _block(row: Fields, suffix: str) -> Block:
-    rows = _objects(row, "term_parts")
+def _parse_block(row: Fields, suffix: str) -> Block:
+    """Return a block from JSON; `suffix` is that of its parts."""
+    rows = _parse_objects(row, "term_parts")
     parts = tuple((Part.from_fields(part, suffix), part.integer("count", 1, _MOST)) for part in rows)
     return Block(Part.from_fields(row, suffix), parts, row.integer("count", 1, _MOST), row.integer("terms", 0, _MOST))
 
 
-def _blob(fields: Fields, key: str) -> Blob | None:
+def _parse_blob(fields: Fields, key: str) -> Blob | None:
+    """Return a file that is cut into parts, from JSON; None if it is absent."""
     if key not in fields:
         return None
     child = fields.child(key)
-    parts = tuple(Part.from_fields(part, "bin") for part in _objects(child, "parts"))
+    parts = tuple(Part.from_fields(part, "bin") for part in _parse_objects(child, "parts"))
     total = child.integer("bytes", 0, 1 << 50)
     if total != sum(part.nbytes for part in parts):
         raise FormatError(fields.path, f"{key}.bytes", f"{sum(p.nbytes for p in parts):,}", f"{total:,}", DAMAGED)
@@ -332,12 +336,13 @@ def _blob(fields: Fields, key: str) -> Blob | None:
 
 
 def _digest(value: dict[str, Any]) -> str:
+    """Return the hash of a manifest without its "sha256"."""
     text = json.dumps(value, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _is_vector(value: Any, count: int) -> bool:
-    """Return whether a JSON value is a list of `count` numbers below 1e300, which a float holds."""
+    """Return whether a JSON value is a list of `count` numbers below 1e300, which fit a float."""
     if not isinstance(value, list) or len(value) != count:
         return False
     return all(isinstance(each, (int, float)) and not isinstance(each, bool) and abs(each) < 1e300 for each in value)

@@ -1,7 +1,8 @@
-"""The order of a package: by level, by lattice, along a Morton curve, then within a chunk by coverage.
+"""The order of Gaussians in a package: by level, by lattice, along a Morton curve, then within a chunk by coverage.
 
-Also where parts begin. Gaussians with the same levels are adjacent, and neighbors in space on one lattice are near each
-other. The order depends only on the Gaussians, not on their order in the input. Scene frame and units.
+This module also decides where parts begin. Gaussians with the same levels are adjacent, and neighbors in space on one
+lattice are near each other. The order depends only on the Gaussians, not on their order in the input. Scene frame and
+units.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ U64 = NDArray[np.uint64]
 MOST_GAUSSIANS = 1 << 15
 """Most Gaussians of a part: 512 KiB of records."""
 
-_TOP = 60  # bits below the eight largest cells of the curve
+_TOP = 60  # bits of a code below the three bits of the eight largest cells
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,10 +37,10 @@ class PackageOrder:
 
     Attributes:
         permutation: (N,) ids of the Gaussians in the order of the package.
-        starts: (P + 1,) where parts begin, and N. A part is a cell of the curve, or neighboring cells of one parent.
-            Its Gaussians have the same first and last level and lie on the same lattice. So an edit changes only the
-            parts that it lies in.
-        chunks: (C,) where chunks begin.
+        starts: (P + 1,) first Gaussian of each part, and N. A part is a cell of the curve, or neighboring cells of one
+            parent. Its Gaussians have the same first and last level and are on the same lattice. So an edit changes
+            only the parts of the edited Gaussians.
+        chunks: (C,) first Gaussian of each chunk.
         lattices: The lattices of the centers, in the order of the package.
     """
 
@@ -52,21 +53,21 @@ class PackageOrder:
     def from_levels(cls, levels: Levels) -> PackageOrder:
         """Return the order for levels."""
         union = levels.union
-        codes = morton_codes(union.means, *_frame(union))
+        codes = morton_codes(union.means, *_curve_frame(union))
         keys = levels.first.astype(np.int64) * 16 + (15 - levels.last)
         order = np.lexsort((codes, keys))
-        order = _by_content(union, codes, keys, order)
+        order = _sort_ties(union, codes, keys, order)
         lattices = find_lattices(union.means[order])
-        order, lattices = _by_lattice(order, keys[order], lattices)
+        order, lattices = _sort_by_lattice(order, keys[order], lattices)
         codes = codes[order]
         keys = keys[order] * (len(lattices) + 1) + lattices.of
         cuts = [0]
         groups = np.append(np.flatnonzero(np.diff(keys, prepend=-2)), len(keys)).tolist()
         for low, high in pairwise(groups):
-            cuts += [end for _, end in _parts(codes, low, high, _TOP)]
-        chunks = chunk_starts(union[order], cuts=cuts[1:-1], finest=_finest(union), lattices=lattices)
+            cuts += [end for _, end in _split_parts(codes, low, high, _TOP)]
+        chunks = chunk_starts(union[order], cuts=cuts[1:-1], finest=_small_scale(union), lattices=lattices)
         inside = np.repeat(np.arange(len(chunks)), np.diff(np.append(chunks, len(order))))
-        inner = np.lexsort((-_strengths(union)[order], inside))
+        inner = np.lexsort((-_coverages(union)[order], inside))
         return cls(order[inner], np.array(cuts, np.int64), chunks, lattices[inner])
 
 
@@ -83,7 +84,7 @@ def in_package_order(levels: Levels) -> Levels:
 
 
 def morton_codes(means: NDArray[np.float32], center: NDArray[np.float64], half: float) -> U64:
-    """Return (N,) places along a Morton curve of 2^63 cells, evenly spaced within `half` of `center` (3,).
+    """Return codes (N,) along a Morton curve of 2^63 cells, evenly spaced within `half` of `center` (3,).
 
     Args:
         means: (N, 3) positions in the frame and units of `center`.
@@ -95,7 +96,7 @@ def morton_codes(means: NDArray[np.float32], center: NDArray[np.float64], half: 
     return codes
 
 
-def _frame(g: Gaussians) -> tuple[NDArray[np.float64], float]:
+def _curve_frame(g: Gaussians) -> tuple[NDArray[np.float64], float]:
     """Return the center (3,) and half width of the curve's even part, rounded so that few edits change them."""
     if len(g) == 0:
         return np.zeros(3), 1.0
@@ -105,22 +106,22 @@ def _frame(g: Gaussians) -> tuple[NDArray[np.float64], float]:
     return np.rint((low + high) / 2.0 / (half / 8.0)) * (half / 8.0), half
 
 
-def _finest(g: Gaussians) -> float:
-    """Return the scale of the small Gaussians of a scene, rounded so that few edits change it."""
+def _small_scale(g: Gaussians) -> float:
+    """Return the scale of the smallest Gaussians, a 2% quantile, rounded so that few edits change it."""
     if len(g) == 0:
         return 0.0
     small = float(np.quantile(g.scales.max(axis=1).astype(np.float64), 0.02))
     return float(2.0 ** np.floor(np.log2(small)))
 
 
-def _strengths(g: Gaussians) -> NDArray[np.float64]:
-    """Return (N,) opacity times a measure of the mean cross-section: an estimate of coverage."""
+def _coverages(g: Gaussians) -> NDArray[np.float64]:
+    """Return estimates of coverage (N,): opacity times a measure of the mean cross-section."""
     s = g.scales.astype(np.float64)
     return np.asarray(g.opacities * (s[:, 0] * s[:, 1] + s[:, 1] * s[:, 2] + s[:, 2] * s[:, 0]))
 
 
-def _by_content(g: Gaussians, codes: U64, keys: I64, order: I64) -> I64:
-    """Return the order, with Gaussians in the same cell of the curve sorted by their values."""
+def _sort_ties(g: Gaussians, codes: U64, keys: I64, order: I64) -> I64:
+    """Return the order in which Gaussians in the same cell of the curve are sorted by their values."""
     same = (np.diff(codes[order]) == 0) & (np.diff(keys[order]) == 0)
     tied = np.flatnonzero(np.append(same, False) | np.insert(same, 0, False))
     if len(tied) == 0:
@@ -133,14 +134,23 @@ def _by_content(g: Gaussians, codes: U64, keys: I64, order: I64) -> I64:
     return order
 
 
-def _by_lattice(order: I64, keys: I64, lattices: Lattices) -> tuple[I64, Lattices]:
-    """Return an order and the lattices in it, with the Gaussians of equal keys sorted by their lattice."""
-    sorted_ = np.lexsort((lattices.of, keys))
-    return order[sorted_], lattices[sorted_]
+def _sort_by_lattice(order: I64, keys: I64, lattices: Lattices) -> tuple[I64, Lattices]:
+    """Sort Gaussians of equal keys by their lattice; return the new order, and the lattices in it."""
+    places = np.lexsort((lattices.of, keys))
+    return order[places], lattices[places]
 
 
-def _parts(codes: U64, low: int, high: int, shift: int) -> list[tuple[int, int]]:
-    """Return ranges of at most `MOST_GAUSSIANS`, cell by cell; neighboring small cells of one parent are joined."""
+def _split_parts(codes: U64, low: int, high: int, shift: int) -> list[tuple[int, int]]:
+    """Split Gaussians [low, high) into ranges of at most `MOST_GAUSSIANS`, each a cell of the curve.
+
+    Neighboring small cells of one parent are joined.
+
+    Args:
+        codes: Ascending codes of all Gaussians.
+        low: First Gaussian.
+        high: End.
+        shift: Bits of a code below the three bits of the cells to split by.
+    """
     if high - low <= MOST_GAUSSIANS:
         return [(low, high)]
     if shift < 0:  # all in one smallest cell
@@ -156,6 +166,6 @@ def _parts(codes: U64, low: int, high: int, shift: int) -> list[tuple[int, int]]
         if small and joins and stop - found[-1][0] <= MOST_GAUSSIANS:
             found[-1] = (found[-1][0], stop)
         else:
-            found += _parts(codes, start, stop, shift - 3)
+            found += _split_parts(codes, start, stop, shift - 3)
         joins = small
     return found

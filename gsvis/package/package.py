@@ -105,7 +105,7 @@ class Package:
             path: Folder of the package.
 
         Raises:
-            FormatError: If the folder is no package, or the manifest is damaged or of another version.
+            FormatError: If the folder is not a package, or the manifest is damaged or has an unsupported version.
             OSError: If the manifest cannot be opened.
         """
         return cls(path)
@@ -135,7 +135,7 @@ class Package:
         """All records, read and checked once; 16 bytes of memory a Gaussian and a few bytes a term.
 
         Raises:
-            FormatError: If a part is missing, damaged, or does not fit the others.
+            FormatError: If a part is missing, damaged, or inconsistent with the manifest.
         """
         m = self.manifest
         budget = self._budget()
@@ -147,11 +147,11 @@ class Package:
         return found
 
     def part_of(self, gaussian: int) -> tuple[Contents, int]:
-        """Return the records of the part that holds a Gaussian, and the id of the first of them; read nothing else.
+        """Return the records of the part that has a Gaussian, and the id of its first Gaussian; read nothing else.
 
         Raises:
             ValueError: If there is no such Gaussian.
-            FormatError: If a part that is read is missing, damaged, or does not fit the others.
+            FormatError: If a part that is read is missing, damaged, or inconsistent with the manifest.
         """
         if not 0 <= gaussian < len(self):
             raise ValueError(f"gaussian: expected an id below {len(self):,}, got {gaussian}")
@@ -169,53 +169,52 @@ class Package:
 
         Raises:
             SceneError: If the package has no visible sets.
-            FormatError: If the store is damaged, or belongs to another scene.
+            FormatError: If the store is damaged, or belongs to a different scene.
         """
         self.set_files(verify=True)
         return self.open_sets()
 
     def open_sets(self, cache: Cache[Any] | None = None, *, order: NDArray[np.int32] | None = None) -> VisibilityStore:
-        """Open the visible sets where they lie; `close` closes them. What is read is checked by checksums of the store.
+        """Open the visible sets in place; `close` closes them. Data is checked by the checksums of the store when read.
 
         Args:
-            cache: Keeps all that is decoded; None means one of its own.
-            order: (N,) `VisibilityStore.order`, where it is known.
+            cache: Cache for decoded data; None means a new one.
+            order: (N,) `VisibilityStore.order`, if it is known.
 
         Raises:
             SceneError: If the package has no visible sets.
-            FormatError: If the store is damaged, or belongs to another scene.
+            FormatError: If the store is damaged, or belongs to a different scene.
         """
         store = open_sets(self._parts.folder, self.manifest, cache, order=order, is_held=True)
         self._opened.callback(store.close)
         return store
 
     def set_files(self, *, verify: bool = False) -> list[Path]:
-        """Return the files of the visible sets; none without visible sets.
+        """Return the files of the visible sets; empty without visible sets.
 
         Args:
             verify: Whether to read them and compare their content with their names; otherwise only their sizes.
 
         Raises:
-            FormatError: If one is missing or damaged.
+            FormatError: If a file is missing or damaged.
         """
         blob = self.manifest.visibility
-        return (
-            []
-            if blob is None
-            else [self._parts.path_of(part) if verify else self._parts.check_size(part) for part in blob.parts]
-        )
+        if blob is None:
+            return []
+        check = self._parts.path_of if verify else self._parts.check_size
+        return [check(part) for part in blob.parts]
 
     def check_parts(self) -> None:
-        """Raise unless every part is there in its size; read none of them.
+        """Check that every part exists with the right size; read none of them.
 
         Raises:
-            FormatError: If a part is missing, a link, or has another size.
+            FormatError: If a part is missing, a link, or has a wrong size.
         """
         for part in self.manifest.parts():
             self._parts.check_size(part)
 
     def forget_records(self) -> None:
-        """Free the memory of the records and of what was decoded from them; they are read again when needed."""
+        """Free the memory of the records and of data decoded from them; they are read again when needed."""
         for name in ("contents", "active_terms"):
             self.__dict__.pop(name, None)
 
@@ -229,12 +228,12 @@ class Package:
         lists = self.manifest.active_terms
         if lists is None:
             return self.manifest.info.epsilon
-        with ActiveTerms(self._join(lists, "active.terms.arrow")) as store:
+        with ActiveTerms(self._join_blob(lists, "active.terms.arrow")) as store:
             return store.epsilon
 
     @cached_property
     def active_terms(self) -> CellTerms:
-        """The terms that each cell needs, found from the visible sets when they are asked for.
+        """The terms that each cell needs, computed from the visible sets cell by cell on request.
 
         Raises:
             SceneError: If the package has no visible sets, or its cells do not choose terms.
@@ -265,7 +264,7 @@ class Package:
             contents.levels()
             contents.colors()
         except ValueError as error:
-            raise self._fault("records", "what can be drawn", str(error)) from error
+            raise self._fault("records", "records that can be drawn", str(error)) from error
         if not np.array_equal(base_colors(contents.records, contents.layout), base_places(contents.records, m.grids)):
             raise self._fault("records", "base colors within their tables", "places past the end")
         cells = 0
@@ -284,7 +283,7 @@ class Package:
         return RECORD_BYTES, TermLayout.from_grids(self.manifest.grids).nbytes
 
     def _read_chunks(self, budget: Budget) -> tuple[ChunkTable, U8]:
-        """Return the rows of all chunks, and the (C, 2) levels of each."""
+        """Return the rows of all chunks, and the first and last level (C, 2) of each."""
         m = self.manifest
         types = _TABLE if m.version == 2 else {**_TABLE, **_BITS}
         tables = [self._parts.read_columns(part, "chunks", types, rows, budget) for part, rows in m.tables]
@@ -294,10 +293,10 @@ class Package:
         if wrong.any():
             first, last = levels[int(np.argmax(wrong))].tolist()
             raise self._fault("chunks", f"levels in order, below {len(m.names)}", f"{first} to {last}")
-        return ChunkTable.concatenate([self._table(columns) for columns in tables]), levels
+        return ChunkTable.concatenate([self._parse_chunks(columns) for columns in tables]), levels
 
     def _decode(self, m: Manifest, table: ChunkTable, levels: U8, budget: Budget) -> Contents:
-        """Return the records of the blocks of a manifest, whose chunks are these."""
+        """Return the records of the blocks of a manifest, from the rows and levels of their chunks."""
         starts = np.concatenate([[0], np.cumsum([block.count for block in m.blocks])]).astype(np.int64)
         blocks = read_blocks(self._parts, m, table, starts, budget)
         empty = [np.zeros((0, width), np.uint8) for width in self._widths]
@@ -306,13 +305,15 @@ class Package:
         return Contents(m.names, table, levels, records, counts, terms, m.grids, starts, m.info.facts)
 
     def _budget(self) -> Budget:
-        """Return the memory budget of all parts together, from their size on disk; a part named twice counts once."""
+        """Return the memory budget of all parts, from their size on disk; a part that is named twice counts once."""
         different = {part.name: part for part in self.manifest.parts()}.values()
         files = [self._parts.folder / part.name for part in different]
         return Budget(self.path, sum(file.stat().st_size for file in files if file.is_file()))
 
-    def _table(self, columns: dict[str, Any]) -> ChunkTable:
-        origins, steps = (np.stack([columns[f"{of}_{axis}"] for axis in "xyz"], axis=1) for of in ("origin", "step"))
+    def _parse_chunks(self, columns: dict[str, Any]) -> ChunkTable:
+        """Return the rows of chunks from the columns of a part; raise FormatError if a value is invalid."""
+        origins = np.stack([columns[f"origin_{axis}"] for axis in "xyz"], axis=1)
+        steps = np.stack([columns[f"step_{axis}"] for axis in "xyz"], axis=1)
         most = RecordLayout.from_variant(self.manifest.grids.variant).position
         bits = np.full(origins.shape, most, np.uint8)
         try:
@@ -325,14 +326,15 @@ class Package:
         except ValueError as error:
             raise self._fault("chunks", "valid rows", str(error)) from error
 
-    def _join(self, blob: Blob | None, name: str) -> Path:
-        """Write a store as one file in a temporary folder and return its path; `close` removes the folder."""
+    def _join_blob(self, blob: Blob | None, name: str) -> Path:
+        """Write a store in parts as one temporary file, and return its path; `close` removes the file."""
         folder = Path(self._opened.enter_context(temporary_folder()))
         with output_errors(folder, remedy=TEMPORARY):
             self._write_joined(blob, folder / name)
         return folder / name
 
     def _write_joined(self, blob: Blob | None, path: Path) -> None:
+        """Write the parts of a store, one after the other, to a file."""
         if blob is None:
             raise SceneError(f"{self.path}: the package has no {path.name.split('.')[-2]}; prepare it with visibility")
         with path.open("wb") as file:
@@ -344,6 +346,6 @@ class Package:
 
 
 def columns_of(table: ChunkTable, levels: U8) -> dict[str, NDArray[Any]]:
-    """Return a table of chunks, with the (C, 2) first and last level of each chunk, as columns of a part."""
+    """Return the columns of a part with rows of chunks; `levels` (C, 2) are the first and last level of each chunk."""
     values = [*table.origins.T, *table.steps.T, table.lows, table.strides, table.counts, *levels.T, *table.bits.T]
     return dict(zip([*_TABLE, *_BITS], values, strict=True))

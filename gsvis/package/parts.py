@@ -1,7 +1,7 @@
 """Parts: files of one folder, named by the SHA-256 of their content. They are written once and checked at each read.
 
-A name is 64 hexadecimal digits and a suffix, so no name leads out of the folder. This module does not know the content
-of columns.
+A name is 64 hexadecimal digits and a suffix, so no name leads out of the folder. This module does not interpret the
+content of parts.
 """
 
 from __future__ import annotations
@@ -108,6 +108,7 @@ class PartFolder:
         """Write bytes as they are, and return their part."""
 
         def write(path: Path) -> None:
+            """Write the bytes to a file."""
             path.write_bytes(data)
 
         return self._write("bin", write)
@@ -116,7 +117,7 @@ class PartFolder:
         """Check the size and content of a part, and return its path.
 
         Raises:
-            FormatError: If the part is missing, a link, a folder, or has another content.
+            FormatError: If the part is missing, a link, a folder, or its content does not fit its name.
         """
         path = self.check_size(part)
         digest = digest_of(path)
@@ -128,7 +129,7 @@ class PartFolder:
         """Return the path of a part that is a file of the right size; do not read it.
 
         Raises:
-            FormatError: If the part is missing, a link, a folder, or has another size.
+            FormatError: If the part is missing, a link, a folder, or has a wrong size.
         """
         path = self.folder / part.name
         if path.is_symlink():
@@ -149,7 +150,7 @@ class PartFolder:
         """Return the bytes of a part.
 
         Raises:
-            FormatError: If the part is missing, a link, a folder, or has another content.
+            FormatError: If the part is missing, a link, a folder, or its content does not fit its name.
         """
         return read_whole(self.path_of(part))
 
@@ -166,8 +167,8 @@ class PartFolder:
             budget: Memory budget to claim from; None gives the part a budget of its own.
 
         Raises:
-            FormatError: If the part is missing, a link, a folder, has another content, is of another kind, or has other
-                columns or another number of rows.
+            FormatError: If the part is missing, a link or a folder, its content does not fit its name, or its kind,
+                columns or number of rows are not those expected.
         """
         path = self.path_of(part)
         file = ArrowFile(path, FORMAT, VERSION)
@@ -185,7 +186,7 @@ class PartFolder:
         }
 
     def remove_all_but(self, kept: Iterable[Part]) -> int:
-        """Remove all parts but `kept`, and the leftovers of killed runs. Other files stay.
+        """Remove all parts except `kept`, and temporary files of killed runs. Other files stay.
 
         Returns:
             Number of files removed.
@@ -197,7 +198,7 @@ class PartFolder:
         return len(stale)
 
     def _write(self, suffix: str, write: Callable[[Path], None]) -> Part:
-        """Write a temporary file, hash it, and rename it unless the same part exists already; return the part."""
+        """Write a temporary file with `write`, and rename it to its hash unless that part exists; return the part."""
         partial = self.folder / f".part-{secrets.token_hex(6)}.{suffix}"
         with output_errors(self.folder):
             self.folder.mkdir(parents=True, exist_ok=True)

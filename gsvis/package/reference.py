@@ -1,4 +1,4 @@
-"""Slow references of the kernels: one Gaussian at a time in plain Python, as a client would write them."""
+"""Slow twins of the kernels: one Gaussian at a time in plain Python, as a client would write them."""
 
 from __future__ import annotations
 

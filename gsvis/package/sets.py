@@ -1,4 +1,4 @@
-"""The visible sets of a package, read from its parts as they lie: nothing is joined, and no manifest parsed again."""
+"""Open the visible sets of a package directly from its parts, without joining them or parsing the manifest again."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from gsvis.pvs.store import VisibilityStore
 __all__ = ["open_sets"]
 
 _REMEDY = "prepare the package again"
-_MOST_HELD = 128  # files: sets of 128 MiB; a process may have about a thousand open files, sockets among them
+_MOST_HELD = 128  # files that stay open, 128 MiB of sets; a process may have about 1,000 files and sockets
 
 
 def open_sets(
@@ -31,18 +31,18 @@ def open_sets(
 ) -> VisibilityStore:
     """Open the visible sets of a package.
 
-    What is read is checked against the checksums in the store, not against the names of the parts.
+    Data is checked by the checksums of the store when read, not against the names of the parts.
 
     Args:
         parts: Folder of the parts.
         manifest: The manifest of the package.
-        cache: Keeps all that is decoded; None means one of its own.
-        order: (N,) `VisibilityStore.order`, where it is known.
-        is_held: Whether to keep the files open, unless they are many: they can be read after somebody removed them.
+        cache: Cache for decoded data; None means a new one.
+        order: (N,) `VisibilityStore.order`, if it is known.
+        is_held: Whether to keep the files open, at most 128, so that they can be read even after they are removed.
 
     Raises:
         SceneError: If the package has no visible sets.
-        FormatError: If the store is damaged, or belongs to another scene.
+        FormatError: If the store is damaged, or belongs to a different scene.
     """
     blob = manifest.visibility
     if blob is None:

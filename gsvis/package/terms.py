@@ -18,7 +18,7 @@ U16 = NDArray[np.uint16]
 
 
 class Terms(NamedTuple):
-    """T terms as places in the tables of `Grids`.
+    """T terms as indices of the tables of `Grids`.
 
     Attributes:
         functions: (T,) uint8.
@@ -34,7 +34,7 @@ class Terms(NamedTuple):
 
 
 def encode_terms(colors: QuantizedColors) -> U8:
-    """Return (T, B) uint8, the records of all terms, in order.
+    """Encode all terms as records, (T, B) uint8, in order.
 
     Args:
         colors: Rounded colors.
@@ -53,14 +53,14 @@ def encode_terms(colors: QuantizedColors) -> U8:
 
 
 def decode_terms(records: ArrayLike, grids: Grids) -> Terms:
-    """Return the terms of records. Any bytes decode to terms that can be drawn.
+    """Decode terms from records. Any bytes decode to terms that can be drawn.
 
     Args:
         records: (T, B) uint8.
         grids: The tables that the terms point into.
 
     Raises:
-        ValueError: If the records have another shape.
+        ValueError: If the shape of the records is wrong.
     """
     layout = TermLayout.from_grids(grids)
     packed = _check.integers("records", records, ("T", layout.nbytes), np.uint8)

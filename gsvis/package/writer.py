@@ -56,8 +56,8 @@ def write_package(
         The open package.
 
     Raises:
-        ValueError: If lengths do not match, or the order is another one.
-        FormatError: If a store was built for another scene, or the folder holds something else.
+        ValueError: If lengths do not match, or the order is not that of a package.
+        FormatError: If a store was built for a different scene, or the folder has other files.
         OSError: If the folder cannot be written.
     """
     target = _check.path("folder", folder)
@@ -74,7 +74,7 @@ def write_package(
         table = contents.table[rows]
         first_last = contents.chunk_levels[rows]
         tables.append((parts.write_columns("chunks", columns_of(table, first_last)), len(table)))
-    sets = None if visibility is None else _blob(parts, _check.path("visibility", visibility))
+    sets = None if visibility is None else _write_blob(parts, _check.path("visibility", visibility))
     known = info or PackageInfo()
     manifest = Manifest(
         replace(known, facts=contents.facts) if known.facts == SceneFacts() else known,
@@ -93,10 +93,10 @@ def write_package(
 
 
 def check_target(target: Path) -> None:
-    """Raise unless a package may be written to a folder.
+    """Check that a package may be written to a folder.
 
     Raises:
-        FormatError: If the path holds something else.
+        FormatError: If the path is a file, or a folder with other files.
     """
     if target.exists() and not target.is_dir():
         raise FormatError(target, "", "a folder, or nothing", "a file", "choose another name")
@@ -106,7 +106,8 @@ def check_target(target: Path) -> None:
             raise FormatError(target, "", "a package or an empty folder", f"{others[0]!r}", "choose another name")
 
 
-def _blob(parts: PartFolder, path: Path) -> Blob:
+def _write_blob(parts: PartFolder, path: Path) -> Blob:
+    """Cut a file into parts, write them, and return their list."""
     found: list[Part] = []
     with open_regular(path) as file:
         size = os.fstat(file.fileno()).st_size

@@ -2,8 +2,8 @@
 
 Ids are sorted ascending and sent as differences, a few bits each. Records are coded together (`coding.py`). A client
 can read a batch if it has the rows of the chunks sent before. The bytes around the rows are the same in every batch
-except for two lengths and the ends of the rows. This module writes and compares them without an Arrow library; an Arrow
-library can still read them.
+except for two lengths and the ends of the rows, so this module writes them without an Arrow library. An Arrow library
+can read a batch.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ _ARROW = bytes.fromhex(
 _BODY_AT = 40
 _DATA_AT = 128
 _NUMBER = struct.Struct("<q")
-_ENDS = struct.Struct("<5i4x")  # where the rows begin and end
+_ENDS = struct.Struct("<5i4x")  # start of the first row, and end of each
 _IDS = struct.Struct("<4I6B")  # numbers of Gaussians, terms, gone, evicted; code orders of the six lists
 _ROWS_AT = HEAD.size + len(_ARROW) + _ENDS.size
 
@@ -75,10 +75,9 @@ class Sections:
         terms: (M,) ids of terms, ascending.
         owners: (M,) the Gaussian of each term, never decreasing.
         term_records: uint8, the coded records of the terms.
-        gone: (D,) ids, ascending, of the Gaussians that were replaced since the last batch, whether they were sent or
-            not.
-        evicted: (E,) ids, ascending, that the client forgets before it adds the others: Gaussians with their terms, and
-            that a Gaussian was replaced.
+        gone: (D,) ids, ascending, of the Gaussians that were replaced since the last batch, sent or not.
+        evicted: (E,) ids, ascending, that the client forgets before it adds the new records: it removes these Gaussians
+            and their terms, and they no longer count as replaced.
     """
 
     sequence: int
@@ -98,8 +97,8 @@ class Sections:
         Args:
             about: Header of the scene.
         """
-        pieces = self._ids(about), self.rows, self.records, self.term_records
-        rows = [np.ascontiguousarray(piece).reshape(-1).view(np.uint8) for piece in pieces]
+        arrays = self._encode_ids(about), self.rows, self.records, self.term_records
+        rows = [np.ascontiguousarray(array).reshape(-1).view(np.uint8) for array in arrays]
         ends = [0]
         for row in rows:
             ends.append(ends[-1] + len(row))
@@ -109,7 +108,8 @@ class Sections:
         _NUMBER.pack_into(head, HEAD.size + _DATA_AT, ends[-1])
         return b"".join([head, *rows, bytes(filled)])  # type: ignore[list-item]
 
-    def _ids(self, about: SceneHeader) -> U8:
+    def _encode_ids(self, about: SceneHeader) -> U8:
+        """Return the row of ids: the lengths and code orders of the six lists, then their bits."""
         assert len(self.owners) == len(self.terms), "the kernel writes an owner for each term"
         types = np.int64, np.int32, np.uint32, np.int32, np.int32, np.int32
         given = self.chunks, self.gaussians, self.terms, self.owners, self.gone, self.evicted
@@ -117,7 +117,7 @@ class Sections:
         most = sum(len(ids) for ids in lists) * kernels.MOST_BITS // 8 + 8
         out = np.empty(_IDS.size + most, np.uint8)
         orders = np.empty(6, np.uint8)
-        bits = kernels.write_ids(*lists, _share(about), orders, out[_IDS.size :])
+        bits = kernels.write_ids(*lists, _owner_step(about), orders, out[_IDS.size :])
         counts = len(self.gaussians), len(self.terms), len(self.gone), len(self.evicted)
         out[: _IDS.size] = np.frombuffer(_IDS.pack(*counts, *orders.tolist()), np.uint8)
         return out[: _IDS.size - (-bits // 8)]
@@ -150,13 +150,20 @@ class Sections:
         width = CHUNK_ROW.itemsize
         if len(rows[1]) % width:
             _refuse(sequence, f"a multiple of {width} bytes", f"{len(rows[1])}")
-        chunks, gaussians, terms, owners, gone, evicted = _ids_of(sequence, rows[0], len(rows[1]) // width, about)
+        chunks, gaussians, terms, owners, gone, evicted = _decode_ids(sequence, rows[0], len(rows[1]) // width, about)
         table = rows[1].view(CHUNK_ROW)
         return cls(sequence, chunks, table, gaussians, rows[2], terms, owners, rows[3], gone, evicted)
 
 
-def _ids_of(sequence: int, data: U8, chunks: int, about: SceneHeader) -> list[I64]:
-    """Return six arrays of ids: chunks, Gaussians, terms, owners, replaced Gaussians, and evicted ones."""
+def _decode_ids(sequence: int, data: U8, chunks: int, about: SceneHeader) -> list[I64]:
+    """Return six arrays of ids: chunks, Gaussians, terms, owners, replaced Gaussians, evicted Gaussians.
+
+    Args:
+        sequence: Number of the batch, for errors.
+        data: The row of ids.
+        chunks: Number of chunks whose rows are in the batch.
+        about: Header of the scene.
+    """
     if len(data) < _IDS.size:
         _refuse(sequence, f"at least {_IDS.size} bytes of ids", f"{len(data)}")
     gaussians, terms, gone, evicted, *orders = _IDS.unpack(data[: _IDS.size].tobytes())
@@ -176,23 +183,23 @@ def _ids_of(sequence: int, data: U8, chunks: int, about: SceneHeader) -> list[I6
         bit = kernels.read(data, bit, orders[k], values)
         if bit < 0:
             _refuse(sequence, f"{lengths[k]:,} ids", f"{len(data):,} bytes, which end before them")
-        good = (
-            kernels.owners_from(values, found[2], _share(about), n, ids)
-            if k == 3
-            else kernels.ids_from(values, limits[k], ids)
-        )
+        if k == 3:
+            good = kernels.owners_from(values, found[2], _owner_step(about), n, ids)
+        else:
+            good = kernels.ids_from(values, limits[k], ids)
         if not good:
-            _refuse(sequence, f"ids below {limits[k]:,} that rise", "one that falls or is too high")
+            _refuse(sequence, f"ids below {limits[k]:,} that rise", "an id that falls or is too high")
         found.append(ids)
     if -(-bit // 8) != len(data):
         _refuse(sequence, f"{-(-bit // 8)} bytes of ids", f"{len(data)}")
     return found
 
 
-def _share(about: SceneHeader) -> int:
-    """Return Gaussians per term, times 2^16: the codec predicts from it how far the owner moves between two terms."""
+def _owner_step(about: SceneHeader) -> int:
+    """Return Gaussians per term, times 2^16: the codec predicts from it the difference of the owners of two terms."""
     return (about.gaussians << 16) // max(about.terms, 1)
 
 
 def _refuse(sequence: int, expected: str, got: str) -> NoReturn:
+    """Raise a ProtocolError about a batch."""
     raise ProtocolError(f"BATCH {sequence}: expected {expected}, got {got}")

@@ -1,7 +1,7 @@
-"""Records of Gaussians and terms as the wire has them: coded together, by tables of the scene.
+"""Encode and decode the records of a batch with an entropy coder, by tables of symbol frequencies of the scene.
 
-A server makes the tables once from all records of a scene and sends them in WELCOME. The rows of a batch are words of
-16 bits. Records come back as they were; with a coarse quality, they were rounded before.
+A server computes the tables once from all records of a scene and sends them in WELCOME. Coded rows are words of 16
+bits. The code is lossless; with a `Quality`, records are rounded before.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ U8 = NDArray[np.uint8]
 U64 = NDArray[np.uint64]
 I64 = NDArray[np.int64]
 
-_CLOSE = (1, 2, 5, 11, 22, 48)  # distances of ids, one for each table of largest scales
+_CLOSE = (1, 2, 5, 11, 22, 48)  # a typical distance of ids for each table of largest scales
 _PIECE = 1 << 16  # records that are counted at a time
 
 MOST_STEP = 1 << 15
@@ -51,16 +51,16 @@ MOST_STEP = 1 << 15
 
 @dataclass(frozen=True)
 class Quality:
-    """How records are rounded before coding: coarser what adds less light to an image.
+    """How records are rounded before coding: the less light a Gaussian adds to an image, the coarser.
 
-    Light goes with the area of a Gaussian's outline times the square of its opacity.
+    The light of a Gaussian is the area of its outline times the square of its opacity.
 
     Attributes:
-        place: log2 of the coarsest step of a coordinate, in mean scales, of an opaque Gaussian of middle size.
-        turn: Bits of each component of the quaternion that a Gaussian of middle size loses.
-        opacity: Bits of the opacity that are rounded, of a Gaussian of middle area.
-        shape: Bits of the ratios of the scales that are rounded, of a Gaussian of mean light.
-        color: Bits of each byte of the base color that are rounded, of a Gaussian of mean light.
+        place: log2 of the coarsest step of a coordinate, in mean scales, for an opaque Gaussian of median size.
+        turn: Bits dropped from each component of the quaternion, for a Gaussian of median area.
+        opacity: Bits of the opacity that are rounded, for a Gaussian of median area.
+        shape: Bits of the ratios of the scales that are rounded, for a Gaussian of mean light.
+        color: Bits of each byte of the base color that are rounded, for a Gaussian of mean light.
     """
 
     place: float = -2.0
@@ -72,11 +72,11 @@ class Quality:
 
 @dataclass(frozen=True)
 class Steps:
-    """Which bits of records are left out, in a scene; all clients must know it.
+    """Limits that decide which low bits of the records of a scene are not sent; clients get them in WELCOME.
 
     Attributes:
         place: Limit of the steps of coordinates, 1/64 octaves of scene units.
-        turn: Limit of the bits of quaternions that are left out, 1/64.
+        turn: Limit of the dropped bits of quaternions, 1/64 bits.
     """
 
     place: int
@@ -87,8 +87,8 @@ class Limits(NamedTuple):
     """How all records of a scene are rounded.
 
     Attributes:
-        steps: Which bits are left out.
-        rounding: Which others are rounded; no client needs to know it.
+        steps: Bits that are not sent.
+        rounding: Bits that are rounded; clients need not know them.
     """
 
     steps: Steps
@@ -96,13 +96,14 @@ class Limits(NamedTuple):
 
 
 def chunks_of(table: ChunkTable) -> records.Chunks:
-    """Return what coding needs of the rows of chunks."""
+    """Return the rows of chunks in the form that the coding kernels take."""
     bits = np.ascontiguousarray(np.abs(table.steps)).view(np.uint32).astype(np.int64)
     steps = (bits >> 23) - 127 + (bits & 0x7FFFFF > 0)
     curved = table.logarithmic
     wide = table.bits.astype(np.int64)
     ends = table.origins - table.steps.astype(np.float64) * ((np.int64(1) << wide) - 1)
-    reach = np.ceil(np.maximum(np.abs(table.origins), np.abs(ends)) * math.log2(math.e))  # log2 of what stretches steps
+    # log2 of the largest factor by which a logarithmic coordinate stretches a step
+    reach = np.ceil(np.maximum(np.abs(table.origins), np.abs(ends)) * math.log2(math.e))
     steps[curved] += reach[curved].astype(np.int64)
     return records.Chunks(table.lows.astype(np.int64), table.strides.astype(np.int64), steps, wide)
 
@@ -113,7 +114,7 @@ class Coding:
 
     Attributes:
         grids: Tables of base colors and terms.
-        steps: Which bits are left out; None if records are coded as they are.
+        steps: Bits that are not sent; None if records are sent whole.
         tables: Tables of the coder.
     """
 
@@ -123,42 +124,42 @@ class Coding:
 
     @classmethod
     def from_contents(cls, contents: Contents, steps: Steps | None = None) -> Coding:
-        """Return the code for the records of a package, which `coarsen` has rounded if there are steps."""
+        """Return the code for the records of a package; with `steps`, `coarsen` has rounded them."""
         blank = cls.blank(contents.grids, steps)
         return blank.filled(blank.count(contents))
 
     @classmethod
     def blank(cls, grids: Grids, steps: Steps | None) -> Coding:
-        """Return a code without any symbol, to count some."""
+        """Return a code whose tables are empty, to count symbols with."""
         sizes = table_sizes(grids)
         return cls(grids, steps, Tables.from_levels(np.zeros(sum(sizes), np.uint8), sizes))
 
     def filled(self, counts: I64) -> Coding:
-        """Return the code for symbols (S,) that occur so often."""
+        """Return the code for symbols (S,) with these counts."""
         counts = counts.copy()
         offsets = self.tables.offsets
         leads = records.TABLES + terms.LEAD
         for first, last in ((records.FIRST, records.ROTATION), (leads, leads + 9)):
-            counts[offsets[first] : offsets[last]] += 1  # which symbol follows which depends on the batch
+            counts[offsets[first] : offsets[last]] += 1  # in a batch, any symbol of these tables can occur
         return replace(self, tables=Tables.from_counts(counts, table_sizes(self.grids)))
 
     def count(self, contents: Contents) -> I64:
-        """Return (S,) how often each symbol occurs in records, which were rounded by the same steps."""
+        """Return how often each symbol (S,) occurs in records, which were rounded with the same steps."""
         counts = np.zeros(len(self.tables.levels), np.int64)
         ids = np.arange(len(contents))
         chunks = chunks_of(contents.table)
         some = ids[:: 1 + len(ids) // _PIECE]
         places = some - contents.table.starts[contents.chunks[some]]
-        apart = some[np.argsort(places, kind="stable")]  # neighbors are of other chunks
+        apart = some[np.argsort(places, kind="stable")]  # no two neighbors from one chunk
         for chosen in (*(ids[::distance] for distance in _CLOSE), apart):
             for low in range(0, len(chosen), _PIECE):
                 part = chosen[low : low + _PIECE]
                 rows = contents.chunks[part]
-                coder.count(self._of_records(contents.records[part], part, rows, chunks), counts)
+                coder.count(self._record_operations(contents.records[part], part, rows, chunks), counts)
         owners = np.repeat(np.arange(len(contents), dtype=np.int32), contents.term_counts)
         for low in range(0, len(owners), _PIECE):
             of = owners[low : low + _PIECE].copy()
-            coder.count(self._of_terms(contents.term_records[low : low + len(of)].copy(), of), counts)
+            coder.count(self._term_operations(contents.term_records[low : low + len(of)].copy(), of), counts)
         return counts
 
     @cached_property
@@ -172,7 +173,7 @@ class Coding:
         return term_fields(TermLayout.from_grids(self.grids))
 
     def mean_bytes(self, contents: Contents, *, most: int = _PIECE) -> tuple[float, float]:
-        """Return about how many bytes a Gaussian and a term of a package take, ids not counted; code `most` of each."""
+        """Return the mean coded bytes of a Gaussian and of a term, without ids, from at most `most` records of each."""
         ids = np.arange(0, len(contents), 2)[:most]
         found = self.encode_records(contents.records[ids], ids, contents.chunks[ids], chunks_of(contents.table))
         owners = np.repeat(np.arange(len(contents), dtype=np.int32), contents.term_counts)[:most]
@@ -180,29 +181,29 @@ class Coding:
         return len(found) / len(ids) if len(ids) else 16.0, len(of_terms) / len(owners) if len(owners) else 4.0
 
     def encode_records(self, rows: U8, ids: I64, of: NDArray[np.int32], chunks: records.Chunks) -> U8:
-        """Return the records of Gaussians, coded.
+        """Encode the records of G Gaussians.
 
         Args:
             rows: (G, 16) uint8.
             ids: (G,) ids, ascending.
-            of: (G,) the row of each Gaussian's chunk.
+            of: (G,) row of the chunk of each Gaussian.
             chunks: Rows of chunks.
         """
-        return self._write(self._of_records(rows, ids, of, chunks))
+        return self._write_operations(self._record_operations(rows, ids, of, chunks))
 
     def split_records(self, contents: Contents) -> NDArray[np.uint16]:
-        """Return (N, 16) uint16, all records of a package, prepared for `encode_some`."""
-        return self._split(contents.records, contents.chunks, chunks_of(contents.table))
+        """Return all records of a package, split into fields (N, 16) uint16 for `encode_some`."""
+        return self._split_rows(contents.records, contents.chunks, chunks_of(contents.table))
 
     def encode_some(
         self, parts: NDArray[np.uint16], ids: NDArray[np.int32], of: NDArray[np.int32], chunks: records.Chunks
     ) -> U8:
-        """Return some records of Gaussians, coded; the same bytes as from `encode_records`.
+        """Encode the records of some Gaussians; the same bytes as from `encode_records`.
 
         Args:
-            parts: All records of the package, from `split_records`.
+            parts: (N, 16) uint16, all records of the package, from `split_records`.
             ids: (G,) ids, ascending.
-            of: (G,) the row of each Gaussian's chunk.
+            of: (G,) row of the chunk of each Gaussian.
             chunks: Rows of chunks.
         """
         if not len(ids):
@@ -214,21 +215,21 @@ class Coding:
         return out[first:].view(np.uint8)
 
     def decode_records(self, data: U8, ids: I64, of: NDArray[np.int32], chunks: records.Chunks) -> U8 | None:
-        """Return the (G, 16) uint8 records that were coded; None if these are none."""
+        """Decode records of G Gaussians, (G, 16) uint8; None if the bytes are not such records."""
         out = np.empty((len(ids), 2), np.uint64)
-        words = _words(data)
+        words = _short_words(data)
         if not len(ids):
-            return _bytes(out) if len(data) == 0 else None
+            return _to_bytes(out) if len(data) == 0 else None
         code = self.tables.part(0, records.TABLES)
         good = words is not None and records.read(words, ids, of, chunks, self.layout, code, out)
-        return _bytes(out) if good else None
+        return _to_bytes(out) if good else None
 
     def encode_terms(self, rows: U8, owners: NDArray[np.int32]) -> U8:
-        """Return the (M, B) uint8 records of terms, coded. Owners never decrease."""
-        return self._write(self._of_terms(rows, owners))
+        """Encode records of terms, (M, B) uint8; `owners` (M,) never decrease."""
+        return self._write_operations(self._term_operations(rows, owners))
 
     def encode_some_terms(self, rows: U8, ids: NDArray[np.uint32], owners: NDArray[np.int32]) -> U8:
-        """Return some records of terms, coded; the same bytes as from `encode_terms`.
+        """Encode the records of some terms; the same bytes as from `encode_terms`.
 
         Args:
             rows: (T, B) uint8, all records of the package.
@@ -245,33 +246,39 @@ class Coding:
         return out[first:].view(np.uint8)
 
     def decode_terms(self, data: U8, owners: I64) -> U8 | None:
-        """Return the (M, B) uint8 records of terms that were coded; None if these are none."""
+        """Decode records of M terms, (M, B) uint8; None if the bytes are not such records."""
         out = np.empty((len(owners), TermLayout.from_grids(self.grids).nbytes), np.uint8)
-        words = _words(data)
+        words = _short_words(data)
         if not len(owners):
             return out if len(data) == 0 else None
         code = self.tables.part(records.TABLES, terms.TABLES)
         good = words is not None and terms.read(words, owners, self.fields, code, out)
         return out if good else None
 
-    def _of_records(self, rows: U8, ids: I64, of: NDArray[np.int32], chunks: records.Chunks) -> NDArray[np.uint32]:
+    def _record_operations(
+        self, rows: U8, ids: I64, of: NDArray[np.int32], chunks: records.Chunks
+    ) -> NDArray[np.uint32]:
+        """Return the operations of the coder for records; arguments as for `encode_records`."""
         out = np.empty(records.MOST_OPERATIONS * len(rows), np.uint32)
-        parts = self._split(rows, of, chunks)
+        parts = self._split_rows(rows, of, chunks)
         return out[: records.operations(parts, ids, of, chunks, self.layout, self.tables.offsets, out)]
 
-    def _split(self, rows: U8, of: NDArray[np.int32], chunks: records.Chunks) -> NDArray[np.uint16]:
+    def _split_rows(self, rows: U8, of: NDArray[np.int32], chunks: records.Chunks) -> NDArray[np.uint16]:
+        """Return records (G, 16) uint8 split into fields (G, 16) uint16."""
         out = np.empty((len(rows), records.ROW), np.uint16)
         offsets = self.tables.offsets
         assert offsets[records.TABLES] <= 1 << 16, "symbols of records have 16 bits"
-        records.split(_pairs(rows), of, chunks, self.layout, offsets, out)
+        records.split(_to_words(rows), of, chunks, self.layout, offsets, out)
         return out
 
-    def _of_terms(self, rows: U8, owners: NDArray[np.int32]) -> NDArray[np.uint32]:
+    def _term_operations(self, rows: U8, owners: NDArray[np.int32]) -> NDArray[np.uint32]:
+        """Return the operations of the coder for terms; arguments as for `encode_terms`."""
         out = np.empty(terms.MOST_OPERATIONS * len(rows), np.uint32)
         offsets = self.tables.offsets[records.TABLES :]
         return out[: terms.operations(np.ascontiguousarray(rows), owners, self.fields, offsets, out)]
 
-    def _write(self, operations: NDArray[np.uint32]) -> U8:
+    def _write_operations(self, operations: NDArray[np.uint32]) -> U8:
+        """Return the bytes that the coder writes for operations."""
         if not len(operations):
             return np.zeros(0, np.uint8)
         out = np.empty(len(operations) + 4, np.uint16)
@@ -280,7 +287,7 @@ class Coding:
 
 
 def coarsen(contents: Contents, quality: Quality) -> tuple[Contents, Steps]:
-    """Return a package with rounded records in boxes, and which bits are left out.
+    """Return rounded records, and which of their bits are not sent. Logarithmic chunks become linear boxes.
 
     Args:
         contents: The records of a package.
@@ -293,9 +300,10 @@ def coarsen(contents: Contents, quality: Quality) -> tuple[Contents, Steps]:
 
 
 def sizes_of(contents: Contents) -> NDArray[np.float64]:
-    """Return (3, N), each in octaves; (3, 1) zeros if there are no Gaussians.
+    """Return (3, N) sizes of Gaussians in octaves (log2); (3, 1) zeros if there are none.
 
-    The mean of the scales, the area (product of the larger two), and that times the square of the opacity in 255ths.
+    The rows are the mean scale, the area (product of the two larger scales), and the light (area times the square of
+    the opacity in 255ths).
     """
     g = contents.gaussians()
     if not len(g):
@@ -306,14 +314,14 @@ def sizes_of(contents: Contents) -> NDArray[np.float64]:
 
 
 def mean_light(lights: NDArray[np.float64], counts: I64 | None = None) -> float:
-    """Return the light, in octaves, whose root is the mean of the roots of some.
+    """Return the light, in octaves, whose square root is the mean of the square roots of all lights.
 
-    If the light that errors cost goes with the root of a Gaussian's light, as after rounding by `Quality`, the sum of
-    all errors is that of as many Gaussians of this light.
+    After rounding by `Quality`, the error of a Gaussian is proportional to the square root of its light. So the sum of
+    the errors is the same as that of equally many Gaussians of this light.
 
     Args:
         lights: (M,) the third row of `sizes_of`.
-        counts: (M,) how often each occurs; None means once.
+        counts: (M,) how often each light occurs; None means once.
     """
     most = float(lights.max())
     return most + 2.0 * float(np.log2(np.average(np.exp2((lights - most) / 2.0), weights=counts)))
@@ -324,9 +332,9 @@ def limits_for(quality: Quality, mean: float, area: float, light: float) -> Limi
 
     Args:
         quality: How to round.
-        mean: Median of the first row of `sizes_of`.
-        area: Median of the second row.
-        light: `mean_light` of the third row.
+        mean: Median of the mean scales, the first row of `sizes_of`.
+        area: Median of the areas, the second row.
+        light: `mean_light` of the lights, the third row.
     """
     limits = np.array(
         [
@@ -342,14 +350,14 @@ def limits_for(quality: Quality, mean: float, area: float, light: float) -> Limi
 
 
 def round_records(contents: Contents, limits: Limits) -> Contents:
-    """Return a package with records in boxes, rounded, without the bits that are left out."""
+    """Return records in linear boxes, rounded, with zeros for the bits that are not sent."""
     laid, table = lay_linear(contents.records, contents.table, contents.layout)
     contents = replace(contents, records=laid, table=table)
     out = np.empty((len(contents), 2), np.uint64)
     layout = layout_of(contents.grids, limits.steps)
     chunks = chunks_of(contents.table)
-    records.coarsen(_pairs(contents.records), contents.chunks, chunks, layout, limits.rounding, out)
-    return replace(contents, records=_bytes(out))
+    records.coarsen(_to_words(contents.records), contents.chunks, chunks, layout, limits.rounding, out)
+    return replace(contents, records=_to_bytes(out))
 
 
 def layout_of(grids: Grids, steps: Steps | None) -> records.Layout:
@@ -364,7 +372,7 @@ def layout_of(grids: Grids, steps: Steps | None) -> records.Layout:
 
 @cache
 def _differences(signed: bool) -> NDArray[np.int32]:
-    """Return which table codes the third component of a color after the second: by its sign and size, or its size."""
+    """Return (256,) the table for the third component of a color, by the value of the second, signed or not."""
     values = np.arange(256)
     near = np.clip(((values + 128) % 256 - 128) >> 2, -8, 8) + 8
     return (near if signed else values >> 4).astype(np.int32)
@@ -396,14 +404,16 @@ def table_sizes(grids: Grids) -> list[int]:
     ]
 
 
-def _pairs(rows: U8) -> U64:
+def _to_words(rows: U8) -> U64:
+    """Return records (N, 16) uint8 as (N, 2) uint64."""
     return np.ascontiguousarray(rows).view("<u8").reshape(-1, 2)
 
 
-def _bytes(pairs: U64) -> U8:
-    return pairs.view(np.uint8).reshape(-1, 16)
+def _to_bytes(words: U64) -> U8:
+    """Return records (N, 2) uint64 as (N, 16) uint8."""
+    return words.view(np.uint8).reshape(-1, 16)
 
 
-def _words(data: U8) -> NDArray[np.uint16] | None:
-    """Return bytes as words; None if their number is odd."""
+def _short_words(data: U8) -> NDArray[np.uint16] | None:
+    """Return bytes as words of 16 bits; None if their number is odd."""
     return np.frombuffer(data.tobytes(), "<u2") if len(data) % 2 == 0 else None

@@ -35,7 +35,7 @@ _ROOM = 1 << 20
 
 
 class Rows:
-    """Arrays of one length that grow together.
+    """Arrays of the same length that grow together.
 
     Args:
         room: Rows to reserve memory for. The system provides only the memory that is written to.
@@ -143,7 +143,8 @@ class Drawn:
         if len(s.gaussians):
             self._add_gaussians(s, chunks, table)
         if len(s.terms):
-            found, (theta, phi, decay, intensity) = decode_terms(s.term_records, self._grids), self._term_tables
+            found = decode_terms(s.term_records, self._grids)
+            theta, phi, decay, intensity = self._term_tables
             centers = np.stack([theta[found.centers[:, 0]], phi[found.centers[:, 1]]], axis=1)
             self._terms.append(
                 ids=s.terms,
@@ -171,19 +172,19 @@ class Drawn:
 
     def terms_of(self, gaussians: I64) -> I64:
         """Return the ids of all terms of Gaussians that have been added, ascending."""
-        return np.sort(self._terms["ids"][self._are_of(gaussians)]).astype(np.int64)
+        return np.sort(self._terms["ids"][self._belong_to(gaussians)]).astype(np.int64)
 
     def forget(self, ids: I64) -> I64:
-        """Remove what is drawn of these Gaussians, and all of their terms; return the ids of those that were drawn."""
+        """Remove those of these Gaussians that are drawn, and the terms of all; return the ids that were drawn."""
         if not len(ids):
             return ids
         drawn = ids[self._slots[ids] > 0]
         self.drop(drawn)
-        self._terms.drop(np.flatnonzero(self._are_of(ids)))
+        self._terms.drop(np.flatnonzero(self._belong_to(ids)))
         return drawn
 
-    def _are_of(self, gaussians: I64) -> NDArray[np.bool_]:
-        """Return a mask: which terms are those of these Gaussians."""
+    def _belong_to(self, gaussians: I64) -> NDArray[np.bool_]:
+        """Return whether each term (M,) belongs to one of these Gaussians."""
         chosen = np.zeros(len(self._slots), bool)
         chosen[gaussians] = True
         return np.asarray(chosen[self._terms["owners"]], np.bool_)
@@ -218,6 +219,7 @@ class Drawn:
         return self._made
 
     def _add_gaussians(self, s: Sections, chunks: I32, table: ChunkTable) -> None:
+        """Decode and append the Gaussians of a batch; arguments as for `add`."""
         geometry = decode_records(s.records, table, self._layout, chunks=chunks)
         sh0 = ((base_rgb(s.records, self._grids) - np.float32(0.5)) / np.float32(SH_C0))[:, None]
         g = Gaussians(*geometry, sh0)

@@ -1,7 +1,7 @@
-"""What a client must know of a scene before its first batch: counts, levels, tables of colors, frame, identity.
+"""WELCOME: what a client must know about a scene before its first batch: counts, levels, color tables, frame, identity.
 
-It is JSON in the metadata of the Arrow schema of all batches. A WELCOME and the batches after it, each without its
-head, form one Arrow stream.
+The content is JSON in the metadata of the Arrow schema of all batches. A WELCOME and the batches after it, each without
+its head, form one Arrow stream.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ SCHEMA = pa.schema([pa.field("sections", pa.binary(), nullable=False)])
 
 HEAD = struct.Struct("<BBHI")  # type, version, 0, sequence
 MOST = 1 << 28
-"""Most Gaussians, and most terms, of a streamed scene: a client reserves bits for each before the first arrives."""
+"""Most Gaussians, and most terms, of a streamed scene, because a client reserves memory for each in advance."""
 
 _MOST_BYTES = 1 << 20
 _KEY = b"gsvis"
@@ -57,8 +57,8 @@ class SceneHeader:
         identity: 64 hexadecimal digits that identify the ids and records. Holdings are valid only for a scene with the
             same identity.
         code: Tables of the coder of records, as `Tables.to_text` writes them.
-        steps: Which bits records lack; None if they are those of the package.
-        antialiased: Whether opacities are lowered to make up for the blur of a pixel.
+        steps: Bits of records that are not sent; None if the records are those of the package.
+        antialiased: Whether the renderer lowers opacities to compensate for the blur of a pixel.
     """
 
     gaussians: int
@@ -108,7 +108,7 @@ class SceneHeader:
         """The code of the records.
 
         Raises:
-            ProtocolError: If `code` is no such tables.
+            ProtocolError: If `code` does not hold valid tables.
         """
         return Coding(self.grids, self.steps, Tables.from_text(self.code, table_sizes(self.grids)))
 
@@ -124,7 +124,7 @@ class SceneHeader:
 
     def to_message(self) -> bytes:
         """Return the WELCOME message."""
-        said = {
+        fields = {
             "protocol": PROTOCOL,
             "gaussians": self.gaussians,
             "terms": self.terms,
@@ -140,8 +140,8 @@ class SceneHeader:
             "steps": None if self.steps is None else asdict(self.steps),
         }
         if self.antialiased:
-            said["antialiased"] = True
-        text = json.dumps(said, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
+            fields["antialiased"] = True
+        text = json.dumps(fields, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
         schema = SCHEMA.with_metadata({_KEY: text})
         return HEAD.pack(WELCOME, PROTOCOL, 0, 0) + bytes(schema.serialize())
 
@@ -161,51 +161,52 @@ class SceneHeader:
             schema = pa.ipc.read_schema(pa.py_buffer(data[HEAD.size :]))
             if not schema.remove_metadata().equals(SCHEMA):
                 raise ProtocolError(f"WELCOME: expected the schema of batches, got {str(schema)[:80]!r}")
-            return cls._of(parse_object(_WHERE, (schema.metadata or {}).get(_KEY, b"")))
+            return cls._from_fields(parse_object(_WHERE, (schema.metadata or {}).get(_KEY, b"")))
         except FormatError as error:  # its message names WELCOME already
             raise ProtocolError(str(error)[:200]) from error
         except (pa.ArrowException, OSError, ValueError) as error:
             raise ProtocolError(f"WELCOME: {' '.join(str(error).split())[:200]}") from error
 
     @classmethod
-    def _of(cls, said: Fields) -> SceneHeader:
-        colors = said.child("colors")
-        identity = said.text("identity")
+    def _from_fields(cls, fields: Fields) -> SceneHeader:
+        """Return the header from parsed JSON; raise ProtocolError or FormatError if a value is invalid."""
+        colors = fields.child("colors")
+        identity = fields.text("identity")
         name = colors.text("variant", PACKED_VARIANTS)
         if not _IDENTITY.fullmatch(identity):
             raise ProtocolError(f"WELCOME: expected an identity of 64 hexadecimal digits, got {identity[:64]!r}")
-        levels = [Fields(_WHERE, "levels", row) for row in said.items("levels")]
+        levels = [Fields(_WHERE, "levels", row) for row in fields.items("levels")]
         if not 1 <= len(levels) <= 16:
             raise ProtocolError(f"WELCOME: expected 1 to 16 levels, got {len(levels)}")
-        up = said.numbers("up", 3).tolist()
-        info = PackageInfo((up[0], up[1], up[2]), said.number("meters_per_unit"))  # checks both values
-        n = said.integer("gaussians", 0, MOST)
+        up = fields.numbers("up", 3).tolist()
+        info = PackageInfo((up[0], up[1], up[2]), fields.number("meters_per_unit"))  # checks both values
+        n = fields.integer("gaussians", 0, MOST)
         found = cls(
             n,
-            said.integer("terms", 0, min(255 * n, MOST)),
-            said.integer("chunks", 0, n),
+            fields.integer("terms", 0, min(255 * n, MOST)),
+            fields.integer("chunks", 0, n),
             tuple(level.text("name")[:100] for level in levels),
             tuple(level.integer("count", 0, n) for level in levels),
             grids_of(colors, name),
             (up[0], up[1], up[2]),
             info.meters_per_unit,
             identity,
-            said.text("code"),
-            _steps_of(said),
-            "antialiased" in said and said.raw("antialiased") is True,
+            fields.text("code"),
+            _parse_steps(fields),
+            "antialiased" in fields and fields.raw("antialiased") is True,
         )
         sizes = RECORD_BYTES, found.term_bits
-        got = tuple(said.integer(key, 0, 64) for key in ("record_bytes", "term_bits"))
+        got = tuple(fields.integer(key, 0, 64) for key in ("record_bytes", "term_bits"))
         if got != sizes:
             raise ProtocolError(
                 f"WELCOME: expected records of {sizes[0]} bytes and terms of {sizes[1]} bits, got {got}"
             )
-        _ = found.coding  # raises if the tables are wrong
+        _ = found.coding  # raises if the tables are invalid
         return found
 
 
 def identity_of(manifest: Manifest, steps: Steps | None) -> str:
-    """Return what names the ids and records of a package as they are sent: 64 hexadecimal digits."""
+    """Return 64 hexadecimal digits that identify the ids and records of a package as they are sent."""
     named = [part.name for part, _ in manifest.tables]
     for block in manifest.blocks:
         named += [block.gaussians.name, *(part.name for part, _ in block.terms)]
@@ -215,8 +216,9 @@ def identity_of(manifest: Manifest, steps: Steps | None) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
-def _steps_of(said: Fields) -> Steps | None:
-    if said.raw("steps") is None:
+def _parse_steps(fields: Fields) -> Steps | None:
+    """Return the field "steps"; None if it is null."""
+    if fields.raw("steps") is None:
         return None
-    steps = said.child("steps")
+    steps = fields.child("steps")
     return Steps(steps.integer("place", -MOST_STEP, MOST_STEP), steps.integer("turn", -MOST_STEP, MOST_STEP))

@@ -1,10 +1,10 @@
 """Tables of packages, computed once and kept in files: opening a package again reads its manifest and maps a file.
 
-Everything that planners and coders need of a scene follows from its records: spheres, links between levels, prepared
-records, the tables of the coder. `open_kept` computes it as `StreamedScene.open` does and writes it to a file named by
-the content. After that, memory holds only the pages that viewers make the server touch, processes of a machine share
-them, and they can be given back at any time. What is sent is the same to the byte. Files are checked when they are
-opened, at 6 GB a second, and made again if a byte has changed.
+Everything that planners and coders need is computed from the records: spheres, links between levels, split records, the
+tables of the coder. `open_kept` computes it as `StreamedScene.open` does and writes it to a file named by the content.
+After that, memory holds only the pages that viewers need, which the processes of a machine share and which can be freed
+at any time. Messages are the same to the byte. Files are checked when they are opened, at 6 GB a second, and made again
+if a byte has changed.
 """
 
 from __future__ import annotations
@@ -39,17 +39,17 @@ __all__ = ["KeptTables", "check_kept", "open_kept"]
 _FORMAT = 7  # raise it when the content of the tables changes
 _LOG = logging.getLogger(__name__)
 _AGAIN = "remove the file; it is made again"
-_LOOK_S = 0.05
+_POLL_S = 0.05  # seconds between two attempts to take a lock
 _PIXEL = 2e-3  # radians
 _UNUSED_S = 30 * 86400.0  # after so many seconds without use, tables are removed when others are written
 _TABLES = ".tables"
-_SETS = ".pvs"  # of earlier versions: visible sets are read where they lie
+_SETS = ".pvs"  # copies of visible sets that earlier versions made
 _LOCK = ".lock"
 _MAKING = ".making"
 
 
 class KeptTables:
-    """The file that a scene from `open_kept` works from.
+    """The mapped file of tables of a scene from `open_kept`.
 
     Attributes:
         nbytes: Bytes of the file.
@@ -60,10 +60,10 @@ class KeptTables:
         self.nbytes = mapped.nbytes
 
     def release(self, shares: Sequence[tuple[float, float]] | None = None) -> None:
-        """Give back the memory of pages; those that are touched again come from the file. Safe at any time.
+        """Free the memory of pages; they are read from the file again when needed. Safe at any time.
 
         Args:
-            shares: Which shares of all ids, such as those of a tile, about; None means all.
+            shares: Ranges of ids, as shares of all ids in [0, 1], such as those of a tile; None means all.
         """
         self._mapped.release(shares)
 
@@ -88,7 +88,7 @@ def open_kept(
         quality: How to round records before they are sent; None means not at all.
 
     Returns:
-        The scene, and its tables; None if they could not be kept, and the scene is in memory.
+        The scene and its tables. The tables are None if they could not be written; then the scene is in memory.
 
     Raises:
         FormatError: If the package is damaged.
@@ -112,18 +112,18 @@ def open_kept(
 
 
 def check_kept(scene: SceneSource | Package, folder: str | os.PathLike[str]) -> list[Path]:
-    """Read all that a folder keeps of a scene; change nothing.
+    """Check all tables that a folder keeps of a scene; change nothing.
 
     Args:
         scene: The open package or source.
         folder: Folder of tables; it may be missing.
 
     Returns:
-        The files, which are whole.
+        The files of the scene, all valid.
 
     Raises:
-        FormatError: If one is damaged.
-        OSError: If one cannot be read.
+        FormatError: If a file is damaged.
+        OSError: If a file cannot be read.
     """
     source = as_source(scene)
     ours = {_key(source, _PIXEL, quality) for quality in (None, Quality())}
@@ -136,7 +136,14 @@ def check_kept(scene: SceneSource | Package, folder: str | os.PathLike[str]) -> 
 
 
 def _read_own(path: Path, source: SceneSource, *, certain: bool) -> MappedArrays | None:
-    """Return tables, read whole; None if they are another package's, or their head cannot be read and may be so."""
+    """Return the checked tables of a file; None if they belong to a different package.
+
+    Args:
+        path: The file.
+        source: The scene.
+        certain: Whether the name of the file says that it belongs to the scene. If not, a file with a damaged head is
+            taken for that of a different package.
+    """
     is_ours = certain
     try:
         mapped = MappedArrays(path)
@@ -151,7 +158,7 @@ def _read_own(path: Path, source: SceneSource, *, certain: bool) -> MappedArrays
 
 
 def _key(source: SceneSource, pixel: float, quality: Quality | None) -> str:
-    """Return what names the tables: all that they depend on."""
+    """Return the name of the tables: a hash of everything that they depend on."""
     manifest = source.manifest
     facts = [
         _FORMAT,
@@ -169,6 +176,7 @@ def _key(source: SceneSource, pixel: float, quality: Quality | None) -> str:
 
 
 def _version() -> str:
+    """Return the version of the installed gsvis."""
     try:
         return version("gsvis")
     except PackageNotFoundError:  # run from its sources
@@ -176,7 +184,7 @@ def _version() -> str:
 
 
 def _find(path: Path, source: SceneSource) -> MappedArrays | None:
-    """Return the tables of a file; None if there are none, they are damaged, or those of another package."""
+    """Return the tables of a file; None if it is missing, damaged, or of a different package."""
     try:
         found = MappedArrays(path)
         identity = identity_of(source.manifest, None)
@@ -195,7 +203,7 @@ def _find(path: Path, source: SceneSource) -> MappedArrays | None:
 
 
 def _check_sets(source: SceneSource, mapped: MappedArrays) -> None:
-    """Raise unless the visible sets are those of which the tables were made."""
+    """Raise FormatError unless the visible sets are those from which the tables were computed."""
     for path, known in zip(source.set_files(), mapped.facts["sets"], strict=True):
         found = file_sum(path)
         if found != known:
@@ -203,25 +211,25 @@ def _check_sets(source: SceneSource, mapped: MappedArrays) -> None:
 
 
 def _make(source: SceneSource, folder: Path, key: str, *, pixel: float, quality: Quality | None) -> MappedArrays:
-    """Compute and write tables, or wait for another process that does, and return them."""
+    """Compute, write and return tables; if another process is computing them, wait and return its tables."""
     path = folder / (key + _TABLES)
     with (folder / (key + _LOCK)).open("w") as lock:
         while try_lock(lock.fileno()) == "busy":
-            time.sleep(_LOOK_S)
+            time.sleep(_POLL_S)
         if (found := _find(path, source)) is not None:
             return found
         _remove_unused(folder)
         sets = [file_sum(each) for each in source.set_files(verify=True)]
         own = {"identity": identity_of(source.manifest, None), "sets": sets}
-        with _empty(folder / (key + _MAKING)) as work:
+        with _empty_folder(folder / (key + _MAKING)) as work:
             write_tables(path, source, own, work, pixel=pixel, quality=quality)
     source.forget_records()
     return MappedArrays(path)
 
 
 @contextmanager
-def _empty(folder: Path) -> Iterator[Path]:
-    """Yield an empty folder, without what a killed process left in it, and remove it."""
+def _empty_folder(folder: Path) -> Iterator[Path]:
+    """Yield an empty folder, and remove it at the end; files that a killed process left in it are deleted."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
     try:
@@ -231,7 +239,7 @@ def _empty(folder: Path) -> Iterator[Path]:
 
 
 def _remove_unused(folder: Path) -> None:
-    """Remove tables that nobody has opened for a month."""
+    """Remove tables that have not been opened for a month."""
     now = time.time()
     for path in folder.iterdir():
         if path.suffix in (_TABLES, _SETS, _LOCK, _MAKING):

@@ -1,9 +1,9 @@
-"""Measure how long transfers take, by the sender's own clock: from the times of messages and acknowledgements.
+"""Measure how long transfers take, by the sender's clock: from the times of messages and their acknowledgements.
 
-Messages follow each other on one ordered link. The time of a message starts when the link is free for it: when it is
-sent, or when the message before has left. The sender sees both one round trip later. Only a message that finds next
-to nothing in flight shows the round trip: any other waits for those before it. A round trip that is too long makes
-transfers look short and the link fast.
+Messages follow each other on one ordered link. The transfer of a message starts when the link is free for it: when it
+is sent, or when the message before it has left. The sender sees start and end one round trip later. The round trip is
+measured with messages that have almost nothing in flight before them, as all others wait in the queue. If the round
+trip is overestimated, transfers look too short and the link too fast.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ import numpy as np
 
 __all__ = ["LinkMeter"]
 
-_SMALL = 4096  # most bytes in flight with a transfer that takes about a round trip
-_LEAST = 2048  # least bytes of transfers whose duration is a measurement of the link
+_SMALL = 4096  # most bytes in flight for a message that measures the round trip
+_LEAST = 2048  # least bytes of transfers whose duration measures the link
 
 
 class LinkMeter:
@@ -31,7 +31,7 @@ class LinkMeter:
         self.outstanding = 0
         self.last = -1
         self._round_trip = np.inf
-        self._sent: deque[tuple[int, float, int, int]] = deque()  # the last: bytes in flight once it was sent
+        self._sent: deque[tuple[int, float, int, int]] = deque()  # number, time, bytes, bytes in flight with it
         self._acknowledged = -np.inf  # when the last acknowledgement came
         self._bytes = 0
         self._seconds = 0.0
@@ -61,8 +61,8 @@ class LinkMeter:
             sequence: Number of the last message that arrived.
 
         Returns:
-            Bytes and seconds of a transfer that measures the link; None if there is none yet. A repeated
-            acknowledgement returns None.
+            Bytes and seconds of a transfer; None for a repeated acknowledgement, and while too few bytes have arrived
+            for a measurement.
 
         Raises:
             ValueError: If no such message was sent.

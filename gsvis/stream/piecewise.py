@@ -1,7 +1,7 @@
-"""Serving tables of a scene, computed piece by piece: memory need not hold more than one piece.
+"""Compute the serving tables of a scene piece by piece: memory holds one piece at a time.
 
-Three passes over the pieces: sizes of Gaussians, which give the steps of rounding; symbols, which give the code; and
-records with all that planners need. `StreamedScene` works from these tables, in memory or in a mapped file.
+There are three passes over the pieces: sizes of Gaussians, to choose how to round; symbols, to choose the code; and
+records with everything that planners need. `StreamedScene` uses these tables, in memory or in a mapped file.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ __all__ = ["SceneTables", "make_tables", "write_tables"]
 F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]
 
-_BINS = 1024  # of an octave, for medians
-_SPAN = 300  # octaves on each side of 1
-_SOME = 4096  # records of a piece that are coded to know their mean bytes
-_MOST = 1 << 16  # and of a piece that is the whole scene
+_BINS = 1024  # histogram bins for each octave, for medians
+_SPAN = 300  # octaves of the histogram below and above 1
+_SOME = 4096  # records of a piece that are coded to measure their mean bytes
+_MOST = 1 << 16  # the same if the scene is one piece
 _FROZEN = (*piecewise.FROZEN, "class_weights")
 
 
 @dataclass(frozen=True, eq=False)
 class SceneTables:
-    """All that a server needs of a scene but its visible sets.
+    """Everything that a server needs of a scene, except its visible sets.
 
     Attributes:
         arrays: Arrays by name.
@@ -75,7 +75,7 @@ def write_tables(
         path: The file.
         source: The scene.
         facts: More facts to write.
-        work: An empty folder for arrays that grow, which the caller removes; as large as the tables.
+        work: An empty folder for growing arrays, as large as the tables; the caller removes it.
         pixel: Angle of a pixel of the clients, radians.
         quality: How to round records; None means not at all.
 
@@ -88,7 +88,7 @@ def write_tables(
 
 
 def chunk_rows_of(contents: Contents) -> NDArray[np.void]:
-    """Return the (C,) rows of chunks, as sent."""
+    """Return the rows (C,) of chunks, as sent."""
     table = contents.table
     rows = np.zeros(len(contents.table), CHUNK_ROW)
     for name, values in (
@@ -107,12 +107,19 @@ def chunk_rows_of(contents: Contents) -> NDArray[np.void]:
 
 @dataclass(frozen=True)
 class _Survey:
-    """What all pieces together decide."""
+    """What is known after the passes over sizes and symbols.
+
+    Attributes:
+        coding: The code of the records.
+        nbytes: Mean bytes of a Gaussian and of a term, as sent.
+        centers: Ascending keys of all centers of terms, see `_center_keys`.
+        limits: How records are rounded; None for not at all.
+    """
 
     coding: Coding
     nbytes: tuple[float, float]
-    centers: I64  # ascending places of the centers of terms
-    limits: Limits | None  # how records are rounded
+    centers: I64
+    limits: Limits | None
 
 
 def _append_all(out: GrowingArrays, source: SceneSource, pixel: float, quality: Quality | None) -> dict[str, Any]:
@@ -135,7 +142,7 @@ def _append_all(out: GrowingArrays, source: SceneSource, pixel: float, quality: 
         sends_terms=source.active() is not None,
     )
     ends = _write_pieces(out, source, survey, numbers)
-    piecewise.write_reversed(out, ranges, ends, [source.piece_sources(k) for k in range(len(ranges))])
+    piecewise.write_replaced(out, ranges, ends, [source.piece_sources(k) for k in range(len(ranges))])
     found = piecewise.write_words(out, numbers)
     for name, array in {**cells.to_arrays(), "class_weights": weights}.items():
         out.append(name, array)
@@ -149,8 +156,8 @@ def _append_all(out: GrowingArrays, source: SceneSource, pixel: float, quality: 
 
 
 def _survey(source: SceneSource, quality: Quality | None) -> _Survey:
-    """Read all pieces twice: their sizes and centers, then their symbols."""
-    limits = None if quality is None else _limits(source, quality)
+    """Read all pieces to choose rounding and code, and to measure mean bytes."""
+    limits = None if quality is None else _rounding_limits(source, quality)
     keys = np.zeros(0, np.int64)
     coding = None
     counts = np.zeros(0, np.int64)
@@ -176,21 +183,29 @@ def _survey(source: SceneSource, quality: Quality | None) -> _Survey:
 
 
 class _Mean:
-    """A weighted mean of numbers that come one by one, exact for a single one."""
+    """A running weighted mean; with one number it is exactly that number.
 
-    def __init__(self, of_none: float) -> None:
-        self.value = of_none
+    Args:
+        default: Value before the first number.
+    """
+
+    def __init__(self, default: float) -> None:
+        self.value = default
         self._weight = 0
 
     def add(self, value: float, weight: int) -> None:
-        """Add a number with a weight; nothing without one."""
-        if weight:
-            self._weight += weight
-            self.value = value if self._weight == weight else self.value + (value - self.value) * weight / self._weight
+        """Add a number; a weight of 0 changes nothing."""
+        if weight == 0:
+            return
+        self._weight += weight
+        if self._weight == weight:
+            self.value = value
+        else:
+            self.value += (value - self.value) * weight / self._weight
 
 
-def _limits(source: SceneSource, quality: Quality) -> Limits:
-    """Return how records are rounded, from all sizes of one piece, or of several right to 1/2048 octave."""
+def _rounding_limits(source: SceneSource, quality: Quality) -> Limits:
+    """Return how records are rounded: by exact medians for one piece, else by medians within 1/2048 octave."""
     if len(source.ranges()) == 1:
         sizes = sizes_of(next(source.pieces()))
         mean, area = np.median(sizes[:2], axis=1).tolist()
@@ -209,13 +224,14 @@ def _limits(source: SceneSource, quality: Quality) -> Limits:
 def _write_pieces(
     out: GrowingArrays, source: SceneSource, survey: _Survey, numbers: piecewise.PieceNumbers
 ) -> list[int]:
-    """Append the records of all pieces and what replaces them; return what `write_links` returns for each."""
+    """Append the records and replacements of all pieces; return the results of `write_replacements`, one a piece."""
     ends = []
     coding = survey.coding
     chunks = 0
     terms = 0
 
     def means(low: int, high: int) -> F32:
+        """Return the centers of the ids in [low, high), which have been appended."""
         return np.stack([out.rows(f"body_{k}", low, high) for k in range(3)], axis=1)
 
     grids = coding.grids
@@ -246,7 +262,7 @@ def _write_pieces(
         out.append("record_term_offsets", terms + np.cumsum(counts, dtype=np.int64))
         out.append("record_term_sizes", np.full(len(contents.term_records), survey.nbytes[1], np.float32))
         _write_cones(out, contents, source.epsilon, survey.centers)
-        ends.append(piecewise.write_links(out, low, len(contents), source.piece_links(piece, contents, means)))
+        ends.append(piecewise.write_replacements(out, low, len(contents), source.piece_links(piece, contents, means)))
         chunks = chunks + len(contents.table)
         terms = terms + len(contents.term_records)
     out.append("starts", np.array([numbers.gaussians], np.int64))
@@ -254,7 +270,7 @@ def _write_pieces(
 
 
 def _write_cones(out: GrowingArrays, contents: Contents, epsilon: float | None, centers: I64) -> None:
-    """Append the directions in which the terms of a piece are active."""
+    """Append the cones of the terms of a piece, see `TermCones`; `centers` are keys from `_center_keys`."""
     places = np.zeros(0, np.int32)
     cosines = np.zeros(0, np.float32)
     widths = np.zeros(0, np.float32)
@@ -269,7 +285,7 @@ def _write_cones(out: GrowingArrays, contents: Contents, epsilon: float | None, 
 
 
 def _center_keys(contents: Contents, every: bool = False) -> I64:
-    """Return the places of the centers of terms, each once, or of all terms in their order."""
+    """Return integer keys of the centers of terms: each key once, ascending, or with `every` the key of each term."""
     centers = contents.colors().centers.astype(np.int64)
     keys: I64 = centers[:, 0] << 16 | centers[:, 1]
     return keys if every else np.unique(keys)

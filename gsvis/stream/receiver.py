@@ -1,4 +1,4 @@
-"""The client's side: messages in, Gaussians and colors to draw out. No socket, no clock.
+"""The client's side of a stream: decode messages to Gaussians and colors. No socket, no clock.
 
 A batch is checked in full before any of it is stored, then decoded once. A scene is a view of the decoded arrays. Scene
 frame and units.
@@ -56,13 +56,13 @@ class Receiver:
 
     Args:
         welcome: The first message from the server.
-        most_bytes: Most bytes that sets and tables of the scene may take before the first Gaussian arrives. Without a
-            limit, a WELCOME of a kilobyte could claim billions of Gaussians.
+        most_bytes: Most bytes of memory for sets and tables before the first Gaussian arrives. Without a limit, a
+            WELCOME of one kilobyte could claim billions of Gaussians.
         memory: Bytes of records that the server may expect this client to hold; 0 means no limit.
 
     Attributes:
         about: The content of WELCOME.
-        holdings: What the client has received, and what has been replaced.
+        holdings: The records that the client has received, and the Gaussians that have been replaced.
 
     Raises:
         ProtocolError: If the first message is not a WELCOME, or its scene needs more than `most_bytes`.
@@ -87,7 +87,7 @@ class Receiver:
         return f"Receiver({self.holdings!r}, {len(self._drawn):,} shown)"
 
     def hello(self, view: FieldOfView) -> Hello:
-        """Return the HELLO for a new connection: the view, and what this client holds already."""
+        """Return the HELLO for a new connection: the field of view, and the holdings of this client."""
         if not len(self._starts):
             return Hello(view, memory=self.memory)
         return Hello(view, bytes.fromhex(self.about.identity), self.holdings.to_bytes(), memory=self.memory)
@@ -96,7 +96,7 @@ class Receiver:
         """Accept the WELCOME of a new connection, which numbers its batches from 1 again.
 
         Returns:
-            True if the scene is the same; everything is kept. False if it is another scene; nothing changes, and the
+            True if the scene is the same; everything is kept. False if the scene is different; nothing changes, and the
             client needs a new receiver.
 
         Raises:
@@ -118,9 +118,9 @@ class Receiver:
             raise ProtocolError(f"BATCH {s.sequence}: expected number {self._sequence + 1}")
         try:
             starts, rows, table = self._with_chunks(s)
-            chunks = _chunks_of(s.gaussians, starts, rows, table)
+            chunks = _find_rows(s.gaussians, starts, rows, table)
             records, terms = self._decode(s, chunks, table)
-            dropped = self._enter(s)
+            dropped = self._hold(s)
         except ValueError as error:
             raise ProtocolError(f"BATCH {s.sequence}: {error}") from error
         self._starts = starts
@@ -139,7 +139,7 @@ class Receiver:
         return self._drawn.ids.astype(np.int64)
 
     def scene(self) -> tuple[Gaussians, SrbfColors]:
-        """Return what to draw: M Gaussians in SH degree 0 with their base colors, and colors with the received terms.
+        """Return M Gaussians with their base colors in SH degree 0, and colors with the received terms.
 
         `gsvis.color.evaluate.evaluate(colors, gaussians.means, eye)` gives the colors seen from a viewpoint. The arrays
         are views of the receiver's memory, valid until the next `receive`; copy what must last longer.
@@ -147,10 +147,10 @@ class Receiver:
         return self._drawn.scene()
 
     def _with_chunks(self, s: Sections) -> tuple[I64, NDArray[np.int32], ChunkTable]:
-        """Return first ids of chunks, ascending, the row of each, and all rows, with the chunks of a batch added.
+        """Return the chunks with those of a batch added: first ids, ascending, the row of each, and all rows.
 
         Raises:
-            ValueError: If chunks overlap, are more than the scene has, or their ids or levels are not of the scene.
+            ValueError: If chunks overlap, are more than the scene has, or have ids or levels that the scene lacks.
         """
         fresh = self._are_new(s.chunks)
         if not fresh.any():
@@ -158,7 +158,8 @@ class Receiver:
         r = s.rows[fresh]
         first = s.chunks[fresh]
         if len(self._table) + len(first) > self.about.chunks:
-            raise ValueError(f"chunks: expected at most {self.about.chunks:,}, got more")
+            got = len(self._table) + len(first)
+            raise ValueError(f"chunks: expected at most {self.about.chunks:,}, got {got:,}")
         origins, steps, lows, strides, counts = (
             np.ascontiguousarray(r[name]) for name in ("origin", "step", "low", "stride", "count")
         )
@@ -179,12 +180,12 @@ class Receiver:
         wrong = (r["first_level"] > r["last_level"]) | (r["last_level"] >= levels)
         if wrong.any():
             row = r[int(np.argmax(wrong))]
-            got = f"{row['first_level']} to {row['last_level']}"
-            raise ValueError(f"chunks: expected levels in order and below {levels}, got {got}")
+            got_levels = f"{row['first_level']} to {row['last_level']}"
+            raise ValueError(f"chunks: expected levels in order and below {levels}, got {got_levels}")
         return starts, rows, table
 
     def _are_new(self, chunks: I64) -> NDArray[np.bool_]:
-        """Return a mask: of which chunks there is no row yet. One comes again when all of its chunk was evicted."""
+        """Return whether each chunk has no row yet: a row comes again after all Gaussians of its chunk were evicted."""
         if not len(self._starts):
             return np.ones(len(chunks), np.bool_)
         places = np.minimum(np.searchsorted(self._starts, chunks), len(self._starts) - 1)
@@ -194,45 +195,49 @@ class Receiver:
         """Return the records of the Gaussians and of the terms of a batch.
 
         Raises:
-            ValueError: If its bytes are no such records.
+            ValueError: If its bytes are not records of these Gaussians and terms.
         """
         coding = self.about.coding
         records = coding.decode_records(s.records, s.gaussians, of, chunks_of(table))
         if records is None:
-            raise ValueError(f"records: expected those of {len(s.gaussians):,} Gaussians, got other bytes")
+            got = f"{len(s.records):,} bytes that hold none"
+            raise ValueError(f"records: expected those of {len(s.gaussians):,} Gaussians, got {got}")
         terms = coding.decode_terms(s.term_records, s.owners)
         if terms is None:
-            raise ValueError(f"term_records: expected those of {len(s.terms):,} terms, got other bytes")
+            got = f"{len(s.term_records):,} bytes that hold none"
+            raise ValueError(f"term_records: expected those of {len(s.terms):,} terms, got {got}")
         return records, terms
 
-    def _enter(self, s: Sections) -> I64:
+    def _hold(self, s: Sections) -> I64:
         """Add a batch to the holdings; return the ids of Gaussians that are no longer drawn.
 
         Raises:
-            ValueError: If the client has an id already, a term comes before its Gaussian, a Gaussian comes after it was
-                replaced or is replaced twice, or something is evicted though there is no limit of memory.
+            ValueError: If an id is held already, a term comes before its Gaussian, a Gaussian comes after it was
+                replaced or is replaced twice, or something is evicted although the memory has no limit.
         """
         held = self.holdings.copy()
         if len(s.evicted):
             if self.memory == 0:
-                raise ValueError("evicted: expected none without a limit of memory, got some")
+                raise ValueError(f"evicted: expected none without a limit of memory, got {len(s.evicted):,} ids")
             held.evict(s.evicted, self._drawn.terms_of(s.evicted))
         was_gone = held.gone.copy()
         held.add(s.gaussians, s.terms, s.gone)
-        came = _are_in(held.sent, s.owners)
-        if not came.all():
-            owner = int(s.owners[int(np.argmin(came))])
-            raise ValueError(f"terms: expected those of Gaussians that have come, got one of Gaussian {owner:,}")
-        if np.any(_are_in(was_gone, s.gaussians)):
-            raise ValueError("gaussians: expected none that is replaced, got one")
-        if np.any(_are_in(was_gone, s.gone)):
-            raise ValueError("gone: expected each once, got one again")
+        is_held = _are_in(held.sent, s.owners)
+        if not is_held.all():
+            owner = int(s.owners[int(np.argmin(is_held))])
+            raise ValueError(f"terms: expected terms of Gaussians that are held, got one of Gaussian {owner:,}")
+        replaced = s.gaussians[_are_in(was_gone, s.gaussians)]
+        if len(replaced):
+            raise ValueError(f"gaussians: expected none that was replaced, got {replaced[0]:,}")
+        again = s.gone[_are_in(was_gone, s.gone)]
+        if len(again):
+            raise ValueError(f"gone: expected each Gaussian once, got {again[0]:,} again")
         self.holdings = held
         return s.gone[_are_in(held.sent, s.gone)]
 
 
-def _chunks_of(ids: I64, starts: I64, rows: NDArray[np.int32], table: ChunkTable) -> NDArray[np.int32]:
-    """Return (G,) for each Gaussian, the row of its chunk.
+def _find_rows(ids: I64, starts: I64, rows: NDArray[np.int32], table: ChunkTable) -> NDArray[np.int32]:
+    """Return the row of the chunk of each Gaussian, (G,).
 
     Raises:
         ValueError: If the row of a chunk is missing.
@@ -241,11 +246,12 @@ def _chunks_of(ids: I64, starts: I64, rows: NDArray[np.int32], table: ChunkTable
         return np.zeros(0, np.int32)
     places = np.searchsorted(starts, ids, side="right") - 1
     found = rows[places] if len(rows) else rows
-    if places[0] < 0 or np.any(ids - starts[places] >= table.counts[found]):
-        raise ValueError("chunks: expected the row of each Gaussian's chunk, got none")
+    without = (places < 0) | (ids - starts[places] >= table.counts[found]) if len(rows) else ids >= 0
+    if without.any():
+        raise ValueError(f"chunks: expected the row of each Gaussian's chunk, got none for {ids[without][0]:,}")
     return found
 
 
 def _are_in(words: NDArray[np.uint64], ids: I64) -> NDArray[np.bool_]:
-    """Return a mask: which ids are in a packed set."""
+    """Return whether each id (M,) is in a packed set."""
     return np.asarray((words[ids >> 6] >> (ids & 63).astype(np.uint64)) & np.uint64(1), np.bool_)

@@ -1,6 +1,6 @@
-"""The codes of the wire, written simply, as strings of 0 and 1 and one symbol at a time: slow twins of the kernels.
+"""The codes of the wire in plain Python, one bit and one symbol at a time: slow twins of the kernels.
 
-So is the order in which a batch has its ids.
+Bits are strings of 0 and 1.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ __all__ = [
 
 
 def encode_values(values: list[int], order: int) -> str:
-    """Return values >= 0 as exponential Golomb codes, in the order in which the bits are written.
+    """Return values >= 0 as exponential Golomb codes of an order, bits in the order in which they are written.
 
     Examples:
         >>> encode_values([0, 1, 2], 0), encode_values([0, 5], 2)
@@ -54,12 +54,12 @@ def decode_values(bits: str, order: int, count: int) -> list[int]:
 
 
 def lay_out(ids: NDArray[Any], of: NDArray[Any], known: NDArray[np.bool_]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-    """Return the chunks that ids need first, ascending, and all chunks that are known then.
+    """Return the chunks of ids that are not known yet, ascending, and which chunks are known after that.
 
     Args:
         ids: (G,) ids of Gaussians, ascending.
         of: (N,) the chunk of each Gaussian.
-        known: (C,) whether each chunk is known before.
+        known: (C,) whether each chunk is known.
     """
     after = known.copy()
     after[of[ids]] = True
@@ -67,14 +67,14 @@ def lay_out(ids: NDArray[Any], of: NDArray[Any], known: NDArray[np.bool_]) -> tu
 
 
 class PlainReader:
-    """The coder of records, one symbol at a time in plain Python, as a client would write it.
+    """Decoder of coded records, one symbol at a time, as a client would write it.
 
     Args:
         data: Bytes of a row of records.
-        tables: For each table, the slots of each symbol; an empty list for a table without symbols.
+        tables: For each table, the number of slots of each symbol; an empty list for a table without symbols.
 
     Raises:
-        ValueError: From all methods, if the bytes are no such symbols.
+        ValueError: From all methods, if the bytes do not hold the symbols that are asked for.
     """
 
     def __init__(self, data: bytes, tables: list[list[int]]) -> None:
@@ -82,11 +82,12 @@ class PlainReader:
             raise ValueError("data: expected words of 16 bits, at least four")
         self._words = [data[k] | data[k + 1] << 8 for k in range(0, len(data), 2)]
         self._tables = tables
-        self._state, self._other = (self._words[k] | self._words[k + 1] << 16 for k in (0, 2))
+        self._state = self._words[0] | self._words[1] << 16
+        self._other = self._words[2] | self._words[3] << 16
         self._at = 4
 
     def symbol(self, table: int) -> int:
-        """Return the next symbol, of a table."""
+        """Return the next symbol, which is one of a table."""
         slot = self._state & 4095
         start = 0
         for symbol, size in enumerate(self._tables[table]):
@@ -97,7 +98,7 @@ class PlainReader:
         raise ValueError(f"table {table}: expected one with symbols")
 
     def bits(self, count: int) -> int:
-        """Return the next raw bits; none are no operation."""
+        """Return the next `count` raw bits; 0 bits read nothing."""
         if count == 0:
             return 0
         found = self._state & ((1 << count) - 1)
@@ -105,11 +106,12 @@ class PlainReader:
         return found
 
     def end(self) -> None:
-        """Raise unless all words are used, and the states are those of the first symbols that were written."""
+        """Raise unless all words are used and both states are back at the encoder's start."""
         if self._at != len(self._words) or (self._state, self._other) != (1 << 16, 1 << 16):
             raise ValueError("data: expected no more words")
 
     def _refill(self, state: int) -> None:
+        """Read a word into a state that is too small, and swap the two states."""
         if state < 1 << 16:
             if self._at == len(self._words):
                 raise ValueError("data: expected more words")
@@ -120,7 +122,7 @@ class PlainReader:
 
 
 def table_slots(levels: list[int]) -> list[int]:
-    """Return the slots of each symbol of a table, of 4096, from their levels."""
+    """Return how many of the 4096 slots of a table each symbol gets, from the levels of the symbols."""
     weights = [(4 + (level - 1) % 4) << ((level - 1) // 4) if level else 0 for level in levels]
     total = sum(weights)
     used = sum(weight > 0 for weight in weights)
@@ -141,11 +143,11 @@ def read_record(
     """Return the next record of a Gaussian with three bytes of color, and its strength.
 
     Args:
-        reader: At the record.
+        reader: Its next symbol is the first of the record.
         bits: Bits of a coordinate, of a component of the quaternion, and of a log-scale.
         chunk: A table, and the row of its chunk.
-        before: How far the id before in the same chunk is away, and its strength; None if there is none.
-        limits: `Steps` of the scene, if it leaves bits out.
+        before: Distance of the id from the last one in the same chunk, and the strength of that; None if there is none.
+        limits: `Steps` of the scene; None if all bits are sent.
     """
     position, rotation, scale = bits
     table, row = chunk
@@ -154,7 +156,7 @@ def read_record(
     opacity, order, middle, smallest = (reader.symbol(k) for k in range(4))
     a = -middle * stride
     b = -smallest * stride
-    weight = _logarithm(opacity) + _add(_add(a, b), a + b)
+    weight = _logarithm(opacity) + _add_logarithms(_add_logarithms(a, b), a + b)
     if before is None:
         top = reader.symbol(4)
     else:
@@ -210,10 +212,12 @@ def longest_step(table: ChunkTable, row: int, axis: int) -> int:
 
 
 def _logarithm(opacity: int) -> int:
+    """Return 64 log2 of an opacity of 0 to 255, rounded."""
     return round(64 * math.log2(max(opacity, 1)))
 
 
-def _add(a: int, b: int) -> int:
+def _add_logarithms(a: int, b: int) -> int:
+    """Return the logarithm of a sum from those of its parts; all are 64 log2."""
     return max(a, b) + round(64 * math.log2(1 + 2 ** (-abs(a - b) / 64)))
 
 
@@ -221,8 +225,8 @@ def read_term(reader: PlainReader, before: int | None) -> tuple[int, int]:
     """Return the next term of 36 bits, and its leading intensity.
 
     Args:
-        reader: At the term.
-        before: The leading intensity of the term before, if that is of the same Gaussian.
+        reader: Its next symbol is the first of the term.
+        before: Leading intensity of the term before, if it belongs to the same Gaussian; None otherwise.
     """
     lead = reader.symbol(70 if before is None else 71 + before // 8)
     decay = reader.symbol(79 + lead // 8)

@@ -1,6 +1,6 @@
-"""A scene, ready to send to all sessions of a server. Threads may share it.
+"""A scene that is ready to be sent to the sessions of a server. Threads may share it.
 
-It is made of a source (`gsvis.stream.source`) and serving tables (`gsvis.stream.piecewise`), in memory or mapped.
+It combines a source (`gsvis.stream.source`) and serving tables (`gsvis.stream.piecewise`), in memory or mapped.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class RecordTables:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> RecordTables:
-        """Return the records of serving tables."""
+        """Return the records from the arrays of serving tables."""
         kind = records.Chunks
         return cls(
             parts=arrays["parts"],
@@ -72,20 +72,20 @@ class RecordTables:
 
 
 class StreamedScene:
-    """A scene, ready to send; `StreamedScene.open` makes one of a package.
+    """A scene that is ready to be sent; `StreamedScene.open` opens one from a package.
 
     Args:
-        source: Where it comes from, open.
-        tables: Its serving tables; no record is read.
+        source: The open source; none of its records is read.
+        tables: Its serving tables.
         max_cache_bytes: Most bytes of decoded sets and candidates of cells to keep; the last is kept in any case.
         quality: How records were rounded when the tables were made.
 
     Attributes:
         source: The open source.
         header: The WELCOME message, the same for every client.
-        about: Its content.
-        records: The records.
-        index: What planners need to know of the scene.
+        about: Content of the WELCOME message.
+        records: The records of the scene.
+        index: The scene as planners see it.
         candidates: Candidates of each cell, shared by all planners.
 
     Raises:
@@ -142,7 +142,7 @@ class StreamedScene:
         return cls(source, tables, max_cache_bytes=max_cache_bytes, quality=quality)
 
     def with_index(self, index: SceneIndex, *, max_cache_bytes: int = 512 << 20) -> StreamedScene:
-        """Return the same scene, planned by another index of the same Gaussians, with a cache of its own.
+        """Return the same scene with a different index of the same Gaussians, and a cache of its own.
 
         Args:
             index: The index.
@@ -164,7 +164,7 @@ class StreamedScene:
 
     @property
     def contents(self) -> Contents:
-        """The records of the source, rounded if there is a quality; decoded at each call if they are not in memory."""
+        """The records of the source, rounded if there is a quality; decoded at each access if not in memory."""
         contents = self.source.read_contents()
         return contents if self._quality is None else coarsen(contents, self._quality)[0]
 
@@ -177,12 +177,12 @@ class StreamedScene:
 
     @property
     def most_hello(self) -> int:
-        """Most bytes of a HELLO for this scene, whatever its client holds; enough for a TOKEN, too."""
+        """Most bytes of a HELLO for this scene, with any holdings; a TOKEN is never longer."""
         return 4096 + Holdings.most_bytes(self.about.gaussians, self.about.terms)
 
 
 def _index_of(source: SceneSource, tables: SceneTables, about: SceneHeader, cache: Cache[Any]) -> SceneIndex:
-    """Return the index of a scene from its tables; what is decoded of its visible sets is kept in `cache`."""
+    """Return the index of a scene from its tables; decoded visible sets go to `cache`."""
     n = about.gaussians
     a = tables.arrays
     cones = None

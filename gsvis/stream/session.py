@@ -1,9 +1,9 @@
 """The session of one viewer: what the client holds, what to send next, and when. No socket, no clock.
 
 Poses and acknowledgements go in, messages come out. The planner chooses records; the session measures the link, limits
-the bytes in flight, and adds what the client needs to decode the records: rows of chunks. The session measures
-throughput itself, so simulator and server see the same values, and a client cannot claim any. Times are in seconds;
-sizes are bytes of messages.
+the bytes in flight, and adds the rows of chunks that the client needs to decode the records. The session measures
+throughput itself, so simulator and server see the same values, and a client cannot claim a false one. Times are in
+seconds; sizes are bytes of messages.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ LEAST = 1024
 PIECE = 4096.0
 """Bytes that a message should have at least, so that its overhead stays small."""
 
-_FIRST = 1.2  # bytes of a message for each byte of records, assumed before the first message
-_LEARNED = 0.3  # weight of the last message in the mean of that ratio
+_FIRST = 1.2  # bytes of a message per byte of records, assumed before the first message
+_LEARNED = 0.3  # weight of the last message in the running mean of that ratio
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +88,8 @@ class Session:
         self.scene = scene
         self.config = config or AbrConfig()
         self.planner = Planner(scene.candidates, view, self.config, holdings=holdings, memory=memory)
-        self.meter, self.piece = LinkMeter(), self.config.piece
+        self.meter = LinkMeter()
+        self.piece = self.config.piece
         self._throughput = estimator(self.config.estimator, self.config.start_rate)
         self.wire_bytes = 0
         self.record_bytes = 0.0
@@ -136,7 +137,7 @@ class Session:
 
     @property
     def done(self) -> bool:
-        """Whether nothing is left to send: what the client's view needs, and with `AbrConfig.fill` the rest."""
+        """Whether nothing is left to send; see `Planner.done`."""
         return self.planner.done
 
     @property
@@ -146,11 +147,11 @@ class Session:
 
     @property
     def has_to_prepare(self) -> bool:
-        """Whether the next message takes long, because nobody has been in the cell of the viewer yet."""
+        """Whether the next message will take long, because the candidates of the viewer's cell have to be computed."""
         return self.planner.has_to_prepare
 
     def welcome(self, t: float) -> Message:
-        """Return WELCOME, the first message to send; its acknowledgement shows the round trip."""
+        """Return WELCOME, the first message to send; its acknowledgement measures the round trip."""
         self._record_sent(t, 0, len(self.scene.header))
         return Message(0, self.scene.header, Batch.empty())
 
@@ -173,20 +174,18 @@ class Session:
             self._throughput.observe(*transfer)
 
     def allowance(self) -> float:
-        """Return the bytes to send now: enough to keep the link busy for the window and a round trip.
+        """Return how many bytes may be sent now, to keep the link busy for the window and a round trip.
 
-        What only fills the link has the window of two messages, so that it does not delay what the next view needs.
-        Where messages are larger than `AbrConfig.piece` wants, other windows have room for two of them, too.
+        Records that only fill the link have a window of two messages, so that they do not delay what the next view
+        needs. If messages are longer than `AbrConfig.piece`, all windows have room for at least two.
         """
-        return self._free(self._filling_window if self.filling else self._window)
+        return self._free_bytes(self._filling_window if self.filling else self._window)
 
     def room(self) -> float:
-        """Return the bytes that the next message should have.
+        """Return the bytes that the next message should have; 0 to wait for an acknowledgement.
 
-        Returns:
-            0 if the allowance is so small that the message should wait for the next acknowledgement. Never 0 with
-            nothing in flight, so that the session retries a link that seems dead. The first messages are small:
-            a client shows a message when it is whole, and at first it shows nothing.
+        It is never 0 if nothing is in flight, so that the session retries a link that seems dead. The first messages
+        are small, because a client shows a message only when it is complete.
         """
         size = max(self.rate * self.piece, PIECE)
         if self.wire_bytes < self.config.begin:
@@ -195,7 +194,7 @@ class Session:
         return min(size, room) if room >= 0.5 * size else 0.0
 
     def prepare(self) -> None:
-        """Make what `has_to_prepare` asks for; another thread may, while nobody else uses the session."""
+        """Compute the candidates that `has_to_prepare` reports; any thread may, while none else uses the session."""
         self.planner.prepare()
 
     def next_message(
@@ -205,10 +204,10 @@ class Session:
 
         Args:
             t: Seconds.
-            budget: Bytes that the message should have; None means `room`. The overhead of chunks and ids is known only
-                after the planner has chosen the records, so a message may exceed the budget by some percent.
-            sent_at: Returns the seconds at which the message is ready, so that planning does not count as time of the
-                link; None means t.
+            budget: Bytes that the message should have; None means `room`. The size of chunks and ids is known only
+                after the planner has chosen the records, so a message may exceed the budget by a few percent.
+            sent_at: Called when the message is ready, returns the time in seconds. So planning does not count as
+                transfer time. None means t.
 
         Returns:
             The batch; None if the budget is too small, nothing is left for the view, or no pose has arrived.
@@ -216,7 +215,7 @@ class Session:
         room = (self.room() if budget is None else budget) - FIXED_BYTES
         if room < LEAST - FIXED_BYTES:
             return None
-        spare = min(room, self._spare()) / self._overhead
+        spare = min(room, self._spare_bytes()) / self._overhead
         batch = self.planner.next_batch(t, room / self._overhead, self.record_rate, spare=spare)
         self.record_bytes += batch.bytes
         if len(batch) == 0 and len(batch.evicted) == 0:
@@ -231,46 +230,50 @@ class Session:
 
     @property
     def _window(self) -> float:
+        """Seconds of data that may be in flight."""
         wide = self.piece > self.config.piece
         return max(self.config.window, 2.0 * self.piece) if wide else self.config.window
 
     @property
     def _filling_window(self) -> float:
+        """Seconds of data that may be in flight if it only fills the link."""
         return min(self._window, 2.0 * self.piece)
 
-    def _free(self, window: float) -> float:
-        """Return the bytes by which more may be in flight, for seconds of the link beside a round trip."""
+    def _free_bytes(self, window: float) -> float:
+        """Return how many more bytes may be in flight, for a window in seconds plus a round trip."""
         return max(0.0, self.rate * (window + self.meter.round_trip) - self.outstanding)
 
-    def _spare(self) -> float:
-        """Return the bytes to send if they only fill the link; some with nothing in flight, as in `room`."""
-        free = self._free(self._filling_window)
+    def _spare_bytes(self) -> float:
+        """Return how many bytes may be sent that only fill the link; never 0 if nothing is in flight."""
+        free = self._free_bytes(self._filling_window)
         return max(free, PIECE) if self.outstanding == 0 else free
 
     def _record_sent(self, t: float, sequence: int, nbytes: int) -> None:
+        """Count a message as sent."""
         self.wire_bytes += nbytes
         self.meter.on_sent(t, sequence, nbytes)
 
     def _encode(self, batch: Batch) -> bytes:
+        """Return the BATCH message of a batch, with the rows of chunks that are new to the client."""
         scene = self.scene
         coding = scene.coding
         gaussians = _sort_ids(batch.gaussians, *self._marks)
         terms = _sort_ids(batch.terms, *self._term_marks)
         of = np.empty_like(gaussians)
         fresh = np.empty_like(gaussians)
-        chunks = fresh[
-            : kernels.lay_out(gaussians, scene.records.chunks, scene.records.starts, self._has_row, of, fresh)
-        ]
-        owners = scene.records.owners[terms]
+        records = scene.records
+        count = kernels.lay_out(gaussians, records.chunks, records.starts, self._has_row, of, fresh)
+        chunks = fresh[:count]
+        owners = records.owners[terms]
         sections = Sections(
             sequence=self._sequence,
-            chunks=scene.records.starts[chunks],
-            rows=scene.records.chunk_rows[chunks],
+            chunks=records.starts[chunks],
+            rows=records.chunk_rows[chunks],
             gaussians=gaussians,
-            records=coding.encode_some(scene.records.parts, gaussians, of, scene.records.chunk_numbers),
+            records=coding.encode_some(records.parts, gaussians, of, records.chunk_numbers),
             terms=terms,
             owners=owners,
-            term_records=coding.encode_some_terms(scene.records.term_records, terms, owners),
+            term_records=coding.encode_some_terms(records.term_records, terms, owners),
             gone=_sort_ids(batch.gone, *self._marks),
             evicted=np.sort(batch.evicted),
         )
@@ -278,6 +281,7 @@ class Session:
 
 
 def _sort_ids(ids: NDArray[Any], marks: NDArray[np.uint64], summary: NDArray[np.uint64]) -> NDArray[Any]:
+    """Return ids in ascending order; `marks` and `summary` are scratch, see `ascend`."""
     out = np.empty_like(ids)
     if len(ids):
         kernels.ascend(ids, marks, summary, out)

@@ -1,7 +1,7 @@
-"""Where a streamed scene comes from: a package, or a world (`gsvis.world.streamed`). A package is a world of one tile.
+"""The source of a streamed scene: a package, or a world (`gsvis.world.streamed`). A package is a world of one tile.
 
-A source gives its records piece by piece, all in the tables of one manifest; ids of pieces stand behind each other.
-Serving tables (`gsvis.stream.piecewise`) are computed from it and map to the same scene whatever the source.
+A source gives its records piece by piece, all with the color tables of one manifest. The ids of a piece follow those of
+the piece before. Serving tables (`gsvis.stream.piecewise`) are computed from a source.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ _LOG = logging.getLogger(__name__)
 
 
 class SceneSource(Protocol):
-    """A scene to stream, made of pieces with at least one Gaussian each, or of one piece.
+    """A scene to stream, in one piece, or in several pieces with at least one Gaussian each.
 
     Attributes:
         path: The folder.
-        manifest: One manifest of all pieces.
+        manifest: One manifest for all pieces.
     """
 
     path: Path
@@ -57,7 +57,7 @@ class SceneSource(Protocol):
         ...
 
     def close(self) -> None:
-        """Close what is open."""
+        """Close all files."""
         ...
 
     @property
@@ -67,28 +67,28 @@ class SceneSource(Protocol):
 
     @property
     def is_single(self) -> bool:
-        """Whether all is one package, whose files a viewer may read one by one."""
+        """Whether the scene is one package, whose files a viewer may read one by one."""
         ...
 
     @property
     def has_cells(self) -> bool:
-        """Whether it is known where eyes may be, and what they see from there."""
+        """Whether the scene has cells with visible sets."""
         ...
 
     def check_parts(self) -> None:
-        """Raise unless every part is there in its size; read none of them."""
+        """Raise FormatError unless every part exists with the right size; read none of them."""
         ...
 
     def set_files(self, *, verify: bool = False) -> list[Path]:
-        """Return the files of visible sets that are checked whole when the source is opened.
+        """Return the files of visible sets that have to be valid as a whole when the source is opened.
 
-        With `verify`, they are read and compared with their names. Those of a world are checked piece by piece when
-        they are read, and left out where they are damaged.
+        With `verify`, their content is compared with their names. A world returns none: it checks its sets piece by
+        piece when they are read, and skips damaged ones.
         """
         ...
 
     def read_contents(self) -> Contents:
-        """Return all records; keep none in memory that was not there."""
+        """Return all records; those that are not in memory are decoded and not kept."""
         ...
 
     def forget_records(self) -> None:
@@ -96,50 +96,53 @@ class SceneSource(Protocol):
         ...
 
     def part_of(self, gaussian: int) -> tuple[Contents, int]:
-        """Return the records of the part that holds a Gaussian, and the id of the first of them."""
+        """Return the records of the part that has a Gaussian, and the id of its first Gaussian."""
         ...
 
     def ranges(self) -> list[tuple[int, int]]:
-        """Return the first id of each piece, and its end."""
+        """Return the first id of each piece, and the end of its ids."""
         ...
 
     def pieces(self) -> Iterator[Contents]:
-        """Yield the records of each piece, in the tables of the whole scene."""
+        """Yield the records of each piece, with the color tables of the whole scene."""
         ...
 
     def piece_weight(self, piece: int) -> int:
-        """Return how often the symbols of a piece count for the code."""
+        """Return the factor for counts of a piece's symbols, from which the code is made."""
         ...
 
     def piece_links(self, piece: int, contents: Contents, means: Means) -> I64:
-        """Return (P, 2) ascending pairs: a Gaussian of a piece, and an id that replaces it.
+        """Return (P, 2) ascending pairs: id of a Gaussian of the piece, id of a Gaussian that replaces it.
 
-        `means(low, high)` returns the centers of ids that come before the piece.
+        Args:
+            piece: Number of the piece.
+            contents: Its records.
+            means: Returns the centers of the ids in [low, high), for ids before the piece.
         """
         ...
 
     def piece_order(self, piece: int) -> I32:
-        """Return (N,) the Gaussian at each place of the visible sets of a piece; -1 where it is not known."""
+        """Return the Gaussian at each place (N,) of the visible sets of a piece; -1 where it is unknown."""
         ...
 
     def piece_sources(self, piece: int) -> Sequence[int]:
-        """Return the pieces whose Gaussians those of a piece may replace."""
+        """Return the pieces that may have Gaussians that those of this piece replace."""
         ...
 
     def read_cells(self) -> tuple[Cells, F32]:
-        """Return the cells, and the weight of each class."""
+        """Return the cells, and the weight (K,) of each class."""
         ...
 
     def cells_from(self, arrays: Arrays) -> Cells:
-        """Return the cells that were taken apart by their `to_arrays`."""
+        """Return the cells from the arrays of their `to_arrays`."""
         ...
 
     def sets(self, cells: Cells, cache: Cache[Any], arrays: Arrays) -> CellSets:
-        """Return what the cells see.
+        """Return the visible sets of the cells.
 
         Args:
             cells: The cells.
-            cache: Keeps what is decoded.
+            cache: Cache for decoded sets.
             arrays: The serving tables: `set_order` of all pieces, and `last` of all Gaussians.
         """
         ...
@@ -200,7 +203,7 @@ class PackageSource:
         return self.package.set_files(verify=verify)
 
     def read_contents(self) -> Contents:
-        """Return all records; keep none in memory that was not there."""
+        """Return all records; those that are not in memory are decoded and not kept."""
         held: Contents | None = self.package.__dict__.get("contents")
         if held is not None:
             return held
@@ -212,7 +215,7 @@ class PackageSource:
         self.package.forget_records()
 
     def part_of(self, gaussian: int) -> tuple[Contents, int]:
-        """Return the records of the part that holds a Gaussian, and the id of the first of them."""
+        """Return the records of the part that has a Gaussian, and the id of its first Gaussian."""
         return self.package.part_of(gaussian)
 
     def ranges(self) -> list[tuple[int, int]]:
@@ -234,7 +237,7 @@ class PackageSource:
         return np.stack([owners, ids.astype(np.int64)], axis=1)
 
     def piece_order(self, piece: int) -> I32:
-        """Return (N,) the Gaussian at each place of the visible sets; -1 if there are none."""
+        """Return the Gaussian at each place (N,) of the visible sets; -1 without visible sets."""
         return self.package.visibility.order if self.has_cells else np.full(len(self.package), -1, np.int32)
 
     def piece_sources(self, piece: int) -> Sequence[int]:
@@ -242,7 +245,7 @@ class PackageSource:
         return [0]
 
     def read_cells(self) -> tuple[Cells, F32]:
-        """Return the cells, and the weight of each class: one cell that sees everything, without visible sets."""
+        """Return the cells and the weight (K,) of each class; without visible sets, one cell that sees everything."""
         if self.has_cells:
             sets = self.package.visibility
             return sets.grid, class_weights(sets)
@@ -254,11 +257,11 @@ class PackageSource:
         return CellGrid((low + high) / 2 - side / 2, side, (1, 1, 1), box, up), np.ones(1, np.float32)
 
     def cells_from(self, arrays: Arrays) -> Cells:
-        """Return the cells that were taken apart by `CellGrid.to_arrays`."""
+        """Return the cells from the arrays of `CellGrid.to_arrays`."""
         return CellGrid.from_arrays(arrays)
 
     def sets(self, cells: Cells, cache: Cache[Any], arrays: Arrays) -> CellSets:
-        """Return what the cells see; all cells see everything without visible sets."""
+        """Return the visible sets; without any, each cell sees everything."""
         if not self.has_cells:
             return EveryCell(self.manifest.gaussians, self.manifest.terms)
         return PackageSets(self.package.open_sets(cache, order=arrays["set_order"]))
@@ -267,11 +270,11 @@ class PackageSource:
         """Return the active terms of the cells; None if no terms are sent."""
         if not self.has_cells:
             return EveryCell(self.manifest.gaussians, self.manifest.terms)
-        return None if self.epsilon is None else _Later(self.package)
+        return None if self.epsilon is None else _LazyActiveTerms(self.package)
 
 
 class PackageSets(CellSets):
-    """The visible sets of a package. If their files are gone, all cells see everything, with one line in the log.
+    """The visible sets of a package. If their files cannot be read any more, all cells see everything.
 
     Args:
         store: The open store.
@@ -283,44 +286,44 @@ class PackageSets(CellSets):
         self._is_lost = False
 
     def classes(self, cell: int) -> tuple[I64, NDArray[np.uint8]]:
-        """Return the ids that a cell sees, ascending, and the weight class of each."""
+        """Return the ids (V,) that a cell sees, ascending, and the weight class (V,) of each."""
         return self._read(partial(self._store.classes, cell), partial(self._without_classes, cell))
 
     def visible_masks(self, cell: int) -> tuple[I32, NDArray[np.uint64]]:
-        """Return the words of the visible set of a cell that are not empty, and their masks."""
+        """Return the nonempty words of the visible set of a cell, and their masks."""
         return self._read(partial(self._store.visible_masks, cell), partial(self._everything.visible_masks, cell))
 
     def ring_masks(self, rings: Sequence[Sequence[int]]) -> list[list[tuple[I32, NDArray[np.uint64]]]]:
-        """Return one set for each ring of cells: what they see and those of earlier rings do not."""
+        """Return one set for each ring of cells: what its cells see and those of earlier rings do not."""
         return self._read(partial(self._store.ring_masks, rings), partial(self._everything.ring_masks, rings))
 
     def store_of(self, gaussian: int) -> tuple[VisibilityStore, int, int]:
-        """Return the store, the id, and cell 0."""
+        """Return the one store, the same id, and 0 for the first cell."""
         return self._store, gaussian, 0
 
     @property
     def whole_store(self) -> VisibilityStore:
-        """The store."""
+        """The store that lists all Gaussians."""
         return self._store
 
     def load(self, tile: int) -> None:
-        """Decode what all queries need."""
+        """Decode the tables that all queries need."""
         self._store.load()
 
-    def _read(self, read: Callable[[], T], otherwise: Callable[[], T]) -> T:
-        """Return what is read, or what stands for it where the files cannot be read any more."""
+    def _read(self, read: Callable[[], T], fallback: Callable[[], T]) -> T:
+        """Return `read()`, or `fallback()` once the files cannot be read any more; log that once."""
         if self._is_lost:
-            return otherwise()
+            return fallback()
         try:
             return read()
         except OSError as error:
-            found = otherwise()
+            found = fallback()
             self._is_lost = True
             _LOG.error("%s: visible sets cannot be read, all cells see everything: %s", self._store.path, error)
             return found
 
     def _without_classes(self, cell: int) -> tuple[I64, NDArray[np.uint8]]:
-        """Return what a cell sees, all in class 0: the set that a caller may have read before, if it is in memory."""
+        """Return what a cell sees, all in class 0: its visible set if that is in memory, else all Gaussians."""
         ids = self._everything.classes(cell)[0]
         if not self._is_lost:
             with suppress(OSError):
@@ -349,13 +352,14 @@ class EveryCell(CellSets):
         return np.arange(self._terms)
 
 
-class _Later:
-    """The active terms of a package, found only when somebody asks for them."""
+class _LazyActiveTerms:
+    """The active terms of a package, computed on first use."""
 
     def __init__(self, package: Package) -> None:
         self._package = package
 
     def active_ids(self, cell: int) -> I64:
+        """Return the ids of the active terms of a cell, ascending."""
         return self._package.active_terms.active_ids(cell)
 
 
@@ -367,6 +371,6 @@ def as_source(scene: SceneSource | Package | str | PathLike[str]) -> SceneSource
 
 
 def class_weights(sets: VisibilityStore) -> F32:
-    """Return the (K,) weight that stands for each class of a store: the geometric mean of its ends."""
+    """Return a representative weight (K,) of each class of a store: the geometric mean of its bounds."""
     ends = [sets.class_interval(k) for k in range(len(sets.info.class_edges))]
     return np.array([np.sqrt(low * min(high, 1.0)) for low, high in ends], np.float32)

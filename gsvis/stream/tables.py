@@ -1,7 +1,7 @@
-"""Tables of the coder: how often each symbol of a scene occurs, rounded, as text in WELCOME.
+"""Tables of the coder: the rounded frequency of each symbol of a scene, sent as text in WELCOME.
 
-A symbol has a level from 0 to 49: 0 if it does not occur, else its weight is 4, 5, 6, 7, 8, 10, 12, 14, 16, ... A table
-has 4096 slots: a symbol with a weight has one of them, and its share of the rest.
+A symbol has a level from 0 to 49: level 0 if it does not occur; levels from 1 on stand for the weights 4, 5, 6, 7, 8,
+10, 12, 14, 16, ... A table has 4096 slots. Each symbol that occurs gets one slot and, by weight, a share of the rest.
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ I64 = NDArray[np.int64]
 MOST_LEVEL = 49
 """Level of the largest weight: one symbol that fills its table."""
 
-_HEAD = 10  # order of the code of the numbers before each table
 _WEIGHTS = np.array([0, *((4 + (m & 3)) << (m >> 2) for m in range(MOST_LEVEL))], np.int64)
 
 
@@ -47,7 +46,7 @@ class Tables:
 
     @classmethod
     def from_levels(cls, levels: U8, sizes: list[int]) -> Tables:
-        """Return tables with so many symbols each, of these levels."""
+        """Return tables from the levels of all symbols and the number of symbols of each table."""
         offsets = np.concatenate([np.zeros(1, np.int64), np.cumsum(sizes, dtype=np.int64)])
         spans = np.empty(len(levels), np.uint32)
         coder.fill(_WEIGHTS[levels], offsets, spans)
@@ -61,7 +60,7 @@ class Tables:
 
     @classmethod
     def from_counts(cls, counts: I64, sizes: list[int]) -> Tables:
-        """Return tables for symbols that occur so often."""
+        """Return tables from the counts of all symbols and the number of symbols of each table."""
         offsets = np.concatenate([np.zeros(1, np.int64), np.cumsum(sizes, dtype=np.int64)])
         totals = np.repeat(np.add.reduceat(counts, offsets[:-1]), sizes)
         wanted = 4.0 * coder.TOTAL * counts / np.maximum(totals, 1)
@@ -70,7 +69,7 @@ class Tables:
         return cls.from_levels(levels.astype(np.uint8), sizes)
 
     def part(self, first: int, count: int) -> coder.Decoder:
-        """Return some of the tables for decoding."""
+        """Return `count` tables from table `first` on, for decoding."""
         code = self.decoder
         some = slice(first, first + count)
         return code._replace(rows=code.rows[some], offsets=code.offsets[first : first + count + 1])
@@ -86,10 +85,10 @@ class Tables:
                 continue
             first = int(used[0])
             count = int(used[-1] - used[0]) + 1
-            folded = _fold(self.levels[low + first : low + first + count])
-            order = int(codes.best_order(folded))
+            steps = _encode_steps(self.levels[low + first : low + first + count])
+            order = int(codes.best_order(steps))
             bit = codes.write(np.array([1 + order, first, count - 1]), 0, out, bit)
-            bit = codes.write(folded, order, out, bit)
+            bit = codes.write(steps, order, out, bit)
         return base64.b64encode(out[: -(-bit // 8)].tobytes()).decode()
 
     @classmethod
@@ -97,12 +96,12 @@ class Tables:
         """Return the tables that `to_text` wrote.
 
         Raises:
-            ProtocolError: If the text is no such tables.
+            ProtocolError: If the text does not hold valid tables.
         """
         try:
             data = np.frombuffer(base64.b64decode(text, validate=True), np.uint8)
         except (binascii.Error, ValueError) as error:
-            raise ProtocolError("tables: expected base64, got other text") from error
+            raise ProtocolError(f"tables: expected base64, got {text[:40]!r}") from error
         levels = np.zeros(sum(sizes), np.uint8)
         bit = 0
         at = 0
@@ -117,10 +116,10 @@ class Tables:
                 if bit < 0 or head[0] > 9 or first + count > size:
                     bit = -1
                     break
-                folded = np.empty(count, np.int64)
-                bit = codes.read(data, bit, int(head[0]) - 1, folded)
-                values = _unfold(folded)
-                if bit < 0 or values[folded > 0].min(initial=1) < 1 or values.max() > MOST_LEVEL:
+                steps = np.empty(count, np.int64)
+                bit = codes.read(data, bit, int(head[0]) - 1, steps)
+                values = _decode_steps(steps)
+                if bit < 0 or values[steps > 0].min(initial=1) < 1 or values.max() > MOST_LEVEL:
                     bit = -1
                     break
                 levels[at + first : at + first + count] = values
@@ -133,8 +132,8 @@ class Tables:
         return cls.from_levels(levels, sizes)
 
 
-def _fold(levels: U8) -> I64:
-    """Return 0 for each level 0, and for the others how far they are from the one before that is not 0, folded."""
+def _encode_steps(levels: U8) -> I64:
+    """Return 0 for each level 0, else 1 plus the zigzag-encoded difference from the last level that is not 0."""
     values = np.zeros(len(levels), np.int64)
     used = levels > 0
     steps = np.diff(levels[used].astype(np.int64), prepend=0)
@@ -142,8 +141,8 @@ def _fold(levels: U8) -> I64:
     return values
 
 
-def _unfold(values: I64) -> I64:
-    """Return the levels that `_fold` folded."""
+def _decode_steps(values: I64) -> I64:
+    """Return the levels that `_encode_steps` encoded."""
     levels = np.zeros(len(values), np.int64)
     used = values > 0
     steps = values[used] - 1

@@ -58,17 +58,17 @@ FAULTS = {
     "internal": 8,
     "ending": 9,
 }
-"""Codes of ERROR, in this order: not a valid message; another version; over a limit; no token; too many connections;
-too many messages; no acknowledgement for too long; a fault of the server; the server is shutting down."""
+"""Codes of ERROR, in this order: invalid message; wrong version; over a limit; no token; too many connections; too many
+messages; no acknowledgement for too long; a fault of the server; the server is shutting down."""
 
 CLOSE_CODES = {FAULTS["too-many"]: 1013, FAULTS["internal"]: 1011, FAULTS["ending"]: 1012}
-"""Close codes of a WebSocket after an ERROR, by its code; `POLICY` for the others. After BYE it is `NORMAL`."""
+"""Close code of a WebSocket after an ERROR, by the code of the ERROR; else `POLICY`. After BYE it is `NORMAL`."""
 
 NORMAL = 1000
 POLICY = 1008
 
 IDENTITY = 32
-_HELLO = struct.Struct("<BBHI6f32sQ")  # type, version, 0, bytes of holdings, field of view, their scene, memory
+_HELLO = struct.Struct("<BBHI6f32sQ")  # type, version, 0, bytes of holdings, view, scene, memory
 LEAST_HELLO = _HELLO.size
 """Bytes of a HELLO without holdings."""
 
@@ -171,15 +171,16 @@ class Token:
         """Return the TOKEN message.
 
         Raises:
-            ValueError: If the text has another length or other characters.
+            ValueError: If the text is empty or too long, or has characters that are not printable ASCII.
         """
         if not _is_token(self.text.encode("utf-8", "replace")):
-            got = f"{len(self.text):,}, or characters that are none"  # never the token itself
+            got = f"{len(self.text):,} characters, or some that are not ASCII"  # never the token itself
             raise ValueError(f"text: expected 1 to {_MOST_LINE} printable ASCII characters, got {got}")
         return _TOKEN.pack(TOKEN, 0, len(self.text)) + self.text.encode()
 
 
 def _is_token(text: bytes) -> bool:
+    """Return whether bytes are 1 to 1000 printable ASCII characters."""
     return 1 <= len(text) <= _MOST_LINE and all(0x20 <= byte < 0x7F for byte in text)
 
 
@@ -202,7 +203,7 @@ class ServerFault:
 
     @classmethod
     def from_error(cls, error: Exception) -> ServerFault:
-        """Return what to report of an error. Hide all details of an error that is not a ProtocolError."""
+        """Return what the client gets to know about an error: all of a ProtocolError, no detail of any other."""
         if isinstance(error, ProtocolError):
             return cls(error.code, str(error))
         return cls(FAULTS["internal"], "the server failed; try again later")
@@ -235,9 +236,9 @@ def parse_client(data: bytes, *, most_hello: int = MOST_HELLO) -> Hello | PoseAt
     """
     kind = data[0] if data else 0
     if kind == HELLO:
-        return _hello(data, most_hello)
+        return _parse_hello(data, most_hello)
     if kind == TOKEN:
-        return _token(data)
+        return _parse_token(data)
     for code, name, layout in ((POSE, "POSE", _POSE), (ACK, "ACK", _ACK), (BYE, "BYE", _BYE)):
         if kind == code:
             if len(data) != layout.size:
@@ -250,7 +251,7 @@ def parse_client(data: bytes, *, most_hello: int = MOST_HELLO) -> Hello | PoseAt
         if not all(map(math.isfinite, (x, y, z, *quat))):
             raise ProtocolError(f"POSE: expected finite numbers, got {(x, y, z)} and {tuple(quat)}")
         if not 1e-12 < a * a + b * b + c * c + d * d < 1e12:
-            raise ProtocolError("POSE: expected a rotation, got a quaternion of no sensible length")
+            raise ProtocolError(f"POSE: expected a rotation with a length of 1e-6 to 1e6, got {tuple(quat)}")
         return PoseAt(time_ms, (x, y, z), (a, b, c, d))
     if kind == ACK:
         return Ack(_ACK.unpack(data)[1])
@@ -259,7 +260,8 @@ def parse_client(data: bytes, *, most_hello: int = MOST_HELLO) -> Hello | PoseAt
     raise ProtocolError(f"message: expected one of HELLO, POSE, ACK, BYE, TOKEN, got {'nothing' if not data else kind}")
 
 
-def _token(data: bytes) -> Token:
+def _parse_token(data: bytes) -> Token:
+    """Return the content of a TOKEN message; errors never quote the token."""
     if not _TOKEN.size < len(data) <= _TOKEN.size + _MOST_LINE:
         raise ProtocolError(
             f"TOKEN: expected {_TOKEN.size + 1} to {_TOKEN.size + _MOST_LINE:,} bytes, got {len(data):,}"
@@ -267,12 +269,13 @@ def _token(data: bytes) -> Token:
     _, zero, length = _TOKEN.unpack_from(data)
     text = data[_TOKEN.size :]
     if zero or length != len(text) or not _is_token(text):
-        got = f"length {length} for {len(text)} bytes" if length != len(text) else "bytes that are none"
+        got = f"length {length} for {len(text)} bytes" if length != len(text) else "bytes that are not"
         raise ProtocolError(f"TOKEN: expected its length and printable ASCII characters, got {got}")
     return Token(text.decode())
 
 
-def _hello(data: bytes, most: int) -> Hello:
+def _parse_hello(data: bytes, most: int) -> Hello:
+    """Return the content of a HELLO message of at most `most` bytes."""
     if len(data) > most:
         raise ProtocolError(f"HELLO: expected at most {most:,} bytes, got {len(data):,}", FAULTS["too-large"])
     if len(data) < 2 or data[1] != PROTOCOL:

@@ -1,11 +1,11 @@
-"""Worlds: many packages over one frame, so that no step and no process holds more than a piece of a city.
+"""Worlds: many packages in one frame, so that no process has to hold more than a part of a city.
 
     prepare_world([("a.ply", None), ("b.ply", None)], "city.gsworld")
     world = World.open("city.gsworld")
     with world.package(world.tile_at(eye)) as package: ...
 
-A package alone is a world of one tile. docs/design/057-worlds.md says why worlds are so, 058-graphs-of-tasks.md how
-they are made. What makes worlds is imported on first use, so that a server needs no torch.
+A single package is a world of one tile. docs/design/057-worlds.md explains the format, 058-graphs-of-tasks.md how
+worlds are made. Modules that make worlds are imported on first use, so that a server needs no torch.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Packages without cells: districts, and tiles in which nobody can be. Base colors alone, no visible sets."""
+"""Write packages without cells: districts, and tiles in which no eye can be. Base colors only, no visible sets."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gsvis.world.rows import box_of, flatten
 __all__ = ["PACKAGE", "Reach", "facts_of_package", "reach_of", "write_bare_package"]
 
 Reach = Sequence[tuple[float, float]]
-"""Least and largest value of each of three components."""
+"""Least and largest value of each of three color components."""
 
 PACKAGE = "package"
 """Name of the folder of a package among the files of a result."""
@@ -29,7 +29,7 @@ def write_bare_package(
     """Write levels as a package with base colors.
 
     Args:
-        out: Folder of a result; the package lies in it.
+        out: Folder of the result of a task, in which the package is written.
         levels: The levels.
         up: (3,) unit axis that points upward.
         meters_per_unit: Meters in a scene unit; 0 if unknown.
@@ -48,7 +48,7 @@ def write_bare_package(
 
 
 def facts_of_package(package: Package, levels: Levels) -> dict[str, Any]:
-    """Return what the manifest of a world says of a package: name, sizes, and the box around its centers."""
+    """Return the facts of a package for the manifest of a world: name, sizes, and the box around its centers."""
     m: Manifest = package.manifest
     path = package.path / MANIFEST
     parts = {part.name: part.nbytes for part in m.parts()}

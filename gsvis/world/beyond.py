@@ -1,4 +1,4 @@
-"""What the cells of a tile see beyond it: ids in the packages of other nodes, read cell by cell from one store."""
+"""What the cells of a tile see outside it: ids in the packages of other nodes, read cell by cell from a store."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ U8 = NDArray[np.uint8]
 
 @dataclass(frozen=True, eq=False)
 class SeenNode:
-    """What a cell sees of one node.
+    """The Gaussians of one node that a cell sees.
 
     Attributes:
         node: Number of the node.
-        level: Highest of its levels that stands there; ids are of this level and of lower ones.
+        level: Highest level of the node that is used there; ids belong to this level and lower ones.
         ids: (V,) ids in the package of the node, ascending.
         classes: (V,) uint8, class of the largest weight of each, as in a store of visible sets.
     """
@@ -39,14 +39,14 @@ class SeenNode:
 
 
 class Beyond:
-    """The open table of a tile. Cells are those of the visible sets of the tile's package.
+    """The open table of a tile. Its cells are those of the visible sets of the tile's package.
 
     Args:
         path: The store.
-        table: What the manifest says of it.
+        table: Its entry in the manifest.
 
     Raises:
-        FormatError: If the store is damaged, or counts other ids than the pieces.
+        FormatError: If the store is damaged, or its number of ids differs from that of the pieces.
         OSError: If it cannot be opened.
     """
 
@@ -72,18 +72,18 @@ class Beyond:
 
     @cached_property
     def _starts(self) -> I64:
-        """Where the ids of each piece begin, and their number."""
+        """(P + 1,) first id of each piece in the store, and the number of ids."""
         return np.concatenate([[0], np.cumsum([piece.count for piece in self.table.pieces])]).astype(np.int64)
 
     @cached_property
     def _runs(self) -> tuple[I64, I64]:
-        """Where the ids of each run begin, and what to add to them for ids of its node."""
+        """(R,) first id of each run in the store, and (R,) what to add to its ids to get ids of its node."""
         first, counts = np.array([run for piece in self.table.pieces for run in piece.runs], np.int64).reshape(-1, 2).T
         starts = np.cumsum(counts) - counts
         return starts, first - starts
 
     def of_cell(self, cell: int) -> list[SeenNode]:
-        """Return what a cell sees of each node, in the order of the pieces; nodes that it does not see are left out.
+        """Return what a cell sees of each node, in the order of the pieces; nodes that it does not see are skipped.
 
         Raises:
             ValueError: If there is no such cell.
@@ -93,7 +93,7 @@ class Beyond:
         return [SeenNode(piece.node, piece.level, places, classes[some]) for piece, places, some in self._split(ids)]
 
     def ids_of_cell(self, cell: int) -> list[tuple[int, I64]]:
-        """Return what a cell sees of each node without classes, which is faster: pairs of a node and ids.
+        """Return pairs of a node and the ids that a cell sees of it; faster than `of_cell`, as classes are not read.
 
         Raises:
             ValueError: If there is no such cell.
@@ -102,7 +102,7 @@ class Beyond:
         return [(piece.node, places) for piece, places, _ in self._split(self.store.visible_ids(cell))]
 
     def _split(self, ids: I64) -> Iterator[tuple[Piece, I64, slice]]:
-        """Yield each piece that has some of the ids, these as ids of its node, and where they are."""
+        """Yield each piece that has some of the ids, these as ids of its node, and their slice of `ids`."""
         starts, more = self._runs
         places = ids + more[np.searchsorted(starts, ids, side="right") - 1] if len(ids) else ids
         cuts = np.searchsorted(ids, self._starts)

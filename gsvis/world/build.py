@@ -1,8 +1,8 @@
-"""Prepare a world: cut scenes into tiles, make levels, districts and packages as graphs of tasks, write the manifest.
+"""Prepare a world as graphs of tasks: cut scenes into tiles; make levels, districts and packages.
 
-Nothing but counters is as large as the scene: this process holds names and sizes, a worker one batch or one tile with
-what stands around it. What is finished stays in a store beside the world, so that a killed run resumes. The bytes of
-the world do not depend on workers, on order, or on kills. docs/design/057-worlds.md, 058-graphs-of-tasks.md.
+Memory never holds the whole scene: this process holds names and sizes, a worker holds one batch, or one tile with its
+surroundings. Finished results stay in a store beside the world, so that a killed run resumes. The bytes of the world do
+not depend on workers, on order, or on kills. See docs/design/057-worlds.md and 058-graphs-of-tasks.md.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ from gsvis.world.tiling import Rect, grid_of, sampling_interval, tile_name
 
 __all__ = ["DistrictPlan", "WorldBuild", "far_from_walk", "plan_districts"]
 
-_GUESSED = 1 << 18  # Gaussians of a batch that only reading counts
-_FEWEST = 64  # Gaussians of a tile; fewer go to the outside
-_SHARE = 1e-3  # and of `most`
-_CAMERAS = 512  # that are asked which way is up
+_GUESSED = 1 << 18  # assumed Gaussians of a batch whose number is unknown until it is read
+_FEWEST = 64  # fewest Gaussians of a tile; with fewer they go to the outside
+_SHARE = 1e-3  # fewest Gaussians of a tile, as a share of `TilingConfig.most`
+_CAMERAS = 512  # most cameras that are used to find the up axis
 
 
 @dataclass(frozen=True)
 class DistrictPlan:
-    """A district to be made.
+    """The plan of a district.
 
     Attributes:
-        children: Nodes that it is made of: one tile, or districts before it.
+        children: Nodes that it is made of: one tile, or earlier districts.
         tiles: Tiles that it stands for, ascending.
     """
 
@@ -50,16 +50,17 @@ class DistrictPlan:
 
 
 def plan_districts(tree: Any, places: Sequence[int | None], count: int) -> list[DistrictPlan]:
-    """Return the districts of a tree of cuts, every second cut left out; each is after those that it is made of.
+    """Return the districts of a tree of cuts, in which every second cut is skipped; children come before parents.
 
     Args:
         tree: Numbers of rectangles, cut by cut, as `cut_squares` returns it.
-        places: Tile of each rectangle; None for one so empty that its Gaussians went to the outside.
-        count: Number of tiles, the outside included. Districts are nodes from there.
+        places: Tile of each rectangle; None for a nearly empty one, whose Gaussians went to the outside.
+        count: Number of tiles, the outside included. Districts are numbered from there.
     """
     found: list[DistrictPlan] = []
 
     def visit(tree: Any) -> int | None:
+        """Append the districts of a tree; return the number of its node, or None if it has no tile."""
         if tree is None:
             return None
         if isinstance(tree, list):
@@ -80,9 +81,10 @@ def plan_districts(tree: Any, places: Sequence[int | None], count: int) -> list[
     return found
 
 
-def _few(viewmats: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return world to camera (C, 4, 4) of cameras, evenly spaced if they are very many."""
-    return np.asarray(viewmats[np.unique(np.linspace(0, len(viewmats) - 1, min(len(viewmats), _CAMERAS)).astype(int))])
+def _thin_cameras(viewmats: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return at most 512 of the world-to-camera matrices (C, 4, 4), evenly spaced."""
+    some = np.linspace(0, len(viewmats) - 1, min(len(viewmats), _CAMERAS)).astype(int)
+    return np.asarray(viewmats[np.unique(some)])
 
 
 def far_from_walk() -> SceneError:
@@ -92,12 +94,12 @@ def far_from_walk() -> SceneError:
 
 @dataclass(eq=False)
 class WorldBuild:
-    """One preparation, stage by stage; each property runs the graph of a stage when it is first asked for.
+    """One preparation, stage by stage. A property runs the graph of its stage on first use.
 
     Attributes:
         scenes: Path and level of detail of each scene.
         config: The options.
-        store: Where results lie.
+        store: Store of the results.
         workers: The workers.
         progress: Called with stages "sampling", "splitting", "levels" and "tiles".
     """
@@ -110,7 +112,7 @@ class WorldBuild:
 
     @cached_property
     def walk(self) -> NDArray[np.float64] | None:
-        """(T, 3) positions of the walk, near enough to each other for its margin; None without a walk."""
+        """(T, 3) positions of the walk, at most half a margin apart; None without a walk."""
         return None if self.config.walk is None else fill_in(np.array(self.config.walk), 0.5 * self.config.margin)
 
     @cached_property
@@ -121,11 +123,12 @@ class WorldBuild:
 
     @cached_property
     def every(self) -> int:
-        """One of so many Gaussians is in the samples."""
+        """The sampling interval: about one of `every` Gaussians is in the samples."""
         return sampling_interval(sum(b.count if b.count >= 0 else _GUESSED for b in self.batches))
 
     @cached_property
     def _survey_tasks(self) -> list[Task]:
+        """The tasks that sample each batch, and the task that finds the grid."""
         every = self.every
         samples = [
             Task(f"sample {k}", "gsvis.world.tiling:sample_rows", {"batch": asdict(batch), "every": every})
@@ -133,12 +136,12 @@ class WorldBuild:
         ]
         params: Facts = {"config": asdict(self.config.tiling), "every": every}
         if self.config.cameras is not None:
-            params["cameras"] = _few(self.config.cameras.viewmats).tolist()
+            params["cameras"] = _thin_cameras(self.config.cameras.viewmats).tolist()
         return [*samples, Task("grid", "gsvis.world.tiling:find_grid", params, tuple(task.name for task in samples))]
 
     @cached_property
     def survey(self) -> dict[str, Result]:
-        """The samples, and the grid under "grid"."""
+        """Results of the samples, and of the grid under "grid"."""
         return self._run(self._survey_tasks, "sampling")
 
     @cached_property
@@ -148,7 +151,7 @@ class WorldBuild:
 
     @cached_property
     def split_tasks(self) -> list[Task]:
-        """The tasks that end in `splits`."""
+        """The tasks up to splitting each batch."""
         splits = [
             Task(f"split {k}", "gsvis.world.tiling:split_batch", {"batch": asdict(batch)}, ("grid",))
             for k, batch in enumerate(self.batches)
@@ -164,7 +167,7 @@ class WorldBuild:
 
     @cached_property
     def files(self) -> dict[Rect | None, list[tuple[int, str]]]:
-        """For each tile, by first square and the outside last: number of the batch and name of each of its files.
+        """For each tile, the outside last: number of the batch and name of each of its files of rows.
 
         Rectangles with very few Gaussians go to the outside.
         """
@@ -188,7 +191,7 @@ class WorldBuild:
 
     @cached_property
     def reach(self) -> list[tuple[float, float]]:
-        """The least and largest value of each component of base colors, the same tables for all packages."""
+        """Least and largest value of each component of base colors in the world, so that all packages share tables."""
         rows = [result.facts["reach"] for result in self.splits]
         return [(min(row[k][0] for row in rows), max(row[k][1] for row in rows)) for k in range(3)]
 
@@ -199,18 +202,19 @@ class WorldBuild:
 
     @cached_property
     def searched(self) -> frozenset[int]:
-        """Tiles in which places for eyes are looked for: all but the outside."""
+        """Tiles in which navigable space is searched: all but the outside."""
         return frozenset(k for k, rect in enumerate(self.tiles) if rect is not None)
 
     @cached_property
     def districts(self) -> list[DistrictPlan]:
-        """The districts, each after those that it is made of."""
+        """The districts; children come before parents."""
         numbers = {rect: k for k, rect in enumerate(self.tiles)}
         places = [numbers.get(tuple(rect)) for rect in self.grid["tiles"]]
         return plan_districts(self.grid["tree"], places, len(self.tiles))
 
     @cached_property
     def _row_tasks(self) -> list[Task]:
+        """The tasks up to joining the rows of each tile."""
         tasks = list(self.split_tasks)
         for k, rect in enumerate(self.tiles):
             files = self.files[rect]
@@ -222,6 +226,7 @@ class WorldBuild:
 
     @cached_property
     def _level_tasks(self) -> list[Task]:
+        """The tasks up to the space and the levels of each tile."""
         package = self.config.package.as_dict()
         tasks = list(self._row_tasks)
         for k, rect in enumerate(self.tiles):
@@ -239,19 +244,21 @@ class WorldBuild:
 
     @cached_property
     def _district_tasks(self) -> list[Task]:
+        """The tasks up to all districts."""
         package = self.config.package
         tasks = list(self._level_tasks)
         about = {"most": self.config.far, "up": self.grid["up"], "meters_per_unit": package.meters_per_unit}
         about["reach"] = self.reach
         for k, plan in enumerate(self.districts):
             of_tile = len(plan.children) == 1
-            needs = tuple(f"levels {each}" if of_tile else self._district(each) for each in plan.children)
+            needs = tuple(f"levels {each}" if of_tile else self._district_task(each) for each in plan.children)
             params = {"of_tile": of_tile, **about}
             tasks.append(Task(f"district {k}", "gsvis.world.districts:make_district", params, needs))
         return tasks
 
     @cached_property
     def _node_tasks(self) -> list[Task]:
+        """The tasks up to choosing the nodes around each tile with a space."""
         rows = [asdict(plan) for plan in self.districts]
         needs = tuple(f"district {k}" for k in range(len(rows)))
         options = {"districts": rows, "angle": self.config.angle, "looks": self.config.looks}
@@ -265,28 +272,28 @@ class WorldBuild:
 
     @cached_property
     def rows(self) -> dict[str, Result]:
-        """Rows of tiles."""
+        """Results: rows of tiles."""
         return self._run(self._row_tasks, "tiles")
 
     @cached_property
     def levels(self) -> dict[str, Result]:
-        """Rows, spaces and levels of tiles."""
+        """Results: rows, spaces and levels of tiles."""
         return self._run(self._level_tasks, "levels")
 
     @cached_property
     def made(self) -> dict[str, Result]:
-        """Rows, spaces and levels of tiles, and districts."""
+        """Results: rows, spaces and levels of tiles, and districts."""
         return self._run(self._district_tasks, "levels")
 
     @cached_property
     def chosen(self) -> dict[str, Result]:
-        """All of `made`, and the choice of nodes around each tile with a space."""
+        """Results: those of `made`, and the nodes around each tile with a space."""
         _ = self.made
         return self._run(self._node_tasks, "nodes")
 
     @cached_property
     def nodes(self) -> dict[int, list[str]]:
-        """For each tile with a space, the tasks of the nodes around it."""
+        """For each tile with a space, the names of the tasks that make the nodes around it."""
         found = self.chosen
         outside = [f"levels {len(self.tiles) - 1}"] if self.tiles[-1] is None else []
         nodes = {}
@@ -299,6 +306,7 @@ class WorldBuild:
 
     @cached_property
     def _package_tasks(self) -> list[Task]:
+        """The tasks that make the package of each tile."""
         tasks = []
         for k, rect in enumerate(self.tiles):
             around = self.nodes.get(k, [])
@@ -333,26 +341,28 @@ class WorldBuild:
         """Return the result of a district."""
         return self.made[f"district {number}"]
 
-    def _district(self, node: int) -> str:
+    def _district_task(self, node: int) -> str:
+        """Return the name of the task that makes a district, from the number of its node."""
         return f"district {node - len(self.tiles)}"
 
     def touching(self, rect: Rect, margin: float = MARGIN) -> list[int]:
-        """Return the tiles that touch a tile, or lie within a margin around it, in its longer side."""
+        """Return the tiles that touch a tile or are within a margin around it, as a share of its longer side."""
         reach = max(margin * max(rect[2:]), 1e-9)
 
         def near(other: Rect) -> bool:
+            """Return whether a different tile is within the margin."""
             gaps = [max(rect[i] - other[i] - other[i + 2], other[i] - rect[i] - rect[i + 2]) for i in (0, 1)]
             return other != rect and max(gaps) < reach
 
         return [k for k, other in enumerate(self.tiles) if other is not None and near(other)]
 
     def space_params(self, rect: Rect) -> Facts:
-        """Return the params of the space of a tile. Along a walk, what the place is does not matter."""
+        """Return the params of the task that finds the space of a tile; along a walk it needs less around the tile."""
         around = SURROUNDINGS if self.config.walk is None else MARGIN
         return {**self.square_of(rect), **self._walk_near(rect), **self._seeds_near(rect), "around": around}
 
     def square_of(self, rect: Rect) -> Facts:
-        """Return where a tile lies, its up axis, and the resolution of its space."""
+        """Return the corners and axes of the rectangle of a tile, the up axis, and the resolution of its space."""
         grid = grid_of(self.grid["grid"])
         low = [grid.origin[axis] + grid.side * place for axis, place in zip(grid.axes, rect[:2], strict=True)]
         high = [each + grid.side * count for each, count in zip(low, rect[2:], strict=True)]
@@ -365,7 +375,7 @@ class WorldBuild:
         }
 
     def _walk_near(self, rect: Rect) -> Facts:
-        """Return the params of the walk within the margin of the squares of a tile; none without a walk."""
+        """Return the positions of the walk within its margin of a tile, as params; empty without a walk."""
         if self.walk is None:
             return {}
         square = self.square_of(rect)
@@ -375,7 +385,7 @@ class WorldBuild:
         return {"walk": self.walk[near.all(axis=1)].tolist(), "margin": reach}
 
     def _seeds_near(self, rect: Rect) -> Facts:
-        """Return the params of the cameras in and around a tile by which its space is found; none without any."""
+        """Return the cameras in and around a tile that help to find its space, as params; empty without any."""
         cameras = self.config.cameras
         if cameras is None or self.walk is not None:
             return {}
@@ -384,7 +394,7 @@ class WorldBuild:
         return {"seeds": eyes.tolist()} if len(eyes) else {}
 
     def witnesses_in(self, rect: Rect | None) -> Facts:
-        """Return the params of the cameras in a tile that judge it; none without any."""
+        """Return the cameras in a tile that judge its visible sets, as params; empty without any."""
         cameras = self.config.cameras
         if cameras is None or rect is None:
             return {}
@@ -393,12 +403,16 @@ class WorldBuild:
         return {"witnesses": views.tolist()} if len(views) else {}
 
     def _run(self, tasks: list[Task], stage: str) -> dict[str, Result]:
-        made: dict[int, Any] = {}  # by identity: what tasks share, such as the list of districts, stays one object
+        """Run tasks, whose params become plain JSON values first, and return their results by name."""
+        made: dict[int, Any] = {}  # by identity: a value that tasks share, such as the districts, stays one object
 
         def plain(value: Any) -> Any:
+            """Return a value as it is after JSON."""
             if id(value) not in made:
                 made[id(value)] = json.loads(json.dumps(value))
             return made[id(value)]
 
-        each = [Task(t.name, t.run, {name: plain(value) for name, value in t.params.items()}, t.needs) for t in tasks]
-        return run_graph(each, self.store, self.workers, stage=stage, progress=self.progress)
+        plain_tasks = [
+            Task(t.name, t.run, {name: plain(value) for name, value in t.params.items()}, t.needs) for t in tasks
+        ]
+        return run_graph(plain_tasks, self.store, self.workers, stage=stage, progress=self.progress)

@@ -19,19 +19,20 @@ class WorldConfig:
     """Everything that decides the content of a world, besides its scenes.
 
     Attributes:
-        tiling: How it is cut into tiles.
-        package: Options of the package of each tile; `cells` is for each tile. Its levels lose their first
-            picture: districts stand in for what is far.
+        tiling: How the world is cut into tiles.
+        package: Options of the package of each tile; `cells` is for each tile. Levels have no preview, because
+            districts replace what is far.
         far: Most Gaussians of a district.
-        angle: Largest spacing of a node over its distance from a tile, radians, from which it may stand in.
-        looks: Eyes in a tile that look for nodes around it, coarsely.
-        resolution: Voxels along the longest side of a tile and the strip around it. What lies farther around is looked
-            at in voxels of this size, or larger ones where they would be too many.
-        walk: (T, 3) positions of a walk, scene frame, along which eyes are, straight between two of them; None
-            lets each tile find its own space. Tiles that the walk does not come near have no cells.
+        angle: Largest spacing of a node over its distance from a tile, radians, at which it may be used around the
+            tile.
+        looks: Number of eyes in a tile that look for visible nodes around it, at low resolution.
+        resolution: Voxels along the longest side of a tile with its margin. Farther around, voxels have the same size,
+            or a larger one if they would be too many.
+        walk: (T, 3) positions of a walk, scene frame, along which eyes are, with straight lines between them. None
+            searches the space of each tile. Tiles far from the walk have no cells.
         margin: Distance from the walk within which eyes may be, scene units.
-        cameras: Cameras that took photos of the scenes, in their frame: they say which way is up, eyes are around
-            half of them too, and the others judge the sets of tiles. None for none.
+        cameras: Cameras that took photos of the scenes, in their frame. They give the up axis; half of them add space
+            for eyes around them; the other half judges the visible sets of tiles. None for none.
 
     Raises:
         ValueError: If a value is out of range.

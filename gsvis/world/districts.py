@@ -1,6 +1,7 @@
-"""Districts: a few Gaussians that stand for a tile, or for tiles beside each other, from afar. Scene frame and units.
+"""Districts: a few Gaussians that replace a tile, or neighboring tiles, when seen from far. Scene frame and units.
 
-They are made bottom-up: that of a tile from its lowest level, that of several from the two to four below it.
+They are made bottom-up: the district of a tile from its lowest level, a larger one from the two to four districts in
+it.
 """
 
 from __future__ import annotations
@@ -23,18 +24,16 @@ __all__ = ["MEMORY", "VERSIONS", "make_district", "merge_down", "round_colors", 
 
 VERSIONS = {"make_district": 3}
 
-# steps of a component of a quaternion on each side of 0, and of a scale in an octave
-_TURNS = 16
-_OCTAVE = 4
-# last place in the table of a component of base colors, and every how many are used
-_SHADES = 255
-_STEP = 4
+_TURNS = 16  # steps of a quaternion component from 0 to its largest value
+_OCTAVE = 4  # steps of a scale in an octave
+_SHADES = 255  # last index of the table of a component of base colors
+_STEP = 4  # one of so many indices is used
 
 
 def make_district(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     """Task: merge the lowest level of a tile, or the districts of the inputs, to at most `most` Gaussians.
 
-    Writes the Gaussians in the order of their package, and the package.
+    Write the Gaussians in the order of their package, and the package.
     """
     if params["of_tile"]:
         g = load_tile_levels(given.path(0, "levels")).level(0)
@@ -49,7 +48,7 @@ def make_district(params: Facts, given: Given, out: Path, work: Path) -> Facts:
 
 
 def merge_down(g: Gaussians, most: int) -> Gaussians:
-    """Return a scene merged to at most `most` Gaussians, or as it is if it has no more."""
+    """Return a scene merged to at most `most` Gaussians; a scene that has no more is returned unchanged."""
     if len(g) <= most:
         return g
     different = len(np.unique(g.means, axis=0))
@@ -59,8 +58,8 @@ def merge_down(g: Gaussians, most: int) -> Gaussians:
 def round_shapes(g: Gaussians) -> Gaussians:
     """Return a scene with scales rounded to quarters of an octave, and orientations to a few degrees.
 
-    Nobody sees more of what is a few pixels wide. And each value that occurs takes a share of the tables by which a
-    stream codes the records of all nodes.
+    Finer values are not visible in Gaussians that are a few pixels wide. Fewer different values also make the coding
+    tables of a stream better for all nodes.
     """
     scales = np.exp2(np.rint(_OCTAVE * np.log2(np.maximum(g.scales.astype(np.float64), 1e-30))) / _OCTAVE)
     quats = g.quats.astype(np.float64)
@@ -77,7 +76,7 @@ def round_shapes(g: Gaussians) -> Gaussians:
 
 
 def round_colors(g: Gaussians, reach: Reach) -> Gaussians:
-    """Return a scene with base colors on every fourth place of the tables over a reach, as streams round them.
+    """Return a scene with base colors rounded to every fourth entry of the color tables, as streams round them.
 
     Args:
         g: The scene.
@@ -93,11 +92,12 @@ def round_colors(g: Gaussians, reach: Reach) -> Gaussians:
 
 
 def _memory_of_district(params: Facts, inputs: Sequence[Facts]) -> int:
-    return int((130 << 20) + 900 * _lowest(inputs))
+    """Return the bytes that `make_district` needs."""
+    return int((130 << 20) + 900 * _count_lowest(inputs))
 
 
-def _lowest(nodes: Sequence[Facts]) -> int:
-    """Return the Gaussians in the lowest levels of tiles, and in districts, which have one level."""
+def _count_lowest(nodes: Sequence[Facts]) -> int:
+    """Return the number of Gaussians in the lowest levels of tiles and in districts."""
     return sum(each["levels"][0][1] if "spacings" in each else each["gaussians"] for each in nodes)
 
 

@@ -1,7 +1,7 @@
-"""The manifest of a world: its grid, its tiles and districts, and what the cells of each tile see beyond it.
+"""The manifest of a world: its grid, its tiles and districts, and the tables of what each tile's cells see outside it.
 
 The manifest is JSON and contains its own hash. It names packages and tables by the SHA-256 of their content and is
-written last, so a folder with a manifest is complete. Scene frame and units. This module knows no package.
+written last, so a folder with a manifest is complete. Scene frame and units. This module opens no package.
 docs/design/057-worlds.md has the format.
 """
 
@@ -43,7 +43,7 @@ _DIGEST = re.compile("[0-9a-f]{64}")
 
 @dataclass(frozen=True)
 class Grid:
-    """The squares that tiles are made of: each tile is a rectangle of them.
+    """The grid of squares; each tile is a rectangle of squares.
 
     Attributes:
         origin: (3,) lowest corner of square (0, 0), scene frame.
@@ -58,7 +58,7 @@ class Grid:
     shape: tuple[int, int]
 
     def squares_of(self, points: ArrayLike) -> I64:
-        """Return (M, 2) the square of each of the (M, 3) points; -1, -1 outside all squares.
+        """Return the square (M, 2) of each point (M, 3); (-1, -1) for a point outside all squares.
 
         A point on the border of two squares belongs to the higher one.
         """
@@ -72,11 +72,11 @@ class Grid:
 
 @dataclass(frozen=True)
 class Piece:
-    """A part of a node that stands around a tile, whose ids the tile's table counts.
+    """A part of a node that is used around a tile; its ids are numbered in the table of the tile.
 
     Attributes:
-        node: Number of the node. A tile can have several pieces, with other ids and other levels.
-        level: Highest of its levels that stands there.
+        node: Number of the node. It can have several pieces, with different ids and levels.
+        level: Highest level of the node that is used.
         runs: (first id, count) of ids of these levels in the package of the node, ascending.
     """
 
@@ -90,13 +90,13 @@ class Piece:
         return sum(count for _, count in self.runs)
 
     def ids(self) -> I64:
-        """Return (K,) the ids in the package of the node, ascending."""
+        """Return the ids (K,) in the package of the node, ascending."""
         return np.concatenate([np.arange(first, first + count) for first, count in self.runs] or [np.zeros(0, int)])
 
 
 @dataclass(frozen=True)
 class BeyondTable:
-    """What the cells of a tile see beyond it: the name of a store, and the pieces that its ids count through.
+    """The table of what the cells of a tile see outside it: a store of visible sets, and the pieces that it numbers.
 
     Attributes:
         digest: SHA-256 of the store, 64 hexadecimal digits.
@@ -150,14 +150,14 @@ class Tile:
 
 @dataclass(frozen=True)
 class District:
-    """A few Gaussians that stand for a tile, or for some tiles beside each other, from afar.
+    """A few Gaussians that replace a tile, or neighboring tiles, when seen from far.
 
     Attributes:
-        children: Numbers of the nodes that it was made of: one tile, or districts before it.
-        tiles: Numbers of the tiles that it stands for, ascending.
+        children: Numbers of the nodes that it was made of: one tile, or earlier districts.
+        tiles: Numbers of the tiles that it replaces, ascending.
         low: (3,) lowest corner of the box around the centers of its Gaussians.
         high: (3,) highest corner.
-        spacing: Median distance from a Gaussian to the nearest other one.
+        spacing: Median distance from a Gaussian to its nearest neighbor.
         package: SHA-256 of the manifest of its package.
         nbytes: Bytes of the package.
         gaussians: Number of Gaussians.
@@ -181,8 +181,8 @@ class WorldManifest:
         up: (3,) unit axis that points upward.
         meters_per_unit: Meters in a scene unit; 0 if unknown.
         grid: The squares.
-        tiles: T tiles, by first square; what lies outside comes last.
-        districts: Districts, each after those that it was made of.
+        tiles: T tiles, by first square; the tile of what is outside all squares comes last.
+        districts: Districts; children come before parents.
         provenance: What made the world; any JSON values.
     """
 
@@ -213,7 +213,7 @@ class WorldManifest:
         return self.tiles[number] if number < len(self.tiles) else self.districts[number - len(self.tiles)]
 
     def tiles_at(self, points: ArrayLike) -> I64:
-        """Return (M,) the number of the tile whose squares hold each of the (M, 3) points; -1 where there is none."""
+        """Return the number (M,) of the tile whose squares contain each point (M, 3); -1 for no tile."""
         squares = self.grid.squares_of(points)
         found = np.full(len(squares), -1, np.int64)
         for k, tile in enumerate(self.tiles):
@@ -251,8 +251,8 @@ class WorldManifest:
         """Read and check a manifest.
 
         Raises:
-            FormatError: If the file is no manifest, damaged, of another version, a link out of its folder, or
-                inconsistent.
+            FormatError: If the file is not a manifest, is damaged, has an unsupported version, is a link out of its
+                folder, or is inconsistent.
             OSError: If the file cannot be opened.
         """
         inside(path, "", path.parent, path.name)
@@ -281,6 +281,7 @@ class _Reader:
         self.fields = fields
 
     def manifest(self) -> WorldManifest:
+        """Return the checked manifest."""
         fields = self.fields
         grid = self._grid(fields.child("grid"))
         up = _point(fields, "up")
@@ -302,6 +303,7 @@ class _Reader:
         return WorldManifest(up, meters, grid, tiles, districts, fields.child("provenance").value)
 
     def _grid(self, fields: Fields) -> Grid:
+        """Return the checked grid."""
         axes = _pair(fields, "axes", 0, 2)
         side = fields.number("side")
         if axes[0] >= axes[1]:
@@ -314,6 +316,7 @@ class _Reader:
         return Grid(_point(fields, "origin"), side, axes, shape)
 
     def _tile(self, row: Fields, number: int, grid: Grid, nodes: list[tuple[int, ...]]) -> Tile:
+        """Return a checked tile; `nodes` are the tiles of each node."""
         coords = _pair(row, "coords", 0, _MOST_SQUARES) if "coords" in row else None
         shape = (1, 1)
         if coords is not None:
@@ -330,9 +333,9 @@ class _Reader:
         return Tile(coords, *_box(row), *_package(row), levels, gaussians, cells, beyond, shape)
 
     def _beyond(self, fields: Fields, number: int, nodes: list[tuple[int, ...]]) -> BeyondTable:
-        # the node that stands for each tile
+        """Return the checked table of tile `number`; `nodes` are the tiles of each node."""
         pieces = list[Piece]()
-        stands = {number: number}
+        stands = {number: number}  # the node that is used for each tile
         for row in _objects(fields, "pieces"):
             node = row.integer("node", 0, len(nodes) - 1)
             end = 0
@@ -351,6 +354,7 @@ class _Reader:
         return BeyondTable(_sha256(fields), fields.integer("bytes", 0, 1 << 50), tuple(pieces))
 
     def _district(self, row: Fields, tiles: int, number: int) -> District:
+        """Return checked district `number` of a world with this number of tiles."""
         members = _numbers(row, "tiles", tiles, "tiles")
         children = _numbers(row, "children", tiles + number, "nodes before it")
         spacing = row.number("spacing")
@@ -358,14 +362,15 @@ class _Reader:
         return District(children, members, *_box(row), spacing, *_package(row), count)
 
     def _check_order(self, tiles: tuple[Tile, ...], grid: Grid) -> None:
+        """Raise unless tiles are in order, the outside is last, and no square is in two tiles."""
         squares = [tile.coords for tile in tiles]
         inner = [coords for coords in squares if coords is not None]
         if any(a >= b for a, b in pairwise(inner)):
             before, again = next((a, b) for a, b in pairwise(inner) if a >= b)
             raise self._fault("tiles", "each square once, in order", f"square {again} after {before}")
         if None in squares[:-1]:
-            got = f"it as tile {squares.index(None)} of {len(squares)}"
-            raise self._fault("tiles", "what lies outside as the last tile", got)
+            got = f"tile {squares.index(None)} of {len(squares)} without squares"
+            raise self._fault("tiles", "the tile without squares as the last one", got)
         taken = np.zeros(grid.shape, bool)
         for tile in tiles:
             if tile.coords is not None:
@@ -375,7 +380,7 @@ class _Reader:
                 taken[x : x + width, y : y + height] = True
 
     def _check_children(self, tiles: int, districts: tuple[District, ...]) -> None:
-        """Raise unless each district stands for the tiles of its children, and each node is a child once at most."""
+        """Raise unless each district has the tiles of its children, and no node is a child twice."""
         members: list[tuple[int, ...]] = [(k,) for k in range(tiles)]
         used = set[int]()
         for k, district in enumerate(districts):
@@ -389,7 +394,7 @@ class _Reader:
             members.append(district.tiles)
 
     def _check_pieces(self, tiles: tuple[Tile, ...], districts: tuple[District, ...]) -> None:
-        """Raise unless each piece is of a level that its node has, and of ids that it has."""
+        """Raise unless the node of each piece has its level and its ids."""
         sizes = [(len(tile.levels), tile.gaussians) for tile in tiles] + [(1, each.gaussians) for each in districts]
         for k, tile in enumerate(tiles):
             for n, piece in enumerate(() if tile.beyond is None else tile.beyond.pieces):
@@ -417,6 +422,7 @@ def _check_apart(fields: Fields, pieces: list[Piece]) -> None:
 
 
 def _tile_as_dict(tile: Tile) -> dict[str, Any]:
+    """Return a tile for JSON."""
     beyond = tile.beyond
     return {
         "coords": tile.coords,
@@ -438,17 +444,19 @@ def _tile_as_dict(tile: Tile) -> dict[str, Any]:
 
 
 def _district_as_dict(district: District) -> dict[str, Any]:
+    """Return a district for JSON."""
     value = asdict(district)
     value["package"] = {"sha256": district.package, "bytes": value.pop("nbytes")}
     return value
 
 
 def _objects(fields: Fields, key: str) -> list[Fields]:
+    """Return the objects of a list."""
     return [Fields(fields.path, f"{fields.where(key)}[{k}]", row) for k, row in enumerate(fields.items(key))]
 
 
 def _numbers(row: Fields, key: str, end: int, what: str) -> tuple[int, ...]:
-    """Return ascending numbers below an end, at least one."""
+    """Return a list of ascending integers in [0, end), at least one; `what` names them in errors."""
     found = row.items(key)
     good = all(isinstance(k, int) and not isinstance(k, bool) and 0 <= k < end for k in found)
     if not found or not good or any(a >= b for a, b in pairwise(found)):
@@ -459,11 +467,13 @@ def _numbers(row: Fields, key: str, end: int, what: str) -> tuple[int, ...]:
 
 
 def _point(fields: Fields, key: str) -> Point:
+    """Return three finite numbers."""
     x, y, z = fields.numbers(key, 3).tolist()
     return x, y, z
 
 
 def _box(row: Fields) -> tuple[Point, Point]:
+    """Return the corners `low` and `high` of a box."""
     low = _point(row, "low")
     high = _point(row, "high")
     if any(a > b for a, b in zip(low, high, strict=True)):
@@ -472,6 +482,7 @@ def _box(row: Fields) -> tuple[Point, Point]:
 
 
 def _pair(fields: Fields, key: str, low: int, high: int) -> tuple[int, int]:
+    """Return two integers in [low, high]."""
     found = fields.items(key, 2)
     if not all(isinstance(k, int) and not isinstance(k, bool) and low <= k <= high for k in found):
         raise FormatError(
@@ -481,11 +492,13 @@ def _pair(fields: Fields, key: str, low: int, high: int) -> tuple[int, int]:
 
 
 def _package(row: Fields) -> tuple[str, int]:
+    """Return the hash and the bytes of a package."""
     child = row.child("package")
     return _sha256(child), child.integer("bytes", 0, 1 << 50)
 
 
 def _sha256(fields: Fields) -> str:
+    """Return the field "sha256"."""
     digest = fields.raw("sha256")
     if not isinstance(digest, str) or not _DIGEST.fullmatch(digest):
         raise FormatError(fields.path, fields.where("sha256"), "64 hexadecimal digits", repr(digest)[:80])
@@ -493,4 +506,5 @@ def _sha256(fields: Fields) -> str:
 
 
 def _digest(value: dict[str, Any]) -> str:
+    """Return the hash of a manifest without its "sha256"."""
     return hashlib.sha256(json.dumps(value, sort_keys=True, separators=(",", ":")).encode()).hexdigest()

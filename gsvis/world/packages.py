@@ -1,4 +1,4 @@
-"""Prepare the package of a tile, with what its cells see beyond it. Scene frame and units. A task of a graph."""
+"""Task: prepare the package of a tile, and the table of what its cells see outside it. Scene frame and units."""
 
 from __future__ import annotations
 
@@ -34,32 +34,31 @@ __all__ = ["MEMORY", "VERSIONS", "prepare_tile", "tile_memory"]
 
 VERSIONS = {"prepare_tile": [3, {name: version for name, version in STAGES.items() if name != "levels"}]}
 
-_HELD = 60 << 20  # bytes that earlier tasks leave in a worker
+_HELD = 60 << 20  # bytes that a worker still holds from earlier tasks
 
-# Bytes of the package of a tile: for each Gaussian in and around it; for each of the largest level, of which looks and
-# tracer are in memory while it is looked at (docs/design/070); for each pixel of a look.
+# Bytes of memory: for each Gaussian in and around a tile; for each Gaussian of its largest level, by method of the
+# visible sets (docs/design/070); for each pixel of a look.
 _JOINT = 120
 _LEVEL = {"hybrid": 420, "raster": 650, "raycast": 910}
 _PIXEL = 6 * 64
-# most of a tile's Gaussians that stand: of a dozen tiles, of all others
-_NEAR = 12
-_STANDS = 0.75
-_FAR_STANDS = 0.4
+_NEAR = 12  # number of tiles around a tile that count as near
+_STANDS = 0.75  # largest share of a near tile's Gaussians that is used around a tile
+_FAR_STANDS = 0.4  # the same for farther tiles
 
 
 def prepare_tile(params: Facts, given: Given, out: Path, work: Path) -> Facts:
-    """Task: write the package of a tile, and the store of what its cells see beyond it.
+    """Task: write the package of a tile, and the store of what its cells see outside it.
 
-    Inputs: its levels, its space, then the levels of tiles and the districts around it. Params: `around`, for each
-    of these its node; `angle`; `config`; `name`; `up`; `reach`, of base colors in the world; `outside`, for the tile
-    without squares and a space; `witnesses`, world to camera of cameras that judge.
+    Inputs: the levels of the tile, its space, then the levels of tiles and the districts around it. Params: `around`,
+    the node of each of these; `angle`; `config`; `name`; `up`; `reach` of base colors in the world; `outside`, True for
+    the tile without squares, which has no space; `witnesses`, world-to-camera matrices of cameras that judge.
 
     Facts: those of the package, the number of cells, and the pieces.
     """
     levels = load_tile_levels(given.path(0, "levels"))
     config = config_of(params["config"])
     if params["outside"] or not given.inputs[1].facts["voxels"]:
-        return _bare(params, levels, out)
+        return _write_bare(params, levels, out)
     space = replace(load_space(given.path(1, "space")), witnesses=_witnesses(params))
     target = work / f"{PACKAGE}.gsvis"
     about = json.loads(read_whole(given.path(0, "quality.json")))
@@ -71,8 +70,8 @@ def prepare_tile(params: Facts, given: Given, out: Path, work: Path) -> Facts:
         _check_memory(stages.around, levels, params, given)
     try:
         made = finish_package(stages, target, about={"tile": params["name"], "trained": about})
-    except SceneError:  # no eye stands outside of everything solid
-        return _bare(params, levels, out)
+    except SceneError:  # all eyes are inside solid matter
+        return _write_bare(params, levels, out)
     shutil.copytree(target, out / PACKAGE)
     if made.around is not None:
         shutil.copyfile(made.around, out / "beyond")
@@ -83,7 +82,7 @@ def prepare_tile(params: Facts, given: Given, out: Path, work: Path) -> Facts:
 
 
 def _witnesses(params: Facts) -> Witnesses | None:
-    """Return the cameras that judge a tile; None without any. Their sizes do not matter."""
+    """Return the cameras that judge a tile; None without any. Their image sizes do not matter."""
     views = params.get("witnesses")
     if not views:
         return None
@@ -94,7 +93,7 @@ def _witnesses(params: Facts) -> Witnesses | None:
 def _surroundings(
     params: Facts, given: Given, levels: Levels, space: NavigableSpace
 ) -> tuple[Surroundings | None, list[Facts]]:
-    """Return what stands around a tile, None if nothing does, and the pieces that it consists of."""
+    """Return the Gaussians around a tile (None if there are none), and the pieces that they consist of."""
     box = free_box(space)
     around = list[Surroundings]()
     pieces = list[Facts]()
@@ -111,7 +110,7 @@ def _surroundings(
 
 
 def _check_memory(around: Surroundings, levels: Levels, params: Facts, given: Given) -> None:
-    """Raise unless a tile and what stands around it fit the memory of a worker."""
+    """Raise unless a tile and its surroundings fit the memory of a worker."""
     if given.max_memory is None:
         return
     own = len(levels.union)
@@ -124,8 +123,8 @@ def _check_memory(around: Surroundings, levels: Levels, params: Facts, given: Gi
         raise memory_error(needed, given.max_memory, what, TOO_LARGE)
 
 
-def _bare(params: Facts, levels: Levels, out: Path) -> Facts:
-    """Write a package without cells."""
+def _write_bare(params: Facts, levels: Levels, out: Path) -> Facts:
+    """Write a package without cells; return its facts."""
     shutil.rmtree(out / PACKAGE, ignore_errors=True)
     _, facts = write_bare_package(out, levels, params["up"], params["config"]["meters_per_unit"], reach_of(params))
     return {**facts, "cells": 0, "pieces": []}
@@ -138,7 +137,7 @@ def tile_memory(own: int, counts: Sequence[int], joint: int, sh_degree: int, set
         own: Gaussians of all levels of the tile together.
         counts: Gaussians in and around it, in each level, lowest first.
         joint: Gaussians in and around it, of all levels together.
-        sh_degree: Of the scene.
+        sh_degree: SH degree of the scene.
         sets: How visible sets are found.
     """
     looks = _LEVEL[sets.method] * max(counts) + _PIXEL * sets.size**2
@@ -146,18 +145,19 @@ def tile_memory(own: int, counts: Sequence[int], joint: int, sh_degree: int, set
 
 
 def _memory_of_tile(params: Facts, inputs: Sequence[Facts]) -> int:
+    """Return the bytes that `prepare_tile` needs."""
     own = inputs[0]["gaussians"]
     if params["outside"] or not inputs[1]["voxels"]:
         return int((150 << 20) + 500 * own)
-    around = _count_standing([each for each in inputs[2:] if "spacings" in each])
+    around = _count_around([each for each in inputs[2:] if "spacings" in each])
     around += sum(each["gaussians"] for each in inputs[2:] if "spacings" not in each)
     sets = PvsConfig(**params["config"]["sets"])
     joint = own + around
     return tile_memory(own, [joint], joint, 0, sets) - IDLE
 
 
-def _count_standing(tiles: Sequence[Facts]) -> int:
-    """Return how many Gaussians of the tiles around one may stand there; the more there are, the farther most are."""
+def _count_around(tiles: Sequence[Facts]) -> int:
+    """Return how many Gaussians of the tiles around a tile may be used at most; of farther tiles fewer are used."""
     largest = sorted(tiles, key=lambda tile: tile["gaussians"], reverse=True)
     shares = [_STANDS if k < _NEAR else _FAR_STANDS for k in range(len(largest))]
     return sum(

@@ -1,8 +1,8 @@
-"""What stands around a tile: which nodes, and which part of each, at the level that its distance deserves.
+"""Choose the surroundings of a tile: nodes, and the part of each at a level that suits its distance.
 
-From the coarsest district down: a node may stand in if its spacing, over its distance from where eyes may be in the
-tile, is below an angle. What no eye sees when everything is drawn coarsely is left out, unless it is near. Scene frame
-and units.
+The search goes from the coarsest district to finer ones. A node may be used if its spacing, divided by its distance
+from the space of the eyes in the tile, is below an angle. Nodes that no eye sees in a coarse rendering are left out,
+unless they are near. Scene frame and units.
 """
 
 from __future__ import annotations
@@ -48,10 +48,10 @@ Runs = list[tuple[int, int]]
 
 VERSIONS = {"choose_nodes": 2}
 
-_BESIDE = 0.5  # how far beyond the Gaussians of a tile its eyes may be, at most, in its longest side
+_BESIDE = 0.5  # largest distance of eyes from the Gaussians of their tile, as a share of its longest side
 
 BLOCK = 256
-"""Ids that get one level together; they lie near each other along the Morton curve of a package."""
+"""Consecutive ids that get the same level; they are near each other along the Morton curve of a package."""
 
 _SIZE = 256  # pixels of the faces of a coarse look
 _SEED = 7
@@ -62,9 +62,9 @@ class Part:
     """A part of a node around a tile.
 
     Attributes:
-        level: Highest level of the node that stands there.
-        runs: Its ids in the package of the node.
-        around: The same Gaussians, in the levels of the tile.
+        level: Highest level of the node that is used.
+        runs: Ids of the part in the package of the node.
+        around: The same Gaussians, assigned to the levels of the tile.
     """
 
     level: int
@@ -75,9 +75,10 @@ class Part:
 def choose_nodes(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     """Task: choose the nodes around a tile. Inputs: the tile's levels and space, then all districts.
 
-    Params: `tile`, its number; `tiles`, how many there are; `districts`, for each its children and tiles; `angle`,
+    Params: `tile`, number of the tile; `tiles`, number of tiles; `districts`, children and tiles of each; `angle`;
     `looks`.
-    Facts: `tiles`, numbers of the tiles that stand there themselves; `districts`, numbers of the districts that do.
+    Facts: `tiles`, numbers of the tiles that are used themselves; `districts`, numbers of the districts that are used;
+    `unseen`, how many were left out.
     """
     space = load_space(given.path(1, "space"))
     low, high = free_box(space)
@@ -99,14 +100,14 @@ def choose_nodes(params: Facts, given: Given, out: Path, work: Path) -> Facts:
 def parts_of_tile(
     levels: Levels, spacings: Sequence[float], target: int, box: tuple[F64, F64], angle: float
 ) -> Iterator[Part]:
-    """Yield the parts of a tile that stand around another one, the highest level first.
+    """Yield the parts of a tile that are used around a second tile, the highest level first.
 
     Args:
         levels: The levels of the tile, in the order of its package.
         spacings: Spacing of each level.
-        target: Number of levels of the other tile.
-        box: Corners (3,) of the box in which eyes may be in the other tile.
-        angle: Largest spacing over distance.
+        target: Number of levels of the second tile.
+        box: Corners (3,) of the box of the eyes in the second tile.
+        angle: Largest spacing over distance, radians.
     """
     means = levels.union.means.astype(np.float64)
     away = np.linalg.norm(np.maximum(np.maximum(means - box[1], box[0] - means), 0.0), axis=1)
@@ -116,20 +117,20 @@ def parts_of_tile(
     for level in range(len(levels) - 2, -1, -1):
         deserved[spacings[level] <= angle * nearest] = level
     for level in range(len(levels) - 1, -1, -1):
-        part = _part(levels, deserved == level, level, target)
+        part = _chosen_part(levels, deserved == level, level, target)
         if part is not None:
             yield part
 
 
 def part_of_district(g: Gaussians, target: int) -> Part:
-    """Return a whole district as what stands around a tile of `target` levels."""
+    """Return a whole district as a part around a tile with `target` levels."""
     first = np.zeros(len(g), np.uint8)
     last = np.full(len(g), target - 1, np.uint8)
     return Part(0, [(0, len(g))], Surroundings(g, first, last))
 
 
 def join_surroundings(around: Sequence[Surroundings]) -> Surroundings:
-    """Return several surroundings of one tile, one after the other."""
+    """Return several surroundings of a tile as one."""
     return Surroundings(
         Gaussians.concatenate([flatten(each.gaussians) for each in around]),
         np.concatenate([each.first for each in around]),
@@ -138,15 +139,21 @@ def join_surroundings(around: Sequence[Surroundings]) -> Surroundings:
 
 
 def runs_of(mask: Mask) -> Runs:
-    """Return the runs of a mask (N,)."""
+    """Return the runs of True in a mask (N,)."""
     edges = np.flatnonzero(np.diff(mask, prepend=False, append=False))
     return [(int(a), int(b - a)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
-def _part(levels: Levels, chosen: Mask, level: int, target: int) -> Part | None:
-    """Return chosen Gaussians of a tile at up to a level, in `target` levels of another tile; None if there are none.
+def _chosen_part(levels: Levels, chosen: Mask, level: int, target: int) -> Part | None:
+    """Return chosen Gaussians of a tile up to a level, in the levels of a second tile; None if there are none.
 
-    The highest levels of both stand side by side, and so on down.
+    The highest level of both tiles is shown together, then the next lower one, and so on.
+
+    Args:
+        levels: Levels of the tile.
+        chosen: (N,) Gaussians to use.
+        level: Highest level to use.
+        target: Number of levels of the second tile.
     """
     shown = [min(max(k - (target - 1) + (len(levels) - 1), 0), level) for k in range(target)]
     member = np.stack([levels.member(k) for k in shown])
@@ -160,7 +167,7 @@ def _part(levels: Levels, chosen: Mask, level: int, target: int) -> Part | None:
 
 
 def _look_coarsely(own: Levels, space: NavigableSpace, scenes: Mapping[int, Gaussians], looks: int) -> set[int]:
-    """Return the numbers of the scenes of which some eye in a space sees something."""
+    """Return the numbers of the scenes that at least one of `looks` eyes in a space sees in a coarse rendering."""
     if not scenes:
         return set()
     parts = [flatten(own.level(0)), *scenes.values()]
@@ -186,7 +193,7 @@ def free_box(space: NavigableSpace) -> tuple[F64, F64]:
 
 
 def _memory_of_choice(params: Facts, inputs: Sequence[Facts]) -> int:
-    """Return the bytes of a choice of nodes: of the districts it reads those that may stand, from wherever eyes are."""
+    """Return the bytes that `choose_nodes` needs: it reads the districts that may be used from any eye."""
     districts = inputs[2:]
     own = own_districts(params["districts"])
     low, high = (np.array(districts[own[params["tile"]]][name]) for name in ("low", "high"))

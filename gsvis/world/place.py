@@ -1,4 +1,4 @@
-"""A world as a place of simulated visits: the full scene is what its tiles hold, and walks lie in its cells.
+"""Open a world for simulated visits: the full scene is the highest level of its tiles, and walks are in its cells.
 
 All records are read; visible sets are read tile by tile, as by a server. Scene frame and units.
 """
@@ -29,9 +29,9 @@ __all__ = ["open_place"]
 
 F64 = NDArray[np.float64]
 
-_UPRIGHT = np.cos(np.radians(1.0))
-_ENOUGH = 0.99  # of a walk in cells: it lies in the world
-_RESOLUTION = 256  # voxels along the space in which a place for a walk is looked for
+_UPRIGHT = np.cos(np.radians(1.0))  # least cosine between the up axes of a walk and a world that agree
+_ENOUGH = 0.99  # share of a walk's positions in cells, from which the walk belongs to the world
+_RESOLUTION = 256  # voxels along the space in which a walk is placed
 
 
 def open_place(
@@ -45,30 +45,30 @@ def open_place(
 ) -> Place:
     """Prepare a world for simulated visits.
 
-    A walk that lies in the cells stays where it is. Another one is brought into the cells of a tile that the seed
-    draws, and of the tiles around it as far as it is wide.
+    A walk inside the cells stays where it is. Any other walk is moved into the cells of a tile, drawn with the seed,
+    and of the tiles within its width around it.
 
     Args:
         path: Folder of the world.
         walk: The walk.
-        reference: The scenes before they became a world; None compares with the highest level of all tiles.
-        whole_file: A file or folder of the scenes, to take its size; None measures the highest level as SOG.
+        reference: The source scenes; None compares with the highest level of all tiles.
+        whole_file: A file or folder with the scenes, for its size; None measures the highest level as SOG.
         as_is: Whether to leave walks unchanged.
-        seed: Seed of the tile to which a walk is brought.
+        seed: Seed that draws the tile for a walk.
 
     Raises:
         GsvisError: If a tile or a district cannot be read.
-        SceneError: If no tile has cells, or nobody can stand in those around the drawn tile.
+        SceneError: If no tile has cells, or there is no space for eyes in those around the drawn tile.
         ArgumentError: If the whole file is empty.
         OSError: If a file cannot be read.
     """
     source = WorldSource.open(path, strict=True)
-    with temporary_folder() as folder:  # a mapped file outlives its name
+    with temporary_folder() as folder:  # a mapped file stays readable after it is deleted
         scene, _ = open_kept(source, folder)
     contents = scene.contents
     highest = np.zeros(len(contents), bool)
     tiles = source.tiles
-    for node in tiles:  # districts belong to all levels, and stand for what the tiles hold
+    for node in tiles:  # not districts: they only repeat the content of tiles
         some = slice(*source.bases[node : node + 2].tolist())
         highest[some] = contents.last[some] == len(contents.names) - 1
     cells, _ = source.read_cells()
@@ -92,19 +92,21 @@ def open_place(
 
 
 def _lies_in(walk: HeadPath, cells: WorldCells) -> bool:
+    """Return whether a walk is upright in a world and inside its cells."""
     inside = cells.cell_at(walk.positions) >= 0
     return bool(walk.upright @ cells.up >= _UPRIGHT and inside.mean() >= _ENOUGH)
 
 
 def _find_space(full: Gaussians, world: World, cells: WorldCells, seed: int) -> NavigableSpace:
-    """Return where eyes may be in the cells of a tile, which the seed draws, and in those around it."""
+    """Return the space for eyes in the cells of a tile, which the seed draws, and in those around it."""
     m = world.manifest
-    tile = int(np.random.default_rng(seed).choice(cells.tiles))  # one with more cells is drawn more often
+    tile = int(np.random.default_rng(seed).choice(cells.tiles))  # in proportion to its cells
     low, high = (np.array(corner, np.float64) for corner in (m.tiles[tile].low, m.tiles[tile].high))
     flat = np.isin(np.arange(3), m.grid.axes)
     margin = float((high - low)[flat].max())
 
     def near(points: NDArray[np.floating]) -> NDArray[np.bool_]:
+        """Return whether each point (M, 3) is within the margin of the tile."""
         return np.asarray(((points >= low - margin) & (points <= high + margin))[:, flat].all(axis=1))
 
     around = full[near(full.means)]
@@ -119,4 +121,4 @@ def _find_space(full: Gaussians, world: World, cells: WorldCells, seed: int) -> 
             free = np.zeros_like(found.free)
             free[tuple(voxels[held].T)] = True
             return replace(found, free=free, rule=f"{found.rule}, in cells")
-    raise SceneError(f"{world.path}: nobody can stand in the cells around tile {tile}; {AS_IS}, or take another --seed")
+    raise SceneError(f"{world.path}: no space for eyes in the cells around tile {tile}; {AS_IS}, or change --seed")

@@ -1,4 +1,4 @@
-"""From scenes to the folder of a world; a run that was stopped goes on. See `build.py` for the stages."""
+"""Prepare a world from scenes, and resume a stopped run. See `build.py` for the stages."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ class PreparedWorld:
 
     Attributes:
         manifest: Its manifest.
-        results: All results of tasks by name, with the time and memory that each took.
+        results: Results of all tasks by name, with the time and memory of each.
         nbytes: Bytes of packages and tables.
-        work: The folder of work kept between runs.
+        work: The work folder, kept between runs.
     """
 
     manifest: WorldManifest
@@ -61,23 +61,23 @@ def prepare_world(
     workers: Workers | None = None,
     progress: Progress = silent,
 ) -> PreparedWorld:
-    """Make a world of scenes that lie in one frame, and resume an earlier run.
+    """Make a world from scenes in one frame, or resume an earlier run.
 
     With more than one worker, a script that calls this needs an `if __name__ == "__main__":` guard.
 
     Args:
         scenes: Path and level of detail of each scene, as for `gsvis.io.load_scene`.
-        out: Folder of the world, by custom `city.gsworld`. Results of tasks lie beside it, in `city.gsworld.work`.
+        out: Folder of the world, by custom `city.gsworld`. Results of tasks are kept beside it, in `city.gsworld.work`.
         config: Options; None means `WorldConfig()`.
         about: JSON values to store in the provenance of the world.
-        store: Address of the results instead, such as `s3://bucket/city`; every worker must reach it.
+        store: Address at which to keep results instead, such as `s3://bucket/city`; every worker must reach it.
         workers: The workers; None means this process.
         progress: Called with stages "sampling", "splitting", "levels", "nodes", "tiles" and "world", in tasks.
 
     Raises:
-        SceneError: If the scenes have nothing to see, or `WorldConfig.walk` comes near no tile.
-        FormatError: If a scene is damaged, or the folder holds something else.
-        ValueError: If a tile does not fit the memory of a worker, or another process prepares the same world.
+        SceneError: If the scenes have no visible Gaussian, or `WorldConfig.walk` comes near no tile.
+        FormatError: If a scene is damaged, or the folder has other files.
+        ValueError: If a tile does not fit the memory of a worker, or a second process prepares the same world.
         BackendError: If workers or store cannot be used.
         OSError: If a file cannot be written; finished work is kept.
     """
@@ -99,10 +99,10 @@ def prepare_world(
 
 
 def check_world_target(target: Path) -> None:
-    """Raise unless a world may be written to a folder.
+    """Check that a world may be written to a folder.
 
     Raises:
-        FormatError: If the path holds something else.
+        FormatError: If the path is a file, or a folder with other files.
     """
     if target.exists() and not target.is_dir():
         raise FormatError(target, "", "a folder, or nothing", "a file", "choose another name")
@@ -115,7 +115,7 @@ def check_world_target(target: Path) -> None:
 
 
 def _manifest(build: WorldBuild, packages: Sequence[Result], about: Mapping[str, Any]) -> WorldManifest:
-    """Return the manifest of finished packages."""
+    """Return the manifest of a world from its finished packages; `about` is added to the provenance."""
     numbers = {f"levels {k}": k for k in range(len(build.tiles))}
     districts = []
     for k, plan in enumerate(build.districts):
@@ -150,11 +150,11 @@ def _manifest(build: WorldBuild, packages: Sequence[Result], about: Mapping[str,
 
 
 def _judged(records: Sequence[Facts]) -> dict[str, Any] | None:
-    """Return what eyes of two rules see in all tiles; None where no tile has cells."""
+    """Return the joined judgements of the visible sets of all tiles, for JSON; None if no tile has any."""
     if not records:
         return None
     found = Judged.joined(records).as_dict()
-    del found["psnr"]  # of each tile in its own package
+    del found["psnr"]  # the package of each tile has its own
     warned = sum(record["warning"] is not None for record in records)
     return {**found, "tiles": len(records), "tiles_warned": warned}
 
@@ -162,7 +162,7 @@ def _judged(records: Sequence[Facts]) -> dict[str, Any] | None:
 def _write(
     build: WorldBuild, packages: Sequence[Result], manifest: WorldManifest, target: Path, progress: Progress
 ) -> None:
-    """Write packages and tables that are not there yet, then the manifest, and remove what it does not name."""
+    """Write missing packages and tables, then the manifest, and remove those that it does not name."""
     results = [*packages, *(build.district(k) for k in range(len(build.districts)))]
     progress("world", 0, len(results))
     for k, result in enumerate(results):
@@ -184,7 +184,7 @@ def _write(
 
 
 def _write_package(store: ObjectStore, result: Result, folder: Path) -> None:
-    """Write the package of a result, unless it is there."""
+    """Write the package of a result, unless it exists with the same content."""
     names = sorted(name for name in result.files if name.startswith(f"{PACKAGE}/"))
     inner = {name.removeprefix(f"{PACKAGE}/"): result.files[name] for name in names}
     if all((folder / name).is_file() and digest_of(folder / name) == digest for name, (digest, _) in inner.items()):
@@ -197,11 +197,13 @@ def _write_package(store: ObjectStore, result: Result, folder: Path) -> None:
 
 
 def _copy(store: ObjectStore, result: Result, name: str, to: Path) -> None:
+    """Copy a file of a result from the store."""
     with temporary_folder() as cache:
         shutil.copyfile(store.path_of(result.files[name], cache), to)
 
 
 def _box(facts: Facts) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """Return the corners `low` and `high` of facts."""
     low = facts["low"]
     high = facts["high"]
     return (low[0], low[1], low[2]), (high[0], high[1], high[2])

@@ -1,6 +1,6 @@
-"""Gaussians and levels as files of a graph: archives of arrays, and the order of rows by content.
+"""Save and load Gaussians and levels as results of tasks: archives of arrays, with rows ordered by content.
 
-Scene frame and units. Arrays are stored as they are, so what is read equals what was written to the last bit.
+Scene frame and units. Arrays are stored without rounding, so loading gives the same bits.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ __all__ = [
     "save_tile_levels",
 ]
 
-_PROBED = 4096
+_PROBED = 4096  # most Gaussians from which a spacing is measured
 _ARRAYS = ("means", "quats", "scales", "opacities", "sh0", "shN")
 
 
 def save_gaussians(path: Path, g: Gaussians) -> None:
-    """Write a scene and what is known of it."""
+    """Write a scene with its facts."""
     save_arrays(path, _arrays(g))
 
 
@@ -46,7 +46,7 @@ def load_gaussians(path: Path) -> Gaussians:
     Raises:
         FormatError: If the file is damaged.
     """
-    return _gaussians(path, load_arrays(path, sealed=True))
+    return _parse_gaussians(path, load_arrays(path, sealed=True))
 
 
 def save_tile_levels(path: Path, levels: Levels) -> None:
@@ -64,15 +64,13 @@ def load_tile_levels(path: Path) -> Levels:
     found = load_arrays(path, sealed=True)
     try:
         names = found["names"].tobytes().decode().split("\n")
-        return Levels(_gaussians(path, found), found["first"], found["last"], names)
+        return Levels(_parse_gaussians(path, found), found["first"], found["last"], names)
     except (KeyError, ValueError) as error:
         raise FormatError(path, "", "levels", str(error), DAMAGED) from error
 
 
 def load_rows(paths: list[Path]) -> Gaussians:
-    """Return the Gaussians of several files as one scene, ordered by content.
-
-    So the order does not depend on that of the files or of the rows in them.
+    """Return the Gaussians of several files as one scene, ordered by content, whatever the order of files and rows.
 
     Raises:
         FormatError: If a file is damaged.
@@ -82,7 +80,7 @@ def load_rows(paths: list[Path]) -> Gaussians:
 
 
 def content_order(g: Gaussians) -> NDArray[np.int64]:
-    """Return (N,) the order of a scene by center, x first; where centers are equal, by everything else."""
+    """Return the order (N,) of a scene by center, x first; equal centers are ordered by all other values."""
     x, y, z = g.means.T
     order = np.lexsort((z, y, x))
     same = (g.means[order][1:] == g.means[order][:-1]).all(axis=1)
@@ -96,9 +94,9 @@ def content_order(g: Gaussians) -> NDArray[np.int64]:
 
 
 def median_spacing(g: Gaussians) -> float:
-    """Return the median distance from a Gaussian to the nearest other one, of some thousands; 0 for a single one.
+    """Return the median distance from a Gaussian to its nearest neighbor, from a few thousand; 0 for one Gaussian.
 
-    The median extent of a Gaussian counts where it is larger: nothing finer than that is to be seen.
+    If the median extent of a Gaussian is larger, return that: finer details are not visible.
     """
     from scipy.spatial import cKDTree  # here: it takes long to import
 
@@ -123,12 +121,13 @@ def box_of(means: NDArray[np.float32]) -> dict[str, list[float]]:
 
 
 def _arrays(g: Gaussians) -> dict[str, NDArray[Any]]:
-    """Return the arrays of a scene by name, and what is known of it as the bytes of a JSON text."""
+    """Return the arrays of a scene by name, and its facts as the bytes of a JSON text."""
     facts = np.frombuffer((spell_facts(g.facts) or "{}").encode(), np.uint8)
     return {**{name: getattr(g, name) for name in _ARRAYS}, "facts": facts}
 
 
-def _gaussians(path: Path, found: dict[str, NDArray[Any]]) -> Gaussians:
+def _parse_gaussians(path: Path, found: dict[str, NDArray[Any]]) -> Gaussians:
+    """Return the scene in the arrays of an archive; raise FormatError if it is damaged."""
     try:
         facts = parse_facts(found["facts"].tobytes())
         return Gaussians(*(found[name] for name in _ARRAYS), facts=facts)

@@ -1,7 +1,7 @@
-"""Stop the preparation of a world early: its tiles as PLYs, or their levels as folders, for any other tool.
+"""Stop the preparation of a world early: write its tiles as PLYs, or their levels as folders, for other tools.
 
-The tasks are those of the world, and their results stay beside the folder. So `prepare_world` into the same place goes
-on from there. What the cells of a tile see, and its colors, have no files of their own: they are in its package.
+The tasks are those of the world, and their results stay beside the folder, so `prepare_world` to the same folder
+resumes from there. Visible sets and fitted colors are not written: they exist only in packages.
 """
 
 from __future__ import annotations
@@ -72,15 +72,16 @@ def write_tiles(
     workers: Workers | None = None,
     progress: Progress = silent,
 ) -> list[WrittenTile]:
-    """Write the tiles of scenes, or their levels, and resume an earlier run; the outside is the last tile.
+    """Write the tiles of scenes, or their levels, or resume an earlier run; the outside is the last tile.
 
-    Tiles that an earlier run has left there with other options are removed.
+    Tiles of an earlier run with different options are removed.
 
     With more than one worker, a script that calls this needs an `if __name__ == "__main__":` guard.
 
     Args:
         scenes: As for `prepare_world`.
-        out: Folder for a PLY or a folder of levels for each tile, and `tiles.json`. Results of tasks lie beside it.
+        out: Folder for a PLY or a folder of levels for each tile, and `tiles.json`. Results of tasks are kept beside
+            it.
         until: "tiles" or "levels".
         config: Options; None means `WorldConfig()`.
         store: As for `prepare_world`.
@@ -88,9 +89,9 @@ def write_tiles(
         progress: Called with stages "sampling", "splitting", "tiles" or "levels", and "writing".
 
     Raises:
-        SceneError: If the scenes have nothing to see.
-        FormatError: If a scene is damaged, or the folder holds something else.
-        ValueError: If a tile does not fit the memory of a worker, or another process works there.
+        SceneError: If the scenes have no visible Gaussian.
+        FormatError: If a scene is damaged, or the folder has other files.
+        ValueError: If a tile does not fit the memory of a worker, or a second process writes to the same folder.
         OSError: If a file cannot be written; finished work is kept.
     """
     _check.one_of("until", until, STAGES)
@@ -119,10 +120,10 @@ def write_tiles(
 
 
 def check_tiles_target(target: Path) -> None:
-    """Raise unless tiles may be written to a folder: a new or empty one, or one of an earlier run.
+    """Check that tiles may be written to a folder: a new or empty one, or one of an earlier run.
 
     Raises:
-        FormatError: If the path holds something else.
+        FormatError: If the path is a file, or a folder with other files.
     """
     if target.exists() and not target.is_dir():
         raise FormatError(target, "", "a folder, or nothing", "a file", "choose another name")
@@ -132,7 +133,7 @@ def check_tiles_target(target: Path) -> None:
 
 
 def _remove_others(target: Path, until: Stage, kept: set[str]) -> None:
-    """Remove the tiles of this kind in a folder that are not among those to keep."""
+    """Remove the tiles in a folder that are of this stage and not in `kept`."""
     for path in target.iterdir():
         if path.name in kept:
             continue
@@ -143,7 +144,7 @@ def _remove_others(target: Path, until: Stage, kept: set[str]) -> None:
 
 
 def _write(build: WorldBuild, number: int, until: Stage, results: dict[str, Any], target: Path) -> WrittenTile:
-    """Write a tile."""
+    """Write a tile as a PLY, or as a folder of levels."""
     rect = build.tiles[number]
     square = None if rect is None else build.square_of(rect)
     corners = ((), ()) if square is None else (tuple(square["low"]), tuple(square["high"]))

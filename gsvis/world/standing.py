@@ -1,7 +1,8 @@
-"""Which nodes may stand around a place, by what the facts of districts say: no Gaussian is read. Scene frame and units.
+"""Choose which nodes may be used around a tile, from facts of districts alone: no Gaussian is read.
 
-From the coarsest district down: a district may stand if its spacing, over its distance from the place, is below an
-angle. Where it may not, those that it was made of are asked, and in the end its tile stands itself.
+The search goes from the coarsest district to finer ones. A district may be used if its spacing, divided by its distance
+from the tile, is below an angle. If not, its children are tried, and in the end the tile itself is used. Scene frame
+and units.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ Facts = Mapping[str, Any]
 
 
 def distances_of(low: F64, high: F64, nodes: Sequence[Facts]) -> F64:
-    """Return (K,) the distance between a box and that of each of K nodes; 0 where they touch or overlap.
+    """Return the distance (K,) between a box and the box of each of K nodes; 0 if they touch or overlap.
 
     Args:
         low: (3,) lowest corner.
@@ -32,7 +33,7 @@ def distances_of(low: F64, high: F64, nodes: Sequence[Facts]) -> F64:
 
 
 def own_districts(plans: Sequence[Facts]) -> dict[int, int]:
-    """Return for each tile the number of the district that stands for it alone.
+    """Return for each tile the number of the district that replaces only this tile.
 
     Args:
         plans: `children` and `tiles` of each district.
@@ -41,12 +42,12 @@ def own_districts(plans: Sequence[Facts]) -> dict[int, int]:
 
 
 def nodes_around(params: Facts, districts: Sequence[Facts], distances: F64) -> tuple[list[int], list[int]]:
-    """Return the coarsest districts that may stand, and the other tiles of which no district may, all ascending.
+    """Return the coarsest districts that may be used, and the tiles whose districts may not, both ascending.
 
     Args:
-        params: Those of `choose_nodes`: `tile`, `tiles`, `districts` and `angle`.
+        params: Params of `choose_nodes`: `tile`, `tiles`, `districts` and `angle`.
         districts: Facts of the districts, with their `spacing`.
-        distances: (K,) of the districts.
+        distances: (K,) distance of each district.
     """
     plans = params["districts"]
     count = params["tiles"]

@@ -1,10 +1,10 @@
-"""A world as one scene to stream: the Gaussians of all nodes behind each other, and the cells of all tiles.
+"""A world as one scene to stream: the Gaussians of all nodes, one node after the other, and the cells of all tiles.
 
-On the wire an id is the first id of its node plus its place in the package of the node, so nothing of the protocol and
-of clients changes. A district is replaced, Gaussian by Gaussian, by the districts that it was made of, and those by the
-lowest levels of their tiles, as a level is by the next. Visible sets are read tile by tile when a viewer comes near.
-A district that no cell sees has no ids; a node that is missing or damaged has none either, with one line in the log.
-Scene frame and units.
+On the wire an id is the first id of its node plus its place in the package of the node, so protocol and clients are the
+same as for a package. As a level is replaced by the next one, so the Gaussians of a district are replaced by those of
+its children, and in the end by the lowest levels of tiles. Visible sets are read tile by tile when a viewer comes near.
+Districts that no cell sees have no ids. Nodes that are missing or damaged have none either, and are logged. Scene frame
+and units.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ __all__ = ["WorldSource", "open_world"]
 
 _LOG = logging.getLogger(__name__)
 I64 = NDArray[np.int64]
-_TILE_WEIGHT = 16  # of the symbols of a tile in the code, over those of a district: more of it is sent
+_TILE_WEIGHT = 16  # weight of a tile's symbols in the code, relative to a district's: more of them are sent
 
 
 def open_world(
@@ -61,14 +61,14 @@ def open_world(
         tables: Folder for kept tables, which are computed node by node; None means a temporary one.
         max_cache_bytes: Most bytes of decoded sets and candidates of cells to keep.
         quality: How to round records before they are sent; None means not at all.
-        strict: Whether to refuse a world with a node that cannot be read; otherwise such nodes are left out.
+        strict: Whether to raise if a node cannot be read; otherwise such nodes are left out.
 
     Returns:
-        The scene, whose source the caller closes, and its kept tables; None if they are not kept.
+        The scene, whose source the caller closes, and its kept tables, or None if they are not kept.
 
     Raises:
-        GsvisError: If the folder is no world, or no tile of it can be read, or one node with `strict`.
-        SceneError: If no tile of it has cells.
+        GsvisError: If the folder is not a world, no tile can be read, or with `strict` a node cannot be read.
+        SceneError: If no tile has cells.
         OSError: If a node cannot be read, with `strict`.
     """
     world = World.open(path)
@@ -77,13 +77,13 @@ def open_world(
         source = WorldSource(world, without, strict=strict)
         try:
             if tables is None:
-                with temporary_folder() as folder:  # a mapped file outlives its name
+                with temporary_folder() as folder:  # a mapped file stays readable after it is deleted
                     return open_kept(source, folder, max_cache_bytes=max_cache_bytes, quality=quality)[0], None
             return open_kept(source, tables, max_cache_bytes=max_cache_bytes, quality=quality)
         except _DamagedNodeError as error:
             if strict:
                 raise
-            _leave_out(world, error.node, str(error))
+            _log_left_out(world, error.node, str(error))
             without.add(error.node)
 
 
@@ -95,7 +95,8 @@ class _DamagedNodeError(GsvisError):
         self.node = node
 
 
-def _leave_out(world: World, node: int, why: str) -> None:
+def _log_left_out(world: World, node: int, why: str) -> None:
+    """Log that a node is left out."""
     kind = "tile" if node < len(world.manifest.tiles) else "district"
     _LOG.error("%s: %s %d is left out: %s", world.path.name, kind, node, why)
 
@@ -106,14 +107,14 @@ class WorldSource:
     Args:
         world: The world.
         without: Nodes to leave out.
-        strict: Whether to refuse a node that cannot be read or does not fit; otherwise it is left out.
+        strict: Whether to raise if a node cannot be read or does not fit; otherwise it is left out.
 
     Attributes:
         path: The folder.
         manifest: One manifest of all nodes.
         world: The world.
         nodes: Numbers of the nodes that can be read and are needed, ascending.
-        bases: First id of each node of the world, and the number of all; all other nodes have no ids.
+        bases: First id of each node of the world, and the number of all ids; nodes not in `nodes` have no ids.
     """
 
     is_single = False
@@ -124,7 +125,7 @@ class WorldSource:
         self.world = world
         self._strict = strict
         found: dict[int, Manifest] = {}
-        for node in _needed(world):
+        for node in _needed_nodes(world):
             if node in without:
                 continue
             try:
@@ -133,7 +134,7 @@ class WorldSource:
             except (GsvisError, OSError) as error:
                 if strict:
                     raise
-                _leave_out(world, node, str(error))
+                _log_left_out(world, node, str(error))
         first = max(
             (m for node, m in found.items() if node < len(world.manifest.tiles)),
             key=lambda m: len(m.names),
@@ -141,13 +142,13 @@ class WorldSource:
         )
         if first is None:
             raise FormatError(world.path, "", "a tile that can be read", "none", "prepare the world again")
-        self.nodes = [node for node, m in found.items() if _fits(world, node, m, first, strict)]
+        self.nodes = [node for node, m in found.items() if _is_compatible(world, node, m, first, strict)]
         self._manifests = {node: found[node] for node in self.nodes}
         self.bases = np.zeros(len(world) + 1, np.int64)
         for node, m in self._manifests.items():
             self.bases[node + 1] = m.gaussians
         self.bases = np.cumsum(self.bases)
-        self.manifest = self._joined(first)
+        self.manifest = self._join_manifests(first)
 
     @property
     def tiles(self) -> list[int]:
@@ -169,10 +170,10 @@ class WorldSource:
         return repr(self.world)
 
     def close(self) -> None:
-        """Do nothing: stores close when nobody uses them."""
+        """Do nothing: stores close when they are no longer used."""
 
     def check_parts(self) -> None:
-        """Leave out nodes with a part that is missing or has another size, as when a part is damaged."""
+        """Raise if a part of a node is missing or has a wrong size; `open_world` then leaves out the node."""
         for node in self.nodes:
             try:
                 with self.world.package(node) as package:
@@ -186,30 +187,30 @@ class WorldSource:
         return self.manifest.info.epsilon
 
     def ranges(self) -> list[tuple[int, int]]:
-        """Return the first id of each node that can be read, and its end; see `SceneSource`."""
+        """Return the first id of each node that can be read, and the end of its ids."""
         return [(int(self.bases[node]), int(self.bases[node + 1])) for node in self.nodes]
 
     def pieces(self) -> Iterator[Contents]:
-        """Yield the records of each node, with colors in the tables of the world, and in its levels."""
+        """Yield the records of each node, with the color tables and the levels of the world."""
         for node in self.nodes:
             try:
                 with self.world.package(node) as package:
-                    found = _in_world(package.contents, self.manifest, self._is_tile(node))
+                    found = _convert_records(package.contents, self.manifest, self._is_tile(node))
             except (GsvisError, OSError) as error:
                 raise _DamagedNodeError(node, str(error)) from error
             yield found
 
     def piece_weight(self, piece: int) -> int:
-        """Return how often the symbols of a node count: most of what is sent is of tiles."""
+        """Return the factor for counts of a node's symbols: tiles are sent more than districts."""
         return _TILE_WEIGHT if self._is_tile(self.nodes[piece]) else 1
 
     def piece_links(self, piece: int, contents: Contents, means: Callable[[int, int], NDArray[np.float32]]) -> I64:
-        """Return what replaces the Gaussians of a node: the next level of a tile; the children of a district.
+        """Return the replacements of a node's Gaussians: the next level in a tile; the children of a district.
 
         Args:
             piece: Number of the node among those that can be read.
-            contents: Its records.
-            means: Returns the centers of earlier ids, from one to before another.
+            contents: Records of the node.
+            means: Returns the centers of the ids in [low, high), for earlier nodes.
         """
         node = self.nodes[piece]
         low = int(self.bases[node])
@@ -221,12 +222,12 @@ class WorldSource:
         own = contents.gaussians().means
         for child in self._children[node]:
             first, end = self.bases[child : child + 2].tolist()
-            theirs = first + self._lowest(child, end - first)
-            pairs.append(_nearest(own, means(first, end)[theirs - first], low, theirs))
+            theirs = first + self._lowest_ids(child, end - first)
+            pairs.append(_pair_nearest(own, means(first, end)[theirs - first], low, theirs))
         return np.unique(np.concatenate(pairs), axis=0)
 
     def piece_order(self, piece: int) -> NDArray[np.int32]:
-        """Return the Gaussian at each place of the visible sets of a node; -1 if it has none, or they are damaged."""
+        """Return the Gaussian at each place (N,) of a node's visible sets; -1 without sets, or if they are damaged."""
         node = self.nodes[piece]
         unknown = np.full(int(self.bases[node + 1] - self.bases[node]), -1, np.int32)
         if not self._is_tile(node) or self._manifests[node].visibility is None:
@@ -237,11 +238,11 @@ class WorldSource:
                 return store.order
             finally:
                 store.close()
-        except (GsvisError, OSError):  # whoever reads the sets logs it
+        except (GsvisError, OSError):  # logged when the sets are read
             return unknown
 
     def piece_sources(self, piece: int) -> Sequence[int]:
-        """Return the nodes whose Gaussians those of a node may replace: itself, and its district."""
+        """Return the nodes that may have Gaussians that those of this node replace: itself and its district."""
         node, numbers = self.nodes[piece], {node: k for k, node in enumerate(self.nodes)}
         return [piece, *(numbers[k] for k, children in self._children.items() if node in children)]
 
@@ -253,7 +254,7 @@ class WorldSource:
         """Do nothing: records are read node by node."""
 
     def part_of(self, gaussian: int) -> tuple[Contents, int]:
-        """Return the records of the part that holds a Gaussian, and the id of the first of them; see `Package`."""
+        """Return the records of the part that has a Gaussian, and the id of its first one; see `Package.part_of`."""
         if not 0 <= gaussian < self.bases[-1]:
             raise ValueError(f"gaussian: expected an id below {self.bases[-1]:,}, got {gaussian}")
         node = int(np.searchsorted(self.bases, gaussian, "right")) - 1
@@ -262,7 +263,7 @@ class WorldSource:
         return contents, start + int(self.bases[node])
 
     def read_contents(self) -> Contents:
-        """Return all records, with colors in the tables of the world."""
+        """Return all records, with the color tables of the world."""
         pieces = list(self.pieces())
         counts = np.cumsum([0, *(len(piece) for piece in pieces)])
         return Contents(
@@ -282,7 +283,7 @@ class WorldSource:
         return WorldCells.read(self.world, self.tiles, strict=self._strict), self._weights()
 
     def cells_from(self, arrays: Mapping[str, NDArray[Any]]) -> WorldCells:
-        """Return the cells that were taken apart by `WorldCells.to_arrays`."""
+        """Return the cells from the arrays of `WorldCells.to_arrays`."""
         return WorldCells.from_arrays(arrays, np.array(self.manifest.info.up))
 
     def sets(self, cells: Any, cache: Cache[Any], arrays: Mapping[str, NDArray[Any]]) -> WorldSets:
@@ -296,6 +297,7 @@ class WorldSource:
         return None if self.epsilon is None else EveryCell(int(self.bases[-1]), self.manifest.terms)
 
     def _is_tile(self, node: int) -> bool:
+        """Return whether a node is a tile."""
         return node < len(self.world.manifest.tiles)
 
     def _weights(self) -> NDArray[np.float32]:
@@ -306,8 +308,8 @@ class WorldSource:
                     return class_weights(package.visibility)
         raise SceneError(f"{self.path}: no tile has cells; prepare the world again")
 
-    def _joined(self, first: Manifest) -> Manifest:
-        """Return one manifest of all nodes."""
+    def _join_manifests(self, first: Manifest) -> Manifest:
+        """Return one manifest for all nodes; `first` is the tile manifest with most levels."""
         every = list(self._manifests.values())
         tiles = [m for node, m in self._manifests.items() if self._is_tile(node)]
         names = first.names
@@ -319,17 +321,17 @@ class WorldSource:
         return replace(
             first,
             info=info,
-            scene=_name_of(self.world),
+            scene=_hash_manifest(self.world),
             counts=tuple(counts),
-            grids=_common([m.grids for m in every]),
+            grids=_join_grids([m.grids for m in every]),
             tables=tuple(row for m in every for row in m.tables),
             blocks=tuple(row for m in every for row in m.blocks),
             visibility=None,
             active_terms=None,
         )
 
-    def _lowest(self, node: int, count: int) -> I64:
-        """Return the places in a node of those that replace its district: the lowest level of a tile, or all."""
+    def _lowest_ids(self, node: int, count: int) -> I64:
+        """Return the ids in a node that replace its district: the lowest level of a tile, or all of a district."""
         if not self._is_tile(node):
             return np.arange(count)
         with self.world.package(node) as package:
@@ -338,10 +340,11 @@ class WorldSource:
 
     @cached_property
     def _children(self) -> dict[int, list[int]]:
-        """For each district with ids, the nodes with ids that replace it: its children, or what those were made of."""
+        """For each district with ids, the nodes with ids that replace it: its children, or their children."""
         has_ids = set(self.nodes)
 
         def below(node: int) -> Iterator[int]:
+            """Yield the nearest nodes with ids below a district."""
             entry = self.world.manifest.node(node)
             for child in entry.children if isinstance(entry, District) else ():
                 yield from (child,) if child in has_ids else below(child)
@@ -349,22 +352,29 @@ class WorldSource:
         return {node: list(below(node)) for node in self.nodes if not self._is_tile(node)}
 
 
-def _needed(world: World) -> list[int]:
-    """Return the tiles and the districts that stand around one of them: no cell sees the others."""
+def _needed_nodes(world: World) -> list[int]:
+    """Return the tiles, and the districts that are used around a tile: no cell sees other districts."""
     tables = [tile.beyond for tile in world.manifest.tiles if tile.beyond is not None]
     seen = {piece.node for table in tables for piece in table.pieces}
     return [node for node in range(len(world)) if node < len(world.manifest.tiles) or node in seen]
 
 
-def _nearest(mine: NDArray[np.float32], theirs: NDArray[np.float32], low: int, ids: I64) -> I64:
-    """Return pairs: the nearest of `mine`, whose ids begin at `low`, to each of `theirs`, with its id."""
+def _pair_nearest(mine: NDArray[np.float32], theirs: NDArray[np.float32], low: int, ids: I64) -> I64:
+    """Return pairs (K, 2): the id of the nearest of `mine` for each of `theirs` (K, 3), and its id.
+
+    Args:
+        mine: (M, 3) centers, whose ids begin at `low`.
+        theirs: (K, 3) centers.
+        low: First id of `mine`.
+        ids: (K,) ids of `theirs`.
+    """
     from scipy.spatial import cKDTree  # slow to import, and seldom needed
 
     return np.stack([low + cKDTree(mine).query(theirs)[1].astype(np.int64), ids], axis=1)
 
 
-def _fits(world: World, node: int, m: Manifest, first: Manifest, strict: bool) -> bool:
-    """Return whether a node can be streamed beside the first of the tiles with most levels; log or raise if not."""
+def _is_compatible(world: World, node: int, m: Manifest, first: Manifest, strict: bool) -> bool:
+    """Return whether axes, levels and colors of a node fit `first`, a tile; if not, log it or raise."""
     same = m.info.up == first.info.up and m.grids.variant == first.grids.variant
     if same and m.grids.precision == first.grids.precision and len(m.names) <= len(first.names):
         return True
@@ -372,14 +382,15 @@ def _fits(world: World, node: int, m: Manifest, first: Manifest, strict: bool) -
         expected = f"up {first.info.up}, at most {len(first.names)} levels and the colors of the tiles"
         got = f"up {m.info.up}, {len(m.names)} levels, colors {m.grids.variant}"
         raise FormatError(world.path, f"node {node}", expected, got, "prepare the world again")
-    _leave_out(world, node, "its axes, levels or colors are not those of the tiles; prepare the world again")
+    _log_left_out(world, node, "its axes, levels or colors are not those of the tiles; prepare the world again")
     return False
 
 
-def _common(grids: list[Grids]) -> Grids:
-    """Return tables that hold the colors of all."""
+def _join_grids(grids: list[Grids]) -> Grids:
+    """Return color tables with the range of all these tables together."""
 
     def ends(of: Callable[[Grids], tuple[float, float]]) -> tuple[float, float]:
+        """Return the least and largest value of a range over all tables."""
         return min(of(g)[0] for g in grids), max(of(g)[1] for g in grids)
 
     base = ends(lambda g: g.base[0]), ends(lambda g: g.base[1]), ends(lambda g: g.base[2])
@@ -389,10 +400,11 @@ def _common(grids: list[Grids]) -> Grids:
     return Grids(grids[0].variant, grids[0].precision, base, scales, decays, most)
 
 
-def _in_world(contents: Contents, world: Manifest, is_tile: bool) -> Contents:
-    """Return the records of a node with colors in the tables of the world, and its levels as those of the world.
+def _convert_records(contents: Contents, world: Manifest, is_tile: bool) -> Contents:
+    """Return the records of a node with the color tables and the levels of the world.
 
-    The levels of a tile are the highest of the world, and its lowest stands in all below; a district stands in all.
+    The levels of a tile become the highest levels of the world, and its lowest level is in all lower ones too. A
+    district is in all levels.
     """
     grids = world.grids
     more = np.uint8(len(world.names) - len(contents.names))
@@ -414,5 +426,6 @@ def _in_world(contents: Contents, world: Manifest, is_tile: bool) -> Contents:
     )
 
 
-def _name_of(world: World) -> str:
+def _hash_manifest(world: World) -> str:
+    """Return the hash of the manifest of a world, which identifies its content."""
     return hashlib.sha256(world.manifest.to_json()).hexdigest()

@@ -1,6 +1,6 @@
-"""Tiles before anything is seen from them: their rows, where eyes may be in them, and their levels.
+"""The first tasks of a tile: join its rows, find the space for eyes in it, and make its levels.
 
-Scene frame and units. Each function here is a task of a graph.
+Scene frame and units.
 """
 
 from __future__ import annotations
@@ -56,20 +56,19 @@ __all__ = [
 VERSIONS = {"gather_rows": 1, "make_tile_levels": [2, STAGES["levels"]], "tile_space": 6}
 
 MOST_VOXELS = 1 << 23
-"""Of the space of a tile and its surroundings, unless the resolution of the tile alone asks for more."""
+"""Most voxels of the space of a tile and its surroundings, unless the resolution of the tile alone needs more."""
 
-_VOXEL = 30  # bytes of a voxel of a space, while it is looked for
-# gradients of a view; bytes for each pixel of all views, of which most are smaller
-_TRAINING = 160 << 20
-_IMAGE = 7
+_VOXEL = 30  # bytes of memory for each voxel while a space is searched
+_TRAINING = 160 << 20  # bytes of the gradients of a view
+_IMAGE = 7  # bytes for each pixel of all training views; most views are smaller than the largest
 
 MARGIN = 0.15
-"""How far beyond a tile what is solid counts, in its longer side."""
+"""Width of the strip around a tile in which solid Gaussians count, as a share of its longer side."""
 
 SURROUNDINGS = 1.0
-"""How far beyond a tile it is looked at to know what the place is, and which space is enclosed, in its longer side."""
+"""Width of the strip around a tile that decides what kind of place it is and which space is enclosed, likewise."""
 
-_COVERAGE = 0.98  # of the centers, inside the box of a grid on each axis
+_COVERAGE = 0.98  # share of the centers inside the box of a grid on each axis
 
 
 def gather_rows(params: Facts, given: Given, out: Path, work: Path) -> Facts:
@@ -80,12 +79,14 @@ def gather_rows(params: Facts, given: Given, out: Path, work: Path) -> Facts:
 
 
 def tile_space(params: Facts, given: Given, out: Path, work: Path) -> Facts:
-    """Task: find where eyes may be in the squares of a tile. Inputs are its rows, then those of the tiles around it.
+    """Task: find the space for eyes in the squares of a tile. Inputs: its rows, then those of the tiles around it.
 
-    Gaussians within `around` of the tile count, in its longer side. With `walk`, positions within `margin` of the tile,
-    eyes are along them, and nowhere without any. With `seeds`, positions of cameras, eyes are around these too.
+    Params: `around`, width of the strip around the tile that counts, as a share of its longer side; `walk`, positions
+        of
+    a walk near the tile: eyes are within `margin` of them only; `seeds`, positions of cameras, around which eyes may
+    be.
 
-    Facts: the number of free voxels; 0 if nobody can be there.
+    Facts: `voxels`, the number of free voxels; 0 if there is no space.
     """
     parts = []
     for k in range(len(given)):
@@ -99,7 +100,7 @@ def tile_space(params: Facts, given: Given, out: Path, work: Path) -> Facts:
 
 
 def near_tile(means: NDArray[np.floating[Any]], params: Facts, margin: float = MARGIN) -> NDArray[np.bool_]:
-    """Return which centers (N, 3) lie in a tile or in a margin around it, in its longer side.
+    """Return whether each center (N, 3) is in a tile or in a margin around it, as a share of its longer side.
 
     `params` are those of `tile_space`.
     """
@@ -110,10 +111,10 @@ def near_tile(means: NDArray[np.floating[Any]], params: Facts, margin: float = M
 
 
 def space_of_tile(near: Gaussians, params: Facts) -> NavigableSpace | None:
-    """Return where eyes may be in the squares of a tile, from its rows and those around it; None if nowhere.
+    """Return the space for eyes in the squares of a tile, from the Gaussians in and around it; None if there is none.
 
-    They are in rooms and on open ground: a world has both, and a tile does not show which of them goes on. Where there
-    is neither they are around what is there.
+    Eyes may be both in rooms and on open ground, because a tile alone does not show which of them its surroundings are.
+    If there is neither, eyes are around the Gaussians, as around an object.
     """
     if "walk" in params and not params["walk"]:
         return None
@@ -125,14 +126,14 @@ def space_of_tile(near: Gaussians, params: Facts) -> NavigableSpace | None:
             found = space_along(near, params["walk"], params["margin"], resolution=fine, up=params["up"])
         else:
             found = NavigableSpace.from_scene(near, mixed=True, resolution=fine, up=params["up"], seeds=seeds)
-    if found is None and "walk" not in params:  # an object: the grid around it is larger, so voxels are, too
+    if found is None and "walk" not in params:  # an object: the grid around it is larger, so its voxels are larger too
         with suppress(SceneError):
             found = NavigableSpace.from_scene(near, resolution=params["resolution"], up=params["up"])
     return None if found is None else within_tile(found, params)
 
 
 def within_tile(found: NavigableSpace, params: Facts) -> NavigableSpace | None:
-    """Return a space without what is free outside of the squares of a tile; None if nothing else is."""
+    """Return a space that is free only inside the squares of a tile; None if nothing is."""
     low, high, axes = (np.array(params[name]) for name in ("low", "high", "axes"))
     free = found.free.copy()
     for axis, first, last in zip(axes.tolist(), low.tolist(), high.tolist(), strict=True):
@@ -144,7 +145,7 @@ def within_tile(found: NavigableSpace, params: Facts) -> NavigableSpace | None:
 
 
 def cut_to_tile(space: NavigableSpace, params: Facts) -> NavigableSpace | None:
-    """Return a space without the voxels and targets beyond the margin of a tile; None if nothing is free there."""
+    """Return a space cut to a tile with its margin; None if nothing is free there."""
     low, high, axes = (np.array(params[name]) for name in ("low", "high", "axes"))
     margin = MARGIN * float((high - low).max())
     size = space.voxel_size
@@ -166,7 +167,7 @@ def cut_to_tile(space: NavigableSpace, params: Facts) -> NavigableSpace | None:
 def _resolution(near: Gaussians, own: NDArray[np.bool_], resolution: int) -> int:
     """Return the voxels along the longest side of the grid over a tile and its surroundings.
 
-    Voxels are as large as in a grid of a `resolution` over the tile, `own`, or larger where memory asks for it.
+    Voxels have the size that gives `resolution` voxels along the tile (`own`), or a larger size to limit memory.
     """
     sides = _sides(near)
     tile = _sides(near[own])
@@ -175,12 +176,13 @@ def _resolution(near: Gaussians, own: NDArray[np.bool_], resolution: int) -> int
 
 
 def _sides(g: Gaussians) -> NDArray[np.float64]:
+    """Return the sides (3,) of the box around most of the centers."""
     low, high = g.bounds(_COVERAGE)
     return np.asarray(high - low, np.float64)
 
 
 def save_space(path: Path, space: NavigableSpace) -> None:
-    """Write where eyes may be."""
+    """Write a space for eyes."""
     arrays = {name: getattr(space, name) for name in ("origin", "free", "up", "occupied", "targets")}
     save_arrays(path, {**arrays, "voxel_size": np.array([space.voxel_size])})
 
@@ -199,8 +201,8 @@ def load_space(path: Path) -> NavigableSpace:
 def make_tile_levels(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     """Task: make the levels of a tile from its rows and its space, in the order of a package.
 
-    Without a space, or where it is too small to train levels, the lower of two levels is the tile merged to `most`
-    Gaussians: the largest alone would leave holes, and look finer than they are.
+    Without a space, or with one that is too small to train levels, the lower of two levels is the tile merged to `most`
+    Gaussians. Using just its largest Gaussians would leave holes.
 
     Facts: names, sizes and spacings of the levels, and the record of their quality.
     """
@@ -209,9 +211,9 @@ def make_tile_levels(params: Facts, given: Given, out: Path, work: Path) -> Fact
     levels = None
     quality = None
     if given.inputs[1:] and given.inputs[1].facts["voxels"]:
-        levels, quality = _trained(g, load_space(given.path(1, "space")), config, work)
+        levels, quality = _train_levels(g, load_space(given.path(1, "space")), config, work)
     if levels is None:
-        levels = in_package_order(_merge(g, params["most"]))
+        levels = in_package_order(_merge_levels(g, params["most"]))
     save_tile_levels(out / "levels", levels)
     (out / "quality.json").write_text(json.dumps(quality), encoding="ascii")
     spacings = [median_spacing(levels.level(k)) for k in range(len(levels))]
@@ -239,10 +241,10 @@ def config_of(value: dict[str, Any]) -> PrepareConfig:
     )
 
 
-def _trained(
+def _train_levels(
     g: Gaussians, space: NavigableSpace, config: PrepareConfig, work: Path
 ) -> tuple[Levels | None, dict[str, Any] | None]:
-    """Return the levels that `gsvis prepare` makes, and the record of their quality; None if it cannot make any."""
+    """Return the levels that `gsvis prepare` makes, and the record of their quality; (None, None) if it cannot."""
     try:
         stages = stages_of(g, work / "levels.gsvis", space, config, photos=None, progress=silent)
         with stages.work.opened():
@@ -251,10 +253,10 @@ def _trained(
         return None, None
 
 
-def _merge(g: Gaussians, most: int) -> Levels:
-    """Return a scene as two levels, of which the lower is the scene merged to at most `most`; as one if it has no more.
+def _merge_levels(g: Gaussians, most: int) -> Levels:
+    """Return a scene as two levels, the lower merged to at most `most` Gaussians; as one level if it has no more.
 
-    They share nothing, so that who sees only one of them gets only this one.
+    The levels share no Gaussian, so a viewer who sees only one of them gets only that one.
     """
     if len(g) <= most:
         return Levels.single(g)
@@ -264,10 +266,12 @@ def _merge(g: Gaussians, most: int) -> Levels:
 
 
 def _memory_of_rows(params: Facts, inputs: Sequence[Facts]) -> int:
+    """Return the bytes that `gather_rows` needs."""
     return int((10 << 20) + 250 * sum(inputs[number]["counts"][name] for number, name in params["files"]))
 
 
 def _memory_of_space(params: Facts, inputs: Sequence[Facts]) -> int:
+    """Return the bytes that `tile_space` needs."""
     counts = [each["gaussians"] for each in inputs]
     least = params["resolution"]
     side = min(MAX_RESOLUTION, 4 * params["resolution"])
@@ -276,6 +280,7 @@ def _memory_of_space(params: Facts, inputs: Sequence[Facts]) -> int:
 
 
 def _memory_of_levels(params: Facts, inputs: Sequence[Facts]) -> int:
+    """Return the bytes that `make_tile_levels` needs."""
     count = inputs[0]["gaussians"]
     trained = params["config"]["levels"] is not None
     views = params["config"]["level_views"]

@@ -1,9 +1,9 @@
 """Split scenes of any size into tiles, batch by batch. Scene frame and units.
 
-Two passes: the first takes a sample of constant size, which gives robust bounds, the up axis, and rectangles of small
-squares with nearly equal numbers of Gaussians, the tiles; the second writes each batch as one file for each tile in it.
-Memory holds a batch, or a tile. Nothing depends on the order of scenes or rows: a row is in the sample by a hash of its
-center.
+There are two passes. The first takes a sample of constant size, from which it finds robust bounds, the up axis, and the
+tiles: rectangles of small squares with nearly equal numbers of Gaussians. The second writes each batch as one file for
+each tile in it. Memory holds one batch or one tile. The order of scenes and rows does not matter: a hash of its center
+decides whether a row is in the sample.
 """
 
 from __future__ import annotations
@@ -52,20 +52,20 @@ I64 = NDArray[np.int64]
 
 VERSIONS = {"sample_rows": 2, "find_grid": 4, "split_batch": 3}
 
-_GUESSED = 1 << 18  # Gaussians of a batch that only reading counts
+_GUESSED = 1 << 18  # assumed Gaussians of a batch whose number is unknown until it is read
 
 OUTSIDE = "outside"
-"""Name of the tile of what lies outside all squares."""
+"""Name of the tile of the Gaussians outside all squares."""
 
-_SAMPLE = 1 << 19  # rows of the sample, about
-_MARGIN = 0.25  # of the robust box, added to each side
-_SQUARES = 64  # along a side, for each tile along it
-_MOST_SIDE = 1 << 11  # squares along the longer side of the grid
-_FILL = 0.9  # how full tiles are meant to be; the sample is not exact
-_SLACK = 0.08  # of a tile: cuts along squares are not exact either, and one more tile costs more than a fuller one
+_SAMPLE = 1 << 19  # approximate rows of the sample
+_MARGIN = 0.25  # share of the robust box that is added to each side
+_SQUARES = 64  # squares along a side for each tile along it
+_MOST_SIDE = 1 << 11  # most squares along the longer side of the grid
+_FILL = 0.9  # intended share of `most` in a tile, because the sample is not exact
+_SLACK = 0.08  # a tile may be fuller by this share of a tile, which costs less than one more tile
 
 Rect = tuple[int, int, int, int]
-"""A rectangle of squares: the first along each axis, then how many."""
+"""A rectangle of squares: the first square along each axis, then the number of squares along each axis."""
 
 
 @dataclass(frozen=True)
@@ -73,10 +73,10 @@ class TilingConfig:
     """How a world is cut.
 
     Attributes:
-        most: Most Gaussians of a tile, about: a rectangle with more is cut across its longer side.
+        most: Approximate largest number of Gaussians of a tile; a rectangle with more is cut across its longer side.
         coverage: Share of the centers inside the robust box on each axis.
-        up: What points upward: an axis such as "+z", or a direction (3,); None takes what the files state, else what
-            the cameras say, else the likely one. Squares lie along the axes that are nearest to level.
+        up: The up axis: a name such as "+z", or a direction (3,). None takes it from the files, else from the cameras,
+            else estimates it. Squares are along the two axes that are nearest to horizontal.
 
     Raises:
         ValueError: If a value is out of range.
@@ -95,9 +95,9 @@ class TilingConfig:
 
 
 def sample_rows(params: Facts, given: Given, out: Path, work: Path) -> Facts:
-    """Task: write the rows of a batch that are in the sample. `every` of about so many rows is one.
+    """Task: write the rows of a batch that are in the sample: about one of `every` rows.
 
-    Facts: how many Gaussians the batch has, and how many are in the sample.
+    Facts: the number of Gaussians in the batch and in the sample, and the SH degree.
     """
     g = read_batch(Batch(**params["batch"]))
     flat = flatten(thin_out(g, params["every"]))
@@ -106,18 +106,18 @@ def sample_rows(params: Facts, given: Given, out: Path, work: Path) -> Facts:
 
 
 def thin_out(g: Gaussians, every: int) -> Gaussians:
-    """Return of the Gaussians that can be seen about one in `every`, the same ones in any order."""
+    """Return about one in `every` visible Gaussians, the same ones whatever the order of the input."""
     return g[(_hashes(g.means) % np.uint32(every) == 0) & (g.opacities >= MIN_ALPHA)]
 
 
 def find_grid(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     """Task: find the grid from all samples.
 
-    Params: `config`, `every`, and `cameras`, world to camera (C, 4, 4), which say what is up.
+    Params: `config`, `every`, and `cameras`, world-to-camera matrices (C, 4, 4) that help to find the up axis.
 
-    Facts: the grid, the (3,) up axis and `remarks` on it, `bottom` and `top` on the axis that is not cut; `tiles`,
-    their rectangles of squares, by first square; the Gaussians that the sample expects in each; and `tree`, how they
-    were cut (`cut_squares`).
+    Facts: `grid`; `up` (3,) and `remarks` on it; `bottom` and `top` on the axis that is not cut; `tiles`, their
+    rectangles of squares, by first square; `expected`, the Gaussians of each by the sample; and `tree`, how they were
+    cut (see `cut_squares`).
     """
     parts = [load_gaussians(given.path(k, "sample")) for k in range(len(given)) if given.inputs[k].facts["sampled"]]
     if not parts:
@@ -149,7 +149,7 @@ def find_grid(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     return {
         "grid": asdict(grid),
         "up": [float(value) for value in upright.up],
-        "remarks": _remarks_on_up(upright, axes),
+        "remarks": _describe_up(upright, axes),
         "bottom": float(low[cut]),
         "top": float(high[cut]),
         "tiles": tiles,
@@ -159,7 +159,7 @@ def find_grid(params: Facts, given: Given, out: Path, work: Path) -> Facts:
 
 
 def _find_up(sample: Gaussians, config: TilingConfig, viewmats: Any) -> Upright:
-    """Return which way is up: as given, else stated by the files, else by cameras and Gaussians."""
+    """Return the up axis: as given, else from the files, else estimated from cameras and Gaussians."""
     cameras = None
     if viewmats:
         cameras = Cameras(viewmats, np.tile(intrinsics(64, 48, 60.0), (len(viewmats), 1, 1)), 64, 48)
@@ -170,14 +170,14 @@ def _find_up(sample: Gaussians, config: TilingConfig, viewmats: Any) -> Upright:
     return found if sample.facts.up is not None else replace(found, up=snap_to_axis(found.up))
 
 
-def _remarks_on_up(upright: Upright, axes: Sequence[int]) -> list[str]:
-    """Return what a user has to know of the up axis: what is not sure, what contradicts it, how squares lie to it."""
+def _describe_up(upright: Upright, axes: Sequence[int]) -> list[str]:
+    """Return lines for the user about the up axis: doubts, contradictions, and a tilt to the squares."""
     found = []
     where = describe_direction(upright.up)
     if not upright.sure:
         found.append(
-            f"Not sure: up was taken for {where} with a confidence of {upright.confidence:.0%}; --up or --cameras"
-            " decides."
+            f"Not sure: up was estimated as {where} with a confidence of {upright.confidence:.0%}; give --up or"
+            " --cameras."
         )
     if upright.doubt:
         found.append(f"Check the up axis: {upright.doubt}")
@@ -188,7 +188,7 @@ def _remarks_on_up(upright: Upright, axes: Sequence[int]) -> list[str]:
 
 
 def _direction(up: str | Sequence[float]) -> F64:
-    """Return the (3,) unit vector of an axis by its name, or of a direction."""
+    """Return the unit vector (3,) of an axis name or a direction."""
     if isinstance(up, str):
         return axis_vector(up)
     rows = _check.unit_vectors("up", np.reshape(np.asarray(up, np.float64), (1, -1)))
@@ -196,22 +196,24 @@ def _direction(up: str | Sequence[float]) -> F64:
 
 
 def cut_squares(counts: I64, most: int) -> tuple[list[Rect], list[int], Any]:
-    """Cut a grid into rectangles with at most so many Gaussians, as few and as equal as can be.
+    """Cut a grid into few rectangles with at most `most` Gaussians each, with nearly equal numbers.
 
-    A rectangle with more is cut across its longer side, where its parts have as many as their numbers of tiles ask for,
-    but not within a quarter of its ends.
+    A rectangle with more is cut across its longer side, so that the Gaussians of both parts are in proportion to their
+    numbers of tiles, but not in the outer quarters of the side.
 
     Args:
         counts: (X, Y) Gaussians of each square.
         most: Most Gaussians of a rectangle; a single square may have more.
 
     Returns:
-        The rectangles that hold something, by first square; the Gaussians of each; and how they were cut: the number of
-        a rectangle, or a pair of such trees, or None where nothing is.
+        tiles: The rectangles with Gaussians, by first square.
+        counts: Number of Gaussians of each.
+        tree: How they were cut: the number of a rectangle, a pair of such trees, or None for an empty rectangle.
     """
     found: dict[Rect, int] = {}
 
     def cut(x: int, y: int, width: int, height: int) -> Any:
+        """Cut a rectangle; return its tree of rectangles."""
         block = counts[x : x + width, y : y + height]
         total = int(block.sum())
         if total <= most or width * height == 1:
@@ -233,6 +235,7 @@ def cut_squares(counts: I64, most: int) -> tuple[list[Rect], list[int], Any]:
     numbers = {rect: k for k, rect in enumerate(tiles)}
 
     def numbered(node: Any) -> Any:
+        """Return a tree with numbers in place of rectangles."""
         return [numbered(each) for each in node] if isinstance(node, list) else numbers.get(node)
 
     return tiles, [found[rect] for rect in tiles], numbered(tree)
@@ -241,7 +244,7 @@ def cut_squares(counts: I64, most: int) -> tuple[list[Rect], list[int], Any]:
 def split_batch(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     """Task: write the rows of a batch as one file for each tile. The input is the grid.
 
-    Facts: how many rows each tile got, and the least and largest of each component of base colors.
+    Facts: `counts`, the number of rows of each tile; `reach`, least and largest value of each color component.
     """
     g = read_batch(Batch(**params["batch"]))
     found = given.inputs[0].facts
@@ -257,7 +260,7 @@ def split_batch(params: Facts, given: Given, out: Path, work: Path) -> Facts:
 
 
 def tiles_of(points: NDArray[np.floating[Any]], found: Facts) -> I64:
-    """Return (M,) the tile of each of the (M, 3) points, by its place in the facts of `find_grid`; -1 outside."""
+    """Return the tile (M,) of each point (M, 3), an index of `tiles` in the facts of `find_grid`; -1 outside."""
     grid = grid_of(found["grid"])
     upright = 3 - sum(found["grid"]["axes"])
     squares = grid.squares_of(points)
@@ -275,7 +278,7 @@ def tile_name(rect: Rect | None) -> str:
 
 
 def grid_of(value: Facts) -> Grid:
-    """Return the grid of the facts of `find_grid`."""
+    """Return the grid from the facts of `find_grid`."""
     origin = value["origin"]
     axes = value["axes"]
     shape = value["shape"]
@@ -283,12 +286,12 @@ def grid_of(value: Facts) -> Grid:
 
 
 def sampling_interval(gaussians: int) -> int:
-    """Return of how many rows one is in the sample."""
+    """Return the sampling interval for a number of Gaussians: one row of so many is in the sample."""
     return max(1, gaussians // _SAMPLE)
 
 
 def _hashes(means: NDArray[np.float32]) -> NDArray[np.uint32]:
-    """Return (N,) hashes of centers, evenly spread.
+    """Return hashes (N,) of centers (N, 3), evenly spread.
 
     References:
         The finalizer of MurmurHash3.
@@ -301,16 +304,19 @@ def _hashes(means: NDArray[np.float32]) -> NDArray[np.uint32]:
 
 
 def _triple(values: F64 | list[float]) -> tuple[float, float, float]:
+    """Return three numbers as a tuple of floats."""
     x, y, z = (float(v) for v in values)
     return x, y, z
 
 
 def _memory_of_batch(params: Facts, inputs: Sequence[Facts]) -> int:
+    """Return the bytes that `sample_rows` and `split_batch` need."""
     count = params["batch"]["count"]
     return int((10 << 20) + 200 * (count if count >= 0 else max(_GUESSED, params["batch"]["nbytes"] // 16)))
 
 
 def _memory_of_grid(params: Facts, inputs: Sequence[Facts]) -> int:
+    """Return the bytes that `find_grid` needs."""
     return int((20 << 20) + 450 * sum(each["sampled"] for each in inputs))
 
 

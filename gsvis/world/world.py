@@ -1,6 +1,6 @@
-"""An open world: the packages of its tiles and districts, opened when they are asked for. Scene frame and units.
+"""An open world: the packages of its tiles and districts, opened on request. Scene frame and units.
 
-A package alone is a world of one tile.
+A single package is a world of one tile.
 """
 
 from __future__ import annotations
@@ -52,12 +52,12 @@ class VerifiedWorld:
 
 
 def is_world(path: str | PathLike[str]) -> bool:
-    """Return whether a folder holds a world."""
+    """Return whether a folder is a world."""
     return (Path(path) / WORLD).is_file()
 
 
 def tile_of_package(folder: Path, manifest: Manifest, **place: object) -> Tile:
-    """Return the tile of a package.
+    """Return the entry of a tile in the manifest, from its package.
 
     Args:
         folder: Folder of the package.
@@ -80,7 +80,7 @@ class World:
     Attributes:
         path: The folder.
         manifest: The parsed manifest.
-        alone: Whether this is a package alone: a world of one tile.
+        alone: Whether this is a single package: a world of one tile.
     """
 
     def __init__(self, path: str | PathLike[str]) -> None:
@@ -90,7 +90,7 @@ class World:
         if self.path.is_dir() and not self.alone and not is_world(self.path):
             expected = f"a world with a {WORLD}, or a package with a {MANIFEST}"
             raise FormatError(self.path, "", expected, "a folder with neither", "was its preparation stopped?")
-        self.manifest = self._of_package() if self.alone else WorldManifest.read(self.path / WORLD)
+        self.manifest = self._manifest_of_package() if self.alone else WorldManifest.read(self.path / WORLD)
 
     @classmethod
     def open(cls, path: str | PathLike[str]) -> World:
@@ -100,7 +100,7 @@ class World:
             path: Folder of the world or of the package.
 
         Raises:
-            FormatError: If the folder is neither, or the manifest is damaged or of another version.
+            FormatError: If the folder is neither, or the manifest is damaged or has an unsupported version.
             OSError: If the manifest cannot be opened.
         """
         return cls(path)
@@ -114,7 +114,7 @@ class World:
         return f"World({m.gaussians:,} Gaussians, {len(m.tiles)} tiles, {len(m.districts)} districts, {self.path.name})"
 
     def tile_at(self, position: ArrayLike) -> int:
-        """Return the tile whose squares hold a position (3,); -1 where there is none."""
+        """Return the tile whose squares contain a position (3,); -1 for no tile."""
         point = _check.floats("position", position, (3,), np.float64)
         return 0 if self.alone else int(self.manifest.tiles_at(point[None])[0])
 
@@ -131,7 +131,8 @@ class World:
 
         Raises:
             ValueError: If there is no such node.
-            FormatError: If the package is missing, damaged, of another version, or another one than the manifest names.
+            FormatError: If the package is missing or damaged, has an unsupported version, or is not the one in the
+                manifest.
         """
         expected = self.manifest.node(node)
         folder = self.package_path(node)
@@ -148,7 +149,7 @@ class World:
         return package
 
     def beyond(self, tile: int) -> Beyond | None:
-        """Open the table of what the cells of a tile see beyond it; None if there is none. The caller closes it.
+        """Open the table of what the cells of a tile see outside it; None if there is none. The caller closes it.
 
         Raises:
             ValueError: If there is no such tile.
@@ -205,7 +206,8 @@ class World:
         folders = [(self.path / name, names) for name, names in known.items() if (self.path / name).is_dir()]
         return [path for folder, names in folders for path in sorted(folder.iterdir()) if path.name not in names]
 
-    def _of_package(self) -> WorldManifest:
+    def _manifest_of_package(self) -> WorldManifest:
+        """Return the manifest of a world whose one tile is this package and covers all space."""
         with Package.open(self.path) as package:
             m = package.manifest
             cells = len(package.visibility) if m.visibility is not None else 0

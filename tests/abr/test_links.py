@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gsvis.abr._kernels.plan import NONE, SEVERAL, only_of
-from gsvis.abr.links import only_links
+from gsvis.abr.links import pack_single_links
 
 
 @pytest.mark.parametrize("count", [0, 1, 63, 64, 1000])
@@ -16,7 +16,7 @@ def test_rows_say_what_the_lists_say(count: int, most: int) -> None:
     counts = rng.choice([0, 1, 1, 1, 3], count).astype(np.int64)
     ranks = (rng.integers(0, 3, len(counts)).repeat(counts) + rng.integers(0, most, counts.sum())).astype(np.int32)
     units = rng.integers(1, 1 << 16, len(ranks)).astype(np.int32)
-    only, firsts = only_links(counts, ranks, units)
+    only, firsts = pack_single_links(counts, ranks, units)
     assert len(firsts) == -(-count // 64)
     starts, packed = np.cumsum(counts) - counts, 0
     for g in range(count):

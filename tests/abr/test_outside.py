@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from gsvis.abr import candidates
 from gsvis.abr.candidates import CandidateIndex
 from gsvis.abr.classes import FieldOfView
-from gsvis.abr.outside import STEPS, share_of, step_of, weights_of
+from gsvis.abr.outside import STEPS, distance_step, uncertainty, widened_weights
 from gsvis.abr.planner import Planner
 from gsvis.pvs.codec import ids_of
 from tests.abr import abr_scenes as scenes
@@ -27,26 +27,27 @@ def test_the_step_is_zero_inside_and_rises_with_the_distance_in_sides_of_a_cell(
         (low, side), center = index.grid.box_of(cell), index.grid.centers[cell]
         assert np.allclose(np.array(low) + side / 2, center)
         corners = center + side * (np.indices((2, 2, 2)).reshape(3, -1).T - 0.5)
-        assert {step_of(index, cell, point) for point in [center, *corners]} == {0}
+        assert {distance_step(index, cell, point) for point in [center, *corners]} == {0}
         away = [
-            step_of(index, cell, center + side * np.array([0.0, 0.5 + d, 0.0])) for d in np.geomspace(1e-3, 1e6, 60)
+            distance_step(index, cell, center + side * np.array([0.0, 0.5 + d, 0.0]))
+            for d in np.geomspace(1e-3, 1e6, 60)
         ]
         assert away == sorted(away)
         assert set(away) == set(range(1, STEPS))
-        assert step_of(index, cell, np.full(3, 1e300)) == STEPS - 1
+        assert distance_step(index, cell, np.full(3, 1e300)) == STEPS - 1
 
 
 def test_weights_fall_to_plain_importance_with_the_distance() -> None:
     own = np.array([0.01, 0.2, 0.9], np.float32)
-    assert share_of(0) == 0.0
+    assert uncertainty(0) == 0.0
     last = np.full(3, np.inf)
     for step in range(1, STEPS):
-        found = weights_of(own, step)
+        found = widened_weights(own, step)
         apart = np.abs(found[:3] - own.mean())
         assert (apart <= last).all()
         assert found[4] <= found[3] <= own.mean() + 1e-6
         last = apart
-    assert np.allclose(weights_of(own, STEPS - 1), own.mean())
+    assert np.allclose(widened_weights(own, STEPS - 1), own.mean())
 
 
 @FEW
@@ -84,8 +85,8 @@ def test_inside_the_same_records_come_as_without_widening(seed) -> None:
     cell, rng = seed % len(index.grid), np.random.default_rng(seed)
     eye = index.grid.centers[cell] + rng.uniform(-0.999, 0.999, 3) * index.grid.cell_size / 2
     orders = []
-    for rule in (step_of, lambda *_: 0):
-        with patch("gsvis.abr.planner.step_of", rule):
+    for rule in (distance_step, lambda *_: 0):
+        with patch("gsvis.abr.planner.distance_step", rule):
             planner = Planner(CandidateIndex(index), VIEW)
             planner.on_pose(0.0, eye, (1, 0.2, 0, 0))
             orders.append([planner.next_batch(0.0, 3000.0, 1e4).gaussians.tolist() for _ in range(5)])
@@ -115,7 +116,7 @@ def test_a_viewer_who_steps_outside_is_ranked_for_anew(rule) -> None:
     index = scenes.random_index(2, count=300)
     planner = Planner(CandidateIndex(index), VIEW)
     center, side = index.grid.centers[0], index.grid.cell_size
-    with patch("gsvis.abr.planner.step_of", step_of if rule == "widened" else lambda *_: 0):
+    with patch("gsvis.abr.planner.distance_step", distance_step if rule == "widened" else lambda *_: 0):
         for k, away in enumerate((0.45, 0.51, 0.52)):
             planner.on_pose(k / 10, center - [away * side, 0, 0], (1, 0, 0, 0))
             assert planner.has_to_prepare == (k < (2 if rule == "widened" else 1))

@@ -10,7 +10,16 @@ from hypothesis import strategies as st
 from gsvis.abr._kernels import units as kernels
 from gsvis.abr._kernels.plan import NEVER
 from gsvis.abr.index import nearest_replacements
-from gsvis.abr.policies import POLICIES, REGIMES, UtilityConfig, lowest_last, offsets, pairs, regime_of, table
+from gsvis.abr.policies import (
+    POLICIES,
+    REGIMES,
+    UtilityConfig,
+    lowest_last,
+    offset_table,
+    offsets,
+    rank_pairs,
+    regime_of,
+)
 from gsvis.abr.rings import RINGS
 from tests.abr import abr_scenes as scenes
 
@@ -30,22 +39,22 @@ def test_the_regime_follows_the_bandwidth_and_holds_on() -> None:
 
 
 def test_tables_of_the_policies() -> None:
-    assert pairs("fov-first", "high", 3)[:5] == [(0, 0), (0, 1), (0, 2), (1, 0), (1, 1)]
-    assert pairs("low-first", "high", 3)[:5] == [(0, 0), (1, 0), (0, 1), (0, 2), (1, 1)]
-    assert pairs("low-first", "medium", 3)[:3] == [(0, 0), (1, 0), (0, 1)]
-    assert pairs("fov-first", "low", 3)[:4] == [(0, 0), (0, 1), (1, 0), (2, 0)]
+    assert rank_pairs("fov-first", "high", 3)[:5] == [(0, 0), (0, 1), (0, 2), (1, 0), (1, 1)]
+    assert rank_pairs("low-first", "high", 3)[:5] == [(0, 0), (1, 0), (0, 1), (0, 2), (1, 1)]
+    assert rank_pairs("low-first", "medium", 3)[:3] == [(0, 0), (1, 0), (0, 1)]
+    assert rank_pairs("fov-first", "low", 3)[:4] == [(0, 0), (0, 1), (1, 0), (2, 0)]
     for policy in POLICIES:
         for regime in REGIMES:
             for levels in (1, 2, 3, 16):
-                table = offsets(policy, regime, levels)
-                assert table.min() == 0
-                assert (table[..., 1] >= table[..., 0]).all()
+                offset_table = offsets(policy, regime, levels)
+                assert offset_table.min() == 0
+                assert (offset_table[..., 1] >= offset_table[..., 0]).all()
                 if policy != "utility":
-                    found = pairs(policy, regime, levels)
+                    found = rank_pairs(policy, regime, levels)
                     assert len(set(found)) == len(found) == 6 * levels
                 assert lowest_last(regime, levels) == (levels - 1 if regime == "high" else 0)
-    assert pairs("low-first", "high", 4, picture=0)[:5] == [(0, 0), (0, 1), (1, 0), (1, 1), (0, 2)]
-    assert pairs("fov-first", "low", 4, picture=0)[:6] == [(0, 0), (0, 1), (0, 2), (1, 0), (1, 1), (2, 0)]
+    assert rank_pairs("low-first", "high", 4, picture=0)[:5] == [(0, 0), (0, 1), (1, 0), (1, 1), (0, 2)]
+    assert rank_pairs("fov-first", "low", 4, picture=0)[:6] == [(0, 0), (0, 1), (0, 2), (1, 0), (1, 1), (2, 0)]
     low, high = offsets("utility", "low", 3), offsets("utility", "high", 3)
     assert (low[1:] >= high[1:]).all()
 
@@ -84,7 +93,7 @@ def test_utility_adds_the_logarithms_of_its_factors() -> None:
 @pytest.mark.parametrize("regime", REGIMES)
 def test_of_what_ends_early_only_a_first_picture_in_view_is_sent(regime: str) -> None:
     everywhere = (kernels.INSIDE, kernels.OUTSIDE, kernels.EDGE)
-    found = table("fov-first", regime, 3, picture=0, terms_in=everywhere)[0].reshape(RINGS, 3, 3, 2, 3)
+    found = offset_table("fov-first", regime, 3, picture=0, terms_in=everywhere)[0].reshape(RINGS, 3, 3, 2, 3)
     sent = found != NEVER
     least = 2 if regime == "high" else 1
     assert sent[0, :, least:].all()
@@ -97,7 +106,7 @@ def test_of_what_ends_early_only_a_first_picture_in_view_is_sent(regime: str) ->
 
 @pytest.mark.parametrize("policy", POLICIES)
 def test_only_what_belongs_to_a_first_picture_alone_waits_by_its_factor(policy: str) -> None:
-    tables = [table(policy, "low", 4, UtilityConfig(first=factor), picture=0) for factor in (1.0, 0.5)]
+    tables = [offset_table(policy, "low", 4, UtilityConfig(first=factor), picture=0) for factor in (1.0, 0.5)]
     added = (tables[1][0] - tables[0][0]).reshape(RINGS, 4, 4, 2, 3)
     alone = added[0, 0, 0, kernels.GEOMETRY, kernels.INSIDE]
     assert alone == (32 if policy == "utility" else 0)
@@ -108,20 +117,20 @@ def test_only_what_belongs_to_a_first_picture_alone_waits_by_its_factor(policy: 
 
 @pytest.mark.parametrize("regime", REGIMES)
 def test_what_is_at_the_edge_of_the_view_waits_by_its_factor(regime: str) -> None:
-    made = table("utility", regime, 3, UtilityConfig(edge=0.5), strong=(2.0, 1.0), kinds=3)[0]
+    made = offset_table("utility", regime, 3, UtilityConfig(edge=0.5), strong=(2.0, 1.0), kinds=3)[0]
     inside, edge = made[..., kernels.INSIDE], made[..., kernels.EDGE]
     sent = inside < NEVER
     own = np.arange(len(made)) < 9
     assert (edge[own] - inside[own] == 32)[sent[own]].all()
     assert (edge[own][~sent[own]] == NEVER).all()
     assert (edge[~own] == NEVER).all()
-    bare = table("utility", regime, 3, UtilityConfig(edge=0.5), terms_in=(kernels.INSIDE,))[0]
+    bare = offset_table("utility", regime, 3, UtilityConfig(edge=0.5), terms_in=(kernels.INSIDE,))[0]
     assert (bare[:, kernels.TERMS, kernels.EDGE] == NEVER).all()
     assert np.array_equal(bare[:, kernels.GEOMETRY], made[:, kernels.GEOMETRY])
 
 
 def test_terms_that_change_the_image_twice_as_much_are_worth_four_times_as_much() -> None:
-    made = table("utility", "high", 3, strong=(4.0, 2.0, 1.0), kinds=4)[0][8, :, kernels.INSIDE]
+    made = offset_table("utility", "high", 3, strong=(4.0, 2.0, 1.0), kinds=4)[0][8, :, kernels.INSIDE]
     assert np.diff(made[kernels.STRONG :]).tolist() == [64, 64]
 
 

@@ -51,7 +51,7 @@ def test_a_static_scene_of_version_2_has_the_same_bytes(
 ) -> None:
     """The lists of version 2 were made before rounding; no term of this scene is that near to epsilon."""
     with Package.open(old) as package:
-        lists = ActiveTerms.open(package._join(package.manifest.active_terms, "lists.arrow"))
+        lists = ActiveTerms.open(package._join_blob(package.manifest.active_terms, "lists.arrow"))
         write_static(tmp_path / "found", package)
         monkeypatch.setattr(package, "active_terms", lists)
         write_static(tmp_path / "listed", package)

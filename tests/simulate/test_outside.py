@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gsvis.abr import AbrConfig
-from gsvis.abr.outside import step_of
+from gsvis.abr.outside import distance_step
 from gsvis.scene.cameras import Cameras
 from gsvis.scene.gaussians import quats_from_rotations
 from gsvis.simulate import Stage
@@ -59,8 +59,8 @@ def test_outside_the_image_rises_to_that_of_the_whole_scene_and_earlier(scene, a
     cameras = looking(streamed, away)
     for camera in (cameras[k : k + 1] for k in range(len(cameras))):
         frame, means = Frame(stage, camera), []
-        for rule in (step_of, lambda *_: 0):
-            with patch("gsvis.abr.planner.step_of", rule):
+        for rule in (distance_step, lambda *_: 0):
+            with patch("gsvis.abr.planner.distance_step", rule):
                 sizes, psnrs = curve(streamed, frame, camera)
             assert psnrs[-1] == 60.0
             means.append(np.average(psnrs, weights=np.diff(sizes, prepend=0)))

@@ -213,8 +213,8 @@ def test_rules_of_batches_hold_for_ids_that_came_before(scene: StreamedScene) ->
         scene.records.parts, np.ones(1, np.int32), scene.records.chunks[1:2], scene.records.chunk_numbers
     )
     for data, words in (
-        (batch(3, gone=some), "gone: expected each once"),
-        (replace(arrives, sequence=3, records=coded).to_message(about), "expected none that is replaced"),
+        (batch(3, gone=some), "gone: expected each Gaussian once"),
+        (replace(arrives, sequence=3, records=coded).to_message(about), "expected none that was replaced"),
         (batch(3, evicted=some), "expected none without a limit of memory"),
     ):
         with pytest.raises(ProtocolError, match=words):

@@ -38,7 +38,7 @@ def test_any_records_have_the_same_bytes(variant: str, seed: int, n: int) -> Non
     rows = without_wide_places(rng.integers(0, 256, (n, 16)).astype(np.uint8), table, layout)
     of, chunks = table.of_all(), chunks_of(table)
     ids = np.flatnonzero(rng.random(n) < 0.7).astype(np.int32)
-    found = code.encode_some(code._split(rows, of, chunks), ids, of[ids], chunks)
+    found = code.encode_some(code._split_rows(rows, of, chunks), ids, of[ids], chunks)
     assert found.tobytes() == code.encode_records(rows[ids], ids.astype(np.int64), of[ids], chunks).tobytes()
 
 

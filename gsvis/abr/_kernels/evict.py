@@ -10,6 +10,7 @@ from gsvis._kernels.compiled import kernel, njit
 
 @njit(inline="always")
 def _remove(words, i):
+    """Remove an id from a packed set."""
     words[i >> 6] &= ~(np.uint64(1) << np.uint64(i & 63))
 
 
@@ -27,12 +28,12 @@ def held_terms_of(ids, held_terms, term_offsets):
 def evict(words, masks, needed, sizes, held, term_offsets, links, out):
     """Remove Gaussians and their terms from what is held, until enough bytes are free.
 
-    What an evicted Gaussian had replaced is no longer gone: it can be sent again.
+    The Gaussians that an evicted one had replaced are no longer gone: they can be sent again.
 
     Args:
-        words: (M,) words, the first to go first.
-        masks: (M,) uint64, which Gaussians of each may go; all are held and not gone.
-        needed: Bytes.
+        words: (M,) numbers of words, in the order in which their Gaussians are evicted.
+        masks: (M,) uint64, the Gaussians of each word that may be evicted; all are held and not gone.
+        needed: Bytes to free.
         sizes: Bytes of a Gaussian, and of a term.
         held: `Held`; changed.
         term_offsets: (N + 1,).
@@ -69,7 +70,7 @@ def evict(words, masks, needed, sizes, held, term_offsets, links, out):
                 for t in range(term_offsets[g], term_offsets[g + 1]):
                     if has(held_terms, t):
                         _remove(held_terms, t)
-                        freed += sizes[1] if g == first else 0.0  # the others were dropped before
+                        freed += sizes[1] if g == first else 0.0  # terms of replaced Gaussians were freed before
                 for k in range(offsets[g], offsets[g + 1]):
                     x = ending[ranks[k]]
                     if has(gone, x):
@@ -81,7 +82,7 @@ def evict(words, masks, needed, sizes, held, term_offsets, links, out):
 
 @kernel(error_model="numpy")
 def owe_again(words, evicted, owed, checked):
-    """Add evicted Gaussians, a packed set (W,), to what is `owed` (S,) or (0,); remove them from `checked` (K, S)."""
+    """Add evicted Gaussians, a packed set (W,), to `owed` (S,) or (0,), and remove them from `checked` (K, S)."""
     for s in range(len(owed)):
         bits = evicted[words[s]]
         owed[s] |= bits

@@ -17,39 +17,38 @@ from gsvis._kernels.prefetch import prefetch
 from gsvis.abr._kernels.lanes import not_behind
 from gsvis.abr._kernels.units import GEOMETRY, INSIDE, OUTSIDE, STRONG, TERMS, bucket_of
 
-_SAMPLE = 16
-_SPARE = 1.5
-# words whose spheres are read ahead, and numbers in a line of the cache
-_AHEAD = 3
-_LINE = 16
-NEVER = 1 << 30  # the key of what is never sent
-KIND_BITS = 3  # of an entry: which kind of records
-DONE = np.int32(2**31 - 1)  # in `Cell.looks`: replaced
-UNITS = (1 << 16) - 1  # of area, of all replacements of a Gaussian
-ANY = np.int32(1 << 26)  # units that have arrived where it is not known what has
-# numbers in `Links.only`, as the last of 16 bits
-NONE = -1
-SEVERAL = -2
+_SAMPLE = 16  # one run in 16 is read to estimate how far to rank
+_SPARE = 1.5  # times the wanted bytes, to allow for errors of the estimate
+_AHEAD = 3  # words ahead for which spheres are prefetched
+_LINE = 16  # float32 values in a cache line
+NEVER = 1 << 30  # key of records that are never sent
+KIND_BITS = 3  # low bits of an entry: the kind of records
+DONE = np.int32(2**31 - 1)  # in `Cell.looks`: the Gaussian is replaced
+UNITS = (1 << 16) - 1  # area of all replacements of a Gaussian, the unit of `arrived`, `looks` and `sure`
+ANY = np.int32(1 << 26)  # in `Cell.arrived`: how much has arrived is not known
+# in the low 16 bits of `Links.only`, as negative numbers
+NONE = -1  # replaces no Gaussian
+SEVERAL = -2  # replaces several
 
 
 class Cell(NamedTuple):
-    """A cell as one client sees it; S words have candidates, E Gaussians are replaced by others."""
+    """The candidates of a cell for one client, in S words; E Gaussians of the scene have replacements."""
 
-    words: Any  # (S,) int32 rising, number of each word
+    words: Any  # (S,) int32 ascending, number of each word
     places: Any  # (6, S) float32, see `Candidates.places`
     term_bytes: Any  # mean bytes of the active terms of a Gaussian that has some
     owed: Any  # (S,) uint64, Gaussians that may have active terms that are not held; (0,) in a scene without terms
     active: Any  # active terms as a packed set
     candidates: Any  # (W,) uint64, all candidates
-    allowed: Any  # (S,) uint64, what may be sent now: all, or while filling what the shell sees
+    allowed: Any  # (S,) uint64, candidates that may be sent now: all, or those that a shell sees
     ahead: Any  # (S,) uint64, what the cell sees that the viewer is about to enter
     checked: Any  # (K, S) or (K, 0) uint64 for each kind of terms, Gaussians that owe none of it for the eye
     checked_at: Any  # (K, S) or (K, 0) float32, `View.travelled` when the first of them were checked
-    arrived: Any  # (E,) int32, units of area of the replacements of each that have arrived, rounded up; or `ANY` more
-    looks: Any  # (E,) int32, how many have to have arrived before each is checked again among these candidates
-    sure: Any  # (E,) int32, how many suffice without a check; 0 where that is not known
+    arrived: Any  # (E,) int32, area of replacements that has arrived, rounded up; from `ANY` on it is unknown
+    looks: Any  # (E,) int32, area that must arrive before a Gaussian is checked again among these candidates
+    sure: Any  # (E,) int32, area with which it is dropped without a check; 0 where that is unknown
     last: Any  # (N,) uint8, level at which each Gaussian ends
-    shares: Any  # (L,) by that level: of the area of its replacements that must be held before it is dropped
+    shares: Any  # (L,) by that level: share of the area of its replacements that must be held before it is dropped
 
 
 class Held(NamedTuple):
@@ -64,36 +63,36 @@ class View(NamedTuple):
     """What a client looks at."""
 
     eye: Any  # (3,) float32
-    eyes: Any  # (P, 3) float32, terms that are active for none of them are kept back; all are sent where P = 0
+    eyes: Any  # (P, 3) float32, only terms that are active for one of them are sent; P = 0 sends all
     travelled: Any  # distance that the eye has moved so far
-    gains: Any  # (K,) float64 for each kind of terms, logarithm of what a change is multiplied by, beside weight and
-    # root of the solid angle; the term is sent where the result is above 1
+    # A term is sent if the logarithms of its change, its weight and the root of its solid angle, plus this, exceed 0.
+    gains: Any  # (K,) float64 for each kind of terms
     pixel: Any  # steradians that a pixel adds to the solid angle
     parallax: Any  # radians by which a direction changes before terms are checked again
     planes: Any  # (F, 5, 4) float32 frusta
-    middle: Any  # (G, 5, 4) float32 frusta inside of them: the rest of the view is its edge; none where G = 0
-    bodies: Any  # (4, 64 W) float32, see `CandidateIndex.bodies`
+    middle: Any  # (G, 5, 4) float32 smaller frusta: the rest of the view is its edge; G = 0 for a view without edge
+    bodies: Any  # (4, 64 W) float32, see `CandidateTables.bodies`
 
 
 class Limits(NamedTuple):
     """How far to rank."""
 
-    enough: Any  # bytes that suffice
-    least: Any  # lowest key
+    enough: Any  # bytes at which to stop
+    least: Any  # lowest key to rank
 
 
 class Plan(NamedTuple):
     """P entries in the order in which they are sent."""
 
-    entries: Any  # (P,) int32, number of a word, and in the last bits which kind of records
-    sets: Any  # (P,) uint64, which of its Gaussians
-    logs: Any  # (P,) float32, logarithm of their blending weight, that of their class
+    entries: Any  # (P,) int32, slot of a word, and in the low `KIND_BITS` bits the kind of records
+    sets: Any  # (P,) uint64, Gaussians of the word
+    logs: Any  # (P,) float32, logarithm of their blending weight
 
 
 class Records(NamedTuple):
-    """Bytes of the records."""
+    """Bytes of all records, and the cones of the terms."""
 
-    sizes: Any  # (N,) of Gaussians, (1,) where all are equal
+    sizes: Any  # (N,) bytes of Gaussians, (1,) if all are equal
     term_offsets: Any  # (N + 1,)
     term_sizes: Any  # (T,)
     centers: Any  # (D, 3) float32, see `TermCones`
@@ -106,33 +105,39 @@ class Records(NamedTuple):
 class Links(NamedTuple):
     """Which Gaussians replace which; E are replaced."""
 
-    only: Any  # (N,) uint32: number, in [0, E), of the one that each replaces, less that of its word, `NONE` or
-    # `SEVERAL`, in 16 bits; its area in `UNITS` of what it replaces, rounded up, in the 16 above
-    firsts: Any  # (W,) int32, least number of those that the Gaussians of a word replace
-    offsets: Any  # (N + 1,) into `ranks`
-    ranks: Any  # numbers of all that each replaces
-    units: Any  # int32 for each of `ranks`: area in `UNITS`, as in `only`
-    ending: Any  # (E,) ids of the replaced
-    starts: Any  # (E + 1,) into `ids`
-    ids: Any  # replacements of each
+    # Low 16 bits: number in [0, E) of the one Gaussian that is replaced, minus `firsts` of the word; or `NONE` or
+    # `SEVERAL`. High 16 bits: area of the replacing Gaussian in `UNITS`, rounded up.
+    only: Any  # (N,) uint32
+    firsts: Any  # (W,) int32, least number that the Gaussians of a word replace, each just one
+    offsets: Any  # (N + 1,) offsets into `ranks`
+    ranks: Any  # numbers of all that each Gaussian replaces
+    units: Any  # int32 for each of `ranks`: area of the replacing Gaussian in `UNITS`, as in `only`
+    ending: Any  # (E,) ids of the replaced Gaussians
+    starts: Any  # (E + 1,) offsets into `ids`
+    ids: Any  # replacements of each replaced Gaussian
     areas: Any  # float32 for each of `ids`, above 0
-    every: Any  # (E,) float64, sum of these areas for each
+    every: Any  # (E,) float64, sum of these areas
 
 
 @njit(inline="always")
 def only_of(only, first):
-    """Return the number of the one that a Gaussian replaces, `NONE` or `SEVERAL`, from its row and its word's row."""
+    """Return the number of the one Gaussian that a Gaussian replaces, `NONE` or `SEVERAL`.
+
+    Args:
+        only: Its entry of `Links.only`.
+        first: The entry of its word in `Links.firsts`.
+    """
     near = np.int64(only & np.uint32(0xFFFF))
     return first + near if near < (1 << 16) + SEVERAL else near - (1 << 16)
 
 
 class Taken(NamedTuple):
-    """Room for the ids of a batch."""
+    """Arrays that receive the ids of a batch; see `Batch`."""
 
     gaussians: Any
     terms: Any
     dropped: Any
-    gone: Any  # all that is replaced, `dropped` among them
+    gone: Any
 
 
 class Work(NamedTuple):
@@ -158,7 +163,7 @@ class Work(NamedTuple):
 
 @kernel(error_model="numpy")
 def test_words(x, y, z, radii, p, sides):
-    """Raise `sides` (S,) to 1 where a sphere touches a frustum (5, 4), to 2 where it is inside."""
+    """Set `sides` (S,) to at least 1 where a sphere touches the frustum p (5, 4), and to 2 where it is inside."""
     a0 = p[0, 0]
     b0 = p[0, 1]
     c0 = p[0, 2]
@@ -199,9 +204,10 @@ def test_words(x, y, z, radii, p, sides):
 
 @inner(error_model="numpy")
 def _test_gaussians(words, places, bodies, planes, sides, border, inside):
-    """Set which Gaussians of words (S,) are in a frustum (F, 5, 4); test them one by one where the side is 3.
+    """Set `inside` (S,): the Gaussians of each word that are in one of the frusta (F, 5, 4).
 
-    `border` lists where the side may be 3. Spheres of the words after it are read ahead.
+    Words with side 2 are inside as a whole. Gaussians of words with side 3 are tested one by one; `border` lists the
+    slots that may have side 3.
     """
     xs = bodies[0]
     ys = bodies[1]
@@ -245,7 +251,7 @@ def _test_gaussians(words, places, bodies, planes, sides, border, inside):
 
 @inner(error_model="numpy")
 def _gather(words, allowed, owed, gaussians, gone, free, due):
-    """Set what is neither held nor gone (`free`), and what is owed and not gone (`due`), for words (S,)."""
+    """Set `free` (S,) to Gaussians neither held nor gone, and `due` (S,) to those that owe terms and are not gone."""
     for s in range(len(words)):
         w = words[s]
         free[s] = allowed[s] & ~(gaussians[w] | gone[w])
@@ -255,7 +261,10 @@ def _gather(words, allowed, owed, gaussians, gone, free, due):
 
 @inner(error_model="numpy")
 def _skip_checked(squares, travelled, parallax, before, checked, checked_at, due):
-    """Set what of `before` (S,) is not checked; forget checks of words whose direction has changed by the parallax."""
+    """Set `due` (S,) to the Gaussians of `before` (S,) that are not checked.
+
+    Checks of a word are forgotten if the eye has moved so far that its direction may have changed by the parallax.
+    """
     for s in range(len(due)):
         apart = np.float32(travelled) - checked_at[s]
         if checked[s] == 0 or apart * apart > parallax * parallax * squares[s]:
@@ -266,7 +275,7 @@ def _skip_checked(squares, travelled, parallax, before, checked, checked_at, due
 
 @inner(error_model="numpy")
 def _squares(x, y, z, spreads, eye, out):
-    """Set the mean square of the distances between the Gaussians of each word and the eye."""
+    """Set `out` (S,) to the mean squared distance of the Gaussians of each word from the eye."""
     a = eye[0]
     b = eye[1]
     c = eye[2]
@@ -278,8 +287,8 @@ def _squares(x, y, z, spreads, eye, out):
 
 
 @inner(error_model="numpy")
-def _list(slots, masks, rest, out):
-    """List the units of which something of the rest of their word (S,) is left; return their number."""
+def _list_left(slots, masks, rest, out):
+    """Write to `out` the units that have Gaussians in `rest` (S,); return their number."""
     count = 0
     for u in range(len(slots)):
         out[count] = u
@@ -289,7 +298,7 @@ def _list(slots, masks, rest, out):
 
 @njit(inline="always")
 def _key(table, code, kind, part, bucket):
-    """Return the key of records; what changes the image much has a bound in place of an offset."""
+    """Return the sort key of records; for kinds from `STRONG` on, the table has the least key instead of an offset."""
     offset = table[code, kind, part]
     if kind < STRONG:
         return offset + bucket
@@ -299,7 +308,7 @@ def _key(table, code, kind, part, bucket):
 
 @inner(error_model="numpy")
 def _estimate_limit(units, runs, cell, table, limits, work):
-    """Return a key below which about enough bytes lie, estimated from a sample of the words; at most all keys."""
+    """Estimate the key below which about `limits.enough` bytes lie, from a sample of the words."""
     masks = units.masks
     codes = units.codes
     areas = units.areas
@@ -341,12 +350,12 @@ def _estimate_limit(units, runs, cell, table, limits, work):
 
 @inner(error_model="numpy")
 def _choose(units, ahead, table, limit, work, count):
-    """Choose of the listed units those that may have a key below a limit; find their buckets.
+    """Keep the first `count` units of `work.chosen` that may have a key below `limit`, and compute their buckets.
 
-    Words of theirs on a border are marked with 3 and listed, for a closer test.
+    Their words on the border of a frustum get side 3 and are listed in `work.border`, for a test of each Gaussian.
 
     Returns:
-        Number of chosen units, number of listed words, and whether no other unit is left to send.
+        Number of units kept, number of listed words, and whether all units that are left to send were kept.
     """
     slots = units.slots
     masks = units.masks
@@ -367,7 +376,7 @@ def _choose(units, ahead, table, limit, work, count):
     strong = work.inside
     filled = 0
     skipped = False
-    strongest = parts * np.uint64(min(table.shape[1] - 1, STRONG))  # of terms that change the image much, the first
+    strongest = parts * np.uint64(min(table.shape[1] - 1, STRONG))  # the first kind of strong terms
     strong[:] = 0
     for k in range(1, len(every)):
         for s in range(len(strong)):
@@ -407,22 +416,20 @@ def _choose(units, ahead, table, limit, work, count):
 
 @kernel(error_model="numpy")
 def rank(units, runs, cell, held, view, table, limits, work):
-    """Rank the units that are left by key: the offset of their class, level and kind, plus the bucket of their gain.
+    """Rank what is left to send by its key: the offset of its code, kind and part, plus the bucket of its gain.
 
     Args:
         units: `Units` of the cell.
         runs: `Runs` of them.
-        cell: `Cell`; changes what is checked.
+        cell: `Cell`; outdated entries of `checked` are cleared.
         held: `Held`.
         view: `View`.
-        table: (4 L L, 1 + K, 3) int32, the offset of a bucket: by code, geometry or kind of terms, in the middle of the
-            view, out of view or at its edge (ring 0), in the cell ahead or not (other rings). From kind `STRONG` on,
-            it is the least key.
+        table: (4 L L, 1 + K, 3) int32, see `gsvis.abr.policies.offset_table`.
         limits: `Limits`.
         work: `Work`; see `Scratch.work`.
 
     Returns:
-        `Plan`, the key at which it ends, and whether it holds all that is left.
+        `Plan`, the key at which it ends, and whether it has all that is left to send.
     """
     slots = units.slots
     masks = units.masks
@@ -460,7 +467,7 @@ def rank(units, runs, cell, held, view, table, limits, work):
         due[:] = 0
     for s in range(len(words)):
         middle[s] = free[s] | due[0, s]
-    count = _list(slots, masks, middle, chosen)
+    count = _list_left(slots, masks, middle, chosen)
     if count == 0:  # as with each change of the view while a link is filled
         return Plan(np.empty(0, np.int32), np.empty(0, np.uint64), np.empty(0, np.float32)), least, True
     sides[:] = 0

@@ -9,20 +9,20 @@ from gsvis._kernels.compiled import kernel, njit
 from gsvis._kernels.prefetch import prefetch
 from gsvis.abr._kernels.plan import ANY, DONE, KIND_BITS, NONE, SEVERAL, UNITS, only_of
 
-# entries of a plan that are read ahead
-_AHEAD = 8
-_NEXT = 3
-_LINE = 16  # Gaussians in a line of the cache
+_AHEAD = 8  # entries of a plan ahead for which packed sets are prefetched
+_NEXT = 3  # entries ahead for which areas are prefetched
+_LINE = 16  # Gaussians in a cache line
 
 
 @njit(inline="always")
 def _put(words, i):
+    """Add an id to a packed set."""
     words[i >> 6] |= np.uint64(1) << np.uint64(i & 63)
 
 
 @kernel(error_model="numpy")
 def forget_paid(words, active, held, term_offsets, owed):
-    """Clear in `owed` (S,) the words of Gaussians whose active terms are all held."""
+    """Set words of `owed` (S,) to 0 if all active terms of their Gaussians are held."""
     count = len(term_offsets) - 1
     for s in range(len(owed)):
         if owed[s]:
@@ -33,9 +33,16 @@ def forget_paid(words, active, held, term_offsets, owed):
 
 @kernel(error_model="numpy")
 def is_left(seen, wanted, held, owed, allowed):
-    """Set what is `Seen` and wanted (W,) as allowed (S,); return whether some of it is left to send.
+    """Set `allowed` (S,) to what is seen and wanted; return whether some of it is left to send.
 
-    That is what is not gone, and not held or among those which owe terms, `owed` (S,) or (0,).
+    A Gaussian is left if it is not gone and either not held or owes terms.
+
+    Args:
+        seen: `Seen`.
+        wanted: (W,) packed set.
+        held: `Held`.
+        owed: (S,) Gaussians that owe terms; (0,) in a scene without terms.
+        allowed: (S,) receives the masks.
     """
     words, masks = seen
     gaussians, _, gone = held
@@ -70,9 +77,9 @@ def _left(active, held, start, stop):
 
 @njit(inline="always")
 def _look(bodies, g, area, pixel, eyes, out):
-    """Set unit vectors from eyes (P, 3) to a Gaussian, and the logarithm of the root of its solid angle: (P, 4).
+    """Set `out` (P, 4): unit vectors from eyes (P, 3) to a Gaussian, and half the logarithm of its solid angle.
 
-    The direction is (0, 0, 1) from an eye at its center; the solid angle is at most that of all space.
+    The direction is (0, 0, 1) for an eye at its center. The solid angle is at most 4 pi.
     """
     for p in range(len(eyes)):
         x = bodies[0, g] - eyes[p, 0]
@@ -93,7 +100,10 @@ def _look(bodies, g, area, pixel, eyes, out):
 
 @njit(inline="always")
 def _change(centers, place, cosine, width, looks):
-    """Return the logarithm of the largest change by a term for the eyes of looks (P, 4), without weight and gain."""
+    """Return the logarithm of the largest change that a term makes for P eyes; `looks` (P, 4) are from `_look`.
+
+    Blending weight and gain are not included.
+    """
     x = centers[place, 0]
     y = centers[place, 1]
     z = centers[place, 2]
@@ -105,13 +115,13 @@ def _change(centers, place, cosine, width, looks):
 
 
 @kernel(error_model="numpy")
-def widen(candidates, others, held, links, looks):
-    """Add others, `Seen`, to the candidates (W,); set `looks` (E,) to 0 where replacements among them have arrived.
+def widen(candidates, added, held, links, looks):
+    """Add a `Seen` set to the candidates (W,); set `looks` (E,) to 0 for what its arrived Gaussians replace.
 
-    A candidate that has not arrived only makes the area larger that has to arrive.
+    Candidates that have not arrived need no check: they only increase the area that has to arrive.
     """
     gaussians, _, gone = held
-    words, masks = others
+    words, masks = added
     only = links.only
     firsts = links.firsts
     offsets = links.offsets
@@ -135,7 +145,7 @@ def widen(candidates, others, held, links, looks):
 
 @kernel(error_model="numpy")
 def doubt(ids, links, arrived, looks, looks_far):
-    """Note that it is not known what has arrived of the replacements of what some Gaussians (M,) replace."""
+    """Mark as unknown (`ANY`) how much has arrived for the Gaussians that `ids` (M,) replace: each will be checked."""
     offsets = links.offsets
     ranks = links.ranks
     for i in range(len(ids)):
@@ -149,20 +159,20 @@ def doubt(ids, links, arrived, looks, looks_far):
 
 @kernel(error_model="numpy")
 def bound(candidates, links, last, shares, room, ends, least, sure):
-    """Find bounds on the area of replacements that has to have arrived, in units, for what the candidates replace.
+    """Compute bounds on the area of replacements that must arrive, in `UNITS`, for what candidates replace.
 
     Args:
         candidates: `Seen`.
         links: `Links`.
         last: (N,) level at which each Gaussian ends.
         shares: `Cell.shares`.
-        room: (E,) int32 zeros, zeros again at the end.
-        ends: (E,) int32, receives which of the replaced have candidates.
-        least: (E,) int32, receives for each of these the area without which it is not dropped.
-        sure: (E,) int32, receives the area with which it is dropped, whatever it consists of.
+        room: (E,) int32 scratch: zeros before and after the call.
+        ends: (E,) int32, receives the numbers of B replaced Gaussians.
+        least: (E,) int32, receives the least area with which each of them can be dropped.
+        sure: (E,) int32, receives the area with which it is dropped, whichever replacements make it up.
 
     Returns:
-        Number of those.
+        B.
     """
     only = links.only
     firsts = links.firsts
@@ -207,7 +217,7 @@ def bound(candidates, links, last, shares, room, ends, least, sure):
 
 @kernel
 def adopt(bounds, looks, sure):
-    """Write the bounds of a cell, ends, least and sure (B,), to the `looks` and `sure` (E,) of a viewer."""
+    """Write the `Bounds` of a cell to the arrays `looks` and `sure` (E,) of a client."""
     ends, least, enough = bounds
     for k in range(len(ends)):
         e = ends[k]
@@ -222,13 +232,13 @@ def take(plan, place, cell, held, view, records, links, budget, out):
     Args:
         plan: `Plan`.
         place: Entry to continue at.
-        cell: `Cell`; clears what is paid in `owed`, adds to what is checked, and changes `arrived` and `looks`.
+        cell: `Cell`; its `owed`, `checked`, `arrived` and `looks` are updated.
         held: `Held`; changed.
         view: `View`.
         records: `Records`.
         links: `Links`.
         budget: Bytes.
-        out: `Taken`, receives ids; `dropped` and `gone` have room for all that can be replaced.
+        out: `Taken`, receives ids; `dropped` and `gone` have E entries.
 
     Returns:
         Entry to continue at, numbers of Gaussians, terms, dropped and gone Gaussians, and bytes.
@@ -274,15 +284,16 @@ def take(plan, place, cell, held, view, records, links, budget, out):
     one = np.uint64(1)
     ones = ~np.uint64(0)
 
-    def drop_replaced(
-        g, dropped, replaced
-    ):  # as a function of its own it would count references of thirty arrays each time
-        """Mark as gone what g replaces, where enough of the other replacements is held or cannot be seen from the cell.
+    # A nested function: at module level, numba would count references of thirty arrays in each call.
+    def drop_replaced(g, dropped, replaced):
+        """Mark as gone the Gaussians that g replaces, if enough of their replacements that can be seen are held.
 
-        Enough is a share of their area, `Cell.shares`. A Gaussian that is gone counts as held, so what it was to
-        replace is checked too. For what still waits, `looks` remembers how much area has to have arrived at least, in
-        units that are rounded down, and it is not checked again before. With the area of `sure` nothing needs to be
-        checked.
+        Enough is a share of their area, `Cell.shares`. A Gaussian that is gone counts as held, so the Gaussians that it
+        replaces are checked too. If not enough has arrived, `looks` is set to the area in `UNITS`, rounded down, before
+        which no check can succeed. With the area `sure` a Gaussian is dropped without a check.
+
+        Returns:
+            The new numbers of dropped and of replaced Gaussians.
         """
         waiting = replaced
         done = replaced
@@ -404,7 +415,7 @@ def take(plan, place, cell, held, view, records, links, budget, out):
                     held_terms[k] |= left & (~left + one)
                     left &= left - one
             if kept_back:
-                for k in range(len(gains)):  # no other kind has to look again for what changes less
+                for k in range(len(gains)):  # kinds with a higher limit need not check it again
                     if gains[k] + logs[place] + most < 0.0:
                         checked[k, s] |= one << low
             else:

@@ -16,11 +16,11 @@ from gsvis._kernels.compiled import kernel, njit
 
 BUCKETS = 1024
 LEAST = 129 * 32 - (BUCKETS - 1)  # a gain of 4, the largest there is: its float32 without the last 18 bits
-# kinds of records; further ones are terms that change the image less
+# kinds of records: a Gaussian, its terms; kinds from `STRONG` on are terms that change the image much
 GEOMETRY = 0
 TERMS = 1
 STRONG = 2
-# parts of what is left: in the middle of the view, out of it, at its edge
+# parts of the view
 INSIDE = 0
 OUTSIDE = 1
 EDGE = 2
@@ -29,46 +29,46 @@ EDGE = 2
 class Units(NamedTuple):
     """U units, the rows of `Candidates`."""
 
-    slots: Any  # (U,) int32, number of the word of each
-    masks: Any  # (U,) uint64, which Gaussians of it
-    areas: Any  # (U,) float32, mean weight times area for each byte
-    pixels: Any  # (U,) float32, mean weight times the area that a pixel adds at distance 1, for each byte
+    slots: Any  # (U,) int32, index of the word of each unit in `Candidates.words`
+    masks: Any  # (U,) uint64, its Gaussians in the word
+    areas: Any  # (U,) float32, mean of weight times area per byte
+    pixels: Any  # (U,) float32, mean of weight times the area that a pixel adds at distance 1, per byte
     codes: Any  # (U,) uint16, (ring L + first level) L + last level
-    logs: Any  # (U,) float32, logarithm of the blending weight of their class
+    logs: Any  # (U,) float32, logarithm of the blending weight of its class
 
 
 class Runs(NamedTuple):
     """R runs of units of one ring and word."""
 
-    starts: Any  # (R + 1,) int32, first unit of each, and U
-    slots: Any  # (R,) int32, number of the word of each
+    starts: Any  # (R + 1,) int32, first unit of each run, and U
+    slots: Any  # (R,) int32, slot of each run
 
 
 class Seen(NamedTuple):
     """A packed set without its empty words."""
 
-    words: Any  # (S,) int32 rising, number of each word
-    masks: Any  # (S,) uint64
+    words: Any  # (S,) int32 ascending, number of each word
+    masks: Any  # (S,) uint64, its members
 
 
 class Traits(NamedTuple):
-    """N Gaussians in W words."""
+    """Strengths and levels of N Gaussians in W words."""
 
-    strengths: Any  # (N, 2) float32, see `strengths`
+    strengths: Any  # (N, 2) float32, see `gsvis.abr.words.strengths`
     pairs: Any  # (N,) uint16, first level L + last level
     mixed: Any  # (W,) whether a word has more than one pair
 
 
 @njit(inline="always")
 def bucket_of(gain):
-    """Return the bucket of a gain >= 0, the weighted solid angle for each byte."""
+    """Return the bucket of a gain >= 0, which is weighted solid angle per byte."""
     place = np.int64(np.float32(gain).view(np.int32) >> 18) - LEAST
     return BUCKETS - 1 - min(max(place, 0), BUCKETS - 1)
 
 
 @kernel(error_model="numpy")
 def word_spheres(means, radii, areas, spheres, spreads):
-    """Set a sphere around the Gaussians of each word, and the mean square of their distance from its center.
+    """Compute a sphere around the Gaussians of each word, and their mean squared distance from its center.
 
     Args:
         means: (N, 3).
@@ -113,8 +113,8 @@ def word_spheres(means, radii, areas, spheres, spreads):
 
 
 @njit(inline="always")
-def _pair(pairs, levels, stands, g):
-    """Return first level L + last level of a Gaussian, whose last is the highest if its bit of `stands` is set."""
+def _levels_of(pairs, levels, stands, g):
+    """Return first level L + last level of a Gaussian; its last level is the highest if its bit in `stands` is set."""
     if (stands >> np.uint64(g & 63)) & np.uint64(1):
         return pairs[g] // levels * levels + levels - 1
     return np.int64(pairs[g])
@@ -130,8 +130,8 @@ def cell_units(seen, classes, traits, class_weights, standing, levels, found):
         traits: `Traits`.
         class_weights: (K,).
         standing: (S,) uint64, the members that the cell sees at all levels above their last; (0,) for none.
-        levels: L.
-        found: `Units`, receives the units, each with its word instead of a slot.
+        levels: L, number of levels.
+        found: `Units`, receives the units; `slots` receives numbers of words.
 
     Returns:
         Number of units.
@@ -172,7 +172,7 @@ def cell_units(seen, classes, traits, class_weights, standing, levels, found):
             while whole:
                 lead = 64 * w + np.int64(lowest(whole))
                 mask = whole
-                pair = _pair(pairs, levels, stands, lead)
+                pair = _levels_of(pairs, levels, stands, lead)
                 if mixed[w] or stands:
                     rest = whole
                     mask = np.uint64(0)
@@ -182,7 +182,7 @@ def cell_units(seen, classes, traits, class_weights, standing, levels, found):
                         low = lowest(rest)
                         rest &= rest - one
                         g = 64 * w + np.int64(low)
-                        if _pair(pairs, levels, stands, g) == pair:
+                        if _levels_of(pairs, levels, stands, g) == pair:
                             mask |= one << low
                             area += strengths[g, 0]
                             pixel += strengths[g, 1]
@@ -200,7 +200,10 @@ def cell_units(seen, classes, traits, class_weights, standing, levels, found):
 
 @kernel
 def add_fresh(seen, before, fresh, listed, count):
-    """Add to `fresh` (W,) what is `Seen` and not in `before` (W,), and list its words; return how many are listed."""
+    """Add the members of `seen` that are not in `before` (W,) to `fresh` (W,).
+
+    The numbers of words that become nonempty are appended to `listed`, which has `count` of them; return the new count.
+    """
     words, masks = seen
     for s in range(len(words)):
         w = words[s]
@@ -215,7 +218,11 @@ def add_fresh(seen, before, fresh, listed, count):
 
 @kernel
 def settle(words, fresh, before, masks, listed, count):
-    """Move what is in `fresh` (W,) to `before` (W,) and to `masks` (S,), for some words (S,); list words new to it."""
+    """Move words (S,) of `fresh` (W,) to `masks` (S,), and add them to `before` (W,).
+
+    The numbers of words that were empty in `before` are appended to `listed`, which has `count` of them; return the new
+    count.
+    """
     for s in range(len(words)):
         w = words[s]
         masks[s] = fresh[w]
@@ -229,7 +236,7 @@ def settle(words, fresh, before, masks, listed, count):
 
 @kernel
 def take_out(words, packed, masks):
-    """Move some words (S,) of a packed set (W,) to `masks` (S,)."""
+    """Move words (S,) of a packed set (W,) to `masks` (S,)."""
     for s in range(len(words)):
         masks[s] = packed[words[s]]
         packed[words[s]] = 0
@@ -237,7 +244,7 @@ def take_out(words, packed, masks):
 
 @kernel
 def add(seen, packed):
-    """Add what is `Seen` to a packed set (W,)."""
+    """Add a `Seen` set to a packed set (W,)."""
     words, masks = seen
     for s in range(len(words)):
         packed[words[s]] |= masks[s]
@@ -245,40 +252,50 @@ def add(seen, packed):
 
 @kernel
 def put_in(words, masks, packed):
-    """Write words (S,) to a packed set (W,)."""
+    """Write masks (S,) of words (S,) to a packed set (W,)."""
     for s in range(len(words)):
         packed[words[s]] = masks[s]
 
 
 @kernel
 def find_masks(words, seen, out):
-    """Write what is `Seen` to `out` (S,), zeros, in the order of some words (S,), ascending."""
-    others, masks = seen
+    """Write the masks of a `Seen` set for words (S,), ascending, to `out` (S,), which holds zeros."""
+    seen_words, masks = seen
     s = 0
-    for k in range(len(others)):
-        while s < len(words) and words[s] < others[k]:
+    for k in range(len(seen_words)):
+        while s < len(words) and words[s] < seen_words[k]:
             s += 1
-        if s < len(words) and words[s] == others[k]:
+        if s < len(words) and words[s] == seen_words[k]:
             out[s] = masks[k]
 
 
 @kernel
-def slots_in(words, of, out):
-    """Write the places in ascending words (S,) of the words of units (U,), which ascend ring by ring."""
+def slots_in(words, unit_words, out):
+    """Write the slot of each unit: the index of its word in `words` (S,), ascending.
+
+    Args:
+        words: (S,) numbers of words.
+        unit_words: (U,) number of the word of each unit, ascending within a ring.
+        out: (U,) receives the slots.
+    """
     s = 0
-    for u in range(len(of)):
-        if u and of[u] < of[u - 1]:
+    for u in range(len(unit_words)):
+        if u and unit_words[u] < unit_words[u - 1]:
             s = 0
-        while words[s] < of[u]:
+        while words[s] < unit_words[u]:
             s += 1
         out[u] = s
 
 
 @kernel(error_model="numpy")
 def ring_units(fresh, starts, every, found):
-    """Write what is `fresh`, `Seen`, of the units of all Gaussians (`every`), and return the number of units.
+    """Write the units of the Gaussians in `fresh`, and return their number.
 
-    Units of word w begin at starts[w].
+    Args:
+        fresh: `Seen`.
+        starts: (W + 1,) first unit of each word in `every`.
+        every: `Units` of all Gaussians.
+        found: `Units`, receives the units; `slots` receives numbers of words.
     """
     _, masks, areas, pixels, codes, logs = every
     out_words, out_masks, out_areas, out_pixels, out_codes, out_logs = found
@@ -298,7 +315,7 @@ def ring_units(fresh, starts, every, found):
 
 @kernel(error_model="numpy")
 def pair_bytes(words, masks, codes, word_bytes, sums):
-    """Add the bytes of units to sums (L * L,), by pair of levels."""
+    """Add to `sums` (L * L,) the bytes of units (U,), by first and last level; `word_bytes` (W,) are means a word."""
     for u in range(len(words)):
         sums[codes[u]] += np.float64(ones(masks[u])) * word_bytes[words[u]]
 
@@ -323,14 +340,14 @@ def _touches(planes, x, y, z, radius):
 
 @kernel(error_model="numpy")
 def in_view(planes, means, radii, out):
-    """Set which spheres (N,) touch one of the frusta (F, 5, 4)."""
+    """Set `out` (N,) to whether each sphere touches one of the frusta (F, 5, 4)."""
     for g in range(len(means)):
         out[g] = _touches(planes, means[g, 0], means[g, 1], means[g, 2], radii[g]) > 0
 
 
 @kernel(error_model="numpy")
 def active_words(ids, owners, active, owing):
-    """Mark active terms (ids), and the Gaussians that own them (owners: (T,))."""
+    """Add terms `ids` (A,) to the packed set `active` (X,), and the Gaussians that own them to `owing` (W,)."""
     one = np.uint64(1)
     for k in range(len(ids)):
         t = ids[k]

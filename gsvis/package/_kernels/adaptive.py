@@ -1,9 +1,9 @@
-"""Kernels of the coder of parts: bits under probabilities that adapt, and trees of them for whole values.
+"""Kernels of the coder of parts: an arithmetic coder of bits with adaptive probabilities, and trees of bits for values.
 
-One function writes and reads, so both sides do the same. The state is three numbers: the lowest value (when reading:
-the value read, less the lowest), the range, and the next word. A probability has 25 bits, and below them 7 bits that
-count what it has seen; it moves by one part in the count. All arithmetic is of integers. Reading beyond the end gives
-zeros.
+The same function writes and reads. The state is three numbers: the lowest value (when reading: the value read minus the
+lowest), the range, and the place of the next word. A probability has 25 bits; the 7 bits below count the bits it has
+coded. With each bit it moves toward that bit, by about one over the count. All arithmetic is in integers. Reading
+beyond the end gives zeros.
 
 References:
     Rissanen and Langdon, "Arithmetic coding", IBM Journal of Research and Development 23(2), 1979; Mahoney, "Adaptive
@@ -16,10 +16,10 @@ import numpy as np
 
 from gsvis._kernels.compiled import inner, kernel
 
-START = 1 << 31  # a probability of one half that has seen nothing
+START = 1 << 31  # a probability of one half with a count of 0
 TAIL = 2  # words after the last bit
-_MOST = 127  # what a probability counts to
-_SURE = (1 << 25) - 1
+_MOST = 127  # largest count of a probability
+_SURE = (1 << 25) - 1  # probability 1
 _RATES = np.array([131072 // (2 * seen + 3) for seen in range(_MOST + 1)], np.int64)
 _WORD = np.uint64(32)
 _LEAST = np.uint64(1 << 32)
@@ -39,30 +39,31 @@ def begin(data, writing):
 
 @kernel
 def end(low, at, data, writing):
-    """Write the rest; return the number of words, or -1 if others were written than read."""
+    """Write the last words; return the number of words, or -1 if not all words were read."""
     if not writing:
         return at if at == len(data) else -1
-    data[at], data[at + 1] = np.uint32(low >> _WORD), np.uint32(low & np.uint64(0xFFFFFFFF))
+    data[at] = np.uint32(low >> _WORD)
+    data[at + 1] = np.uint32(low & np.uint64(0xFFFFFFFF))
     return at + TAIL
 
 
 @inner(forceinline=True)
 def code_tree(low, span, at, chances, start, value, bits, data, writing):
-    """Write or read a value of so many bits, highest first, by 2^bits probabilities from `start` on.
+    """Write or read a value of `bits` bits, highest first, with 2^bits probabilities from `start` on.
 
     Args:
-        low: Lowest value.
-        span: Range.
-        at: Next word.
-        chances: (P,) uint32.
+        low: Lowest value of the state.
+        span: Range of the state.
+        at: Place of the next word.
+        chances: (P,) uint32 probabilities; updated.
         start: First probability.
-        value: The value; without meaning when reading.
-        bits: Its bits.
-        data: (W,) uint32, the words; enough when writing.
+        value: The value; ignored when reading.
+        bits: Number of its bits.
+        data: (W,) uint32, the words; long enough when writing.
         writing: Whether to write.
 
     Returns:
-        The value and the state.
+        The value, and the new `low`, `span` and `at`.
     """
     if not writing:
         return _read_tree(low, span, at, chances, start, bits, data)
@@ -97,7 +98,7 @@ def code_tree(low, span, at, chances, start, value, bits, data, writing):
 
 @inner(forceinline=True)
 def _read_tree(low, span, at, chances, start, bits, data):
-    """Read a value; see `code_tree`. No branch depends on a bit, which a processor could not foresee."""
+    """Read a value; see `code_tree`. No branch depends on a bit, because processors cannot predict it."""
     node = np.uint64(1)
     first = np.uint64(start)
     for _ in range(bits):

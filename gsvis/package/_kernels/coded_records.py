@@ -1,8 +1,9 @@
 """Kernel of coded records: one function writes and reads the records of a part, field by field.
 
 Gaussians of a chunk are sorted by strength, so the strength of the one before, with the opacity and the shape, predicts
-the largest scale. The upper bits of a place are coded as a path through an octree of the chunk's box, by how many
-Gaussians went either way before; the lower bits are noise, and stand apart. All arithmetic is of integers.
+the largest scale. The upper bits of a place are coded as a path through an octree of the chunk's box, with
+probabilities by how many earlier Gaussians took each branch. The lower bits are noise and are stored uncoded. All
+arithmetic is in integers.
 """
 
 from __future__ import annotations
@@ -17,15 +18,15 @@ from gsvis._kernels.records import put, take, weight
 from gsvis.package._kernels.adaptive import START, begin, code_tree, end
 
 DEPTH = 12  # bits of the path in the octree
-STEPS = 6  # bits of the distance of the largest scale from the expected one; the last value is for any other
-BELOW = 47
-_GRADES = 10  # of counts
-_CONTEXTS = 16 + 128 + 8  # of the second, third and fourth component of a color
+STEPS = 6  # bits of the largest scale minus its prediction; the highest value means that the scale follows whole
+BELOW = 47  # value 0 stands for the prediction minus this
+_GRADES = 10  # grades of counts, see `_grade`
+_CONTEXTS = 16 + 128 + 8  # contexts of the second, third and fourth component of a color
 _SHAPE = 256 + 64  # probabilities of opacity and order, which come first
 _ZERO, _ONE, _THREE, _EIGHT, _STEPS, _THIRD = np.array([0, 1, 3, 8, STEPS, _SHAPE])
-"""Numbers with a type: each literal in their place would compile the called function once more."""
+"""Numbers with a type: numba would compile the called function again for each literal."""
 
-# fields of a record
+# indices of the fields of a record
 _OPACITY = 0
 _ORDER = 1
 _MIDDLE = 2
@@ -38,7 +39,7 @@ _FIELDS = 13
 
 
 class Fields(NamedTuple):
-    """What the kernel knows of records.
+    """Layout of records, for the kernel.
 
     Attributes:
         position: Bits of a coordinate.
@@ -70,7 +71,7 @@ class Rows(NamedTuple):
 
 @njit(inline="always")
 def _grade(count):
-    """Return 0 to 9 for a count: itself below 6, then by ever wider steps."""
+    """Return the grade of a count, 0 to 9: the count itself below 6, then in wider and wider steps."""
     if count < 6:
         return count
     return 6 if count < 9 else 7 if count < 14 else 8 if count < 24 else 9
@@ -78,17 +79,17 @@ def _grade(count):
 
 @inner(forceinline=True)
 def _code_path(low, span, at, chances, start, path, nodes, stamp, data, writing):
-    """Write or read a path of DEPTH bits through the octree of a chunk; return it.
+    """Write or read a path of DEPTH bits through the octree of a chunk; return the path and the state of the coder.
 
     Args:
-        low: State of the coder, as `span` and `at`.
-        span: Its range.
-        at: Its next word.
+        low: State of the coder, as `span` and `at`; see `code_tree`.
+        span: See `low`.
+        at: See `low`.
         chances: Probabilities.
-        start: First probability, of DEPTH * 100.
-        path: The path; without meaning when reading.
-        nodes: (2^DEPTH, 3) int64: stamp of the chunk, and how many went either way at each node.
-        stamp: Number of the chunk.
+        start: First of DEPTH * 100 probabilities.
+        path: The path; ignored when reading.
+        nodes: (2^DEPTH, 3) int64: for each node the number of the chunk, and how many Gaussians took each branch.
+        stamp: Number of the chunk; nodes with a different number are empty.
         data: The words.
         writing: Whether to write.
     """
@@ -108,7 +109,7 @@ def _code_path(low, span, at, chances, start, path, nodes, stamp, data, writing)
 
 @inner
 def _take_record(words, i, fields, wide, v, low_bits):
-    """Write the fields of a record to `v` and the lower bits of its places, of `wide` (3,) bits, to `low_bits`."""
+    """Split record i: write its fields to `v`, and the lower bits of its places, of `wide` (3,) bits, to `low_bits`."""
     position = fields.position
     rotation = fields.rotation
     scale = fields.scale
@@ -142,7 +143,7 @@ def _take_record(words, i, fields, wide, v, low_bits):
 
 @inner
 def _put_record(words, i, fields, wide, v, low_bits, bits):
-    """Write a record from its fields; `bits` (2,) uint64 is room to work in."""
+    """Assemble record i from its fields `v` and `low_bits`; `bits` (2,) uint64 is scratch."""
     position = fields.position
     rotation = fields.rotation
     scale = fields.scale
@@ -173,9 +174,9 @@ def _put_record(words, i, fields, wide, v, low_bits, bits):
 
 @inner
 def _code_color(low, span, at, chances, start, c, colors, data, writing):
-    """Write or read the components of a base color, c, and return the state: one leads, the others are given by it.
+    """Write or read the components c of a base color, and return the state of the coder.
 
-    Of three, the second leads and the first and the third are differences from it. Of four, the third leads.
+    Of three components the second is coded first, and the others as differences from it. Of four, the third is first.
     """
     lead = 1 if colors == 3 else 2
     c[lead], low, span, at = code_tree(low, span, at, chances, start, c[lead], _EIGHT, data, writing)
@@ -199,7 +200,7 @@ def _code_color(low, span, at, chances, start, c, colors, data, writing):
 
 @inner(forceinline=True)
 def _code_shape(low, span, at, chances, fields, before, v, data, writing):
-    """Write or read opacity, order and ratios of the scales; return the state. `before` is the order before."""
+    """Write or read opacity, order and ratios of the scales; `before` is the order of the last record."""
     scale = fields.scale
     v[_OPACITY], low, span, at = code_tree(low, span, at, chances, _ZERO, v[_OPACITY], _EIGHT, data, writing)
     place = 256 + 8 * before
@@ -212,7 +213,7 @@ def _code_shape(low, span, at, chances, fields, before, v, data, writing):
 
 @inner(forceinline=True)
 def _code_top(low, span, at, chances, fields, expected, top, data, writing):
-    """Write or read the largest scale, by the expected one if that is not -1; return it and the state."""
+    """Write or read the largest scale, relative to the expected one unless that is -1; return it and the state."""
     scale = fields.scale
     whole = _SHAPE + (2 << fields.scale)
     other = (1 << STEPS) - 1
@@ -233,14 +234,14 @@ def code(words, terms, low_bits, rows, fields, data, writing):
     Args:
         words: (G, 2) uint64, the records.
         terms: (G,) uint8, number of terms of each.
-        low_bits: (G, 3) uint16, the bits of places below the octree, which stand apart.
+        low_bits: (G, 3) uint16, the bits of places below the octree, which are not coded.
         rows: Rows of the chunks of the part, G Gaussians in all.
         fields: Layout of the records.
-        data: (W,) uint32, the words; enough when writing.
+        data: (W,) uint32, the words; long enough when writing.
         writing: Whether to write `data` and `low_bits`, or else `words` and `terms`.
 
     Returns:
-        The number of words; -1 if reading found others than were written.
+        The number of words; -1 if not all words were read.
     """
     scale = fields.scale
     rotation = fields.rotation
@@ -291,7 +292,7 @@ def code(words, terms, low_bits, rows, fields, data, writing):
 
 @kernel
 def pack(values, bits, out):
-    """Write so many low bits of each value as one string of bits, lowest first; `out` is of uint8 zeros."""
+    """Write the low `bits` (M,) bits of values (M,) as one string of bits, lowest first; `out` is uint8, zeros."""
     at = 0
     for i in range(len(values)):
         value = np.int64(values[i])
@@ -307,7 +308,7 @@ def pack(values, bits, out):
 
 @kernel
 def unpack(data, bits, out):
-    """Write the values that `pack` packed; `data` has enough bytes."""
+    """Decode to `out` the values that `pack` wrote; `data` has enough bytes."""
     at = 0
     for i in range(len(out)):
         value = np.int64(0)

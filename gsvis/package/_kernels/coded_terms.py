@@ -1,7 +1,7 @@
 """Kernel of coded terms: one function writes and reads the terms of a part, field by field.
 
-One intensity leads: the second of three, or the only one. The others are coded as differences from it. Fields of more
-than eight bits are coded in two halves. All arithmetic is of integers.
+The leading intensity is the second of three, or the only one; the others are coded as differences from it. Fields of
+more than eight bits are coded in two parts. All arithmetic is in integers.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from gsvis._kernels.compiled import inner, kernel
 from gsvis._kernels.terms import near, upper_bits
 from gsvis.package._kernels.adaptive import START, begin, code_tree, end
 
-_CONTEXTS = 1 + 9 + 8 + 9 + 8 + 16 + 13
+_CONTEXTS = 1 + 9 + 8 + 9 + 8 + 16 + 13  # contexts of all fields
 
 
 @inner(forceinline=True)
@@ -37,11 +37,11 @@ def code(records, firsts, fields, data, writing):
         records: (M, B) uint8, the terms.
         firsts: (M,) bool, whether a term is the first of its Gaussian.
         fields: Bits of the fields.
-        data: (W,) uint32, the words; enough when writing.
+        data: (W,) uint32, the words; long enough when writing.
         writing: Whether to write `data`, or else `records`.
 
     Returns:
-        The number of words; -1 if reading found others than were written.
+        The number of words; -1 if not all words were read.
     """
     f = fields.function
     p = fields.polar
@@ -50,6 +50,7 @@ def code(records, firsts, fields, data, writing):
     n = fields.intensity
     mask = (np.int64(1) << n) - 1
     width = records.shape[1]
+    # the first context of each field; context 0 is that of the function
     leads = 1
     decays = 10
     polars = 18

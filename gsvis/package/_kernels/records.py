@@ -1,8 +1,8 @@
 """Kernels of the package: chunks of Gaussians, records of 16 bytes, places along a Morton curve.
 
-Arrays are checked and contiguous. Decoding uses only integers, exact float64 products and correctly rounded
-operations, so any client that follows `reference.py` gets the same bits; with a logarithmic chunk, coordinates within
-the rounding of one exponential.
+Arrays are checked and contiguous. Decoding uses only integers, exact float64 products and correctly rounded operations,
+so any client that follows `reference.py` gets the same bits. In a logarithmic chunk, coordinates may differ by the
+rounding of one exponential.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ from gsvis._kernels.compiled import kernel
 __all__ = ["chunk_starts", "decode", "encode", "morton", "put_places"]
 
 SQRT_HALF = 0.7071067811865476
-# in 1/64 octave: what float32 holds without going denormal
+# range of log-scales in 1/64 octaves: normal numbers of float32
 LEAST_LOG = -126 * 64
 MOST_LOG = 128 * 64 - 1
-THINNEST = 11 * 64  # below the largest scale of the same Gaussian, nobody sees the difference
+THINNEST = 11 * 64  # a scale that is smaller than the largest by more than this is raised, which nobody sees
 LARGEST = np.float64(np.finfo(np.float32).max)
 
 
 @kernel
 def morton(means, center, half, out):
-    """Write places (N,) uint64 along a Morton curve of 2^63 cells, evenly spaced within `half` of the center (3,)."""
+    """Write codes (N,) uint64 along a Morton curve of 2^63 cells, evenly spaced within `half` of the center (3,)."""
     for i in range(len(means)):
         code = np.uint64(0)
         for axis in range(3):
@@ -44,7 +44,7 @@ def morton(means, center, half, out):
 
 @kernel
 def log_scales(scales, out):
-    """Write log-scales (N, 3) int32 in 1/64 octave, none far below the largest of a Gaussian; return those (N,)."""
+    """Write log-scales (N, 3) int32 in 1/64 octaves, at most `THINNEST` below the largest; return the largest (N,)."""
     largest = np.empty(len(scales), np.int32)
     for i in range(len(scales)):
         most = LEAST_LOG
@@ -60,7 +60,7 @@ def log_scales(scales, out):
 
 @kernel
 def chunk_starts(means, largest, steps, places, most, spread, starts):
-    """Cut Gaussians, in their order, into chunks whose records are fine enough for each of them.
+    """Divide consecutive Gaussians into chunks whose records are fine enough for each of them.
 
     Args:
         means: (N, 3).
@@ -101,18 +101,19 @@ def chunk_starts(means, largest, steps, places, most, spread, starts):
         least = min(least, largest[i])
         top = max(top, largest[i])
         for k in range(3):
-            low[k], high[k] = min(low[k], means[i, k]), max(high[k], means[i, k])
+            low[k] = min(low[k], means[i, k])
+            high[k] = max(high[k], means[i, k])
     return count
 
 
 @kernel
 def put_places(words, ids, places, bits, first):
-    """Write other places into records; no place crosses the middle of a record.
+    """Replace the places in records; no place crosses the middle of a record.
 
     Args:
-        words: (N, 2) uint64, the records.
+        words: (N, 2) uint64, the records; changed.
         ids: (M,) the records to change.
-        places: (M, 3) int32.
+        places: (M, 3) int32, the new places.
         bits: Bits of a coordinate, of a component of a quaternion, and of a log-scale.
         first: Byte at which the bit string begins.
     """
@@ -127,19 +128,19 @@ def put_places(words, ids, places, bits, first):
 
 @kernel
 def encode(chunk, places, lows, strides, quats, levels, opacities, colors, bits, out):
-    """Write the records (N, 16), zero before, of Gaussians of the given chunks.
+    """Encode Gaussians as records.
 
     Args:
         chunk: (N,) row of the chunk of each Gaussian.
-        places: (N, 3) int32, in the box of the chunk.
+        places: (N, 3) int32, places in the box of the chunk.
         lows: (C,) int16, lowest log-scale in 1/64 octave.
         strides: (C,) uint8, steps of log-scales.
         quats: (N, 4) float32, unit, wxyz.
         levels: (N, 3) int32 log-scales.
         opacities: (N,) float32.
-        colors: (N, 3 or 4) uint8 base color, and its scale.
+        colors: (N, 3 or 4) uint8 base color, and maybe its scale.
         bits: Bits of a coordinate, of a component of a quaternion, and of a log-scale.
-        out: (N, 16) uint8.
+        out: (N, 16) uint8 zeros, receives the records.
     """
     position, rotation, scale = bits
     half = (1 << (rotation - 1)) - 1
@@ -156,7 +157,7 @@ def encode(chunk, places, lows, strides, quats, levels, opacities, colors, bits,
         x = np.float64(quats[i, 1])
         y = np.float64(quats[i, 2])
         z = np.float64(quats[i, 3])
-        # Turned half around its own axes an ellipsoid is the same: of the four forms, the one with the largest w.
+        # Half a turn about one of its axes does not change an ellipsoid. Use the form with the largest |w| of the four.
         forms[0, 0] = w
         forms[0, 1] = x
         forms[0, 2] = y
@@ -202,7 +203,7 @@ def decode(chunk, origins, steps, lows, strides, records, bits, first, roots, me
     Args:
         chunk: (M,) row of the chunk of each Gaussian.
         origins: (C, 3) float32, lowest corners.
-        steps: (C, 3) float32, steps of the coordinates; below 0, of their symmetric logarithms.
+        steps: (C, 3) float32, steps of the coordinates; those of symmetric logarithms are below 0.
         lows: (C,) int16, lowest log-scale in 1/64 octave.
         strides: (C,) uint8, steps of log-scales.
         records: (M, 16) uint8.

@@ -21,18 +21,17 @@ BITS = 12
 TOTAL = 1 << BITS
 LEAST = 1 << 16  # the state is between this and 2^32
 RAW = 1 << 31  # marks an operation that writes raw bits
-INVERSE = 44  # bits of the inverse of a size, rounded up: exact for every state that is divided, and below 2^64
+INVERSE = 44  # fraction bits of inverse sizes: enough for exact division, and products stay below 2^64
 
 
 class Decoder(NamedTuple):
-    """Tables as a decoder needs them.
+    """Tables for decoding. Symbols are numbered over all tables.
 
     Attributes:
-        slots: (R, TOTAL) uint16, the symbol at each slot of each table that has symbols; symbols are counted over all
-            tables.
-        rows: (K,) int32, row of each table in `slots`; -1 for those without symbols.
+        slots: (R, TOTAL) uint16, the symbol at each slot, for each table that has symbols.
+        rows: (K,) int32, row of each table in `slots`; -1 for a table without symbols.
         offsets: (K + 1,) int64, first symbol of each table.
-        spans: (S,) uint32, first slot of each symbol, and from bit 16 on how many it has.
+        spans: (S,) uint32, first slot of each symbol, and from bit 16 on its number of slots.
     """
 
     slots: NDArray[np.uint16]
@@ -50,9 +49,9 @@ def begin(words):
 
 @inner(forceinline=True)
 def next_symbol(words, state, other, at, table, slots, rows, offsets, spans):
-    """Return a symbol of a table, the state of the next operation and the other one, and the place of the next word.
+    """Return the next symbol of a table, the two states in their next order, and the place of the next word.
 
-    The place is beyond the end if words or symbols are missing. For tables see `Decoder`.
+    The place is beyond the end if words are missing or the table has no symbols. For tables see `Decoder`.
     """
     row = rows[table]
     slot = state & np.uint64(TOTAL - 1)
@@ -69,7 +68,7 @@ def next_symbol(words, state, other, at, table, slots, rows, offsets, spans):
 
 @inner(forceinline=True)
 def next_bits(words, state, other, at, count):
-    """Return 0 to 16 raw bits, then the same as `next_symbol`; no bits are no operation."""
+    """Return 0 to 16 raw bits, then states and place as `next_symbol`; 0 bits read nothing."""
     if count == 0:
         return np.int64(0), state, other, at
     found = np.int64(state & ((np.uint64(1) << np.uint64(count)) - np.uint64(1)))
@@ -82,7 +81,7 @@ def next_bits(words, state, other, at, count):
 
 @inner(forceinline=True)
 def push_symbol(symbol, state, at, inverses, spans, out):
-    """Write a symbol before all operations so far; return its state, and the place of the first word."""
+    """Write a symbol before all symbols so far; return the new state, and the place of the first word."""
     span = np.uint64(spans[symbol])
     size = span >> np.uint64(16)
     out[at - 1] = np.uint16(state & np.uint64(0xFFFF))
@@ -94,7 +93,7 @@ def push_symbol(symbol, state, at, inverses, spans, out):
 
 @inner(forceinline=True)
 def push_bits(value, count, state, at, out):
-    """Write 1 to 16 raw bits as `push_symbol` writes a symbol."""
+    """Write 1 to 16 raw bits before all symbols so far; return as `push_symbol`."""
     bits = np.uint64(count)
     out[at - 1] = np.uint16(state & np.uint64(0xFFFF))
     full = (state >> (np.uint64(32) - bits)) != np.uint64(0)
@@ -103,7 +102,8 @@ def push_bits(value, count, state, at, out):
 
 
 @inner(forceinline=True)
-def _push(operation, state, at, inverses, spans, out):
+def _push_operation(operation, state, at, inverses, spans, out):
+    """Write the symbol or the raw bits of an operation; return as `push_symbol`."""
     if operation & np.uint32(RAW):
         return push_bits(operation & np.uint32(0xFFFF), (operation >> np.uint32(16)) & np.uint32(31), state, at, out)
     return push_symbol(operation, state, at, inverses, spans, out)
@@ -111,7 +111,7 @@ def _push(operation, state, at, inverses, spans, out):
 
 @inner(forceinline=True)
 def put_states(first, second, at, out):
-    """Write the states that a decoder begins with before all words; return the place of the first word."""
+    """Write the decoder's initial states before all words; return the place of the first word."""
     for state in (second, first):
         out[at - 1] = np.uint16(state >> np.uint64(16))
         out[at - 2] = np.uint16(state & np.uint64(0xFFFF))
@@ -121,16 +121,15 @@ def put_states(first, second, at, out):
 
 @kernel
 def write(operations, inverses, spans, out):
-    """Write operations as words of 16 bits, from the end of `out` on, the states of the decoder first.
+    """Write operations as words of 16 bits, backward from the end of `out`; the decoder's initial states come first.
 
-    Operations use one state and the other in turn, so that a processor can work on two at once.
+    Operations use the two states in turn, so that a processor can work on two at once.
 
     Args:
-        operations: (M,) uint32: numbers of symbols, counted over all tables; or RAW, the number of raw bits from bit
-            16 on, and the bits.
+        operations: (M,) uint32: the number of a symbol; or RAW, the number of raw bits from bit 16 on, and the bits.
         inverses: (S,) uint64, 2^INVERSE over the size of each symbol, rounded up.
-        spans: (S,) uint32, see `Decoder`; sizes are not 0 for symbols that occur.
-        out: uint16, at least four more than operations.
+        spans: (S,) uint32, see `Decoder`; symbols that occur have at least one slot.
+        out: (M + 4,) uint16 or longer.
 
     Returns:
         The place of the first word.
@@ -141,10 +140,10 @@ def write(operations, inverses, spans, out):
     i = len(operations)
     if i & 1:
         i -= 1
-        first, at = _push(operations[i], first, at, inverses, spans, out)
+        first, at = _push_operation(operations[i], first, at, inverses, spans, out)
     while i > 0:
-        second, at = _push(operations[i - 1], second, at, inverses, spans, out)
-        first, at = _push(operations[i - 2], first, at, inverses, spans, out)
+        second, at = _push_operation(operations[i - 1], second, at, inverses, spans, out)
+        first, at = _push_operation(operations[i - 2], first, at, inverses, spans, out)
         i -= 2
     return put_states(first, second, at, out)
 
@@ -159,14 +158,14 @@ def count(operations, counts):
 
 @kernel
 def fill(weights, offsets, spans):
-    """Write where each symbol begins in its table, and its size, from its weight.
+    """Compute the slots of each symbol from its weight.
 
-    A table has TOTAL slots. A symbol with a weight has one slot, and of the rest its share.
+    A table has TOTAL slots. Each symbol with a weight gets one slot, and a share of the rest by its weight.
 
     Args:
         weights: (S,) int64, 0 for symbols that do not occur.
         offsets: (K + 1,) int64, first symbol of each table.
-        spans: (S,) uint32, first slot of each symbol, and from bit 16 on how many it has.
+        spans: (S,) uint32, receives the slots; see `Decoder`.
     """
     for k in range(len(offsets) - 1):
         some = 0
@@ -187,7 +186,7 @@ def fill(weights, offsets, spans):
 
 @kernel
 def fill_slots(offsets, spans, rows, slots):
-    """Write the symbol at each slot of each table that has a row."""
+    """Fill `Decoder.slots` from the other arrays of a `Decoder`."""
     for k in range(len(rows)):
         if rows[k] >= 0:
             for i in range(offsets[k], offsets[k + 1]):

@@ -1,7 +1,7 @@
-"""Kernels of the wire: ascending ids as distances in exponential Golomb codes, what is new to a client, terms by owner.
+"""Kernels of the wire: encode ascending ids as differences in exponential Golomb codes, sort ids, group terms by owner.
 
-Arrays are checked and contiguous, sets are packed words. Bits are written from the lowest of each byte up. A value v
-in a code of order k: w = v + 2^k has n bits; n - k - 1 zeros and a one, then the lower n - 1 bits of w, lowest first.
+Arrays are checked and contiguous, sets are packed words. Bits are written from the lowest of each byte up. The code of
+order k of a value v: w = v + 2^k has n bits. Write n - k - 1 zeros, a one, and the lower n - 1 bits of w, lowest first.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ import numpy as np
 from gsvis._kernels.bits import lowest
 from gsvis._kernels.compiled import kernel, njit
 
-MOST_ORDER = 24
-_NEAR = 4  # chunks to look at one after the other before the one of an id is looked up
-MOST_BITS = 2 * 33  # of a value below 2^32, in the worst order
+MOST_ORDER = 24  # highest order of a code
+_NEAR = 4  # next chunks to try before the chunk of an id is looked up
+MOST_BITS = 2 * 33  # most bits of a value below 2^32, in any order
 
 
 @njit(inline="always")
@@ -24,7 +24,7 @@ def _length(value):
 
 @kernel
 def distances(ids, out):
-    """Write the distance of each of the ascending ids from the one before, less one; for the first, the id itself."""
+    """Write the difference of each ascending id from the one before, minus 1; for the first, the id itself."""
     before = np.int64(-1)
     for i in range(len(ids)):
         out[i] = np.int64(ids[i]) - before - 1
@@ -33,7 +33,7 @@ def distances(ids, out):
 
 @kernel
 def owner_distances(terms, owners, share, out):
-    """Write how far each owner is from the one that the distance of the terms predicts, the sign in the lowest bit.
+    """Write the zigzag-encoded error of predicting each owner from the one before and the difference of their terms.
 
     Args:
         terms: (M,) ids of terms, ascending.
@@ -54,7 +54,7 @@ def owner_distances(terms, owners, share, out):
 
 @kernel
 def best_order(values):
-    """Return the order of the code in which values take about the fewest bits."""
+    """Return the order of the code in which values take the fewest bits."""
     lengths = np.zeros(64, np.int64)
     longest = 1
     for i in range(len(values)):
@@ -75,7 +75,7 @@ def best_order(values):
 
 @kernel
 def write_ids(chunks, gaussians, terms, owners, gone, evicted, share, orders, out):
-    """Append the ids of a batch to its row of ids.
+    """Write the six lists of ids of a batch as bits.
 
     Args:
         chunks: (C,) int64 first ids of chunks, ascending.
@@ -133,40 +133,41 @@ def write(values, order, out, bit):
         w = np.uint64(values[i]) + (one << np.uint64(order))
         n = _length(np.int64(w))
         zeros = n - order - 1
-        if zeros + n > 32:  # rare: write the bits so far first, so that there is room
+        if zeros + n > 32:  # rare: write the bits so far first, to make room
             while filled >= 8:
-                byte = _flush(out, byte, word)
+                byte = _write_byte(out, byte, word)
                 word = word >> np.uint64(8)
                 filled = filled - 8
             filled += zeros
             zeros = 0
             while filled >= 8:
-                byte = _flush(out, byte, word)
+                byte = _write_byte(out, byte, word)
                 word = word >> np.uint64(8)
                 filled = filled - 8
         word |= (((w & ((one << np.uint64(n - 1)) - one)) << one) | one) << np.uint64(filled + zeros)
         filled += zeros + n
         while filled >= 32:
             for _ in range(4):
-                byte = _flush(out, byte, word)
+                byte = _write_byte(out, byte, word)
                 word = word >> np.uint64(8)
             filled -= 32
     while filled > 0:
-        byte = _flush(out, byte, word)
+        byte = _write_byte(out, byte, word)
         word = word >> np.uint64(8)
         filled = filled - 8
     return 8 * byte + filled
 
 
 @njit(inline="always")
-def _flush(out, byte, word):
+def _write_byte(out, byte, word):
+    """Write the low 8 bits of `word` at place `byte`; return the next place."""
     out[byte] = np.uint8(word & np.uint64(255))
     return byte + 1
 
 
 @kernel
 def read(data, bit, order, values):
-    """Read values until the array is full; return the bit after the last, or -1 if the bits are no such values."""
+    """Decode values of an order from `bit` on until the array is full; return the next bit, or -1 for invalid bits."""
     end = 8 * len(data)
     for i in range(len(values)):
         zeros = 0
@@ -193,7 +194,7 @@ def read(data, bit, order, values):
 
 @kernel
 def ids_from(values, limit, out):
-    """Write the ids whose `distances` are given; return whether all are below the limit."""
+    """Decode ids from their `distances`; return whether all are below the limit."""
     at = np.int64(-1)
     for i in range(len(values)):
         at += values[i] + 1
@@ -205,7 +206,7 @@ def ids_from(values, limit, out):
 
 @kernel
 def owners_from(values, terms, share, gaussians, out):
-    """Write the owners whose `owner_distances` are given; return whether they are below `gaussians` and ascend."""
+    """Decode owners from their `owner_distances`; return whether none decreases or reaches `gaussians`."""
     term = np.int64(0)
     owner = np.int64(0)
     for i in range(len(values)):
@@ -225,8 +226,8 @@ def ascend(ids, marks, summary, out):
 
     Args:
         ids: (M,).
-        marks: (W,) uint64 zeros, a bit for each id there is; zeros again at the end.
-        summary: uint64 zeros, a bit for each word of `marks`; zeros again at the end.
+        marks: (W,) uint64 scratch, a bit for each id; zeros before and after the call.
+        summary: (W / 64,) uint64 scratch, a bit for each word of `marks`; zeros before and after the call.
         out: (M,) receives the ids.
     """
     count = 0
@@ -239,7 +240,7 @@ def ascend(ids, marks, summary, out):
         summary[w >> 6] |= one << np.uint64(w & 63)
         low = min(low, w >> 6)
         high = max(high, w >> 6)
-    for v in range(low, high + 1):  # in a large scene all ids are of a few tiles
+    for v in range(low, high + 1):  # in a large scene the ids are in few tiles
         some = summary[v]
         summary[v] = 0
         while some:
@@ -255,18 +256,18 @@ def ascend(ids, marks, summary, out):
 
 @kernel
 def lay_out(ids, of, starts, known, rows, fresh):
-    """Write the chunk of each of the ascending ids; mark the chunks as known.
+    """Find the chunks of ascending ids, and mark them as known.
 
     Args:
         ids: (G,) int32 ids of Gaussians.
         of: (N,) int32, the chunk of each Gaussian.
         starts: (C + 1,) first id of each chunk, and N.
-        known: (C,) bool.
-        rows: (G,) int32 receives their chunks.
-        fresh: (min(G, C),) or more, receives the chunks that were not known yet, ascending.
+        known: (C,) bool, whether the client has the row of each chunk; updated.
+        rows: (G,) int32, receives the chunk of each id.
+        fresh: (min(G, C),) or longer, receives the chunks that were not known, ascending.
 
     Returns:
-        Number of those.
+        Number of chunks that were not known.
     """
     found = 0
     end = np.int64(0)
@@ -295,7 +296,7 @@ def group_terms(owners, slots, terms, offsets, out):
 
     Args:
         owners: (M,) Gaussian of each term.
-        slots: (N,) slot of each Gaussian, counted from 1; terms of a Gaussian with slot 0 are left out.
+        slots: (N,) slot of each Gaussian, from 1; terms of Gaussians with slot 0 are left out.
         terms: (functions (M,), centers (M, 2), decays (M,), intensities (M, I)).
         offsets: (n + 1,) int64 zeros, receives where the terms of each slot begin.
         out: Arrays like `terms`, receive the grouped terms.
@@ -318,8 +319,10 @@ def group_terms(owners, slots, terms, offsets, out):
         if slot >= 0:
             place = offsets[slot]
             offsets[slot] = place + 1
-            to_functions[place], to_decays[place] = functions[i], decays[i]
-            to_centers[place, 0], to_centers[place, 1] = centers[i, 0], centers[i, 1]
+            to_functions[place] = functions[i]
+            to_decays[place] = decays[i]
+            to_centers[place, 0] = centers[i, 0]
+            to_centers[place, 1] = centers[i, 1]
             for k in range(intensities.shape[1]):
                 to_intensities[place, k] = intensities[i, k]
     for k in range(n, 0, -1):

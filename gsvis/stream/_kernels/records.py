@@ -1,8 +1,8 @@
-"""Kernels of coded records: what the coder does for each record of 16 bytes, and back.
+"""Kernels that encode and decode records of Gaussians, 16 bytes each.
 
-A field is coded by a table that the fields before it choose. Gaussians of a chunk are sorted by strength, so the
-strength of the record before, with the opacity and the shape, predicts the largest scale. All arithmetic is of
-integers, so that any client gets the same records. Decoding never raises; any records that it returns can be drawn.
+The table that codes a field is chosen by the fields before it. Gaussians of a chunk are sorted by strength, so the
+strength of the record before, with the opacity and the shape, predicts the largest scale. All arithmetic is in
+integers, so that all clients get the same records. Decoding never raises, and every decoded record can be drawn.
 """
 
 from __future__ import annotations
@@ -17,41 +17,42 @@ from gsvis._kernels.prefetch import prefetch
 from gsvis._kernels.records import put, take, weight
 from gsvis.stream._kernels.coder import LEAST, RAW, begin, next_bits, next_symbol, push_bits, push_symbol, put_states
 
-MOST_OPERATIONS = 17  # of a record
-ROW = 16  # parts of a record, see `split`
+MOST_OPERATIONS = 17  # most operations of the coder for a record
+ROW = 16  # fields of a record, see `split`
 
-OPACITY, ORDER, MIDDLE, SMALLEST, FIRST = range(5)  # tables
-LARGEST = 5  # and the six after it: by how far the id before is away
-ROTATION = 11  # three times TURNS
+# Numbers of tables: one table for each of these,
+OPACITY, ORDER, MIDDLE, SMALLEST, FIRST = range(5)
+LARGEST = 5  # six tables: by the distance of the id before
+ROTATION = 11  # for each of three components, `TURNS` tables: by the bits that are not sent
 TURNS = 8
-COLOR = ROTATION + 3 * TURNS  # then the second component by the first, the third by the second, the fourth by the first
-SECOND = COLOR + 1
-THIRD = COLOR + 9
-FOURTH = COLOR + 26
-TABLES = COLOR + 34
+COLOR = ROTATION + 3 * TURNS  # one table
+SECOND = COLOR + 1  # eight tables: by the first component
+THIRD = COLOR + 9  # 17 tables: by the second component
+FOURTH = COLOR + 26  # eight tables: by the first component
+TABLES = COLOR + 34  # number of tables
 
-STEPS = 64  # symbols of the largest scale; the last is for any other distance
-BELOW = 47  # distance of symbol 0 below the prediction
+STEPS = 64  # symbols of the largest scale; after the last one the scale follows in raw bits
+BELOW = 47  # symbol 0 stands for the predicted scale minus this
 
-# typed, because a literal compiles a function once more
+# typed, because numba compiles a function again for a literal
 _NONE = np.int64(0)
 _BYTE = np.int64(255)
 
 
 class Layout(NamedTuple):
-    """What kernels know of the records of a scene.
+    """Layout of the records of a scene, for kernels.
 
     Attributes:
         position: Bits of a coordinate.
         rotation: Bits of a component of the quaternion.
         scale: Bits of a log-scale.
         colors: Bytes of the base color, 3 or 4.
-        coarse: Whether bits are left out.
+        coarse: Whether some bits are not sent.
         place: Limit of the steps of coordinates, 1/64 octaves; see `_place_limit`.
-        turn: Limit of the steps of the quaternion, 1/64 octaves; see `_turn`.
+        turn: Limit of the steps of the quaternion, 1/64 octaves; see `_turn_bits`.
         logs: (256,) int32, 64 log2 of an opacity of 0 to 255.
         sums: (S,) int32, 64 log2(1 + 2^(-i / 64)).
-        before: (256,) int32, which table codes the third component of a color after this difference.
+        before: (256,) int32, the table for the third component of a color, by the value of the second.
     """
 
     position: int
@@ -66,16 +67,16 @@ class Layout(NamedTuple):
     before: NDArray[np.int32]
 
 
-MOST_ROUNDED = 5  # bits of the opacity, of a ratio of scales or of a byte of color
+MOST_ROUNDED = 5  # most bits that are rounded of an opacity, a ratio of scales or a byte of color
 
 
 class Rounding(NamedTuple):
-    """How many bits `coarsen` rounds, 1/64 bits, where what they weigh is 1: a quarter less for each octave of it.
+    """How many bits `coarsen` rounds, in 1/64 bits, for a weight of 1; a quarter bit less for each octave of weight.
 
     Attributes:
-        opacity: Of the opacity. It weighs as the area of the outline, scene units squared.
-        shape: Of the ratios of the scales. They weigh as that area times the square of the opacity, in 255ths.
-        color: Of each byte of the color, which weighs as the ratios do.
+        opacity: Bits of the opacity. Its weight is the area of the outline, scene units squared.
+        shape: Bits of the ratios of the scales. Their weight is that area times the square of the opacity in 255ths.
+        color: Bits of each byte of the color, with the same weight as the ratios.
     """
 
     opacity: int
@@ -87,8 +88,8 @@ class Chunks(NamedTuple):
     """Rows of chunks as kernels need them.
 
     Attributes:
-        lows: (C,) int64.
-        strides: (C,) int64.
+        lows: (C,) int64, see `ChunkTable`.
+        strides: (C,) int64, see `ChunkTable`.
         steps: (C, 3) int64, log2 of the longest step of each coordinate, rounded up.
         bits: (C, 3) int64, bits of a place.
     """
@@ -101,32 +102,32 @@ class Chunks(NamedTuple):
 
 @inner(forceinline=True)
 def _place_limit(size, middle, opacity, stride, layout):
-    """Return log2 of the longest step of a coordinate: less for long and opaque Gaussians, at most the middle scale."""
+    """Return log2 of the longest allowed step of a coordinate: shorter for long and for opaque Gaussians."""
     long = middle * stride
     return min(layout.place - (long >> 1) - layout.logs[opacity], size - long) >> 6
 
 
 @inner(forceinline=True)
-def _turn(size, middle, stride, layout):
-    """Return how many bits of the quaternion are left out: fewer for large and for long Gaussians."""
+def _turn_bits(size, middle, stride, layout):
+    """Return how many bits of each quaternion component are not sent: fewer for large and for long Gaussians."""
     if not layout.coarse:
         return 0
     return min(max((layout.turn - (2 * size + middle * stride) // 4) >> 6, 0), TURNS - 1)
 
 
 @inner(forceinline=True)
-def _gap(distance):
-    """Return which table codes the largest scale: 0 for neighbors, 5 for 32 ids away or more."""
-    octave = (np.float64(distance).view(np.int64) >> 52) - 1023  # a loop would be mispredicted
+def _distance_table(distance):
+    """Return which of the `LARGEST` tables codes the largest scale: 0 for the next id, 5 for 32 ids away or more."""
+    octave = (np.float64(distance).view(np.int64) >> 52) - 1023  # log2 without a loop, whose branches are slow
     return max(min(octave, 5), 0)
 
 
 @inner(forceinline=True)
-def _split(low, high, row, chunks, layout, offsets, s, out):
-    """Write to `out` (ROW,) what can be known of a record without the one before; `s` (3,) is scratch.
+def _split_record(low, high, row, chunks, layout, offsets, s, out):
+    """Write to `out` (ROW,) the fields of a record that do not depend on the record before; `s` (3,) is scratch.
 
-    That is: opacity and order, the differences of the scales, the largest scale; symbols of the quaternion and of the
-    color; coordinates; the strength, in two parts.
+    These are opacity and order, the differences of the scales, the largest scale, the symbols of the quaternion and of
+    the color, the coordinates, and the strength in two halves.
     """
     position = layout.position
     rotation = layout.rotation
@@ -148,7 +149,7 @@ def _split(low, high, row, chunks, layout, offsets, s, out):
     middle = s[largest] - s[a]
     smallest = s[largest] - s[b]
     size = chunks.lows[row] + s[largest] * stride
-    turn = _turn(size, middle, stride, layout)
+    turn = _turn_bits(size, middle, stride, layout)
     out[0], out[1], out[2], out[3] = opacity | order << 8, middle, smallest, s[largest]
     for k in range(3):
         value = ((take(low, high, head + k * width + position, rotation) - half) >> turn) + half
@@ -180,7 +181,7 @@ def _split(low, high, row, chunks, layout, offsets, s, out):
 
 @kernel
 def split(words, rows, chunks, layout, offsets, out):
-    """Write what can be known of each record without the one before, to encode it many times; see `operations`.
+    """Split records into the fields that do not depend on the record before, to encode them many times.
 
     Args:
         words: (N, 2) uint64, the records.
@@ -188,26 +189,26 @@ def split(words, rows, chunks, layout, offsets, out):
         chunks: Rows of chunks.
         layout: Layout of the records.
         offsets: (TABLES + 1,) int64, first symbol of each table, at most 2^16.
-        out: (N, ROW) uint16.
+        out: (N, ROW) uint16, receives the fields.
     """
     s = np.empty(3, np.int64)
     for i in range(len(words)):
-        _split(words[i, 0], words[i, 1], rows[i], chunks, layout, offsets, s, out[i])
+        _split_record(words[i, 0], words[i, 1], rows[i], chunks, layout, offsets, s, out[i])
 
 
 @inner(forceinline=True)
 def _strength(low, high):
-    """Return a strength from its two parts."""
+    """Return a strength from its two halves of 16 bits."""
     return np.int64(np.int32(np.uint32(low) | np.uint32(high) << np.uint32(16)))
 
 
 @inner(forceinline=True)
-def _top(top, expected, most):
-    """Return the symbol of the largest scale of a record in its table; `STEPS` - 1 if raw bits follow.
+def _scale_symbol(top, expected, most):
+    """Return the symbol of the largest scale of a record; `STEPS` - 1 if raw bits follow.
 
     Args:
         top: The largest scale.
-        expected: What the strength of the record before it in its chunk predicts.
+        expected: The scale that the strength of the record before it in its chunk predicts.
         most: Largest value of a scale.
     """
     off = top - min(max(expected, 0), most) + BELOW
@@ -229,17 +230,16 @@ def _divide(value, stride, inverse):
 
 @kernel
 def operations(parts, ids, rows, chunks, layout, offsets, out):
-    """Write what the coder does for each record, in the order of decoding.
+    """Write the operations of the coder for each record, in the order of decoding.
 
     Args:
-        parts: (G, ROW) uint16 of `split`.
+        parts: (G, ROW) uint16 from `split`.
         ids: (G,) int64, ascending.
         rows: (G,) int32, row of the chunk of each.
         chunks: Rows of chunks.
         layout: Layout of the records.
         offsets: (TABLES + 1,) int64, first symbol of each table.
-        out: (MOST_OPERATIONS G,) uint32, receives the numbers of symbols, counted over all tables, or raw bits: RAW,
-            their number from bit 16 on, and the bits.
+        out: (MOST_OPERATIONS G,) uint32, receives the operations, see `coder.write`.
 
     Returns:
         The number of operations.
@@ -267,8 +267,8 @@ def operations(parts, ids, rows, chunks, layout, offsets, out):
             mine = _strength(parts[i, 14], parts[i, 15])
             other = _strength(parts[before, 14], parts[before, 15])
             strong = mine - 2 * (low + top * stride)
-            symbol = _top(top, (((other - strong) >> 1) - low) // stride, most)
-            out[at] = offsets[LARGEST + _gap(ids[i] - ids[i - 1])] + symbol
+            symbol = _scale_symbol(top, (((other - strong) >> 1) - low) // stride, most)
+            out[at] = offsets[LARGEST + _distance_table(ids[i] - ids[i - 1])] + symbol
             if symbol == STEPS - 1:
                 at += 1
                 out[at] = RAW | (layout.scale << 16) | top
@@ -292,12 +292,12 @@ def operations(parts, ids, rows, chunks, layout, offsets, out):
 
 @kernel
 def write(parts, ids, rows, chunks, layout, offsets, inverses, spans, out):
-    """Write records as `coder.write` writes their `operations`, in one pass from the last to the first.
+    """Encode records, in one pass from the last to the first; the result of `coder.write` for their `operations`.
 
-    Operations use two states in turn. Where one may be left out, the states are swapped after it.
+    Operations use two states in turn. After an operation that not every record has, the states are swapped.
 
     Args:
-        parts: (N, ROW) uint16 of `split`, for all records of a scene.
+        parts: (N, ROW) uint16 from `split`, all records of a scene.
         ids: (G,) int32, ascending: the records to write.
         rows: (G,) int32, row of the chunk of each.
         chunks: Rows of chunks.
@@ -305,7 +305,7 @@ def write(parts, ids, rows, chunks, layout, offsets, inverses, spans, out):
         offsets: (TABLES + 1,) int64, first symbol of each table.
         inverses: See `coder.write`.
         spans: See `coder.write`.
-        out: uint16, at least four more than operations.
+        out: uint16, at least four words longer than the operations.
 
     Returns:
         The place of the first word.
@@ -314,7 +314,7 @@ def write(parts, ids, rows, chunks, layout, offsets, inverses, spans, out):
     flat = parts.reshape(-1)
     widths = chunks.bits
     most = (1 << layout.scale) - 1
-    # states of the next operation, and of the one after it
+    # the states of the next operation and of the one after it
     x = np.uint64(LEAST)
     y = np.uint64(LEAST)
     at = len(out)
@@ -364,12 +364,12 @@ def write(parts, ids, rows, chunks, layout, offsets, inverses, spans, out):
             mine = _strength(parts[g, 14], parts[g, 15])
             other = _strength(parts[f, 14], parts[f, 15])
             strong = mine - 2 * (low + top * stride)
-            symbol = _top(top, _divide(((other - strong) >> 1) - low, stride, inverse), most)
+            symbol = _scale_symbol(top, _divide(((other - strong) >> 1) - low, stride, inverse), most)
             if symbol == STEPS - 1:
                 z, at = push_bits(top, layout.scale, x, at, out)
                 x = y
                 y = z
-            symbol += offsets[LARGEST + _gap(ids[i] - ids[i - 1])]
+            symbol += offsets[LARGEST + _distance_table(ids[i] - ids[i - 1])]
         x, at = push_symbol(np.uint64(symbol), x, at, inverses, spans, out)
         y, at = push_symbol(to_smallest + np.uint64(parts[g, 2]), y, at, inverses, spans, out)
         x, at = push_symbol(to_middle + np.uint64(parts[g, 1]), x, at, inverses, spans, out)
@@ -381,7 +381,7 @@ def write(parts, ids, rows, chunks, layout, offsets, inverses, spans, out):
 
 @kernel
 def read(words, ids, rows, chunks, layout, code, out):
-    """Write the records that words hold, and return whether the words are such records and nothing else.
+    """Decode records; return whether the words are valid and have nothing else.
 
     Args:
         words: (W,) uint16.
@@ -390,7 +390,7 @@ def read(words, ids, rows, chunks, layout, code, out):
         chunks: Rows of chunks.
         layout: Layout of the records.
         code: Tables of the scene.
-        out: (G, 2) uint64.
+        out: (G, 2) uint64, receives the records.
     """
     position = layout.position
     rotation = layout.rotation
@@ -425,7 +425,7 @@ def read(words, ids, rows, chunks, layout, code, out):
         if row != before:
             top, x, y, at = next_symbol(words, x, y, at, np.int64(FIRST), slots, tables, offsets, spans)
         else:
-            table = LARGEST + _gap(ids[i] - last)
+            table = LARGEST + _distance_table(ids[i] - last)
             top, x, y, at = next_symbol(words, x, y, at, table, slots, tables, offsets, spans)
             if top == STEPS - 1:
                 top, x, y, at = next_bits(words, x, y, at, scale)
@@ -445,7 +445,7 @@ def read(words, ids, rows, chunks, layout, code, out):
         s[a] = (top - middle) & mask
         s[b] = (top - smallest) & mask
         bits[0], bits[1] = np.uint64(opacity), np.uint64(0)
-        turn = _turn(size, middle, stride, layout)
+        turn = _turn_bits(size, middle, stride, layout)
         for k in range(3):
             value, x, y, at = next_symbol(words, x, y, at, ROTATION + TURNS * k + turn, slots, tables, offsets, spans)
             value = (((value - half) << turn) + half) & ((1 << rotation) - 1)
@@ -474,14 +474,14 @@ def read(words, ids, rows, chunks, layout, code, out):
 
 @kernel
 def coarsen(words, rows, chunks, layout, rounding, out):
-    """Write records without the bits that a coarse layout leaves out.
+    """Round records: by `rounding`, and to zeros in the bits that a coarse layout does not send.
 
     Args:
         words: (N, 2) uint64, records.
         rows: (N,) int32, row of the chunk of each.
         chunks: Rows of chunks.
         layout: Layout of the records.
-        rounding: Other bits that are rounded.
+        rounding: Bits that are rounded.
         out: (N, 2) uint64, receives the records.
     """
     position = layout.position
@@ -507,11 +507,11 @@ def coarsen(words, rows, chunks, layout, rounding, out):
         opacity = _round(opacity, _bits_to_round(rounding.opacity, area), _NONE, _BYTE)
         shape = _bits_to_round(rounding.shape, light)
         tint = _bits_to_round(rounding.color, light)
-        for k in range(3):  # shapes relative to the largest, which stays
+        for k in range(3):  # relative to the largest scale, which is not rounded
             s[k] = top - _round(top - s[k], shape, _NONE, top)
         middle = _middle(s, top)
         bits[0], bits[1] = np.uint64(opacity), np.uint64(0)
-        turn = _turn(size, middle, stride, layout)
+        turn = _turn_bits(size, middle, stride, layout)
         limit = _place_limit(size, middle, opacity, stride, layout)
         for k in range(layout.colors):
             color = np.int64((low >> np.uint64(8 * (1 + k))) & np.uint64(255))
@@ -528,19 +528,19 @@ def coarsen(words, rows, chunks, layout, rounding, out):
 
 @inner(forceinline=True)
 def _middle(scales, top):
-    """Return how far the middle one of three scales is below the largest."""
+    """Return the largest of three scales (`top`) minus the middle one."""
     return 2 * top - scales[0] - scales[1] - scales[2] + min(scales[0], scales[1], scales[2])
 
 
 @inner(forceinline=True)
 def _bits_to_round(limit, weight):
-    """Return how many bits are rounded of what weighs this, 1/64 octaves."""
+    """Return how many bits are rounded, for a weight in 1/64 octaves; see `Rounding`."""
     return min(max((limit - (weight >> 2)) >> 6, _NONE), np.int64(MOST_ROUNDED))
 
 
 @inner(forceinline=True)
 def _round(value, bits, center, most):
-    """Return the nearest value, from 0 to `most`, that is a multiple of 2^bits away from the center; ties to even."""
+    """Round a value to a multiple of 2^bits from `center`, ties to even, within 0 and `most`."""
     step = np.int64(1) << bits
     away = value - center
     found = (away + (step >> 1)) >> bits
