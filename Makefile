@@ -34,21 +34,22 @@ help:
 
 SETUP := pyproject.toml constraints.txt tools/setup.sh
 
+# What `gsvis analyze` and `gsvis view` need: without torch and Open3D it is a third of the size.
 .venv/.gsvis: $(SETUP)
-	@bash tools/setup.sh
+	@bash tools/setup.sh report
 	@touch $@
 
 .venv/.gsvis-dev: $(SETUP)
-	@bash tools/setup.sh dev
+	@bash tools/setup.sh all,dev
 	@touch .venv/.gsvis $@
 
 .venv/.gsvis-docs: $(SETUP)
-	@bash tools/setup.sh docs
+	@bash tools/setup.sh all,docs
 	@touch .venv/.gsvis $@
 
 # All that the checks need, in one go of pip, which takes half a minute to see that nothing is missing.
 .venv/.gsvis-check: $(SETUP)
-	@bash tools/setup.sh dev,docs
+	@bash tools/setup.sh all,dev,docs
 	@touch .venv/.gsvis .venv/.gsvis-dev .venv/.gsvis-docs $@
 
 demo: .venv/.gsvis

@@ -1,13 +1,13 @@
 #!/usr/bin/env bash
 # Makes .venv ready: python, the system's shared libraries, gsvis itself. Called by the Makefile as
-#   tools/setup.sh [EXTRA]     EXTRA: groups of pyproject.toml that are wanted besides `all`, such as dev or dev,docs
+#   tools/setup.sh [GROUPS]     GROUPS: groups of pyproject.toml, such as report or all,dev; all when left out
 # As root it installs what the system lacks through apt-get; otherwise it prints the one line to run and stops.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
 python=${PYTHON:-python3}
 venv=.venv
-extra=${1:-}
+groups=${1:-all}
 
 say() { printf 'setup: %s\n' "$*" >&2; }
 stop() { say "$*"; exit 1; }
@@ -20,7 +20,7 @@ command -v "$python" >/dev/null || stop "no $python found; install Python 3.10 o
 missing=()
 $venv/bin/python -m pip --version >/dev/null 2>&1 || "$python" -c 'import ensurepip, venv' 2>/dev/null ||
     missing+=("$("$python" -c 'import sys; print("python%d.%d-venv" % sys.version_info[:2])')")
-if [ "$(uname -s)-$(uname -m)" = Linux-x86_64 ]; then
+if [ "$(uname -s)-$(uname -m)" = Linux-x86_64 ] && [[ ",$groups," = *,all,* ]]; then
     while read -r library package; do
         "$python" -c "import ctypes; ctypes.CDLL('$library')" 2>/dev/null || missing+=("$package")
     done <<'LIBRARIES'
@@ -50,7 +50,10 @@ if ! $venv/bin/python -m pip --version >/dev/null 2>&1; then  # none yet, or one
     "$python" -m venv $venv
 fi
 
-say "installing gsvis${extra:+ with its $extra tools} into $venv (minutes the first time)"
-$venv/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[all${extra:+,$extra}]"
-$venv/bin/python -c 'import embreex, open3d' || stop "the ray tracers do not load; the line above names what is missing"
+# Python compiles a module when it is first imported: pip would compile all of them, most of which nobody imports.
+say "installing gsvis[$groups] into $venv (minutes the first time)"
+$venv/bin/python -m pip install --quiet --disable-pip-version-check --no-compile --constraint constraints.txt --editable ".[$groups]"
+tracers=embreex
+[[ ",$groups," != *,all,* ]] || tracers+=", open3d"
+$venv/bin/python -c "import $tracers" || stop "the ray tracers do not load; the line above names what is missing"
 say "ready"
