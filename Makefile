@@ -73,7 +73,7 @@ types: .venv/.gsvis-dev
 	@$(BIN)/mypy
 
 doctests: .venv/.gsvis-dev
-	@$(BIN)/pytest --doctest-modules gsvis --quiet --numprocesses auto --dist loadfile
+	@$(BIN)/python -m pytest -p tests.one_compiler --doctest-modules gsvis --quiet --numprocesses auto --dist loadfile
 
 examples: .venv/.gsvis-dev
 	@for example in examples/[0-9]*.py; do \
@@ -99,9 +99,10 @@ viewer-check:
 # The tests come last: their closing line is the verdict.
 check: others test
 
-# All checks but the tests, two at a time: most of them use one core.
+# All checks but the tests, two at a time: most of them use one core. Doctests use all, and the kernels that examples compiled.
 others: .venv/.gsvis-check
-	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target examples lint types viewer-check docs doctests
+	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target examples types viewer-check docs lint
+	@$(MAKE) --no-print-directory doctests
 
 # Tests that start processes, listen on sockets, lock files or wait for others.
 STRESSED := tests/serve tests/stream tests/tools tests/viewer tests/world \

@@ -30,6 +30,8 @@ def take_few_views() -> Iterator[None]:
 
 if __name__ == "__main__":
     from gsvis.cli import main
+    from tests.one_compiler import compile_once
 
+    compile_once()
     with take_few_views():
         sys.exit(main(sys.argv[1:]))

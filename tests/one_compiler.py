@@ -31,6 +31,11 @@ _compile = Dispatcher.compile
 _files: dict[int, int | None] = {}
 
 
+def pytest_configure() -> None:
+    """Let workers of doctests take turns, too: `pytest -p tests.one_compiler`."""
+    compile_once()
+
+
 def compile_once() -> None:
     """Let one process at a time compile a kernel that has a cache; from now on, in this process."""
     if fcntl is not None:

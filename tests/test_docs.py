@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import os
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -19,19 +20,22 @@ def page(path: Path) -> str:
     return str(path.relative_to(ROOT))
 
 
-@pytest.mark.parametrize("path", PAGES, ids=page)
-def test_every_link_leads_somewhere(path: Path) -> None:
-    text = re.sub(r"```.*?```", "", path.read_text(encoding="utf-8"), flags=re.DOTALL)
-    for target in re.findall(r"\]\(([^)#\s]+)", text):
-        if "://" not in target:
-            assert (path.parent / target).exists(), f"{page(path)}: {target} does not exist"
+def test_every_link_leads_somewhere() -> None:
+    wrong = []
+    for path in PAGES:
+        text = re.sub(r"```.*?```", "", path.read_text(encoding="utf-8"), flags=re.DOTALL)
+        targets = [target for target in re.findall(r"\]\(([^)#\s]+)", text) if "://" not in target]
+        wrong += [f"{page(path)}: {target}" for target in targets if not (path.parent / target).exists()]
+    assert wrong == []
 
 
-@pytest.mark.parametrize("path", PAGES, ids=page)
-def test_every_make_command_exists(path: Path) -> None:
+def test_every_make_command_exists() -> None:
     targets = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), flags=re.MULTILINE))
-    for command in re.findall(r"(?:`|^)make ([a-z]+)", path.read_text(encoding="utf-8"), flags=re.MULTILINE):
-        assert command in targets, f"{page(path)}: make {command} does not exist"
+    wrong = []
+    for path in PAGES:
+        commands = re.findall(r"(?:`|^)make ([a-z]+)", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
+        wrong += [f"{page(path)}: make {command}" for command in commands if command not in targets]
+    assert wrong == []
 
 
 def test_the_example_of_the_readme_runs_as_it_stands(
@@ -98,6 +102,11 @@ def names_in(body: list[ast.stmt]) -> dict[str, list[ast.stmt]]:
     return names
 
 
+@cache
+def body_of(file: Path) -> list[ast.stmt]:
+    return ast.parse(file.read_text(encoding="utf-8")).body
+
+
 def is_defined(place: Path, names: list[str]) -> bool:
     """Return whether a module or a room, given without its suffix, defines names, each inside the one before."""
     for k, name in enumerate(names):
@@ -105,7 +114,7 @@ def is_defined(place: Path, names: list[str]) -> bool:
             place /= name
             continue
         file = place / "__init__.py" if place.is_dir() else place.with_suffix(".py")
-        body = ast.parse(file.read_text(encoding="utf-8")).body
+        body = body_of(file)
         for inner in names[k:]:
             found = names_in(body)
             if inner not in found:
@@ -115,19 +124,32 @@ def is_defined(place: Path, names: list[str]) -> bool:
     return place.is_dir() or place.with_suffix(".py").exists()
 
 
-@pytest.mark.parametrize("path", [path for path in PAGES if path.name != "CHANGELOG.md"], ids=page)
-def test_every_module_and_file_that_a_page_names_exists(path: Path) -> None:
-    text = path.read_text(encoding="utf-8").partition(MARK)[0]
-    for dotted in re.findall(r"`gsvis\.([\w.]*\w)`", text):
-        assert is_defined(ROOT / "gsvis", dotted.split(".")), f"{page(path)}: gsvis.{dotted} does not exist"
+def missing_from(text: str) -> list[str]:
+    """Return the modules, names and files of this repository that a page names and that do not exist."""
+    found = re.findall(r"`gsvis\.([\w.]*\w)`", text)
+    wrong = [f"gsvis.{dotted}" for dotted in found if not is_defined(ROOT / "gsvis", dotted.split("."))]
     for place in re.findall(r"`((?:\w+/)+[\w.-]+)`", text):
         folder = place.partition("/")[0]
+        exists = True
         if folder in FOLDERS and not re.search("[A-Z]{3}", place):  # capitals stand for any name
-            assert list(ROOT.glob(f"{place}*")), f"{page(path)}: {place} does not exist"
+            exists = bool(list(ROOT.glob(f"{place}*")))
         elif folder in ROOMS and not place.endswith((".json", ".html")):  # a report has the name of a room
             module, _, names = place.removesuffix(".py").partition(".")
-            parts = [*module.split("/"), *filter(None, names.split("."))]
-            assert is_defined(ROOT / "gsvis", parts), f"{page(path)}: {place} does not exist"
+            exists = is_defined(ROOT / "gsvis", [*module.split("/"), *filter(None, names.split("."))])
+        if not exists:
+            wrong.append(place)
+    return wrong
+
+
+def test_every_module_and_file_that_a_page_names_exists() -> None:
+    pages = [path for path in PAGES if path.name != "CHANGELOG.md"]
+    texts = {page(path): path.read_text(encoding="utf-8").partition(MARK)[0] for path in pages}
+    assert [f"{name}: {place}" for name, text in texts.items() for place in missing_from(text)] == []
+
+
+def test_what_a_page_names_wrongly_is_found() -> None:
+    text = "`gsvis.color.srbf` `gsvis.color.no_such` `docs/no_such.md` `docs/faq.md` `color/srbf.py` `color/no_such.py`"
+    assert missing_from(text) == ["gsvis.color.no_such", "docs/no_such.md", "color/no_such.py"]
 
 
 def test_names_are_found_where_they_are_defined() -> None:

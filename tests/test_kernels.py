@@ -49,9 +49,9 @@ def test_such_lines_are_found() -> None:
     assert slices_to_slices("def f(a, b, n):\n    a[:n] = b[:n]\n") == []
 
 
-@pytest.mark.parametrize("path", KERNELS, ids=lambda path: str(path.relative_to(ROOT)))
-def test_no_slice_is_assigned_to_a_slice(path: Path) -> None:
-    assert slices_to_slices(path.read_text(encoding="utf-8")) == []
+def test_no_slice_is_assigned_to_a_slice() -> None:
+    found = {str(path.relative_to(ROOT)): slices_to_slices(path.read_text(encoding="utf-8")) for path in KERNELS}
+    assert {name: lines for name, lines in found.items() if lines} == {}
 
 
 def test_no_loop_is_compiled_three_times_over() -> None:

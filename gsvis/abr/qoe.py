@@ -209,10 +209,10 @@ def paired_difference(
     apart = a - b
     mean = float(apart.mean())
     if _check.one_of("method", method, ("t", "bootstrap")) == "t":
-        from scipy import stats  # slow to import, and seldom needed
+        from scipy.special import stdtrit  # seldom needed
 
         error = float(apart.std(ddof=1)) / np.sqrt(len(apart))
-        reach = float(stats.t.ppf(0.5 + confidence / 2.0, len(apart) - 1)) * error
+        reach = float(stdtrit(len(apart) - 1, 0.5 + confidence / 2.0)) * error
         low = mean - reach
         high = mean + reach
     else:

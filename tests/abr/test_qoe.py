@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy import stats
 
 from gsvis.abr.qoe import (
     Difference,
@@ -73,6 +72,8 @@ def test_intervals_hold_the_truth_about_as_often_as_they_say(method: str) -> Non
 
 
 def test_the_t_interval_is_that_of_scipy() -> None:
+    from scipy import stats  # seconds, which collecting should not take
+
     a, b = np.random.default_rng(2).normal(size=(2, 12))
     found, expected = paired_difference(a, b), stats.ttest_rel(a, b).confidence_interval(0.95)
     assert (found.low, found.high) == pytest.approx((expected.low, expected.high))

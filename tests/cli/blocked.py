@@ -63,8 +63,10 @@ def main() -> None:
     from tests.bare_plots import draw_bare_plots
     from tests.few_views import take_few_views
     from tests.known_spaces import coarse_spaces, remember_spaces
+    from tests.one_compiler import compile_once
     from tests.quick_reports import draw_no_places, take_few_judges
 
+    compile_once()  # tests beside this one compile the same kernels
     found = []
     patch = pytest.MonkeyPatch()
     take_few_judges(patch)

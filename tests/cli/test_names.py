@@ -6,6 +6,7 @@ import re
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Literal, get_args, get_origin
@@ -98,11 +99,26 @@ def options() -> Iterator[Option]:
             yield Option(command, leaf.option, metavar, plain, choices, texts[leaf.name])
 
 
-OPTIONS = tuple(options())
-BY_NAME: dict[str, list[Option]] = defaultdict(list)
-for option in OPTIONS:
-    BY_NAME[option.name].append(option)
-SHARED = sorted(name for name, found in BY_NAME.items() if len(found) > 1)
+@cache
+def every_option() -> tuple[Option, ...]:
+    """All options of all commands, read once, and not where tests are collected."""
+    return tuple(options())
+
+
+@cache
+def by_name() -> dict[str, list[Option]]:
+    """The options of all commands by their names."""
+    found: dict[str, list[Option]] = defaultdict(list)
+    for option in every_option():
+        found[option.name].append(option)
+    return dict(found)
+
+
+def shared() -> dict[str, list[Option]]:
+    """The options that more than one command has."""
+    found = {name: options for name, options in by_name().items() if len(options) > 1}
+    assert len(found) > 40
+    return found
 
 
 def kind_of(option: Option) -> str:
@@ -114,21 +130,21 @@ def kind_of(option: Option) -> str:
     return LISTS.get(option.metavar, option.metavar)
 
 
-@pytest.mark.parametrize("name", SHARED)
-def test_a_name_takes_the_same_in_all_commands(name: str) -> None:
-    assert len({kind_of(each) for each in BY_NAME[name]}) == 1, [(each.command, each.metavar) for each in BY_NAME[name]]
-    choices = sorted((each.choices for each in BY_NAME[name]), key=len)
-    assert all(few <= more for few, more in pairwise(choices))
+def test_a_name_takes_the_same_in_all_commands() -> None:
+    for name, found in shared().items():
+        assert len({kind_of(each) for each in found}) == 1, (name, [(each.command, each.metavar) for each in found])
+        choices = sorted((each.choices for each in found), key=len)
+        assert all(few <= more for few, more in pairwise(choices)), name
 
 
-@pytest.mark.parametrize("name", SHARED)
-def test_a_name_means_the_same_in_all_commands(name: str) -> None:
-    if name == "--out":  # each command says what it writes
-        assert all(each.text and each.metavar in PATHS for each in BY_NAME[name])
-    elif name in KERNELS:
-        assert [each for each in BY_NAME[name] if not each.text.startswith(KERNELS[name])] == []
-    else:
-        assert len({each.text for each in BY_NAME[name]}) == 1
+def test_a_name_means_the_same_in_all_commands() -> None:
+    for name, found in shared().items():
+        if name == "--out":  # each command says what it writes
+            assert all(each.text and each.metavar in PATHS for each in found)
+        elif name in KERNELS:
+            assert [each for each in found if not each.text.startswith(KERNELS[name])] == []
+        else:
+            assert len({each.text for each in found}) == 1, name
 
 
 def test_every_command_that_reads_a_scene_can_leave_rows_out() -> None:
@@ -136,20 +152,20 @@ def test_every_command_that_reads_a_scene_can_leave_rows_out() -> None:
     of_scenes = {"scene", "scenes", "paths"}
     reading = {command for command, kind in KINDS.items() if of_scenes & {leaf.name for leaf in leaves(kind)}}
     assert len(reading) >= 17
-    assert {each.command for each in BY_NAME["--drop-invalid"]} == reading
+    assert {each.command for each in by_name()["--drop-invalid"]} == reading
 
 
 def test_no_two_names_say_the_same() -> None:
     names: dict[str, set[str]] = defaultdict(set)
-    for each in OPTIONS:
+    for each in every_option():
         names[each.text].add(each.name)
     assert [sorted(found) for found in names.values() if len(found) > 1] == []
 
 
 def test_synonyms_do_not_exist() -> None:
     for ours, theirs in SYNONYMS.items():
-        assert ours in BY_NAME
-        assert not set(theirs) & set(BY_NAME)
+        assert ours in by_name()
+        assert not set(theirs) & set(by_name())
 
 
 @pytest.mark.parametrize(("old", "command"), [(old, command) for old, found in RENAMED.items() for command in found])
@@ -160,7 +176,7 @@ def test_an_old_name_is_answered_with_the_new_one(capsys: pytest.CaptureFixture[
     assert old in line
     new = re.findall(r"--[a-z-]+", RENAMED[old][command])
     assert new
-    known = {each.name for each in OPTIONS if each.command == command}
+    known = {each.name for each in every_option() if each.command == command}
     assert set(new) <= known
     assert old not in known
     assert all(each in line for each in new)
@@ -189,7 +205,7 @@ def test_the_documentation_uses_names_that_exist() -> None:
         if words[0] not in KINDS:
             continue
         seen += 1
-        known = {name for each in OPTIONS if each.command == words[0] for name in (each.name, "-o")}
+        known = {name for each in every_option() if each.command == words[0] for name in (each.name, "-o")}
         wrong += [place for word in words[1:] if re.match(r"--[a-z]", word) and word.partition("=")[0] not in known]
     assert seen > 100
     assert wrong == []

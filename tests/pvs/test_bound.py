@@ -11,10 +11,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from scipy.stats import beta, binom
+from scipy.special import betaincinv
 
 from gsvis.pvs.bound import STAKES, staged_bound, upper_bound
 from gsvis.pvs.reference import upper_bound_reference
+from tests.pvs.violations import most_violations
 
 F64 = NDArray[np.float64]
 Draw = Callable[[np.random.Generator, int], F64]
@@ -46,12 +47,7 @@ def empirical_bernstein(x: F64, error: float = ERROR) -> float:
 
 
 def clopper_pearson(hits: int, n: int, error: float = ERROR) -> float:
-    return 1.0 if hits == n else float(beta.ppf(1.0 - error, hits + 1, n - hits))
-
-
-def allowed(repeats: int = REPEATS, error: float = ERROR) -> int:
-    """Most violations that are consistent with the error: one-sided binomial test, p > 0.01."""
-    return int(binom.ppf(0.99, repeats, error))
+    return 1.0 if hits == n else float(betaincinv(hits + 1, n - hits, 1.0 - error))
 
 
 def capitals(part: F64, whole: F64, ratio: float | F64) -> F64:
@@ -70,21 +66,21 @@ def violations(part: F64, whole: F64, ratio: float) -> int:
 def test_the_mean_lies_below_the_bound_at_all_times(name: str) -> None:
     draw, mean = DISTRIBUTIONS[name]
     x = np.stack([draw(np.random.default_rng(seed), 400) for seed in range(REPEATS)])
-    assert violations(x, np.ones_like(x), mean) <= allowed()
+    assert violations(x, np.ones_like(x), mean) <= most_violations(REPEATS, ERROR)
 
 
 def test_the_ratio_of_two_means_lies_below_the_bound() -> None:
     rng = np.random.default_rng(7)
     whole = np.where(rng.random((REPEATS, 300)) < 0.5, 0.05, 1.0)  # half of the rays meet almost nothing
     part = whole * np.where(whole < 0.5, 0.2, 0.02) * rng.random((REPEATS, 300))
-    assert violations(part, whole, (0.05 * 0.1 + 0.01) / 1.05) <= allowed()
+    assert violations(part, whole, (0.05 * 0.1 + 0.01) / 1.05) <= most_violations(REPEATS, ERROR)
 
 
 def test_samples_of_different_means_bound_the_mean_of_the_means() -> None:
     means = np.repeat(np.linspace(0.0, 0.04, 10), 40)
     x = (np.random.default_rng(8).random((REPEATS, 400)) < means) * 1.0
     rich = capitals(x, np.ones_like(x), float(means.mean()))[:, -1] >= 1.0 / ERROR
-    assert np.count_nonzero(rich) <= allowed()
+    assert np.count_nonzero(rich) <= most_violations(REPEATS, ERROR)
 
 
 @pytest.mark.parametrize("name", DISTRIBUTIONS)
@@ -245,7 +241,7 @@ def test_no_bound_of_any_stage_lies_below_its_ratio_although_stages_depend_on_ea
         found, ratios = mended(np.random.default_rng([11, seed]), 4, 100)
         assert all(after <= before for before, after in pairwise(ratios))
         missed += any(staged_bound(found[: k + 1], error=ERROR) < ratios[k] for k in range(4))
-    assert missed <= allowed(repeats)
+    assert missed <= most_violations(repeats, ERROR)
 
 
 @pytest.mark.parametrize("ratios", [(0.3, 0.03), (0.02, 0.02), (0.5, 0.1, 0.1, 0.01)])
@@ -255,7 +251,7 @@ def test_the_last_ratio_lies_below_the_staged_bound(ratios: tuple[float, ...]) -
         rng = np.random.default_rng([12, seed])
         stages = [((rng.random(80) < ratio) * 1.0, np.ones(80)) for ratio in ratios]
         missed += staged_bound(stages, error=ERROR) < ratios[-1]
-    assert missed <= allowed(repeats)
+    assert missed <= most_violations(repeats, ERROR)
 
 
 def test_one_stage_is_bounded_by_most_of_the_error() -> None:

@@ -13,7 +13,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numba import get_num_threads, set_num_threads
 from numpy.typing import NDArray
-from scipy.stats import binom
 
 from gsvis.errors import SceneError
 from gsvis.pvs import PvsConfig
@@ -29,6 +28,7 @@ from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.procedural import OccluderScene, box_in_room, nested_shells, random_scene, two_rooms, wall_with_hole
 from gsvis.scene.solid import buried
+from tests.pvs.violations import most_violations
 
 F64 = NDArray[np.float64]
 MAKERS = {"wall": wall_with_hole, "box": box_in_room, "rooms": two_rooms, "shells": nested_shells}
@@ -302,7 +302,7 @@ def test_the_light_that_a_found_set_misses_lies_below_its_bound() -> None:
         view = finder.find_cell(other, sightings_of(cell)[: trial % 4])
         missed = light[cell].sum() - light[cell][view.ids].sum()
         violations += missed / light[cell].sum() > view.figures.bound
-    assert violations <= int(binom.ppf(0.99, trials, 0.05))
+    assert violations <= most_violations(trials)
 
 
 def one_cell(high: float) -> FreeVoxels:
