@@ -1,7 +1,7 @@
 """Find the columns of a PLY of Gaussians by the names that programs give them.
 
-INRIA's names are the rule. CloudCompare prefixes names that it does not know with `scal_` or `scalar_`. 2DGS has two
-scales. Mip-Splatting keeps its 3D filter in its own column. Some exporters write RGB instead of harmonics.
+INRIA's names are the rule. CloudCompare prefixes names that it does not know with `scal_`, `scalar_` or `sf_`. 2DGS
+has two scales. Mip-Splatting keeps its 3D filter in its own column. Some exporters write RGB instead of harmonics.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ REQUIRED = (*MEANS, *SH0, "opacity", *SCALES, *QUATS)
 
 _RGB = ("red", "green", "blue")
 _FILTER = "filter_3d"
-_PREFIX = re.compile(r"(?:scal_|scalar_)+")
+_PREFIX = re.compile(r"(?:scal_|scalar_|sf_)+")
 _ALIASES = {"rotation": "rot", "scaling": "scale", "features_dc": "f_dc", "features_rest": "f_rest"}
 _NUMBERED = re.compile(r"(.+)_(\d+)")
 _PER_CHANNEL = 15  # coefficients of degree 1 to 3

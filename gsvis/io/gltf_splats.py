@@ -32,7 +32,7 @@ from gsvis.io.spz import decode_spz
 from gsvis.scene.facts import SceneFacts
 from gsvis.scene.gaussians import Gaussians
 
-__all__ = ["MAGIC", "SPLATS", "SPZ", "load_gltf_splats"]
+__all__ = ["MAGIC", "SPLATS", "SPZ", "decode_gltf_splats", "load_gltf_splats"]
 
 F32 = NDArray[np.float32]
 MAGIC = b"glTF"
@@ -58,7 +58,19 @@ def load_gltf_splats(path: str | os.PathLike[str]) -> Gaussians:
             extension, a kernel or a node transform that gsvis does not read.
         OSError: If it cannot be opened.
     """
-    data = read_whole(path)
+    return decode_gltf_splats(path, read_whole(path))
+
+
+def decode_gltf_splats(path: str | os.PathLike[str], data: bytes) -> Gaussians:
+    """Return the Gaussians from the bytes of a glTF file.
+
+    Args:
+        path: The file that holds them, for error messages; buffers outside are files in its folder.
+        data: The bytes.
+
+    Raises:
+        FormatError: As `load_gltf_splats`.
+    """
     packed = data[: len(MAGIC)] == MAGIC
     document, binary = _chunks(path, data) if packed else (data, None)
     budget = Budget(path, len(data))

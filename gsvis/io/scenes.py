@@ -21,7 +21,7 @@ from gsvis.io._table import join_names
 from gsvis.io._wrapped import GZIP, HEAD, check_pointer, gunzip, peek_gzip
 from gsvis.io.checkpoint import is_checkpoint, load_checkpoint
 from gsvis.io.folders import scene_remedy
-from gsvis.io.gltf_splats import load_gltf_splats
+from gsvis.io.gltf_splats import MAGIC, decode_gltf_splats, load_gltf_splats
 from gsvis.io.invalid import dropping_invalid, is_dropping
 from gsvis.io.ksplat import load_ksplat, save_ksplat
 from gsvis.io.ply import load_ply, read_ply, save_ply
@@ -86,8 +86,8 @@ def load_scene(path: str | os.PathLike[str], lod: int | None = None, *, drop_inv
     Args:
         path: An INRIA or compressed PLY, a `.splat`, a `.ksplat`, an SPZ (version 1 to 4), a SOG (`.sog`, `meta.json`
             or its folder), a streamed SOG (`lod-meta.json` or its folder), glTF with Gaussians (`.glb`, or `.gltf` with
-            its `.bin`), or a checkpoint of gsplat or of nerfstudio's splatfacto (`.pt`, `.ckpt`). A PLY or a `.splat`
-            may be gzipped.
+            its `.bin`), or a checkpoint of gsplat or of nerfstudio's splatfacto (`.pt`, `.ckpt`). A PLY, a
+            `.splat` or glTF may be gzipped.
         lod: Level of detail of a streamed SOG, 0 the finest; None takes the finest present. Other formats have one
             level and need None.
         drop_invalid: Drop rows whose values are not finite or out of range, with one line in the log; False makes them
@@ -163,7 +163,7 @@ def _check_content(path: Path) -> None:
 
 
 def _load_gzip(path: str | os.PathLike[str]) -> Gaussians:
-    """Read a gzipped scene: SPZ of version 1 to 3, PLY, or `.splat`."""
+    """Read a gzipped scene: SPZ of version 1 to 3, PLY, `.splat`, or glTF."""
     head = peek_gzip(path)
     name = os.fspath(path).lower()
     if head.startswith(b"NGSP") or name.endswith(".spz"):
@@ -173,8 +173,11 @@ def _load_gzip(path: str | os.PathLike[str]) -> Gaussians:
         return read_ply(path, io.BytesIO(data), len(data))
     if name.removesuffix(".gz").endswith(".splat"):
         return settle_origin(decode_splat(path, gunzip(path)))
+    if head.startswith(MAGIC) or name.removesuffix(".gz").endswith(".gltf"):
+        scene = decode_gltf_splats(path, gunzip(path))
+        return scene if any(scene.facts.origin) else settle_origin(scene)
     got = f"a gzip of something that begins {head[:8]!r}"
-    raise FormatError(path, "", "a gzip of SPZ, PLY or .splat", got, "unpack it with gunzip, or tar -xzf")
+    raise FormatError(path, "", "a gzip of SPZ, PLY, .splat or glTF", got, "unpack it with gunzip, or tar -xzf")
 
 
 def _is_streamed(path: Path) -> bool:

@@ -95,7 +95,7 @@ def test_damaged_facts_of_gsvis_are_left_out(tmp_path: Path) -> None:
         assert load_ply(put(tmp_path, "a.ply", data)).facts == SceneFacts()
 
 
-@pytest.mark.parametrize("prefix", ["scal_", "scalar_", "scalar_scal_"])
+@pytest.mark.parametrize("prefix", ["scal_", "scalar_", "scalar_scal_", "sf_", "SF_", "scalar_sf_"])
 def test_names_of_cloudcompare(tmp_path: Path, prefix: str) -> None:
     scene = random_scene(sh_degree=2)
     columns = {name if name in "xyz" else prefix + name: values for name, values in raw_columns(scene).items()}
@@ -380,10 +380,21 @@ def test_gltf_with_buffers_outside(tmp_path: Path, how: str) -> None:
     got = load_scene(put(tmp_path, "a.gltf", json.dumps(document).encode()))
     np.testing.assert_allclose(got.means, scene.means + np.arange(1, 4), atol=1e-6)
     assert got.facts.up == (0.0, 1.0, 0.0)
+    packed = load_scene(put(tmp_path, "a.gltf.gz", gzip.compress(json.dumps(document).encode())))
+    np.testing.assert_array_equal(packed.means, got.means)
     for bad in ("../a.bin", "none.bin", "data:,x", "data:;base64,?", 3, "http://x/y.bin"):
         document["buffers"][0]["uri"] = bad
         with pytest.raises(FormatError):
             load_scene(put(tmp_path, "b.gltf", json.dumps(document).encode()))
+
+
+def test_a_gzipped_glb_is_read(tmp_path: Path) -> None:
+    scene = random_scene(20, 1)
+    save_glb(scene, tmp_path / "a.glb", upright=np.eye(4))
+    packed = put(tmp_path, "a.glb.gz", gzip.compress((tmp_path / "a.glb").read_bytes()))
+    np.testing.assert_array_equal(load_scene(packed).means, load_scene(tmp_path / "a.glb").means)
+    with pytest.raises(FormatError):
+        load_scene(put(tmp_path, "b.glb.gz", gzip.compress((tmp_path / "a.glb").read_bytes()[:-40])))
 
 
 def test_a_configuration_beside_a_checkpoint_states_antialiasing(tmp_path: Path) -> None:
