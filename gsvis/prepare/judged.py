@@ -18,20 +18,25 @@ from gsvis.scene.levels import Levels
 from gsvis.scene.navigable import NavigableSpace
 from gsvis.scene.view_sampling import ViewSampling
 
-__all__ = ["judge_tile", "small_views"]
+__all__ = ["count_judges", "judge_tile", "small_views"]
 
-_OF_TILE = 26  # of a tile: two of them have more than a hundred
+_OF_TILE = 26  # views of a tile by each of the two rules: two tiles have more than a hundred
 _FROM = 12  # views of what a client gets from which there are so many
 
 
-def small_views(views: ViewSampling, *, of_tile: bool) -> ViewSampling:
+def count_judges(tiles: int) -> int:
+    """Return the number of views of a tile by each rule, so that all tiles of a world have at least a hundred."""
+    return max(_OF_TILE, -(-JUDGES // max(1, tiles)))
+
+
+def small_views(views: ViewSampling, most: int) -> ViewSampling:
     """Return the builder's views for judging, half as large as the fidelity views.
 
     Args:
         views: The fidelity views; if they are few, as in tests, so are the returned ones.
-        of_tile: Whether the scene is a tile of a world.
+        most: Largest number of views by each rule.
     """
-    count = count_views(views.count, _FROM, _OF_TILE if of_tile else JUDGES)
+    count = count_views(views.count, _FROM, most)
     small = {name: max(1, getattr(views, name) // 2) for name in ("width", "height")}
     return replace(views, count=count, stream=views.stream + 2, **small)
 

@@ -45,6 +45,7 @@ from gsvis.pvs.cell_count import MOST_CELLS, fitting_cells
 from gsvis.pvs.cells import MAX_CELLS, CellGrid
 from gsvis.pvs.judged import judge_sets
 from gsvis.pvs.store import VisibilityStore
+from gsvis.render.judges import JUDGES
 from gsvis.scene.content import scene_hash, space_hash
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.levels import Levels
@@ -88,6 +89,7 @@ class Stages:
         around: Gaussians around the scene that belong to other packages; None for none.
         reach: Least and largest value of each component of base colors of all these packages; None for this one's own.
         one_level: Whether sets are found with one level in memory; see `build_pvs`.
+        judges: Largest number of views by each rule that judge the sets.
     """
 
     scene: Gaussians | Levels
@@ -101,6 +103,7 @@ class Stages:
     around: Surroundings | None = None
     reach: tuple[tuple[float, float], ...] | None = None
     one_level: bool = False
+    judges: int = JUDGES
 
     @property
     def trains(self) -> bool:
@@ -298,7 +301,7 @@ class Stages:
 
     def judged(self, levels: Levels, store: VisibilityStore) -> dict[str, Any]:
         """Return the quality of the sets at eyes that are independent of navigable space."""
-        views = small_views(self.config.fidelity_views, of_tile=self.one_level)
+        views = small_views(self.config.fidelity_views, self.judges)
         around = None if self.around is None else (self.around, self.work.at(around_of(store.path.name)))
         witnesses = None if self.space.witnesses is None else self.space.witnesses.digest
         key = self._key(

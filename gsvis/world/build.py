@@ -21,6 +21,7 @@ from gsvis.io.batches import Batch, align_batches, list_batches
 from gsvis.jobs.graph import Facts, Result, Task, run_graph
 from gsvis.jobs.objects import ObjectStore
 from gsvis.jobs.workers import Workers
+from gsvis.prepare.judged import count_judges
 from gsvis.progress import Progress
 from gsvis.scene.corridor import fill_in
 from gsvis.scene.witnesses import hold_out
@@ -308,6 +309,7 @@ class WorldBuild:
     def _package_tasks(self) -> list[Task]:
         """The tasks that make the package of each tile."""
         tasks = []
+        judges = count_judges(len(self.searched))
         for k, rect in enumerate(self.tiles):
             around = self.nodes.get(k, [])
             params = {
@@ -318,6 +320,7 @@ class WorldBuild:
                 "up": self.grid["up"],
                 "outside": rect is None,
                 "reach": self.reach,
+                "judges": judges,
                 **self.witnesses_in(rect),
             }
             own = (f"levels {k}", f"space {k}") if k in self.searched else (f"levels {k}",)

@@ -65,6 +65,7 @@ def prepare_tile(params: Facts, given: Given, out: Path, work: Path) -> Facts:
     stages = stages_of(levels, target, space, config, photos=None, progress=silent)
     stages.reach = reach_of(params)
     stages.one_level = True
+    stages.judges = params["judges"]
     stages.around, pieces = _surroundings(params, given, levels, space)
     if stages.around is not None:
         _check_memory(stages.around, levels, params, given)
