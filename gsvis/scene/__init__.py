@@ -7,6 +7,7 @@ _MODULES = (
     "core",
     "corridor",
     "density",
+    "drawn_by_content",
     "facts",
     "flyaways",
     "gaussians",

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gsvis.scene.drawn_by_content import draw_by_content
 from gsvis.scene.gaussians import Gaussians
 
 __all__ = ["FEWEST", "Sample", "sample_surface"]
@@ -82,12 +83,7 @@ def sample_surface(g: Gaussians) -> Sample | None:
 
 def _shuffle(g: Gaussians, index: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return indices in a random order that depends only on the content of the Gaussians."""
-    mixed = np.zeros(len(index), np.uint64)
-    for column in (*g.means.T, *g.scales.T, g.opacities):
-        mixed ^= np.ascontiguousarray(column[index]).view(np.uint32)
-        mixed *= np.uint64(0x9E3779B97F4A7C15)
-        mixed ^= mixed >> np.uint64(29)
-    return index[np.argsort(mixed, kind="stable")]
+    return index[np.argsort(draw_by_content(g[index]), kind="stable")]
 
 
 def _find_core(means: F64, weights: F64) -> tuple[F64, float]:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from gsvis.scene._enclosed import Enclosure
 from gsvis.scene.cameras import Cameras
+from gsvis.scene.drawn_by_content import draw_by_content
 from gsvis.scene.gaussians import Gaussians
 from gsvis.scene.solid import buried
 from gsvis.scene.thinned import thin
@@ -52,7 +53,8 @@ def draw_judges(
 ) -> Cameras:
     """Return up to `count` views of the densest detail, none inside something solid, all with a free line of sight.
 
-    The result follows rotation, translation and scale of the scene, and is independent of navigable space.
+    The result follows rotation, translation and scale of the scene, and is independent of navigable space and of the
+    order of the Gaussians.
 
     Args:
         g: The scene.
@@ -68,14 +70,16 @@ def draw_judges(
         The views; fewer than `count` if too few eyes are free, none in a scene without detail.
     """
     rng = np.random.default_rng([seed, 8191])
-    detail = _sample_detail(g, rng)
+    detail, numbers = _sample_detail(g, seed)
     if len(detail) <= _NEIGHBORS or count == 0:
         return _no_cameras(width, height, fov)
-    middle, radius, axes, points = _find_core(detail)
+    middle, radius, axes, core = _find_core(detail)
+    points = detail[core]
     if not radius > 0.0:
         return _no_cameras(width, height, fov)
     above = axes[2] if up is None else np.asarray(up, np.float64)
-    some, aims = _propose(points, middle, radius, axes, _TRIES * count, rng)
+    rolled = np.searchsorted(numbers[core], rng.random(_TRIES * count)) % len(points)
+    some, aims = _propose(points[rolled], middle, radius, axes, rng)
     few = thin(g, _FEW, seed=seed)[1]
     some, aims = _step_back(few, some, aims, radius, rng)
     free = ~buried(g, some)
@@ -89,31 +93,38 @@ def draw_judges(
 
 def find_detail(g: Gaussians, *, seed: int = 0) -> tuple[F64, float]:
     """Return the middle (3,) and the radius of the densest detail of a scene; radius 0 in a scene without detail."""
-    detail = _sample_detail(g, np.random.default_rng([seed, 8191]))
+    detail, _ = _sample_detail(g, seed)
     if len(detail) <= _NEIGHBORS:
         return np.zeros(3), 0.0
     middle, radius, _, _ = _find_core(detail)
     return middle, radius
 
 
-def _sample_detail(g: Gaussians, rng: np.random.Generator) -> F64:
-    """Return (M, 3) centers of Gaussians that are not faint, small ones more often than large ones."""
+def _sample_detail(g: Gaussians, seed: int) -> tuple[F64, F64]:
+    """Return centers (M, 3) of Gaussians that are not faint, small ones more often, and ascending random numbers (M,).
+
+    A Gaussian keeps its number whichever others are there. So one that drops out by a rounding error changes no more
+    than what was chosen by its own number.
+    """
     ids = np.flatnonzero(g.opacities >= _MIN_OPACITY)
     if len(ids) == 0:
-        return np.zeros((0, 3))
-    ids = rng.permutation(ids)[: 4 * _SAMPLE]
+        return np.zeros((0, 3)), np.zeros(0)
+    drawn = draw_by_content(g[ids], seed)
+    order = np.argsort(drawn, kind="stable")[: 4 * _SAMPLE]
+    ids = ids[order]
     size = np.maximum(g.scales[ids].astype(np.float64).max(axis=1), 1e-300)
     chance = np.minimum(np.median(size) / size, 1.0)
-    kept = ids[rng.random(len(ids)) < chance][:_SAMPLE]
-    return np.asarray(g.means[kept], np.float64)
+    kept = np.flatnonzero(draw_by_content(g[ids], seed + 1) < chance)[:_SAMPLE]
+    return np.asarray(g.means[ids[kept]], np.float64), drawn[order[kept]]
 
 
-def _find_core(detail: F64) -> tuple[F64, float, F64, F64]:
-    """Return the middle (3,), radius and axes (3, 3) of the core, the longest axis first, and the densest points."""
+def _find_core(detail: F64) -> tuple[F64, float, F64, NDArray[np.int64]]:
+    """Return the middle (3,), radius and axes (3, 3) of the core, the longest axis first, and its densest points."""
     from scipy.spatial import cKDTree  # slow to import, and seldom needed
 
     near = cKDTree(detail).query(detail, k=_NEIGHBORS + 1)[0][:, -1]
-    dense = detail[near <= np.median(near)]
+    chosen = np.flatnonzero(near <= np.median(near))
+    dense = detail[chosen]
     middle = dense.mean(axis=0)
     for _ in range(32):  # geometric median, which follows rotations of the scene
         apart = np.linalg.norm(dense - middle, axis=1)
@@ -125,14 +136,13 @@ def _find_core(detail: F64) -> tuple[F64, float, F64, F64]:
     _, _, axes = np.linalg.svd(points - middle, full_matrices=False)
     skew = ((points - middle) @ axes.T) ** 3
     signs = np.where(skew.sum(axis=0) < 0.0, -1.0, 1.0)
-    return middle, radius, axes * signs[:, None], points
+    return middle, radius, axes * signs[:, None], chosen[apart <= radius]
 
 
-def _propose(
-    points: F64, middle: F64, radius: float, axes: F64, count: int, rng: np.random.Generator
-) -> tuple[F64, F64]:
-    """Return eyes and their targets: around detail, and along the principal axes of the core, inward and outward."""
-    chosen = points[rng.integers(len(points), size=count)]
+def _propose(points: F64, middle: F64, radius: float, axes: F64, rng: np.random.Generator) -> tuple[F64, F64]:
+    """Return eyes and their targets: around points of detail, and along the axes of the core, inward and outward."""
+    count = len(points)
+    chosen = points.copy()
     local = rng.normal(size=(count, 3)) * np.array([1.0, 1.0, 0.5])  # few look straight along the thinnest axis
     ahead = local @ axes / np.linalg.norm(local, axis=1, keepdims=True)
     eyes = chosen + radius * np.array(_STEPS)[rng.integers(len(_STEPS), size=count)][:, None] * ahead

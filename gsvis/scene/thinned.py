@@ -1,7 +1,8 @@
 """Thin a scene for small images: fewer Gaussians, widened to represent those that were dropped.
 
 Large Gaussians are kept unchanged. Of small ones a random sample is kept and widened to the area of all. The result
-follows rotation, translation and scale of the scene. It suits coarse images, but not their texture.
+follows rotation, translation and scale of the scene, and does not depend on the order of its Gaussians. It suits coarse
+images, but not their texture.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gsvis import _check
+from gsvis.scene.drawn_by_content import draw_by_content
 from gsvis.scene.gaussians import Gaussians
 
 __all__ = ["thin"]
@@ -34,7 +36,7 @@ def thin(g: Gaussians, most: int, *, seed: int = 0) -> tuple[I64, Gaussians]:
     scales = np.sort(g.scales.astype(np.float64), axis=1)
     wide = np.sqrt(np.maximum(scales[:, 1] * scales[:, 2], 1e-300) * g.opacities)  # side of the area that it covers
     chance = _chances(wide, most)
-    ids = np.flatnonzero(np.random.default_rng([seed, len(g)]).random(len(g)) < chance)
+    ids = np.flatnonzero(draw_by_content(g, seed) < chance)
     factor = np.minimum(1.0 / np.sqrt(chance[ids]), _WIDEST)
     few = g[ids]
     wider = few.scales * factor[:, None].astype(np.float32)
