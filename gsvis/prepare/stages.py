@@ -54,7 +54,7 @@ from gsvis.train.level_views import LevelViews, draw_views, load_photograph_view
 
 __all__ = ["VERSIONS", "StageRecord", "Stages", "around_of"]
 
-VERSIONS = {"levels": 6, "sets": 3, "colors": 2, "cost": 2, "fidelity": 3, "judged": 2}
+VERSIONS = {"levels": 6, "sets": 3, "colors": 2, "cost": 2, "fidelity": 3, "judged": 3}
 """Version of the results of each stage; increase it when they change."""
 
 
